@@ -1,0 +1,51 @@
+"""The one frame type of the project: what a bus, a log and the simulator exchange.
+
+Time is an integer of nanoseconds on whatever clock the driver states (monotonic when live,
+the log's own when replaying). Frames are values: nothing here reads a clock.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+Nanos = int
+"""Integer nanoseconds. Floats lose 238 ns at today's epoch, so they never carry time here."""
+
+DriveId = int
+"""CANopen node number of a drive, 1..16; the `n` of `Drive{n}_...`."""
+
+EXTENDED = 1
+REMOTE = 2
+ERROR = 4
+FD = 8
+BRS = 16
+ESI = 32
+
+MS: Nanos = 1_000_000
+SECOND: Nanos = 1_000_000_000
+
+
+class Frame(NamedTuple):
+    """A CAN frame as seen on the wire.
+
+    `can_id` is the bare identifier (11 or 29 bits; for error frames the error class bits,
+    29 bits); `flags` are the constants above or-ed; `dlc` is -1 where it equals the data
+    length, else the requested length of a remote frame or a raw classic DLC of 9..15.
+    """
+
+    t_ns: Nanos
+    can_id: int
+    data: bytes = b""
+    flags: int = 0
+    channel: str = ""
+    dlc: int = -1
+
+    @property
+    def is_fd(self) -> bool:
+        """True for a CAN FD frame."""
+        return bool(self.flags & FD)
+
+    @property
+    def is_plain_data(self) -> bool:
+        """True for an 11-bit data frame: the only kind the message set uses."""
+        return not self.flags & (EXTENDED | REMOTE | ERROR)

@@ -1,0 +1,1 @@
+"""Maths over (N, .) arrays: filters, models and detectors. No bus, no clock, no logging."""

@@ -1,0 +1,1 @@
+"""The gateway: a pure core `step(frames, now) -> frames` and the drivers around it."""
