@@ -1,0 +1,156 @@
+"""Compiled bit extraction: a block of frames in one call, and its plain twin.
+
+Tables (built by `dbc.codec`), one row per signal, the rows of a message together:
+  rows    int64  (M, 2)   first table row and number of signals of each message
+  layout  int64  (T, 11)  columns as named by the constants below
+  keys    uint64 (T, 5)   mask, key flip, lowest and highest valid key, not-available key
+  factors float64 (T, 4)  scale, offset, lowest and highest physical value (floats only)
+  ranges  int64  (R, 2)   multiplexer values, inclusive
+
+A key is the raw value as 64-bit two's complement with the top bit flipped where it is signed,
+so one unsigned comparison orders both kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+BYTE, COUNT, SHIFT, BIG, LENGTH, SIGNED, FLOAT, HAS_CODE, PARENT, FIRST_RANGE, SATURATES = range(11)
+MASK, FLIP, LOW, HIGH, CODE = range(5)
+RANGES_PER_SIGNAL_SHIFT = 16
+"""FIRST_RANGE holds first * 65536 + count: one column less to load."""
+
+_VALID, _NOT_AVAILABLE, _RANGE, _SATURATED, _ABSENT = range(5)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator,unused-ignore]
+def decode_block(
+    index: NDArray[np.int32],
+    payload: NDArray[np.uint8],
+    rows: NDArray[np.int64],
+    layout: NDArray[np.int64],
+    keys: NDArray[np.uint64],
+    factors: NDArray[np.float64],
+    ranges: NDArray[np.int64],
+    value: NDArray[np.float64],
+    validity: NDArray[np.uint8],
+) -> None:
+    """Decode n frames into value (n, S) and validity (n, S); every cell is written.
+
+    index (n,) message numbers, payload (n, 64) zero-padded. A number out of range gives a row
+    of ABSENT. Columns beyond a message's signals are NaN and ABSENT.
+    """
+    n, width = value.shape
+    bits = np.empty(width, np.uint64)
+    for i in range(n):
+        first = 0
+        count = 0
+        if 0 <= index[i] < rows.shape[0]:
+            first = rows[index[i], 0]
+            count = rows[index[i], 1]
+        for k in range(count):
+            t = first + k
+            at = layout[t, BYTE]
+            last = layout[t, COUNT] - 1
+            shift = np.uint64(layout[t, SHIFT])
+            room = np.uint64(8) - shift
+            if layout[t, BIG]:
+                # The last byte apart: a 64-bit signal off the byte grid spans nine bytes.
+                acc = np.uint64(0)
+                for b in range(last):
+                    acc = (acc << np.uint64(8)) | np.uint64(payload[i, at + b])
+                acc = (acc << room) | (np.uint64(payload[i, at + last]) >> shift)
+            else:
+                acc = np.uint64(payload[i, at]) >> shift
+                up = room
+                for b in range(1, last + 1):
+                    acc |= np.uint64(payload[i, at + b]) << up
+                    up += np.uint64(8)
+            bits[k] = acc & keys[t, MASK]
+        for k in range(count):
+            t = first + k
+            u = bits[k]
+            if layout[t, SIGNED]:
+                free = np.uint64(64 - layout[t, LENGTH])
+                u = np.uint64(np.int64(u << free) >> np.int64(free))
+            if layout[t, FLOAT] == 32:
+                x = np.float64(np.uint32(u).view(np.float32)) * factors[t, 0] + factors[t, 1]
+            elif layout[t, FLOAT] == 64:
+                x = np.uint64(u).view(np.float64) * factors[t, 0] + factors[t, 1]
+            elif layout[t, SIGNED]:
+                x = np.float64(np.int64(u)) * factors[t, 0] + factors[t, 1]
+            else:
+                x = np.float64(u) * factors[t, 0] + factors[t, 1]
+
+            code = _VALID
+            if layout[t, FLOAT]:
+                if not (factors[t, 2] <= x <= factors[t, 3]):
+                    code = _RANGE
+            else:
+                key = u ^ keys[t, FLIP]
+                if layout[t, HAS_CODE] and key == keys[t, CODE]:
+                    code = _NOT_AVAILABLE
+                elif key < keys[t, LOW] or key > keys[t, HIGH]:
+                    code = _RANGE
+                elif layout[t, SATURATES] and (key == keys[t, LOW] or key == keys[t, HIGH]):
+                    code = _SATURATED
+
+            # A multiplexed signal is there if its selector, and the selector's own, say so.
+            child = t
+            while layout[child, PARENT] >= 0:
+                parent = layout[child, PARENT]
+                selector = np.int64(bits[parent])
+                if layout[first + parent, SIGNED]:
+                    spare = np.int64(64 - layout[first + parent, LENGTH])
+                    selector = (selector << spare) >> spare
+                start = layout[child, FIRST_RANGE] >> RANGES_PER_SIGNAL_SHIFT
+                stop = start + (layout[child, FIRST_RANGE] & ((1 << RANGES_PER_SIGNAL_SHIFT) - 1))
+                hit = False
+                for r in range(start, stop):
+                    if ranges[r, 0] <= selector <= ranges[r, 1]:
+                        hit = True
+                if not hit:
+                    code = _ABSENT
+                    x = np.nan
+                    break
+                child = first + parent
+            value[i, k] = x
+            validity[i, k] = code
+        for k in range(count, width):
+            value[i, k] = np.nan
+            validity[i, k] = _ABSENT
+
+
+def extract(data: bytes, start: int, length: int, big_endian: bool) -> int:
+    """Unsigned bits of a signal: the plain twin, by arithmetic on one whole integer.
+
+    `start` as in a DBC. Bits beyond the data read 0.
+    """
+    mask = (1 << length) - 1
+    if not big_endian:
+        return (int.from_bytes(data, "little") >> start) & mask
+    first = 8 * (start >> 3) + 7 - (start & 7)
+    shift = 8 * len(data) - first - length
+    whole = int.from_bytes(data, "big")
+    return (whole >> shift if shift >= 0 else whole << -shift) & mask
+
+
+def signed(bits: int, length: int) -> int:
+    """Two's complement of `length` bits."""
+    return bits - (1 << length) if bits >> (length - 1) else bits
+
+
+def chain(
+    k: int, parents: Sequence[int], hits: Sequence[tuple[tuple[int, int], ...]], raws: Sequence[int]
+) -> bool:
+    """Whether signal k is present: every selector up its chain has a value of its range."""
+    while parents[k] >= 0:
+        selector = raws[parents[k]]
+        if not any(low <= selector <= high for low, high in hits[k]):
+            return False
+        k = parents[k]
+    return True

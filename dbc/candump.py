@@ -1,0 +1,265 @@
+"""Strict reader and writer of candump logs (`candump -l`, `-L`): files <-> frames.
+
+Every line gets one verdict (`dbc.logline` has the grammar), time is integer nanoseconds, and
+nothing here raises on bytes (in strict mode: LogError with the line number).
+"""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from binascii import a2b_hex
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final, NamedTuple, Self, cast
+
+from dbc.frame import Frame
+from dbc.logline import DROPS, MAX_LINE, PLAIN, Verdict, format_frame, parse_line, tail_of
+
+PROBLEMS_KEPT: Final = 100
+_CHUNK: Final = 1 << 20
+_IDS_KEPT: Final = 100_000
+_TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
+
+
+class LogError(Exception):
+    """A log that cannot be read (on); `line` counts from 1, 0 where there are no lines."""
+
+    def __init__(self, source: str, line: int, why: str) -> None:
+        """`why` in one line, without source and line."""
+        self.line = line
+        super().__init__(f"{source}:{line}: {why}" if line else f"{source}: {why}")
+
+
+class Problem(NamedTuple):
+    """One faulty line."""
+
+    line: int
+    verdict: Verdict
+    text: str
+
+
+class Reader:
+    """Frames of a log, in file order: data, remote and error frames, told apart by flags.
+
+    `source` is a path (gzip is recognised by its first bytes) or a binary stream. During and
+    after reading: `counts` (Verdict -> lines; their sum is `lines`), `problems` (the first 100
+    faults), `drops` (frames candump says it lost), `truncated` (why a gzip stream ended early,
+    else ""). Memory does not grow with the file. Each iteration of a path starts anew.
+
+    An unterminated last line may be the start of a longer one: a frame cut inside its data is
+    a perfectly good shorter frame. It is believed only if the last frame of the same id had
+    the same number of characters after the id; else its verdict is CUT. So a log of one frame
+    without a line end gives none, and says so.
+
+    Raises OSError if the file cannot be opened; with `strict`, LogError at the first fault.
+    """
+
+    def __init__(self, source: Path | str | IO[bytes], *, strict: bool = False) -> None:
+        """Nothing is opened before iteration."""
+        self._source = Path(source) if isinstance(source, str) else source
+        self.name = str(self._source) if isinstance(self._source, Path) else "log"
+        self.strict = strict
+        self._reset()
+
+    def _reset(self) -> None:
+        self.counts: Counter[Verdict] = Counter()
+        self.lines = 0
+        self.drops = 0
+        self.problems: list[Problem] = []
+        self.truncated = ""
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Read from the start."""
+        self._reset()
+        with ExitStack() as stack:
+            yield from self._frames(self._chunks(stack))
+
+    def _chunks(self, stack: ExitStack) -> Iterator[bytes]:
+        stream = self._source
+        if isinstance(stream, Path):
+            stream = stack.enter_context(stream.open("rb"))
+        chunk = stream.read(_CHUNK)
+        if isinstance(self._source, Path) and chunk[:2] == b"\x1f\x8b":
+            yield from self._unzipped(chunk, stream)
+            return
+        while chunk:
+            yield chunk
+            chunk = stream.read(_CHUNK)
+
+    def _unzipped(self, chunk: bytes, stream: IO[bytes]) -> Iterator[bytes]:
+        """Members of a gzip file; what can be unpacked of a cut one is given, then it ends.
+
+        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut.
+        """
+        unpack = zlib.decompressobj(wbits=31)
+        try:
+            while chunk:
+                yield unpack.decompress(chunk, _CHUNK)
+                chunk = unpack.unconsumed_tail
+                if unpack.eof:
+                    chunk = unpack.unused_data.lstrip(b"\0") or stream.read(_CHUNK).lstrip(b"\0")
+                    if chunk:
+                        unpack = zlib.decompressobj(wbits=31)
+                elif not chunk:
+                    chunk = stream.read(_CHUNK)
+            yield unpack.flush()
+            if not unpack.eof:
+                self.truncated = "compressed data end early"
+        except zlib.error as error:
+            self.truncated = f"compressed data are damaged ({error})"
+
+    def _frames(self, chunks: Iterator[bytes]) -> Iterator[Frame]:
+        """The hot loop: plain classic frames here, everything else in `parse_line`."""
+        fast = PLAIN.fullmatch
+        unhex = a2b_hex
+        make = tuple.__new__
+        ids: dict[bytes, int] = {}
+        names: dict[bytes, str] = {}
+        tails: dict[bytes, int] = {}
+        rest = b""
+        skipping = False
+        plain = 0
+        try:
+            for chunk in chunks:
+                lines = (rest + chunk).split(b"\n")
+                rest = lines.pop()
+                if skipping and lines:
+                    lines[0] = _TOO_LONG
+                    skipping = False
+                for line in lines:
+                    match = fast(line)
+                    if match is not None:
+                        seconds, micros, name, digits, data = match.groups()
+                        size = len(data)
+                        if not size & 1:
+                            can_id = ids.get(digits)
+                            if can_id is None:
+                                can_id = ids[digits] = int(digits, 16)
+                            channel = names.get(name)
+                            if channel is None:
+                                channel = _remember(names, name)
+                            tails[digits] = size
+                            plain += 1
+                            yield make(
+                                Frame,
+                                (int(seconds + micros) * 1000, can_id, unhex(data), 0, channel, -1),
+                            )
+                            continue
+                    self.lines += plain
+                    self.counts[Verdict.OK] += plain
+                    plain = 0
+                    frame = self._judge(line, tails)
+                    if frame is not None:
+                        yield frame
+                self.lines += plain
+                self.counts[Verdict.OK] += plain
+                plain = 0
+                if len(rest) > MAX_LINE:
+                    rest = b""
+                    skipping = True
+        finally:
+            self.lines += plain
+            self.counts[Verdict.OK] += plain
+        if skipping:
+            rest = _TOO_LONG
+        if rest:
+            frame = self._judge(rest, tails, last=True)
+            if frame is not None:
+                yield frame
+        if self.truncated:
+            self._fault(Problem(self.lines, Verdict.CUT, self.truncated))
+
+    def _judge(self, line: bytes, tails: dict[bytes, int], *, last: bool = False) -> Frame | None:
+        """Verdict, count and frame of a line off the fast path."""
+        verdict, frame = parse_line(line)
+        if last and verdict not in (Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT):
+            verdict, frame = _unterminated(line, verdict, frame, tails)
+        self.lines += 1
+        self.counts[verdict] += 1
+        if frame is not None:
+            digits, tail = tail_of(line)
+            if len(tails) > _IDS_KEPT:
+                tails.clear()
+            tails[digits] = tail
+        elif verdict is Verdict.DROPCOUNT and (match := DROPS.match(line)):
+            self.drops += int(match[1])
+        elif verdict.is_fault:
+            text = line[:120].decode("ascii", "backslashreplace").strip()
+            self._fault(Problem(self.lines, verdict, text))
+        return frame
+
+    def _fault(self, problem: Problem) -> None:
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(problem)
+        if self.strict:
+            name = problem.verdict.name.lower().replace("_", " ")
+            raise LogError(self.name, problem.line, f"{name}: {problem.text}")
+
+
+def _remember(names: dict[bytes, str], name: bytes) -> str:
+    """Decode an interface name once; hostile logs do not fill the memory with names."""
+    if len(names) > 1000:
+        names.clear()
+    channel = names[name] = name.decode("utf-8", "surrogateescape")
+    return channel
+
+
+def _unterminated(
+    line: bytes, verdict: Verdict, frame: Frame | None, tails: dict[bytes, int]
+) -> tuple[Verdict, Frame | None]:
+    """Believe an unterminated last line only if its like was seen before, else CUT."""
+    if frame is not None:
+        digits, tail = tail_of(line)
+        if tails.get(digits) == tail:
+            return verdict, frame
+    return Verdict.CUT, None
+
+
+class Writer:
+    """Writes frames to a log (gzip by the suffix `.gz`). Context manager; `close` when done."""
+
+    def __init__(self, target: Path | str | IO[bytes], channel: str = "can0") -> None:
+        """Create or empty the file; `channel` is for frames without one. Raises OSError."""
+        self._channel = channel
+        self._stack = ExitStack()
+        self._stream: IO[bytes]
+        if isinstance(target, (Path, str)):
+            path = Path(target)
+            plain = self._stack.enter_context(path.open("wb"))
+            if path.suffix == ".gz":
+                # No name and time in the header: the same frames give the same bytes.
+                zipped = gzip.GzipFile("", "wb", fileobj=plain, mtime=0)
+                self._stack.callback(zipped.close)
+                self._stream = cast("IO[bytes]", zipped)
+            else:
+                self._stream = plain
+        else:
+            self._stream = target
+
+    def write(self, frame: Frame) -> None:
+        """Append one frame. Raises ValueError (see `format_frame`) or OSError."""
+        self._stream.write(format_frame(frame, self._channel) + b"\n")
+
+    def close(self) -> None:
+        """Flush and close what was opened here; a given stream stays open."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+__all__ = ["LogError", "Problem", "Reader", "Verdict", "Writer", "format_frame", "parse_line"]

@@ -1,0 +1,263 @@
+"""What the gateway needs of a DBC: messages, signals, units, states. `bind` compares.
+
+Written by hand and apart from the DBC files on purpose: two independent statements, and the
+start-up says where they disagree. Scaling, bit positions, ids and cycle times are free (they
+come from the DBC); names, units, widths of states and meanings of codes are not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+NOT_AVAILABLE: Final = "NotAvailable"
+"""Label of the not-available code in a `VAL_` table."""
+
+SI_FACTOR: Final[Mapping[str, float]] = {
+    "": 1.0,
+    "A": 1.0,
+    "V": 1.0,
+    "Nm": 1.0,
+    "degC": 1.0,
+    "K": 1.0,
+    "K/h": 1.0,
+    "%": 0.01,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "rpm": 2.0 * math.pi / 60.0,
+    "deg": math.pi / 180.0,
+}
+"""Unit on the wire -> factor to what the core computes with (A, V, Nm, rad/s, rad, 1, s).
+
+Celsius stays Celsius, K/h stays K/h: the thermal side works with differences and rates of these.
+"""
+
+
+class Direction(Enum):
+    """Who sends the message, seen from the gateway."""
+
+    CONSUMED = "consumed"
+    PRODUCED = "produced"
+
+
+@dataclass(frozen=True, slots=True)
+class SignalNeed:
+    """One signal: unit on the wire, and code -> label where codes have a meaning."""
+
+    name: str
+    unit: str = ""
+    codes: Mapping[int, str] = field(default_factory=dict)
+    bits: int = 0
+    """Required width; 0 leaves it free."""
+
+    @property
+    def si_factor(self) -> float:
+        """Factor from the unit on the wire to SI."""
+        return SI_FACTOR[self.unit]
+
+
+@dataclass(frozen=True, slots=True)
+class MessageNeed:
+    """One kind of message; `per_drive` ones exist as `Drive{n}_<kind>`, others as `Gateway_..`."""
+
+    kind: str
+    direction: Direction
+    signals: tuple[SignalNeed, ...]
+    per_drive: bool = True
+    length: int = 8
+    fd: bool = False
+    cyclic: bool = True
+    stale_periods: int = 3
+    """Older than this many periods plus a tick is stale."""
+
+    def name(self, node: int) -> str:
+        """Name in the DBC; `node` is ignored for the gateway's own."""
+        return f"Drive{node}_{self.kind}" if self.per_drive else f"Gateway_{self.kind}"
+
+
+@dataclass(frozen=True, slots=True)
+class Contract:
+    """A set of message kinds."""
+
+    messages: tuple[MessageNeed, ...]
+
+    def named(self, nodes: tuple[int, ...]) -> Iterator[tuple[str, MessageNeed, int]]:
+        """(name, need, node or 0) of every message the given drives and the gateway need."""
+        for need in self.messages:
+            if not need.per_drive:
+                yield need.name(0), need, 0
+            for node in nodes if need.per_drive else ():
+                yield need.name(node), need, node
+
+    def si_factor(self, kind: str, signal: str) -> float:
+        """SI factor of a signal. Raises KeyError for one that is not in the contract."""
+        for need in self.messages:
+            for wanted in need.signals if need.kind == kind else ():
+                if wanted.name == signal:
+                    return wanted.si_factor
+        raise KeyError(f"{kind}.{signal}")
+
+
+def _coded(name: str, *labels: str, first: int = 0, bits: int = 4) -> SignalNeed:
+    return SignalNeed(name, "", dict(enumerate(labels, first)), bits)
+
+
+def _state(name: str, good: str = "NoFault", bad: str = "Fault") -> SignalNeed:
+    return SignalNeed(name, "", {0: "Unknown", 1: good, 2: bad}, bits=2)
+
+
+_QUALITY = _coded("Quality", "Initialising", "Valid", "Degraded", bits=0)
+_REASON = _coded(
+    "Reason", "None", "Starting", "Stale", "Corrupted", "Sequence", "Range", "NotAvailable",
+    "Diverged", "TooFewDrives", "Overrun", "Intruder", "Config",
+)  # fmt: skip
+_ALL = range(1, 17)
+
+
+def _numbers(*pairs: tuple[str, str]) -> tuple[SignalNeed, ...]:
+    return tuple(SignalNeed(name, unit) for name, unit in pairs)
+
+
+_CURRENTS = MessageNeed(
+    "PhaseCurrents",
+    Direction.CONSUMED,
+    (_QUALITY, *_numbers(("Ia", "A"), ("Ib", "A"), ("Ic", "A"))),
+)
+_VOLTAGES = MessageNeed(
+    "StatorVoltages",
+    Direction.CONSUMED,
+    (_QUALITY, *_numbers(("Ualpha", "V"), ("Ubeta", "V"), ("Udc", "V"))),
+)
+_SAMPLES = MessageNeed(
+    "Samples",
+    Direction.CONSUMED,
+    (
+        _QUALITY,
+        SignalNeed("SampleIndex", bits=16),
+        SignalNeed("Udc", "V"),
+        *(
+            SignalNeed(f"{name}_{k}", unit)
+            for k in range(8)
+            for name, unit in (("Ia", "A"), ("Ib", "A"), ("Ualpha", "V"), ("Ubeta", "V"))
+        ),
+    ),
+    length=64,
+    fd=True,
+)
+_SHARED = (
+    MessageNeed(
+        "Motion",
+        Direction.CONSUMED,
+        (_QUALITY, *_numbers(("Speed", "rpm"), ("ElectricalAngle", "deg"), ("Torque", "Nm"))),
+    ),
+    MessageNeed(
+        "Status",
+        Direction.CONSUMED,
+        (
+            _QUALITY,
+            *_numbers(("Irms", "A"), ("TorqueCommand", "Nm")),
+            _coded("State", "Off", "Ready", "Operation", "Fault"),
+            SignalNeed("FaultCode"),
+        ),
+    ),
+    MessageNeed(
+        "Temperatures",
+        Direction.CONSUMED,
+        (
+            _QUALITY,
+            *_numbers(*((name, "degC") for name in ("Tstator", "Tde", "Tnde", "Tambient"))),
+        ),
+    ),
+    MessageNeed(
+        "Estimate",
+        Direction.PRODUCED,
+        (
+            _coded(
+                "Health", "Unknown", "Converging", "Tracking", "Predicting", "Diverged",
+                "InputInvalid",
+            ),
+            *_numbers(
+                ("Speed", "rpm"), ("LoadTorque", "Nm"), ("LossProbability", "%"), ("Nis", "")
+            ),
+        ),
+    ),
+    MessageNeed(
+        "Thermal",
+        Direction.PRODUCED,
+        (
+            _coded(
+                "FaultClass", "Unknown", "None", "Overheating", "CoolingLoss", "Bearing",
+                "SensorBias", "SensorStuck", "SensorLost", "WindingResistance",
+            ),
+            *_numbers(("Tmixed", "degC"), ("Maisd", "K")),
+            _coded(
+                "FaultSensor", "None", "Stator", "DriveEnd", "NonDriveEnd", "Ambient", "Current"
+            ),
+            *_numbers(("Jumps", ""), ("DegradationRate", "K/h")),
+        ),
+    ),
+    MessageNeed(
+        "Adhesion",
+        Direction.PRODUCED,
+        (
+            _REASON,
+            *(_state(f"Adhesion{n}", "Adhering", "AdhesionLost") for n in _ALL),
+            _coded(
+                "Detector", "VariationalBayes", "VariationalMessagePassing", "KMeans", "Median",
+                first=1, bits=3,
+            ),
+            _state("CommonMode", "NotDetected", "AllDrives"),
+            SignalNeed("Age", "ms"),
+        ),
+        per_drive=False,
+    ),
+    MessageNeed(
+        "Faults",
+        Direction.PRODUCED,
+        (
+            _REASON,
+            *(_state(f"Thermal{n}") for n in _ALL),
+            *map(_state, ("SensorFault", "CommFault", "EstimatorFault", "Overrun")),
+            SignalNeed("Age", "ms"),
+        ),
+        per_drive=False,
+    ),
+    MessageNeed(
+        "Info",
+        Direction.PRODUCED,
+        (
+            SignalNeed("ConfigHash", bits=24),
+            *_numbers(("LatencyP99", "us"), ("LatenessP99", "us")),
+        ),
+        per_drive=False,
+    ),
+    MessageNeed(
+        "Auth",
+        Direction.PRODUCED,
+        (SignalNeed("Freshness", bits=16), SignalNeed("Mac", bits=32)),
+        per_drive=False,
+        cyclic=False,
+    ),
+    MessageNeed(
+        "Status",
+        Direction.PRODUCED,
+        (
+            _coded("State", "Starting", "Running", "Degraded", "Silent", first=1),
+            *_numbers(
+                ("DeadlineMisses", ""), ("RejectedFrames", ""), ("LostFrames", ""),
+                ("BusLoad", "%"),
+            ),
+        ),
+        per_drive=False,
+    ),
+)  # fmt: skip
+
+CLASSIC: Final = Contract((_CURRENTS, _VOLTAGES, *_SHARED))
+"""The set of `traction.dbc`."""
+FD: Final = Contract((_SAMPLES, *_SHARED))
+"""The set of `traction_fd.dbc`: `Samples` replaces currents and voltages."""
+ANY: Final = Contract(())
+"""No expectations: any DBC that is sound in itself."""

@@ -1,0 +1,196 @@
+"""The grammar of one candump log line, both ways. Regular expressions on bytes; pure.
+
+That of can-utils (lib.h, candump.c): six or nine decimals, a padded interface name, classic,
+FD, remote and error frames, `_E` raw lengths, CAN XL (recognised, not decoded), `DROPCOUNT:`
+lines, the ` R`/` T` suffix of `-x`. Stricter than can-utils in one way: what is not exactly a
+frame is not made into one.
+"""
+
+from __future__ import annotations
+
+import re
+from binascii import a2b_hex
+from enum import IntEnum
+from typing import Final
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+
+MAX_LINE: Final = 8192
+"""Longer than any frame (CAN XL has 4,120 characters): such a line is skipped, not collected."""
+
+
+class Verdict(IntEnum):
+    """What one line is. The first four come with a frame; those from CUT on are faults."""
+
+    OK = 0
+    """Classic data frame."""
+    FD = 1
+    REMOTE = 2
+    ERROR_FRAME = 3
+    XL = 4
+    BLANK = 5
+    COMMENT = 6
+    """A line that starts with `#`, `;` or `//`."""
+    DROPCOUNT = 7
+    """candump's own note that its socket lost frames."""
+    CUT = 8
+    """Unterminated last line that may be the start of a longer one."""
+    MALFORMED = 9
+    BAD_LENGTH = 10
+    """More data than the format has, or a length FD does not have."""
+    BAD_ID = 11
+    """More bits than an identifier has."""
+
+    @property
+    def is_fault(self) -> bool:
+        """True where something is lost: strict reading stops there."""
+        return self >= Verdict.CUT
+
+
+FD_LENGTHS: Final = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
+_HEX: Final = rb"[0-9A-Fa-f]"
+# Up to 8,999,999,999 s: as nanoseconds it still fits in 64 bits.
+_STAMP: Final = rb"\((\d{1,9}|[0-8]\d{9})\.(\d{6}|\d{9})\)"
+_NAME: Final = rb"([^\x00-\x20\x7f]{1,21})"
+_END: Final = rb"(?: {1,21}[RT])?[ \t]{0,21}"
+# candump pads interface names to the longest one.
+_GAP: Final = rb" {1,21}"
+PLAIN: Final = re.compile(
+    rb"\((\d{1,9}|[0-8]\d{9})\.(\d{6})\)"
+    + (_GAP + _NAME + _GAP)
+    + rb"([0-7]%b{2})#(%b{0,16})(?: [RT])?\r?" % (_HEX, _HEX)
+)
+"""The line of most logs: classic, 11 bits, microseconds. Its data may still be an odd number."""
+_LINE: Final = re.compile(_STAMP + _GAP + _NAME + _GAP + rb"(\S+)" + _END)
+_BODY: Final = re.compile(
+    rb"(?P<id>%b{8}|%b{3})#"
+    rb"(?:(?P<remote>[Rr](?P<request>[0-8])?(?:_(?P<raw>[9A-Fa-f]))?)"
+    rb"|#(?P<flags>%b)(?P<long>(?:\.?%b{2})*)"
+    rb"|(?P<data>(?:\.?%b{2})*)(?:_(?P<dlc>[9A-Fa-f]))?)" % ((_HEX,) * 5)
+)
+_XL: Final = re.compile(rb"(?:%b{3}|%b{5})#%b{2}:%b{2}:%b{8}#(?:\.?%b{2}){1,2048}" % ((_HEX,) * 6))
+DROPS: Final = re.compile(
+    rb"DROPCOUNT: dropped (\d{1,10}) CAN frames? on '[^']*' socket \(total drops \d{1,10}\)[ \t]*"
+)
+_COMMENTS: Final = (b"#", b";", b"//")
+_ERROR_BIT: Final = 0x2000_0000
+_ID_BITS: Final = 0x1FFF_FFFF
+_LAST_NS: Final = 9_000_000_000 * 1_000_000_000 - 1
+_NAMED: Final = re.compile(_NAME)
+
+
+def parse_line(line: bytes) -> tuple[Verdict, Frame | None]:
+    """Judge one line, with or without its line end. Never raises.
+
+    The frame comes with OK, FD, REMOTE and ERROR_FRAME only. Interface names that are not
+    UTF-8 keep their bytes as surrogates, so that writing gives them back.
+    """
+    text = line[:-1] if line.endswith(b"\n") else line
+    text = text[:-1] if text.endswith(b"\r") else text
+    match = _LINE.fullmatch(text) if len(text) <= MAX_LINE else None
+    if match is None:
+        return _no_frame(text), None
+    seconds, fraction, name, body = match.groups()
+    t_ns = int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
+    parts = _BODY.fullmatch(body)
+    if parts is None:
+        return Verdict.XL if _XL.fullmatch(body) else Verdict.MALFORMED, None
+    return _frame(t_ns, name.decode("utf-8", "surrogateescape"), parts)
+
+
+def _no_frame(text: bytes) -> Verdict:
+    if not text.strip(b" \t"):
+        return Verdict.BLANK
+    if text.startswith(_COMMENTS):
+        return Verdict.COMMENT
+    return Verdict.DROPCOUNT if DROPS.fullmatch(text) else Verdict.MALFORMED
+
+
+def _frame(t_ns: int, channel: str, parts: re.Match[bytes]) -> tuple[Verdict, Frame | None]:
+    """The frame of a line whose grammar fits; numbers are checked here."""
+    can_id = int(parts["id"], 16)
+    flags = 0
+    if len(parts["id"]) == 8:
+        flags = ERROR if can_id & _ERROR_BIT else EXTENDED
+        if can_id & ~(_ID_BITS | _ERROR_BIT):
+            return Verdict.BAD_ID, None
+        can_id &= _ID_BITS
+    elif can_id > 0x7FF:
+        return Verdict.BAD_ID, None
+
+    if parts["remote"] is not None:
+        dlc = int(parts["request"] or b"0")
+        # A raw length stands only behind the full one, and no error frame is remote.
+        if flags & ERROR or (parts["raw"] is not None and dlc != 8):
+            return Verdict.MALFORMED, None
+        dlc = int(parts["raw"], 16) if parts["raw"] else dlc
+        return Verdict.REMOTE, Frame(t_ns, can_id, b"", flags | REMOTE, channel, dlc or -1)
+
+    if parts["flags"] is not None:
+        data = a2b_hex(parts["long"].replace(b".", b""))
+        if flags & ERROR:
+            return Verdict.MALFORMED, None
+        if len(data) not in FD_LENGTHS:
+            return Verdict.BAD_LENGTH, None
+        bits = int(parts["flags"], 16)
+        flags |= FD | (BRS if bits & 1 else 0) | (ESI if bits & 2 else 0)
+        return Verdict.FD, Frame(t_ns, can_id, data, flags, channel)
+
+    data = a2b_hex(parts["data"].replace(b".", b""))
+    if len(data) > 8:
+        return Verdict.BAD_LENGTH, None
+    dlc = -1
+    if parts["dlc"] is not None:
+        if len(data) != 8:
+            return Verdict.MALFORMED, None
+        dlc = int(parts["dlc"], 16)
+    verdict = Verdict.ERROR_FRAME if flags & ERROR else Verdict.OK
+    return verdict, Frame(t_ns, can_id, data, flags, channel, dlc)
+
+
+def tail_of(line: bytes) -> tuple[bytes, int]:
+    """(id digits, characters after the id's `#` up to the suffix) of a line with a frame."""
+    match = _LINE.match(line)
+    body = match[4] if match else b"#"
+    digits, _, rest = body.partition(b"#")
+    return digits, len(rest)
+
+
+def format_frame(frame: Frame, channel: str = "can0") -> bytes:
+    """One line without its end: `(sec.usec) name id#data`; nine decimals where they are needed.
+
+    `channel` stands in where the frame has none. Everything `parse_line` reads comes back, the
+    error class and a remote frame's length included. Raises ValueError for what no candump
+    line can say (negative time, impossible id, length or name).
+    """
+    t_ns, can_id, data, flags, own, dlc = frame
+    size = len(data)
+    if flags & ERROR:
+        fits = not flags & (REMOTE | FD | EXTENDED) and can_id <= _ID_BITS
+        digits = f"{can_id | _ERROR_BIT:08X}"
+    elif flags & EXTENDED:
+        fits = can_id <= _ID_BITS
+        digits = f"{can_id:08X}"
+    else:
+        fits = can_id <= 0x7FF
+        digits = f"{can_id:03X}"
+    if flags & (BRS | ESI) and not flags & FD:
+        fits = False
+    if flags & REMOTE:
+        fits = fits and not size and not flags & FD and dlc <= 15
+        body = f"R{dlc if dlc > 0 else ''}" if dlc < 9 else f"R8_{dlc:X}"
+    elif flags & FD:
+        fits = fits and size in FD_LENGTHS and dlc < 9
+        body = f"#{(1 if flags & BRS else 0) | (2 if flags & ESI else 0)}{data.hex().upper()}"
+    else:
+        fits = fits and size <= 8 and (dlc < 9 or (size == 8 and dlc <= 15))
+        body = data.hex().upper() + (f"_{dlc:X}" if dlc > 8 else "")
+    name = (own or channel).encode("utf-8", "surrogateescape")
+    if not (fits and can_id >= 0 and 0 <= t_ns <= _LAST_NS and _NAMED.fullmatch(name)):
+        msg = f"cannot be written as a candump line: {frame}"
+        raise ValueError(msg)
+    seconds, nanos = divmod(t_ns, 1_000_000_000)
+    decimals = f"{nanos:09d}" if nanos % 1000 else f"{nanos // 1000:06d}"
+    return b"(%010d.%b) %b %b#%b" % (
+        seconds, decimals.encode(), name, digits.encode(), body.encode(),
+    )  # fmt: skip

@@ -1,0 +1,53 @@
+"""Other log formats (.asc .blf .csv .trc .mf4 ..) through python-can, as our frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dbc.candump import LogError
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+
+if TYPE_CHECKING:
+    import can
+
+
+def read_any(path: Path) -> Iterator[Frame]:
+    """Frames of a log by its suffix. Error frames are never data.
+
+    python-can's time is a float of seconds: rounded to the nearest nanosecond, exact to about
+    0.2 us at today's dates. Raises LogError for an unknown format, a missing reader or a file
+    that python-can cannot read (its readers stop at the first fault).
+    """
+    import can
+
+    count = 0
+    try:
+        with can.LogReader(path) as reader:
+            for message in reader:
+                count += 1
+                yield from_message(message)
+    except Exception as error:  # its readers raise anything from IndexError to struct.error
+        text = " ".join(str(error).split()) or type(error).__name__
+        where = f" after {count} frames" if count else ""
+        raise LogError(str(path), 0, f"cannot be read{where}: {text}") from error
+
+
+def from_message(message: can.Message) -> Frame:
+    """A python-can message as a frame."""
+    flags = 0
+    if message.is_error_frame:
+        flags = ERROR
+    else:
+        flags |= EXTENDED if message.is_extended_id else 0
+        flags |= REMOTE if message.is_remote_frame else 0
+        if message.is_fd:
+            flags |= FD
+            flags |= BRS if message.bitrate_switch else 0
+            flags |= ESI if message.error_state_indicator else 0
+    data = b"" if message.is_remote_frame else bytes(message.data)
+    dlc = message.dlc if message.is_remote_frame and message.dlc else -1
+    channel = "" if message.channel is None else str(message.channel)
+    t_ns = round(message.timestamp * 1_000_000_000)
+    return Frame(t_ns, message.arbitration_id & 0x1FFF_FFFF, data, flags, channel, dlc)

@@ -1,0 +1,160 @@
+"""What a bound DBC says of messages and signals: immutable, plain, without cantools."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from dbc.frame import Nanos
+from dbc.protection import Profile
+
+VALID: Final = 0
+NOT_AVAILABLE: Final = 1
+RANGE: Final = 2
+SATURATED: Final = 3
+ABSENT: Final = 4
+
+EXTENDED_KEY: Final = 1 << 31
+"""Or-ed to a 29-bit id where ids are keys, as in a DBC: 0x123 and 0x00000123 differ."""
+
+
+class Validity(IntEnum):
+    """What a raw value says of itself, before any scaling.
+
+    VALID a number in range; NOT_AVAILABLE the sender's own code for "none"; RANGE outside the
+    DBC's range (or a non-finite float); SATURATED at the end of a signed range, so the true
+    value may lie beyond; ABSENT not in this frame (multiplexed away, or an unused column).
+    """
+
+    VALID = VALID
+    NOT_AVAILABLE = NOT_AVAILABLE
+    RANGE = RANGE
+    SATURATED = SATURATED
+    ABSENT = ABSENT
+
+
+class Match(IntEnum):
+    """Whether a frame may be decoded, and if not why."""
+
+    OK = 0
+    UNKNOWN_ID = 1
+    REMOTE = 2
+    ERROR_FRAME = 3
+    WRONG_LENGTH = 4
+    WRONG_FORMAT = 5
+    """Classic where the DBC says FD, or the other way round."""
+
+
+class DbcMismatch(Exception):
+    """A DBC that cannot be used; the text lists every problem, one a line."""
+
+    def __init__(self, path: Path, problems: list[str]) -> None:
+        """`problems`: one line each, without the path."""
+        self.path = path
+        self.problems = tuple(problems)
+        super().__init__("\n".join([f"{path}:", *(f"  {line}" for line in problems)]))
+
+
+class Reading(NamedTuple):
+    """One decoded signal. `value` is physical and means something only where VALID."""
+
+    raw: int | float
+    value: float
+    validity: Validity
+
+
+@dataclass(frozen=True, slots=True)
+class SignalSpec:
+    """One signal. `start` as in the DBC (big endian: position of the most significant bit).
+
+    Ranges and codes are raw; `raw_min > raw_max` never happens. `mux_parent` names the signal
+    whose raw value must lie in one of `mux_ranges` (inclusive) for this one to be present.
+    """
+
+    name: str
+    start: int
+    length: int
+    is_signed: bool = False
+    is_big_endian: bool = False
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    raw_min: int = 0
+    raw_max: int = 0
+    not_available: int | None = None
+    start_raw: int = 0
+    labels: Mapping[int, str] = field(default_factory=dict)
+    is_float: bool = False
+    float_min: float = -sys.float_info.max
+    float_max: float = sys.float_info.max
+    mux_parent: str | None = None
+    mux_ranges: tuple[tuple[int, int], ...] = ()
+
+    @staticmethod
+    def float_limits() -> tuple[float, float]:
+        """The widest finite range of a float."""
+        return -sys.float_info.max, sys.float_info.max
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the end values mean "or beyond".
+
+        Signed measured signals that have a not-available code, as the contract's do; a sender
+        that clamps then never passes a clipped number off as a measurement.
+        """
+        return self.is_signed and not self.is_float and self.not_available is not None
+
+    def judge(self, raw: float) -> Validity:
+        """Validity of a raw value that is present in the frame."""
+        if self.is_float:
+            value = raw * self.scale + self.offset
+            return Validity.VALID if self.float_min <= value <= self.float_max else Validity.RANGE
+        if raw == self.not_available:
+            return Validity.NOT_AVAILABLE
+        if not self.raw_min <= raw <= self.raw_max:
+            return Validity.RANGE
+        if self.saturates and raw in (self.raw_min, self.raw_max):
+            return Validity.SATURATED
+        return Validity.VALID
+
+
+@dataclass(frozen=True, slots=True)
+class MessageSpec:
+    """One message. `signals` in order of their position: the protection header comes first.
+
+    `kind` and `node` split the name: `Drive3_Motion` is ("Motion", 3), `Gateway_Faults` is
+    ("Faults", 0), any other name is its own kind. `data_ids`: 16 bytes for P02, the 16-bit id
+    as two bytes (big endian) for P05, empty for NONE. `cycle_ns` is 0 for a message without one.
+    """
+
+    name: str
+    can_id: int
+    length: int
+    is_fd: bool
+    brs: bool
+    cycle_ns: Nanos
+    profile: Profile
+    data_ids: bytes
+    signals: tuple[SignalSpec, ...]
+    index: int
+    node: int
+    kind: str
+    is_extended: bool = False
+    is_gateway: bool = False
+    """Sent by the gateway itself."""
+
+    @property
+    def key(self) -> int:
+        """Key in `Codec.by_id`: the id, with bit 31 set for 29-bit ids."""
+        return self.can_id | (EXTENDED_KEY if self.is_extended else 0)
+
+    def column(self, name: str) -> int:
+        """Column of a signal in a decoded block. Raises KeyError."""
+        for k, signal in enumerate(self.signals):
+            if signal.name == name:
+                return k
+        raise KeyError(f"{self.name}.{name}")

@@ -1,0 +1,140 @@
+"""Extended Kalman filter of N drives: paper `adhesion`, eq. (3)-(15), with `models.pmsm`.
+
+Readable form over stacked arrays. The gateway runs `_kernels.ekf_sweep`; `sweep` is its plain
+twin. Drives are independent, so the paper's block-diagonal matrices (16)-(17) are never built.
+
+Between two samples the model takes n_sub Euler steps of dt with the mean voltage of the
+interval: the paper filters at 125 us, buses are slower.
+"""
+
+# ruff: noqa: F722, F821, UP037 - shape strings of jaxtyping
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators import kalman
+from estimators.kalman import Innovation
+from estimators.models import pmsm
+from estimators.models.pmsm import I_A, I_B, THETA_E, Noise, Pmsm
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+Array = NDArray[np.float64]
+
+H = np.eye(2, 5)
+"""The currents are measured: eq. (15) with a column for T_L."""
+FLOOR = 1e-12
+"""Smallest variance, SI units squared: no state is ever taken for exactly known."""
+
+
+def predict(
+    par: Pmsm,
+    noise: Noise,
+    x: Float[Array, "N 5"],
+    P: Float[Array, "N 5 5"],
+    u: Float[Array, "N 2"],
+    n_sub: int,
+    dt: float,
+) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
+    """Prior n_sub sub-steps of dt later, eq. (3)-(4) with (8) per sub-step, angle wrapped."""
+    Q = _diagonal(noise.Q)
+    for _ in range(n_sub):
+        F = pmsm.jacobian(par, x, dt)
+        x = pmsm.step(par, x, u, dt)
+        P = F @ P @ kalman.transpose(F) + Q
+    return _wrapped(x), kalman.symmetric(P)
+
+
+def coast(
+    par: Pmsm,
+    noise: Noise,
+    x: Float[Array, "N 5"],
+    P: Float[Array, "N 5 5"],
+    n_gap: int,
+    dt: float,
+) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
+    """Prior after n_gap sub-steps without voltage: `pmsm.coast` in one step.
+
+    The currents are first taken as unknown by noise.coast, so that the torque they might have
+    made meanwhile shows in the variances of speed and angle.
+    """
+    if n_gap == 0:
+        return x, P
+    tau = np.full(len(x), n_gap * dt)
+    P = P.copy()
+    P[:, I_A, I_A] += noise.coast
+    P[:, I_B, I_B] += noise.coast
+    F = pmsm.coast_jacobian(par, x, tau)
+    P = F @ P @ kalman.transpose(F) + n_gap * _diagonal(noise.Q)
+    return _wrapped(pmsm.coast(par, x, tau)), kalman.symmetric(P)
+
+
+def update(
+    noise: Noise, x: Float[Array, "N 5"], P: Float[Array, "N 5 5"], y: Float[Array, "N 2"]
+) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"], Innovation]:
+    """Posterior after measuring the currents, eq. (5)-(7): exact, for h is linear."""
+    x, P, innovation = kalman.update(x, P, y, H, _diagonal(noise.R))
+    k = np.arange(5)
+    variance = P[:, k, k]
+    # A negative variance must stay visible to `healthy`; the floor is for rounding to zero.
+    P[:, k, k] = np.where((variance >= 0.0) & (variance < FLOOR), FLOOR, variance)
+    return _wrapped(x), P, innovation
+
+
+def healthy(x: Float[Array, "N 5"], P: Float[Array, "N 5 5"]) -> Bool[NDArray[np.bool_], "N"]:
+    """True where the state is finite and no variance is negative."""
+    finite = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=(1, 2))
+    k = np.arange(5)
+    positive = (P[:, k, k] >= 0.0).all(axis=1)
+    return np.asarray(finite & positive, dtype=np.bool_)
+
+
+def sweep(
+    par: Pmsm,
+    noise: Noise,
+    x: Float[Array, "N 5"],
+    P: Float[Array, "N 5 5"],
+    drive: Int[NDArray[np.int32], "M"],
+    u: Float[Array, "M 2"],
+    y: Float[Array, "M 2"],
+    n_sub: Int[NDArray[np.int64], "M"],
+    n_gap: Int[NDArray[np.int64], "M"],
+    dt: float,
+) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
+    """M samples in order, x and P in place: the twin of `_kernels.ekf_sweep`.
+
+    Returns (nis (M,), ok (N,)). A drive whose result is not `healthy` gets ok False and nis
+    NaN, keeps its last good x and P, and its later rows are skipped: start it anew.
+    """
+    nis = np.full(len(drive), np.nan)
+    ok = np.ones(len(x), dtype=np.bool_)
+    for k, d in enumerate(drive):
+        if not ok[d]:
+            continue
+        one = slice(d, d + 1)
+        par_d = Pmsm(*(value[one] for value in par))
+        noise_d = Noise(*(value[one] for value in noise))
+        with np.errstate(all="ignore"):
+            x_d, P_d = coast(par_d, noise_d, x[one], P[one], int(n_gap[k]), dt)
+            x_d, P_d = predict(par_d, noise_d, x_d, P_d, u[k : k + 1], int(n_sub[k]), dt)
+            x_d, P_d, innovation = update(noise_d, x_d, P_d, y[k : k + 1])
+        ok[d] = healthy(x_d, P_d)[0]
+        if ok[d]:
+            x[one], P[one] = x_d, P_d
+            nis[k] = innovation.nis[0]
+    return nis, ok
+
+
+def _diagonal(variance: Array) -> Array:
+    """(N, k) variances as (N, k, k) covariances."""
+    return variance[:, :, None] * np.eye(variance.shape[1])
+
+
+def _wrapped(x: Array) -> Array:
+    x = x.copy()
+    x[:, THETA_E] = pmsm.wrap(x[:, THETA_E])
+    return x

@@ -1,0 +1,140 @@
+"""Unscented Kalman filter of N drives with `models.pmsm`, the alternative to `ekf`.
+
+Symmetric sigma points in the kappa form (Julier and Uhlmann): with n = 5 states
+    X_0 = x, X_j = x + c L e_j, X_(n+j) = x - c L e_j, P = L L', c = sqrt(n + kappa),
+    W_0 = kappa / (n + kappa), W_j = 1 / (2 (n + kappa)).
+kappa = 0 is the default: equal weights, no negative one, so P stays positive semi-definite.
+
+The angle enters the model only through sine and cosine, so the points lie on the unrolled
+line around the mean and only the mean is wrapped: no average is ever taken across +-pi.
+Measuring is linear, for which the unscented transform is exact: the update is the EKF's. A gap
+without samples is bridged as in the EKF.
+"""
+
+# ruff: noqa: F722, F821, UP037 - shape strings of jaxtyping
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators import ekf, kalman
+from estimators.models import pmsm
+from estimators.models.pmsm import THETA_E, Noise, Pmsm
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+Array = NDArray[np.float64]
+
+KAPPA = 0.0
+REPAIR = 1e-6
+"""Relative rise of the variances that repairs a covariance without a Cholesky factor."""
+
+
+def predict(
+    par: Pmsm,
+    noise: Noise,
+    x: Float[Array, "N 5"],
+    P: Float[Array, "N 5 5"],
+    u: Float[Array, "N 2"],
+    n_sub: int,
+    dt: float,
+    kappa: float = KAPPA,
+) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"], Bool[NDArray[np.bool_], "N"]]:
+    """Prior n_sub sub-steps of dt later; sigma points are drawn anew in each.
+
+    Also gives ok (N,): False where P had no Cholesky factor, even repaired; the numbers of
+    such a drive are NaN. Never raises on numbers.
+    """
+    n = x.shape[1]
+    W = 0.5 / (n + kappa)
+    W_0 = kappa / (n + kappa)
+    Q = noise.Q[:, :, None] * np.eye(n)
+    ok = np.ones(len(x), dtype=np.bool_)
+    for _ in range(n_sub):
+        L, good = factor(P)
+        ok &= good
+        spread = np.sqrt(n + kappa) * L
+        centre = pmsm.step(par, x, u, dt)
+        # Deviations of the images from the image of the mean: well conditioned.
+        images = [pmsm.step(par, x + spread[:, :, j], u, dt) - centre for j in range(n)]
+        images += [pmsm.step(par, x - spread[:, :, j], u, dt) - centre for j in range(n)]
+        D = np.stack(images, axis=1)
+        shift = W * D.sum(axis=1)
+        D = D - shift[:, None, :]
+        x = centre + shift
+        P = W * kalman.transpose(D) @ D + W_0 * shift[:, :, None] * shift[:, None, :] + Q
+    x = x.copy()
+    x[:, THETA_E] = pmsm.wrap(x[:, THETA_E])
+    return x, kalman.symmetric(P), ok
+
+
+def factor(P: Float[Array, "N n n"]) -> tuple[Array, NDArray[np.bool_]]:
+    """Lower Cholesky factors (N, n, n) and ok (N,).
+
+    A matrix that has none is tried once more with variances raised by REPAIR; if it still has
+    none, ok is False there and the factor NaN.
+    """
+    L, ok = _cholesky(P)
+    if ok.all():
+        return L, ok
+    k = np.arange(P.shape[1])
+    repaired = P.copy()
+    repaired[:, k, k] += REPAIR * np.abs(P[:, k, k]) + ekf.FLOOR
+    L_repaired, ok_repaired = _cholesky(repaired)
+    return np.where(ok[:, None, None], L, L_repaired), ok | ok_repaired
+
+
+def _cholesky(P: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Stacked Cholesky that reports by mask: numpy's raises for the whole stack."""
+    n = P.shape[1]
+    L = np.zeros_like(P)
+    ok = np.ones(len(P), dtype=np.bool_)
+    for j in range(n):
+        pivot = P[:, j, j] - np.sum(L[:, j, :j] ** 2, axis=1)
+        ok &= pivot > 0.0
+        L[:, j, j] = np.sqrt(np.where(pivot > 0.0, pivot, np.nan))
+        for i in range(j + 1, n):
+            dot = np.sum(L[:, i, :j] * L[:, j, :j], axis=1)
+            L[:, i, j] = (P[:, i, j] - dot) / L[:, j, j]
+    return L, ok
+
+
+def sweep(
+    par: Pmsm,
+    noise: Noise,
+    x: Float[Array, "N 5"],
+    P: Float[Array, "N 5 5"],
+    drive: Int[NDArray[np.int32], "M"],
+    u: Float[Array, "M 2"],
+    y: Float[Array, "M 2"],
+    n_sub: Int[NDArray[np.int64], "M"],
+    n_gap: Int[NDArray[np.int64], "M"],
+    dt: float,
+    kappa: float = KAPPA,
+) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
+    """M samples in order, x and P in place: the twin of `_kernels.ukf_sweep`.
+
+    Returns (nis (M,), ok (N,)) with the meaning they have in `ekf.sweep`.
+    """
+    nis = np.full(len(drive), np.nan)
+    ok = np.ones(len(x), dtype=np.bool_)
+    for k, d in enumerate(drive):
+        if not ok[d]:
+            continue
+        one = slice(d, d + 1)
+        par_d = Pmsm(*(value[one] for value in par))
+        noise_d = Noise(*(value[one] for value in noise))
+        with np.errstate(all="ignore"):
+            x_d, P_d = ekf.coast(par_d, noise_d, x[one], P[one], int(n_gap[k]), dt)
+            x_d, P_d, factored = predict(
+                par_d, noise_d, x_d, P_d, u[k : k + 1], int(n_sub[k]), dt, kappa
+            )
+            x_d, P_d, innovation = ekf.update(noise_d, x_d, P_d, y[k : k + 1])
+        ok[d] = factored[0] and ekf.healthy(x_d, P_d)[0]
+        if ok[d]:
+            x[one], P[one] = x_d, P_d
+            nis[k] = innovation.nis[0]
+    return nis, ok

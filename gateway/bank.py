@@ -1,0 +1,217 @@
+"""The bank of filters: samples in, per drive state, health and age out.
+
+A drive is acquired by its flux chords, then filtered, and watched by the chords for as long
+as it is tracked: the filter's own word is never the proof that it is locked. May know:
+estimators. May not know: frames, clocks, flags.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from dbc.frame import MS, Nanos
+from estimators import lock
+from estimators._kernels import ekf_sweep, lock_sweep, ukf_sweep
+from estimators.models import pmsm
+from gateway.channel import SAMPLE_NS
+from gateway.config import Estimator, Motor
+from gateway.health import Health, Reason
+from gateway.inbox import Sample
+
+SETTLE_STEPS: Final = 480
+"""Sub-steps (60 ms) a new filter runs before its load is believed."""
+DISAGREE_TICKS: Final = 3
+"""Ticks in a row that the chords must contradict the filter before it counts as diverged."""
+DIVERGED_NS: Final = 100 * MS
+"""A divergence is said for at least this long before the drive is acquired anew."""
+UKF_KAPPA: Final = -2.0
+"""n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
+NIS_SMOOTHING: Final = 0.2
+
+
+class DriveEstimate(NamedTuple):
+    """One drive after a tick; numbers are None while nothing is tracked."""
+
+    health: Health
+    speed_rad_s: float | None = None
+    load_nm: float | None = None
+    load_sigma_nm: float | None = None
+    nis: float | None = None
+
+
+class _Track:
+    """What the bank remembers of one drive besides x and P."""
+
+    __slots__ = ("active", "diverged_ns", "doubts", "nis", "steps")
+
+    def __init__(self) -> None:
+        self.active = False
+        self.steps = 0
+        self.doubts = 0
+        self.nis = 2.0
+        self.diverged_ns: Nanos | None = None
+
+
+class Bank:
+    """Filters of N drives. `advance` once per tick is the only mutator."""
+
+    def __init__(self, motors: Sequence[Motor], config: Estimator, current_step_a: float) -> None:
+        """current_step_a: resolution of the currents on the bus, part of R."""
+        rows = [(m.R_s, m.L_s, m.psi_pm, float(m.pole_pairs), m.J, m.B, m.k_p) for m in motors]
+        self.par = pmsm.motors(*rows)
+        self.rated = pmsm.Rated(
+            np.array([m.I_rated for m in motors]), np.array([m.T_rated for m in motors])
+        )
+        self.noise = _noise(self.par, self.rated, config, current_step_a)
+        self.table = pmsm.table(self.par)
+        self.tuning = lock.LockTuning(
+            w_on=config.min_speed_rad_s, w_off=0.75 * config.min_speed_rad_s
+        )
+        self.ukf = config.kind == "ukf"
+        n = len(motors)
+        self.x = np.zeros((n, 5))
+        self.P = np.tile(np.eye(5), (n, 1, 1))
+        self.chords = lock.start(n)
+        self.tracks = [_Track() for _ in range(n)]
+        self.pole_pairs = self.par.p.tolist()
+
+    def advance(
+        self,
+        samples: Sequence[Sample],
+        restart: Collection[int],
+        inputs: Sequence[Reason],
+        fresh: Sequence[bool],
+        now: Nanos,
+    ) -> list[DriveEstimate]:
+        """Filter this tick's samples and judge every drive.
+
+        restart: drives whose samples begin anew; inputs: why a drive's input cannot be
+        believed (NONE if it can); fresh: whether its newest sample is within its age limit.
+        """
+        for k in restart:
+            self._drop(k)
+            lock.forget(self.chords, k)
+        if samples:
+            self._sweep(samples)
+        first, P_first = self._start_states()
+        agreement = lock.agrees(self.chords, self.x, self.tuning)
+        return [
+            self._judge(k, inputs[k], fresh[k], int(agreement[k]), first[k], P_first[k], now)
+            for k in range(len(self.tracks))
+        ]
+
+    def _sweep(self, samples: Sequence[Sample]) -> None:
+        rows = np.array(samples, dtype=np.float64)
+        drive = rows[:, 0].astype(np.int32)
+        u = np.ascontiguousarray(rows[:, 2:4])
+        y = np.ascontiguousarray(rows[:, 4:6])
+        n_sub = rows[:, 6].astype(np.int64)
+        n_gap = rows[:, 7].astype(np.int64)
+        dt = SAMPLE_NS * 1e-9
+        lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
+        nis = np.empty(len(samples))
+        ok = np.empty(len(self.tracks), dtype=np.bool_)
+        arguments = (
+            self.table, self.noise.Q, self.noise.R, self.noise.coast, self.x, self.P,
+            drive, u, y, n_sub, n_gap, dt,
+        )  # fmt: skip
+        if self.ukf:
+            ukf_sweep(*arguments, UKF_KAPPA, nis, ok)
+        else:
+            ekf_sweep(*arguments, nis, ok)
+        for k, value, steps in zip(drive.tolist(), nis.tolist(), n_sub.tolist(), strict=True):
+            track = self.tracks[k]
+            if track.active:
+                track.steps += steps
+                if math.isfinite(value):  # NaN where the row was skipped
+                    track.nis += NIS_SMOOTHING * (value - track.nis)
+        for k in np.flatnonzero(~ok).tolist():
+            self._diverge(k)
+
+    def _start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
+        """Starts from the chords, needed only where a drive is not tracked."""
+        if all(track.active for track in self.tracks):
+            return self.x, self.P
+        return lock.start_state(self.chords, self.par, self.noise, self.rated)
+
+    def _judge(
+        self,
+        k: int,
+        cause: Reason,
+        fresh: bool,
+        agreement: int,
+        first: pmsm.Array,
+        P_first: pmsm.Array,
+        now: Nanos,
+    ) -> DriveEstimate:
+        track = self.tracks[k]
+        if track.steps < 0:
+            track.steps = 0
+            track.diverged_ns = now
+        if track.active and agreement == lock.Agreement.DISAGREES:
+            track.doubts += 1
+            if track.doubts >= DISAGREE_TICKS:
+                settled = track.steps >= SETTLE_STEPS
+                self._drop(k)
+                # A start that does not settle is tried again; a lost lock is a divergence.
+                track.diverged_ns = now if settled else track.diverged_ns
+        else:
+            track.doubts = 0
+        if track.diverged_ns is not None and now - track.diverged_ns < DIVERGED_NS:
+            return DriveEstimate(Health.DIVERGED)
+        if not track.active and fresh and self.chords.ready[k]:
+            self.x[k], self.P[k] = first, P_first
+            track.active, track.steps, track.doubts, track.nis = True, 0, 0, 2.0
+            track.diverged_ns = None
+            agreement = lock.Agreement.AGREES
+        return self._estimate(k, cause, fresh, agreement)
+
+    def _estimate(self, k: int, cause: Reason, fresh: bool, agreement: int) -> DriveEstimate:
+        track = self.tracks[k]
+        numbers = DriveEstimate(
+            Health.TRACKING,
+            float(self.x[k, pmsm.W_E]) / self.pole_pairs[k],
+            float(self.x[k, pmsm.T_L]),
+            float(np.sqrt(self.P[k, pmsm.T_L, pmsm.T_L])),
+            track.nis,
+        )
+        if cause in (Reason.RANGE, Reason.NOT_AVAILABLE, Reason.CORRUPTED, Reason.SEQUENCE):
+            return DriveEstimate(Health.INPUT_INVALID)
+        if not track.active:
+            return DriveEstimate(Health.CONVERGING if fresh else Health.UNKNOWN)
+        if not fresh:
+            return numbers._replace(health=Health.PREDICTING)
+        if track.steps < SETTLE_STEPS or agreement == lock.Agreement.UNKNOWN:
+            return numbers._replace(health=Health.CONVERGING)
+        return numbers
+
+    def _drop(self, k: int) -> None:
+        """Forget the filter of one drive; it is acquired anew."""
+        self.tracks[k].active = False
+        self.tracks[k].steps = 0
+        self.tracks[k].doubts = 0
+        self.x[k] = 0.0
+        self.P[k] = np.eye(5)
+
+    def _diverge(self, k: int) -> None:
+        """A number that is not one: reset now, said from this tick on."""
+        active = self.tracks[k].active
+        self._drop(k)
+        self.tracks[k].steps = -1 if active else 0
+
+
+def _noise(par: pmsm.Pmsm, rated: pmsm.Rated, config: Estimator, step_a: float) -> pmsm.Noise:
+    """Noise of the configuration; R in the stationary frame, quantisation included.
+
+    With three currents the alpha-beta noise is 2/3 of a phase's; R keeps the full phase
+    variance, which also covers the two-current beta of the FD samples.
+    """
+    noise = pmsm.default_noise(par, rated, SAMPLE_NS * 1e-9, step_a, config.current_noise_var)
+    base = pmsm.default_noise(
+        pmsm.BENCH_MOTOR, pmsm.BENCH_RATED, SAMPLE_NS * 1e-9, step_a, config.current_noise_var
+    )
+    return noise._replace(Q=noise.Q * (np.array(config.process_noise) / base.Q[0]))

@@ -1,0 +1,111 @@
+"""One received message of one drive: its protection state, its age, and why it is not believed."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dbc.codec import MessageSpec
+from dbc.frame import Nanos
+from dbc.protection import Check, Profile, Receiver, SmState
+from gateway.health import Reason
+
+SAMPLE_NS: Final[Nanos] = 125_000
+"""Spacing of the eight samples in a FD frame, and the filters' sub-step."""
+
+# The signals the gateway uses of each kind, in the order in which the inbox takes them.
+USED: Final = {
+    "PhaseCurrents": ("Ia", "Ib", "Ic"),
+    "StatorVoltages": ("Ualpha", "Ubeta"),
+    "Samples": (
+        "SampleIndex",
+        *(f"{name}_{k}" for k in range(8) for name in ("Ia", "Ib", "Ualpha", "Ubeta")),
+    ),
+    "Motion": ("Speed", "Torque"),
+    "Status": ("TorqueCommand", "Irms"),
+    "Temperatures": ("Tstator", "Tde", "Tnde", "Tambient"),
+}
+
+_REASON = {
+    Check.ERROR: Reason.CORRUPTED,
+    Check.REPEATED: Reason.SEQUENCE,
+    Check.WRONG_SEQUENCE: Reason.SEQUENCE,
+}
+
+
+class Channel:
+    """State of one message. The inbox feeds it; everybody else only asks."""
+
+    __slots__ = (
+        "cause", "drive", "good_ns", "heard_ns", "kind", "last_ns", "length", "limit_ns",
+        "pair_ns", "period_ns", "picked", "protected", "quality", "receiver", "seen_valid",
+        "spec", "steps",
+    )  # fmt: skip
+
+    def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
+        """drive: position in the configuration; the age limit is three periods and a tick."""
+        columns = {signal.name: k for k, signal in enumerate(spec.signals)}
+        self.spec = spec
+        self.drive = drive
+        self.kind = spec.kind
+        self.length = spec.length
+        self.period_ns = spec.cycle_ns
+        self.limit_ns = 3 * spec.cycle_ns + tick_ns
+        self.pair_ns = 8 * spec.cycle_ns
+        self.steps = max(1, round(spec.cycle_ns / SAMPLE_NS))
+        self.receiver = Receiver(spec)
+        self.protected = spec.profile is not Profile.NONE
+        self.quality = columns.get("Quality", -1)
+        self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
+        self.heard_ns: Nanos | None = None
+        self.last_ns: Nanos | None = None
+        self.good_ns: Nanos | None = None
+        self.cause = Reason.NONE
+        self.seen_valid = False
+
+    def verify(self, data: bytes, t_ns: Nanos) -> Check:
+        """Judge protection and counter of one frame and advance the receiver's window."""
+        if not self.protected:
+            self.last_ns = t_ns
+            self.seen_valid = True
+            return Check.OK
+        receiver = self.receiver
+        check = receiver.check(data, t_ns)
+        for _ in range(receiver.missed):
+            receiver.cycle(Check.NO_NEW_DATA)
+        state = receiver.cycle(check)
+        if check is Check.OK or check is Check.OK_SOME_LOST:
+            self.last_ns = t_ns
+            if state is SmState.VALID:
+                self.seen_valid = True
+        else:
+            self.cause = _REASON[check]
+        return check
+
+    def malformed(self) -> None:
+        """A frame with our id that cannot be our message: as bad as a wrong checksum."""
+        self.receiver.cycle(Check.ERROR)
+        self.cause = Reason.CORRUPTED
+
+    def quiet(self, now: Nanos) -> None:
+        """Advance the window when nothing has come for longer than the limit."""
+        if self.last_ns is not None and now - self.last_ns > self.limit_ns:
+            self.receiver.cycle(Check.NO_NEW_DATA)
+
+    def reason(self, now: Nanos) -> Reason:
+        """Why this channel cannot be believed now; NONE if it can."""
+        heard = self.heard_ns
+        if heard is None:
+            return Reason.STARTING
+        if now - heard > self.limit_ns:
+            return Reason.STALE
+        cause = self.cause
+        if self.protected and self.receiver.state is not SmState.VALID:
+            return cause if cause is not Reason.NONE else Reason.STARTING
+        if self.last_ns is None or now - self.last_ns > self.limit_ns:
+            return cause if cause is not Reason.NONE else Reason.STALE
+        return cause if cause is Reason.RANGE or cause is Reason.NOT_AVAILABLE else Reason.NONE
+
+    def fresh(self, now: Nanos) -> bool:
+        """True while the last good value is within the age limit and can be believed."""
+        good = self.good_ns
+        return good is not None and now - good <= self.limit_ns and self.reason(now) is Reason.NONE

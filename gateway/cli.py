@@ -1,0 +1,85 @@
+"""The command line: verbs only. Exit codes: 0 good, 1 an expectation failed, 2 bad input."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import logging
+import sys
+from collections.abc import Sequence
+
+VERBS = {
+    "demo": "the whole system on an embedded bus: simulated drives, gateway, display, picture",
+    "run": "the gateway on a bus",
+    "replay": "the gateway over a recorded log, as fast as the machine can",
+    "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",
+    "hil": "run scenarios against the gateway and judge their expectations",
+    "check": "configuration against DBC, bus load and timing budget, before deployment",
+    "calibrate": "thermal limits from fault-free logs",
+}
+"""Verb -> one line of help; each is the module of that name in `gateway.commands`."""
+
+
+def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
+    """The parser; only the verb in use is imported, so that `--help` stays quick."""
+    parser = argparse.ArgumentParser(
+        prog="traction-gateway",
+        description="CAN-bus hardware-in-the-loop gateway for railway traction.",
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB")
+    for verb, text in VERBS.items():
+        sub = verbs.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
+        sub.add_argument("-v", "--verbose", action="count", default=0, help="more on stderr")
+        if verb in words:
+            importlib.import_module(f"gateway.commands.{verb}").arguments(sub)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; never lets a traceback of bad input reach the user."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    parser = _parser(words)
+    options = parser.parse_args(words)
+    if options.version:
+        from importlib.metadata import version
+
+        print(f"traction-gateway {version('traction-gateway')}")
+        return 0
+    if options.verb is None:
+        parser.print_help()
+        return 2
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(options.verbose, 2)]
+    logging.basicConfig(
+        level=level, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
+    )
+    command = importlib.import_module(f"gateway.commands.{options.verb}")
+    try:
+        return int(command.run(options))
+    except KeyboardInterrupt:
+        return 0
+    except BrokenPipeError:
+        # The reader of a pipe has left; there is nobody to tell.
+        sys.stderr.close()
+        return 0
+    except Exception as error:
+        if not _is_users(error):
+            raise
+        text = " ".join(str(error).split())
+        print(f"traction-gateway: {text}", file=sys.stderr)
+        return 2
+
+
+def _is_users(error: Exception) -> bool:
+    """True for the errors that say something about the input, not about this program."""
+    from gateway.config import ConfigError
+
+    named = {"DbcMismatch", "BadLogError", "LogError", "ScenarioError"}
+    return (
+        isinstance(error, ConfigError | FileNotFoundError | PermissionError | IsADirectoryError)
+        or type(error).__name__ in named
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

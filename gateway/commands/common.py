@@ -1,0 +1,82 @@
+"""What several verbs share: configuration, binding, progress, words on stderr."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gateway.config import Config, load
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from dbc.codec import Codec
+
+GOOD, FAILED, BAD_INPUT = 0, 1, 2
+"""Exit codes of the contract."""
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """`--config`."""
+    parser.add_argument(
+        "--config", type=Path, metavar="TRAIN.toml",
+        help="configuration; without it: three drives on nodes 1-3 with the bench motor",
+    )  # fmt: skip
+
+
+def add_bus(parser: argparse.ArgumentParser) -> None:
+    """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
+    import can.cli
+
+    can.cli.add_bus_arguments(parser)
+
+
+def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
+    """Configuration and codec. Raises ConfigError or DbcMismatch with every problem.
+
+    changes: fields of `[section]`s to override, as `section={"key": value}`.
+    """
+    from dbc.codec import bind
+
+    config = load(path)
+    for section, values in changes.items():
+        given = {k: v for k, v in values.items() if v is not None}
+        part = getattr(config, section)
+        config = config.model_copy(
+            update={section: type(part).model_validate({**part.model_dump(), **given})}
+        )
+    return config, bind(config.dbc_path, config.nodes)
+
+
+def console() -> Console:
+    """Where people are told things; results go to stdout."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def track_file(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Iterator[Any]:
+    """Pass `frames` on while a progress bar shows how much of the file is read."""
+    if not sys.stderr.isatty():
+        yield from frames
+        return
+    from rich.progress import Progress
+
+    position = getattr(reader, "bytes_read", None)
+    with Progress(console=console(), transient=True) as progress:
+        task = progress.add_task(what, total=path.stat().st_size if position is not None else None)
+        for count, item in enumerate(frames):
+            if count % 2000 == 0:
+                done = getattr(reader, "bytes_read", 0)
+                progress.update(task, completed=done)
+            yield item
+
+
+def out_file(path: Path | None) -> Path | None:
+    """Make the folder of an output file."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return path

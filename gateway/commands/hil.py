@@ -1,0 +1,110 @@
+"""`hil SCENARIO..`: scenario, gateway and expectations together."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+from gateway.commands.common import FAILED, GOOD, add_bus, add_config, console, out_file, prepare
+
+HELP = "run scenarios against the gateway and judge their expectations"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("scenario", nargs="+", help="scenario files, or names of shipped ones")
+    add_config(parser)
+    parser.add_argument("--junit", type=Path, metavar="FILE", help="verdicts as JUnit XML")
+    parser.add_argument("-o", "--output", type=Path, metavar="LOG",
+                        help="record all frames of the (last) scenario")  # fmt: skip
+    add_bus(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Judge every scenario; exit 1 if any expectation failed."""
+    from sim.scenario import find
+
+    scenarios = [(name, find(name)) for name in options.scenario]
+    suites = ET.Element("testsuites")
+    failed = 0
+    for name, scenario in scenarios:
+        began = time.perf_counter()
+        verdicts = _one(options, name, scenario)
+        seconds = time.perf_counter() - began
+        bad = [v for v in verdicts if not v.passed]
+        failed += len(bad)
+        print(f"{'FAIL' if bad else 'ok  '} {scenario.title}  ({seconds:.1f} s)")
+        for v in verdicts:
+            print(f"     {'ok  ' if v.passed else 'FAIL'} {v.text}: {v.detail}")
+        _suite(suites, scenario.title, verdicts, seconds)
+    if options.junit:
+        path = options.junit
+        path.parent.mkdir(parents=True, exist_ok=True)
+        ET.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)
+    return FAILED if failed else GOOD
+
+
+def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
+    changes = {} if options.config else {"thermal": scenario_thermal()}
+    config, codec = _fitting(options, scenario, changes)
+    if hasattr(options, "interface") or hasattr(options, "channel"):
+        from gateway.drivers.hilbus import run_on_real_bus
+
+        return run_on_real_bus(options, name, scenario, config, codec).verdicts
+    from gateway.drivers.bench import run_virtual
+
+    if options.output is None:
+        return run_virtual(scenario, config, codec).verdicts
+    from dbc.candump import Writer
+
+    writer = Writer(out_file(options.output))
+
+    def record(_now: int, received: list[Any], sent: list[Any], _view: Any) -> None:
+        for frame in sorted([*received, *sent]):
+            writer.write(frame._replace(channel="vcan0"))
+
+    try:
+        return run_virtual(scenario, config, codec, [record]).verdicts
+    finally:
+        writer.close()
+
+
+def scenario_thermal() -> dict[str, str]:
+    """The calibration of the simulated bench motors that ships with the package."""
+    import gateway
+
+    return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
+
+
+def _fitting(options: argparse.Namespace, scenario: Any, changes: dict[str, Any]) -> Any:
+    """Configuration for the scenario's number of drives, unless a file says otherwise."""
+    from dbc.codec import bind
+    from gateway.config import Drive
+
+    config, codec = prepare(options.config, **changes)
+    if options.config is None:
+        drives = tuple(Drive(node=n) for n in range(1, scenario.drives + 1))
+        config = config.model_copy(update={"drive": drives})
+        codec = bind(config.dbc_path, config.nodes)
+    elif len(config.nodes) != scenario.drives:
+        console().print(
+            f"note: the scenario has {scenario.drives} drives, the configuration "
+            f"{len(config.nodes)}", markup=False,
+        )  # fmt: skip
+    return config, codec
+
+
+def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float) -> None:
+    suite = ET.SubElement(
+        parent, "testsuite", name=title, tests=str(len(verdicts)),
+        failures=str(sum(not v.passed for v in verdicts)), time=f"{seconds:.3f}",
+    )  # fmt: skip
+    for v in verdicts:
+        case = ET.SubElement(suite, "testcase", classname=title, name=v.text)
+        if v.passed:
+            ET.SubElement(case, "system-out").text = v.detail
+        else:
+            ET.SubElement(case, "failure", message=v.detail)

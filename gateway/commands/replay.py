@@ -1,0 +1,97 @@
+"""`replay LOG`: the gateway over a recorded log."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from gateway.commands.common import GOOD, add_config, console, out_file, prepare, track_file
+
+HELP = "run the gateway over a recorded log, as fast as the machine can"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("log", type=Path, help="candump log (.log, .gz), or any python-can format")
+    add_config(parser)
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT.log",
+                        help="the gateway's own frames, as candump -L writes them")  # fmt: skip
+    parser.add_argument("--results", type=Path, metavar="DIR",
+                        help="folder for flags.csv, estimates.csv and pictures")  # fmt: skip
+    parser.add_argument("--detector", help="override [adhesion] detector (vb, median)")
+    parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
+    parser.add_argument("--strict", action="store_true",
+                        help="stop at the first line that is not candump's")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Replay; tables and counts on stdout."""
+    from dbc.candump import Writer
+    from gateway.core import Gateway
+    from gateway.drivers.replay import open_log, pick_channel, replay
+    from gateway.results.record import Recorder
+
+    changes = {"adhesion": {"detector": options.detector}} if options.detector else {}
+    config, codec = prepare(options.config, **changes)
+    reader = open_log(options.log, options.strict)
+    frames = track_file(pick_channel(reader, options.log_channel), reader, options.log, "replaying")
+    recorder = Recorder(options.results, config.nodes)
+    writer = Writer(out_file(options.output)) if options.output else None
+    name = [options.log_channel or ""]
+
+    def first_name(stream: Iterable[Any]) -> Iterable[Any]:
+        for frame in stream:
+            name[0] = name[0] or frame.channel or "can0"
+            yield frame
+
+    def sink(_now: int, out: list[Any], view: Any) -> None:
+        recorder.add(view)
+        if writer is not None:
+            for frame in out:
+                writer.write(frame._replace(channel=name[0]))
+
+    began = time.perf_counter()
+    try:
+        done = replay(
+            first_name(frames),
+            lambda start: Gateway(config, codec, start),
+            config.loop.period_ns,
+            sink,
+        )
+    finally:
+        recorder.close()
+        if writer is not None:
+            writer.close()
+    seconds = time.perf_counter() - began
+    span = (done.last_ns - done.first_ns) / 1e9
+    if options.results:
+        from gateway.results.pictures import loads
+
+        for suffix in ("png", "svg"):
+            loads(options.results / f"loads.{suffix}", recorder.series, options.log.name)
+    _summary(reader, done, recorder)
+    console().print(
+        f"replayed {span:.2f} s of {done.channel or 'the log'} in {seconds:.2f} s "
+        f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks"
+    )
+    return GOOD
+
+
+def _summary(reader: Any, done: Any, recorder: Any) -> None:
+    """What the log held and what the gateway said, on stdout."""
+    lines: Counter[str] = Counter()
+    for verdict, count in getattr(reader, "counts", {}).items():
+        lines[getattr(verdict, "name", str(verdict)).lower()] += count
+    if lines:
+        print("lines: " + ", ".join(f"{k} {v}" for k, v in sorted(lines.items()) if v))
+    for number, verdict, text in list(getattr(reader, "problems", []))[:5]:
+        console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
+    counts = done.gateway.inbox.counts
+    print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
+    for t_ns, node, what, word in recorder.changes:
+        seconds = (t_ns - done.first_ns) / 1e9
+        print(f"{seconds:12.3f} s  drive {node}  {what:8}  {word}")

@@ -1,0 +1,118 @@
+"""`run`: the gateway on a bus."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from gateway.commands.common import GOOD, add_bus, add_config, console, prepare
+
+HELP = "the gateway on a bus"
+DISPLAY_EVERY = 20
+"""Ticks between two pictures of the table: the display must never disturb the loop."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    add_config(parser)
+    parser.add_argument("--duration", type=float, metavar="S", help="stop after this long")
+    parser.add_argument("--quiet", action="store_true", help="no live table")
+    add_bus(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
+    from gateway.core import Gateway
+    from gateway.drivers.canopen_node import CanopenNode
+    from gateway.drivers.live import LiveSnapshot, Stop, run_live
+    from gateway.drivers.realtime import Ticker
+    from gateway.drivers.transport import Allow, open_transport
+    from gateway.drivers.warm import warm_up
+
+    config, codec = prepare(options.config)
+    master = config.canopen.nmt_master
+    warm_up(config, codec)
+    transport = open_transport(
+        bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
+    )
+    ticker = Ticker(config.loop.period_ns)
+    gateway = Gateway(config, codec, ticker.clock())
+    node = CanopenNode(config.nodes, nmt_master=master)
+    stop = Stop()
+    limit = None if options.duration is None else round(options.duration * config.loop.rate_hz)
+    display = None if options.quiet or not sys.stderr.isatty() else _display()
+
+    def watch(seen: LiveSnapshot) -> None:
+        if limit is not None and seen.tick >= limit:
+            stop()
+        if display is not None and seen.tick % DISPLAY_EVERY == 0 and gateway.view is not None:
+            from gateway.results.live_table import render
+
+            display.update(render(gateway.view, f"traction-gateway on {options_name(options)}"))
+
+    if display is None:
+        seen = run_live(gateway, transport, node, ticker, stop=stop,
+                        errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
+    else:
+        with display:
+            seen = run_live(gateway, transport, node, ticker, stop=stop,
+                            errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
+    summary(gateway, seen)
+    return GOOD
+
+
+def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
+    """Command line over `[bus]` over python-can's own configuration."""
+    given = {k: v for k, v in config.bus.model_dump().items() if v is not None}
+    if given.get("interface") is None:
+        given = {k: v for k, v in given.items() if k == "channel"}
+    elif given["interface"] in ("socketcan", "virtual"):
+        # SocketCAN's bit rates are set by `ip link`, a virtual bus has none.
+        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd")}
+    return {**given, **vars(options)}
+
+
+def options_name(options: argparse.Namespace) -> str:
+    """The bus as a person names it."""
+    parts = (getattr(options, "interface", None), getattr(options, "channel", None))
+    return " ".join(p for p in parts if p) or "the configured bus"
+
+
+def active_errors(gateway: Any) -> tuple[int, ...]:
+    """What the gateway's own emergency messages should report."""
+    from gateway.drivers.canopen_node import GatewayError
+    from gateway.health import Flag
+
+    view = gateway.view
+    if view is None:
+        return ()
+    pairs = (
+        (view.overrun, GatewayError.OVERRUN),
+        (view.comm, GatewayError.COMMUNICATION),
+        (view.sensor, GatewayError.SENSOR),
+        (view.estimator, GatewayError.ESTIMATOR),
+    )
+    return tuple(error for flag, error in pairs if flag is Flag.BAD)
+
+
+def _display() -> Any:
+    from rich.live import Live
+
+    return Live(console=console(), auto_refresh=True, refresh_per_second=5, transient=False)
+
+
+def summary(gateway: Any, seen: Any) -> None:
+    """Counters at the end, on stdout."""
+    counts = gateway.inbox.counts
+    print("frames: " + (", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v) or "none"))
+    status = seen.status
+    print(
+        f"sent {status.sent}, refused {status.tx_refused}, queue full {status.tx_full}, "
+        f"link down {status.tx_down}; kernel drops {status.kernel_drops}; "
+        f"reopened {status.reopened}"
+    )
+    print(
+        f"ticks missed {seen.missed}; lateness p50 {seen.lateness.quantile(0.5) / 1e6:.3f} ms, "
+        f"p99 {seen.lateness.quantile(0.99) / 1e6:.3f} ms"
+    )

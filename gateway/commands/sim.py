@@ -1,0 +1,111 @@
+"""`sim SCENARIO`: the simulated inverter ECUs, on a bus or straight into a log."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from gateway.commands.common import GOOD, add_bus, console, out_file
+
+HELP = "simulated inverter ECUs: on a bus in real time, or into a candump log"
+TRUTH_HEADER = (
+    "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
+)  # fmt: skip
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("scenario", help="a scenario file, or the name of a shipped one")
+    parser.add_argument("-o", "--output", type=Path, metavar="LOG",
+                        help="write a candump log, faster than real time")  # fmt: skip
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="CSV of what is really so")
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    parser.add_argument("--dbc", default="traction.dbc", metavar="FILE",
+                        help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
+    parser.add_argument("--wait-for-start", action="store_true",
+                        help="stay pre-operational until an NMT master starts us")  # fmt: skip
+    add_bus(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate. Without a bus and without -o the log goes to stdout."""
+    from dbc.codec import bind
+    from gateway.config import BUILTIN_DBC, shipped_dbc
+    from sim.scenario import find
+    from sim.simulation import Simulation
+
+    scenario = find(options.scenario)
+    nodes = tuple(range(1, scenario.drives + 1))
+    path = Path(options.dbc)
+    if options.dbc in BUILTIN_DBC and not path.is_file():
+        path = shipped_dbc(options.dbc)
+    codec = bind(path, nodes)
+    on_bus = hasattr(options, "interface") or hasattr(options, "channel")
+    simulation = Simulation(scenario, codec, nodes=nodes, self_start=not options.wait_for_start)
+    seconds = scenario.duration_s if options.duration is None else options.duration
+    truth = _Truth(out_file(options.truth))
+    try:
+        if on_bus:
+            _on_bus(options, simulation, seconds, truth)
+        else:
+            _into_log(options, simulation, seconds, truth)
+    finally:
+        truth.close()
+    return GOOD
+
+
+class _Truth:
+    """The truth file; without a path the rows are only taken out of the simulation."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._file = path.open("w", newline="", encoding="utf-8") if path else None
+        self._writer = csv.writer(self._file, lineterminator="\n") if self._file else None
+        if self._writer:
+            self._writer.writerow(TRUTH_HEADER)
+
+    def take(self, simulation: Any) -> None:
+        rows = simulation.truth_rows()
+        if self._writer:
+            self._writer.writerows(row.text() for row in rows)
+
+    def close(self) -> None:
+        if self._file:
+            self._file.close()
+
+
+def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
+    from dbc.candump import Writer
+
+    writer = Writer(out_file(options.output) or sys.stdout.buffer)
+    step = 10_000_000
+    try:
+        for tick in _progress(round(seconds * 100) + 1, "simulating"):
+            for frame in simulation.step((), tick * step):
+                writer.write(frame._replace(channel="vcan0"))
+            truth.take(simulation)
+    finally:
+        writer.close()
+
+
+def _progress(total: int, what: str) -> Iterator[int]:
+    """Count to `total`, with a bar if a person is watching."""
+    from rich.progress import track
+
+    shown = sys.stderr.isatty()
+    yield from track(range(total), what, console=console(), transient=True, disable=not shown)
+
+
+def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
+    from gateway.drivers.simbus import run_on_bus
+    from gateway.drivers.transport import open_transport
+
+    transport = open_transport(options)
+    console().print(
+        f"{simulation.scenario.title}: {simulation.scenario.drives} drives for {seconds:g} s",
+        markup=False,
+    )
+    run_on_bus(simulation, transport, seconds, lambda: truth.take(simulation))

@@ -1,0 +1,235 @@
+"""Configuration: TOML read once, validated whole, every problem listed with its path and cure.
+
+May know: file names and numbers. May not know: buses, clocks, the DBC's contents.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
+
+
+class ConfigError(Exception):
+    """The configuration cannot be used. `problems` lists all of them, one line each."""
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        """Keep the list; the text is one line per problem."""
+        self.problems = problems
+        super().__init__(f"{source}: " + "; ".join(problems))
+
+
+class Strict(BaseModel):
+    """Unknown keys are refused; values are frozen after start."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Bus(Strict):
+    """`[bus]`: python-can's own options; the command line overrides them."""
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate: int = Field(1_000_000, gt=0)
+    fd: bool = False
+    data_bitrate: int = Field(5_000_000, gt=0)
+
+
+class Loop(Strict):
+    """`[loop]`."""
+
+    rate_hz: int = Field(100, ge=100, le=1000)
+
+    @model_validator(mode="after")
+    def _divides(self) -> Self:
+        if self.rate_hz % 100 or 1000 % self.rate_hz:
+            msg = "rate_hz must be 100, 200, 500 or 1000 (a multiple of 100 that divides 1000)"
+            raise ValueError(msg)
+        return self
+
+    @property
+    def period_ns(self) -> int:
+        """Tick period, ns."""
+        return 1_000_000_000 // self.rate_hz
+
+
+class Dbc(Strict):
+    """`[dbc]`: a shipped file by name, or a path relative to the configuration."""
+
+    file: str = "traction.dbc"
+
+
+class Motor(Strict):
+    """`[motor.NAME]`: SI units; noise and thresholds are per unit of the rated values."""
+
+    R_s: float = Field(gt=0)
+    L_s: float = Field(gt=0)
+    psi_pm: float = Field(gt=0)
+    pole_pairs: int = Field(gt=0)
+    J: float = Field(gt=0)
+    B: float = Field(0.0, ge=0)
+    k_p: float = Field(1.5, gt=0)
+    I_rated: float = Field(gt=0)
+    T_rated: float = Field(gt=0)
+
+
+BENCH_MOTOR = Motor(
+    R_s=0.28, L_s=3.465e-3, psi_pm=0.1989, pole_pairs=4, J=0.04, I_rated=25.0, T_rated=30.0
+)
+"""The motor of the adhesion paper (its constants are not in the paper: docs/papers.md)."""
+
+
+class Drive(Strict):
+    """`[[drive]]`: one inverter on the bus."""
+
+    node: int = Field(ge=1, le=16)
+    motor: str = "bench"
+
+
+class Estimator(Strict):
+    """`[estimator]`: filter kind and noise, for a motor of 25 A and 30 Nm (scaled to others)."""
+
+    kind: Literal["ekf", "ukf"] = "ekf"
+    current_noise_var: float = Field(2e-4, gt=0, description="A^2, before quantisation")
+    process_noise: tuple[float, float, float, float, float] = (1e-4, 1e-4, 1e-5, 1e-8, 0.1)
+    """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
+    min_speed_rad_s: float = Field(20.0, gt=0, description="electrical; below: not observable")
+
+
+class Adhesion(Strict):
+    """`[adhesion]`: detector and the timing of its flag."""
+
+    detector: Literal["vb", "median"] = "vb"
+    spread_nm: float = Field(0.7, gt=0, description="load spread of healthy drives, at 30 Nm")
+    raise_probability: float = Field(0.9, gt=0.5, lt=1)
+    clear_probability: float = Field(0.5, gt=0, lt=1)
+    raise_ms: int = Field(20, ge=0)
+    clear_ms: int = Field(30, ge=0)
+    good_ms: int = Field(50, ge=0, description="good evidence needed before the first `Adhering`")
+
+
+class Thermal(Strict):
+    """`[thermal]`: without a calibration the thermal flags stay unknown."""
+
+    calibration: str | None = None
+    window_s: float = Field(5.0, gt=0, description="causal moving average")
+    raise_s: float = Field(1.0, ge=0)
+    clear_s: float = Field(5.0, ge=0)
+
+
+class Canopen(Strict):
+    """`[canopen]`: only with `nmt_master` does the gateway ever send NMT, node-addressed."""
+
+    nmt_master: bool = False
+
+
+class Config(Strict):
+    """The whole configuration, immutable."""
+
+    bus: Bus = Bus()
+    loop: Loop = Loop()
+    dbc: Dbc = Dbc()
+    drive: tuple[Drive, ...] = tuple(Drive(node=n) for n in (1, 2, 3))
+    motor: dict[str, Motor] = Field(default_factory=dict)
+    estimator: Estimator = Estimator()
+    adhesion: Adhesion = Adhesion()
+    thermal: Thermal = Thermal()
+    canopen: Canopen = Canopen()
+    base: Path = Field(Path(), exclude=True)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems = []
+        nodes = [d.node for d in self.drive]
+        if not nodes:
+            problems.append("drive: at least one [[drive]] is needed")
+        problems += [
+            f"drive: node {node} stands twice; give each drive its own node"
+            for node in sorted({n for n in nodes if nodes.count(n) > 1})
+        ]
+        for position, drive in enumerate(self.drive):
+            if drive.motor not in self.motors:
+                problems.append(
+                    f"drive.{position}.motor: no [motor.{drive.motor}]; "
+                    f"known: {', '.join(sorted(self.motors))}"
+                )
+        if self.adhesion.clear_probability > self.adhesion.raise_probability:
+            problems.append("adhesion.clear_probability: must not exceed raise_probability")
+        if problems:
+            raise ValueError("\n".join(problems))
+        return self
+
+    @property
+    def motors(self) -> dict[str, Motor]:
+        """All motors by name; `bench` is always there unless redefined."""
+        return {"bench": BENCH_MOTOR, **self.motor}
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """Node numbers of the configured drives, in configuration order."""
+        return tuple(d.node for d in self.drive)
+
+    @property
+    def dbc_path(self) -> Path:
+        """Where the DBC is: beside the configuration, else the shipped file of that name."""
+        beside = self.base / self.dbc.file
+        if self.dbc.file in BUILTIN_DBC and not beside.is_file():
+            return shipped_dbc(self.dbc.file)
+        return beside
+
+    @property
+    def calibration_path(self) -> Path | None:
+        """The thermal calibration, relative to the configuration."""
+        return self.base / self.thermal.calibration if self.thermal.calibration else None
+
+    def hash24(self) -> int:
+        """24 bits that name this configuration on the bus (`Gateway_Info.ConfigHash`)."""
+        digest = hashlib.sha256(self.model_dump_json().encode()).digest()
+        return int.from_bytes(digest[:3], "little")
+
+
+def shipped_dbc(name: str) -> Path:
+    """Path of a DBC that ships with the package."""
+    import dbc
+
+    return Path(dbc.__path__[0]) / name
+
+
+def _lines(error: ValidationError) -> list[str]:
+    """One line per problem: path, what is wrong, what was given."""
+    lines = []
+    for item in error.errors():
+        path = ".".join(str(p) for p in item["loc"])
+        text = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            text = "unknown key; remove it or correct its name"
+        lines += [f"{path}: {part}" if path else part for part in text.split("\n")]
+    return lines
+
+
+def parse(raw: dict[str, Any], source: str = "configuration", base: Path = Path()) -> Config:
+    """Validate a parsed TOML document. Raises ConfigError with every problem."""
+    try:
+        return Config.model_validate({**raw, "base": base})
+    except ValidationError as error:
+        raise ConfigError(source, _lines(error)) from None
+
+
+def load(path: Path | None) -> Config:
+    """Read and validate a file; None gives the default: three drives on nodes 1-3."""
+    if path is None:
+        return Config()
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(str(path), ["no such file"]) from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
+    if "base" in raw:
+        raise ConfigError(str(path), ["base: unknown key; remove it or correct its name"])
+    return parse(raw, str(path), path.parent)

@@ -1,0 +1,326 @@
+"""The core: `Gateway.step(frames, now) -> frames`.
+
+Five laws:
+1. One `now` per tick, an integer of nanoseconds, passed in. Nobody below `drivers/` reads a
+   clock, a socket, an environment variable or a global random generator.
+2. Same frames and same nows give the same bytes out.
+3. `step` never raises on wire data or numbers: wire faults are counted, numeric faults reset
+   that drive's filter and set its health. Exceptions mean a programming or configuration error.
+4. Missing is not NaN. Every batch carries freshness and age. NaN anywhere means diverged.
+5. The truth never meets the estimate: `sim/` and `estimators/` do not import one another;
+   parameters are frozen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+
+from dbc.codec import Codec
+from dbc.frame import MS, SECOND, Frame, Nanos
+from estimators.detect import DETECTORS, Evidence, Opinion
+from gateway import calibration
+from gateway.bank import Bank, DriveEstimate
+from gateway.busload import BusLoad
+from gateway.config import Config, ConfigError
+from gateway.decide import FlagState, Timing, advance, from_probability
+from gateway.health import Flag, GatewayState, Health, Reason, summary, worst
+from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
+from gateway.outbox import DriveView, GatewayView, Outbox
+from gateway.supervision import Life, Supervision
+from gateway.thermal import Report, ThermalSide
+
+HEARTBEAT_LIMIT_NS: Final = 300 * MS
+COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
+ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
+SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
+OVERRUN_HOLD_NS: Final = SECOND
+COASTING: Final = 0.05
+"""Below this share of rated torque the commands say nothing about each other."""
+SHARE_FLOOR: Final = 0.2
+SHARE_UNKNOWN: Final = 0.1
+"""A drive commanded less than a tenth of the others carries too little to be judged."""
+
+
+class Gateway:
+    """All state of the gateway. One object per bus; `step` is called once per tick."""
+
+    def __init__(self, config: Config, codec: Codec, start_ns: Nanos) -> None:
+        """Raises ConfigError where configuration, calibration and DBC do not fit."""
+        nodes = config.nodes
+        motors = [config.motors[d.motor] for d in config.drive]
+        self.config = config
+        self.nodes = nodes
+        self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS)
+        self.inbox = Inbox(codec, nodes, config.loop.period_ns, self.supervision)
+        self.sum_limit_a = [0.1 * m.I_rated for m in motors]
+        missing = [d.node for d in self.inbox.drives if not _electrical(d) and not d.channels]
+        if missing:
+            raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
+        self.bank = Bank(motors, config.estimator, _current_step_a(codec))
+        self.detector = DETECTORS[config.adhesion.detector]()
+        self.rated = [m.T_rated for m in motors]
+        self.spread = config.adhesion.spread_nm / 30.0
+        path = config.calibration_path
+        cells = calibration.load(path, nodes, config.thermal.window_s) if path else None
+        period = max((d.channels["Temperatures"].period_ns for d in self.inbox.drives
+                      if "Temperatures" in d.channels), default=100 * MS)  # fmt: skip
+        self.thermal = ThermalSide(len(nodes), period, config.thermal.window_s, cells, nodes)
+        a, t = config.adhesion, config.thermal
+        self.timing = {
+            "adhesion": Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS),
+            "thermal": Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
+            "comm": COMM,
+            "estimator": ESTIMATOR,
+            "sensor": SENSOR,
+        }
+        self.flags = [{name: FlagState(since_ns=start_ns) for name in self.timing} for _ in nodes]
+        self.reports = [Report() for _ in nodes]
+        self.outbox = Outbox(codec, nodes, config.hash24())
+        self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
+        self.deadline_misses = 0
+        self.overrun_ns: Nanos | None = None
+        self.late_in_a_row = 0
+        self.missed = 0
+        self.latency_p99_us: float | None = None
+        self.lateness_p99_us: float | None = None
+        self.start_ns = start_ns
+        self.view: GatewayView | None = None
+
+    def note_overrun(self, missed: int) -> None:
+        """The driver skipped `missed` ticks before the step that follows."""
+        self.missed = missed
+
+    def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
+        """The driver's own measurements, for `Gateway_Info`."""
+        self.latency_p99_us = latency_p99_us
+        self.lateness_p99_us = lateness_p99_us
+
+    def step(self, frames: Iterable[Frame], now: Nanos) -> list[Frame]:
+        """Take the frames of one tick, give the frames to send. Never raises on wire data."""
+        frames = list(frames)
+        self._overrun(now)
+        self.load.add(frames, now)
+        inbox = self.inbox
+        inbox.take(frames, now)
+        inputs = [self._input_reason(k, now) for k in range(len(self.nodes))]
+        fresh = [_fresh(d, now) for d in inbox.drives]
+        estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
+        opinion = self._opinion(estimates, now)
+        self.thermal.take(inbox.temperatures, now)
+        drives = tuple(
+            self._drive(k, estimates[k], opinion, inputs[k], now) for k in range(len(self.nodes))
+        )
+        self.view = self._view(drives, opinion, now)
+        out = self.outbox.due(self.view)
+        self.load.add(out, now)
+        return out
+
+    def _overrun(self, now: Nanos) -> None:
+        self.deadline_misses += self.missed
+        self.late_in_a_row = self.late_in_a_row + 1 if self.missed else 0
+        if self.missed:
+            self.overrun_ns = now
+        self.missed = 0
+
+    def unknown_frames(self, now: Nanos) -> list[Frame]:
+        """Flag frames that say unknown: sent thrice before an orderly stop."""
+        drives = tuple(DriveView(node) for node in self.nodes)
+        self.outbox.next_ns.clear()
+        self.outbox.last_faults = None
+        view = self._view(drives, None, now)._replace(state=GatewayState.SILENT)
+        flags = {self.outbox.specs[f"Gateway_{n}"].can_id for n in ("Adhesion", "Faults", "Status")}
+        return [f for f in self.outbox.due(view) if f.can_id in flags]
+
+    def _input_reason(self, k: int, now: Nanos) -> Reason:
+        """Why this drive's currents and voltages cannot be believed; NONE if they can."""
+        drive = self.inbox.drives[k]
+        channels = _electrical(drive)
+        if not channels:
+            return Reason.CONFIG
+        reasons = [drive.channels[name].reason(now) for name in channels]
+        if drive.sum_error > self.sum_limit_a[k]:
+            reasons.append(Reason.RANGE)
+        if self.supervision.life(drive.node, now) is Life.LOST:
+            reasons.append(Reason.STALE)
+        return worst(reasons)
+
+    def _opinion(self, estimates: list[DriveEstimate], now: Nanos) -> Opinion:
+        """Loads referred to full command, in units of rated torque, through the detector."""
+        command = [
+            abs(d.torque_command) / rated
+            if d.torque_command is not None and d.channels["Status"].fresh(now)
+            else None
+            for d, rated in zip(self.inbox.drives, self.rated, strict=True)
+        ]
+        largest = max((c for c in command if c is not None), default=0.0)
+        load, spread, usable = [], [], []
+        for estimate, c, rated in zip(estimates, command, self.rated, strict=True):
+            share = c / largest if c is not None and largest > COASTING else 1.0
+            usable.append(estimate.health is Health.TRACKING and share >= SHARE_UNKNOWN)
+            share = max(share, SHARE_FLOOR)
+            load.append((estimate.load_nm or 0.0) / rated / share)
+            spread.append(self.spread / share)
+        return self.detector(Evidence(np.array(load), np.array(spread), np.array(usable)))
+
+    def _drive(
+        self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason, now: Nanos
+    ) -> DriveView:
+        drive = self.inbox.drives[k]
+        known = bool(opinion.known[k])
+        lost = float(opinion.lost[k])
+        adhesion, reason = self._adhesion_evidence(k, estimate, opinion, cause)
+        age = self.inbox.drives[k].channels.get("Temperatures")
+        report = self.thermal.report(k, now, age.limit_ns if age else 0)
+        evidence = {
+            "adhesion": adhesion,
+            "thermal": report.thermal,
+            "sensor": report.sensor if cause is not Reason.RANGE else Flag.BAD,
+            "comm": self._comm(drive, now),
+            "estimator": _estimator_flag(estimate.health),
+        }
+        flags = self.flags[k]
+        for name, seen in evidence.items():
+            flags[name] = advance(flags[name], seen, now, self.timing[name])
+        if flags["thermal"].flag is Flag.GOOD and report.thermal is not Flag.GOOD:
+            report = report._replace(fault_class=self.reports[k].fault_class)
+        self.reports[k] = report
+        tracking = estimate.health in (Health.TRACKING, Health.PREDICTING)
+        heard = self.thermal.heard_ns[k]
+        return DriveView(
+            node=drive.node,
+            adhesion=flags["adhesion"].flag,
+            adhesion_reason=reason if flags["adhesion"].flag is Flag.UNKNOWN else Reason.NONE,
+            thermal=flags["thermal"].flag,
+            thermal_reason=report.reason if flags["thermal"].flag is Flag.UNKNOWN else Reason.NONE,
+            sensor=flags["sensor"].flag,
+            comm=flags["comm"].flag,
+            estimator=flags["estimator"].flag,
+            health=estimate.health,
+            speed_rad_s=estimate.speed_rad_s if tracking else None,
+            load_nm=estimate.load_nm if tracking else None,
+            load_sigma_nm=estimate.load_sigma_nm if tracking else None,
+            loss_probability=lost if known else None,
+            nis=estimate.nis if tracking else None,
+            age_ns=None if drive.sample_ns is None else now - drive.sample_ns,
+            fault_class=report.fault_class,
+            fault_sensor=report.fault_sensor,
+            mixed_c=report.mixed_c,
+            maisd_k=report.maisd_k,
+            temperature_age_ns=None if heard is None else now - heard,
+        )
+
+    def _adhesion_evidence(
+        self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason
+    ) -> tuple[Flag, Reason]:
+        """Evidence for one drive's adhesion flag and, if unknown, why."""
+        if self.late_in_a_row > 3:
+            return Flag.UNKNOWN, Reason.OVERRUN
+        if cause is not Reason.NONE:
+            return Flag.UNKNOWN, cause
+        if estimate.health is Health.DIVERGED:
+            return Flag.UNKNOWN, Reason.DIVERGED
+        if estimate.health is not Health.TRACKING:
+            return Flag.UNKNOWN, Reason.STARTING
+        if not opinion.known[k]:
+            return Flag.UNKNOWN, Reason.TOO_FEW_DRIVES
+        a = self.config.adhesion
+        seen = from_probability(
+            float(opinion.lost[k]), True, a.raise_probability, a.clear_probability
+        )
+        # Between the thresholds the evidence of the tick before stands.
+        return (self.flags[k]["adhesion"].evidence if seen is None else seen), Reason.STARTING
+
+    def _comm(self, drive: DriveInput, now: Nanos) -> Flag:
+        """Bad once anything that was valid is stale, silent or corrupted."""
+        if self.supervision.life(drive.node, now) is Life.LOST:
+            return Flag.BAD
+        reasons = {
+            name: c.reason(now) for name, c in drive.channels.items() if c.seen_valid
+        }
+        bad = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
+        if any(reason in bad for reason in reasons.values()):
+            return Flag.BAD
+        channels = _electrical(drive)
+        return Flag.GOOD if channels and all(c in reasons for c in channels) else Flag.UNKNOWN
+
+    def _view(
+        self, drives: tuple[DriveView, ...], opinion: Opinion | None, now: Nanos
+    ) -> GatewayView:
+        counts = self.inbox.counts
+        recent = self.overrun_ns is not None and now - self.overrun_ns <= OVERRUN_HOLD_NS
+        unknown = any(d.adhesion is Flag.UNKNOWN for d in drives)
+        starting = all(d.health in (Health.UNKNOWN, Health.CONVERGING) for d in drives)
+        if starting:
+            state = GatewayState.STARTING
+        else:
+            state = GatewayState.DEGRADED if unknown or recent else GatewayState.RUNNING
+        return GatewayView(
+            t_ns=now,
+            drives=drives,
+            detector=self.detector.code,
+            common_mode=Flag.UNKNOWN,
+            common_load_nm=(
+                opinion.common * self.rated[0]
+                if opinion is not None and opinion.known.any()
+                else None
+            ),
+            adhesion_reason=worst(d.adhesion_reason for d in drives),
+            faults_reason=worst(d.thermal_reason for d in drives),
+            sensor=summary(d.sensor for d in drives),
+            comm=summary(d.comm for d in drives),
+            estimator=summary(d.estimator for d in drives),
+            overrun=Flag.BAD if recent else Flag.GOOD,
+            state=state,
+            deadline_misses=self.deadline_misses,
+            rejected=sum(counts[c] for c in REJECTED),
+            lost=counts["lost"],
+            bus_load_percent=self.load.percent(now),
+            latency_p99_us=self.latency_p99_us,
+            lateness_p99_us=self.lateness_p99_us,
+        )
+
+
+REJECTED: Final = (
+    "error",
+    "repeated",
+    "wrong_sequence",
+    "wrong_length",
+    "not_yet_valid",
+    "not_available",
+    "range",
+    "time_back",
+)
+"""Counters of frames with one of our ids whose content was not used."""
+
+
+def _electrical(drive: DriveInput) -> tuple[str, ...]:
+    """The channels that carry currents and voltages: FD samples, or the classic pair."""
+    if SAMPLES in drive.channels:
+        return (SAMPLES,)
+    return ELECTRICAL if all(k in drive.channels for k in ELECTRICAL) else ()
+
+
+def _fresh(drive: DriveInput, now: Nanos) -> bool:
+    """True while the drive's newest complete sample is within the age limit."""
+    channels = _electrical(drive)
+    if not channels or drive.sample_ns is None:
+        return False
+    return now - drive.sample_ns <= max(drive.channels[c].limit_ns for c in channels)
+
+
+def _current_step_a(codec: Codec) -> float:
+    """Resolution of the currents on the bus, A: its quantisation noise is part of R."""
+    for spec in codec.messages:
+        for signal in spec.signals:
+            if spec.kind in (ELECTRICAL[0], SAMPLES) and signal.name in ("Ia", "Ia_0"):
+                return float(abs(signal.scale))
+    return 0.0
+
+
+def _estimator_flag(health: Health) -> Flag:
+    if health is Health.DIVERGED:
+        return Flag.BAD
+    return Flag.GOOD if health is Health.TRACKING else Flag.UNKNOWN

@@ -1,0 +1,81 @@
+"""The bench: simulated drives and the gateway together on a virtual clock.
+
+The same core as live and replay; here the frames come from `sim` and the gateway's frames go
+back to it, so that the loop is closed. Faster than real time and the same on every run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from dbc.codec import Codec
+from dbc.frame import Frame, Nanos
+from gateway.config import Config
+from gateway.core import Gateway
+from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.expect import FlagTrack, Verdict, judge
+from gateway.outbox import GatewayView
+from sim.scenario import Scenario
+from sim.simulation import Simulation
+
+Watch = Callable[[Nanos, list[Frame], list[Frame], GatewayView], None]
+"""(now, frames from the drives, frames from the gateway, what the gateway thinks)"""
+
+
+class Outcome(NamedTuple):
+    """What a scenario came to."""
+
+    scenario: Scenario
+    verdicts: list[Verdict]
+    gateway: Gateway
+
+    @property
+    def passed(self) -> bool:
+        """True when every expectation held."""
+        return all(v.passed for v in self.verdicts)
+
+
+def touched_drives(scenario: Scenario) -> set[int]:
+    """Drives that an event names; `all` names every one."""
+    everyone = set(range(1, scenario.drives + 1))
+    touched: set[int] = set()
+    for event in scenario.event:
+        touched |= everyone if event.drive == "all" else {int(event.drive)}
+    return touched
+
+
+def for_scenario(config: Config) -> Config:
+    """The configuration a scenario runs with: the gateway starts the drives itself."""
+    return config.model_copy(
+        update={"canopen": config.canopen.model_copy(update={"nmt_master": True})}
+    )
+
+
+def run_virtual(
+    scenario: Scenario,
+    config: Config,
+    codec: Codec,
+    watch: Iterable[Watch] = (),
+    duration_s: float | None = None,
+) -> Outcome:
+    """Run on the virtual clock, starting at 0. Raises ConfigError as `Gateway` does."""
+    config = for_scenario(config)
+    watch = tuple(watch)
+    simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=False)
+    gateway = Gateway(config, codec, 0)
+    node = CanopenNode(config.nodes, nmt_master=True)
+    track = FlagTrack(codec, config.nodes)
+    period = config.loop.period_ns
+    sent: list[Frame] = []
+    seconds = scenario.duration_s if duration_s is None else duration_s
+    for tick in range(round(seconds * config.loop.rate_hz) + 1):
+        now = tick * period
+        received = simulation.step(sent, now)
+        sent = gateway.step(received, now) + node.step(received, now)
+        track.add(sent)
+        assert gateway.view is not None
+        for look in watch:
+            look(now, received, sent, gateway.view)
+    verdicts = judge(scenario.expect, track, touched_drives(scenario), 0)
+    return Outcome(scenario, verdicts, gateway)

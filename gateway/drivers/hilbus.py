@@ -1,0 +1,72 @@
+"""A scenario on a real bus: the drives in a process of their own, the gateway in this one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from argparse import Namespace
+
+from dbc.codec import Codec
+from dbc.frame import SECOND, Nanos
+from gateway.config import Config
+from gateway.core import Gateway
+from gateway.drivers.bench import Outcome, for_scenario, touched_drives
+from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.expect import FlagTrack, judge
+from gateway.drivers.live import LiveSnapshot, Stop, run_live
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.transport import Allow, open_transport
+from gateway.drivers.warm import warm_up
+from sim.scenario import Scenario
+
+SPARE_NS: Nanos = SECOND
+"""The gateway goes on this long after the last drive has left."""
+
+
+def bus_arguments(options: Namespace) -> list[str]:
+    """The bus options of this command line, for a child's."""
+    words: list[str] = []
+    for key, flag in (("interface", "-i"), ("channel", "-c"), ("bitrate", "-b"),
+                      ("data_bitrate", "--data-bitrate")):  # fmt: skip
+        if getattr(options, key, None) is not None:
+            words += [flag, str(getattr(options, key))]
+    return [*words, "--fd"] if getattr(options, "fd", False) else words
+
+
+def run_on_real_bus(
+    options: Namespace, name: str, scenario: Scenario, config: Config, codec: Codec
+) -> Outcome:
+    """Run in real time. Scenario time starts with the first frame heard from a drive."""
+    config = for_scenario(config)
+    ticker = Ticker(config.loop.period_ns)
+    warm_up(config, codec)
+    gateway = Gateway(config, codec, ticker.clock())
+    transport = open_transport(options, Allow.from_codec(codec, config.nodes, nmt_master=True))
+    track = FlagTrack(codec, config.nodes)
+    stop = Stop()
+    child = subprocess.Popen(
+        [sys.executable, "-m", "gateway", "sim", name, "--wait-for-start",
+         "--dbc", str(codec.path), *bus_arguments(options)],
+    )  # fmt: skip
+    first: list[Nanos] = []
+    ended: list[Nanos] = []
+
+    def watch(seen: LiveSnapshot) -> None:
+        track.add(seen.sent)
+        if not first and seen.status.received:
+            first.append(seen.now_ns)
+        if child.poll() is not None:
+            ended.append(seen.now_ns)
+            if seen.now_ns - ended[0] > SPARE_NS:
+                stop()
+
+    try:
+        node = CanopenNode(config.nodes, nmt_master=True)
+        run_live(gateway, transport, node, ticker, stop=stop, on_tick=watch)
+    finally:
+        if child.poll() is None:
+            child.terminate()
+        child.wait(timeout=10)
+    start = first[0] if first else 0
+    verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
+    return Outcome(scenario, verdicts, gateway)

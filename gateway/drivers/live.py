@@ -1,0 +1,198 @@
+"""The gateway on a bus in real time: drain, step, send, once per tick.
+
+Everything that is sent is sent from this loop and nothing is left to the kernel to repeat, so
+a hung loop stops its flags and its heartbeat within one period.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import signal
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Protocol
+
+from dbc.frame import Frame, Nanos
+from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.realtime import Histogram, Ticker
+from gateway.drivers.transport import LinkState, Status, Transport
+
+log = logging.getLogger(__name__)
+
+FAREWELL = 3
+"""Ticks with unknown flags before the gateway goes silent on purpose."""
+TIMING_TICKS = 100
+"""Ticks between two reports of timing to the core."""
+
+
+class Core(Protocol):
+    """The part of `gateway.core.Gateway` that the loop uses."""
+
+    def step(self, frames: Sequence[Frame], now_ns: Nanos, /) -> list[Frame]:
+        """One tick."""
+
+    def note_overrun(self, missed: int, /) -> None:
+        """Say before a step that ticks were missed."""
+
+    def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
+        """Say how long ticks take and how late they start."""
+
+    def unknown_frames(self, now_ns: Nanos, /) -> list[Frame]:
+        """Flag frames that say unknown for everything."""
+
+
+@dataclass(slots=True)
+class LiveSnapshot:
+    """What a display needs of the loop; one object, updated in place every tick."""
+
+    status: Status
+    lateness: Histogram
+    """Time from deadline to wake, ns."""
+    latency: Histogram = field(default_factory=Histogram)
+    """Time from wake to the last frame of the tick handed over, ns."""
+    now_ns: Nanos = 0
+    tick: int = 0
+    missed: int = 0
+    """Ticks missed so far."""
+    sent: Sequence[Frame] = ()
+    """Frames of the last tick."""
+
+
+class Stop:
+    """A request to end, from a signal or from the program."""
+
+    def __init__(self) -> None:
+        """Not requested yet."""
+        self.requested = False
+
+    def __call__(self) -> None:
+        """Request the end."""
+        self.requested = True
+
+
+@contextmanager
+def stop_on_signals(stop: Stop) -> Iterator[None]:
+    """SIGTERM and SIGINT request the end; a second one acts as before, should the loop hang."""
+    kinds = (signal.SIGTERM, signal.SIGINT)
+    before = {kind: signal.getsignal(kind) for kind in kinds}
+
+    def restore() -> None:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        stop()
+        restore()
+
+    for kind in kinds:
+        signal.signal(kind, handle)
+    try:
+        yield
+    finally:
+        restore()
+
+
+def run_live(
+    gateway: Core,
+    transport: Transport,
+    node: CanopenNode,
+    ticker: Ticker,
+    *,
+    stop: Stop | None = None,
+    errors: Callable[[], Collection[int]] = tuple,
+    on_tick: Callable[[LiveSnapshot], None] | None = None,
+) -> LiveSnapshot:
+    """Run until `stop` is requested (also by SIGTERM and SIGINT when in the main thread).
+
+    `transport` is open; compiled code is warm. `errors` tells which `GatewayError` are active.
+    `on_tick` is called after the frames are sent and must return quickly. Ends with three ticks
+    of unknown flags and closes the transport, also when the core raises (a programming error,
+    which goes on to the caller).
+    """
+    stop = stop or Stop()
+    with _signals(stop), _frozen_garbage():
+        try:
+            return _loop(gateway, transport, node, ticker, stop, errors, on_tick)
+        finally:
+            _farewell(gateway, transport, ticker)
+            transport.close()
+
+
+def _loop(
+    gateway: Core,
+    transport: Transport,
+    node: CanopenNode,
+    ticker: Ticker,
+    stop: Stop,
+    errors: Callable[[], Collection[int]],
+    on_tick: Callable[[LiveSnapshot], None] | None,
+) -> LiveSnapshot:
+    clock = ticker.clock
+    seen = LiveSnapshot(transport.status, ticker.lateness)
+    state = transport.status.state
+    report = TIMING_TICKS
+    while not stop.requested:
+        tick = ticker.wait()
+        if tick.missed:
+            gateway.note_overrun(tick.missed)
+        if tick.number >= report:
+            report = tick.number + TIMING_TICKS
+            gateway.note_timing(
+                seen.latency.quantile(0.99) // 1000, seen.lateness.quantile(0.99) // 1000
+            )
+        frames = transport.receive(0.0)
+        now = clock()
+        out = gateway.step(frames, now)
+        node.set_errors(errors())
+        out += node.step(frames, now)
+        for frame in out:
+            transport.send(frame)
+        seen.latency.add(clock() - tick.now_ns)
+        seen.now_ns = now
+        seen.tick = tick.number
+        seen.missed = ticker.missed
+        seen.sent = out
+        if transport.status.state is not state:
+            state = transport.status.state
+            _say_link(transport.status)
+        if on_tick is not None:
+            on_tick(seen)
+    return seen
+
+
+def _farewell(gateway: Core, transport: Transport, ticker: Ticker) -> None:
+    """Say unknown three times, a tick apart, so that nobody keeps the last verdict."""
+    for _ in range(FAREWELL):
+        tick = ticker.wait()
+        for frame in gateway.unknown_frames(tick.now_ns):
+            transport.send(frame)
+
+
+def _say_link(status: Status) -> None:
+    level = logging.INFO if status.state is LinkState.UP else logging.WARNING
+    log.log(level, "bus is %s%s", status.state, f": {status.note}" if status.note else "")
+
+
+@contextmanager
+def _signals(stop: Stop) -> Iterator[None]:
+    """Signals belong to the main thread; elsewhere the caller ends the loop by `stop`."""
+    if threading.current_thread() is threading.main_thread():
+        with stop_on_signals(stop):
+            yield
+    else:
+        yield
+
+
+@contextmanager
+def _frozen_garbage() -> Iterator[None]:
+    """Set everything built so far aside, so that a full collection does not cost 100 ms."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

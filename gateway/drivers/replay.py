@@ -1,0 +1,117 @@
+"""Replay: the same core on a recorded log, as fast as the machine goes.
+
+The log's time stamps are the only clock. There is no bus object in this module: a replay
+cannot transmit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from dbc.candump import LogError, Reader
+from dbc.frame import SECOND, Frame, Nanos
+from gateway.core import Gateway
+from gateway.outbox import GatewayView
+
+HOLE_NS: Nanos = 10 * SECOND
+"""A longer hole is skipped to the next frame once no flag says good."""
+
+Sink = Callable[[Nanos, list[Frame], GatewayView], None]
+Make = Callable[[Nanos], Gateway]
+
+
+class Replayed(NamedTuple):
+    """What a replay did."""
+
+    first_ns: Nanos
+    last_ns: Nanos
+    frames: int
+    ticks: int
+    channel: str
+    gateway: Gateway
+
+
+class BadLogError(Exception):
+    """The log cannot be replayed; the text says why and what to do."""
+
+
+def pick_channel(frames: Iterable[Frame], wanted: str | None) -> Iterable[Frame]:
+    """Frames of one channel. Raises BadLogError if there are several and none is named."""
+    channel = wanted
+    for frame in frames:
+        if channel is None:
+            channel = frame.channel
+        if frame.channel == channel:
+            yield frame
+        elif wanted is None:
+            msg = (
+                f"the log has several channels ({channel}, {frame.channel}, ..); "
+                "name one with --log-channel"
+            )
+            raise BadLogError(msg)
+
+
+def replay(frames: Iterable[Frame], make: Make, period_ns: Nanos, sink: Sink) -> Replayed:
+    """Run the core over `frames`. Ticks are t_first + k * period; tick k takes t <= t_k.
+
+    Frames whose time goes back are dropped and counted. The last tick is the first at or
+    after the last frame. Raises BadLogError for a log without frames.
+    """
+    stream = iter(frames)
+    first = next(stream, None)
+    if first is None:
+        msg = "no frame in the log (or none on this channel)"
+        raise BadLogError(msg)
+    gateway = make(first.t_ns)
+    counts = gateway.inbox.counts
+    now = latest = first.t_ns
+    batch = [first]
+    total, ticks = 1, 0
+    for frame in stream:
+        total += 1
+        t_ns = frame.t_ns
+        if t_ns < latest:
+            counts["received"] += 1
+            counts["time_back"] += 1
+            continue
+        hole = t_ns - latest > HOLE_NS
+        latest = t_ns
+        while t_ns > now:
+            out = gateway.step(batch, now)
+            ticks += 1
+            view = gateway.view
+            assert view is not None
+            sink(now, out, view)
+            batch = []
+            now += period_ns
+            if hole and t_ns > now and not _any_good(view):
+                now += -((now - t_ns) // period_ns) * period_ns
+        batch.append(frame)
+    out = gateway.step(batch, now)
+    assert gateway.view is not None
+    sink(now, out, gateway.view)
+    return Replayed(first.t_ns, latest, total, ticks + 1, first.channel, gateway)
+
+
+def _any_good(view: GatewayView) -> bool:
+    return any(d.adhesion == 1 or d.thermal == 1 for d in view.drives)
+
+
+def open_log(path: Path, strict: bool) -> Iterable[Frame]:
+    """Frames of a candump log, or of any other format by its suffix.
+
+    Raises BadLogError for a file that is not there or not readable.
+    """
+    if not path.is_file():
+        msg = f"{path}: no such file"
+        raise BadLogError(msg)
+    if path.name.removesuffix(".gz").endswith((".log", ".txt", ".candump")):
+        return Reader(path, strict=strict)
+    from dbc.otherlogs import read_any
+
+    return read_any(path)
+
+
+__all__ = ["BadLogError", "LogError", "Replayed", "open_log", "pick_channel", "replay"]

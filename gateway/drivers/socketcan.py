@@ -1,0 +1,330 @@
+"""SocketCAN by a raw socket of our own: batch reading, kernel stamps, drop counter, reopening.
+
+python-can's SocketCAN bus is not used: it follows the wall clock, cannot report lost frames,
+and stays deaf when an interface is deleted and made again.
+
+What the kernel does (Documentation/networking/can.rst, net/can/raw.c) and what follows here:
+an interface going down gives ENETDOWN once and the socket works again after up, so it is kept;
+a removed interface gives ENODEV once and the socket is unbound for ever, so it is closed and a
+new one is opened every 0.5 s; a re-created interface shows as another index.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import select
+import socket
+import struct
+import time
+from typing import NamedTuple, Protocol
+
+from dbc.frame import MS, SECOND, Frame, Nanos
+from gateway.config import ConfigError
+from gateway.drivers.transport import (
+    RETRY_NS,
+    LinkState,
+    SendResult,
+    Status,
+    monotonic_stamp,
+)
+from gateway.drivers.wire import FD_SIZE, BusState, pack, unpack
+
+LOOK_NS: Nanos = 100 * MS
+"""Pause between two looks at the interface's index and flags: two system calls."""
+BATCH = 4096
+"""Most frames read in one go, so that a flood cannot hold the loop."""
+RECEIVE_BUFFER = 8 << 20
+CONTROL_SIZE = 256
+
+_SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 33, 35, 40
+_CAN_RAW_ERR_FILTER = 2
+_SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFINDEX = 0x8913, 0x8921, 0x8933
+_IFF_UP = 1
+_IFREQ = struct.Struct("16s24x")
+_STAMP = struct.Struct("@ll")
+_GONE = frozenset((errno.ENODEV, errno.ENXIO, errno.EBADF))
+_QUEUE_FULL = frozenset((errno.ENOBUFS, errno.EAGAIN))
+
+
+class Link(NamedTuple):
+    """What the kernel says of an interface."""
+
+    ifindex: int
+    up: bool
+    mtu: int
+
+
+class RawSocket(Protocol):
+    """The part of `socket.socket` that is used."""
+
+    def fileno(self) -> int:
+        """Descriptor for poll."""
+
+    def recvmsg(
+        self, bufsize: int, ancbufsize: int, /
+    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, object]:
+        """Read one frame with its control messages."""
+
+    def send(self, data: bytes, /) -> int:
+        """Hand one frame to the kernel."""
+
+    def close(self) -> None:
+        """Close."""
+
+
+class Kernel:
+    """The system calls, in one place; tests pass a stand-in."""
+
+    def monotonic_ns(self) -> Nanos:
+        """CLOCK_MONOTONIC."""
+        return time.monotonic_ns()
+
+    def real_ns(self) -> Nanos:
+        """CLOCK_REALTIME, the clock of the kernel's stamps."""
+        return time.time_ns()
+
+    def connect(self, channel: str, fd: bool) -> RawSocket:
+        """A bound, non-blocking raw CAN socket. Raises OSError."""
+        raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        try:
+            raw.setblocking(False)
+            raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            raw.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+            raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, socket.CAN_ERR_MASK)
+            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd))
+            try:
+                raw.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
+            except OSError:  # not root: as much as net.core.rmem_max lets
+                raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            raw.bind((channel,))
+        except OSError:
+            raw.close()
+            raise
+        return raw
+
+    def look(self, raw: RawSocket, channel: str) -> Link | None:
+        """Index, flags and MTU of an interface by name; None if there is none."""
+        request = _IFREQ.pack(channel.encode()[:15])
+        try:
+            answers = [
+                struct.unpack_from("=i", fcntl.ioctl(raw.fileno(), code, request), 16)[0]
+                for code in (_SIOCGIFINDEX, _SIOCGIFFLAGS, _SIOCGIFMTU)
+            ]
+        except OSError:
+            return None
+        return Link(answers[0], bool(answers[1] & _IFF_UP), answers[2])
+
+    def wait(self, raw: RawSocket, timeout_ms: int) -> None:
+        """Wait until something can be read, at most so long."""
+        poll = select.poll()
+        poll.register(raw.fileno(), select.POLLIN)
+        poll.poll(timeout_ms)
+
+    def sleep(self, seconds: float) -> None:
+        """Wait without a socket."""
+        time.sleep(seconds)
+
+
+class SocketCan:
+    """Transport over one SocketCAN interface."""
+
+    def __init__(self, channel: str, *, fd: bool = False, kernel: Kernel | None = None) -> None:
+        """Name the interface; `fd` also receives and allows CAN FD frames."""
+        self.channel = channel
+        self.status = Status()
+        self._fd = fd
+        self._kernel = kernel or Kernel()
+        self._raw: RawSocket | None = None
+        self._ifindex = 0
+        self._opened = False
+        self._drops = 0
+        self._retry_ns: Nanos = 0
+        self._look_ns: Nanos = 0
+        self._empty_ns: Nanos = 0  # when the queue was last found empty
+
+    def open(self) -> None:
+        """See Transport. ConfigError if the kernel has no CAN at all or forbids it."""
+        try:
+            self._connect(self._kernel.monotonic_ns())
+        except OSError as error:
+            msg = f"no SocketCAN in this kernel: {error.strerror}; load can_raw, or use -i virtual"
+            raise ConfigError("bus", [msg]) from None
+
+    def close(self) -> None:
+        """See Transport."""
+        if self._raw is not None:
+            self._raw.close()
+            self._raw = None
+        self.status.state = LinkState.ABSENT
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """See Transport."""
+        now = self._kernel.monotonic_ns()
+        self._tend(now)
+        if self._raw is None:
+            if timeout_s > 0:
+                self._kernel.sleep(min(timeout_s, RETRY_NS / SECOND))
+            return []
+        frames = self._drain(self._raw, now)
+        if not frames and timeout_s > 0 and self._raw is not None:
+            self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))
+            frames = self._drain(self._raw, now)
+        return frames
+
+    def send(self, frame: Frame) -> SendResult:
+        """See Transport. Nothing is queued while down or bus-off: it would leave stale."""
+        count = self.status.count
+        payload = pack(frame)
+        if payload is None or (len(payload) == FD_SIZE and not self._fd):
+            return count(SendResult.FAILED)
+        raw = self._raw
+        if raw is None or self.status.bus_state is BusState.BUS_OFF:
+            return count(SendResult.DOWN)
+        try:
+            try:
+                raw.send(payload)
+            except OSError as error:
+                # A down that is over may still be pending on this socket; it is told once.
+                if error.errno != errno.ENETDOWN or self.status.state is not LinkState.UP:
+                    raise
+                raw.send(payload)
+        except OSError as error:
+            return count(self._send_failed(error))
+        return count(SendResult.SENT)
+
+    def _send_failed(self, error: OSError) -> SendResult:
+        if error.errno in _QUEUE_FULL:
+            return SendResult.FULL
+        if error.errno == errno.ENETDOWN:
+            self._down()
+            return SendResult.DOWN
+        if error.errno in _GONE:
+            self._lose(f"{self.channel} is gone")
+            return SendResult.DOWN
+        self.status.note = f"{self.channel} refuses a frame: {error.strerror}"
+        return SendResult.FAILED
+
+    def _connect(self, now: Nanos) -> None:
+        """Open and bind. An absent interface is a state; OSError only where CAN is not there."""
+        self._retry_ns = now + RETRY_NS
+        try:
+            raw = self._kernel.connect(self.channel, self._fd)
+        except OSError as error:
+            if error.errno not in _GONE:
+                raise
+            self.status.state = LinkState.ABSENT
+            self.status.note = f"{self.channel} is not there: {error.strerror}"
+            return
+        self._raw = raw
+        self._ifindex = 0
+        self._drops = 0
+        self._empty_ns = self._look_ns = now
+        self.status.bus_state = BusState.ACTIVE
+        self.status.reopened += self._opened
+        self._opened = True
+        self.status.note = ""
+        self._look(now)
+
+    def _tend(self, now: Nanos) -> None:
+        """Open again what is absent; look whether the interface is still the one we hold."""
+        if self._raw is None:
+            if now >= self._retry_ns:
+                try:
+                    self._connect(now)
+                except OSError as error:
+                    self.status.note = f"{self.channel} cannot be opened: {error.strerror}"
+        elif now >= self._look_ns:
+            self._look(now)
+
+    def _look(self, now: Nanos) -> None:
+        """Compare index and flags of the interface with what the socket is bound to."""
+        if self._raw is None:
+            return
+        self._look_ns = now + LOOK_NS
+        link = self._kernel.look(self._raw, self.channel)
+        if link is None:
+            self._lose(f"{self.channel} is gone")
+        elif self._ifindex and link.ifindex != self._ifindex:
+            self._lose(f"{self.channel} was made again")
+            self._retry_ns = now
+        else:
+            self._ifindex = link.ifindex
+            if not link.up:
+                self._down()
+            elif self.status.state is not LinkState.UP:
+                self.status.state = LinkState.UP
+                self.status.note = ""
+            if self._fd and link.mtu < FD_SIZE:
+                self.status.note = (
+                    f"{self.channel} has MTU {link.mtu}: CAN FD frames cannot be sent; "
+                    f"ip link set {self.channel} mtu {FD_SIZE}"
+                )
+
+    def _down(self) -> None:
+        self.status.state = LinkState.DOWN
+        self.status.bus_state = BusState.ACTIVE  # down and up restarts the controller
+        self.status.note = f"{self.channel} is down"
+
+    def _lose(self, note: str) -> None:
+        self.close()
+        self.status.note = note
+        self._retry_ns = self._kernel.monotonic_ns() + RETRY_NS
+
+    def _drain(self, raw: RawSocket, started: Nanos) -> list[Frame]:
+        """Read until the queue is empty; stamp with the age the kernel's stamps tell.
+
+        `started` is a time before the first read.
+        """
+        status = self.status
+        read: list[tuple[bytes, Nanos]] = []
+        emptied = False
+        for _ in range(BATCH):
+            try:
+                data, control, _, _ = raw.recvmsg(FD_SIZE, CONTROL_SIZE)
+            except BlockingIOError:
+                emptied = True
+                break
+            except OSError as error:
+                if error.errno == errno.ENETDOWN:  # told once, frames may wait behind it
+                    self._down()
+                    continue
+                if error.errno in _GONE:
+                    self._lose(f"{self.channel} is gone")
+                else:
+                    status.note = f"{self.channel} cannot be read: {error.strerror}"
+                break
+            read.append((data, self._control(control)))
+        if not read:
+            self._empty_ns = started
+            return []
+        kernel = self._kernel
+        real, now = kernel.real_ns(), kernel.monotonic_ns()
+        bound = now - self._empty_ns
+        if emptied:
+            self._empty_ns = now
+        frames = []
+        for data, stamp in read:
+            t_ns = monotonic_stamp(stamp, real, now, bound) if stamp else now
+            frame = unpack(data, t_ns, self.channel)
+            if frame is None:
+                status.malformed += 1
+            else:
+                status.saw(frame)
+                frames.append(frame)
+        return frames
+
+    def _control(self, control: list[tuple[int, int, bytes]]) -> Nanos:
+        """Kernel stamp, ns of CLOCK_REALTIME (0 if none); counts drops on the way."""
+        stamp = 0
+        for level, kind, data in control:
+            if level != socket.SOL_SOCKET:
+                continue
+            if kind == _SO_TIMESTAMPNS:
+                seconds, nanos = _STAMP.unpack_from(data)
+                stamp = seconds * SECOND + nanos
+            elif kind == _SO_RXQ_OVFL:
+                drops = int.from_bytes(data[:4], "little")
+                self.status.kernel_drops += (drops - self._drops) & 0xFFFF_FFFF
+                self._drops = drops
+        return stamp

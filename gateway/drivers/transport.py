@@ -1,0 +1,239 @@
+"""The one way to a bus: a small protocol, what it reports, and the transmit allow-list.
+
+`open_transport` picks our own raw socket for SocketCAN and python-can for everything else.
+After `open()` no method raises on anything a bus can do: faults are states and counts.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
+from dbc.spec import EXTENDED_KEY
+from gateway.config import ConfigError
+from gateway.drivers.wire import BusState, bus_state
+
+if TYPE_CHECKING:
+    from dbc.codec import Codec
+
+RETRY_NS: Nanos = SECOND // 2
+"""Pause between two attempts to open an interface that is not there."""
+
+GATEWAY_NODE = 32
+HEARTBEAT_ID = 0x700 + GATEWAY_NODE
+EMCY_ID = 0x080 + GATEWAY_NODE
+NMT_ID = 0x000
+
+
+class LinkState(StrEnum):
+    """What is known of the interface."""
+
+    UP = "up"
+    DOWN = "down"
+    ABSENT = "absent"
+
+
+class SendResult(Enum):
+    """What became of a frame handed to `send`. Only SENT was accepted by the kernel or device."""
+
+    SENT = "sent"
+    REFUSED = "refused"
+    """Not on the allow-list: never leaves."""
+    FULL = "full"
+    """Transmit queue full; the frame is dropped, the next one carries newer values."""
+    DOWN = "down"
+    """Interface down, absent or bus-off."""
+    FAILED = "failed"
+    """Refused by the kernel or device for another reason (such as FD on a classic link)."""
+
+
+@dataclass(slots=True)
+class Status:
+    """State and counters of a transport since it was made; updated in place."""
+
+    state: LinkState = LinkState.ABSENT
+    bus_state: BusState = BusState.ACTIVE
+    received: int = 0
+    sent: int = 0
+    kernel_drops: int = 0
+    """Frames the kernel dropped because nobody read in time."""
+    malformed: int = 0
+    """Reads that are neither classic CAN nor CAN FD."""
+    error_frames: int = 0
+    tx_refused: int = 0
+    tx_full: int = 0
+    tx_down: int = 0
+    tx_failed: int = 0
+    reopened: int = 0
+    """Times the interface was opened again after the first success."""
+    note: str = ""
+    """The last problem in one line, for a person."""
+
+    def count(self, result: SendResult) -> SendResult:
+        """Count a send and pass its result on."""
+        match result:
+            case SendResult.SENT:
+                self.sent += 1
+            case SendResult.REFUSED:
+                self.tx_refused += 1
+            case SendResult.FULL:
+                self.tx_full += 1
+            case SendResult.DOWN:
+                self.tx_down += 1
+            case SendResult.FAILED:
+                self.tx_failed += 1
+        return result
+
+    def saw(self, frame: Frame) -> None:
+        """Count a received frame; error frames move `bus_state`, data proves we are not off."""
+        self.received += 1
+        if frame.flags & ERROR:
+            self.error_frames += 1
+            self.bus_state = bus_state(frame, self.bus_state)
+        elif self.bus_state is BusState.BUS_OFF:
+            self.bus_state = BusState.ACTIVE
+
+
+class Transport(Protocol):
+    """A bus that never raises, never blocks beyond the given time and never retries."""
+
+    status: Status
+
+    def open(self) -> None:
+        """Try to open; an absent interface is tolerated and tried again while receiving.
+
+        Raises ConfigError only for what no waiting cures: an unknown interface or option.
+        """
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """Everything that waits, oldest first; waits up to `timeout_s` if nothing does.
+
+        `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
+        """
+
+    def send(self, frame: Frame) -> SendResult:
+        """Hand one frame over without blocking."""
+
+    def close(self) -> None:
+        """Give the interface back; may be called twice."""
+
+
+def monotonic_stamp(stamp_ns: Nanos, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos) -> Nanos:
+    """Reception time on the monotonic clock from a wall-clock stamp.
+
+    `real_ns` and `now_ns` are both clocks read together; `bound_ns` is the oldest the frame can
+    be (time since the queue was last found empty). A wall clock that steps, or a device with
+    an epoch of its own, can so move a stamp only between the last read and now.
+    """
+    return now_ns - min(max(real_ns - stamp_ns, 0), bound_ns)
+
+
+class Allow:
+    """What may be sent: identifier, length and format; NMT only as node-addressed start."""
+
+    def __init__(
+        self, lengths: Mapping[int, tuple[int, bool]], started: Iterable[int] = ()
+    ) -> None:
+        """Take `lengths` as id (bit 31: extended) -> (data length, is FD).
+
+        `started`: nodes that an NMT start may address.
+        """
+        self._lengths = dict(lengths)
+        self._starts = frozenset(bytes((1, node)) for node in started)
+        if NMT_ID in self._lengths or bytes((1, 0)) in self._starts:
+            msg = "NMT is allowed by node number only, and never to node 0 (broadcast)"
+            raise ValueError(msg)
+
+    @classmethod
+    def from_codec(cls, codec: Codec, nodes: Iterable[int], *, nmt_master: bool = False) -> Self:
+        """The gateway's own messages for the configured drives, its heartbeat and its EMCY."""
+        nodes = frozenset(nodes)
+        lengths = {
+            spec.key: (spec.length, spec.is_fd)
+            for spec in codec.messages
+            if spec.is_gateway and (spec.node == 0 or spec.node in nodes)
+        }
+        lengths[HEARTBEAT_ID] = (1, False)
+        lengths[EMCY_ID] = (8, False)
+        return cls(lengths, nodes if nmt_master else ())
+
+    def permits(self, frame: Frame) -> bool:
+        """Whether this very frame may leave."""
+        if frame.flags & (REMOTE | ERROR):
+            return False
+        key = frame.can_id | (EXTENDED_KEY if frame.flags & EXTENDED else 0)
+        if key == NMT_ID:
+            return not frame.flags & FD and frame.data in self._starts
+        return self._lengths.get(key) == (len(frame.data), frame.is_fd)
+
+
+class Guarded:
+    """A transport behind an allow-list: anything else is refused and counted, never raised."""
+
+    def __init__(self, inner: Transport, allow: Allow) -> None:
+        """Wrap `inner`; its status is shared."""
+        self._inner = inner
+        self._allow = allow
+        self.status = inner.status
+
+    def open(self) -> None:
+        """See Transport."""
+        self._inner.open()
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """See Transport."""
+        return self._inner.receive(timeout_s)
+
+    def send(self, frame: Frame) -> SendResult:
+        """Send if allowed, else REFUSED."""
+        if not self._allow.permits(frame):
+            self.status.note = f"refused to send {frame.can_id:03X}#{frame.data.hex().upper()}"
+            return self.status.count(SendResult.REFUSED)
+        return self._inner.send(frame)
+
+    def close(self) -> None:
+        """See Transport."""
+        self._inner.close()
+
+
+_BUS_KEYS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
+
+
+def bus_options(options: Namespace | Mapping[str, Any]) -> dict[str, Any]:
+    """The bus part of parsed arguments (python-can's `add_bus_arguments`) or of a mapping."""
+    given = dict(vars(options)) if isinstance(options, Namespace) else dict(options)
+    chosen = {key: given[key] for key in _BUS_KEYS if given.get(key) is not None}
+    return {**chosen, **(given.get("bus_kwargs") or {})}
+
+
+def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None = None) -> Transport:
+    """Make and open the transport that the options name.
+
+    Where interface or channel are missing, python-can's own sources decide (`CAN_INTERFACE`,
+    `can.conf` ..). Without `allow` anything may be sent (simulated drives).
+    Raises ConfigError if no interface is named or an option cannot be meant.
+    """
+    chosen = bus_options(options)
+    if "interface" not in chosen or "channel" not in chosen:
+        from gateway.drivers.pythoncan import complete
+
+        chosen = complete(chosen)
+    inner: Transport
+    if chosen["interface"] == "socketcan":
+        from gateway.drivers.socketcan import SocketCan
+
+        unknown = sorted(set(chosen) - set(_BUS_KEYS))
+        if unknown:
+            raise ConfigError("bus", [f"{key}: not an option of socketcan" for key in unknown])
+        inner = SocketCan(str(chosen["channel"]), fd=bool(chosen.get("fd", False)))
+    else:
+        from gateway.drivers.pythoncan import PythonCan
+
+        inner = PythonCan(chosen)
+    transport = inner if allow is None else Guarded(inner, allow)
+    transport.open()
+    return transport

@@ -1,0 +1,86 @@
+"""Learns a thermal calibration from fault-free runs: centring first, then the spread left.
+
+The limits are the largest MAISD and deviation of the averaged, centred fault-free data times
+a margin. The moving average makes neighbouring samples dependent, so a Gaussian quantile of
+the single sample would be wrong; the maximum of what was really seen is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dbc.frame import Nanos
+from estimators import maisd
+from gateway.calibration import POINTS, Calibration, MotorCalibration
+from gateway.config import ConfigError
+from gateway.thermal import ThermalSide
+
+
+class Learner:
+    """Collects window averages and sensor behaviour tick by tick."""
+
+    def __init__(self, nodes: tuple[int, ...], window_s: float) -> None:
+        """Remember for which motors and which window."""
+        self.nodes = nodes
+        self.window_s = window_s
+        self.means: list[np.ndarray] = []
+        shape = (len(nodes), len(POINTS))
+        self.hold_ns = np.zeros(shape)
+        self.step_k = np.zeros(shape)
+        self.samples = 0
+        self._count = 0
+        self._last: np.ndarray | None = None
+
+    def begin(self) -> None:
+        """A new log starts: nothing is compared across the cut."""
+        self._last = None
+        self._count = 0
+
+    def take(self, side: ThermalSide, now: Nanos) -> None:
+        """Look at the thermal side once per temperature cycle."""
+        if side.window.seen == self._count:
+            return
+        self._count = side.window.seen
+        values = side.values.copy()
+        if side.known.all():
+            self.means.append(side.mean.copy())
+            self.samples += 1
+            for j, row in enumerate(side.points):
+                for k, point in enumerate(row):
+                    self.hold_ns[j, k] = max(self.hold_ns[j, k], now - point.changed_ns)
+            if self._last is not None:
+                self.step_k = np.maximum(self.step_k, np.abs(values - self._last))
+            self._last = values
+
+    def finish(self, margin: float) -> Calibration:
+        """The calibration. Raises ConfigError when the logs cannot give one."""
+        if len(self.nodes) < 2:
+            raise ConfigError("calibrate", ["MAISD compares motors: at least two are needed"])
+        if self.samples < 10:
+            problem = "no stretch with all sensors of all motors; record a longer fault-free run"
+            raise ConfigError("calibrate", [problem])
+        means = np.array(self.means)
+        offsets = (means - means.mean(axis=1, keepdims=True)).mean(axis=0)
+        known = np.ones(offsets.shape, dtype=np.bool_)
+        centred = means - offsets
+        spread = np.array([maisd.maisd(m, known) for m in centred]).max(axis=0)
+        apart = np.array([maisd.deviation(m, known) for m in centred])
+        limit = np.abs(apart).max(axis=(0, 1))
+
+        def three(values: np.ndarray) -> tuple[float, float, float]:
+            return (float(values[0]), float(values[1]), float(values[2]))
+
+        return Calibration(
+            window_s=self.window_s,
+            maisd_limit_k=three(margin * spread),
+            deviation_limit_k=three(margin * limit),
+            motor=tuple(
+                MotorCalibration(
+                    node=node,
+                    offset_k=three(offsets[j]),
+                    longest_hold_s=three(self.hold_ns[j] / 1e9),
+                    largest_step_k=three(self.step_k[j]),
+                )
+                for j, node in enumerate(self.nodes)
+            ),
+        )

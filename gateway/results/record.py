@@ -1,0 +1,98 @@
+"""What a run leaves behind: `flags.csv`, `estimates.csv` and the series for the pictures."""
+
+from __future__ import annotations
+
+import csv
+from array import array
+from pathlib import Path
+from typing import TextIO
+
+from gateway.health import FaultClass, Flag, Health, Reason
+from gateway.outbox import GatewayView
+
+ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
+FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
+FLAGS_HEADER = ("t_s", "drive", "adhesion", "thermal", "reason")
+ESTIMATES_HEADER = (
+    "t_s", "drive", "health", "speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability",
+    "nis", "fault_class", "mixed_c", "maisd_k",
+)  # fmt: skip
+
+
+def camel(name: str) -> str:
+    """`NOT_AVAILABLE` as the DBC writes it: `NotAvailable`."""
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+class Series:
+    """Columns of one drive for a picture, one entry per tick; flat memory per tick."""
+
+    def __init__(self) -> None:
+        self.t_s = array("d")
+        self.load_nm = array("d")
+        self.sigma_nm = array("d")
+        self.speed_rad_s = array("d")
+        self.adhesion = array("b")
+        self.mixed_c = array("d")
+
+
+class Recorder:
+    """Collects views tick by tick; writes both tables while it goes."""
+
+    def __init__(self, folder: Path | None, nodes: tuple[int, ...]) -> None:
+        """folder: where the tables go; None keeps only the series and the flag changes."""
+        self.series = {node: Series() for node in nodes}
+        self.changes: list[tuple[int, int, str, str]] = []
+        self._last: dict[tuple[int, str], str] = {}
+        self._files: list[TextIO] = []
+        self._flags = self._estimates = None
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in ("flags.csv", "estimates.csv"):
+                self._files.append((folder / name).open("w", newline="", encoding="utf-8"))
+            self._flags, self._estimates = (csv.writer(f, lineterminator="\n") for f in self._files)
+            self._flags.writerow(FLAGS_HEADER)
+            self._estimates.writerow(ESTIMATES_HEADER)
+
+    def add(self, view: GatewayView) -> None:
+        """Take one tick."""
+        seconds = view.t_ns / 1e9
+        nan = float("nan")
+        for d in view.drives:
+            words = (("adhesion", ADHESION[d.adhesion]), ("thermal", FAULT[d.thermal]))
+            for what, word in words:
+                if self._last.get((d.node, what)) != word:
+                    self._last[d.node, what] = word
+                    self.changes.append((view.t_ns, d.node, what, word))
+            series = self.series[d.node]
+            series.t_s.append(seconds)
+            series.load_nm.append(nan if d.load_nm is None else d.load_nm)
+            series.sigma_nm.append(nan if d.load_sigma_nm is None else d.load_sigma_nm)
+            series.speed_rad_s.append(nan if d.speed_rad_s is None else d.speed_rad_s)
+            series.adhesion.append(d.adhesion)
+            series.mixed_c.append(nan if d.mixed_c is None else d.mixed_c)
+            if self._flags is None or self._estimates is None:
+                continue
+            t_s = f"{view.t_ns // 1_000_000_000}.{view.t_ns % 1_000_000_000:09d}"
+            reason = d.adhesion_reason or d.thermal_reason
+            self._flags.writerow(
+                (t_s, d.node, words[0][1], words[1][1], camel(Reason(reason).name))
+            )
+            self._estimates.writerow(
+                (
+                    t_s, d.node, camel(Health(d.health).name), _text(d.speed_rad_s, 4),
+                    _text(d.load_nm, 4), _text(d.load_sigma_nm, 4),
+                    _text(d.loss_probability, 4), _text(d.nis, 3),
+                    camel(FaultClass(d.fault_class).name), _text(d.mixed_c, 2), _text(d.maisd_k, 3),
+                )
+            )  # fmt: skip
+
+    def close(self) -> None:
+        """Finish the tables."""
+        for file in self._files:
+            file.close()
+
+
+def _text(value: float | None, digits: int) -> str:
+    """A number, or nothing where it is not known."""
+    return "" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,221 @@
+"""What goes wrong and when: the scenario's events as arrays for the plant, sensors and wire.
+
+May know: scenarios. May not know: bits, buses, clocks.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import sensors, thermal
+from sim.adhesion import Rail, rail
+from sim.plant import DT, Motor
+from sim.scenario import Event, Scenario
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+BEARING_W: Final = 60.0
+"""Friction heat of a bearing event with depth 1."""
+
+NONE, OVERHEATING, COOLING_LOSS, BEARING, SENSOR_BIAS, SENSOR_STUCK, SENSOR_LOST = range(1, 8)
+"""`FaultClass` of the contract."""
+CLASSES: Final = {
+    "overheating": OVERHEATING, "cooling_loss": COOLING_LOSS, "bearing": BEARING,
+    "sensor_bias": SENSOR_BIAS, "sensor_stuck": SENSOR_STUCK, "sensor_lost": SENSOR_LOST,
+}  # fmt: skip
+EMERGENCY: Final = {
+    OVERHEATING: (0x4310, 0x08), COOLING_LOSS: (0x4380, 0x08), BEARING: (0x7180, 0x20),
+    SENSOR_LOST: (0x7380, 0x20),
+}  # fmt: skip
+"""EMCY code and bit of the error register of the faults a drive knows of itself. A stuck or
+biased sensor it cannot see: finding that is the gateway's task."""
+POINTS: Final = {
+    "stator": sensors.STATOR, "drive_end": sensors.DRIVE_END,
+    "non_drive_end": sensors.NON_DRIVE_END, "ambient": sensors.AMBIENT,
+}  # fmt: skip
+
+
+class Schedule:
+    """The events of a scenario, asked by time. Drives are counted from 0 here."""
+
+    def __init__(self, scenario: Scenario, motor: Motor) -> None:
+        """Sorted once; later events of a kind win over earlier ones on the same drive."""
+        self._scenario = scenario
+        self._n = scenario.drives
+        self._start_rail = rail(scenario.load.rail)
+        self._rated_copper_w = 1.5 * motor.R_s * motor.I_rated**2
+        self._scale = motor.T_rated / 30.0
+        self._by_kind: dict[str, list[tuple[Event, list[int]]]] = {}
+        for event in sorted(scenario.event, key=lambda e: e.at_s):
+            who = [d - 1 for d in scenario.drives_of(event.drive)]
+            self._by_kind.setdefault(event.kind, []).append((event, who))
+
+    def _active(self, kind: str, t_s: float) -> list[tuple[Event, list[int]]]:
+        return [(e, d) for e, d in self._by_kind.get(kind, ()) if e.at_s <= t_s < e.end_s]
+
+    def carry(self, t_s: Array, healthy_nm: Array) -> Array:
+        """(n, N) share of the train's demand that the rail carries at times `t_s` (n,).
+
+        `healthy_nm` (n,) is the preset load, which `disturbance` entries are relative to.
+        """
+        out = np.ones((len(t_s), self._n))
+        first, last = t_s[0], t_s[-1]
+        for event, who in self._by_kind.get("adhesion_loss", ()):
+            if event.at_s <= last and event.end_s > first:
+                left = 1.0 - _depth(event, t_s)
+                out[:, who] = np.minimum(out[:, who], left[:, None])
+        for item in self._scenario.load.disturbance:
+            x = (t_s - item.at_s) / item.for_s
+            inside = (x >= 0.0) & (x < 1.0) & (healthy_nm != 0.0)
+            if inside.any():
+                pull = item.amplitude_nm * np.sin(np.pi * x[inside])
+                out[inside, item.drive - 1] *= 1.0 - pull / healthy_nm[inside]
+        return out
+
+    def losing(self, t_s: float) -> Flags:
+        """(N,) drives under an adhesion loss or disturbance that takes something away now."""
+        out = np.zeros(self._n, np.bool_)
+        at = np.array([t_s])
+        for event, who in self._active("adhesion_loss", t_s):
+            out[who] |= bool(_depth(event, at)[0] > 0.0)
+        for item in self._scenario.load.disturbance:
+            if item.at_s <= t_s < item.at_s + item.for_s and item.amplitude_nm:
+                out[item.drive - 1] = True
+        return out
+
+    def rails(self, t_s: float) -> list[Rail]:
+        """Rail under each drive."""
+        out = [self._start_rail] * self._n
+        for event, who in self._active("rail", t_s):
+            assert event.value is not None
+            for d in who:
+                out[d] = rail(event.value)
+        return out
+
+    def heat(self, t_s: float) -> tuple[Array, Array]:
+        """Fault heat (N, 6) W and share of cooling lost (N,)."""
+        extra = np.zeros((self._n, thermal.NODES))
+        lost = np.zeros(self._n)
+        for event, who in self._active("overheating", t_s):
+            share = self._rated_copper_w * (event.depth or 0.0)
+            extra[who, thermal.WINDING] += event.number or share
+        for event, who in self._active("bearing", t_s):
+            rear = event.sensor == "non_drive_end"
+            node = thermal.BEARING_NDE if rear else thermal.BEARING_DE
+            extra[who, node] += event.number or self._scale * BEARING_W * (event.depth or 0.0)
+        for event, who in self._active("cooling_loss", t_s):
+            lost[who] = np.maximum(lost[who], event.depth or 0.0)
+        return extra, lost
+
+    def _points(self, kind: str, t_s: float) -> list[tuple[Event, list[int], int]]:
+        return [
+            (e, who, POINTS[e.sensor or "stator"])
+            for e, who in self._active(kind, t_s)
+            if e.sensor != "current"
+        ]
+
+    def temperature_faults(self, t_s: float) -> tuple[Array, Flags, Flags]:
+        """(N, 4) bias K, stuck, lost of the temperature sensors."""
+        bias = np.zeros((self._n, sensors.POINTS))
+        stuck = np.zeros((self._n, sensors.POINTS), np.bool_)
+        lost = np.zeros((self._n, sensors.POINTS), np.bool_)
+        for event, who, point in self._points("sensor_bias", t_s):
+            bias[who, point] += event.number
+        for _, who, point in self._points("sensor_stuck", t_s):
+            stuck[who, point] = True
+        for _, who, point in self._points("sensor_lost", t_s):
+            lost[who, point] = True
+        return bias, stuck, lost
+
+    def current_faults(self, t_s: float) -> tuple[Array, Flags, Flags]:
+        """(N,) bias A and stuck of phase a, and lost (all phases)."""
+        bias = np.zeros(self._n)
+        stuck = np.zeros(self._n, np.bool_)
+        lost = np.zeros(self._n, np.bool_)
+        for kind in ("sensor_bias", "sensor_stuck", "sensor_lost"):
+            for event, who in self._active(kind, t_s):
+                if event.sensor != "current":
+                    continue
+                if kind == "sensor_bias":
+                    bias[who] += event.number
+                elif kind == "sensor_stuck":
+                    stuck[who] = True
+                else:
+                    lost[who] = True
+        return bias, stuck, lost
+
+    @property
+    def has_current_faults(self) -> bool:
+        """Whether `current_faults` ever says anything."""
+        return any(
+            e.sensor == "current" for events in self._by_kind.values() for e, _ in events
+        )
+
+    def classes(self, t_s: float) -> list[int]:
+        """`FaultClass` of each drive: 1 None, else the class of the event that began last."""
+        out = [NONE] * self._n
+        begun = [-1.0] * self._n
+        for kind, number in CLASSES.items():
+            for event, who in self._active(kind, t_s):
+                for d in who:
+                    if event.at_s >= begun[d]:
+                        out[d], begun[d] = number, event.at_s
+        return out
+
+    def silent(self, drive: int, t_s: float) -> bool:
+        """True while this drive is off the bus."""
+        return any(drive in who for _, who in self._active("silent", t_s))
+
+    def chance(self, kind: str, drive: int, t_s: float) -> float:
+        """Probability of `frame_loss` or `corrupt` for a frame of this drive."""
+        depths = [e.depth or 0.0 for e, who in self._active(kind, t_s) if drive in who]
+        return max(depths, default=0.0)
+
+
+def _depth(event: Event, t_s: Array) -> Array:
+    """Depth over time, with the linear edges inside the event."""
+    # Half a period of grace: times are multiples of it, the event's are the file's decimals.
+    grace = 0.5 * DT
+    inside = (t_s >= event.at_s - grace) & (t_s < event.end_s - grace)
+    shape = np.ones_like(t_s)
+    if event.ramp_s > 0.0:
+        shape = np.minimum((t_s - event.at_s), (event.end_s - t_s)) / event.ramp_s
+    return np.where(inside, (event.depth or 0.0) * np.clip(shape, 0.0, 1.0), 0.0)
+
+
+class WireFaults:
+    """Loss and corruption of a drive's frames, drawn in the order the frames are made."""
+
+    def __init__(self, schedule: Schedule, seed: int, drive: int) -> None:
+        """One generator for each of the two, so that one does not shift the other."""
+        self._schedule, self._drive = schedule, drive
+        self._loss = np.random.default_rng([seed, 4, drive])
+        self._corrupt = np.random.default_rng([seed, 5, drive])
+        kinds = schedule._by_kind  # noqa: SLF001 - same module
+        self._quiet = not any(
+            drive in who
+            for kind in ("silent", "frame_loss", "corrupt")
+            for _, who in kinds.get(kind, ())
+        )
+
+    def apply(self, t_s: float, data: bytes) -> bytes | None:
+        """The frame's data as they reach the bus, or None when they do not."""
+        if self._quiet:
+            return data
+        if self._schedule.silent(self._drive, t_s):
+            return None
+        lost = self._schedule.chance("frame_loss", self._drive, t_s)
+        if lost and self._loss.random() < lost:
+            return None
+        hit = self._schedule.chance("corrupt", self._drive, t_s)
+        if hit and self._corrupt.random() < hit:
+            damaged = bytearray(data)
+            count = int(self._corrupt.integers(1, 4))
+            for bit in self._corrupt.choice(8 * len(data), size=count, replace=False):
+                damaged[bit >> 3] ^= 1 << (bit & 7)
+            return bytes(damaged)
+        return data

@@ -1,0 +1,213 @@
+"""The drives and the train: PMSM under field-oriented control, wheel on rail or preset load.
+
+May know: mechanics and machines. May not know: bits, faults by name, sensors, clocks.
+
+Two ways to load a drive:
+
+- `rail`: the wheel rolls on a creep curve, the drives share the train's mass, a driver holds the
+  speed profile with one torque demand for all;
+- `preset`: the healthy load torque is given over time (as in section 5 of paper `adhesion`) and
+  each drive is speed controlled.
+
+In both, `carry` (1 = all) is the share of the train's demand that the rail can carry: the load is
+then min(demanded, carry x train's demand), in either sign. A drive whose limiter is at 30 % and
+whose rail still carries 40 % therefore grips again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim import _kernels as kernels
+from sim._kernels import ANGLE, COMMAND, DT, I_ALPHA, I_BETA, LOAD, OUT, SPEED, TORQUE
+from sim._kernels import U_ALPHA, U_BETA, U_DC  # fmt: skip
+from sim.adhesion import RAILS, Rail, available
+
+__all__ = [
+    "ANGLE", "BENCH", "COMMAND", "DT", "I_ALPHA", "I_BETA", "LOAD", "MOTORS", "OUT", "SPEED",
+    "TORQUE", "TRAIN", "U_ALPHA", "U_BETA", "U_DC", "Motor", "Plant", "QuasiStatic", "Train",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+RAIL_STEPS: Final = 4
+"""Runge-Kutta steps per period on the rail: the contact's time constant goes down to 15 us."""
+CUT_LEVEL: Final = 0.3
+"""What a drive's torque limiter falls to while the gateway says `AdhesionLost`."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor with all that turns with it. SI units; T = k_p pole_pairs psi_pm i_q."""
+
+    R_s: float
+    L_s: float
+    psi_pm: float
+    pole_pairs: int
+    J: float
+    I_rated: float
+    T_rated: float
+    B: float = 0.0
+    k_p: float = 1.5
+    U_dc: float = 300.0
+
+
+BENCH: Final = Motor(
+    R_s=0.28, L_s=3.465e-3, psi_pm=0.1989, pole_pairs=4, J=0.04, I_rated=25.0, T_rated=30.0
+)
+"""The motor of paper `adhesion`; rated values and dc link are our choice."""
+LARGE: Final = Motor(
+    R_s=0.12, L_s=2.0e-3, psi_pm=0.40, pole_pairs=4, J=0.12, I_rated=50.0, T_rated=120.0,
+    U_dc=560.0,
+)  # fmt: skip
+"""A larger drive, for tests that numbers are nowhere tied to the bench motor."""
+MOTORS: Final[dict[str, Motor]] = {"bench": BENCH, "large": LARGE}
+
+
+@dataclass(frozen=True)
+class Train:
+    """The rig's train for a motor of T_rated 30 Nm (mass and wheel load scale with T_rated).
+
+    All weight on driven wheels: wheel load x radius = m g r = 94 Nm, so rated torque uses a
+    traction coefficient of 0.32: dry rail carries 42 Nm, wet 20 Nm, leaves 7 Nm at 5 % creep.
+    """
+
+    wheel_radius_m: float = 0.2
+    mass_kg: float = 48.0
+    gravity: float = 9.81
+
+    def wheel_load_nm(self, motor: Motor) -> float:
+        """Wheel load times radius, Nm: the torque at traction coefficient 1."""
+        return self.mass_kg * self.gravity * self.wheel_radius_m * motor.T_rated / BENCH.T_rated
+
+    def inertia(self, motor: Motor) -> float:
+        """Train mass per drive seen at the rotor, kg m2."""
+        return self.mass_kg * self.wheel_radius_m**2 * motor.T_rated / BENCH.T_rated
+
+
+TRAIN: Final = Train()
+
+
+class Plant:
+    """N drives in full detail. `advance` moves them by whole control periods of 125 us."""
+
+    def __init__(
+        self,
+        motor: Motor,
+        theta_0: Array,
+        *,
+        on_rail: bool,
+        w_0: float,
+        load_0: float,
+        train: Train = TRAIN,
+    ) -> None:
+        """Rolling at `w_0` rad/s (rotor) with angles `theta_0` (N,), the load `load_0` Nm met."""
+        n = len(theta_0)
+        self.motor, self.train, self.on_rail = motor, train, on_rail
+        self.x = np.zeros((n, 10))
+        self.x[:, 2] = w_0
+        self.x[:, 3] = np.mod(theta_0, 2.0 * math.pi)
+        self.x[:, 8] = load_0
+        self.x[:, 9] = 1.0
+        e = motor.psi_pm * motor.pole_pairs * w_0
+        self.x[:, 6] = -e * np.sin(self.x[:, 3])
+        self.x[:, 7] = e * np.cos(self.x[:, 3])
+        self.p = np.tile(
+            [
+                motor.R_s, motor.L_s, motor.psi_pm, motor.pole_pairs, motor.J, motor.B,
+                motor.k_p, 1.5 * motor.T_rated, CUT_LEVEL,
+            ],
+            (n, 1),
+        )  # fmt: skip
+        self.train_state = np.array([w_0, load_0, load_0])
+        self.wheel_load_nm = train.wheel_load_nm(motor)
+
+    @property
+    def demand_nm(self) -> float:
+        """The train's torque demand on each drive, before limiter and slip limit, Nm."""
+        return float(self.train_state[2])
+
+    def advance(
+        self, w_ref: Array, w_acc: Array, load: Array, carry: Array, cut: NDArray[np.bool_],
+        rails: Array,
+    ) -> Array:  # fmt: skip
+        """Advance n periods; inputs as in `_kernels.advance`; gives (n, N, 10), columns OUT."""
+        out = np.empty((*carry.shape, OUT))
+        kernels.advance(
+            self.x, self.train_state, self.p, self.on_rail, RAIL_STEPS if self.on_rail else 1,
+            self.motor.U_dc, w_ref, w_acc, load, carry, cut, rails, self.train.wheel_radius_m,
+            self.wheel_load_nm, self.train.inertia(self.motor), out,
+        )  # fmt: skip
+        return out
+
+    def overloaded(self, condition: Rail) -> bool:
+        """True when this rail cannot carry the train's demand within the slip limit."""
+        v = float(self.train_state[0]) * self.train.wheel_radius_m
+        limit = self.wheel_load_nm * available(condition, v, kernels.CREEP_LIMIT)
+        return abs(self.demand_nm) > limit
+
+    def beyond_peak(self, drive: int, condition: Rail) -> bool:
+        """True when this wheel slides faster than the peak of its creep curve allows."""
+        v = float(self.train_state[0]) * self.train.wheel_radius_m
+        w = float(self.x[drive, 2]) * self.train.wheel_radius_m
+        creep = abs(w - v) / max(abs(v), kernels.SPEED_FLOOR_M_S)
+        if creep <= kernels.CREEP_LIMIT:
+            return False
+        here = available(condition, v, creep)
+        return available(condition, v, 0.98 * creep) >= here and creep > kernels.CREEP_LIMIT * 1.5
+
+
+class QuasiStatic:
+    """The same drives without electrical detail, for long records of slow messages.
+
+    Speed follows the profile, torque the load: currents are those of the steady state, angle is
+    the integral of speed. Thousands of times faster; carries no adhesion dynamics.
+    """
+
+    STEP_NS: Final = 10_000_000
+
+    def __init__(self, motor: Motor, theta_0: Array, load_0: float) -> None:
+        """`theta_0` (N,) electrical angles, rad; `load_0` the load at the start, Nm."""
+        self.motor = motor
+        self.theta = np.mod(theta_0, 2.0 * math.pi)
+        self.limit = np.ones(len(theta_0))
+        self.demand_nm = load_0
+
+    def advance(self, w_m: float, load: float, carry: Array, cut: NDArray[np.bool_]) -> Array:
+        """Advance by 10 ms; `carry`, `cut` (N,); gives (N, 10) columns OUT at the end."""
+        m = self.motor
+        dt = self.STEP_NS * 1e-9
+        down = np.maximum(self.limit - kernels.CUT_PER_S * dt, CUT_LEVEL)
+        up = np.minimum(self.limit + kernels.RESTORE_PER_S * dt, 1.0)
+        self.limit = np.where(cut, down, up)
+        self.demand_nm = load
+        w_e = m.pole_pairs * w_m
+        self.theta = np.mod(self.theta + w_e * dt, 2.0 * math.pi)
+        out = np.empty((len(self.theta), OUT))
+        out[:, COMMAND] = load * self.limit
+        out[:, LOAD] = load * np.minimum(self.limit, carry)
+        out[:, TORQUE] = out[:, LOAD] + m.B * w_m
+        i_q = out[:, TORQUE] / (m.k_p * m.pole_pairs * m.psi_pm)
+        sin, cos = np.sin(self.theta), np.cos(self.theta)
+        out[:, I_ALPHA] = -i_q * sin
+        out[:, I_BETA] = i_q * cos
+        u_d = -w_e * m.L_s * i_q
+        u_q = m.R_s * i_q + w_e * m.psi_pm
+        out[:, U_ALPHA] = u_d * cos - u_q * sin
+        out[:, U_BETA] = u_d * sin + u_q * cos
+        out[:, U_DC] = m.U_dc
+        out[:, SPEED] = w_m
+        out[:, ANGLE] = self.theta
+        return out
+
+
+def rail_array(conditions: list[Rail]) -> Array:
+    """(N, 6) of the curves in force, as the kernel takes them."""
+    return np.array(conditions, dtype=np.float64)
+
+
+DRY: Final = RAILS["dry"]

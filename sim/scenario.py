@@ -1,0 +1,342 @@
+"""Scenarios: what the train does, what goes wrong, what the gateway is expected to say.
+
+A TOML file, read once, validated whole: every problem is listed with its path. The keys of the
+contract are `title`, `seed`, `duration_s`, `drives`, `[[event]]`, `[[expect]]`; everything else has
+a default. The same file runs on the virtual clock and on a real bus.
+
+May know: names and numbers of events. May not know: bits, buses, how anything is simulated.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sim.adhesion import rail
+from sim.plant import MOTORS
+
+MAX_DRIVES: Final = 16
+Kind = Literal[
+    "adhesion_loss", "rail", "overheating", "cooling_loss", "bearing", "sensor_stuck",
+    "sensor_bias", "sensor_lost", "silent", "frame_loss", "corrupt",
+]  # fmt: skip
+Sensor = Literal["stator", "drive_end", "non_drive_end", "ambient", "current"]
+
+NEEDS: Final[dict[str, str]] = {
+    "adhesion_loss": "depth", "rail": "value", "overheating": "either", "cooling_loss": "depth",
+    "bearing": "either", "sensor_stuck": "none", "sensor_bias": "value", "sensor_lost": "none",
+    "silent": "none", "frame_loss": "depth", "corrupt": "depth",
+}  # fmt: skip
+"""Which of `depth` and `value` an event of this kind must carry."""
+SENSOR_KINDS: Final = ("sensor_stuck", "sensor_bias", "sensor_lost")
+Points = Annotated[list[tuple[float, float]], Field(min_length=1)]
+
+
+class ScenarioError(Exception):
+    """A scenario that cannot be used. `problems` lists all of them, one line each."""
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        """`source`: the file or name it came from."""
+        self.problems = tuple(problems)
+        super().__init__("\n".join([f"{source}:", *(f"  {p}" for p in problems)]))
+
+
+class Strict(BaseModel):
+    """Unknown keys are refused; values are frozen."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False
+    )
+
+
+class Event(Strict):
+    """One `[[event]]`. Active from `at_s` for `for_s` (to the end when left out).
+
+    - `adhesion_loss` `depth`: the rail carries (1 - depth) of the train's demand; `ramp_s` makes
+      both edges linear, inside the event
+    - `rail` `value` "dry" | "wet" | "leaves" or a friction coefficient
+    - `overheating` `value` W more in the winding, or `depth` x rated copper loss
+    - `cooling_loss` `depth`: share of the air cooling lost (the last tenth always stays)
+    - `bearing` `value` W more friction, or `depth` x 60 W; `sensor` names the end
+    - `sensor_bias` `value` K (A for `sensor = "current"`, in phase a), `sensor_stuck`,
+      `sensor_lost` (not-available code): `sensor`, default the stator's
+    - `silent`: the drive sends nothing, heartbeat included, and hears nothing
+    - `frame_loss` `depth`: probability that a frame is lost
+    - `corrupt` `depth`: probability that 1 to 3 bits flip after the checksum was made
+    """
+
+    at_s: float = Field(ge=0)
+    for_s: float | None = Field(None, gt=0)
+    drive: int | Literal["all"] = "all"
+    kind: Kind
+    depth: float | None = Field(None, ge=0, le=1)
+    value: float | str | None = None
+    ramp_s: float = Field(0.0, ge=0)
+    sensor: Sensor | None = None
+
+    @model_validator(mode="after")
+    def _fits_kind(self) -> Self:
+        wrong = []
+        need = NEEDS[self.kind]
+        given = {k for k in ("depth", "value") if getattr(self, k) is not None}
+        if need == "none" and given:
+            wrong.append(f"{self.kind} takes neither depth nor value")
+        if need in ("depth", "value") and given != {need}:
+            wrong.append(f"{self.kind} needs {need} and nothing else")
+        if need == "either" and len(given) != 1:
+            wrong.append(f"{self.kind} needs depth or value")
+        if isinstance(self.value, str) and self.kind != "rail":
+            wrong.append(f"value of {self.kind} must be a number")
+        if self.kind == "rail" and self.value is not None:
+            try:
+                rail(self.value)
+            except ValueError as error:
+                wrong.append(str(error))
+        if self.ramp_s and self.kind != "adhesion_loss":
+            wrong.append("ramp_s belongs to adhesion_loss")
+        if self.for_s is not None and 2 * self.ramp_s > self.for_s:
+            wrong.append("two ramps do not fit into for_s")
+        if self.sensor and self.kind not in (*SENSOR_KINDS, "bearing"):
+            wrong.append("sensor belongs to sensor_* and bearing")
+        if self.kind == "bearing" and self.sensor not in (None, "drive_end", "non_drive_end"):
+            wrong.append("a bearing is at the drive_end or the non_drive_end")
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
+
+    @property
+    def end_s(self) -> float:
+        """End of the event; infinite without `for_s`."""
+        return float("inf") if self.for_s is None else self.at_s + self.for_s
+
+    @property
+    def number(self) -> float:
+        """`value` as a number, 0 where there is none."""
+        return float(self.value) if isinstance(self.value, int | float) else 0.0
+
+
+class Expect(Strict):
+    """One `[[expect]]`: between `after_s` and `after_s` + `within_ms` the flag becomes `is_`;
+    with `never = true` it is at no time `is_` from `after_s` on. Neither: it is so at the end.
+    `drive = "others"`: all drives that no event names.
+    """  # fmt: skip
+
+    flag: Literal["adhesion", "thermal", "common_mode", "comm", "sensor"]
+    is_: Literal["good", "bad", "unknown"] = Field(alias="is")
+    drive: int | Literal["all", "others"] = "all"
+    after_s: float = Field(0.0, ge=0)
+    within_ms: float | None = Field(None, gt=0)
+    never: bool = False
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.never and self.within_ms is not None:
+            raise ValueError("within_ms and never exclude one another")
+        return self
+
+
+class MotorChoice(Strict):
+    """`[motor]`: one of `sim.plant.MOTORS`."""
+
+    name: str = "bench"
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.name not in MOTORS:
+            msg = f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}"
+            raise ValueError(msg)
+        return self
+
+
+class Disturbance(Strict):
+    """`[[load.disturbance]]`, preset loads only: minus `amplitude_nm` x sin over half a period."""
+
+    drive: int = Field(ge=1)
+    at_s: float = Field(ge=0)
+    for_s: float = Field(gt=0)
+    amplitude_nm: float
+
+
+class Load(Strict):
+    """`[load]`. `kind = "rail"`: `torque_nm` is what the train resists with, per drive (gradient and
+    running resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm],
+    ...] replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed
+    by the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
+    """  # fmt: skip
+
+    kind: Literal["rail", "preset"] = "rail"
+    torque_nm: float = 18.0
+    profile: Points | None = None
+    transition: Literal["linear", "normal_cdf"] = "linear"
+    smooth_s: float = Field(0.00375, gt=0)
+    rail: float | str = "dry"
+    disturbance: list[Disturbance] = []
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        rail(self.rail)
+        if self.disturbance and self.kind != "preset":
+            raise ValueError("disturbance needs kind = 'preset'")
+        if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
+            raise ValueError("times of profile must rise")
+        return self
+
+
+class Motion(Strict):
+    """`[motion]`: electrical rad/s, or rotor rpm with `unit = "rpm"`. `profile` = [[t_s, speed], ...]
+    (linear) replaces `speed`. `start = "rolling"`: at the profile's first speed; `angle_rad`: initial
+    electrical angle of every drive, else random per drive.
+    """  # fmt: skip
+
+    speed: float = 100.0
+    profile: Points | None = None
+    unit: Literal["rad_s", "rpm"] = "rad_s"
+    start: Literal["rolling", "standstill"] = "rolling"
+    angle_rad: float | None = None
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
+            raise ValueError("times of profile must rise")
+        return self
+
+
+class Sensors(Strict):
+    """`[sensors]`: white noise per phase, the same offset and gain in all, range; temperature noise
+    and the spread of constant offsets, both one sigma.
+    """  # fmt: skip
+
+    current_noise_var: float = Field(2e-4, ge=0)
+    current_offset_a: float = 0.0
+    current_gain: float = Field(1.0, gt=0)
+    current_range_a: float = Field(600.0, gt=0)
+    temperature_noise_k: float = Field(0.15, ge=0)
+    temperature_offset_k: float = Field(0.3, ge=0)
+
+
+class ThermalStart(Strict):
+    """`[thermal]`. `start`: "equilibrium" of the first load and speed, "ambient", or degC for all.
+    `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
+    """  # fmt: skip
+
+    start: Literal["equilibrium", "ambient"] | float = "equilibrium"
+    ambient_c: float = Field(20.0, ge=-40, le=60)
+    train_seed: int = Field(1, ge=0)
+
+
+class BusModel(Strict):
+    """`[bus]`: stamps follow arbitration at this bit rate; 0 = a bus without one, as vcan."""
+
+    bitrate: int = Field(1_000_000, ge=0)
+    data_bitrate: int = Field(5_000_000, gt=0)
+
+
+class Scenario(Strict):
+    """A whole scenario."""
+
+    title: str
+    seed: int = Field(1, ge=0)
+    duration_s: float = Field(gt=0)
+    drives: int = Field(3, ge=1, le=MAX_DRIVES)
+    traffic: Literal["full", "slow"] = "full"
+    """"slow": only Motion, Status, Temperatures, from a quasi-static plant."""
+    event: list[Event] = []
+    expect: list[Expect] = []
+    motor: MotorChoice = MotorChoice()
+    load: Load = Load()
+    motion: Motion = Motion()
+    sensors: Sensors = Sensors()
+    thermal: ThermalStart = ThermalStart()
+    bus: BusModel = BusModel()
+
+    @model_validator(mode="after")
+    def _drives_exist(self) -> Self:
+        wrong = [
+            f"{where}[{k}].drive: {item.drive} is not one of the {self.drives} drives"
+            for where, items in (
+                ("event", self.event),
+                ("expect", self.expect),
+                ("load.disturbance", self.load.disturbance),
+            )
+            for k, item in enumerate(items)  # type: ignore[arg-type, var-annotated]
+            if isinstance(item.drive, int) and not 1 <= item.drive <= self.drives
+        ]
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
+
+    def drives_of(self, who: int | str) -> tuple[int, ...]:
+        """Drive numbers 1..n meant by `drive` of an event or an expectation."""
+        if isinstance(who, int):
+            return (who,)
+        everyone = tuple(range(1, self.drives + 1))
+        if who == "all":
+            return everyone
+        named = {d for e in self.event for d in self.drives_of(e.drive)}
+        return tuple(d for d in everyone if d not in named)
+
+
+def parse(text: str, source: str) -> Scenario:
+    """Scenario from TOML text. Raises ScenarioError listing everything that is wrong."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(source, [f"not TOML: {error}"]) from None
+    return from_table(table, source)
+
+
+def from_table(table: dict[str, Any], source: str = "scenario") -> Scenario:
+    """Scenario from a parsed table. Raises ScenarioError listing everything that is wrong."""
+    try:
+        return Scenario.model_validate(table)
+    except ValidationError as error:
+        raise ScenarioError(source, [_line(e) for e in error.errors()]) from None
+
+
+def load(path: Path | str) -> Scenario:
+    """Scenario from a file. Raises ScenarioError (also when the file cannot be read)."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(str(path), [f"cannot be read: {error}"]) from None
+    return parse(text, str(path))
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Names of the scenarios that come with the package."""
+    files = resources.files("sim").joinpath("scenarios").iterdir()
+    return tuple(sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml")))
+
+
+def builtin(name: str) -> Scenario:
+    """A scenario of the package. Raises ScenarioError for an unknown name."""
+    if name not in builtin_names():
+        raise ScenarioError(name, [f"no such scenario; there are {', '.join(builtin_names())}"])
+    file = resources.files("sim").joinpath("scenarios", f"{name}.toml")
+    return parse(file.read_text(encoding="utf-8"), name)
+
+
+def _line(error: Any) -> str:
+    """`event[2].kind: ...` from pydantic's location."""
+    path = ""
+    for part in error["loc"]:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif part in _BRANCHES:
+            continue
+        else:
+            path += f".{part}" if path else str(part)
+    message = error["msg"].removeprefix("Value error, ")
+    if error["type"] == "extra_forbidden":
+        message = "unknown key"
+    return f"{path}: {message}" if path else message
+
+
+_BRANCHES: Final = frozenset({"int", "float", "str", "literal['all']", "literal['all','others']",
+                              "literal['equilibrium','ambient']"})  # fmt: skip
+"""Names pydantic adds to a location inside a union; they are no keys of the file."""

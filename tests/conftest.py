@@ -1,0 +1,19 @@
+"""Options of the test run."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("vcan", "tests on a real SocketCAN interface")
+    group.addoption(
+        "--require-vcan",
+        action="store_true",
+        help="fail where the tests marked vcan would be skipped for want of SocketCAN",
+    )
+    group.addoption(
+        "--vcan-inside",
+        metavar="FILE",
+        help="used by the tests themselves: SocketCAN is real here; write the reports to FILE",
+    )

@@ -1,0 +1,251 @@
+"""Tests marked `vcan` run where SocketCAN is real, and are reported here one by one.
+
+A test run collects them as usual. At the first one a second pytest starts in a network
+namespace or in user-mode-linux (`vcan.py`), once, with all selected vcan tests; it writes every
+report as a line, and each test here waits for its lines and passes them on as its own.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+SILENCE_S = 240.0
+"""Longest time without any report before the inner run is given up."""
+INNER_TIMEOUT_S = 180
+"""Limit of one test inside."""
+
+
+def _runner() -> ModuleType:
+    """`vcan.py` beside this file (test folders are no packages)."""
+    spec = importlib.util.spec_from_file_location("vcan_runner", Path(__file__).parent / "vcan.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules.setdefault(spec.name, importlib.util.module_from_spec(spec))
+    if not hasattr(module, "way"):
+        spec.loader.exec_module(module)
+    return module
+
+
+class Inside:
+    """Plugin of the inner run: every report as one line of JSON."""
+
+    def __init__(self, config: pytest.Config, path: Path) -> None:
+        self._config = config
+        self._file = path.open("a", encoding="utf-8")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        data = self._config.hook.pytest_report_to_serializable(config=self._config, report=report)
+        self._file.write(json.dumps(data, default=str) + "\n")
+        self._file.flush()
+
+
+class Outside:
+    """Plugin of the outer run: starts the inner one and hands out its reports."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._job: Any = None
+        self._directory: Any = None
+        self._read = 0
+        self._reports: dict[str, list[pytest.TestReport]] = {}
+
+    def reports(self, item: pytest.Item) -> list[pytest.TestReport]:
+        """The inner run's reports of a test; one failed report if there are none."""
+        reason = _runner().way().reason
+        if reason:
+            return [self._not_here(item, reason)]
+        directory = self._started(item.session)
+        heard = time.monotonic()
+        while True:
+            ended = (directory / "done").exists() or (self._job and not self._job.running())
+            if self._take_in(directory):
+                heard = time.monotonic()
+            found = self._reports.get(item.nodeid, [])
+            if found and found[-1].when == "teardown":
+                return found
+            if ended and not (directory / "output").exists():
+                return [self._not_here(item, self._told(directory, "did not start"))]
+            if ended:
+                return [_verdict(item, "failed", self._told(directory, "ended without a result"))]
+            if time.monotonic() - heard > SILENCE_S:
+                if self._job is not None:
+                    self._give_up()
+                return [_verdict(item, "failed", self._told(directory, "fell silent"))]
+            time.sleep(0.05)
+
+    def _not_here(self, item: pytest.Item, reason: str) -> pytest.TestReport:
+        required = self._config.getoption("--require-vcan")
+        return _verdict(item, "failed" if required else "skipped", reason)
+
+    def _started(self, session: pytest.Session) -> Path:
+        """Directory of the inner run; started by whoever comes first (also of xdist workers)."""
+        if self._directory is not None:
+            return self._directory
+        base: Path = self._config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
+        shared = hasattr(self._config, "workerinput")
+        self._directory = (base.parent if shared else base) / "vcan"
+        try:
+            self._directory.mkdir()
+            first = True
+        except FileExistsError:
+            first = False
+        if first:
+            wanted = [item.nodeid for item in session.items if item.get_closest_marker("vcan")]
+            self._job = _runner().Job(self._command(wanted), self._directory)
+        return self._directory
+
+    def _command(self, wanted: list[str]) -> list[str]:
+        assert self._directory is not None
+        return [
+            *(sys.executable, "-m", "pytest", "-v", "--color=no", "-p", "no:cacheprovider"),
+            *("-p", "no:xdist", "-p", "no:randomly", "-o", f"timeout={INNER_TIMEOUT_S}"),
+            *("--rootdir", str(self._config.rootpath), "--basetemp", f"{self._directory}/tmp"),
+            *("-c", str(self._config.inipath)),
+            *("--vcan-inside", f"{self._directory}/reports"),
+            *wanted,
+        ]
+
+    def _take_in(self, directory: Path) -> bool:
+        """Read the complete lines that are new."""
+        path = directory / "reports"
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            file.seek(self._read)
+            text = file.read()
+        complete = text[: text.rfind(b"\n") + 1]
+        self._read += len(complete)
+        for line in complete.splitlines():
+            report = self._config.hook.pytest_report_from_serializable(
+                config=self._config, data=json.loads(line)
+            )
+            if isinstance(report.longrepr, list):  # JSON has no tuples; reasons of skips are
+                report.longrepr = tuple(report.longrepr)
+            self._reports.setdefault(report.nodeid, []).append(report)
+        return bool(complete)
+
+    def _told(self, directory: Path, what: str) -> str:
+        tail = self._job.tail() if self._job else "see the worker that started it"
+        return f"the run inside ({directory}) {what}:\n{tail}"
+
+    def pytest_unconfigure(self) -> None:
+        if self._job is None:
+            return
+        # Other xdist workers may still wait for reports of the run that this one started.
+        limit = time.monotonic() + SILENCE_S
+        while hasattr(self._config, "workerinput") and self._job.running():
+            if time.monotonic() > limit:
+                break
+            time.sleep(0.1)
+        self._give_up()
+
+    def _give_up(self) -> None:
+        self._job.stop()
+        (self._directory / "done").touch()
+
+
+def _verdict(item: pytest.Item, outcome: str, text: str) -> pytest.TestReport:
+    where = (str(item.path), item.location[1] or 0, f"Skipped: {text}")
+    return pytest.TestReport(
+        nodeid=item.nodeid,
+        location=item.location,
+        keywords=dict.fromkeys(item.keywords, 1),
+        outcome=outcome,
+        longrepr=where if outcome == "skipped" else text,
+        when="setup" if outcome == "skipped" else "call",
+    )
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    inside = config.getoption("--vcan-inside")
+    if inside:
+        config.pluginmanager.register(Inside(config, Path(inside)), "vcan-inside")
+    else:
+        config.pluginmanager.register(Outside(config), "vcan-outside")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    outside = item.config.pluginmanager.get_plugin("vcan-outside")
+    if outside is None or item.get_closest_marker("vcan") is None:
+        return None
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for report in outside.reports(item):
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    # Nothing was set up here, but what earlier tests share with this one may have to go.
+    item.session._setupstate.teardown_exact(nextitem)
+    return True
+
+
+@dataclass
+class Vcan:
+    """Two virtual CAN interfaces that carry CAN FD, and what people do to them."""
+
+    name: str = "vcan0"
+    second: str = "vcan1"
+    own_kernel: bool = os.environ.get("VCAN_INSIDE") == "uml"
+    """True in user-mode-linux: clocks and modules are not those of the machine."""
+    _started: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    def link(self, action: str, name: str = "", mtu: int = 72) -> None:
+        """`up`, `down`, `create` (and up) or `delete` an interface; the first one by default."""
+        name = name or self.name
+        commands = {
+            "up": [f"link set {name} up"],
+            "down": [f"link set {name} down"],
+            "create": [f"link add {name} type vcan", f"link set {name} mtu {mtu} up"],
+            "delete": [f"link delete {name}"],
+        }
+        for command in commands[action]:
+            subprocess.run(["ip", *command.split()], check=True)
+
+    def send(self, *texts: str, name: str = "") -> None:
+        """Frames by can-utils, such as `181#0102`, `181#R`, `181##1AA` (FD)."""
+        for text in texts:
+            subprocess.run(["cansend", name or self.name, text], check=True)
+
+    def start(self, *command: str, **options: Any) -> subprocess.Popen[bytes]:
+        """A process that is ended with the test."""
+        self._started.append(subprocess.Popen(command, **options))
+        return self._started[-1]
+
+    def stop_all(self) -> None:
+        """End what `start` started."""
+        for process in self._started:
+            process.terminate()
+        for process in self._started:
+            process.wait(timeout=20)
+            for pipe in (process.stdin, process.stdout, process.stderr):
+                if pipe is not None:
+                    pipe.close()
+
+
+@pytest.fixture
+def vcan(request: pytest.FixtureRequest) -> Iterator[Vcan]:
+    """Fresh `vcan0` and `vcan1`, up; both are gone afterwards."""
+    assert request.config.getoption("--vcan-inside"), (
+        "mark tests that use `vcan` with the mark vcan"
+    )
+    bus = Vcan()
+    for name in (bus.name, bus.second):
+        bus.link("create", name)
+    try:
+        yield bus
+    finally:
+        bus.stop_all()
+        for name in (bus.name, bus.second):
+            subprocess.run(["ip", "link", "delete", name], check=False, capture_output=True)

@@ -1,0 +1,257 @@
+"""Our SocketCAN transport on a real interface: frames, stamps, faults of the link, losses."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
+from gateway.drivers import socketcan
+from gateway.drivers.socketcan import SocketCan
+from gateway.drivers.transport import LinkState, SendResult, open_transport
+from gateway.drivers.wire import BusState
+
+if TYPE_CHECKING:
+    from conftest import Vcan
+
+pytestmark = pytest.mark.vcan
+
+PATIENCE_S = 20.0
+KINDS = [
+    Frame(0, 0x181, b"\x01\x02\x03", 0, "vcan0"),
+    Frame(0, 0x181, b"", 0, "vcan0"),
+    Frame(0, 0x1ABCDEF0, bytes(8), EXTENDED, "vcan0"),
+    Frame(0, 0x181, bytes(8), 0, "vcan0", 12),
+    Frame(0, 0x181, b"", REMOTE, "vcan0", 4),
+    Frame(0, 0x181, bytes(range(64)), FD | BRS, "vcan0"),
+    Frame(0, 0x181, bytes(12), FD, "vcan0"),
+]
+
+
+def until(bus: SocketCan, fulfilled: Callable[[list[Frame]], bool]) -> list[Frame]:
+    """Receive until the frames so far, or the state, are as wanted."""
+    frames: list[Frame] = []
+    deadline = time.monotonic() + PATIENCE_S
+    while not fulfilled(frames):
+        assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {frames}, {bus.status}"
+        frames += bus.receive(0.02)
+    return frames
+
+
+@pytest.fixture
+def pair(vcan: Vcan) -> Iterator[tuple[SocketCan, SocketCan]]:
+    """Two transports on the first interface."""
+    a, b = SocketCan(vcan.name, fd=True), SocketCan(vcan.name, fd=True)
+    a.open()
+    b.open()
+    yield a, b
+    a.close()
+    b.close()
+
+
+def test_every_kind_of_frame_arrives_as_sent(pair: tuple[SocketCan, SocketCan]) -> None:
+    a, b = pair
+    for frame in KINDS:
+        assert a.send(frame) is SendResult.SENT
+    received = until(b, lambda frames: len(frames) >= len(KINDS))
+    assert [f._replace(t_ns=0) for f in received] == KINDS
+    assert a.receive(0.0) == []  # own frames do not come back
+    assert a.status.sent == b.status.received == len(KINDS)
+
+
+def test_candump_sees_what_we_mean(vcan: Vcan, pair: tuple[SocketCan, SocketCan]) -> None:
+    a, _ = pair
+    dump = vcan.start("candump", "-L", "-n", "3", vcan.name, stdout=subprocess.PIPE)
+    assert dump.stdout is not None
+    before = listeners(vcan.name)
+    while listeners(vcan.name) == before:
+        time.sleep(0.01)
+    for frame in (KINDS[0], KINDS[4], Frame(0, 0x502, bytes(12), FD | BRS)):
+        a.send(frame)
+    lines = dump.stdout.read().decode().split("\n")
+    texts = [line.split(" ", 2)[2] for line in lines[:3]]
+    # Kernels since 6.1 mark CAN FD frames with CANFD_FDF (4) themselves.
+    texts[2] = texts[2].replace("##5", "##1")
+    assert texts == ["181#010203", "181#R4", "502##1" + "00" * 12]
+
+
+def listeners(name: str) -> int:
+    """Number of raw sockets that receive from an interface."""
+    text = Path("/proc/net/can/rcvlist_all").read_text(encoding="ascii")
+    return sum(line.split()[:1] == [name] for line in text.splitlines())
+
+
+def test_cansend_frames_are_read_as_meant(vcan: Vcan, pair: tuple[SocketCan, SocketCan]) -> None:
+    _, b = pair
+    vcan.send("123#DEADBEEF", "00000123#R5", "123##311", "20000040#0000000000000000")
+    received = until(b, lambda frames: len(frames) >= 4)
+    assert [f._replace(t_ns=0) for f in received] == [
+        Frame(0, 0x123, b"\xde\xad\xbe\xef", 0, "vcan0"),
+        Frame(0, 0x123, b"", EXTENDED | REMOTE, "vcan0", 5),
+        Frame(0, 0x123, b"\x11", FD | BRS | ESI, "vcan0"),
+        Frame(0, 0x040, bytes(8), ERROR, "vcan0"),
+    ]
+    assert [f.is_plain_data for f in received] == [True, False, True, False]
+    assert b.status.bus_state is BusState.BUS_OFF
+    assert b.status.error_frames == 1
+
+
+def test_stamps_are_the_time_of_reception_by_the_kernel(
+    pair: tuple[SocketCan, SocketCan],
+) -> None:
+    a, b = pair
+    b.receive(0.0)
+    windows = []
+    for k in range(5):
+        before = time.monotonic_ns()
+        a.send(Frame(0, 0x181 + k, b""))
+        windows.append((before, time.monotonic_ns()))
+        time.sleep(0.02)
+    frames = b.receive(0.0)  # read long after arrival, all at once
+    assert len(frames) == 5
+    slack = 2 * MS  # two clocks are read one after the other
+    for frame, (before, after) in zip(frames, windows, strict=True):
+        assert before - slack <= frame.t_ns <= after + slack
+
+
+def test_a_step_of_the_wall_clock_does_not_reach_the_stamps(
+    vcan: Vcan, pair: tuple[SocketCan, SocketCan]
+) -> None:
+    if not vcan.own_kernel:
+        pytest.skip("the wall clock is set only where it is not the machine's own")
+    a, b = pair
+    started = time.monotonic_ns()
+    b.receive(0.0)
+    real = time.time()
+    try:
+        a.send(KINDS[0])
+        time.clock_settime(time.CLOCK_REALTIME, real + 3600)
+        (first,) = b.receive(1.0)
+        a.send(KINDS[0])
+        time.clock_settime(time.CLOCK_REALTIME, real - 3600)
+        (second,) = b.receive(1.0)
+    finally:
+        passed = (time.monotonic_ns() - started) / SECOND
+        time.clock_settime(time.CLOCK_REALTIME, real + passed)
+    assert started <= first.t_ns <= second.t_ns <= time.monotonic_ns()
+
+
+def test_a_classic_socket_never_sees_fd_frames(vcan: Vcan) -> None:
+    classic, fd = SocketCan(vcan.name), SocketCan(vcan.name, fd=True)
+    classic.open()
+    fd.open()
+    vcan.send("181##1AABB", "182#01")
+    assert len(until(fd, lambda frames: len(frames) >= 2)) == 2
+    assert [f.can_id for f in until(classic, bool)] == [0x182]
+    assert classic.send(KINDS[5]) is SendResult.FAILED
+    classic.close()
+    fd.close()
+
+
+def test_fd_on_a_classic_interface_is_refused_counted_and_explained(vcan: Vcan) -> None:
+    vcan.link("delete")
+    vcan.link("create", mtu=16)
+    bus = SocketCan(vcan.name, fd=True)
+    bus.open()
+    assert f"ip link set {vcan.name} mtu 72" in bus.status.note
+    assert bus.send(KINDS[5]) is SendResult.FAILED
+    assert bus.status.tx_failed == 1
+    assert bus.send(KINDS[0]) is SendResult.SENT
+    bus.close()
+
+
+def test_link_down_and_up_again_is_survived(vcan: Vcan, pair: tuple[SocketCan, SocketCan]) -> None:
+    a, b = pair
+    for _ in range(3):
+        vcan.link("down")
+        until(b, lambda _: b.status.state is LinkState.DOWN)
+        assert a.send(KINDS[0]) is SendResult.DOWN
+        vcan.link("up")
+        until(b, lambda _: b.status.state is LinkState.UP)
+        until(a, lambda _: a.status.state is LinkState.UP)
+        assert a.send(KINDS[0]) is SendResult.SENT
+        assert len(until(b, bool)) == 1
+    assert b.status.reopened == 0
+
+
+def test_an_interface_that_is_down_at_start_is_waited_for(vcan: Vcan) -> None:
+    vcan.link("down")
+    bus = SocketCan(vcan.name)
+    bus.open()
+    bus.receive(0.0)
+    assert bus.status.state is LinkState.DOWN
+    vcan.link("up")
+    until(bus, lambda _: bus.status.state is LinkState.UP)
+    vcan.send("181#01")
+    assert len(until(bus, bool)) == 1
+    bus.close()
+
+
+def test_an_interface_absent_at_start_is_waited_for(vcan: Vcan) -> None:
+    vcan.link("delete")
+    bus = open_transport({"interface": "socketcan", "channel": vcan.name})
+    assert isinstance(bus, SocketCan)
+    assert bus.status.state is LinkState.ABSENT
+    assert bus.receive(0.02) == []
+    assert bus.send(KINDS[0]) is SendResult.DOWN
+    vcan.link("create")
+    until(bus, lambda _: bus.status.state is LinkState.UP)
+    vcan.send("181#01")
+    assert len(until(bus, bool)) == 1
+    assert bus.status.reopened == 0
+    bus.close()
+
+
+@pytest.mark.parametrize("reading", [True, False])
+def test_a_deleted_and_recreated_interface_is_heard_again(
+    vcan: Vcan, pair: tuple[SocketCan, SocketCan], reading: bool
+) -> None:
+    _, b = pair
+    for round_number in range(1, 4):
+        vcan.link("delete")
+        if reading:  # else it is gone and back between two reads
+            until(b, lambda _: b.status.state is LinkState.ABSENT)
+            assert b.send(KINDS[0]) is SendResult.DOWN
+        vcan.link("create")
+        until(b, lambda _, n=round_number: b.status.reopened == n)
+        assert b.status.state is LinkState.UP
+        vcan.send("181#01")
+        assert len(until(b, bool)) == 1
+        assert b.send(KINDS[0]) is SendResult.SENT
+
+
+def test_lost_frames_are_counted_exactly(vcan: Vcan, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socketcan, "RECEIVE_BUFFER", 64 << 10)
+    bus = SocketCan(vcan.name)
+    bus.open()
+    sender = SocketCan(vcan.name)
+    sender.open()
+    sent = 1000
+    for k in range(sent):
+        assert sender.send(Frame(0, k & 0x7FF, bytes(8))) is SendResult.SENT
+    received = len(bus.receive(0.0))
+    sender.send(KINDS[0])  # the count comes with the next frame that fits
+    received += len(until(bus, bool))
+    assert bus.status.kernel_drops > 0
+    assert received + bus.status.kernel_drops == sent + 1
+    bus.close()
+    sender.close()
+
+
+def test_the_receive_buffer_holds_a_second_of_a_full_bus(vcan: Vcan) -> None:
+    bus = SocketCan(vcan.name)
+    bus.open()
+    raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    raw.bind((vcan.name,))
+    for _ in range(7400):  # 8-byte frames at 1 Mbit/s
+        raw.send(b"\x81\x01\x00\x00\x08\x00\x00\x00" + bytes(8))
+    total = len(bus.receive(0.0)) + len(bus.receive(0.0))
+    assert (total, bus.status.kernel_drops) == (7400, 0)
+    raw.close()
+    bus.close()

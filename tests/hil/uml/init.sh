@@ -1,0 +1,21 @@
+#!/bin/sh
+# First process of the user-mode-linux guest: CAN modules, then the job, its exit code, halt.
+# VCAN_JOB (kernel command line) is a directory on the host with `run.sh`; it gets `exit`.
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin
+mount -t proc proc /proc
+mount -t sysfs sys /sys
+mount -t tmpfs tmpfs /run
+mkdir -p /dev/shm /dev/pts
+mount -t tmpfs tmpfs /dev/shm
+mount -t devpts devpts /dev/pts
+modules=/usr/lib/uml/modules/$(uname -r)/kernel
+for module in net/can/can net/can/can-raw net/can/can-bcm net/can/can-gw \
+    drivers/net/can/dev/can-dev drivers/net/can/vcan drivers/net/can/slcan/slcan; do
+    insmod "$modules/$module.ko" || echo "cannot load $module"
+done
+ip link set lo up
+sh "$VCAN_JOB/run.sh" >"$VCAN_JOB/output" 2>&1
+echo $? >"$VCAN_JOB/exit.part"
+mv "$VCAN_JOB/exit.part" "$VCAN_JOB/exit"
+sync
+poweroff -f

@@ -1,0 +1,234 @@
+"""The live loop: order within a tick, what it tells the core, and how it ends."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import threading
+from collections.abc import Sequence
+
+import pytest
+
+from dbc.frame import MS, Frame
+from gateway.drivers.canopen_node import CanopenNode, GatewayError
+from gateway.drivers.live import LiveSnapshot, Stop, run_live, stop_on_signals
+from gateway.drivers.pythoncan import PythonCan
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.transport import LinkState, SendResult, Status
+
+FLAGS = 0x1A0
+
+
+class Clock:
+    """A clock that only sleeping and the test move."""
+
+    def __init__(self) -> None:
+        self.now = 5_000 * MS
+
+    def __call__(self) -> int:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += round(seconds * 1e9)
+
+
+class Core:
+    """A core that writes down what it is told and sends one flag frame per tick."""
+
+    def __init__(self, journal: list[str]) -> None:
+        self.journal = journal
+        self.timing: list[tuple[int, int]] = []
+        self.fails_at = -1
+        self.ticks = 0
+
+    def step(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
+        if self.ticks == self.fails_at:
+            raise ZeroDivisionError
+        self.ticks += 1
+        self.journal.append(f"step {len(frames)}")
+        return [Frame(now_ns, FLAGS, b"verdict!")]
+
+    def note_overrun(self, missed: int) -> None:
+        self.journal.append(f"overrun {missed}")
+
+    def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
+        self.timing.append((latency_p99_us, lateness_p99_us))
+
+    def unknown_frames(self, now_ns: int) -> list[Frame]:
+        return [Frame(now_ns, FLAGS, b"unknown!")]
+
+
+class Bus:
+    """A transport that gives two frames per tick and takes its time when told to."""
+
+    def __init__(self, clock: Clock, journal: list[str]) -> None:
+        self.status = Status(state=LinkState.UP)
+        self.journal = journal
+        self.sent: list[Frame] = []
+        self.stall: dict[int, int] = {}
+        self._clock = clock
+        self._reads = 0
+
+    def open(self) -> None: ...
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        assert timeout_s == 0.0
+        self.journal.append("receive")
+        self._clock.now += self.stall.get(self._reads, 0)
+        self._reads += 1
+        return [Frame(self._clock.now, 0x181, b""), Frame(self._clock.now, 0x182, b"")]
+
+    def send(self, frame: Frame) -> SendResult:
+        self.journal.append(f"send {frame.can_id:03X}")
+        self.sent.append(frame)
+        return self.status.count(SendResult.SENT)
+
+    def close(self) -> None:
+        self.journal.append("close")
+
+
+class Setup:
+    """Everything the loop needs, ending after a number of ticks."""
+
+    def __init__(self, ticks: int = 3) -> None:
+        self.clock = Clock()
+        self.journal: list[str] = []
+        self.core = Core(self.journal)
+        self.bus = Bus(self.clock, self.journal)
+        self.ticker = Ticker(10 * MS, self.clock, self.clock.sleep)
+        self.stop = Stop()
+        self.snapshots: list[tuple[int, int, int]] = []
+        self._left = ticks
+
+    def on_tick(self, seen: LiveSnapshot) -> None:
+        self.snapshots.append((seen.tick, seen.missed, len(seen.sent)))
+        self._left -= 1
+        if self._left == 0:
+            self.stop()
+
+    def run(self, errors: Sequence[int] = ()) -> LiveSnapshot:
+        return run_live(
+            self.core,
+            self.bus,
+            CanopenNode(),
+            self.ticker,
+            stop=self.stop,
+            errors=lambda: errors,
+            on_tick=self.on_tick,
+        )
+
+
+def test_a_tick_drains_steps_and_sends_and_the_end_says_unknown_three_times() -> None:
+    setup = Setup(ticks=2)
+    setup.run()
+    assert setup.journal == [
+        *("receive", "step 2", "send 1A0", "send 720", "send 720"),
+        *("receive", "step 2", "send 1A0"),
+        *["send 1A0"] * 3,
+        "close",
+    ]
+    flags = [f for f in setup.bus.sent if f.can_id == FLAGS]
+    assert [f.data for f in flags] == [b"verdict!"] * 2 + [b"unknown!"] * 3
+    assert [(f.t_ns - flags[0].t_ns) // MS for f in flags] == [0, 10, 20, 30, 40]
+
+
+def test_missed_ticks_are_told_before_the_step() -> None:
+    setup = Setup(ticks=3)
+    setup.bus.stall = {0: 47 * MS}
+    seen = setup.run()
+    told = setup.journal.index("overrun 3")
+    assert setup.journal[told : told + 3] == ["overrun 3", "receive", "step 2"]
+    assert setup.snapshots == [(0, 0, 3), (4, 3, 1), (5, 3, 1)]
+    assert seen.missed == 3
+    assert seen.latency.largest == 47 * MS
+
+
+def test_timing_is_told_once_a_second() -> None:
+    setup = Setup(ticks=301)
+    setup.run()
+    assert setup.core.timing == [(0, 0)] * 3
+
+
+def test_errors_become_emergencies() -> None:
+    setup = Setup()
+    setup.run(errors=(GatewayError.OVERRUN,))
+    assert [f.data[:3] for f in setup.bus.sent if f.can_id == 0x0A0] == [b"\x00\x61\x01"]
+
+
+def test_a_fault_of_the_program_still_takes_the_flags_back() -> None:
+    setup = Setup(ticks=10)
+    setup.core.fails_at = 2
+    with pytest.raises(ZeroDivisionError):
+        setup.run()
+    assert setup.journal[-1] == "close"
+    assert [f.data for f in setup.bus.sent[-3:]] == [b"unknown!"] * 3
+
+
+def test_the_garbage_collector_is_given_back() -> None:
+    before = gc.get_freeze_count()
+    seen: list[int] = []
+    setup = Setup()
+    on_tick = setup.on_tick
+
+    def look(snapshot: LiveSnapshot) -> None:
+        seen.append(gc.get_freeze_count())
+        on_tick(snapshot)
+
+    setup.on_tick = look  # type: ignore[method-assign]
+    setup.run()
+    assert min(seen) > before
+    assert gc.get_freeze_count() == 0
+    assert gc.isenabled()
+
+
+def test_sigterm_ends_the_loop_and_the_handlers_are_put_back() -> None:
+    before = {kind: signal.getsignal(kind) for kind in (signal.SIGTERM, signal.SIGINT)}
+    setup = Setup(ticks=-1)
+
+    def terminate(snapshot: LiveSnapshot) -> None:
+        if snapshot.tick == 4:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    setup.on_tick = terminate  # type: ignore[method-assign]
+    setup.run()
+    assert setup.stop.requested
+    assert [f.data for f in setup.bus.sent[-3:]] == [b"unknown!"] * 3
+    assert {kind: signal.getsignal(kind) for kind in before} == before
+
+
+def test_a_second_signal_acts_as_before() -> None:
+    stop = Stop()
+    with stop_on_signals(stop):
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_on_a_real_clock_over_a_virtual_bus_from_another_thread() -> None:
+    options = {"interface": "virtual", "channel": "live"}
+    listener, transport = PythonCan(options), PythonCan(options)
+    listener.open()
+    transport.open()
+    setup = Setup()
+    ticker = Ticker(10 * MS)
+    loop = threading.Thread(
+        target=run_live,
+        args=(setup.core, transport, CanopenNode(), ticker),
+        kwargs={"stop": setup.stop},
+    )
+    loop.start()
+    try:
+        heard: list[Frame] = []
+        while sum(f.data == b"verdict!" for f in heard) < 5:
+            heard += listener.receive(1.0)
+    finally:
+        setup.stop()
+        loop.join()
+    heard += listener.receive(0.0)
+    flags = [f.data for f in heard if f.can_id == FLAGS]
+    assert flags[-3:] == [b"unknown!"] * 3
+    assert flags.count(b"unknown!") == 3
+    assert heard[1].can_id == 0x720
+    listener.close()

@@ -1,0 +1,186 @@
+"""The python-can transport over its `virtual` bus, and over buses that fail."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
+from gateway.config import ConfigError
+from gateway.drivers.pythoncan import PythonCan, to_frame, to_message
+from gateway.drivers.transport import LinkState, SendResult
+
+FRAMES = [
+    Frame(0, 0x181, b"\x01\x02\x03", 0, "bus"),
+    Frame(0, 0x1ABCDEF0, bytes(8), EXTENDED, "bus"),
+    Frame(0, 0x181, b"", REMOTE, "bus", 4),
+    Frame(0, 0x181, b"", REMOTE, "bus"),
+    Frame(0, 0x181, bytes(range(64)), FD | BRS, "bus"),
+    Frame(0, 0x181, bytes(12), FD | ESI, "bus"),
+]
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_frames_survive_the_way_through_a_message(frame: Frame) -> None:
+    assert to_frame(to_message(frame), 0, "bus") == frame
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[PythonCan, PythonCan]]:
+    options = {"interface": "virtual", "channel": "pair", "fd": True}
+    a, b = PythonCan(options), PythonCan(options)
+    a.open()
+    b.open()
+    yield a, b
+    a.close()
+    b.close()
+
+
+def test_what_one_sends_the_other_receives_in_one_batch(
+    pair: tuple[PythonCan, PythonCan],
+) -> None:
+    a, b = pair
+    before = time.monotonic_ns()
+    for frame in FRAMES:
+        assert a.send(frame) is SendResult.SENT
+    received = b.receive(0.0)
+    after = time.monotonic_ns()
+    assert [f._replace(t_ns=0, channel="bus") for f in received] == FRAMES
+    stamps = [f.t_ns for f in received]
+    assert stamps == sorted(stamps)
+    assert all(before - 50 * MS <= t <= after for t in stamps)
+    assert a.receive(0.0) == []  # own frames do not come back
+    assert (a.status.sent, b.status.received) == (len(FRAMES), len(FRAMES))
+
+
+def test_error_frames_are_flagged_and_move_the_bus_state() -> None:
+    receiver = PythonCan({"interface": "virtual", "channel": "errors"})
+    receiver.open()
+    with can.Bus(interface="virtual", channel="errors") as sender:
+        sender.send(can.Message(is_error_frame=True, arbitration_id=0x040, data=bytes(8)))
+    (frame,) = receiver.receive(0.0)
+    assert (frame.can_id, frame.flags) == (0x040, ERROR)
+    assert receiver.status.bus_state.value == "bus-off"
+    receiver.close()
+
+
+def test_waiting_ends_without_frames_and_with_the_first(
+    pair: tuple[PythonCan, PythonCan],
+) -> None:
+    a, b = pair
+    started = time.monotonic_ns()
+    assert b.receive(0.01) == []
+    assert time.monotonic_ns() - started >= 10 * MS
+    a.send(FRAMES[0])
+    assert len(b.receive(30.0)) == 1
+
+
+def test_fd_needs_to_be_asked_for() -> None:
+    bus = PythonCan({"interface": "virtual", "channel": "classic"})
+    bus.open()
+    assert bus.send(FRAMES[4]) is SendResult.FAILED
+    assert bus.send(Frame(0, 0x181, bytes(9))) is SendResult.FAILED
+    assert bus.status.tx_failed == 2
+    bus.close()
+    assert bus.send(FRAMES[0]) is SendResult.DOWN
+
+
+def test_unknown_interface_or_option_is_a_configuration_error() -> None:
+    with pytest.raises(ConfigError, match="nonsense"):
+        PythonCan({"interface": "nonsense", "channel": "0"}).open()
+
+
+class Clock:
+    """A clock the test moves."""
+
+    def __init__(self) -> None:
+        self.now = 100 * SECOND
+
+    def __call__(self) -> int:
+        return self.now
+
+
+class BadBus(can.BusABC):
+    """A device that can be absent, break while reading, or refuse to send."""
+
+    absent = False
+    broken = False
+    send_error: int | None = None
+    made = 0
+
+    def __init__(self, channel: object = None, **_: object) -> None:
+        if BadBus.absent:
+            raise can.CanInitializationError("device unplugged")
+        super().__init__(channel=channel)
+        BadBus.made += 1
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if BadBus.broken:
+            raise can.CanOperationError("device unplugged")
+        return None, True
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if BadBus.send_error is not None:
+            raise can.CanOperationError("transmit", BadBus.send_error)
+
+
+@pytest.fixture
+def bad(monkeypatch: pytest.MonkeyPatch) -> type[BadBus]:
+    monkeypatch.setattr(can, "Bus", lambda **options: BadBus(channel=options["channel"]))
+    for name, value in (("absent", False), ("broken", False), ("send_error", None), ("made", 0)):
+        monkeypatch.setattr(BadBus, name, value)
+    return BadBus
+
+
+def test_an_absent_device_is_waited_for_and_a_lost_one_opened_again(bad: type[BadBus]) -> None:
+    clock = Clock()
+    bad.absent = True
+    bus = PythonCan({"interface": "x", "channel": "0"}, clock, clock)
+    bus.open()
+    assert bus.status.state is LinkState.ABSENT
+    assert "device unplugged" in bus.status.note
+    bad.absent = False
+    assert bus.receive(0.0) == []
+    assert bad.made == 0  # half a second has not passed
+    clock.now += SECOND
+    assert bus.receive(0.0) == []
+    assert (bus.status.state, bus.status.reopened) == (LinkState.UP, 0)
+    bad.broken = True
+    assert bus.receive(0.0) == []
+    assert bus.status.state is LinkState.ABSENT
+    bad.broken = False
+    clock.now += SECOND
+    bus.receive(0.0)
+    assert (bus.status.state, bus.status.reopened, bad.made) == (LinkState.UP, 1, 2)
+    bus.close()
+
+
+@pytest.mark.parametrize(
+    ("code", "result"),
+    [(errno.ENOBUFS, SendResult.FULL), (errno.EIO, SendResult.FAILED), (0, SendResult.FAILED)],
+)
+def test_refused_sends_are_counted(bad: type[BadBus], code: int, result: SendResult) -> None:
+    bus = PythonCan({"interface": "x", "channel": "0"})
+    bus.open()
+    bad.send_error = code
+    assert bus.send(FRAMES[0]) is result
+    assert bus.status.tx_full + bus.status.tx_failed == 1
+    bus.close()
+
+
+def test_a_device_with_its_own_epoch_is_stamped_between_two_reads() -> None:
+    mono, real = Clock(), Clock()
+    options = {"interface": "virtual", "channel": "epoch", "preserve_timestamps": True}
+    bus = PythonCan(options, mono, real)
+    bus.open()
+    with can.Bus(**options) as sender:
+        mono.now += 7 * MS
+        for stamp in (0.0, 12.5, 4e9):
+            sender.send(can.Message(timestamp=stamp, arbitration_id=1, is_extended_id=False))
+        stamps = [f.t_ns for f in bus.receive(0.0)]
+    assert stamps == [mono.now - 7 * MS, mono.now - 7 * MS, mono.now]
+    bus.close()

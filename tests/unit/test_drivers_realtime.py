@@ -1,0 +1,126 @@
+"""Ticker and histogram, on a clock that only the test moves."""
+
+from __future__ import annotations
+
+import pytest
+
+from dbc.frame import MS
+from gateway.drivers.realtime import Histogram, Ticker
+
+
+class Clock:
+    """Monotonic time that advances by sleeping, `late_ns` more than asked."""
+
+    def __init__(self) -> None:
+        self.now = 1_000 * MS
+        self.late_ns = 0
+        self.sleeps = 0
+
+    def __call__(self) -> int:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.sleeps += 1
+        self.now += round(seconds * 1e9) + self.late_ns
+
+
+def make(period_ns: int = 10 * MS) -> tuple[Clock, Ticker]:
+    clock = Clock()
+    return clock, Ticker(period_ns, clock, clock.sleep)
+
+
+def test_first_tick_is_now_and_sets_the_grid() -> None:
+    clock, ticker = make()
+    assert ticker.wait() == (0, 1_000 * MS, 0)
+    assert ticker.wait() == (1, 1_010 * MS, 0)
+    assert clock.sleeps == 1
+
+
+def test_deadlines_are_absolute_so_lateness_does_not_add_up() -> None:
+    clock, ticker = make()
+    clock.late_ns = 2 * MS
+    ticks = [ticker.wait() for _ in range(50)]
+    assert [t.number for t in ticks] == list(range(50))
+    assert ticks[-1].now_ns == 1_000 * MS + 49 * 10 * MS + 2 * MS
+    assert ticker.missed == 0
+
+
+def test_work_within_the_period_does_not_shift_the_grid() -> None:
+    clock, ticker = make()
+    ticker.wait()
+    clock.now += 7 * MS
+    assert ticker.wait().now_ns == 1_010 * MS
+
+
+@pytest.mark.parametrize(
+    ("stall_ms", "number", "missed"),
+    [(9, 1, 0), (19, 1, 0), (20, 2, 1), (29, 2, 1), (5_000, 500, 499)],
+)
+def test_missed_ticks_are_skipped_and_counted(stall_ms: int, number: int, missed: int) -> None:
+    clock, ticker = make()
+    ticker.wait()
+    clock.now += stall_ms * MS
+    tick = ticker.wait()
+    assert (tick.number, tick.missed) == (number, missed)
+    following = ticker.wait()
+    assert (following.number, following.missed) == (number + 1, 0)
+    assert following.now_ns == 1_000 * MS + (number + 1) * 10 * MS
+    assert ticker.missed == missed
+
+
+def test_a_sleep_that_ends_early_is_repeated() -> None:
+    clock = Clock()
+
+    def short(seconds: float) -> None:
+        clock.sleep(min(seconds, 0.004))
+
+    ticker = Ticker(10 * MS, clock, short)
+    ticker.wait()
+    assert ticker.wait().now_ns == 1_010 * MS
+    assert clock.sleeps == 3
+
+
+def test_lateness_is_counted_per_tick() -> None:
+    clock, ticker = make()
+    clock.late_ns = 300_000
+    for _ in range(10):
+        ticker.wait()
+    assert ticker.lateness.total == 10
+    assert ticker.lateness.largest == 300_000
+
+
+def test_period_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="period_ns"):
+        Ticker(0)
+
+
+def test_histogram_quantile_is_a_bound_within_a_quarter() -> None:
+    histogram = Histogram()
+    values = [k * k * 37 for k in range(1, 1001)]
+    for value in values:
+        histogram.add(value)
+    for fraction in (0.01, 0.5, 0.9, 0.99, 1.0):
+        exact = values[max(round(fraction * 1000) - 1, 0)]
+        assert exact <= histogram.quantile(fraction) <= exact * 1.25
+
+
+def test_histogram_small_values_are_exact_and_odd_values_are_safe() -> None:
+    histogram = Histogram()
+    assert histogram.quantile(0.99) == 0
+    for value in range(8):
+        histogram.add(value)
+    assert [histogram.quantile((k + 1) / 8) for k in range(8)] == list(range(8))
+    histogram.add(-5)
+    assert histogram.counts[0] == 2
+    histogram.add(1 << 70)
+    assert histogram.quantile(1.0) <= 1 << 70
+
+
+def test_histogram_never_grows() -> None:
+    histogram = Histogram()
+    size = len(histogram.counts)
+    for bit in range(64):
+        histogram.add(1 << bit)
+        histogram.add((1 << bit) - 1)
+    assert len(histogram.counts) == size
+    assert sum(histogram.counts) == histogram.total == 128

@@ -1,0 +1,360 @@
+"""The SocketCAN transport against a stand-in for the kernel: faults in any order, no bus."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import struct
+from collections import deque
+
+import pytest
+
+from dbc.frame import ERROR, FD, MS, SECOND, Frame
+from gateway.config import ConfigError
+from gateway.drivers.socketcan import BATCH, Kernel, Link, RawSocket, SocketCan
+from gateway.drivers.transport import LinkState, SendResult
+from gateway.drivers.wire import BusState, pack
+
+HOUR = 3600 * SECOND
+DATA = Frame(0, 0x181, b"\x01\x02")
+
+
+def problem(code: int) -> OSError:
+    return OSError(code, os.strerror(code))
+
+
+class FakeSocket:
+    """Queue of frames and errors to read; errors to raise when sending."""
+
+    def __init__(self) -> None:
+        self.to_read: deque[tuple[bytes, list[tuple[int, int, bytes]]] | OSError] = deque()
+        self.send_errors: deque[OSError] = deque()
+        self.sent: list[bytes] = []
+        self.closed = False
+
+    def fileno(self) -> int:
+        return 99
+
+    def recvmsg(
+        self, bufsize: int, ancbufsize: int
+    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, object]:
+        assert (bufsize, ancbufsize) == (72, 256)
+        assert not self.closed
+        if not self.to_read:
+            raise BlockingIOError(errno.EAGAIN, "nothing")
+        item = self.to_read.popleft()
+        if isinstance(item, OSError):
+            raise item
+        return item[0], item[1], 0, ("vcan0",)
+
+    def send(self, data: bytes) -> int:
+        if self.send_errors:
+            raise self.send_errors.popleft()
+        self.sent.append(data)
+        return len(data)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class FakeKernel(Kernel):
+    """Clocks, one interface and the sockets bound to it."""
+
+    def __init__(self) -> None:
+        self.mono = 50 * SECOND
+        self.real = 1_790_000_000 * SECOND
+        self.link: Link | None = Link(7, up=True, mtu=72)
+        self.sockets: list[FakeSocket] = []
+        self.refuse: OSError | None = None
+        self.slept = 0.0
+
+    def monotonic_ns(self) -> int:
+        return self.mono
+
+    def real_ns(self) -> int:
+        return self.real
+
+    def connect(self, channel: str, fd: bool) -> RawSocket:
+        if self.refuse is not None:
+            raise self.refuse
+        if self.link is None:
+            raise problem(errno.ENODEV)
+        self.sockets.append(FakeSocket())
+        return self.sockets[-1]
+
+    def look(self, raw: RawSocket, channel: str) -> Link | None:
+        return self.link
+
+    def wait(self, raw: RawSocket, timeout_ms: int) -> None:
+        self.pass_time(timeout_ms * MS)
+
+    def sleep(self, seconds: float) -> None:
+        self.slept += seconds
+        self.pass_time(round(seconds * SECOND))
+
+    def pass_time(self, ns: int) -> None:
+        self.mono += ns
+        self.real += ns
+
+    def arrive(self, frame: Frame = DATA, drops: int | None = None) -> None:
+        """Queue a frame with the kernel's control messages, as of now."""
+        control = [(socket.SOL_SOCKET, 35, struct.pack("@ll", *divmod(self.real, SECOND)))]
+        if drops is not None:
+            control.append((socket.SOL_SOCKET, 40, struct.pack("=I", drops)))
+        payload = pack(frame)
+        assert payload is not None
+        self.sockets[-1].to_read.append((payload, control))
+
+
+@pytest.fixture
+def kernel() -> FakeKernel:
+    return FakeKernel()
+
+
+@pytest.fixture
+def bus(kernel: FakeKernel) -> SocketCan:
+    bus = SocketCan("vcan0", kernel=kernel)
+    bus.open()
+    return bus
+
+
+def test_a_batch_is_read_at_once_with_reception_times(kernel: FakeKernel, bus: SocketCan) -> None:
+    arrivals = []
+    for k in range(5):
+        kernel.pass_time(MS)
+        kernel.arrive(Frame(0, 0x181 + k, b"x"))
+        arrivals.append(kernel.mono)
+    kernel.pass_time(3 * MS)
+    frames = bus.receive(0.0)
+    assert [f.t_ns for f in frames] == arrivals
+    assert [f.can_id for f in frames] == [0x181, 0x182, 0x183, 0x184, 0x185]
+    assert {f.channel for f in frames} == {"vcan0"}
+    assert bus.status.received == 5
+    assert bus.receive(0.0) == []
+
+
+@pytest.mark.parametrize("step", [-HOUR, HOUR])
+def test_a_step_of_the_wall_clock_moves_a_stamp_by_one_read_at_most(
+    kernel: FakeKernel, bus: SocketCan, step: int
+) -> None:
+    kernel.pass_time(10 * MS)
+    assert bus.receive(0.0) == []
+    emptied = kernel.mono
+    kernel.pass_time(4 * MS)
+    kernel.arrive()
+    kernel.real += step
+    kernel.pass_time(6 * MS)
+    (frame,) = bus.receive(0.0)
+    assert emptied <= frame.t_ns <= kernel.mono
+    kernel.pass_time(5 * MS)
+    kernel.arrive()
+    kernel.pass_time(5 * MS)
+    (later,) = bus.receive(0.0)
+    assert later.t_ns == kernel.mono - 5 * MS
+
+
+def test_a_flood_is_read_in_bounded_batches_and_ages_stay_right(
+    kernel: FakeKernel, bus: SocketCan
+) -> None:
+    arrived = kernel.mono
+    for _ in range(BATCH + 3):
+        kernel.arrive()
+    kernel.pass_time(2 * SECOND)
+    assert len(bus.receive(0.0)) == BATCH
+    kernel.pass_time(SECOND)
+    rest = bus.receive(0.0)
+    assert [f.t_ns for f in rest] == [arrived] * 3
+
+
+def test_frames_without_a_stamp_are_stamped_on_reading(kernel: FakeKernel, bus: SocketCan) -> None:
+    kernel.sockets[-1].to_read.append((pack(DATA) or b"", []))
+    kernel.pass_time(MS)
+    assert [f.t_ns for f in bus.receive(0.0)] == [kernel.mono]
+
+
+def test_drops_are_counted_across_wrap_and_reopening(kernel: FakeKernel, bus: SocketCan) -> None:
+    for drops in (0, 5, 5, 9):
+        kernel.arrive(drops=drops)
+    bus.receive(0.0)
+    assert bus.status.kernel_drops == 9
+    kernel.link = Link(8, up=True, mtu=72)
+    kernel.pass_time(SECOND)
+    bus.receive(0.0)
+    kernel.pass_time(SECOND)
+    bus.receive(0.0)
+    kernel.arrive(drops=2)  # the new socket counts from zero
+    kernel.arrive(drops=0xFFFF_FFFF)
+    kernel.arrive(drops=1)
+    bus.receive(0.0)
+    assert bus.status.kernel_drops == 9 + 0xFFFF_FFFF + 2
+
+
+def test_what_is_no_can_frame_is_counted_and_left_out(kernel: FakeKernel, bus: SocketCan) -> None:
+    kernel.sockets[-1].to_read.append((bytes(2060), []))
+    kernel.arrive()
+    assert [f.can_id for f in bus.receive(0.0)] == [0x181]
+    assert bus.status.malformed == 1
+
+
+def test_error_frames_set_the_bus_state_and_data_ends_bus_off(
+    kernel: FakeKernel, bus: SocketCan
+) -> None:
+    def error(word: int, detail: int) -> None:
+        payload = struct.pack("=IBBBB", word | 0x2000_0000, 8, 0, 0, 0)
+        kernel.sockets[-1].to_read.append((payload + bytes((0, detail, 0, 0, 0, 0, 0, 0)), []))
+
+    error(0x004, 0x10)
+    (frame,) = bus.receive(0.0)
+    assert frame.flags == ERROR
+    assert bus.status.bus_state is BusState.PASSIVE
+    error(0x040, 0)
+    bus.receive(0.0)
+    assert bus.status.bus_state is BusState.BUS_OFF
+    assert bus.send(DATA) is SendResult.DOWN
+    assert kernel.sockets[-1].sent == []  # nothing waits to leave stale after the recovery
+    kernel.arrive()
+    bus.receive(0.0)
+    assert bus.status.bus_state is BusState.ACTIVE
+    assert bus.send(DATA) is SendResult.SENT
+    assert bus.status.error_frames == 2
+
+
+@pytest.mark.parametrize(
+    ("code", "result"),
+    [
+        (errno.ENOBUFS, SendResult.FULL),
+        (errno.EAGAIN, SendResult.FULL),
+        (errno.EINVAL, SendResult.FAILED),
+        (errno.EPERM, SendResult.FAILED),
+        (errno.ENODEV, SendResult.DOWN),
+        (errno.ENXIO, SendResult.DOWN),
+    ],
+)
+def test_refused_sends_are_counted_and_never_tried_again(
+    kernel: FakeKernel, bus: SocketCan, code: int, result: SendResult
+) -> None:
+    kernel.sockets[-1].send_errors.append(problem(code))
+    assert bus.send(DATA) is result
+    assert kernel.sockets[-1].sent == []
+    status = bus.status
+    assert status.tx_full + status.tx_failed + status.tx_down == 1
+    assert status.sent == 0
+
+
+def test_a_pending_down_of_the_past_costs_no_frame(kernel: FakeKernel, bus: SocketCan) -> None:
+    kernel.sockets[-1].send_errors.append(problem(errno.ENETDOWN))
+    assert bus.send(DATA) is SendResult.SENT
+    kernel.sockets[-1].send_errors.extend([problem(errno.ENETDOWN), problem(errno.ENETDOWN)])
+    assert bus.send(DATA) is SendResult.DOWN
+    assert bus.status.state is LinkState.DOWN
+    kernel.sockets[-1].send_errors.append(problem(errno.ENETDOWN))
+    assert bus.send(DATA) is SendResult.DOWN  # known to be down: one try
+    assert bus.status.sent == 1
+
+
+def test_down_and_up_keep_the_socket(kernel: FakeKernel, bus: SocketCan) -> None:
+    kernel.sockets[-1].to_read.append(problem(errno.ENETDOWN))
+    kernel.arrive()
+    kernel.link = Link(7, up=False, mtu=72)
+    assert len(bus.receive(0.0)) == 1  # what was received before is not lost
+    assert bus.status.state is LinkState.DOWN
+    kernel.link = Link(7, up=True, mtu=72)
+    kernel.pass_time(SECOND)
+    bus.receive(0.0)
+    assert bus.status.state is LinkState.UP
+    assert len(kernel.sockets) == 1
+    assert bus.status.reopened == 0
+
+
+def test_a_removed_interface_is_opened_again_when_it_is_back(
+    kernel: FakeKernel, bus: SocketCan
+) -> None:
+    kernel.sockets[-1].to_read.append(problem(errno.ENODEV))
+    kernel.link = None
+    assert bus.receive(0.0) == []
+    assert bus.status.state is LinkState.ABSENT
+    assert kernel.sockets[-1].closed
+    assert bus.send(DATA) is SendResult.DOWN
+    kernel.pass_time(SECOND)
+    assert bus.receive(0.0) == []
+    kernel.link = Link(8, up=True, mtu=72)
+    kernel.pass_time(100 * MS)
+    bus.receive(0.0)
+    assert len(kernel.sockets) == 1  # not before half a second has passed
+    kernel.pass_time(400 * MS)
+    bus.receive(0.0)
+    assert bus.status.state is LinkState.UP
+    assert bus.status.reopened == 1
+    kernel.arrive()
+    assert len(bus.receive(0.0)) == 1
+
+
+def test_a_deaf_socket_is_noticed_by_the_index(kernel: FakeKernel, bus: SocketCan) -> None:
+    kernel.link = Link(8, up=True, mtu=72)  # deleted and made again; the socket says nothing
+    kernel.pass_time(100 * MS)
+    bus.receive(0.0)
+    bus.receive(0.0)
+    assert len(kernel.sockets) == 2
+    assert kernel.sockets[0].closed
+    assert bus.status.state is LinkState.UP
+    assert bus.status.reopened == 1
+
+
+def test_an_absent_interface_at_start_is_waited_for(kernel: FakeKernel) -> None:
+    kernel.link = None
+    bus = SocketCan("vcan0", kernel=kernel)
+    bus.open()
+    assert bus.status.state is LinkState.ABSENT
+    assert "vcan0 is not there" in bus.status.note
+    assert bus.receive(0.2) == []
+    assert kernel.slept == 0.2
+    kernel.link = Link(3, up=False, mtu=16)
+    kernel.pass_time(SECOND)
+    bus.receive(0.0)
+    assert bus.status.state is LinkState.DOWN
+    kernel.link = Link(3, up=True, mtu=16)
+    kernel.pass_time(SECOND)
+    bus.receive(0.0)
+    assert bus.status.state is LinkState.UP
+    assert bus.status.note == ""
+    assert bus.status.reopened == 0
+
+
+def test_waiting_returns_what_arrives(kernel: FakeKernel, bus: SocketCan) -> None:
+    started = kernel.mono
+    assert bus.receive(0.05) == []
+    assert kernel.mono - started == 50 * MS
+
+
+def test_a_kernel_without_can_is_a_configuration_error(kernel: FakeKernel) -> None:
+    kernel.refuse = problem(errno.EAFNOSUPPORT)
+    bus = SocketCan("vcan0", kernel=kernel)
+    with pytest.raises(ConfigError, match="no SocketCAN"):
+        bus.open()
+    kernel.refuse = problem(errno.EMFILE)
+    bus.receive(0.0)  # once running nothing is raised
+    kernel.pass_time(SECOND)
+    assert bus.receive(0.0) == []
+    assert "cannot be opened" in bus.status.note
+
+
+def test_fd_needs_to_be_asked_for_and_a_classic_link_is_named(kernel: FakeKernel) -> None:
+    kernel.link = Link(7, up=True, mtu=16)
+    fd_frame = Frame(0, 0x181, bytes(64), FD)
+    classic = SocketCan("vcan0", kernel=kernel)
+    classic.open()
+    assert classic.send(fd_frame) is SendResult.FAILED
+    fd = SocketCan("vcan0", fd=True, kernel=kernel)
+    fd.open()
+    assert "mtu 72" in fd.status.note
+    assert fd.send(fd_frame) is SendResult.SENT
+
+
+def test_close_may_come_twice_and_sends_are_refused_after(
+    kernel: FakeKernel, bus: SocketCan
+) -> None:
+    bus.close()
+    bus.close()
+    assert bus.send(DATA) is SendResult.DOWN
+    assert kernel.sockets[-1].closed

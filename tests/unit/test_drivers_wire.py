@@ -1,0 +1,93 @@
+"""Frames as SocketCAN's structures, byte for byte, and error frames as bus states."""
+
+from __future__ import annotations
+
+import pytest
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from gateway.drivers.wire import BusState, bus_state, pack, unpack
+
+BYTES = [
+    (Frame(0, 0x123, b"\x11\x22"), "23010000 02000000 1122000000000000"),
+    (Frame(0, 0x7FF, bytes(range(8))), "ff070000 08000000 0001020304050607"),
+    (Frame(0, 0x123, bytes(8), 0, "", 15), "23010000 0800000f 0000000000000000"),
+    (Frame(0, 0x1ABCDEF0, b"\xaa", EXTENDED), "f0debc9a 01000000 aa00000000000000"),
+    (Frame(0, 0x181, b"", REMOTE, "", 4), "81010040 04000000 0000000000000000"),
+    (Frame(0, 0x181, b"", REMOTE), "81010040 00000000 0000000000000000"),
+    (Frame(0, 0x181, b"", REMOTE, "", 12), "81010040 0800000c 0000000000000000"),
+    (Frame(0, 0x181, bytes(range(64)), FD | BRS), "81010000 40010000" + bytes(range(64)).hex()),
+    (Frame(0, 0x181, b"\x01", FD | ESI), "81010000 01020000 01" + "00" * 63),
+]
+
+
+@pytest.mark.parametrize(("frame", "text"), BYTES)
+def test_known_bytes_both_ways(frame: Frame, text: str) -> None:
+    payload = bytes.fromhex(text)
+    assert len(payload) in (16, 72)
+    assert pack(frame) == payload
+    assert unpack(payload, 0, "") == frame
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(0, 0x800, b""),
+        Frame(0, -1, b""),
+        Frame(0, 0x2000_0000, b"", EXTENDED),
+        Frame(0, 0x123, bytes(9)),
+        Frame(0, 0x123, bytes(9), FD),
+        Frame(0, 0x123, bytes(65), FD),
+        Frame(0, 0x123, b"", FD | REMOTE),
+        Frame(0, 0x040, bytes(8), ERROR),
+    ],
+)
+def test_what_no_bus_carries_is_not_packed(frame: Frame) -> None:
+    assert pack(frame) is None
+
+
+@pytest.mark.parametrize("size", [0, 1, 15, 17, 71, 73, 2060])
+def test_other_sizes_are_no_frames(size: int) -> None:
+    assert unpack(bytes(size), 0, "") is None
+
+
+def test_error_frames_are_flagged_and_keep_their_class() -> None:
+    bus_off = bytes.fromhex("40000020 08000000 0000000000000000")
+    frame = unpack(bus_off, 5, "can0")
+    assert frame == Frame(5, 0x040, bytes(8), ERROR, "can0")
+    assert not frame.is_plain_data
+
+
+def test_the_fd_mark_of_newer_kernels_changes_nothing() -> None:
+    marked = bytes.fromhex("81010000 01050000 01" + "00" * 63)
+    assert unpack(marked, 0, "") == Frame(0, 0x181, b"\x01", FD | BRS)
+
+
+def test_lengths_beyond_the_structure_cannot_read_outside() -> None:
+    frame = unpack(bytes.fromhex("23010000 ff000000 0102030405060708"), 0, "")
+    assert frame is not None
+    assert frame.data == bytes(range(1, 9))
+
+
+@pytest.mark.parametrize(
+    ("error_class", "detail", "state"),
+    [
+        (0x004, 0x04, BusState.WARNING),
+        (0x004, 0x08, BusState.WARNING),
+        (0x004, 0x10, BusState.PASSIVE),
+        (0x204, 0x20, BusState.PASSIVE),
+        (0x004, 0x40, BusState.ACTIVE),
+        (0x040, 0x00, BusState.BUS_OFF),
+        (0x100, 0x00, BusState.ACTIVE),
+    ],
+)
+def test_error_frames_tell_the_bus_state(error_class: int, detail: int, state: BusState) -> None:
+    data = bytes((0, detail, 0, 0, 0, 0, 0, 0))
+    for before in BusState:
+        assert bus_state(Frame(0, error_class, data, ERROR), before) is state
+
+
+@pytest.mark.parametrize("error_class", [0x001, 0x002, 0x008, 0x020, 0x080, 0x200])
+def test_other_errors_leave_the_bus_state(error_class: int) -> None:
+    for before in BusState:
+        assert bus_state(Frame(0, error_class, bytes(8), ERROR), before) is before
+    assert bus_state(Frame(0, 0x004, b"", ERROR), BusState.PASSIVE) is BusState.PASSIVE
