@@ -75,6 +75,7 @@ def specs_of(
 ) -> tuple[MessageSpec, ...]:
     """Every message of the file as a spec. Raises DbcMismatch with all objections."""
     problems: list[str] = []
+    refusal: tuple[str, ...] = ()
     try:
         database = load(path)
     except DbcMismatch as refused:
@@ -84,8 +85,7 @@ def specs_of(
         except DbcMismatch:
             raise refused from None
         problems += layout_faults(database)
-        if not problems:
-            problems += refused.problems
+        refusal = refused.problems
     messages = [m for m in database.messages if hasattr(m, "frame_id")]
     problems += duplicates(messages)
     specs: list[MessageSpec] = []
@@ -95,8 +95,8 @@ def specs_of(
         problems += faults
     chosen = contract or choose(specs, nodes)
     problems += _compare(specs, tuple(nodes), chosen)
-    if problems:
-        raise DbcMismatch(path, problems)
+    if problems or refusal:
+        raise DbcMismatch(path, problems or list(refusal))
     return tuple(specs)
 
 

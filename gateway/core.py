@@ -237,9 +237,7 @@ class Gateway:
         """Bad once anything that was valid is stale, silent or corrupted."""
         if self.supervision.life(drive.node, now) is Life.LOST:
             return Flag.BAD
-        reasons = {
-            name: c.reason(now) for name, c in drive.channels.items() if c.seen_valid
-        }
+        reasons = {name: c.reason(now) for name, c in drive.channels.items() if c.seen_valid}
         bad = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
         if any(reason in bad for reason in reasons.values()):
             return Flag.BAD

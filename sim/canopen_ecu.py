@@ -121,9 +121,7 @@ class CanopenNode:
         if can_id == 0:
             if len(data) != 2:
                 return
-        elif (
-            can_id != 0x600 + self.number or len(data) != 8 or self.node.nmt.state == "STOPPED"
-        ):
+        elif can_id != 0x600 + self.number or len(data) != 8 or self.node.nmt.state == "STOPPED":
             return
         self.bus.now_ns = max(self.bus.now_ns, now_ns)
         self._network.notify(can_id, bytearray(data), now_ns * 1e-9)
@@ -167,7 +165,9 @@ class CanopenNode:
             spec, payload = last
             signal = spec.signals[subindex - 1]
             raw = int.from_bytes(payload, "little") >> signal.start & ((1 << signal.length) - 1)
-            return raw - (1 << signal.length) if signal.is_signed and raw >> signal.length - 1 else raw
+            return (
+                raw - (1 << signal.length) if signal.is_signed and raw >> signal.length - 1 else raw
+            )
         return None
 
 

@@ -18,6 +18,8 @@ from sim.scenario import Event, Scenario
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+_LOSS, _CORRUPT = 4, 5
+"""Purposes of the random streams."""
 BEARING_W: Final = 60.0
 """Friction heat of a bearing event with depth 1."""
 
@@ -151,9 +153,7 @@ class Schedule:
     @property
     def has_current_faults(self) -> bool:
         """Whether `current_faults` ever says anything."""
-        return any(
-            e.sensor == "current" for events in self._by_kind.values() for e, _ in events
-        )
+        return any(e.sensor == "current" for events in self._by_kind.values() for e, _ in events)
 
     def classes(self, t_s: float) -> list[int]:
         """`FaultClass` of each drive: 1 None, else the class of the event that began last."""
@@ -165,6 +165,11 @@ class Schedule:
                     if event.at_s >= begun[d]:
                         out[d], begun[d] = number, event.at_s
         return out
+
+    def touches_wire(self, drive: int) -> bool:
+        """Whether any event ever touches this drive's frames."""
+        kinds = ("silent", "frame_loss", "corrupt")
+        return any(drive in who for kind in kinds for _, who in self._by_kind.get(kind, ()))
 
     def silent(self, drive: int, t_s: float) -> bool:
         """True while this drive is off the bus."""
@@ -188,34 +193,44 @@ def _depth(event: Event, t_s: Array) -> Array:
 
 
 class WireFaults:
-    """Loss and corruption of a drive's frames, drawn in the order the frames are made."""
+    """Loss and corruption of a drive's frames.
+
+    Each identifier and purpose has its own random stream, so what happens to one message depends
+    neither on the others nor on how time is cut into steps.
+    """
 
     def __init__(self, schedule: Schedule, seed: int, drive: int) -> None:
-        """One generator for each of the two, so that one does not shift the other."""
-        self._schedule, self._drive = schedule, drive
-        self._loss = np.random.default_rng([seed, 4, drive])
-        self._corrupt = np.random.default_rng([seed, 5, drive])
-        kinds = schedule._by_kind  # noqa: SLF001 - same module
-        self._quiet = not any(
-            drive in who
-            for kind in ("silent", "frame_loss", "corrupt")
-            for _, who in kinds.get(kind, ())
-        )
+        """`drive` counts from 0."""
+        self._schedule, self._seed, self._drive = schedule, seed, drive
+        self._rngs: dict[tuple[int, int], np.random.Generator] = {}
+        self._quiet = not schedule.touches_wire(drive)
 
-    def apply(self, t_s: float, data: bytes) -> bytes | None:
+    def _rng(self, purpose: int, can_id: int) -> np.random.Generator:
+        key = (purpose, can_id)
+        if key not in self._rngs:
+            self._rngs[key] = np.random.default_rng([self._seed, purpose, self._drive, can_id])
+        return self._rngs[key]
+
+    def apply(self, t_s: float, can_id: int, data: bytes) -> bytes | None:
         """The frame's data as they reach the bus, or None when they do not."""
         if self._quiet:
             return data
-        if self._schedule.silent(self._drive, t_s):
+        schedule, drive = self._schedule, self._drive
+        if schedule.silent(drive, t_s):
             return None
-        lost = self._schedule.chance("frame_loss", self._drive, t_s)
-        if lost and self._loss.random() < lost:
+        chance = schedule.chance("frame_loss", drive, t_s)
+        if chance and self._rng(_LOSS, can_id).random() < chance:
             return None
-        hit = self._schedule.chance("corrupt", self._drive, t_s)
-        if hit and self._corrupt.random() < hit:
-            damaged = bytearray(data)
-            count = int(self._corrupt.integers(1, 4))
-            for bit in self._corrupt.choice(8 * len(data), size=count, replace=False):
-                damaged[bit >> 3] ^= 1 << (bit & 7)
-            return bytes(damaged)
+        chance = schedule.chance("corrupt", drive, t_s)
+        if chance and self._rng(_CORRUPT, can_id).random() < chance:
+            return _flip(data, self._rng(_CORRUPT, can_id))
         return data
+
+
+def _flip(data: bytes, rng: np.random.Generator) -> bytes:
+    """1 to 3 different bits the other way round."""
+    damaged = bytearray(data)
+    count = min(int(rng.integers(1, 4)), 8 * len(data))
+    for bit in rng.choice(8 * len(data), size=count, replace=False).tolist():
+        damaged[bit >> 3] ^= 1 << (bit & 7)
+    return bytes(damaged)

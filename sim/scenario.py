@@ -10,6 +10,7 @@ May know: names and numbers of events. May not know: bits, buses, how anything i
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -256,14 +257,14 @@ class Scenario(Strict):
     @model_validator(mode="after")
     def _drives_exist(self) -> Self:
         wrong = [
-            f"{where}[{k}].drive: {item.drive} is not one of the {self.drives} drives"
+            f"{where}[{k}].drive: {drive} is not one of the {self.drives} drives"
             for where, items in (
-                ("event", self.event),
-                ("expect", self.expect),
-                ("load.disturbance", self.load.disturbance),
+                ("event", [e.drive for e in self.event]),
+                ("expect", [e.drive for e in self.expect]),
+                ("load.disturbance", [d.drive for d in self.load.disturbance]),
             )
-            for k, item in enumerate(items)  # type: ignore[arg-type, var-annotated]
-            if isinstance(item.drive, int) and not 1 <= item.drive <= self.drives
+            for k, drive in enumerate(items)
+            if isinstance(drive, int) and not 1 <= drive <= self.drives
         ]
         if wrong:
             raise ValueError("; ".join(wrong))
@@ -280,21 +281,31 @@ class Scenario(Strict):
         return tuple(d for d in everyone if d not in named)
 
 
-def parse(text: str, source: str) -> Scenario:
-    """Scenario from TOML text. Raises ScenarioError listing everything that is wrong."""
+def parse(table: Mapping[str, Any], source: str = "scenario") -> Scenario:
+    """Scenario from a table as TOML gives it. Raises ScenarioError listing all that is wrong."""
+    try:
+        return Scenario.model_validate(table)
+    except ValidationError as error:
+        raise ScenarioError(source, _problems(error)) from None
+
+
+def parse_text(text: str, source: str = "scenario") -> Scenario:
+    """Scenario from TOML text. Raises ScenarioError listing all that is wrong."""
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(source, [f"not TOML: {error}"]) from None
-    return from_table(table, source)
+    return parse(table, source)
 
 
-def from_table(table: dict[str, Any], source: str = "scenario") -> Scenario:
-    """Scenario from a parsed table. Raises ScenarioError listing everything that is wrong."""
-    try:
-        return Scenario.model_validate(table)
-    except ValidationError as error:
-        raise ScenarioError(source, [_line(e) for e in error.errors()]) from None
+def find(name: str) -> Scenario:
+    """A scenario file if there is one of that name, else one of the package's scenarios.
+
+    Raises ScenarioError.
+    """
+    if Path(name).is_file() or name.endswith(".toml"):
+        return load(name)
+    return builtin(name)
 
 
 def load(path: Path | str) -> Scenario:
@@ -304,7 +315,7 @@ def load(path: Path | str) -> Scenario:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(str(path), [f"cannot be read: {error}"]) from None
-    return parse(text, str(path))
+    return parse_text(text, str(path))
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -316,27 +327,35 @@ def builtin_names() -> tuple[str, ...]:
 def builtin(name: str) -> Scenario:
     """A scenario of the package. Raises ScenarioError for an unknown name."""
     if name not in builtin_names():
-        raise ScenarioError(name, [f"no such scenario; there are {', '.join(builtin_names())}"])
+        raise ScenarioError(
+            name, [f"no such file or scenario; there are {', '.join(builtin_names())}"]
+        )
     file = resources.files("sim").joinpath("scenarios", f"{name}.toml")
-    return parse(file.read_text(encoding="utf-8"), name)
+    return parse_text(file.read_text(encoding="utf-8"), name)
 
 
-def _line(error: Any) -> str:
-    """`event[2].kind: ...` from pydantic's location."""
-    path = ""
-    for part in error["loc"]:
-        if isinstance(part, int):
-            path += f"[{part}]"
-        elif part in _BRANCHES:
-            continue
-        else:
-            path += f".{part}" if path else str(part)
-    message = error["msg"].removeprefix("Value error, ")
-    if error["type"] == "extra_forbidden":
-        message = "unknown key"
-    return f"{path}: {message}" if path else message
+def _problems(error: ValidationError) -> list[str]:
+    """One line per path: `event[2].kind: ...`."""
+    found: dict[str, list[str]] = {}
+    for item in error.errors():
+        path = ""
+        for part in item["loc"]:
+            if isinstance(part, int):
+                path += f"[{part}]"
+            elif part not in _BRANCHES:
+                path += f".{part}" if path else part
+        message = item["msg"].removeprefix("Value error, ")
+        known = item["type"] != "extra_forbidden"
+        found.setdefault(path, []).append(message if known else "unknown key")
+    lines = []
+    for path, messages in found.items():
+        text = " or ".join(dict.fromkeys(messages))
+        lines += [f"{path}: {text}"] if path else text.split("; ")
+    return lines
 
 
-_BRANCHES: Final = frozenset({"int", "float", "str", "literal['all']", "literal['all','others']",
-                              "literal['equilibrium','ambient']"})  # fmt: skip
+_BRANCHES: Final = frozenset({
+    "int", "float", "str", "literal['all']", "literal['all','others']",
+    "literal['equilibrium','ambient']",
+})  # fmt: skip
 """Names pydantic adds to a location inside a union; they are no keys of the file."""

@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 STATOR, DRIVE_END, NON_DRIVE_END, AMBIENT = range(4)
 POINTS: Final = 4
 PHASES: Final = 3
+BEYOND: Final = 1e9
 
 _CURRENT, _TEMPERATURE, _OFFSET = 2, 3, 11
 """Purposes of the random streams: one generator per purpose and drive."""
@@ -23,8 +24,8 @@ _CURRENT, _TEMPERATURE, _OFFSET = 2, 3, 11
 class CurrentSensors:
     """Three phase currents per drive, measured together.
 
-    Reading = gain x current + offset + noise; beyond `range_a` it is infinite with the sign of
-    the current: the caller makes the saturated end value of it.
+    Reading = gain x current + offset + noise; beyond `range_a` it is BEYOND with the current's
+    sign, a number no message can hold, so that it becomes the saturated end value.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class CurrentSensors:
         true = np.stack([i_a, -0.5 * i_a + half * i_b, -0.5 * i_a - half * i_b], axis=-1)
         noise = np.stack([r.standard_normal((len(i_ab), PHASES)) for r in self._rngs], axis=1)
         reading = self._gain * true + self._offset + self._sigma * noise
-        return np.where(np.abs(reading) > self._range, np.copysign(np.inf, reading), reading)
+        return np.where(np.abs(reading) > self._range, np.copysign(BEYOND, reading), reading)
 
 
 class TemperatureSensors:

@@ -8,7 +8,7 @@ May know: frames. May not know: what is in them.
 
 from __future__ import annotations
 
-from collections import deque
+import heapq
 
 from dbc.frame import FD, SECOND, Frame, Nanos
 
@@ -32,24 +32,26 @@ class Arbiter:
     def __init__(self, bitrate: int, data_bitrate: int) -> None:
         """`bitrate` 0: a bus without bit rate, frames arrive when they are offered."""
         self._bitrate, self._data_bitrate = bitrate, data_bitrate
-        self._coming: deque[Frame] = deque()
+        self._coming: list[tuple[Nanos, int, int, Frame]] = []
+        self._count = 0
         self._waiting: dict[int, Frame] = {}
         self._sending: Frame | None = None
         self._free_ns: Nanos = 0
         self.overwritten = 0
 
     def offer(self, frames: list[Frame]) -> None:
-        """Frames with `t_ns` = the time they are ready; later calls bring later frames."""
-        if frames:
-            self._coming.extend(sorted(frames, key=lambda f: (f.t_ns, f.can_id)))
+        """Frames with `t_ns` = the time they are ready, in any order."""
+        for frame in frames:
+            self._count += 1
+            heapq.heappush(self._coming, (frame.t_ns, frame.can_id, self._count, frame))
 
     def drain(self, until_ns: Nanos) -> list[Frame]:
         """Frames whose transmission ends at or before `until_ns`, stamped, in order."""
         out: list[Frame] = []
         coming, waiting = self._coming, self._waiting
         if not self._bitrate:
-            while coming and coming[0].t_ns <= until_ns:
-                out.append(coming.popleft())
+            while coming and coming[0][0] <= until_ns:
+                out.append(heapq.heappop(coming)[3])
             return out
         while True:
             if self._sending is None:
@@ -57,17 +59,15 @@ class Arbiter:
                 if not waiting:
                     if not coming:
                         break
-                    start = max(start, coming[0].t_ns)
+                    start = max(start, coming[0][0])
                 if start > until_ns:
                     break
-                while coming and coming[0].t_ns <= start:
-                    frame = coming.popleft()
+                while coming and coming[0][0] <= start:
+                    frame = heapq.heappop(coming)[3]
                     self.overwritten += frame.can_id in waiting
                     waiting[frame.can_id] = frame
                 frame = waiting.pop(min(waiting))
-                took = duration_ns(
-                    len(frame.data), frame.flags, self._bitrate, self._data_bitrate
-                )
+                took = duration_ns(len(frame.data), frame.flags, self._bitrate, self._data_bitrate)
                 self._free_ns = start + took
                 self._sending = frame._replace(t_ns=self._free_ns)
             if self._free_ns > until_ns:

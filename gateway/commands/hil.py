@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from gateway.commands.common import FAILED, GOOD, add_bus, add_config, console, out_file, prepare
+from gateway.commands.common import (
+    FAILED,
+    GOOD,
+    add_bus,
+    add_config,
+    console,
+    out_file,
+    prepare,
+)
 
 HELP = "run scenarios against the gateway and judge their expectations"
 
@@ -25,9 +33,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge every scenario; exit 1 if any expectation failed."""
-    from sim.scenario import find
-
-    scenarios = [(name, find(name)) for name in options.scenario]
+    scenarios = [(name(name)) for name in options.scenario]
     suites = ET.Element("testsuites")
     failed = 0
     for name, scenario in scenarios:

@@ -133,7 +133,7 @@ def _loop(
 ) -> LiveSnapshot:
     clock = ticker.clock
     seen = LiveSnapshot(transport.status, ticker.lateness)
-    state = transport.status.state
+    state: LinkState | None = None
     report = TIMING_TICKS
     while not stop.requested:
         tick = ticker.wait()

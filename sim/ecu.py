@@ -1,0 +1,138 @@
+"""The inverter's electronic control unit: what a drive says on the bus and what it obeys.
+
+May know: bits, CANopen, the drive's readings. May not know: how the plant works, the gateway.
+
+It obeys the gateway's flag of its own drive (`Gateway_Adhesion`, protection checked): on
+`AdhesionLost` its torque limiter falls to 30 % within 100 ms, on `Adhering` it returns to 100 %
+over 1 s. On unknown, on a bad frame, or when no good flag frame came for 40 ms, the limiter
+returns too and the drive's own slip limit, which is always there, is alone in charge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.codec import Codec
+from dbc.frame import BRS, FD, MS, Frame, Nanos
+from dbc.protection import Check, Receiver, SmState, protect
+from dbc.spec import MessageSpec
+from sim.canopen_ecu import CanopenNode
+from sim.faults import EMERGENCY, WireFaults
+
+FLAG_TIMEOUT_NS: Final[Nanos] = 40 * MS
+LATENCY_NS: Final[Nanos] = 30_000
+"""From the sampling instant until the frame waits for the bus; drive k adds k x 7 us."""
+KINDS: Final = ("PhaseCurrents", "StatorVoltages", "Samples", "Motion", "Status", "Temperatures")
+LOST: Final = 2
+OPERATION: Final = 2
+"""`Status.State`."""
+
+
+class Ecu:
+    """One drive's ECU. `index` counts drives from 0, `node` is its CANopen number."""
+
+    def __init__(
+        self, node: int, index: int, codec: Codec, wire: WireFaults, *, self_start: bool
+    ) -> None:
+        """Boots at time 0."""
+        self.node, self._wire = node, wire
+        self.codec = codec
+        prefix = f"Drive{node}_"
+        self.specs: dict[str, MessageSpec] = {
+            kind: codec.by_name[prefix + kind] for kind in KINDS if prefix + kind in codec.by_name
+        }
+        self._flags = {s: FD | (BRS if m.brs else 0) for s, m in self.specs.items() if m.is_fd}
+        self._latency = LATENCY_NS + 7_000 * index
+        self._last: dict[str, bytes] = {}
+        self.canopen = CanopenNode(node, self.specs, self._read, self_start=self_start)
+        adhesion = codec.by_name.get("Gateway_Adhesion")
+        self._adhesion = adhesion
+        self._receiver = Receiver(adhesion) if adhesion else None
+        signal = next(
+            (s for s in adhesion.signals if s.name == f"Adhesion{node}") if adhesion else iter(()),
+            None,
+        )
+        self._shift = signal.start if signal else 0
+        self._flag_ns: Nanos | None = None
+        self._flag = 0
+        self._known_fault = 1
+        self.fault_code = 0
+
+    def _read(self, kind: str) -> tuple[MessageSpec, bytes] | None:
+        """For the SDO server: what the last message of this kind carried."""
+        payload = self._last.get(kind)
+        return (self.specs[kind], payload) if payload is not None else None
+
+    def receive(self, frames: Iterable[Frame], now_ns: Nanos) -> None:
+        """Take what came over the bus; `now_ns` is the time it takes effect."""
+        flag_id = self._adhesion.can_id if self._adhesion else -1
+        sdo_id = 0x600 + self.node
+        for frame in frames:
+            if not frame.is_plain_data:
+                continue
+            if frame.can_id == flag_id:
+                self._take_flags(frame, now_ns)
+            elif frame.can_id in (0, sdo_id) and not frame.is_fd:
+                self.canopen.deliver(frame.can_id, frame.data, now_ns)
+
+    def _take_flags(self, frame: Frame, now_ns: Nanos) -> None:
+        spec, receiver = self._adhesion, self._receiver
+        if spec is None or receiver is None or not self.canopen.operational:
+            return
+        if len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
+            return
+        verdict = receiver.check(frame.data, frame.t_ns)
+        state = receiver.cycle(verdict)
+        if verdict in (Check.OK, Check.OK_SOME_LOST) and state is SmState.VALID:
+            self._flag = int.from_bytes(frame.data, "little") >> self._shift & 3
+            self._flag_ns = now_ns
+
+    def cut(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(n,) whether the limiter is commanded down at times `t_ns` (n,)."""
+        if self._flag != LOST or self._flag_ns is None:
+            return np.zeros(len(t_ns), np.bool_)
+        out: NDArray[np.bool_] = t_ns < self._flag_ns + FLAG_TIMEOUT_NS
+        return out
+
+    def note_fault(self, fault_class: int) -> None:
+        """EMCY when a fault begins, changes or ends; faults it cannot know of are passed over."""
+        known = fault_class if fault_class in EMERGENCY else 1
+        if known == self._known_fault:
+            return
+        self._known_fault = known
+        self.fault_code = 0 if known == 1 else known
+        code, register = EMERGENCY.get(known, (0, 0))
+        self.canopen.emergency(code, register | 0x01 if code else 0)
+
+    def message(
+        self, kind: str, instant_ns: Nanos, values: Mapping[str, float | int | None]
+    ) -> Frame | None:
+        """The frame of a sampling instant, ready for the bus; None where nothing is sent.
+
+        The counter is the instant's number, so it tells time across losses. The checksum comes
+        last, as the frame is handed over.
+        """
+        if not self.canopen.operational:
+            return None
+        spec = self.specs[kind]
+        payload = self.codec.encode(spec, values)
+        protect(spec, payload, instant_ns // spec.cycle_ns)
+        data = bytes(payload)
+        self._last[kind] = data
+        sent = self._wire.apply(instant_ns * 1e-9, spec.can_id, data)
+        if sent is None:
+            return None
+        return Frame(instant_ns + self._latency, spec.can_id, sent, self._flags.get(kind, 0))
+
+    def service_frames(self, now_ns: Nanos) -> list[Frame]:
+        """Heartbeat, EMCY and SDO frames up to `now_ns`, ready for the bus."""
+        out = []
+        for t_ns, can_id, data in self.canopen.take(now_ns):
+            sent = self._wire.apply(t_ns * 1e-9, can_id, data)
+            if sent is not None:
+                out.append(Frame(t_ns + self._latency, can_id, sent))
+        return out

@@ -1,0 +1,138 @@
+"""The `run` command as a process of its own on a real bus: hanging, ending, links, NMT."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from dbc.codec import bind
+from dbc.frame import MS, Frame
+from gateway.config import shipped_dbc
+from gateway.drivers.socketcan import SocketCan
+from gateway.drivers.transport import LinkState, SendResult
+
+if TYPE_CHECKING:
+    from conftest import Vcan
+
+pytestmark = pytest.mark.vcan
+
+PATIENCE_S = 60.0
+"""Loading the program takes seconds in user-mode-linux."""
+ADHESION, STATUS, HEARTBEAT, NMT = 0x1A0, 0x4A0, 0x720, 0x000
+
+
+class Watcher:
+    """Everything heard on the bus so far."""
+
+    def __init__(self, name: str) -> None:
+        self.bus = SocketCan(name)
+        self.bus.open()
+        self.frames: list[Frame] = []
+
+    def of(self, can_id: int, after_ns: int = 0) -> list[Frame]:
+        self.frames += self.bus.receive(0.0)
+        return [f for f in self.frames if f.can_id == can_id and f.t_ns > after_ns]
+
+    def until(self, fulfilled: Callable[[], object]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not fulfilled():
+            assert time.monotonic() < deadline, f"not within {PATIENCE_S} s"
+            self.frames += self.bus.receive(0.05)
+
+
+@pytest.fixture
+def watcher(vcan: Vcan) -> Iterator[Watcher]:
+    watcher = Watcher(vcan.name)
+    yield watcher
+    watcher.bus.close()
+
+
+def run(vcan: Vcan, *more: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "gateway", "run", "-i", "socketcan", "-c", vcan.name]
+    return vcan.start(*command, "--quiet", *more, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def test_a_hung_gateway_is_silent_and_an_ended_one_says_unknown(
+    vcan: Vcan, watcher: Watcher
+) -> None:
+    process = run(vcan)
+    watcher.until(lambda: len(watcher.of(ADHESION)) > 50)
+    assert watcher.of(HEARTBEAT)[0].data == b"\x00"
+    assert watcher.of(HEARTBEAT)[-1].data == b"\x05"
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(0.3)  # whatever was on its way has arrived
+    stopped = time.monotonic_ns()
+    time.sleep(1.0)
+    assert watcher.of(ADHESION, stopped) == []
+    assert watcher.of(HEARTBEAT, stopped) == []
+    process.send_signal(signal.SIGCONT)
+    watcher.until(lambda: watcher.of(STATUS, stopped))
+    codec = bind(shipped_dbc("traction.dbc"), (1, 2, 3))
+    status = codec.decode(codec.by_id[STATUS], watcher.of(STATUS, stopped)[-1].data)
+    assert status["DeadlineMisses"].value >= 100
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors.decode()
+    assert b"ticks missed" in output
+    last = [codec.decode(codec.by_id[ADHESION], f.data) for f in watcher.of(ADHESION)[-3:]]
+    assert {reading[f"Adhesion{n}"].raw for reading in last for n in (1, 2, 3)} == {0}
+    final = codec.decode(codec.by_id[STATUS], watcher.of(STATUS)[-1].data)
+    assert codec.by_id[STATUS].signals[2].labels[int(final["State"].raw)] == "Silent"
+
+
+def test_the_gateway_outlives_its_interface(vcan: Vcan) -> None:
+    vcan.link("delete")
+    process = run(vcan)
+    assert process.stderr is not None
+    assert b"bus is absent: vcan0 is not there" in process.stderr.readline()
+    vcan.link("create")
+    watcher = Watcher(vcan.name)
+    watcher.until(lambda: watcher.of(ADHESION))
+    for change, back in (("down", "up"), ("delete", "create")):
+        vcan.link(change)
+        watcher.until(lambda: watcher.bus.status.state is not LinkState.UP)
+        time.sleep(0.3)
+        again = time.monotonic_ns()
+        vcan.link(back)
+        watcher.until(lambda after=again: watcher.of(ADHESION, after))
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors.decode()
+    assert b"reopened 1" in output
+    watcher.bus.close()
+
+
+def test_a_master_starts_its_drives_by_number_until_another_is_heard(
+    vcan: Vcan, watcher: Watcher, tmp_path: Path
+) -> None:
+    config = tmp_path / "train.toml"
+    config.write_text("[canopen]\nnmt_master = true\n", encoding="utf-8")
+    process = run(vcan, "--config", str(config))
+    watcher.until(lambda: watcher.of(HEARTBEAT))
+    bus = watcher.bus
+
+    def pre_operational() -> None:
+        for node in (1, 3, 5):
+            assert bus.send(Frame(0, 0x700 + node, b"\x7f")) is SendResult.SENT
+
+    pre_operational()
+    watcher.until(lambda: len(watcher.of(NMT)) >= 2)
+    assert [f.data for f in watcher.of(NMT)[:2]] == [b"\x01\x01", b"\x01\x03"]
+    assert bus.send(Frame(0, NMT, b"\x80\x00")) is SendResult.SENT
+    time.sleep(0.2)
+    heard = time.monotonic_ns()
+    pre_operational()
+    watcher.until(lambda: len(watcher.of(HEARTBEAT, heard + 2000 * MS)) > 0)
+    assert watcher.of(NMT, heard) == []
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert b"another NMT master" in errors

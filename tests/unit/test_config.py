@@ -1,0 +1,103 @@
+"""Configuration: validated whole, refused with every problem and its path."""
+
+import pytest
+
+from gateway.calibration import Calibration, MotorCalibration, to_toml
+from gateway.calibration import load as load_calibration
+from gateway.config import Config, ConfigError, load, parse
+
+
+def problems(raw):
+    with pytest.raises(ConfigError) as caught:
+        parse(raw)
+    return caught.value.problems
+
+
+def test_default_is_three_bench_drives():
+    config = load(None)
+    assert config.nodes == (1, 2, 3)
+    assert config.motors["bench"].pole_pairs == 4
+    assert config.loop.period_ns == 10_000_000
+    assert not config.canopen.nmt_master
+
+
+def test_every_problem_is_listed_with_its_path():
+    found = problems(
+        {
+            "loop": {"rate_hz": 300},
+            "adhesion": {"detektor": "vb", "detector": "guess"},
+            "drive": [{"node": 17}, {"node": 2, "motr": "x"}],
+        }
+    )
+    text = "\n".join(found)
+    for path in ("loop", "adhesion.detektor", "adhesion.detector", "drive.0.node", "drive.1.motr"):
+        assert path in text
+    assert "unknown key" in text
+    assert len(found) == 5
+
+
+def test_consistency_is_checked_across_sections():
+    found = problems(
+        {
+            "drive": [{"node": 1}, {"node": 1, "motor": "big"}],
+            "adhesion": {"raise_probability": 0.6, "clear_probability": 0.7},
+        }
+    )
+    text = "\n".join(found)
+    assert "node 1 stands twice" in text
+    assert "no [motor.big]" in text
+    assert "clear_probability" in text
+
+
+@pytest.mark.parametrize("rate", [100, 200, 500, 1000])
+def test_rates_of_the_contract(rate):
+    assert parse({"loop": {"rate_hz": rate}}).loop.period_ns == 1_000_000_000 // rate
+
+
+def test_missing_and_broken_files_are_one_clear_error(tmp_path):
+    with pytest.raises(ConfigError, match="no such file"):
+        load(tmp_path / "none.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[bus\n")
+    with pytest.raises(ConfigError, match="TOML"):
+        load(broken)
+    broken.write_text("base = 'x'\n")
+    with pytest.raises(ConfigError, match="unknown key"):
+        load(broken)
+
+
+def test_example_is_the_default_written_out(pytestconfig):
+    example = load(pytestconfig.rootpath / "examples" / "train.toml")
+    bare = Config(motor={"bench": example.motor["bench"]})
+    assert example.model_dump(exclude={"base"}) == bare.model_dump(exclude={"base"})
+
+
+def test_hash_names_the_configuration():
+    a, b = load(None), parse({"adhesion": {"raise_ms": 30}})
+    assert a.hash24() == load(None).hash24() != b.hash24()
+    assert 0 <= a.hash24() < 1 << 24
+
+
+CELLS = Calibration(
+    window_s=5.0,
+    maisd_limit_k=(0.5, 0.4, 0.4),
+    deviation_limit_k=(1.0, 0.9, 0.9),
+    motor=(
+        MotorCalibration(
+            node=1, offset_k=(0.1, 0.0, -0.1), longest_hold_s=(1, 1, 1), largest_step_k=(1, 1, 1)
+        ),
+    ),
+)
+
+
+def test_calibration_round_trip_and_mismatches(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text(to_toml(CELLS))
+    assert load_calibration(path, (1,), 5.0) == CELLS
+    with pytest.raises(ConfigError, match=r"node 2 .*not calibrated.*; window_s"):
+        load_calibration(path, (1, 2), 4.0)
+    path.write_text("window_s = 5\nextra = 1\n")
+    with pytest.raises(ConfigError, match="extra"):
+        load_calibration(path, (1,), 5.0)
+    with pytest.raises(ConfigError, match="traction-gateway calibrate"):
+        load_calibration(tmp_path / "none.toml", (1,), 5.0)

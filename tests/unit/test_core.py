@@ -1,0 +1,344 @@
+"""The core on frames of exact steady motors: what it says, and what it refuses to say."""
+
+import numpy as np
+import pytest
+from tests.sender import CLASSIC, MS, Sender, SteadyDrive, codec_for
+
+from dbc.frame import ERROR, EXTENDED, REMOTE, Frame
+from gateway.config import Config, Drive
+from gateway.core import REJECTED, Gateway
+from gateway.health import Flag, Health, Reason
+
+CODEC = codec_for()
+TICK = 10 * MS
+
+
+def gateway(nodes=(1, 2, 3), **sections):
+    config = Config(drive=tuple(Drive(node=n) for n in nodes), **sections)
+    return Gateway(config, codec_for(nodes), 0)
+
+
+def drives(loads=(20.0, 20.0, 20.0), w=100.0):
+    return [SteadyDrive(CODEC, n + 1, w, load, theta=0.4 * n - 2.0) for n, load in enumerate(loads)]
+
+
+class Bench:
+    """Feeds a gateway tick by tick; `touch` may change the frames of a tick."""
+
+    def __init__(self, core, motors):
+        self.core, self.motors = core, motors
+        self.tick = 0
+        self.sent = []
+
+    def run(self, ticks, touch=lambda frames, now: frames):
+        for _ in range(ticks):
+            self.tick += 1
+            now = self.tick * TICK
+            frames = []
+            for k in range(5 * (self.tick - 1), 5 * self.tick):
+                for motor in self.motors:
+                    frames += motor.frames(k)
+            self.sent = self.core.step(touch(frames, now), now)
+        return self.core.view
+
+    @property
+    def view(self):
+        return self.core.view
+
+
+def named(frames):
+    """Frames by message name, signals as raw numbers."""
+    out = {}
+    for frame in frames:
+        spec = CODEC.by_id[frame.can_id]
+        out[spec.name] = {n: r.raw for n, r in CODEC.decode(spec, frame.data).items()}
+    return out
+
+
+def test_unknown_until_known_then_adhering_with_the_right_load():
+    bench = Bench(gateway(), drives())
+    view = bench.run(4)
+    assert [d.adhesion for d in view.drives] == [Flag.UNKNOWN] * 3
+    assert view.adhesion_reason is Reason.STARTING
+    view = bench.run(40)
+    assert [d.adhesion for d in view.drives] == [Flag.GOOD] * 3
+    assert [d.health for d in view.drives] == [Health.TRACKING] * 3
+    assert [d.load_nm for d in view.drives] == pytest.approx([20.0] * 3, abs=0.6)
+    assert [d.speed_rad_s for d in view.drives] == pytest.approx([25.0] * 3, abs=0.3)
+    assert view.adhesion_reason is Reason.NONE
+    assert view.comm is Flag.GOOD
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("detector", ["vb", "median"])
+def test_a_drive_that_carries_less_is_lost(kind, detector):
+    core = gateway(estimator={"kind": kind}, adhesion={"detector": detector})
+    view = Bench(core, drives((20.0, 8.0, 20.0))).run(60)
+    assert [d.adhesion for d in view.drives] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
+    assert view.drives[1].loss_probability > 0.9
+
+
+def test_a_drive_cut_by_command_is_not_lost():
+    motors = drives((20.0, 6.0, 20.0))
+    motors[1].command = 6.0
+    view = Bench(gateway(), motors).run(80)
+    assert [d.adhesion for d in view.drives] == [Flag.GOOD] * 3
+
+
+def test_one_drive_alone_cannot_be_judged():
+    view = Bench(gateway(nodes=(1,)), drives((20.0,))).run(60)
+    assert view.drives[0].adhesion is Flag.UNKNOWN
+    assert view.drives[0].adhesion_reason is Reason.TOO_FEW_DRIVES
+
+
+def test_silence_is_stale_within_three_periods_and_a_tick():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    quiet = Bench.run
+    silent = lambda frames, now: [f for f in frames if (f.can_id & 0x7F) % 16 != 2]  # noqa: E731
+    view = quiet(bench, 1, silent)
+    assert view.drives[1].adhesion is Flag.GOOD  # 10 ms old: within 3 * 2 ms + 10 ms
+    view = quiet(bench, 1, silent)
+    assert view.drives[1].adhesion is Flag.UNKNOWN
+    assert view.adhesion_reason is Reason.STALE
+    assert view.comm is Flag.BAD
+    assert [d.adhesion for d in view.drives][::2] == [Flag.GOOD] * 2
+
+
+def test_unknown_never_clears_a_lost_flag():
+    bench = Bench(gateway(), drives((20.0, 8.0, 20.0)))
+    bench.run(60)
+    view = bench.run(50, lambda frames, now: [])
+    assert [d.adhesion for d in view.drives] == [Flag.UNKNOWN, Flag.BAD, Flag.UNKNOWN]
+
+
+def corrupt(frame):
+    return frame._replace(data=bytes([frame.data[0] ^ 0x5A]) + frame.data[1:])
+
+
+@pytest.mark.parametrize(
+    ("touch", "reason", "counter"),
+    [
+        (corrupt, Reason.CORRUPTED, "error"),
+        (lambda f: f._replace(data=f.data[:-1]), Reason.CORRUPTED, "wrong_length"),
+        (lambda f: f._replace(flags=8), Reason.CORRUPTED, "wrong_length"),
+        (lambda f: f._replace(flags=REMOTE, data=b""), Reason.STALE, "remote"),
+        (lambda f: f._replace(flags=ERROR), Reason.STALE, "error_frame"),
+        (lambda f: f._replace(flags=EXTENDED), Reason.STALE, "unknown_id"),
+    ],
+)
+def test_bad_frames_of_one_drive_are_counted_and_make_it_unknown(touch, reason, counter):
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    mine = CODEC.by_name["Drive2_PhaseCurrents"].can_id
+    view = bench.run(4, lambda frames, now: [touch(f) if f.can_id == mine else f for f in frames])
+    assert view.drives[1].adhesion is Flag.UNKNOWN
+    assert view.drives[1].adhesion_reason is reason
+    assert [d.adhesion for d in view.drives][::2] == [Flag.GOOD] * 2
+    assert bench.core.inbox.counts[counter] == 20
+
+
+@pytest.mark.parametrize(
+    ("values", "reason", "counter"),
+    [
+        ({"Ia": None}, Reason.NOT_AVAILABLE, "not_available"),
+        ({"Ia": 5000.0}, Reason.RANGE, "range"),
+        ({"Quality": None}, Reason.NOT_AVAILABLE, "not_available"),
+        ({"Quality": 0}, Reason.NOT_AVAILABLE, "not_available"),
+    ],
+)
+def test_not_available_and_saturated_values_make_unknown_at_once(values, reason, counter):
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    mine = bench.motors[1].currents
+
+    def touch(frames, now):
+        mine.counter -= 5
+        bad = [
+            mine.frame(f.t_ns, **{"Ia": 0.0, "Ib": 0.0, "Ic": 0.0, **values})
+            for f in frames
+            if f.can_id == mine.spec.can_id
+        ]
+        return [f for f in frames if f.can_id != mine.spec.can_id] + bad
+
+    view = bench.run(1, touch)
+    assert view.drives[1].adhesion is Flag.UNKNOWN
+    assert view.drives[1].adhesion_reason is reason
+    assert view.drives[1].health is Health.INPUT_INVALID
+    assert bench.core.inbox.counts[counter] == 5
+
+
+def test_repeated_counters_are_a_sequence_fault_and_never_used_twice():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    mine = CODEC.by_name["Drive2_PhaseCurrents"].can_id
+    kept = {}
+
+    def stuck(frames, now):
+        for f in frames:
+            if f.can_id == mine:
+                kept.setdefault("frame", f)
+        return [kept["frame"]._replace(t_ns=f.t_ns) if f.can_id == mine else f for f in frames]
+
+    view = bench.run(3, stuck)
+    assert view.drives[1].adhesion_reason is Reason.SEQUENCE
+    assert bench.core.inbox.counts["repeated"] == 14
+
+
+def test_currents_that_do_not_add_up_are_contradictory():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    mine = bench.motors[1].currents
+
+    def touch(frames, now):
+        mine.counter -= 5
+        bad = [
+            mine.frame(f.t_ns, Ia=20.0, Ib=20.0, Ic=20.0)
+            for f in frames
+            if f.can_id == mine.spec.can_id
+        ]
+        return [f for f in frames if f.can_id != mine.spec.can_id] + bad
+
+    view = bench.run(5, touch)
+    assert view.drives[1].adhesion_reason is Reason.RANGE
+    assert view.sensor is Flag.BAD
+
+
+def test_a_heartbeat_that_was_seen_and_stops_is_a_communication_fault():
+    bench = Bench(gateway(), drives())
+
+    def beat(frames, now):
+        return [*frames, Frame(now, 0x701, b"\x05")] if now % (100 * MS) == 0 else frames
+
+    assert bench.run(60, beat).comm is Flag.GOOD
+    assert bench.run(29).comm is Flag.GOOD
+    view = bench.run(3)
+    assert view.comm is Flag.BAD
+    assert view.drives[0].adhesion is Flag.UNKNOWN
+    assert view.drives[1].adhesion is Flag.GOOD
+
+
+def test_single_lost_frames_are_bridged_and_counted():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    dropped = [0]
+
+    def lossy(frames, now):
+        out = []
+        for k, f in enumerate(frames):
+            if (now // TICK + k) % 47 == 0:
+                dropped[0] += 1
+            else:
+                out.append(f)
+        return out
+
+    seen = set()
+    for _ in range(100):
+        view = bench.run(1, lossy)
+        seen |= {d.adhesion for d in view.drives}
+    assert seen == {Flag.GOOD}
+    assert bench.core.inbox.counts["lost"] >= 0.8 * dropped[0]
+
+
+def test_every_frame_ends_in_exactly_one_counter():
+    rng = np.random.default_rng(7)
+    bench = Bench(gateway(), drives())
+
+    def noise(frames, now):
+        out = []
+        for f in frames:
+            flip = rng.integers(12)
+            if flip == 0:
+                f = corrupt(f)  # noqa: PLW2901
+            elif flip == 1:
+                f = f._replace(can_id=int(rng.integers(0x800)))  # noqa: PLW2901
+            elif flip == 2:
+                f = f._replace(flags=int(rng.integers(64)))  # noqa: PLW2901
+            elif flip == 3:
+                f = f._replace(t_ns=f.t_ns - int(rng.integers(30 * MS)))  # noqa: PLW2901
+            out.append(f)
+        return out
+
+    bench.run(100, noise)
+    counts = bench.core.inbox.counts
+    causes = (*REJECTED, "decoded", "error_frame", "remote", "own", "canopen", "unknown_id")
+    assert sum(counts[c] for c in causes) == counts["received"]
+
+
+def test_same_frames_give_the_same_bytes_in_any_order_within_a_tick():
+    def bytes_of(shuffle):
+        rng = np.random.default_rng(3)
+        bench = Bench(gateway(), drives((20.0, 12.0, 20.0)))
+        sent = []
+        for _ in range(80):
+            bench.run(
+                1,
+                lambda frames, now: (
+                    list(rng.permutation(len(frames)))
+                    and ([frames[i] for i in rng.permutation(len(frames))] if shuffle else frames)
+                ),
+            )
+            sent += bench.sent
+        return sent
+
+    assert bytes_of(False) == bytes_of(True)
+
+
+def test_messages_go_out_at_their_cycles():
+    bench = Bench(gateway(), drives())
+    count = {}
+    for _ in range(200):
+        bench.run(1)
+        for name in named(bench.sent):
+            count[name] = count.get(name, 0) + 1
+    assert count["Gateway_Adhesion"] == 200
+    assert 20 <= count["Gateway_Faults"] <= 30  # every 100 ms, and at changes
+    assert count["Drive1_Estimate"] == 100
+    assert count["Drive3_Thermal"] == 4
+    assert count["Gateway_Info"] == 2
+    assert count["Gateway_Status"] == 20
+
+
+def test_farewell_says_unknown():
+    bench = Bench(gateway(), drives((20.0, 8.0, 20.0)))
+    bench.run(60)
+    frames = named(bench.core.unknown_frames(61 * TICK))
+    assert [frames["Gateway_Adhesion"][f"Adhesion{n}"] for n in range(1, 17)] == [0] * 16
+    assert frames["Gateway_Status"]["State"] == 4
+
+
+def test_overruns_are_said_and_too_many_make_unknown():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    bench.core.note_overrun(2)
+    view = bench.run(1)
+    assert view.overrun is Flag.BAD
+    assert view.deadline_misses == 2
+    assert view.drives[0].adhesion is Flag.GOOD
+    for _ in range(4):
+        bench.core.note_overrun(1)
+        view = bench.run(1)
+    assert view.adhesion_reason is Reason.OVERRUN
+
+
+def test_standstill_is_unknown_not_good():
+    motors = drives((0.0, 0.0, 0.0), w=0.001)
+    view = Bench(gateway(), motors).run(100)
+    assert [d.adhesion for d in view.drives] == [Flag.UNKNOWN] * 3
+
+
+def test_own_frames_are_counted_and_change_nothing():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    own = Sender(CODEC, "Gateway_Adhesion")
+
+    def spoof(frames, now):
+        return [*frames, own.frame(now, Adhesion1=2)]
+
+    view = bench.run(10, spoof)
+    assert view.drives[0].adhesion is Flag.GOOD
+    assert bench.core.inbox.counts["own"] == 10
+
+
+def test_the_default_dbc_is_the_shipped_one():
+    assert Config().dbc_path == CLASSIC

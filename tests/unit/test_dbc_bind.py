@@ -1,0 +1,277 @@
+"""bind: one error that lists everything; what a user's own DBC may leave out."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from dbc import build
+from dbc.codec import DbcMismatch, bind
+from dbc.contract import ANY, CLASSIC, FD
+from dbc.dataids import p02_data_ids
+from dbc.protection import Profile
+from tests.dbc_text import message, signal, write
+
+FOLDER = Path(build.__file__).parent
+FOREIGN = Path(__file__).parents[1] / "data" / "dbc"
+TEXT = (FOLDER / "traction.dbc").read_text()
+
+
+def problems_of(path: Path, nodes: tuple[int, ...] = (1, 2), contract=None) -> tuple[str, ...]:
+    with pytest.raises(DbcMismatch) as caught:
+        bind(path, nodes, contract)
+    assert str(path) in str(caught.value)
+    assert all(line in str(caught.value) for line in caught.value.problems)
+    return caught.value.problems
+
+
+def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    text = TEXT
+    for pattern, replacement in changes:
+        text, count = re.subn(pattern, replacement, text, flags=re.MULTILINE)
+        assert count, f"nothing to change for {pattern}"
+    path = tmp_path / "changed.dbc"
+    path.write_text(text)
+    return path
+
+
+def without(text: str, name: str) -> str:
+    """The DBC text without one message and everything said about its id."""
+    can_id = re.search(rf"^BO_ (\d+) {name}:", text, re.MULTILINE)[1]
+    text = re.sub(rf"^BO_ {can_id} .*\n(?: SG_ .*\n)+\n", "", text, flags=re.MULTILINE)
+    return "".join(
+        line
+        for line in text.splitlines(True)
+        if not re.search(rf"\b(BO_|SG_|VAL_) {can_id} ", line)
+    )
+
+
+def test_the_contract_is_chosen_by_the_file() -> None:
+    assert not bind(FOLDER / "traction.dbc", (1,)).fd
+    assert bind(FOLDER / "traction_fd.dbc", (1,)).fd
+    assert "Drive1_Samples: message missing" in problems_of(FOLDER / "traction.dbc", (1,), FD)
+    missing = problems_of(FOLDER / "traction_fd.dbc", (1, 2), CLASSIC)
+    assert missing == (
+        "Drive1_PhaseCurrents: message missing",
+        "Drive2_PhaseCurrents: message missing",
+        "Drive1_StatorVoltages: message missing",
+        "Drive2_StatorVoltages: message missing",
+    )
+
+
+def test_every_mismatch_in_one_error(tmp_path: Path) -> None:
+    path = changed(
+        tmp_path,
+        (r'(SG_ Torque .*) "Nm" Gateway\n\nBO_ 898', r'\1 "kNm" Gateway\n\nBO_ 898'),
+        (r'BA_ "GenMsgCycleTime" BO_ 642 2;', r'BA_ "GenMsgCycleTime" BO_ 642 0;'),
+        (r'BA_ "VFrameFormat" BO_ 1152 0;|BA_ "VFrameFormat" BO_ 1153 0;', "#"),
+        (r"#", 'BA_ "VFrameFormat" BO_ 1153 14;'),
+        (r'VAL_ 1184 State 1 "Starting" 2 "Running"', 'VAL_ 1184 State 1 "Running" 2 "Starting"'),
+        (r'BA_ "E2EDataIdList" BO_ 416 "..', 'BA_ "E2EDataIdList" BO_ 416 "Z'),
+        (r"\[-655.32\|655.32\] \"A\" Gateway\n\nBO_ 386", '[700|-655.32] "A" Gateway\n\nBO_ 386'),
+        (r"VAL_ 386 Ia 32767", "VAL_ 386 Ia 32766"),
+        (r'BA_ "GenSigStartValue" SG_ 386 Ib 32767', 'BA_ "GenSigStartValue" SG_ 386 Ib 40000'),
+    )
+    path.write_text(without(path.read_text(), "Gateway_Info"))
+    assert sorted(problems_of(path)) == sorted([
+        "Drive1_Motion.Torque: unit 'kNm', expected 'Nm'",
+        "Drive1_PhaseCurrents.Ic: range 700..-655.32 is empty",
+        "Drive1_Temperatures: is CAN FD, expected classic CAN (VFrameFormat)",
+        "Drive2_PhaseCurrents.Ia: not-available code 32766 lies inside the range",
+        "Drive2_PhaseCurrents.Ib: start value 40000 does not fit in 16 bits",
+        "Drive2_StatorVoltages: no cycle time (GenMsgCycleTime)",
+        "Gateway_Adhesion: E2EDataIdList 'ZC6CCCAD8DED4D2F0F6FCFAE8EEE4E2' is not 32 hex digits",
+        "Gateway_Info: message missing",
+        "Gateway_Status.State: 1 means 'Running', expected 'Starting'",
+        "Gateway_Status.State: 2 means 'Starting', expected 'Running'",
+    ])  # fmt: skip
+
+
+def test_drives_that_are_not_asked_for_may_be_missing(tmp_path: Path) -> None:
+    path = tmp_path / "one.dbc"
+    text = TEXT
+    for kind in ("PhaseCurrents", "StatorVoltages", "Motion", "Status", "Temperatures"):
+        text = without(text, f"Drive2_{kind}")
+    path.write_text(text)
+    assert "Drive2_Motion" not in bind(path, (1, 3)).by_name
+    assert len(problems_of(path, (1, 2, 3))) == 5
+
+
+def test_missing_signal_and_widths(tmp_path: Path) -> None:
+    path = changed(
+        tmp_path,
+        (r"^ SG_ Ualpha .*\n((?: SG_.*\n)+\nBO_ 642)", r"\1"),
+        (r"^.* 641 Ualpha .*\n", ""),
+        (r"SG_ ConfigHash : 16\|24", "SG_ ConfigHash : 16|16"),
+        (r"SG_ Adhesion16 : 46\|2", "SG_ Adhesion16 : 46|1"),
+        (r"BO_ 1281 Drive1_Estimate: 8", "BO_ 1281 Drive1_Estimate: 12"),
+    )
+    assert sorted(problems_of(path, (1,))) == [
+        "Drive1_Estimate: 12 bytes, expected 8",
+        "Drive1_StatorVoltages.Ualpha: signal missing",
+        "Gateway_Adhesion.Adhesion16: 1 bits, expected 2",
+        "Gateway_Adhesion.Adhesion16: 2 (AdhesionLost) is outside the range 0..1",
+        "Gateway_Info.ConfigHash: 16 bits, expected 24",
+    ]
+
+
+def test_duplicates_that_cantools_lets_pass(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "twice.dbc",
+        message(5, "A", 8, signal("X", 0, 8), signal("X", 8, 8)),
+        message(5, "B", 8),
+        message(0x80000005, "C", 8),
+        message(6, "A", 8),
+    )
+    assert problems_of(path, (), ANY) == (
+        "A: defined 2 times",
+        "id 0x005: shared by A, B",
+        "A.X: defined 2 times",
+    )
+
+
+def test_all_overlaps_and_misfits_not_only_the_first(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "layout.dbc",
+        message(5, "A", 2, signal("X", 0, 9), signal("Y", 8, 8), signal("Z", 12, 8)),
+        message(6, "B", 1, signal("M M", 0, 2), signal("P m0", 2, 3), signal("Q m1", 3, 3)),
+        message(7, "C", 8, signal("R", 7, 12, order=0), signal("S", 12, 2)),
+        message(8, "D", 65),
+    )
+    assert sorted(problems_of(path, (), ANY)) == [
+        "A.Z: does not fit in 2 bytes",
+        "A: X and Y overlap",
+        "A: Y and Z overlap",
+        "C: R and S overlap",
+        "D: 65 bytes; a CAN FD frame has 64",
+    ]
+
+
+def test_protection_attributes_are_checked(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "e2e.dbc",
+        message(5, "A", 1),
+        message(6, "B", 8, signal("Crc", 16, 8), signal("Data", 4, 12)),
+        message(7, "C", 8),
+        message(0x90000000, "D", 8),
+        message(8, "E", 8),
+        'BA_DEF_ BO_ "E2EProfile" ENUM "None","P02","P05","P11";',
+        'BA_DEF_ BO_ "E2EDataId" INT 0 4294967295;',
+        'BA_DEF_DEF_ "E2EProfile" "P02";',
+        'BA_DEF_DEF_ "E2EDataId" 0;',
+        'BA_ "E2EProfile" BO_ 7 3;',
+        'BA_ "E2EProfile" BO_ 2415919104 2;',
+        'BA_ "E2EProfile" BO_ 8 0;',
+    )
+    assert sorted(problems_of(path, (), ANY)) == [
+        "A: 1 bytes have no room for the P02 header",
+        "B.Crc: P02 has it at 0|8@1+",
+        "B.Data: lies in the P02 header",
+        "C: E2EProfile 'P11'; known: None, P02, P05",
+        "D: E2EDataId 268435456 does not fit in 16 bits",
+    ]
+
+
+def test_data_ids_by_rule_by_id_and_by_list(tmp_path: Path) -> None:
+    listed = bytes(range(16))
+    path = write(
+        tmp_path / "ids.dbc",
+        message(0x123, "Rule", 8),
+        message(0x124, "Id", 8),
+        message(0x125, "List", 8),
+        message(0x126, "P5", 8),
+        message(0x127, "P5Id", 8),
+        'BA_DEF_ BO_ "E2EProfile" ENUM "None","P02","P05";',
+        'BA_DEF_ BO_ "E2EDataId" INT 0 65535;',
+        'BA_DEF_ BO_ "E2EDataIdList" STRING;',
+        'BA_DEF_DEF_ "E2EProfile" "P02";',
+        'BA_DEF_DEF_ "E2EDataId" 0;',
+        'BA_DEF_DEF_ "E2EDataIdList" "";',
+        f'BA_ "E2EDataId" BO_ {0x124} 777;',
+        f'BA_ "E2EDataIdList" BO_ {0x125} "{listed.hex()}";',
+        f'BA_ "E2EProfile" BO_ {0x126} 2;',
+        f'BA_ "E2EProfile" BO_ {0x127} 2;',
+        f'BA_ "E2EDataId" BO_ {0x127} 4660;',
+    )
+    ids = {m.name: m.data_ids for m in bind(path, (), ANY).messages}
+    assert ids == {
+        "Rule": p02_data_ids(0x123),
+        "Id": p02_data_ids(777),
+        "List": listed,
+        "P5": b"\x01\x26",
+        "P5Id": b"\x12\x34",
+    }
+
+
+def test_own_dbc_without_protection_and_codes(tmp_path: Path) -> None:
+    """A user's DBC may declare no E2E at all, no codes and its own scaling."""
+    lines = [
+        line
+        for line in TEXT.splitlines()
+        if not re.match(r"VAL_|.*E2E| SG_ (Crc|Counter)|.* (Crc|Counter) ", line)
+    ]
+    path = tmp_path / "own.dbc"
+    path.write_text("\n".join(lines).replace("(0.02,0)", "(0.05,0)") + "\n")
+    codec = bind(path, (1, 2))
+    spec = codec.by_name["Drive1_PhaseCurrents"]
+    assert spec.profile is Profile.NONE
+    assert spec.data_ids == b""
+    assert spec.signals[1].not_available is None
+    assert spec.signals[1].scale == 0.05
+    absent = codec.decode(spec, bytes(codec.encode(spec, {"Ia": None})))["Ia"]
+    assert absent.raw == spec.signals[1].start_raw == 0x7FFF
+    assert absent.validity.name != "VALID"
+
+
+def test_slower_copy_changes_the_periods(tmp_path: Path) -> None:
+    path = changed(tmp_path, (r'("GenMsgCycleTime" BO_ \d+) 2;', r"\1 20;"))
+    assert bind(path, (1,)).by_name["Drive1_PhaseCurrents"].cycle_ns == 20_000_000
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("cantools_bad_message_length.dbc", "Message1.Signal1: does not fit in 1 bytes"),
+        ("kona_pcan_head.dbc", "Invalid syntax at line 6"),
+        ("opendbc_tesla_excerpt.dbc", "UI_mapSpeedLimit"),
+    ],
+)
+def test_real_files_that_are_refused(name: str, text: str) -> None:
+    (problem,) = problems_of(FOREIGN / name, (), ANY)
+    assert text in problem
+    assert "\n" not in problem
+
+
+def test_files_that_are_no_dbc(tmp_path: Path) -> None:
+    assert problems_of(tmp_path / "none.dbc") == ("no such file",)
+    (problem,) = problems_of(tmp_path)
+    assert problem.startswith("cannot be read")
+    garbage = tmp_path / "garbage.dbc"
+    garbage.write_bytes(bytes(range(256)))
+    (problem,) = problems_of(garbage)
+    assert "line 1" in problem
+    empty = tmp_path / "empty.dbc"
+    empty.write_text("")
+    assert problems_of(empty, (1,))[0].startswith("Invalid syntax at line 1")
+    bare = write(tmp_path / "bare.dbc")
+    assert "Drive1_Motion: message missing" in problems_of(bare, (1,))
+
+
+def test_foreign_file_without_messages_binds_to_nothing() -> None:
+    codec = bind(FOREIGN / "cantools_cp1252.dbc", (), ANY)
+    assert codec.messages == ()
+    assert codec.width == 0
+
+
+def test_half_floats_and_zero_scale_are_refused(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "odd.dbc",
+        message(5, "A", 8, signal("X", 0, 16, "-"), signal("Z", 32, 8, rest='(0,0) [0|0] ""')),
+        "SIG_VALTYPE_ 5 X : 1;",
+    )
+    assert problems_of(path, (), ANY) == (
+        "A.X: a float of 16 bits is not supported",
+        "A.Z: scale 0, offset 0 cannot be inverted",
+    )

@@ -1,0 +1,164 @@
+"""MAISD by law, and the thermal side: hot motors and dead sensors are kept apart."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from estimators import maisd
+from gateway.calibration import Calibration, MotorCalibration
+from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.inbox import Temperatures
+from gateway.thermal import ThermalSide
+
+MS = 1_000_000
+NODES = (1, 2, 3)
+tables = arrays(np.float64, (4, 3), elements=st.floats(-50, 300))
+
+
+@given(tables)
+def test_maisd_is_the_spread_of_the_motors(mean):
+    known = np.ones(mean.shape, dtype=bool)
+    assert maisd.maisd(mean, known) == pytest.approx(mean.std(axis=0), abs=1e-9)
+
+
+@given(tables, st.floats(-100, 100))
+def test_maisd_ignores_what_all_motors_share_and_who_is_who(mean, shift):
+    known = np.ones(mean.shape, dtype=bool)
+    same = maisd.maisd(mean + shift, known)
+    assert same == pytest.approx(maisd.maisd(mean[::-1], known), abs=1e-6)
+
+
+@given(arrays(np.float64, (40, 2, 3), elements=st.floats(-50, 300)), st.integers(1, 12))
+def test_moving_average_looks_back_only(values, window):
+    state = maisd.start(window, 2, 3)
+    present = np.ones((2, 3), dtype=bool)
+    for k, value in enumerate(values):
+        state = maisd.push(state, value, present)
+        mean, known = maisd.average(state)
+        if k + 1 >= window:
+            assert known.all()
+            assert mean == pytest.approx(values[k + 1 - window : k + 1].mean(axis=0), abs=1e-6)
+
+
+def test_missing_values_are_left_out_and_few_are_not_known():
+    state = maisd.start(4, 2, 1)
+    for k in range(4):
+        state = maisd.push(state, np.full((2, 1), 10.0 * k), np.array([[True], [k == 0]]))
+    mean, known = maisd.average(state)
+    assert mean[0, 0] == 15.0
+    assert known.tolist() == [[True], [False]]
+    assert np.isnan(maisd.maisd(mean, known)).all()
+
+
+def test_deviation_is_against_the_median_of_the_others():
+    mean = np.array([[10.0], [11.0], [12.0], [40.0]])
+    assert maisd.deviation(mean, np.ones((4, 1), dtype=bool))[:, 0].tolist() == [-2, -1, 1, 29]
+
+
+def calibration():
+    cells = {"offset_k": (0, 0, 0), "longest_hold_s": (0.5,) * 3, "largest_step_k": (0.5,) * 3}
+    return Calibration(
+        window_s=2.0,
+        maisd_limit_k=(0.5,) * 3,
+        deviation_limit_k=(1.0,) * 3,
+        motor=tuple(MotorCalibration(node=n, **cells) for n in NODES),
+    )
+
+
+class Rig:
+    def __init__(self, cells):
+        self.side = ThermalSide(3, 100 * MS, 2.0, cells, NODES)
+        self.rng = np.random.default_rng(1)
+        self.k = 0
+
+    def run(self, seconds, change=lambda j, t, values: values, lost=()):
+        for _ in range(round(seconds * 10)):
+            self.k += 1
+            now = self.k * 100 * MS
+            readings = []
+            for j in range(3):
+                noise = np.round(self.rng.normal(scale=0.15, size=4), 1)
+                values = np.array([60.0, 50.0, 48.0, 20.0]) + noise
+                values = np.round(change(j, self.k / 10, values), 1)
+                good = tuple((j, p) not in lost for p in range(4))
+                raw = tuple(round(v * 10) if g else -1 for v, g in zip(values, good, strict=True))
+                readings.append(Temperatures(j, now, tuple(values), good, raw))
+            self.side.take(readings, now)
+        return [self.side.report(j, now, 310 * MS) for j in range(3)]
+
+
+def test_without_calibration_thermal_is_unknown_and_says_config():
+    reports = Rig(None).run(10)
+    assert {r.thermal for r in reports} == {Flag.UNKNOWN}
+    assert {r.reason for r in reports} == {Reason.CONFIG}
+    assert {r.sensor for r in reports} == {Flag.GOOD}
+
+
+def test_healthy_motors_are_good():
+    reports = Rig(calibration()).run(20)
+    assert {r.thermal for r in reports} == {Flag.GOOD}
+    assert {r.fault_class for r in reports} == {FaultClass.NONE}
+
+
+@pytest.mark.parametrize(
+    ("weights", "kind"),
+    [
+        ((0, 1, 0), FaultClass.BEARING),
+        ((0, 0, 1), FaultClass.BEARING),
+        ((1, 0, 0), FaultClass.OVERHEATING),
+        ((1, 0.8, 0.8), FaultClass.COOLING_LOSS),
+    ],
+)
+def test_the_hot_motor_and_its_class_are_named(weights, kind):
+    rig = Rig(calibration())
+    rig.run(10)
+    slope = np.array([*weights, 0.0]) * 0.3
+
+    def heat(j, t, values):
+        return values + slope * (t - 10) if j == 1 else values
+
+    reports = rig.run(20, heat)
+    assert [r.thermal for r in reports] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
+    assert reports[1].fault_class is kind
+    assert reports[1].sensor is Flag.GOOD
+
+
+def test_a_stuck_sensor_is_a_sensor_fault_not_a_thermal_one():
+    rig = Rig(calibration())
+    rig.run(10)
+    stuck = lambda j, t, v: np.array([v[0], 49.7, v[2], v[3]]) if j == 2 else v  # noqa: E731
+    reports = rig.run(15, stuck)
+    assert reports[2].sensor is Flag.BAD
+    assert reports[2].fault_class is FaultClass.SENSOR_STUCK
+    assert reports[2].fault_sensor is FaultSensor.DRIVE_END
+    assert reports[2].thermal is Flag.UNKNOWN
+    assert reports[0].thermal is Flag.GOOD
+
+
+def test_a_lost_sensor_is_never_a_hot_motor():
+    rig = Rig(calibration())
+    rig.run(10)
+    reports = rig.run(3, lost={(0, 0)})
+    assert reports[0].fault_class is FaultClass.SENSOR_LOST
+    assert reports[0].fault_sensor is FaultSensor.STATOR
+    assert reports[0].thermal is Flag.UNKNOWN
+
+
+def test_a_jump_within_a_reading_is_the_sensors_and_recovers():
+    rig = Rig(calibration())
+    rig.run(10)
+    jumped = lambda j, t, v: v + np.array([9.0, 0, 0, 0]) if j == 1 else v  # noqa: E731
+    reports = rig.run(10, jumped)
+    assert reports[1].fault_class is FaultClass.SENSOR_BIAS
+    assert reports[1].thermal is Flag.UNKNOWN
+    reports = rig.run(10)
+    assert reports[1].sensor is Flag.GOOD
+
+
+def test_silence_is_stale():
+    rig = Rig(calibration())
+    rig.run(10)
+    now = rig.k * 100 * MS + 1_000 * MS
+    assert rig.side.report(0, now, 310 * MS).reason is Reason.STALE
