@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test lint format bench lock clean
+.PHONY: demo test lint format bench calibration lock clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -26,6 +26,12 @@ format: $(VENV)/.ready
 
 bench: $(VENV)/.ready
 	$(BIN)/python -m bench $(ARGS)
+
+# The calibration of the simulated bench motors that ships with the package.
+calibration: $(VENV)/.ready
+	$(BIN)/traction-gateway sim calibration -o out/calibration.log
+	$(BIN)/traction-gateway calibrate out/calibration.log --config examples/train16.toml \
+		-o gateway/bench_calibration.toml
 
 # Only with a new dependency: needs uv (pip install uv).
 lock:

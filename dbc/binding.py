@@ -84,10 +84,12 @@ def specs_of(
             database = load(path, strict=False)
         except DbcMismatch:
             raise refused from None
-        problems += layout_faults(database)
         refusal = refused.problems
+        problems += layout_faults(database)
     messages = [m for m in database.messages if hasattr(m, "frame_id")]
     problems += duplicates(messages)
+    if not problems:
+        problems += refusal
     specs: list[MessageSpec] = []
     for message in messages:
         spec, faults = _message_spec(database, message, len(specs))
@@ -95,8 +97,8 @@ def specs_of(
         problems += faults
     chosen = contract or choose(specs, nodes)
     problems += _compare(specs, tuple(nodes), chosen)
-    if problems or refusal:
-        raise DbcMismatch(path, problems or list(refusal))
+    if problems:
+        raise DbcMismatch(path, problems)
     return tuple(specs)
 
 
@@ -190,8 +192,9 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str]]:
             float_min, float_max = max(minimum, float_min), min(maximum, float_max)
         else:
             ends = sorted(((minimum - offset) / scale, (maximum - offset) / scale))
-            raw_min = max(low, math.ceil(ends[0] - _SLACK))
-            raw_max = min(high, math.floor(ends[1] + _SLACK))
+            # Bounds beyond the type's (infinite ones too) are the type's.
+            raw_min = max(low, math.ceil(min(max(ends[0], low), high + 1) - _SLACK))
+            raw_max = min(high, math.floor(max(min(ends[1], high), low - 1) + _SLACK))
             if raw_min > raw_max:
                 problems.append(f"range {minimum:g}..{maximum:g} holds no raw value")
                 raw_min, raw_max = low, high

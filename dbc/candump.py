@@ -21,6 +21,7 @@ from dbc.logline import DROPS, MAX_LINE, PLAIN, Verdict, format_frame, parse_lin
 
 PROBLEMS_KEPT: Final = 100
 _CHUNK: Final = 1 << 20
+_PIECE: Final = 1 << 12
 _IDS_KEPT: Final = 100_000
 _TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
 
@@ -93,19 +94,22 @@ class Reader:
     def _unzipped(self, chunk: bytes, stream: IO[bytes]) -> Iterator[bytes]:
         """Members of a gzip file; what can be unpacked of a cut one is given, then it ends.
 
-        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut.
+        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut; in
+        small pieces, because a damaged piece is lost whole.
         """
         unpack = zlib.decompressobj(wbits=31)
+        pending = chunk
         try:
-            while chunk:
-                yield unpack.decompress(chunk, _CHUNK)
-                chunk = unpack.unconsumed_tail
+            while pending:
+                yield unpack.decompress(pending[:_PIECE], _CHUNK)
+                pending = unpack.unconsumed_tail + pending[_PIECE:]
                 if unpack.eof:
-                    chunk = unpack.unused_data.lstrip(b"\0") or stream.read(_CHUNK).lstrip(b"\0")
-                    if chunk:
+                    pending = (unpack.unused_data + pending).lstrip(b"\0")
+                    pending = pending or stream.read(_CHUNK).lstrip(b"\0")
+                    if pending:
                         unpack = zlib.decompressobj(wbits=31)
-                elif not chunk:
-                    chunk = stream.read(_CHUNK)
+                elif not pending:
+                    pending = stream.read(_CHUNK)
             yield unpack.flush()
             if not unpack.eof:
                 self.truncated = "compressed data end early"
@@ -149,29 +153,32 @@ class Reader:
                                 (int(seconds + micros) * 1000, can_id, unhex(data), 0, channel, -1),
                             )
                             continue
-                    self.lines += plain
-                    self.counts[Verdict.OK] += plain
+                    self._count(plain)
                     plain = 0
                     frame = self._judge(line, tails)
                     if frame is not None:
                         yield frame
-                self.lines += plain
-                self.counts[Verdict.OK] += plain
+                self._count(plain)
                 plain = 0
                 if len(rest) > MAX_LINE:
                     rest = b""
                     skipping = True
         finally:
-            self.lines += plain
-            self.counts[Verdict.OK] += plain
+            self._count(plain)
         if skipping:
             rest = _TOO_LONG
         if rest:
             frame = self._judge(rest, tails, last=True)
             if frame is not None:
                 yield frame
-        if self.truncated:
+        elif self.truncated:
             self._fault(Problem(self.lines, Verdict.CUT, self.truncated))
+
+    def _count(self, plain: int) -> None:
+        """Add the lines of the fast path, which counts by itself."""
+        if plain:
+            self.lines += plain
+            self.counts[Verdict.OK] += plain
 
     def _judge(self, line: bytes, tails: dict[bytes, int], *, last: bool = False) -> Frame | None:
         """Verdict, count and frame of a line off the fast path."""
@@ -189,6 +196,7 @@ class Reader:
             self.drops += int(match[1])
         elif verdict.is_fault:
             text = line[:120].decode("ascii", "backslashreplace").strip()
+            text = f"{self.truncated}: {text}" if last and self.truncated else text
             self._fault(Problem(self.lines, verdict, text))
         return frame
 

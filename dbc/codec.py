@@ -37,6 +37,7 @@ PAYLOAD: Final = 64
 """Width of a row of payload bytes, whatever the message's length."""
 
 _FLOAT_FORMATS: Final = {32: (">f", ">I"), 64: (">d", ">Q")}
+_FLOAT_LARGEST: Final = {n: float(np.finfo(t).max) for n, t in ((32, np.float32), (64, np.float64))}
 
 
 class _Tables(NamedTuple):
@@ -243,18 +244,22 @@ def _bits(writer: _Writer, value: float | None) -> int:
     signal = writer.signal
     if value is None or value - value != 0:
         return writer.absent
+    raw = (value - signal.offset) / signal.scale
     if signal.is_float:
-        bounded = min(max(value, signal.float_min), signal.float_max)
+        low, high = sorted(
+            (limit - signal.offset) / signal.scale for limit in (signal.float_min, signal.float_max)
+        )
+        largest = _FLOAT_LARGEST[signal.length]
+        bounded = min(max(raw, low, -largest), high, largest)
         unpack, pack = _FLOAT_FORMATS[signal.length]
-        raw_float = (bounded - signal.offset) / signal.scale
-        bits: int = struct.unpack(pack, struct.pack(unpack, raw_float))[0]
+        bits: int = struct.unpack(pack, struct.pack(unpack, bounded))[0]
         return bits
-    raw = round((value - signal.offset) / signal.scale)
-    if raw < signal.raw_min:
-        raw = signal.raw_min
-    elif raw > signal.raw_max:
-        raw = signal.raw_max
-    return raw & writer.mask
+    # Compared before rounding: a large enough number divided by the scale is infinite.
+    if raw <= signal.raw_min:
+        return signal.raw_min & writer.mask
+    if raw >= signal.raw_max:
+        return signal.raw_max & writer.mask
+    return round(raw) & writer.mask
 
 
 def _writers(spec: MessageSpec) -> dict[str, _Writer]:

@@ -538,14 +538,52 @@ def _add_pair(
     state.psi[d] = length / (2.0 * half_sine) if half_sine > 0.0 else math.nan
     sine = length / (2.0 * psi_f * (1.0 - tuning.length_tol))
     state.w_max[d] = 2.0 / span * math.asin(sine) if sine < 1.0 else math.inf
+    sudden = 2.0 * psi_f * abs(math.sin(0.5 * turn))
+    slowest = psi_f * tuning.w_off * span
     plausible = (
         coherence >= tuning.coherence
         and abs(length - expected) <= tuning.length_tol * expected
         and abs(turn) <= tuning.turn_max
         and abs(lagging) >= tuning.w_off * span
+        # The means remember, the last chord does not: it must be long enough for a rotor that
+        # turns, and fit the speed, or a hard brake or a reversal slips through.
+        and abs(chord) >= (1.0 - tuning.length_tol) * slowest
+        and abs(abs(chord) - sudden) <= tuning.length_tol * sudden + slowest
     )
     state.good[d] = state.good[d] + 1 if plausible else 0
     if state.good[d] == 0:
         state.ready[d] = False
     elif state.good[d] >= tuning.chords and abs(lagging) >= tuning.w_on * span:
         state.ready[d] = True
+
+
+@njit(cache=True)
+def agreement(
+    w: Array,
+    theta: Array,
+    age: Array,
+    ready: Flags,
+    pairs: Ints,
+    w_max: Array,
+    x: Array,
+    chords: int,
+    tolerances: tuple[float, float, float, float],
+    out: Ints,
+) -> None:
+    """`lock.agrees` for a few drives a tick, where the array form is all call overhead.
+
+    tolerances: W_TOL, W_TOL_RELATIVE, THETA_TOL, STILL_TOL of `lock`; fills out (N,).
+    """
+    w_tol, w_relative, theta_tol, still_tol = tolerances
+    for d in range(x.shape[0]):
+        total = x[d, 0] + x[d, 1] + x[d, 2] + x[d, 3] + x[d, 4]
+        if not math.isfinite(total):
+            out[d] = 2
+        elif ready[d]:
+            turn = _wrap(x[d, 3] - _wrap(theta[d] + w[d] * age[d]))
+            same_w = abs(x[d, 2] - w[d]) <= w_tol + w_relative * abs(w[d])
+            out[d] = 1 if same_w and abs(turn) <= theta_tol else 2
+        elif pairs[d] >= chords and abs(x[d, 2]) > w_max[d] + still_tol:
+            out[d] = 2
+        else:
+            out[d] = 0

@@ -121,8 +121,10 @@ class Agreement(IntEnum):
 W_TOL = 20.0
 """rad/s. With noise of 1e-2 A^2 the chords' own speed is up to 17 off around 30 rad/s; the wrong
 sign differs by 40 or more wherever the lock is ready."""
-W_TOL_RELATIVE = 0.25
-"""Of |w|: a filter catching up with a slip's acceleration is late, not lost."""
+W_TOL_RELATIVE = 0.5
+"""Of the chords' |w|: when an acceleration sets in at once, the means are late for some 20 ms,
+30 rad/s at 2500 rad/s^2. The angle is the sharp test: it comes from the last two chords, and no
+wrong speed keeps it right."""
 THETA_TOL = 0.8
 """rad. A filter 0.8 rad off shows 30 % of torque too little; the wrong lock is 2.45 rad off,
 parameter errors of 20 % make less than half of this."""

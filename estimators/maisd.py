@@ -65,12 +65,15 @@ def deviation(mean: Array, known: NDArray[np.bool_]) -> Array:
 
     The plain mean is pulled by the fault itself; the median of the others is not.
     """
-    m = len(mean)
     out = np.full(mean.shape, np.nan)
-    values = np.where(known, mean, np.nan)
-    for j in range(m):
-        others = np.delete(values, j, axis=0)
-        seen = np.isfinite(others).any(axis=0) & known[j]
-        if seen.any():
-            out[j, seen] = mean[j, seen] - np.nanmedian(others[:, seen], axis=0)
+    for p in range(mean.shape[1]):
+        motors = np.flatnonzero(known[:, p]).tolist()
+        ranked = sorted((float(mean[j, p]), j) for j in motors)
+        for j in motors:
+            others = [value for value, k in ranked if k != j]
+            if others:
+                middle = len(others) // 2
+                even = len(others) % 2 == 0
+                low = others[middle - 1] if even else others[middle]
+                out[j, p] = mean[j, p] - 0.5 * (low + others[middle])
     return out

@@ -15,7 +15,7 @@ import numpy as np
 
 from dbc.frame import MS, Nanos
 from estimators import lock
-from estimators._kernels import ekf_sweep, lock_sweep, ukf_sweep
+from estimators._kernels import agreement, ekf_sweep, lock_sweep, ukf_sweep
 from estimators.models import pmsm
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
@@ -28,6 +28,7 @@ DISAGREE_TICKS: Final = 3
 """Ticks in a row that the chords must contradict the filter before it counts as diverged."""
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
+TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
 NIS_SMOOTHING: Final = 0.2
@@ -98,9 +99,9 @@ class Bank:
         if samples:
             self._sweep(samples)
         first, P_first = self._start_states()
-        agreement = lock.agrees(self.chords, self.x, self.tuning)
+        agreement = self._agreement()
         return [
-            self._judge(k, inputs[k], fresh[k], int(agreement[k]), first[k], P_first[k], now)
+            self._judge(k, inputs[k], fresh[k], agreement[k], first[k], P_first[k], now)
             for k in range(len(self.tracks))
         ]
 
@@ -131,6 +132,17 @@ class Bank:
                     track.nis += NIS_SMOOTHING * (value - track.nis)
         for k in np.flatnonzero(~ok).tolist():
             self._diverge(k)
+
+    def _agreement(self) -> list[int]:
+        """`lock.agrees`, compiled."""
+        c = self.chords
+        out = np.empty(len(self.x), dtype=np.int64)
+        agreement(
+            c.w, c.theta, c.age, c.ready, c.pairs, c.w_max, self.x, self.tuning.chords,
+            TOLERANCES, out,
+        )  # fmt: skip
+        verdicts: list[int] = out.tolist()
+        return verdicts
 
     def _start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
         """Starts from the chords, needed only where a drive is not tracked."""

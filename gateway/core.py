@@ -36,6 +36,7 @@ HEARTBEAT_LIMIT_NS: Final = 300 * MS
 COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
+COMM_CAUSES: Final = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
 OVERRUN_HOLD_NS: Final = SECOND
 COASTING: Final = 0.05
 """Below this share of rated torque the commands say nothing about each other."""

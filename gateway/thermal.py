@@ -85,6 +85,7 @@ class ThermalSide:
         self.mean = np.zeros((motors, len(POINTS)))
         self.known = np.zeros((motors, len(POINTS)), dtype=np.bool_)
         self.limit_ns = 3 * period_ns
+        self._cache: dict[int, tuple[Nanos, Report]] = {}
 
     def take(self, readings: Sequence[Temperatures], now: Nanos) -> None:
         """Accept this tick's readings; advance the windows once per temperature cycle."""
@@ -133,6 +134,7 @@ class ThermalSide:
         return max(SHORTEST_HOLD_NS, round(HOLD_MARGIN * cell.longest_hold_s[k] * SECOND))
 
     def _push(self, now: Nanos) -> None:
+        self._cache.clear()
         present = np.array(
             [
                 [
@@ -169,6 +171,16 @@ class ThermalSide:
             return Report()
         if now - heard > stale_ns:
             return Report(reason=Reason.STALE)
+        cached = self._cache.get(drive)
+        if cached is not None and now < cached[0]:
+            return cached[1]
+        found = self._look(drive, now)
+        # Nothing here changes faster than the temperatures come.
+        self._cache[drive] = (now + self.period_ns, found)
+        return found
+
+    def _look(self, drive: int, now: Nanos) -> Report:
+        """Judge one motor anew."""
         mixed, largest = self._numbers(drive)
         for k in range(len(POINTS)):
             fault = self._sensor(drive, k, now)

@@ -1,4 +1,7 @@
-"""Compiled loops of the plant and the thermal network. Plain twins for the tests: `twins.py`.
+"""Compiled loops of the plant and the thermal network.
+
+Plain twins for the tests: `sim.adhesion.traction_coefficient` for the creep curve, SciPy's
+solver of the dq equations for the drive, the network's matrices for the heat.
 
 State of one drive, columns of `x` (N, 10):
     0, 1  i_alpha, i_beta   A        4, 5  integrators of the current control, V (d, q)
@@ -160,8 +163,10 @@ def slip_limit(x: Array, command: float, w_train: float, p: Array) -> float:
     x[8] = min(max(x[8], min(0.0, command)), max(0.0, command))
     wanted = gain * error + x[8]
     if command >= 0.0:
-        return max(min(command, wanted), -0.5 * p[7])
-    return min(max(command, wanted), 0.5 * p[7])
+        held: float = max(min(command, wanted), -0.5 * p[7])
+    else:
+        held = min(max(command, wanted), 0.5 * p[7])
+    return held
 
 
 @njit(cache=True)
@@ -171,7 +176,8 @@ def speed_control(x: Array, w_ref: float, p: Array) -> float:
     error = w_ref - x[2]
     x[8] += 30.0 * gain * error * DT
     x[8] = min(max(x[8], -p[7]), p[7])
-    return min(max(gain * error + x[8], -p[7]), p[7])
+    wanted: float = min(max(gain * error + x[8], -p[7]), p[7])
+    return wanted
 
 
 @njit(cache=True)

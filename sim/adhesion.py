@@ -24,9 +24,11 @@ from sim._kernels import SPEED_FLOOR_M_S
 
 
 class Rail(NamedTuple):
-    """One rail condition. `mu_0` friction at standstill, `A` ratio at infinite sliding speed,
-    `B` decay in s/m, `k_A`/`k_S` reduction factors, `k_c` contact stiffness per wheel load.
-    """  # fmt: skip
+    """One rail condition.
+
+    `mu_0` friction at standstill, `A` ratio at infinite sliding speed, `B` decay in s/m,
+    `k_A`, `k_S` reduction factors, `k_c` contact stiffness per wheel load.
+    """
 
     mu_0: float
     A: float
@@ -41,6 +43,9 @@ RAILS: Final[dict[str, Rail]] = {
     "wet": Rail(0.30, 0.40, 0.20, 0.30, 0.10),
     "leaves": Rail(0.08, 0.50, 0.40, 0.30, 0.15),
 }
+
+
+_SHARES: Final = np.linspace(0.0, 1.0, 65)
 
 
 def rail(condition: str | float) -> Rail:
@@ -76,5 +81,10 @@ def traction_coefficient(
 
 def available(curve: Rail, v_m_s: float, creep_limit: float) -> float:
     """Largest F / Q the rail offers up to `creep_limit`: what a drive with a slip limit can use."""
-    creep = np.linspace(0.0, creep_limit, 65)
-    return float(traction_coefficient(curve, creep, v_m_s).max())
+    return float(traction_coefficient(curve, creep_limit * _SHARES, v_m_s).max())
+
+
+def peak_creep(curve: Rail, v_m_s: float) -> float:
+    """Creep of the largest F / Q below 0.5: beyond it the wheel runs away."""
+    creep = np.linspace(0.0, 0.5, 501)
+    return float(creep[traction_coefficient(curve, creep, v_m_s).argmax()])

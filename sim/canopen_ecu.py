@@ -97,7 +97,7 @@ class CanopenNode:
         self.number = number
         self.bus = VirtualTimeBus()
         self._network = canopen.Network(self.bus)
-        self.node = canopen.LocalNode(number, str(EDS))
+        self.node = _local_node(number)
         self._network[number] = self.node
         self.node.add_read_callback(self._on_read)
         self._error = 0
@@ -128,9 +128,10 @@ class CanopenNode:
         if self.node.nmt.state == "INITIALISING":
             self._boot()
 
-    def emergency(self, code: int, register: int) -> None:
+    def emergency(self, code: int, register: int, now_ns: Nanos) -> None:
         """EMCY with error code and register, once per change; code 0 is "error reset"."""
         self._error = register
+        self.bus.run_until(now_ns)
         if self.node.nmt.state == "STOPPED":
             return
         if code:
@@ -169,6 +170,11 @@ class CanopenNode:
                 raw - (1 << signal.length) if signal.is_signed and raw >> signal.length - 1 else raw
             )
         return None
+
+
+def _local_node(number: int) -> Any:
+    """The library's node; Any because its methods carry no types."""
+    return canopen.LocalNode(number, str(EDS))
 
 
 def _cob(index: int, number: int) -> int:

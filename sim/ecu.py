@@ -28,8 +28,7 @@ LATENCY_NS: Final[Nanos] = 30_000
 """From the sampling instant until the frame waits for the bus; drive k adds k x 7 us."""
 KINDS: Final = ("PhaseCurrents", "StatorVoltages", "Samples", "Motion", "Status", "Temperatures")
 LOST: Final = 2
-OPERATION: Final = 2
-"""`Status.State`."""
+"""`AdhesionLost`."""
 
 
 class Ecu:
@@ -47,7 +46,7 @@ class Ecu:
         }
         self._flags = {s: FD | (BRS if m.brs else 0) for s, m in self.specs.items() if m.is_fd}
         self._latency = LATENCY_NS + 7_000 * index
-        self._last: dict[str, bytes] = {}
+        self._last: dict[str, tuple[Nanos, Mapping[str, float | int | None]]] = {}
         self.canopen = CanopenNode(node, self.specs, self._read, self_start=self_start)
         adhesion = codec.by_name.get("Gateway_Adhesion")
         self._adhesion = adhesion
@@ -63,9 +62,17 @@ class Ecu:
         self.fault_code = 0
 
     def _read(self, kind: str) -> tuple[MessageSpec, bytes] | None:
-        """For the SDO server: what the last message of this kind carried."""
-        payload = self._last.get(kind)
-        return (self.specs[kind], payload) if payload is not None else None
+        """For the SDO server: the message of this kind as of its last sampling instant."""
+        last = self._last.get(kind)
+        return (self.specs[kind], self._payload(kind, *last)) if last is not None else None
+
+    def _payload(
+        self, kind: str, instant_ns: Nanos, values: Mapping[str, float | int | None]
+    ) -> bytes:
+        spec = self.specs[kind]
+        payload = self.codec.encode(spec, values)
+        protect(spec, payload, instant_ns // spec.cycle_ns)
+        return bytes(payload)
 
     def receive(self, frames: Iterable[Frame], now_ns: Nanos) -> None:
         """Take what came over the bus; `now_ns` is the time it takes effect."""
@@ -98,7 +105,7 @@ class Ecu:
         out: NDArray[np.bool_] = t_ns < self._flag_ns + FLAG_TIMEOUT_NS
         return out
 
-    def note_fault(self, fault_class: int) -> None:
+    def note_fault(self, fault_class: int, now_ns: Nanos) -> None:
         """EMCY when a fault begins, changes or ends; faults it cannot know of are passed over."""
         known = fault_class if fault_class in EMERGENCY else 1
         if known == self._known_fault:
@@ -106,7 +113,7 @@ class Ecu:
         self._known_fault = known
         self.fault_code = 0 if known == 1 else known
         code, register = EMERGENCY.get(known, (0, 0))
-        self.canopen.emergency(code, register | 0x01 if code else 0)
+        self.canopen.emergency(code, register | 0x01 if code else 0, now_ns)
 
     def message(
         self, kind: str, instant_ns: Nanos, values: Mapping[str, float | int | None]
@@ -116,13 +123,11 @@ class Ecu:
         The counter is the instant's number, so it tells time across losses. The checksum comes
         last, as the frame is handed over.
         """
+        self._last[kind] = (instant_ns, values)
         if not self.canopen.operational:
             return None
         spec = self.specs[kind]
-        payload = self.codec.encode(spec, values)
-        protect(spec, payload, instant_ns // spec.cycle_ns)
-        data = bytes(payload)
-        self._last[kind] = data
+        data = self._payload(kind, instant_ns, values)
         sent = self._wire.apply(instant_ns * 1e-9, spec.can_id, data)
         if sent is None:
             return None

@@ -155,6 +155,11 @@ class Schedule:
         """Whether `current_faults` ever says anything."""
         return any(e.sensor == "current" for events in self._by_kind.values() for e, _ in events)
 
+    @property
+    def has_thermal_faults(self) -> bool:
+        """Whether any event ever touches a temperature or its reading."""
+        return any(kind in CLASSES for kind in self._by_kind)
+
     def classes(self, t_s: float) -> list[int]:
         """`FaultClass` of each drive: 1 None, else the class of the event that began last."""
         out = [NONE] * self._n

@@ -24,9 +24,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import _kernels as kernels
-from sim._kernels import ANGLE, COMMAND, DT, I_ALPHA, I_BETA, LOAD, OUT, SPEED, TORQUE
-from sim._kernels import U_ALPHA, U_BETA, U_DC  # fmt: skip
-from sim.adhesion import RAILS, Rail, available
+from sim._kernels import (
+    ANGLE,
+    COMMAND,
+    DT,
+    I_ALPHA,
+    I_BETA,
+    LOAD,
+    OUT,
+    SPEED,
+    TORQUE,
+    U_ALPHA,
+    U_BETA,
+    U_DC,
+)  # fmt: skip
+from sim.adhesion import Rail, available, peak_creep
 
 __all__ = [
     "ANGLE", "BENCH", "COMMAND", "DT", "I_ALPHA", "I_BETA", "LOAD", "MOTORS", "OUT", "SPEED",
@@ -144,21 +156,21 @@ class Plant:
         )  # fmt: skip
         return out
 
-    def overloaded(self, condition: Rail) -> bool:
-        """True when this rail cannot carry the train's demand within the slip limit."""
+    def slips(self, drive: int, condition: Rail) -> bool:
+        """True when this rail cannot carry the train's demand of this drive.
+
+        Either the demand is more than the curve gives within the slip limit, or the wheel slides
+        beyond the curve's peak. Never so under a preset load.
+        """
+        if not self.on_rail:
+            return False
         v = float(self.train_state[0]) * self.train.wheel_radius_m
         limit = self.wheel_load_nm * available(condition, v, kernels.CREEP_LIMIT)
-        return abs(self.demand_nm) > limit
-
-    def beyond_peak(self, drive: int, condition: Rail) -> bool:
-        """True when this wheel slides faster than the peak of its creep curve allows."""
-        v = float(self.train_state[0]) * self.train.wheel_radius_m
+        if abs(self.demand_nm) > limit:
+            return True
         w = float(self.x[drive, 2]) * self.train.wheel_radius_m
         creep = abs(w - v) / max(abs(v), kernels.SPEED_FLOOR_M_S)
-        if creep <= kernels.CREEP_LIMIT:
-            return False
-        here = available(condition, v, creep)
-        return available(condition, v, 0.98 * creep) >= here and creep > kernels.CREEP_LIMIT * 1.5
+        return creep > kernels.CREEP_LIMIT and creep > peak_creep(condition, v)
 
 
 class QuasiStatic:
@@ -208,6 +220,3 @@ class QuasiStatic:
 def rail_array(conditions: list[Rail]) -> Array:
     """(N, 6) of the curves in force, as the kernel takes them."""
     return np.array(conditions, dtype=np.float64)
-
-
-DRY: Final = RAILS["dry"]

@@ -121,10 +121,12 @@ class Event(Strict):
 
 
 class Expect(Strict):
-    """One `[[expect]]`: between `after_s` and `after_s` + `within_ms` the flag becomes `is_`;
-    with `never = true` it is at no time `is_` from `after_s` on. Neither: it is so at the end.
+    """One `[[expect]]`: what a flag is to say.
+
+    Between `after_s` and `after_s` + `within_ms` the flag is seen as `is_`; without `within_ms` at
+    any time from `after_s` on; with `never = true` at no time from `after_s` on.
     `drive = "others"`: all drives that no event names.
-    """  # fmt: skip
+    """
 
     flag: Literal["adhesion", "thermal", "common_mode", "comm", "sensor"]
     is_: Literal["good", "bad", "unknown"] = Field(alias="is")
@@ -163,11 +165,13 @@ class Disturbance(Strict):
 
 
 class Load(Strict):
-    """`[load]`. `kind = "rail"`: `torque_nm` is what the train resists with, per drive (gradient and
-    running resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm],
-    ...] replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed
-    by the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
-    """  # fmt: skip
+    """`[load]`: what the drives work against.
+
+    `kind = "rail"`: `torque_nm` is what the train resists with, per drive (gradient and running
+    resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm], ...]
+    replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed by
+    the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
+    """
 
     kind: Literal["rail", "preset"] = "rail"
     torque_nm: float = 18.0
@@ -188,10 +192,11 @@ class Load(Strict):
 
 
 class Motion(Strict):
-    """`[motion]`: electrical rad/s, or rotor rpm with `unit = "rpm"`. `profile` = [[t_s, speed], ...]
-    (linear) replaces `speed`. `start = "rolling"`: at the profile's first speed; `angle_rad`: initial
-    electrical angle of every drive, else random per drive.
-    """  # fmt: skip
+    """`[motion]`: the speed wanted, electrical rad/s, or rotor rpm with `unit = "rpm"`.
+
+    `profile` = [[t_s, speed], ...] (linear) replaces `speed`. `start = "rolling"`: at the profile's
+    first speed. `angle_rad`: initial electrical angle of every drive, else random per drive.
+    """
 
     speed: float = 100.0
     profile: Points | None = None
@@ -207,9 +212,11 @@ class Motion(Strict):
 
 
 class Sensors(Strict):
-    """`[sensors]`: white noise per phase, the same offset and gain in all, range; temperature noise
+    """`[sensors]`.
+
+    Currents: white noise per phase, offset and gain the same in all, range. Temperatures: noise
     and the spread of constant offsets, both one sigma.
-    """  # fmt: skip
+    """
 
     current_noise_var: float = Field(2e-4, ge=0)
     current_offset_a: float = 0.0
@@ -220,9 +227,11 @@ class Sensors(Strict):
 
 
 class ThermalStart(Strict):
-    """`[thermal]`. `start`: "equilibrium" of the first load and speed, "ambient", or degC for all.
+    """`[thermal]`.
+
+    `start`: "equilibrium" of the first load and speed, "ambient", or degC for all nodes.
     `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
-    """  # fmt: skip
+    """
 
     start: Literal["equilibrium", "ambient"] | float = "equilibrium"
     ambient_c: float = Field(20.0, ge=-40, le=60)

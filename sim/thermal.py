@@ -8,7 +8,7 @@ Nodes and the bench motor's figures (capacities J/K, conductances W/K; time cons
     3 drive-end bearing 150 --2-- frame     4 non-drive-end bearing 120 --1.8-- frame
     5 rotor 700 --1.5-- core, --0.6-- each bearing; bearings --0.25-- ambient
 
-    winding 56 s, bearings 55 s, rotor 260 s, whole motor to ambient about 450 s
+    winding 56 s, bearings 55 s, rotor 260 s, whole motor to ambient 650 s
 
 A winding heated by 200 W more rises 0.4 K/s at first; without cooling a motor at 25 Nm rises
 0.06 K/s; a bearing with 40 W more friction rises 0.25 K/s. Larger motors scale with T_rated.
@@ -59,10 +59,11 @@ class ThermalTrain:
     """N motors, each with a twin that gets the same losses but none of the faults."""
 
     def __init__(self, motor: Motor, drives: int, ambient_c: float, train_seed: int) -> None:
-        """All nodes at ambient. Unlike motors: air flow 3 %, friction 8 %, local air 0.5 K (one
-        sigma), drawn from `train_seed` and the drive's number, so that the same train runs in
-        every scenario.
-        """  # fmt: skip
+        """All nodes at ambient.
+
+        The motors are unlike: air flow 3 %, friction 8 %, local air 0.5 K (one sigma), drawn from
+        `train_seed` and the drive's number, so that the same train runs in every scenario.
+        """
         self.motor = motor
         self.scale = motor.T_rated / BENCH.T_rated
         spread = np.stack(
@@ -130,9 +131,11 @@ class ThermalTrain:
         self._state[:] = celsius
 
     def advance(self, i_squared: Array, w_m: Array, extra_w: Array, cooling_lost: Array) -> None:
-        """One step of 10 ms: mean |i|^2 (N,) A^2, speed (N,) rad/s, fault heat (N, 6) W,
-        share of cooling lost (N,) 0..1.
-        """  # fmt: skip
+        """One step of 10 ms.
+
+        Mean |i|^2 (N,) A^2, rotor speed (N,) rad/s, fault heat (N, 6) W, and the share of the air
+        cooling lost (N,) 0..1; the last two for the real motors only.
+        """
         w = np.tile(w_m, 2)
         q, copper = self._sources(self._state, np.tile(i_squared, 2), w)
         q[:, WINDING] += copper * COPPER_SLOPE * (self._state[:, WINDING] - COPPER_REFERENCE)

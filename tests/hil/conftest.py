@@ -112,6 +112,9 @@ class Outside:
             first = False
         if first:
             subprocess.run([sys.executable, "-c", WARM_UP], check=True)
+            log = str(self._directory / "warm.log")
+            simulate = ("sim", "healthy", "--duration", "0.05", "-o", log)
+            subprocess.run([sys.executable, "-m", "gateway", *simulate], check=True)
             wanted = [item.nodeid for item in session.items if item.get_closest_marker("vcan")]
             self._job = _runner().Job(self._command(wanted), self._directory)
         return self._directory
@@ -227,6 +230,25 @@ class Vcan:
         """Frames by can-utils, such as `181#0102`, `181#R`, `181##1AA` (FD)."""
         for text in texts:
             subprocess.run(["cansend", name or self.name, text], check=True)
+
+    def record(self, path: Path, name: str = "", count: int = 0) -> subprocess.Popen[bytes]:
+        """`candump -L` into a file, listening on return; ends after `count` frames, if given.
+
+        What it has not read when it is terminated is lost: leave it a quiet moment first.
+        """
+        name = name or self.name
+        before = self.listeners(name)
+        limit = ("-n", str(count)) if count else ()
+        with path.open("wb") as file:
+            process = self.start("candump", "-L", *limit, name, stdout=file)
+        while self.listeners(name) == before:
+            time.sleep(0.01)
+        return process
+
+    def listeners(self, name: str = "") -> int:
+        """Number of sockets that receive everything from an interface."""
+        text = Path("/proc/net/can/rcvlist_all").read_text(encoding="ascii")
+        return sum(line.split()[:1] == [name or self.name] for line in text.splitlines())
 
     def start(self, *command: str, **options: Any) -> subprocess.Popen[bytes]:
         """A process that is ended with the test."""

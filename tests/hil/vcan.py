@@ -153,6 +153,9 @@ class Job:
 
     def stop(self) -> None:
         """End it, whatever state it is in. The guest's processes are all in one group."""
+        if self.exit_code() is not None:  # it is about to halt
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=10)
         if self.running():
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)

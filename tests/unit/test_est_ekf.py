@@ -44,7 +44,7 @@ def test_linear_limit_is_the_kalman_filter():
         )
         assert np.abs(pmsm.wrap(x[:, 3] - x_kf[:, 3])) == pytest.approx(0.0, abs=1e-8)
         assert x[:, [0, 1, 2, 4]] == pytest.approx(x_kf[:, [0, 1, 2, 4]], rel=1e-9, abs=1e-9)
-        assert P == pytest.approx(P_kf, rel=1e-9, abs=1e-9)
+        assert pytest.approx(P_kf, rel=1e-9, abs=1e-9) == P
         assert innovation.nis == pytest.approx(other.nis, rel=1e-9)
 
 

@@ -1,0 +1,44 @@
+"""What is really so: the rows of the truth file."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Truth(NamedTuple):
+    """One drive at one instant, every 10 ms.
+
+    `drive` is the node number, `speed_rad_s` the rotor's (mechanical), `angle_rad` electrical in
+    [0, 2 pi), `load_nm` the torque on the rail, `fault_class` the contract's number (1 none).
+
+    `lost`: the adhesion at hand is below what the train demands of the drive. That is: an adhesion
+    loss is active with depth > 0, or the rail cannot carry the demand within 5 % creep, or the
+    wheel slides beyond the peak of its creep curve. The demand is the one before the drive's
+    limiter: a drive that was cut and grips again stays `lost` until the rail is back.
+
+    `true_effect_k`: what the fault changes at the drive's temperature readings, the largest of the
+    four, noise aside: against a fault-free twin of the motor under the same currents, sensor bias
+    and the error of a stuck value included; 0 for a lost sensor.
+    """
+
+    t_s: float
+    drive: int
+    speed_rad_s: float
+    angle_rad: float
+    load_nm: float
+    lost: int
+    fault_class: int
+    true_effect_k: float
+
+    def text(self) -> tuple[str, ...]:
+        """Cells of the truth file."""
+        return (
+            f"{self.t_s:.3f}",
+            str(self.drive),
+            f"{self.speed_rad_s:.5f}",
+            f"{self.angle_rad:.5f}",
+            f"{self.load_nm:.4f}",
+            str(self.lost),
+            str(self.fault_class),
+            f"{self.true_effect_k:.4f}",
+        )

@@ -1,0 +1,59 @@
+"""Running scenarios, and a gateway reduced to the flags it sends, for tests of the simulator."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import dbc
+from dbc.codec import Codec, bind
+from dbc.frame import Frame
+from dbc.protection import protect
+from sim.scenario import Scenario, parse
+from sim.simulation import Simulation
+
+CLASSIC = Path(dbc.__path__[0]) / "traction.dbc"
+FD_FILE = Path(dbc.__path__[0]) / "traction_fd.dbc"
+TICK = 10_000_000
+
+
+@cache
+def codec(nodes: tuple[int, ...] = (1, 2, 3), path: Path = CLASSIC) -> Codec:
+    return bind(path, nodes)
+
+
+def scenario(**table) -> Scenario:
+    return parse({"title": "test", "duration_s": 5.0, **table})
+
+
+def run(simulation: Simulation, seconds: float, tick: int = TICK) -> list[Frame]:
+    out = []
+    for k in range(1, round(seconds * 1e9) // tick + 1):
+        out += simulation.step((), k * tick)
+    return out
+
+
+def values(frames, name: str, codec_: Codec | None = None) -> list[dict[str, float]]:
+    """Decoded values of one message, with `t_s`, in order."""
+    c = codec_ or codec()
+    spec = c.by_name[name]
+    rows = []
+    for f in frames:
+        if f.can_id == spec.can_id:
+            row = {k: r.value for k, r in c.decode(spec, f.data).items()}
+            rows.append({"t_s": f.t_ns * 1e-9, **row})
+    return rows
+
+
+class Flags:
+    """`Gateway_Adhesion` frames as a gateway sends them."""
+
+    def __init__(self) -> None:
+        self.spec = codec().by_name["Gateway_Adhesion"]
+        self.counter = 0
+
+    def frame(self, t_ns: int, **states: int) -> Frame:
+        payload = codec().encode(self.spec, states)
+        protect(self.spec, payload, self.counter)
+        self.counter += 1
+        return Frame(t_ns, self.spec.can_id, bytes(payload))

@@ -1,0 +1,85 @@
+"""Other formats through python-can: the same frames, error frames never data."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+from pathlib import Path
+
+import can
+import pytest
+
+from dbc.candump import LogError
+from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from dbc.otherlogs import from_message, read_any
+
+T0 = 1_700_000_000.0
+MESSAGES = [
+    can.Message(T0, 0x181, is_extended_id=False, data=bytes(8), channel=0),
+    can.Message(T0 + 0.002, 0x18FEF100, is_extended_id=True, data=b"\1\2", channel=0),
+    can.Message(T0 + 0.004, 0x182, is_extended_id=False, is_remote_frame=True, dlc=4, channel=0),
+    can.Message(
+        T0 + 0.006, 0x183, is_extended_id=False, is_fd=True, bitrate_switch=True,
+        data=bytes(range(64)), channel=0,
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".trc", ".csv"])
+def test_formats(tmp_path: Path, suffix: str) -> None:
+    wanted = MESSAGES[:2] if suffix in (".trc", ".csv") else MESSAGES
+    path = tmp_path / f"log{suffix}"
+    with can.Logger(path) as logger:
+        for message in wanted:
+            logger(message)
+    frames = list(read_any(path))
+    flags = [0, EXTENDED, REMOTE, FD | BRS][: len(wanted)]
+    assert [f.can_id for f in frames] == [m.arbitration_id for m in wanted]
+    assert [f.flags for f in frames] == flags
+    assert [f.data for f in frames] == [bytes(m.data) for m in wanted]
+    steps = [b.t_ns - a.t_ns for a, b in itertools.pairwise(frames)]
+    assert all(abs(step - 2_000_000) <= 1_000_000 for step in steps)
+    assert all(isinstance(f.t_ns, int) for f in frames)
+
+
+def test_error_frames_are_never_data() -> None:
+    message = can.Message(1.25, 0x40, is_error_frame=True, is_extended_id=False, data=bytes(8))
+    assert from_message(message) == Frame(1_250_000_000, 0x40, bytes(8), ERROR)
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf"])
+def test_error_frames_of_a_file(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"log{suffix}"
+    error = can.Message(T0, 0x40, is_error_frame=True, is_extended_id=False, channel=0)
+    with can.Logger(path) as logger:
+        logger(error)
+        logger(MESSAGES[0])
+    assert [f.flags for f in read_any(path)] == [ERROR, 0]
+
+
+def test_remote_length_and_channel() -> None:
+    assert from_message(MESSAGES[2])._replace(t_ns=0) == Frame(0, 0x182, b"", REMOTE, "0", 4)
+
+
+# python-can's BLF reader leaves the file open when it refuses it.
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("log.xyz", b""),
+        ("log.blf", b"this is no BLF file"),
+        ("none.blf", None),
+    ],
+)
+def test_what_cannot_be_read_is_one_clear_error(
+    tmp_path: Path, name: str, content: bytes | None
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LogError, match="cannot be read") as caught:
+        list(read_any(path))
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    del caught
+    gc.collect()

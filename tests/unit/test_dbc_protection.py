@@ -1,0 +1,338 @@
+"""E2E: published vectors, a second CRC library, exhaustive error patterns, counter, states."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from crccheck.crc import Crc8Autosar, Crc16Ibm3740
+
+from dbc import build
+from dbc.codec import MessageSpec, bind
+from dbc.dataids import p02_data_ids
+from dbc.protection import (
+    COUNTERS,
+    TABLE,
+    WINDOW,
+    Check,
+    Profile,
+    Receiver,
+    SmState,
+    counter_of,
+    crc_ok,
+    protect,
+)
+
+
+@dataclass(frozen=True)
+class Own:
+    """The least a receiver needs to know."""
+
+    profile: Profile
+    data_ids: bytes
+
+
+P02 = Own(Profile.P02, p02_data_ids(0x1A0))
+P05 = Own(Profile.P05, b"\x01\x81")
+NONE = Own(Profile.NONE, b"")
+
+
+def frame(spec: Own | MessageSpec, counter: int, body: bytes = b"\x12\x34\x56") -> bytes:
+    payload = bytearray(8 if spec.profile is not Profile.P05 else 64)
+    payload[3 : 3 + len(body)] = body
+    protect(spec, payload, counter)
+    return bytes(payload)
+
+
+# ---- vectors -----------------------------------------------------------------------------------
+
+
+def test_vector_of_profile_2() -> None:
+    payload = bytearray(8)
+    protect(Own(Profile.P02, bytes(range(1, 17))), payload, 1)
+    assert payload.hex() == "1b01000000000000"
+
+
+def test_vectors_of_profile_5() -> None:
+    """PRS_E2EProtocol: id 0x1234, counter 0, eight bytes, header at the start."""
+    payload = bytearray(8)
+    protect(Own(Profile.P05, b"\x12\x34"), payload, 0)
+    assert payload.hex() == "1cca000000000000"
+
+
+@pytest.mark.parametrize(
+    ("data", "crc"),
+    [
+        ("00000000", 0x12),
+        ("F20183", 0xC2),
+        ("0FAA0055", 0xC6),
+        ("00FF5511", 0x77),
+        ("332255AABBCCDDEEFF", 0x11),
+        ("926B55", 0x33),
+        ("FFFFFFFF", 0x6C),
+        (b"123456789".hex(), 0xDF),
+    ],
+)
+def test_crc_8h2f_vectors_of_the_standard(data: str, crc: int) -> None:
+    """SWS_CRCLibrary: both libraries give the published values."""
+    from e2e.crc import calculate_crc8_h2f
+
+    assert calculate_crc8_h2f(bytes.fromhex(data)) == crc
+    assert Crc8Autosar.calc(bytes.fromhex(data)) == crc
+
+
+@pytest.mark.parametrize(
+    ("data", "crc"),
+    [
+        ("00000000", 0x84C0),
+        ("F20183", 0xD374),
+        ("0FAA0055", 0x2023),
+        ("00FF5511", 0xB8F9),
+        ("332255AABBCCDDEEFF", 0xF53F),
+        ("926B55", 0x0745),
+        ("FFFFFFFF", 0x1D0F),
+        (b"123456789".hex(), 0x29B1),
+    ],
+)
+def test_crc_16_vectors_of_the_standard(data: str, crc: int) -> None:
+    from e2e.crc import calculate_crc16
+
+    assert calculate_crc16(bytes.fromhex(data)) == crc
+    assert Crc16Ibm3740.calc(bytes.fromhex(data)) == crc
+
+
+def test_whole_frames_equal_the_second_library() -> None:
+    """P02: CRC over bytes 1.. and the counter's id. P05: over bytes 2.. and the id, LSB first."""
+    generator = np.random.default_rng(4)
+    for k in range(5000):
+        ids = generator.bytes(16)
+        payload = bytearray(generator.bytes(int(generator.integers(2, 65))))
+        protect(Own(Profile.P02, ids), payload, k)
+        assert payload[1] & 15 == k & 15
+        assert payload[0] == Crc8Autosar.calc(payload[1:] + ids[k & 15 : (k & 15) + 1])
+        payload = bytearray(generator.bytes(int(generator.integers(3, 65))))
+        protect(Own(Profile.P05, ids[:2]), payload, k)
+        assert payload[2] == k & 255
+        assert int.from_bytes(payload[:2], "little") == Crc16Ibm3740.calc(
+            payload[2:] + bytes((ids[1], ids[0]))
+        )
+
+
+# ---- error patterns ----------------------------------------------------------------------------
+
+
+def crc_table() -> np.ndarray:
+    table = np.zeros(256, np.uint8)
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = (crc << 1) ^ 0x2F if crc & 0x80 else crc << 1
+        table[byte] = crc & 0xFF
+    return table
+
+
+def undetected(frames: np.ndarray, ids: bytes) -> int:
+    """How many of these eight-byte frames a receiver would accept (own table CRC)."""
+    table = crc_table()
+    crc = np.full(len(frames), 0xFF, np.uint8)
+    for k in range(1, 8):
+        crc = table[crc ^ frames[:, k]]
+    data_id = np.frombuffer(ids, np.uint8)[frames[:, 1] & 15]
+    crc = table[crc ^ data_id] ^ 0xFF
+    return int((crc == frames[:, 0]).sum())
+
+
+def test_no_error_of_up_to_three_bits_goes_unseen() -> None:
+    """All C(64, 1..3) = 43,744 patterns, the counter's bits among them, at every counter."""
+    masks = [
+        sum(1 << bit for bit in bits)
+        for k in (1, 2, 3)
+        for bits in itertools.combinations(range(64), k)
+    ]
+    assert len(masks) == 43_744
+    flips = np.array(masks, np.uint64).view(np.uint8).reshape(-1, 8)
+    for can_id in (0x1A0, 0x2A0):
+        spec = Own(Profile.P02, p02_data_ids(can_id))
+        for counter in range(16):
+            payload = bytearray(b"\0\0\x55\xaa\x96\x99\x01\x07")
+            protect(spec, payload, counter)
+            good = np.frombuffer(bytes(payload), np.uint8)
+            assert undetected(good.reshape(1, 8), spec.data_ids) == 1
+            assert undetected(good ^ flips, spec.data_ids) == 0
+    # The table CRC above is the library's: the same patterns of one and two bits through it.
+    for mask in flips[: 64 + 2016]:
+        assert not crc_ok(spec, (good ^ mask).tobytes())
+
+
+def test_bursts_of_up_to_eight_bits_in_wire_order() -> None:
+    """All are seen but six, and those change the counter, which selects another data id.
+
+    7,423 bursts at each counter. The six would still have to pass the counter check.
+    """
+    counter_bits = 0x0F << 48
+    bursts = [
+        pattern << shift
+        for pattern in range(1, 256, 2)
+        for shift in range(64)
+        if pattern << shift < 1 << 64
+    ]
+    assert len(bursts) == 7_423
+    unseen = set()
+    for counter in range(16):
+        good = int.from_bytes(frame(P02, counter), "big")
+        unseen |= {b for b in bursts if crc_ok(P02, (good ^ b).to_bytes(8, "big"))}
+    assert len(unseen) == 6
+    assert all(burst & counter_bits for burst in unseen)
+
+
+def test_empty_and_full_frames_are_no_good_frames() -> None:
+    codec = bind(Path(build.__file__).parent / "traction_fd.dbc", (1,))
+    for spec in codec.messages:
+        assert not crc_ok(spec, bytes(spec.length))
+        assert not crc_ok(spec, b"\xff" * spec.length)
+
+
+def test_a_frame_of_another_message_is_no_good_frame() -> None:
+    """Masquerade: every message of the set rejects every other's frames, at every counter."""
+    codec = bind(Path(build.__file__).parent / "traction.dbc", (1,))
+    lists = [spec.data_ids for spec in codec.messages]
+    for one, other in itertools.combinations(lists, 2):
+        assert all(a != b for a, b in zip(one, other, strict=True))
+
+
+# ---- counter -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spec", [P02, P05])
+def test_counter_steps(spec: Own) -> None:
+    turn = COUNTERS[spec.profile]
+    receiver = Receiver(spec)
+    assert receiver.check(frame(spec, 250)) is Check.OK, "the first frame sets the counter"
+    counter = 250
+    for step, verdict, missed in (
+        (1, Check.OK, 0),
+        (2, Check.OK_SOME_LOST, 1),
+        (3, Check.OK_SOME_LOST, 2),
+        (0, Check.REPEATED, 0),
+        (turn, Check.REPEATED, 0),
+        (4, Check.WRONG_SEQUENCE, 0),
+        (1, Check.OK, 0),
+        (turn - 1, Check.WRONG_SEQUENCE, 0),
+        (1, Check.OK, 0),
+    ):
+        counter += step
+        assert receiver.check(frame(spec, counter)) is verdict
+        assert receiver.missed == missed
+    assert (receiver.ok, receiver.lost) == (6, 3)
+    assert (receiver.repeated, receiver.wrong_sequence, receiver.error) == (2, 2, 0)
+
+
+def test_a_corrupt_frame_does_not_move_the_counter() -> None:
+    receiver = Receiver(P02)
+    receiver.check(frame(P02, 3))
+    broken = bytearray(frame(P02, 9))
+    broken[5] ^= 1
+    assert receiver.check(bytes(broken)) is Check.ERROR
+    assert receiver.check(frame(P02, 4)) is Check.OK
+    assert receiver.error == 1
+
+
+@pytest.mark.parametrize("spec", [P02, P05])
+def test_short_frames_are_errors_not_exceptions(spec: Own) -> None:
+    receiver = Receiver(spec)
+    for size in range(8):
+        assert receiver.check(frame(spec, 1)[:size]) is Check.ERROR
+    assert not crc_ok(spec, b"")
+    assert counter_of(spec, b"") is None
+    assert receiver.state is SmState.NO_DATA
+    with pytest.raises(ValueError, match="too short"):
+        protect(spec, bytearray(1), 0)
+
+
+def test_without_protection_everything_is_ok() -> None:
+    receiver = Receiver(NONE)
+    payload = bytearray(b"abc")
+    protect(NONE, payload, 5)
+    assert payload == b"abc"
+    assert receiver.check(b"") is Check.OK
+    assert crc_ok(NONE, b"")
+    assert counter_of(NONE, b"abc") is None
+
+
+# ---- state machine -----------------------------------------------------------------------------
+
+G, L, E, R, W, N = (
+    Check.OK,
+    Check.OK_SOME_LOST,
+    Check.ERROR,
+    Check.REPEATED,
+    Check.WRONG_SEQUENCE,
+    Check.NO_NEW_DATA,
+)
+
+
+def states(*verdicts: Check) -> str:
+    """States after each verdict: d(ata missing), i(nit), v(alid), x (invalid)."""
+    receiver = Receiver(P02)
+    return "".join("divx"[receiver.cycle(verdict)] for verdict in verdicts)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "wanted"),
+    [
+        ((N, N, E, N), "dddd"),
+        ((G, G, G), "ivv"),
+        ((L, L), "iv"),
+        ((R, G, G), "iiv"),
+        ((W, G, G), "iiv"),
+        ((G, E), "ix"),
+        ((E, G), "di"),
+        ((E, G, G), "dix"),
+        ((E, G, G, G, G, G), "dixxxv"),
+        ((G, G, E, G, G), "ivvvv"),
+        ((G, G, G, E, E), "ivvvx"),
+        ((G, G, G, E, G, E), "ivvvvx"),
+        ((G, G, G, G, G, N, N, N, N), "ivvvvvvvx"),
+        ((G, G, G, G, G, R, R, R, R), "ivvvvvvvx"),
+        ((G, G, G, G, G, W, W, W, W), "ivvvvvvvx"),
+        ((G, G, G, E, E, G, G, G, G, G), "ivvvxxxxxv"),
+        ((G, N, N, N, N, N, N), "iiiiiii"),
+    ],
+)
+def test_paths_through_the_states(verdicts: tuple[Check, ...], wanted: str) -> None:
+    assert states(*verdicts) == wanted
+
+
+def test_every_row_of_the_table_is_left_every_way() -> None:
+    """The table is data; each of its transitions happens in some sequence of six verdicts."""
+    seen = set()
+    for verdicts in itertools.product((G, E, N), repeat=7):
+        receiver = Receiver(P02)
+        before = receiver.state
+        for verdict in verdicts:
+            after = receiver.cycle(verdict)
+            seen.add((before, after))
+            before = after
+    expected = {(SmState.NO_DATA, SmState.NO_DATA), (SmState.NO_DATA, SmState.INIT)}
+    for state, row in TABLE.items():
+        expected |= {(state, target) for target in (row.good, row.errors, row.otherwise)}
+    assert seen == expected
+
+
+def test_windows_are_those_of_the_promise() -> None:
+    assert WINDOW == 5
+    limits = {state: (row.min_ok, row.max_error) for state, row in TABLE.items()}
+    assert limits == {SmState.INIT: (2, 0), SmState.VALID: (2, 1), SmState.INVALID: (3, 0)}
+
+
+def test_reset_forgets_the_window_and_keeps_the_counts() -> None:
+    receiver = Receiver(P02)
+    for k in range(4):
+        receiver.cycle(receiver.check(frame(P02, k)))
+    assert receiver.state is SmState.VALID
+    receiver.reset()
+    assert (receiver.state, receiver.ok, receiver.oks_seen) == (SmState.NO_DATA, 4, 0)
+    assert receiver.check(frame(P02, 9)) is Check.OK

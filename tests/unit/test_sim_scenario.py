@@ -1,0 +1,181 @@
+import numpy as np
+import pytest
+
+from sim.faults import Schedule
+from sim.plant import BENCH
+from sim.profile import Profile
+from sim.random_runs import random_scenario
+from sim.scenario import ScenarioError, builtin, builtin_names, find, load, parse, parse_text
+
+MINIMAL = {"title": "t", "duration_s": 1.0}
+REQUIRED = {
+    "paper_section5", "wet_one", "leaves_all", "bearing", "cooling_loss", "stuck_sensor",
+    "silent", "lossy_bus", "release", "healthy", "demo",
+}  # fmt: skip
+
+
+def problems(table):
+    with pytest.raises(ScenarioError) as caught:
+        parse(table, "x.toml")
+    assert str(caught.value).startswith("x.toml:\n")
+    return caught.value.problems
+
+
+def test_minimal_file_has_sensible_defaults():
+    s = parse(MINIMAL)
+    assert (s.drives, s.load.kind, s.motion.speed, s.traffic) == (3, "rail", 100.0, "full")
+    assert 15 <= s.load.torque_nm <= 20
+    assert s.event == []
+
+
+def test_all_builtin_scenarios_load_and_expect_something():
+    assert set(builtin_names()) >= REQUIRED
+    for name in builtin_names():
+        s = builtin(name)
+        assert s.title
+        assert s.expect
+        assert s.duration_s <= 90
+
+
+def test_every_problem_is_listed_with_its_path():
+    found = problems({
+        "title": "t",
+        "duration_s": -1,
+        "nonsense": 1,
+        "event": [
+            {"at_s": 0, "kind": "rail"},
+            {"at_s": 0, "kind": "adhesion_loss", "depth": 3, "bar": 1, "drive": "both"},
+        ],
+        "motion": {"zz": 1},
+        "expect": [{"flag": "adhesion", "is": "bad", "never": True, "within_ms": 5}],
+    })  # fmt: skip
+    text = "\n".join(found)
+    for part in (
+        "duration_s: ", "nonsense: unknown key", "event[0]: rail needs value",
+        "event[1].depth: ", "event[1].bar: unknown key", "event[1].drive: ",
+        "motion.zz: unknown key", "expect[0]: within_ms and never",
+    ):  # fmt: skip
+        assert part in text
+    assert len(found) == 8
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ({"kind": "adhesion_loss"}, "needs depth"),
+        ({"kind": "adhesion_loss", "value": 1.0}, "needs depth"),
+        ({"kind": "silent", "depth": 1.0}, "takes neither"),
+        ({"kind": "overheating"}, "needs depth or value"),
+        ({"kind": "rail", "value": "ice"}, "unknown rail condition"),
+        ({"kind": "rail", "value": 7.0}, "outside"),
+        ({"kind": "sensor_bias", "value": "much"}, "must be a number"),
+        ({"kind": "silent", "sensor": "stator"}, "sensor belongs to"),
+        ({"kind": "bearing", "value": 5.0, "sensor": "stator"}, "a bearing is at"),
+        ({"kind": "silent", "ramp_s": 0.1}, "ramp_s belongs"),
+        ({"kind": "adhesion_loss", "depth": 1.0, "for_s": 0.1, "ramp_s": 0.06}, "two ramps"),
+        ({"kind": "explosion"}, "event[0].kind"),
+        ({"kind": "silent", "drive": 4}, "event[0].drive: 4 is not one of the 3 drives"),
+        ({"kind": "silent", "at_s": float("nan")}, "event[0].at_s"),
+    ],
+)
+def test_events_that_make_no_sense_are_refused(event, message):
+    assert message in "\n".join(problems({**MINIMAL, "event": [{"at_s": 0.0, **event}]}))
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        {"motor": {"name": "none"}},
+        {"load": {"rail": "ice"}},
+        {"load": {"profile": [[0, 1], [0, 2]]}},
+        {"load": {"disturbance": [{"drive": 1, "at_s": 0, "for_s": 1, "amplitude_nm": 1}]}},
+        {"motion": {"profile": [[1, 1], [0, 2]]}},
+        {"drives": 17},
+        {"expect": [{"flag": "comm", "is": "good", "drive": 9}]},
+        {"thermal": {"start": "hot"}},
+    ],
+)
+def test_tables_that_make_no_sense_are_refused(extra):
+    assert problems({**MINIMAL, **extra})
+
+
+def test_files_and_names(tmp_path):
+    file = tmp_path / "one.toml"
+    file.write_text('title = "one"\nduration_s = 2\n')
+    assert load(file).title == "one"
+    assert find(str(file)) == load(file)
+    assert find("healthy") == builtin("healthy")
+    with pytest.raises(ScenarioError, match="no such file or scenario"):
+        find("unheard_of")
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        find(str(tmp_path / "missing.toml"))
+    with pytest.raises(ScenarioError, match="not TOML"):
+        parse_text("title = ")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        load(tmp_path / "binary.toml")
+
+
+def test_others_are_the_drives_no_event_names():
+    s = parse({**MINIMAL, "event": [{"at_s": 0, "drive": 2, "kind": "silent"}]})
+    assert s.drives_of("others") == (1, 3)
+    assert s.drives_of("all") == (1, 2, 3)
+    assert s.drives_of(2) == (2,)
+
+
+def test_paper_section_5_loads():
+    s = builtin("paper_section5")
+    k = np.arange(20001)
+    t = k * 125e-6
+    healthy = Profile(s, 4).at(t)[2]
+    load_1 = healthy * Schedule(s, BENCH).carry(t, healthy)[:, 0]
+    assert healthy[7000] == pytest.approx(10.0)
+    assert healthy[8000] == pytest.approx(15.0)
+    assert healthy[8030] == pytest.approx(10 + 10 * 0.841345, rel=1e-4)
+    assert healthy[20000] == pytest.approx(30.0)
+    np.testing.assert_array_equal(load_1[500:1500], 0.0)
+    np.testing.assert_array_equal(load_1[10000:12000], 0.0)
+    window = 30.0 - 10.0 * np.sin(np.pi * (k[17000:18000] - 17000) / 1000)
+    np.testing.assert_allclose(load_1[17000:18000], window, atol=1e-9)
+    rest = np.ones(20001, bool)
+    for a, b in ((500, 1500), (10000, 12000), (17000, 18000)):
+        rest[a:b] = False
+    np.testing.assert_array_equal(load_1[rest], healthy[rest])
+    np.testing.assert_array_equal(Schedule(s, BENCH).carry(t, healthy)[:, 1:], 1.0)
+
+
+def test_speed_profile():
+    s = parse({**MINIMAL, "motion": {"profile": [[1, 0], [3, 600]], "unit": "rpm"}})
+    w, slope, _ = Profile(s, 4).at(np.array([0.0, 1.5, 2.0, 5.0]))
+    np.testing.assert_allclose(w, np.array([0, 150, 300, 600]) * np.pi / 30)
+    np.testing.assert_allclose(slope, [0, 10 * np.pi, 10 * np.pi, 0])
+    w, _, _ = Profile(parse(MINIMAL), 4).at(np.zeros(1))
+    assert w[0] == 25.0
+
+
+def test_ramped_loss_lies_inside_its_event():
+    event = {"at_s": 1.0, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 0.8,
+             "ramp_s": 0.2}  # fmt: skip
+    s = Schedule(parse({**MINIMAL, "event": [event]}), BENCH)
+    t = np.array([0.99, 1.1, 1.2, 1.5, 1.9, 2.0])
+    carry = s.carry(t, np.full(6, 18.0))
+    np.testing.assert_allclose(carry[:, 0], [1, 0.6, 0.2, 0.2, 0.6, 1], atol=1e-9)
+    np.testing.assert_array_equal(carry[:, 1], 1.0)
+    assert [bool(s.losing(float(x))[0]) for x in t] == [False, True, True, True, True, False]
+
+
+def test_random_scenarios_are_reproducible_and_cover_their_ranges():
+    runs = [random_scenario(seed) for seed in range(60)]
+    assert runs == [random_scenario(seed) for seed in range(60)]
+    speeds = np.array([r.motion.speed for r in runs])
+    loads = np.array([r.load.torque_nm for r in runs])
+    depths = np.array([r.event[0].depth for r in runs])
+    lengths = np.array([r.event[0].for_s for r in runs])
+    for sample, low, high in ((np.abs(speeds), 40, 250), (np.abs(loads), 8, 30),
+                              (depths, 0.2, 1.0), (lengths, 0.1, 2.0)):  # fmt: skip
+        assert low <= sample.min() < low + 0.15 * (high - low)
+        assert high - 0.15 * (high - low) < sample.max() <= high
+    for sign in (speeds > 0, loads > 0):
+        assert 0.25 < sign.mean() < 0.75
+    assert {r.event[0].drive for r in runs} == {1, 2, 3}
+    assert random_scenario(3, healthy=True).event == []
