@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from dbc import contract as expected
 from dbc.contract import Contract, Direction, MessageNeed, SignalNeed
 from dbc.dataids import p02_data_ids
-from dbc.layout import bits_of, duplicates, layout_faults
+from dbc.layout import bits_of, duplicates, layout_faults, oversized
 from dbc.protection import HEADER_BYTES, Profile
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 
@@ -45,16 +45,20 @@ def load(path: Path, *, strict: bool = True) -> Database:
     from cantools.database import load_file
     from cantools.database.errors import Error
 
+    try:
+        impossible = list(oversized(path.read_bytes()))
+    except FileNotFoundError:
+        raise DbcMismatch(path, ["no such file"]) from None
+    except OSError as error:
+        raise DbcMismatch(path, [f"cannot be read: {error.strerror}"]) from None
+    if impossible:
+        raise DbcMismatch(path, impossible)
     quiet = logging.getLogger("cantools.database.can.database")
     before = quiet.level
     # Duplicates only make it log; they are listed properly by `dbc.layout`.
     quiet.setLevel(logging.ERROR)
     try:
         database = load_file(path, database_format="dbc", strict=strict)
-    except FileNotFoundError:
-        raise DbcMismatch(path, ["no such file"]) from None
-    except OSError as error:
-        raise DbcMismatch(path, [f"cannot be read: {error.strerror}"]) from None
     except Error as error:
         raise DbcMismatch(path, [_one_line(error)]) from None
     except Exception as error:  # cantools lets bare KeyErrors and others escape

@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from dbc.spec import SignalSpec
 
 if TYPE_CHECKING:
     from cantools.database import Database
     from cantools.database.can import Message, Signal
+
+
+_BO: Final = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
+_SG: Final = re.compile(rb"\s*SG_\s+(\w+)[^:]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
+_MUX: Final = re.compile(rb"\s*SG_MUL_VAL_\s")
+_INDEPENDENT: Final = b"VECTOR__INDEPENDENT_SIG_MSG"
+
+
+def oversized(text: bytes) -> Iterator[str]:
+    """Lines whose numbers no CAN frame has, before cantools makes memory of them."""
+    for number, line in enumerate(text.split(b"\n"), 1):
+        if match := _BO.match(line):
+            if int(match[2]) > 64 and match[1] != _INDEPENDENT:
+                yield f"line {number}: {match[1].decode()}: {int(match[2])} bytes; CAN FD has 64"
+        elif match := _SG.match(line):
+            if not 1 <= int(match[3]) <= 64:
+                yield f"line {number}: {match[1].decode()}: {int(match[3])} bits; 1 to 64 are possible"
+            elif int(match[2]) > 511:
+                yield f"line {number}: {match[1].decode()}: starts at bit {int(match[2])} of 512"
+        elif _MUX.match(line) and any(
+            int(value) > 0xFFFF for value in re.findall(rb"\d+", line)[1:]
+        ):
+            yield f"line {number}: multiplexer values above 65535"
 
 
 def bits_of(signal: Signal | SignalSpec, big_endian: bool) -> range:
@@ -32,8 +56,6 @@ def _occupied(signal: Signal) -> frozenset[int]:
 def layout_faults(database: Database) -> Iterator[str]:
     """Signals that do not fit, and pairs that overlap without being multiplexed apart."""
     for message in database.messages:
-        if message.length > 64:
-            yield f"{message.name}: {message.length} bytes; a CAN FD frame has 64"
         bits = {signal.name: _occupied(signal) for signal in message.signals}
         for signal in message.signals:
             if max(bits[signal.name]) >= 8 * message.length:

@@ -53,7 +53,11 @@ class Flags:
         self.counter = 0
 
     def frame(self, t_ns: int, **states: int) -> Frame:
-        payload = codec().encode(self.spec, states)
+        """States by name as raw numbers; 3, which no gateway sends, is possible here."""
+        payload = codec().encode(self.spec, {})
+        for name, state in states.items():
+            start = self.spec.signals[self.spec.column(name)].start
+            payload[start >> 3] |= state << (start & 7)
         protect(self.spec, payload, self.counter)
         self.counter += 1
         return Frame(t_ns, self.spec.can_id, bytes(payload))

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 
+from dbc.codec import Codec
+from dbc.frame import Frame
+from gateway.calibration import to_toml
 from gateway.commands.common import GOOD, add_config, out_file, prepare, track_file
+from gateway.config import Config
+from gateway.core import Gateway
+from gateway.drivers.replay import open_log, pick_channel, replay
+from gateway.outbox import GatewayView
+from gateway.results.calibrating import Learner
 
 HELP = "thermal limits from fault-free logs"
 MARGIN = 1.5
@@ -22,31 +31,32 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read the temperatures through the gateway's own inbox and write the calibration."""
-    from gateway.calibration import to_toml
-    from gateway.core import Gateway
-    from gateway.drivers.replay import open_log, pick_channel, replay
-    from gateway.results.calibrating import Learner
-
     config, codec = prepare(options.config)
     learner = Learner(config.nodes, config.thermal.window_s)
     for log in options.log:
         reader = open_log(log, strict=False)
         frames = track_file(pick_channel(reader, options.log_channel), reader, log, log.name)
-        made: list[Gateway] = []
-
-        def make(start: int, made: list[Gateway] = made) -> Gateway:
-            made.append(Gateway(config, codec, start))
-            return made[0]
-
         learner.begin()
-        replay(frames, make, config.loop.period_ns,
-               lambda now, _out, _view, made=made: learner.take(made[0].thermal, now))  # fmt: skip
+        _learn(frames, config, codec, learner)
     result = learner.finish(MARGIN)
     path = out_file(options.output)
-    assert path is not None
     path.write_text(to_toml(result), encoding="utf-8")
     limits = ", ".join(f"{v:.2f}" for v in result.maisd_limit_k)
     print(
         f"{path}: {learner.samples} samples of {len(config.nodes)} motors; MAISD limits {limits} K"
     )
     return GOOD
+
+
+def _learn(frames: Iterable[Frame], config: Config, codec: Codec, learner: Learner) -> None:
+    """One log through the gateway, the learner looking on."""
+    made: list[Gateway] = []
+
+    def make(start: int) -> Gateway:
+        made.append(Gateway(config, codec, start))
+        return made[0]
+
+    def look(now: int, _out: list[Frame], _view: GatewayView) -> None:
+        learner.take(made[0].thermal, now)
+
+    replay(frames, make, config.loop.period_ns, look)

@@ -75,8 +75,7 @@ def track_file(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Ite
             yield item
 
 
-def out_file(path: Path | None) -> Path | None:
-    """Make the folder of an output file."""
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+def out_file(path: Path) -> Path:
+    """The same path, its folder made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     return path

@@ -33,7 +33,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge every scenario; exit 1 if any expectation failed."""
-    scenarios = [(name(name)) for name in options.scenario]
+    from sim.scenario import find
+
+    scenarios = [(name, find(name)) for name in options.scenario]
     suites = ET.Element("testsuites")
     failed = 0
     for name, scenario in scenarios:

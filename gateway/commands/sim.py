@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     on_bus = hasattr(options, "interface") or hasattr(options, "channel")
     simulation = Simulation(scenario, codec, nodes=nodes, self_start=not options.wait_for_start)
     seconds = scenario.duration_s if options.duration is None else options.duration
-    truth = _Truth(out_file(options.truth))
+    truth = _Truth(options.truth and out_file(options.truth))
     try:
         if on_bus:
             _on_bus(options, simulation, seconds, truth)
@@ -80,7 +80,7 @@ class _Truth:
 def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
     from dbc.candump import Writer
 
-    writer = Writer(out_file(options.output) or sys.stdout.buffer)
+    writer = Writer(out_file(options.output) if options.output else sys.stdout.buffer)
     step = 10_000_000
     try:
         for tick in _progress(round(seconds * 100) + 1, "simulating"):

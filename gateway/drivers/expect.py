@@ -79,7 +79,7 @@ class FlagTrack:
                 names = [("thermal", n, f"Thermal{n}") for n in self.nodes]
                 names += [("comm", 0, "CommFault"), ("sensor", 0, "SensorFault")]
             for flag, node, signal in names:
-                raw = values[signal].raw
+                raw = int(values[signal].raw)
                 state = Flag.UNKNOWN if raw == _SPARE else Flag(raw)
                 self.seen.setdefault((flag, node), []).append((frame.t_ns, state))
 

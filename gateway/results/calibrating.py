@@ -15,6 +15,10 @@ from gateway.calibration import POINTS, Calibration, MotorCalibration
 from gateway.config import ConfigError
 from gateway.thermal import ThermalSide
 
+FLOOR_K = (0.5, 1.0)
+"""Smallest MAISD and deviation limits, K. A calibration run is never as varied as service:
+a motor that was cut for a second, or sits in another draught, differs by this much."""
+
 
 class Learner:
     """Collects window averages and sensor behaviour tick by tick."""
@@ -72,8 +76,8 @@ class Learner:
 
         return Calibration(
             window_s=self.window_s,
-            maisd_limit_k=three(margin * spread),
-            deviation_limit_k=three(margin * limit),
+            maisd_limit_k=three(np.maximum(margin * spread, FLOOR_K[0])),
+            deviation_limit_k=three(np.maximum(margin * limit, FLOOR_K[1])),
             motor=tuple(
                 MotorCalibration(
                     node=node,

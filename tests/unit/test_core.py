@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from tests.sender import CLASSIC, MS, Sender, SteadyDrive, codec_for
 
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frame
 from gateway.config import Config, Drive
 from gateway.core import REJECTED, Gateway
 from gateway.health import Flag, Health, Reason
+from tests.sender import CLASSIC, MS, Sender, SteadyDrive, codec_for
 
 CODEC = codec_for()
 TICK = 10 * MS

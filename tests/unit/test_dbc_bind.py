@@ -138,15 +138,30 @@ def test_all_overlaps_and_misfits_not_only_the_first(tmp_path: Path) -> None:
         message(5, "A", 2, signal("X", 0, 9), signal("Y", 8, 8), signal("Z", 12, 8)),
         message(6, "B", 1, signal("M M", 0, 2), signal("P m0", 2, 3), signal("Q m1", 3, 3)),
         message(7, "C", 8, signal("R", 7, 12, order=0), signal("S", 12, 2)),
-        message(8, "D", 65),
     )
     assert sorted(problems_of(path, (), ANY)) == [
         "A.Z: does not fit in 2 bytes",
         "A: X and Y overlap",
         "A: Y and Z overlap",
         "C: R and S overlap",
-        "D: 65 bytes; a CAN FD frame has 64",
     ]
+
+
+def test_numbers_no_frame_has_are_refused_by_line(tmp_path: Path) -> None:
+    """Before cantools, which would try to find memory for them."""
+    path = write(
+        tmp_path / "huge.dbc",
+        message(5, "A", 10**12, signal("X", 0, 10**12), signal("Y", 10**12, 8)),
+        message(6, "B", 65),
+        "SG_MUL_VAL_ 5 X Y 0-4294967295;",
+    )
+    assert problems_of(path, (), ANY) == (
+        "line 7: A: 1000000000000 bytes; CAN FD has 64",
+        "line 8: X: 1000000000000 bits; 1 to 64 are possible",
+        "line 9: Y: starts at bit 1000000000000 of 512",
+        "line 11: B: 65 bytes; CAN FD has 64",
+        "line 13: multiplexer values above 65535",
+    )
 
 
 def test_protection_attributes_are_checked(tmp_path: Path) -> None:

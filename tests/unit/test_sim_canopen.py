@@ -1,6 +1,7 @@
 """The simulated inverter as a CANopen node, seen through frames."""
 
 import struct
+from itertools import pairwise
 
 import pytest
 
@@ -47,7 +48,7 @@ def test_boots_and_stays_pre_operational():
     assert {f.can_id for f in out} == {0x701, 0x702, 0x703}
     assert states(out, 1) == [BOOT] + [PREOP] * 9
     beats = [f.t_ns for f in out if f.can_id == 0x702][1:]
-    assert all(abs(b - a - 100_000_000) < 1_000_000 for a, b in zip(beats, beats[1:], strict=False))
+    assert all(abs(b - a - 100_000_000) < 1_000_000 for a, b in pairwise(beats))
 
 
 def test_self_start_goes_operational():
@@ -68,8 +69,8 @@ def test_nmt_start_is_node_addressed():
 
 def test_nmt_stop_preop_reset_and_broadcast():
     simulation = build(self_start=True)
-    run(simulation, 0.2)
-    now = 200_000_000
+    run(simulation, 0.225, 5_000_000)  # between two samples: nothing is in flight
+    now = 225_000_000
     seen = []
     for command in (2, 128, 1, 129, 1, 130):
         now += 200_000_000

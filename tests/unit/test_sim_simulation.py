@@ -60,7 +60,7 @@ def test_messages_keep_their_cycle_and_count_it():
             assert all(f.flags == 0 for f in mine)
             # Counter k belongs to the instant k cycles after the start; the stamp follows it.
             delay = [f.t_ns / 1e6 - cycle_ms * (k + 1) for k, f in enumerate(mine)]
-            assert 0.1 < min(delay)
+            assert min(delay) > 0.1
             assert max(delay) < 2.0
     assert all(a.t_ns < b.t_ns for a, b in pairwise(out))
 
@@ -163,7 +163,7 @@ def test_silence_takes_everything_and_gives_it_back():
     assert not [t for t, n in nodes if n == 2 and 0.302 < t < 0.6]
     assert [t for t, n in nodes if n == 2 and t > 0.6]
     before = [f for f in out if f.can_id == 0x182 and f.t_ns < 302_000_000][-1]
-    after = [f for f in out if f.can_id == 0x182 and f.t_ns > 600_000_000][0]
+    after = next(f for f in out if f.can_id == 0x182 and f.t_ns > 600_000_000)
     missing = round((after.t_ns - before.t_ns) / 2e6)
     assert ((after.data[1] - before.data[1]) & 15) == missing % 16
 
@@ -247,11 +247,11 @@ def test_thermal_faults_are_seen_and_told(event, number, signal):
     event = {"at_s": 1.0, "drive": 2, **event}
     table = {"traffic": "slow", "load": {"torque_nm": 28.0}}
     rows, truth = readings([event], 30.0, "Drive2_Temperatures", **table)
-    rise = np.mean([r[signal].value for r in rows[-20:]]) - rows[0][signal].value
+    before, after = (np.mean([r[signal].value for r in part]) for part in (rows[:9], rows[-5:]))
     end = truth[-2]
     assert (end.drive, end.fault_class) == (2, number)
     assert end.true_effect_k > 0.1
-    assert rise == pytest.approx(end.true_effect_k, abs=0.6)
+    assert after - before == pytest.approx(end.true_effect_k, abs=0.5)
     status, _ = readings([event], 2.0, "Drive2_Status", **table)
     assert status[-1]["FaultCode"].value == number
     assert status[0]["FaultCode"].value == 0
@@ -296,8 +296,8 @@ def test_start_time_and_node_numbers():
 def test_what_cannot_be_simulated_is_refused(tmp_path):
     with pytest.raises(ValueError, match="3 drives need as many nodes"):
         Simulation(scenario(), codec(), nodes=(1, 2))
-    with pytest.raises(ValueError, match="no messages of drive 9"):
-        Simulation(scenario(drives=1), codec(), nodes=(9,))
+    with pytest.raises(ValueError, match="no messages of drive 17"):
+        Simulation(scenario(drives=1), codec(), nodes=(17,))
 
 
 def test_a_full_bus_drops_what_comes_too_late():
@@ -319,11 +319,12 @@ def test_another_motor():
 
 @pytest.mark.parametrize("name", builtin_names())
 def test_builtin_scenarios_run(name):
-    simulation = Simulation(builtin(name), codec())
+    chosen = builtin(name)
+    simulation = Simulation(chosen, codec())
     out = run(simulation, 2.2)
-    assert len(out) > 4000
+    assert len(out) > 200 * len(simulation.nodes)
     rows = simulation.truth_rows()
-    assert len(rows) == 660
+    assert len(rows) == 220 * len(simulation.nodes)
     assert all(math.isfinite(x) for r in rows for x in r)
 
 
