@@ -29,8 +29,9 @@ bench: $(VENV)/.ready
 
 # The calibration of the simulated bench motors that ships with the package.
 calibration: $(VENV)/.ready
-	$(BIN)/traction-gateway sim calibration -o out/calibration.log
-	$(BIN)/traction-gateway calibrate out/calibration.log --config examples/train16.toml \
+	for duty in cool warm hot; do \
+		$(BIN)/traction-gateway sim calibration_$$duty -o out/calibration_$$duty.log; done
+	$(BIN)/traction-gateway calibrate out/calibration_*.log --config examples/train16.toml \
 		-o gateway/bench_calibration.toml
 
 # Only with a new dependency: needs uv (pip install uv).

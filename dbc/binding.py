@@ -36,6 +36,7 @@ _PRODUCED: Final = frozenset(
     for need in expected.CLASSIC.messages
     if need.direction is Direction.PRODUCED
 )
+_LONGEST_CYCLE_MS: Final = 3_600_000
 # A DBC decimal times a power of two is off by a few ulp; raw bounds are whole numbers.
 _SLACK: Final = 1e-6
 
@@ -146,8 +147,9 @@ def _message_spec(
     kind = match[2] if match else message.name
     brs = _attribute(database, message, "CANFD_BRS")
     cycle = message.cycle_time or 0
-    if cycle < 0:
-        problems.append(f"{message.name}: negative cycle time")
+    if not isinstance(cycle, (int, float)) or not 0 <= cycle <= _LONGEST_CYCLE_MS:
+        problems.append(f"{message.name}: GenMsgCycleTime {cycle!r} is not a time in ms")
+        cycle = 0
     return MessageSpec(
         name=message.name,
         can_id=message.frame_id,

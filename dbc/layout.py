@@ -18,24 +18,25 @@ if TYPE_CHECKING:
 _BO: Final = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
 _SG: Final = re.compile(rb"\s*SG_\s+(\w+)[^:]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
 _MUX: Final = re.compile(rb"\s*SG_MUL_VAL_\s")
+_TO: Final = re.compile(rb"\d\s*-\s*(\d+)")
 _INDEPENDENT: Final = b"VECTOR__INDEPENDENT_SIG_MSG"
 
 
 def oversized(text: bytes) -> Iterator[str]:
     """Lines whose numbers no CAN frame has, before cantools makes memory of them."""
     for number, line in enumerate(text.split(b"\n"), 1):
+        where = f"line {number}"
         if match := _BO.match(line):
             if int(match[2]) > 64 and match[1] != _INDEPENDENT:
-                yield f"line {number}: {match[1].decode()}: {int(match[2])} bytes; CAN FD has 64"
+                yield f"{where}: {match[1].decode()}: {int(match[2])} bytes; CAN FD has 64"
         elif match := _SG.match(line):
+            name = f"{where}: {match[1].decode()}"
             if not 1 <= int(match[3]) <= 64:
-                yield f"line {number}: {match[1].decode()}: {int(match[3])} bits; 1 to 64 are possible"
+                yield f"{name}: {int(match[3])} bits; 1 to 64 are possible"
             elif int(match[2]) > 511:
-                yield f"line {number}: {match[1].decode()}: starts at bit {int(match[2])} of 512"
-        elif _MUX.match(line) and any(
-            int(value) > 0xFFFF for value in re.findall(rb"\d+", line)[1:]
-        ):
-            yield f"line {number}: multiplexer values above 65535"
+                yield f"{name}: starts at bit {int(match[2])} of 512"
+        elif _MUX.match(line) and any(int(value) > 0xFFFF for value in _TO.findall(line)):
+            yield f"{where}: multiplexer values above 65535"
 
 
 def bits_of(signal: Signal | SignalSpec, big_endian: bool) -> range:

@@ -19,9 +19,14 @@ POINTS = ("stator", "drive_end", "non_drive_end")
 
 
 class MotorCalibration(Strict):
-    """One motor: its constant difference to the fleet and how its sensors behave."""
+    """One motor: how it differs from the fleet in health, and how its sensors behave.
+
+    A healthy reading is offset + gain x the fleet's mean: the offset is the sensor's and the
+    place's, the gain the cooling's (3 % less air is 3 % more rise, whatever the duty).
+    """
 
     node: int = Field(ge=1, le=16)
+    gain: tuple[float, float, float]
     offset_k: tuple[float, float, float]
     longest_hold_s: tuple[float, float, float]
     largest_step_k: tuple[float, float, float]
@@ -39,10 +44,11 @@ class Calibration(Strict):
     deviation_limit_k: tuple[float, float, float]
     motor: tuple[MotorCalibration, ...]
 
-    def offsets(self, nodes: tuple[int, ...]) -> NDArray[np.float64]:
-        """(M, 3) offsets in the order of `nodes`. Raises KeyError for an unknown node."""
-        table = {m.node: m.offset_k for m in self.motor}
-        return np.array([table[n] for n in nodes])
+    def centring(self, nodes: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Gains and offsets, each (M, 3), in the order of `nodes`. KeyError for an unknown node."""
+        table = {m.node: m for m in self.motor}
+        cells = [table[n] for n in nodes]
+        return np.array([c.gain for c in cells]), np.array([c.offset_k for c in cells])
 
 
 def load(path: Path, nodes: tuple[int, ...], window_s: float) -> Calibration:
@@ -91,6 +97,7 @@ def to_toml(calibration: Calibration) -> str:
             "",
             "[[motor]]",
             f"node = {motor.node}",
+            f"gain = {numbers(motor.gain)}",
             f"offset_k = {numbers(motor.offset_k)}",
             f"longest_hold_s = {numbers(motor.longest_hold_s)}",
             f"largest_step_k = {numbers(motor.largest_step_k)}",

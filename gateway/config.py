@@ -96,7 +96,7 @@ class Estimator(Strict):
 
     kind: Literal["ekf", "ukf"] = "ekf"
     current_noise_var: float = Field(2e-4, gt=0, description="A^2, before quantisation")
-    process_noise: tuple[float, float, float, float, float] = (1e-4, 1e-4, 1e-5, 1e-8, 0.1)
+    process_noise: tuple[float, float, float, float, float] = (1e-4, 1e-4, 1e-5, 1e-6, 0.1)
     """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
     min_speed_rad_s: float = Field(20.0, gt=0, description="electrical; below: not observable")
 

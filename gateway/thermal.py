@@ -73,7 +73,7 @@ class ThermalSide:
         self.period_ns = period_ns
         window = max(1, round(window_s * SECOND / period_ns))
         self.window = maisd.start(window, motors, len(POINTS))
-        self.offsets = calibration.offsets(nodes) if calibration else None
+        self.centring = calibration.centring(nodes) if calibration else None
         by_node = {m.node: m for m in calibration.motor} if calibration else {}
         self.cells = [by_node.get(n) for n in nodes]
         self.points = [[_Point() for _ in POINTS] for _ in range(motors)]
@@ -148,7 +148,10 @@ class ThermalSide:
         self.window = maisd.push(self.window, self.values, present)
         self.mean, known = maisd.average(self.window)
         self.known = known & present
-        centred = self.mean - self.offsets if self.offsets is not None else self.mean
+        centred = self.mean
+        if self.centring is not None:
+            gain, offset = self.centring
+            centred = (self.mean - offset) / gain
         self.maisd = maisd.maisd(centred, self.known)
         self.deviation = maisd.deviation(centred, self.known)
 

@@ -10,7 +10,7 @@ returns too and the drive's own slip limit, which is always there, is alone in c
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -22,11 +22,17 @@ from dbc.protection import Check, Receiver, SmState, protect
 from dbc.spec import MessageSpec
 from sim.canopen_ecu import CanopenNode
 from sim.faults import EMERGENCY, WireFaults
+from sim.packing import Packer
+from sim.readings import CURRENTS, SAMPLES, VOLTAGES, Values
+
+Array = NDArray[np.float64]
 
 FLAG_TIMEOUT_NS: Final[Nanos] = 40 * MS
 LATENCY_NS: Final[Nanos] = 30_000
 """From the sampling instant until the frame waits for the bus; drive k adds k x 7 us."""
 KINDS: Final = ("PhaseCurrents", "StatorVoltages", "Samples", "Motion", "Status", "Temperatures")
+FAST: Final = {"PhaseCurrents": CURRENTS, "StatorVoltages": VOLTAGES, "Samples": SAMPLES}
+"""Messages sent in blocks, and the columns of their values."""
 LOST: Final = 2
 """`AdhesionLost`."""
 
@@ -45,8 +51,13 @@ class Ecu:
             kind: codec.by_name[prefix + kind] for kind in KINDS if prefix + kind in codec.by_name
         }
         self._flags = {s: FD | (BRS if m.brs else 0) for s, m in self.specs.items() if m.is_fd}
+        self._packers = {
+            kind: Packer(codec, spec, FAST[kind])
+            for kind, spec in self.specs.items()
+            if kind in FAST
+        }
         self._latency = LATENCY_NS + 7_000 * index
-        self._last: dict[str, tuple[Nanos, Mapping[str, float | int | None]]] = {}
+        self._last: dict[str, tuple[Nanos, bytearray]] = {}
         self.canopen = CanopenNode(node, self.specs, self._read, self_start=self_start)
         adhesion = codec.by_name.get("Gateway_Adhesion")
         self._adhesion = adhesion
@@ -64,13 +75,11 @@ class Ecu:
     def _read(self, kind: str) -> tuple[MessageSpec, bytes] | None:
         """For the SDO server: the message of this kind as of its last sampling instant."""
         last = self._last.get(kind)
-        return (self.specs[kind], self._payload(kind, *last)) if last is not None else None
+        return (self.specs[kind], self._protected(kind, *last)) if last is not None else None
 
-    def _payload(
-        self, kind: str, instant_ns: Nanos, values: Mapping[str, float | int | None]
-    ) -> bytes:
+    def _protected(self, kind: str, instant_ns: Nanos, payload: bytearray) -> bytes:
+        """The counter is the instant's number, so it tells time across losses."""
         spec = self.specs[kind]
-        payload = self.codec.encode(spec, values)
         protect(spec, payload, instant_ns // spec.cycle_ns)
         return bytes(payload)
 
@@ -115,19 +124,24 @@ class Ecu:
         code, register = EMERGENCY.get(known, (0, 0))
         self.canopen.emergency(code, register | 0x01 if code else 0, now_ns)
 
-    def message(
-        self, kind: str, instant_ns: Nanos, values: Mapping[str, float | int | None]
-    ) -> Frame | None:
-        """The frame of a sampling instant, ready for the bus; None where nothing is sent.
+    def message(self, kind: str, instant_ns: Nanos, values: Values) -> Frame | None:
+        """The frame of a sampling instant, ready for the bus; None where nothing is sent."""
+        return self._frame(kind, instant_ns, self.codec.encode(self.specs[kind], values))
 
-        The counter is the instant's number, so it tells time across losses. The checksum comes
-        last, as the frame is handed over.
-        """
-        self._last[kind] = (instant_ns, values)
+    def block(self, kind: str, instants_ns: NDArray[np.int64], values: Array) -> list[Frame]:
+        """The frames of n instants (n,) of a fast message; values (n, S), columns FAST[kind]."""
+        payloads = self._packers[kind].pack(values)
+        pairs = zip(instants_ns.tolist(), payloads, strict=True)
+        frames = [self._frame(kind, instant_ns, payload) for instant_ns, payload in pairs]
+        return [frame for frame in frames if frame is not None]
+
+    def _frame(self, kind: str, instant_ns: Nanos, payload: bytearray) -> Frame | None:
+        """Counter and checksum come last, as the frame is handed over."""
+        self._last[kind] = (instant_ns, payload)
         if not self.canopen.operational:
             return None
         spec = self.specs[kind]
-        data = self._payload(kind, instant_ns, values)
+        data = self._protected(kind, instant_ns, payload)
         sent = self._wire.apply(instant_ns * 1e-9, spec.can_id, data)
         if sent is None:
             return None

@@ -25,6 +25,14 @@ OPERATION = 2
 SAMPLES_PER_FRAME = 8
 FULL_CIRCLE_DEG = 359.995
 """From here on the angle would be rounded to 360.00 degrees, which is 0."""
+CURRENTS = ("Quality", "Ia", "Ib", "Ic")
+VOLTAGES = ("Quality", "Ualpha", "Ubeta", "Udc")
+SAMPLES = (
+    "Quality",
+    "SampleIndex",
+    "Udc",
+    *(f"{name}_{k}" for k in range(8) for name in ("Ia", "Ib", "Ualpha", "Ubeta")),
+)
 POINTS = ("Tstator", "Tde", "Tnde", "Tambient")
 
 
@@ -63,34 +71,19 @@ class Readings:
                 reading[lost] = math.nan
         return out
 
-    def classic(self, amps: Array, volts: Array, u_dc: Array) -> list[list[tuple[Values, Values]]]:
-        """Per drive and instant the values of PhaseCurrents and StatorVoltages.
-
-        `amps` (n, N, 3), `volts` (n, N, 2) mean since the previous sample, `u_dc` (n, N).
-        """
-        out: list[list[tuple[Values, Values]]] = []
-        for d in range(self._n):
-            rows = zip(amps[:, d].tolist(), volts[:, d].tolist(), u_dc[:, d].tolist(), strict=True)
-            out.append([
-                (
-                    {"Quality": VALID, "Ia": i[0], "Ib": i[1], "Ic": i[2]},
-                    {"Quality": VALID, "Ualpha": u[0], "Ubeta": u[1], "Udc": dc},
-                )
-                for i, u, dc in rows
-            ])  # fmt: skip
-        return out
-
     @staticmethod
-    def samples(index: int, amps: Array, volts: Array, u_dc: float) -> Values:
-        """Values of one Samples frame: `amps` (8, 3), `volts` (8, 2), `index` of the first."""
-        values: Values = {"Quality": VALID, "SampleIndex": index % 65536, "Udc": u_dc}
-        rows = zip(amps.tolist(), volts.tolist(), strict=True)
-        for k, ((i_a, i_b, _), (u_a, u_b)) in enumerate(rows):
-            values[f"Ia_{k}"] = i_a
-            values[f"Ib_{k}"] = i_b
-            values[f"Ualpha_{k}"] = u_a
-            values[f"Ubeta_{k}"] = u_b
-        return values
+    def samples(first: int, amps: Array, volts: Array, u_dc: Array) -> Array:
+        """(m, 35) values of m Samples frames of one drive, columns SAMPLES.
+
+        `amps` (m, 8, 3), `volts` (m, 8, 2), `u_dc` (m,); `first`: index of the first sample.
+        """
+        m = len(u_dc)
+        out = np.empty((m, len(SAMPLES)))
+        out[:, 0] = VALID
+        out[:, 1] = (first + SAMPLES_PER_FRAME * np.arange(m)) % 65536
+        out[:, 2] = u_dc
+        out[:, 3:] = np.concatenate([amps[..., :2], volts], axis=2).reshape(m, -1)
+        return out
 
     @staticmethod
     def motion(row: Array) -> list[Values]:

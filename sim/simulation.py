@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from sim import plant as columns
-from sim.ecu import Ecu
+from sim.ecu import FAST, Ecu
 from sim.faults import Schedule, WireFaults
 from sim.plant import MOTORS, Motor, Plant, QuasiStatic, rail_array
 from sim.profile import Profile
-from sim.readings import SAMPLES_PER_FRAME, Readings, Values
+from sim.readings import SAMPLES_PER_FRAME, VALID, Readings, Values
 from sim.scenario import Scenario
 from sim.thermal import ThermalTrain
 from sim.truth import Truth
@@ -35,7 +35,6 @@ PERIOD_NS: Final[Nanos] = 125_000
 GRID: Final = 80
 """Periods in 10 ms: the grid of events, heat and truth."""
 GRID_NS: Final[Nanos] = GRID * PERIOD_NS
-FAST: Final = frozenset({"PhaseCurrents", "StatorVoltages", "Samples"})
 ANGLE_STREAM: Final = 1
 """Purpose of the random stream of initial angles."""
 
@@ -205,32 +204,29 @@ class Simulation:
         instants_ns = np.arange(first, first + done, dtype=np.int64) * (per * PERIOD_NS)
         amps = self._readings.currents(whole[:, -1], _seconds(instants_ns))
         volts = whole[..., columns.U_ALPHA : columns.U_BETA + 1].mean(axis=1)
-        drives = self._readings.classic(amps, volts, whole[:, -1, :, columns.U_DC])
-        return [
-            frame
-            for ecu, rows in zip(self._ecus, drives, strict=True)
-            for instant_ns, pair in zip(instants_ns.tolist(), rows, strict=True)
-            for kind, values in zip(("PhaseCurrents", "StatorVoltages"), pair, strict=True)
-            if (frame := ecu.message(kind, instant_ns, values)) is not None
-        ]
+        u_dc = whole[:, -1, :, columns.U_DC]
+        quality = np.full(done, float(VALID))
+        frames: list[Frame] = []
+        for d, ecu in enumerate(self._ecus):
+            currents = np.column_stack([quality, amps[:, d]])
+            voltages = np.column_stack([quality, volts[:, d], u_dc[:, d]])
+            frames += ecu.block("PhaseCurrents", instants_ns, currents)
+            frames += ecu.block("StatorVoltages", instants_ns, voltages)
+        return frames
 
     def _sample_frames(self, whole: Array, first: int) -> list[Frame]:
         """FD: eight samples a frame; a sample's index counts periods of 125 us from 0."""
-        frames = []
         done, per = whole.shape[:2]
         start = (first - 1) * per
         flat = whole.reshape(done * per, *whole.shape[2:])
         instants_ns = np.arange(start + 1, start + 1 + len(flat), dtype=np.int64) * PERIOD_NS
         amps = self._readings.currents(flat, _seconds(instants_ns)).reshape(done, per, -1, 3)
+        volts = whole[..., columns.U_ALPHA : columns.U_BETA + 1]
+        u_dc = whole[:, -1, :, columns.U_DC]
+        frames: list[Frame] = []
         for d, ecu in enumerate(self._ecus):
-            for j in range(done):
-                index = start + j * per
-                volts = whole[j, :, d, columns.U_ALPHA : columns.U_BETA + 1]
-                u_dc = float(whole[j, -1, d, columns.U_DC])
-                values = self._readings.samples(index, amps[j, :, d], volts, u_dc)
-                frame = ecu.message("Samples", (index + per) * PERIOD_NS, values)
-                if frame is not None:
-                    frames.append(frame)
+            rows = self._readings.samples(start, amps[:, :, d], volts[:, :, d], u_dc[:, d])
+            frames += ecu.block("Samples", instants_ns[per - 1 :: per], rows)
         return frames
 
     def _slow_frames(self, out: Array, first: int) -> list[Frame]:

@@ -20,6 +20,10 @@ FLOOR_K = (0.5, 1.0)
 a motor that was cut for a second, or sits in another draught, differs by this much."""
 
 
+SPAN_K = 5.0
+"""The fleet's mean must move this much over the logs before a gain is learnt."""
+
+
 class Learner:
     """Collects window averages and sensor behaviour tick by tick."""
 
@@ -64,9 +68,9 @@ class Learner:
             problem = "no stretch with all sensors of all motors; record a longer fault-free run"
             raise ConfigError("calibrate", [problem])
         means = np.array(self.means)
-        offsets = (means - means.mean(axis=1, keepdims=True)).mean(axis=0)
-        known = np.ones(offsets.shape, dtype=np.bool_)
-        centred = means - offsets
+        gain, offset = _against_fleet(means)
+        known = np.ones(offset.shape, dtype=np.bool_)
+        centred = (means - offset) / gain
         spread = np.array([maisd.maisd(m, known) for m in centred]).max(axis=0)
         apart = np.array([maisd.deviation(m, known) for m in centred])
         limit = np.abs(apart).max(axis=(0, 1))
@@ -81,10 +85,27 @@ class Learner:
             motor=tuple(
                 MotorCalibration(
                     node=node,
-                    offset_k=three(offsets[j]),
+                    gain=three(gain[j]),
+                    offset_k=three(offset[j]),
                     longest_hold_s=three(self.hold_ns[j] / 1e9),
                     largest_step_k=three(self.step_k[j]),
                 )
                 for j, node in enumerate(self.nodes)
             ),
         )
+
+
+def _against_fleet(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares gain and offset (M, P) of every motor's points on the fleet's mean.
+
+    means: (T, M, P) window averages. One duty alone cannot tell gain from offset: gain 1.
+    """
+    fleet = means.mean(axis=1, keepdims=True)
+    centre = fleet.mean(axis=0)
+    moved = fleet - centre
+    apart = means - means.mean(axis=0)
+    power = (moved**2).sum(axis=0)
+    told = np.broadcast_to(np.ptp(fleet, axis=0) > SPAN_K, means.shape[1:])
+    both = (apart * moved).sum(axis=0)
+    gain = np.divide(both, power, out=np.ones(means.shape[1:]), where=told)
+    return gain, means.mean(axis=0) - gain * centre

@@ -84,7 +84,11 @@ CELLS = Calibration(
     deviation_limit_k=(1.0, 0.9, 0.9),
     motor=(
         MotorCalibration(
-            node=1, offset_k=(0.1, 0.0, -0.1), longest_hold_s=(1, 1, 1), largest_step_k=(1, 1, 1)
+            node=1,
+            gain=(1, 1, 1.03),
+            offset_k=(0.1, 0.0, -0.1),
+            longest_hold_s=(1, 1, 1),
+            largest_step_k=(1, 1, 1),
         ),
     ),
 )

@@ -259,6 +259,18 @@ def test_real_files_that_are_refused(name: str, text: str) -> None:
     assert "\n" not in problem
 
 
+def test_cycle_time_that_is_no_time(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "cycle.dbc",
+        message(5, "A", 8),
+        message(6, "B", 8),
+        'BA_DEF_ BO_ "GenMsgCycleTime" STRING;',
+        'BA_DEF_DEF_ "GenMsgCycleTime" "soon";',
+        'BA_ "GenMsgCycleTime" BO_ 5 "";',
+    )
+    assert problems_of(path, (), ANY) == ("B: GenMsgCycleTime 'soon' is not a time in ms",)
+
+
 def test_files_that_are_no_dbc(tmp_path: Path) -> None:
     assert problems_of(tmp_path / "none.dbc") == ("no such file",)
     (problem,) = problems_of(tmp_path)

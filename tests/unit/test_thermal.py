@@ -58,7 +58,12 @@ def test_deviation_is_against_the_median_of_the_others():
 
 
 def calibration():
-    cells = {"offset_k": (0, 0, 0), "longest_hold_s": (0.5,) * 3, "largest_step_k": (0.5,) * 3}
+    cells = {
+        "gain": (1,) * 3,
+        "offset_k": (0,) * 3,
+        "longest_hold_s": (0.5,) * 3,
+        "largest_step_k": (0.5,) * 3,
+    }
     return Calibration(
         window_s=2.0,
         maisd_limit_k=(0.5,) * 3,
