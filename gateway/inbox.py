@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -32,6 +33,8 @@ RPM: Final = 2.0 * math.pi / 60.0
 """rad/s in one revolution per minute."""
 USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
+_ORDER = itemgetter(0, 1)
+"""Time stamp, then id."""
 _ODD = ERROR | REMOTE | EXTENDED
 
 Half = tuple[Nanos, float, float]
@@ -121,7 +124,8 @@ class Inbox:
         self.restart.clear()
         rows: list[tuple[Channel, Nanos, bytes]] = []
         table = self.table
-        ordered = sorted(frames)
+        # Stable: frames of one id with one stamp stay in the order in which they came.
+        ordered = sorted(frames, key=_ORDER)
         for frame in ordered:
             channel = None if frame.flags & _ODD else table.get(frame.can_id)
             if channel is None:

@@ -58,16 +58,14 @@ def run(options: argparse.Namespace) -> int:
     with live or nullcontext():
         done = run_demo(scenario, config, codec, CHANNEL, seconds, watch)
     truth = done.truth
-    table = score(injected(truth), recorder.changes, done.start_ns)
+    table = score(injected(truth), recorder.changes, 0)
     print(summary_table(table, config.nodes))
     print(
-        f"first flag {done.first_flag_s:.2f} s after start; ticks missed {done.missed} of "
-        f"{done.ticks}; frames received {done.gateway.inbox.counts['received']}"
+        f"first flag {done.first_flag_s:.2f} s after start; ran at {done.pace:.2f} of real time; "
+        f"frames received {done.gateway.inbox.counts['received']}, "
+        f"rejected {done.gateway.view.rejected if done.gateway.view else 0}"
     )
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    for series in recorder.series.values():
-        for k, t_s in enumerate(series.t_s):
-            series.t_s[k] = t_s - done.start_ns / 1e9
     spans = [Span(s.start_s, s.end_s, s.drive, "lost") for s in injected(truth)]
     lines = {
         n: ([r.t_s for r in truth if r.drive == n], [r.load_nm for r in truth if r.drive == n])
