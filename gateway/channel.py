@@ -36,7 +36,7 @@ class Channel:
     """State of one message. The inbox feeds it; everybody else only asks."""
 
     __slots__ = (
-        "cause", "drive", "good_ns", "heard_ns", "kind", "last_ns", "length", "limit_ns",
+        "blame", "cause", "drive", "good_ns", "heard_ns", "kind", "last_ns", "length", "limit_ns",
         "pair_ns", "period_ns", "picked", "protected", "quality", "receiver", "seen_valid",
         "spec", "steps",
     )  # fmt: skip
@@ -60,6 +60,7 @@ class Channel:
         self.last_ns: Nanos | None = None
         self.good_ns: Nanos | None = None
         self.cause = Reason.NONE
+        self.blame = Reason.STALE
         self.seen_valid = False
 
     def verify(self, data: bytes, t_ns: Nanos) -> Check:
@@ -82,13 +83,13 @@ class Channel:
             if state is SmState.VALID:
                 self.seen_valid = True
         else:
-            self.cause = _REASON[check]
+            self.cause = self.blame = _REASON[check]
         return check
 
     def malformed(self) -> None:
         """A frame with our id that cannot be our message: as bad as a wrong checksum."""
         self.receiver.cycle(Check.ERROR)
-        self.cause = Reason.CORRUPTED
+        self.cause = self.blame = Reason.CORRUPTED
 
     def quiet(self, now: Nanos) -> None:
         """Advance the window when nothing has come for longer than the limit."""
@@ -104,7 +105,8 @@ class Channel:
             return Reason.STALE
         cause = self.cause
         if self.protected and self.receiver.state is not SmState.VALID:
-            return cause if cause is not Reason.NONE else Reason.STARTING
+            # Single good frames do not end it; the last thing that went wrong is why.
+            return self.blame if self.receiver.state is SmState.INVALID else Reason.STARTING
         if self.last_ns is None or now - self.last_ns > self.limit_ns:
             return cause if cause is not Reason.NONE else Reason.STALE
         return cause if cause is Reason.RANGE or cause is Reason.NOT_AVAILABLE else Reason.NONE

@@ -22,3 +22,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="FILE",
         help="used by the tests themselves: SocketCAN is real here; write the reports to FILE",
     )
+    parser.getgroup("golden").addoption(
+        "--update-golden", action="store_true", help="write the expected golden logs anew"
+    )
