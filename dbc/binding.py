@@ -235,7 +235,7 @@ def _start(signal: Signal, low: int, high: int) -> tuple[int, list[str]]:
     raw = signal.raw_initial
     if raw is None or signal.is_float:
         return 0, []
-    if not float(raw).is_integer():
+    if isinstance(raw, float) and not raw.is_integer():
         return 0, [f"start value {raw} is not a raw (whole) number"]
     if not low <= raw <= high:
         return 0, [f"start value {raw} does not fit in {signal.length} bits"]

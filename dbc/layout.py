@@ -19,6 +19,8 @@ _BO: Final = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:\s*(\d+)")
 _SG: Final = re.compile(rb"\s*SG_\s+(\w+)[^:]*:\s*(\d+)\s*\|\s*(\d+)\s*@")
 _MUX: Final = re.compile(rb"\s*SG_MUL_VAL_\s")
 _TO: Final = re.compile(rb"\d\s*-\s*(\d+)")
+_QUOTED: Final = re.compile(rb'"[^"]*"')
+_HUGE: Final = re.compile(rb"\d[eE]\+?0*(?:[3-9]\d\d|[1-9]\d{3,})|\d{300}")
 _INDEPENDENT: Final = b"VECTOR__INDEPENDENT_SIG_MSG"
 
 
@@ -37,6 +39,8 @@ def oversized(text: bytes) -> Iterator[str]:
                 yield f"{name}: starts at bit {int(match[2])} of 512"
         elif _MUX.match(line) and any(int(value) > 0xFFFF for value in _TO.findall(line)):
             yield f"{where}: multiplexer values above 65535"
+        if _HUGE.search(_QUOTED.sub(b"", line)):
+            yield f"{where}: a number with more than 300 digits"
 
 
 def bits_of(signal: Signal | SignalSpec, big_endian: bool) -> range:

@@ -106,12 +106,13 @@ class Bank:
         ]
 
     def _sweep(self, samples: Sequence[Sample]) -> None:
-        rows = np.array(samples, dtype=np.float64)
-        drive = rows[:, 0].astype(np.int32)
-        u = np.ascontiguousarray(rows[:, 2:4])
-        y = np.ascontiguousarray(rows[:, 4:6])
-        n_sub = rows[:, 6].astype(np.int64)
-        n_gap = rows[:, 7].astype(np.int64)
+        drives, _, *signals, steps, gaps = zip(*samples, strict=True)
+        drive = np.array(drives, dtype=np.int32)
+        values = np.array(signals).T
+        u = np.ascontiguousarray(values[:, :2])
+        y = np.ascontiguousarray(values[:, 2:])
+        n_sub = np.array(steps, dtype=np.int64)
+        n_gap = np.array(gaps, dtype=np.int64)
         dt = SAMPLE_NS * 1e-9
         lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
         nis = np.empty(len(samples))
@@ -124,14 +125,15 @@ class Bank:
             ukf_sweep(*arguments, UKF_KAPPA, nis, ok)
         else:
             ekf_sweep(*arguments, nis, ok)
-        for k, value, steps in zip(drive.tolist(), nis.tolist(), n_sub.tolist(), strict=True):
+        for k, value, step in zip(drives, nis.tolist(), steps, strict=True):
             track = self.tracks[k]
             if track.active:
-                track.steps += steps
+                track.steps += step
                 if math.isfinite(value):  # NaN where the row was skipped
                     track.nis += NIS_SMOOTHING * (value - track.nis)
-        for k in np.flatnonzero(~ok).tolist():
-            self._diverge(k)
+        if not ok.all():
+            for k in np.flatnonzero(~ok).tolist():
+                self._diverge(k)
 
     def _agreement(self) -> list[int]:
         """`lock.agrees`, compiled."""

@@ -13,6 +13,7 @@ class BusLoad:
     def __init__(self, bitrate: int, data_bitrate: int, start_ns: Nanos) -> None:
         self.bitrate = bitrate
         self.data_bitrate = data_bitrate
+        self.classic_s = [(47 + 8 * n + (33 + 8 * n) // 4) / bitrate for n in range(16)]
         self.since_ns = start_ns
         self.busy_s = 0.0
         self.last: float | None = None
@@ -23,12 +24,12 @@ class BusLoad:
             self.last = min(126.0, 100.0 * self.busy_s * SECOND / (now - self.since_ns))
             self.since_ns = now
             self.busy_s = 0.0
-        for frame in frames:
-            n = len(frame.data)
-            if frame.flags & FD:
+        for _, _, data, flags, _, _ in frames:
+            if flags & FD:
+                n = len(data)
                 self.busy_s += 34 / self.bitrate + (8 * n + 33 + 8 * n // 4) / self.data_bitrate
             else:
-                self.busy_s += (47 + 8 * n + (33 + 8 * n) // 4) / self.bitrate
+                self.busy_s += self.classic_s[len(data) & 15]
 
     def percent(self, now: Nanos) -> float | None:
         """The last closed window; None before the first, or when it is long past."""

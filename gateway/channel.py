@@ -36,9 +36,25 @@ class Channel:
     """State of one message. The inbox feeds it; everybody else only asks."""
 
     __slots__ = (
-        "blame", "cause", "drive", "good_ns", "heard_ns", "kind", "last_ns", "length", "limit_ns",
-        "pair_ns", "period_ns", "picked", "protected", "quality", "receiver", "seen_valid",
-        "spec", "steps",
+        "blame",
+        "cause",
+        "drive",
+        "good_ns",
+        "heard_ns",
+        "kind",
+        "last_ns",
+        "length",
+        "limit_ns",
+        "pair_ns",
+        "period_ns",
+        "picked",
+        "protected",
+        "quality",
+        "receiver",
+        "seen_valid",
+        "spec",
+        "state",
+        "steps",
     )  # fmt: skip
 
     def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
@@ -61,6 +77,7 @@ class Channel:
         self.good_ns: Nanos | None = None
         self.cause = Reason.NONE
         self.blame = Reason.STALE
+        self.state = Reason.STARTING
         self.seen_valid = False
 
     def verify(self, data: bytes, t_ns: Nanos) -> Check:
@@ -91,13 +108,13 @@ class Channel:
         self.receiver.cycle(Check.ERROR)
         self.cause = self.blame = Reason.CORRUPTED
 
-    def quiet(self, now: Nanos) -> None:
-        """Advance the window when nothing has come for longer than the limit."""
+    def settle(self, now: Nanos) -> None:
+        """End of a tick: notice silence, and say why the channel is not believed (`state`)."""
         if self.last_ns is not None and now - self.last_ns > self.limit_ns:
             self.receiver.cycle(Check.NO_NEW_DATA)
+        self.state = self._reason(now)
 
-    def reason(self, now: Nanos) -> Reason:
-        """Why this channel cannot be believed now; NONE if it can."""
+    def _reason(self, now: Nanos) -> Reason:
         heard = self.heard_ns
         if heard is None:
             return Reason.STARTING
@@ -114,4 +131,4 @@ class Channel:
     def fresh(self, now: Nanos) -> bool:
         """True while the last good value is within the age limit and can be believed."""
         good = self.good_ns
-        return good is not None and now - good <= self.limit_ns and self.reason(now) is Reason.NONE
+        return good is not None and now - good <= self.limit_ns and self.state is Reason.NONE

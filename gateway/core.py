@@ -26,7 +26,16 @@ from gateway.bank import Bank, DriveEstimate
 from gateway.busload import BusLoad
 from gateway.config import Config, ConfigError
 from gateway.decide import FlagState, Timing, advance, from_probability
-from gateway.health import Flag, GatewayState, Health, Reason, summary, worst
+from gateway.health import (
+    FaultClass,
+    FaultSensor,
+    Flag,
+    GatewayState,
+    Health,
+    Reason,
+    summary,
+    worst,
+)
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.outbox import DriveView, GatewayView, Outbox
 from gateway.supervision import Life, Supervision
@@ -57,7 +66,7 @@ class Gateway:
         self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS)
         self.inbox = Inbox(codec, nodes, config.loop.period_ns, self.supervision)
         self.sum_limit_a = [0.1 * m.I_rated for m in motors]
-        missing = [d.node for d in self.inbox.drives if not _electrical(d) and not d.channels]
+        missing = [d.node for d in self.inbox.drives if not d.channels]
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
         self.bank = Bank(motors, config.estimator, _current_step_a(codec))
@@ -107,7 +116,7 @@ class Gateway:
         inbox = self.inbox
         inbox.take(frames, now)
         inputs = [self._input_reason(k, now) for k in range(len(self.nodes))]
-        fresh = [_fresh(d, now) for d in inbox.drives]
+        fresh = [d.fresh(now) for d in inbox.drives]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
         opinion = self._opinion(estimates, now)
         self.thermal.take(inbox.temperatures, now)
@@ -129,8 +138,7 @@ class Gateway:
     def unknown_frames(self, now: Nanos) -> list[Frame]:
         """Flag frames that say unknown: sent thrice before an orderly stop."""
         drives = tuple(DriveView(node) for node in self.nodes)
-        self.outbox.next_ns.clear()
-        self.outbox.last_faults = None
+        self.outbox.restart(now)
         view = self._view(drives, None, now)._replace(state=GatewayState.SILENT)
         flags = {self.outbox.specs[f"Gateway_{n}"].can_id for n in ("Adhesion", "Faults", "Status")}
         return [f for f in self.outbox.due(view) if f.can_id in flags]
@@ -138,10 +146,9 @@ class Gateway:
     def _input_reason(self, k: int, now: Nanos) -> Reason:
         """Why this drive's currents and voltages cannot be believed; NONE if they can."""
         drive = self.inbox.drives[k]
-        channels = _electrical(drive)
-        if not channels:
+        if not drive.electrical:
             return Reason.CONFIG
-        reasons = [drive.channels[name].reason(now) for name in channels]
+        reasons = [channel.state for channel in drive.electrical]
         if drive.sum_error > self.sum_limit_a[k]:
             reasons.append(Reason.RANGE)
         if self.supervision.life(drive.node, now) is Life.LOST:
@@ -175,16 +182,24 @@ class Gateway:
         adhesion, reason = self._adhesion_evidence(k, estimate, opinion, cause)
         age = self.inbox.drives[k].channels.get("Temperatures")
         report = self.thermal.report(k, now, age.limit_ns if age else 0)
+        if drive.sum_error > self.sum_limit_a[k] and report.sensor is not Flag.BAD:
+            report = report._replace(
+                sensor=Flag.BAD,
+                fault_class=FaultClass.SENSOR_BIAS,
+                fault_sensor=FaultSensor.CURRENT,
+            )
         evidence = {
             "adhesion": adhesion,
             "thermal": report.thermal,
-            "sensor": report.sensor if cause is not Reason.RANGE else Flag.BAD,
+            "sensor": report.sensor,
             "comm": self._comm(drive, now),
             "estimator": _estimator_flag(estimate.health),
         }
         flags = self.flags[k]
         for name, seen in evidence.items():
-            flags[name] = advance(flags[name], seen, now, self.timing[name])
+            state = flags[name]
+            if state.flag is not seen or state.evidence is not seen:
+                flags[name] = advance(state, seen, now, self.timing[name])
         if flags["thermal"].flag is Flag.GOOD and report.thermal is not Flag.GOOD:
             report = report._replace(fault_class=self.reports[k].fault_class)
         self.reports[k] = report
@@ -238,12 +253,11 @@ class Gateway:
         """Bad once anything that was valid is stale, silent or corrupted."""
         if self.supervision.life(drive.node, now) is Life.LOST:
             return Flag.BAD
-        reasons = {name: c.reason(now) for name, c in drive.channels.items() if c.seen_valid}
-        bad = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
-        if any(reason in bad for reason in reasons.values()):
-            return Flag.BAD
-        channels = _electrical(drive)
-        return Flag.GOOD if channels and all(c in reasons for c in channels) else Flag.UNKNOWN
+        for channel in drive.channels.values():
+            if channel.seen_valid and channel.state in COMM_CAUSES:
+                return Flag.BAD
+        known = drive.electrical and all(channel.seen_valid for channel in drive.electrical)
+        return Flag.GOOD if known else Flag.UNKNOWN
 
     def _view(
         self, drives: tuple[DriveView, ...], opinion: Opinion | None, now: Nanos
@@ -293,21 +307,6 @@ REJECTED: Final = (
     "time_back",
 )
 """Counters of frames with one of our ids whose content was not used."""
-
-
-def _electrical(drive: DriveInput) -> tuple[str, ...]:
-    """The channels that carry currents and voltages: FD samples, or the classic pair."""
-    if SAMPLES in drive.channels:
-        return (SAMPLES,)
-    return ELECTRICAL if all(k in drive.channels for k in ELECTRICAL) else ()
-
-
-def _fresh(drive: DriveInput, now: Nanos) -> bool:
-    """True while the drive's newest complete sample is within the age limit."""
-    channels = _electrical(drive)
-    if not channels or drive.sample_ns is None:
-        return False
-    return now - drive.sample_ns <= max(drive.channels[c].limit_ns for c in channels)
 
 
 def _current_step_a(codec: Codec) -> float:

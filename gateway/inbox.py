@@ -84,6 +84,19 @@ class DriveInput:
         self.torque: float | None = None
         self.irms: float | None = None
         self.sum_error = 0.0
+        self.electrical: tuple[Channel, ...] = ()
+        self.limit_ns: Nanos = 0
+
+    def settled(self) -> None:
+        """All channels are there: note which carry currents and voltages."""
+        kinds = (SAMPLES,) if SAMPLES in self.channels else ELECTRICAL
+        if all(kind in self.channels for kind in kinds):
+            self.electrical = tuple(self.channels[kind] for kind in kinds)
+            self.limit_ns = max(channel.limit_ns for channel in self.electrical)
+
+    def fresh(self, now: Nanos) -> bool:
+        """True while the newest complete sample is within its age limit."""
+        return self.sample_ns is not None and now - self.sample_ns <= self.limit_ns
 
 
 class Inbox:
@@ -109,6 +122,7 @@ class Inbox:
                     channel = Channel(spec, index, tick_ns)
                     drive.channels[kind] = channel
                     self.table[spec.can_id] = channel
+            drive.settled()
         self._handlers = {
             "PhaseCurrents": self._currents,
             "StatorVoltages": self._voltages,
@@ -136,7 +150,7 @@ class Inbox:
         if rows:
             self._decode(rows)
         for channel in table.values():
-            channel.quiet(now)
+            channel.settle(now)
 
     def _foreign(self, frame: Frame) -> None:
         """Count a frame that is none of the drives' messages."""

@@ -84,26 +84,39 @@ class Outbox:
         self.config_hash = config_hash
         self.codec = codec
         self.counters: dict[str, int] = {}
-        self.next_ns: dict[str, Nanos] = {}
         self.last_faults: tuple[object, ...] | None = None
         names = [f"Gateway_{n}" for n in ("Adhesion", "Faults", "Info", "Status")]
-        names += [f"Drive{n}_{kind}" for n in nodes for kind in ("Estimate", "Thermal")]
+        self.places = {
+            f"Drive{node}_{kind}": (k, kind)
+            for k, node in enumerate(nodes)
+            for kind in ("Estimate", "Thermal")
+        }
+        names += self.places
         self.specs: dict[str, MessageSpec] = {name: codec.by_name[name] for name in names}
+        self.next_ns: dict[str, Nanos] = {}
+
+    def restart(self, now: Nanos) -> None:
+        """Everything is due now; the cycles count from here."""
+        self.next_ns = dict.fromkeys(self.specs, now)
+        self.last_faults = None
 
     def due(self, view: GatewayView) -> list[Frame]:
         """Frames of this tick, in the order of their ids."""
+        now = view.t_ns
+        if not self.next_ns:
+            self.restart(now)
         faults = _faults_key(view)
-        changed = faults != self.last_faults
+        if faults != self.last_faults:
+            self.next_ns["Gateway_Faults"] = now
         frames = []
-        for name, spec in self.specs.items():
-            start = self.next_ns.get(name)
-            early = name == "Gateway_Faults" and changed
-            if start is not None and view.t_ns < start and not early:
+        for name, start in self.next_ns.items():
+            if now < start:
                 continue
-            base = view.t_ns if start is None or early else start
-            behind = max(0, view.t_ns - base) // spec.cycle_ns
-            self.next_ns[name] = base + spec.cycle_ns * (1 + behind)
-            frames.append(self._frame(spec, self._values(name, view), view.t_ns))
+            spec = self.specs[name]
+            # The grid stays, however late a tick is; what was missed is not sent later.
+            behind = (now - start) // spec.cycle_ns
+            self.next_ns[name] = start + spec.cycle_ns * (1 + behind)
+            frames.append(self._frame(spec, self._values(name, view), now))
         self.last_faults = faults
         return sorted(frames, key=lambda frame: frame.can_id)
 
@@ -116,6 +129,11 @@ class Outbox:
         return Frame(t_ns, spec.can_id, bytes(payload), flags)
 
     def _values(self, name: str, view: GatewayView) -> Mapping[str, Value]:
+        place = self.places.get(name)
+        if place is not None:
+            index, kind = place
+            drive = view.drives[index]
+            return _estimate(drive) if kind == "Estimate" else _thermal(drive)
         if name == "Gateway_Adhesion":
             return _adhesion(view)
         if name == "Gateway_Faults":
@@ -126,17 +144,13 @@ class Outbox:
                 "LatencyP99": view.latency_p99_us,
                 "LatenessP99": view.lateness_p99_us,
             }
-        if name == "Gateway_Status":
-            return {
-                "State": view.state,
-                "DeadlineMisses": view.deadline_misses,
-                "RejectedFrames": view.rejected,
-                "LostFrames": view.lost,
-                "BusLoad": view.bus_load_percent,
-            }
-        node, kind = name.removeprefix("Drive").split("_")
-        drive = next(d for d in view.drives if d.node == int(node))
-        return _estimate(drive) if kind == "Estimate" else _thermal(drive)
+        return {
+            "State": view.state,
+            "DeadlineMisses": view.deadline_misses,
+            "RejectedFrames": view.rejected,
+            "LostFrames": view.lost,
+            "BusLoad": view.bus_load_percent,
+        }
 
 
 def _adhesion(view: GatewayView) -> dict[str, Value]:

@@ -154,6 +154,9 @@ def test_numbers_no_frame_has_are_refused_by_line(tmp_path: Path) -> None:
         message(5, "A", 10**12, signal("X", 0, 10**12), signal("Y", 10**12, 8)),
         message(6, "B", 65),
         "SG_MUL_VAL_ 5 X Y 0-4294967295;",
+        'BA_DEF_ "Hash" STRING;',
+        'BA_ "Hash" "1e4000";',
+        'BA_DEF_ "N" INT 0 1E999999999;',
     )
     assert problems_of(path, (), ANY) == (
         "line 7: A: 1000000000000 bytes; CAN FD has 64",
@@ -161,6 +164,7 @@ def test_numbers_no_frame_has_are_refused_by_line(tmp_path: Path) -> None:
         "line 9: Y: starts at bit 1000000000000 of 512",
         "line 11: B: 65 bytes; CAN FD has 64",
         "line 13: multiplexer values above 65535",
+        "line 16: a number with more than 300 digits",
     )
 
 

@@ -1,0 +1,1 @@
+"""Measurements: `make bench`. Never asserted in tests; timings as ratios within one run."""
