@@ -220,10 +220,13 @@ def parse(raw: dict[str, Any], source: str = "configuration", base: Path = Path(
         raise ConfigError(source, _lines(error)) from None
 
 
-def load(path: Path | None) -> Config:
-    """Read and validate a file; None gives the default: three drives on nodes 1-3."""
+def load(path: Path | None, **changes: dict[str, Any]) -> Config:
+    """Read and validate a file; None gives the default: three drives on nodes 1-3.
+
+    changes: keys that override the file's, as `section={"key": value}`.
+    """
     if path is None:
-        return Config()
+        return parse(changes, "command line")
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -232,4 +235,6 @@ def load(path: Path | None) -> Config:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     if "base" in raw:
         raise ConfigError(str(path), ["base: unknown key; remove it or correct its name"])
+    for section, keys in changes.items():
+        raw[section] = {**raw.get(section, {}), **keys}
     return parse(raw, str(path), path.parent)

@@ -41,13 +41,11 @@ def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
     """
     from dbc.codec import bind
 
-    config = load(path)
-    for section, values in changes.items():
-        given = {k: v for k, v in values.items() if v is not None}
-        part = getattr(config, section)
-        config = config.model_copy(
-            update={section: type(part).model_validate({**part.model_dump(), **given})}
-        )
+    given = {
+        section: {k: v for k, v in values.items() if v is not None}
+        for section, values in changes.items()
+    }
+    config = load(path, **given)
     return config, bind(config.dbc_path, config.nodes)
 
 

@@ -1,0 +1,222 @@
+"""The command line as a user meets it: outputs, exit codes, one clear line for bad input."""
+
+import csv
+import gzip
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from dbc.candump import Reader
+from dbc.codec import bind
+from gateway.cli import main
+from gateway.config import shipped_dbc
+
+SCENARIO = """
+title = "one loss"
+seed = 5
+duration_s = 2.0
+drives = 3
+[[event]]
+at_s = 1.0
+for_s = 0.5
+drive = 2
+kind = "adhesion_loss"
+depth = 0.7
+[[expect]]
+flag = "adhesion"
+is = "bad"
+drive = 2
+after_s = 1.0
+within_ms = 60
+[[expect]]
+flag = "adhesion"
+is = "bad"
+drive = "others"
+never = true
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A scenario, its log and its truth."""
+    here = tmp_path_factory.mktemp("cli")
+    (here / "s.toml").write_text(SCENARIO)
+    words = ["sim", str(here / "s.toml"), "-o", str(here / "s.log")]
+    assert main([*words, "--truth", str(here / "truth.csv")]) == 0
+    return here
+
+
+def refused(capsys, *words):
+    """Exit code 2, one line on stderr that is not a traceback; the line."""
+    assert main([str(w) for w in words]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("traction-gateway: ")
+    assert "\n" not in said
+    assert "Traceback" not in said
+    return said
+
+
+def test_truth_has_a_row_per_drive_every_10_ms(folder):
+    rows = list(csv.DictReader((folder / "truth.csv").read_text().splitlines()))
+    assert list(rows[0]) == [
+        "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class",
+        "true_effect_k",
+    ]  # fmt: skip
+    assert len(rows) == 3 * 200
+    lost = {r["t_s"] for r in rows if r["lost"] == "1" and r["drive"] == "2"}
+    assert 48 <= len(lost) <= 52
+
+
+def test_replay_writes_flags_twice_the_same(folder, capsys):
+    out = [folder / "a.log", folder / "b.log"]
+    for k, path in enumerate(out):
+        words = ["replay", str(folder / "s.log"), "-o", str(path)]
+        assert main([*words, "--results", str(folder / f"r{k}")]) == 0
+    assert out[0].read_bytes() == out[1].read_bytes()
+    assert "AdhesionLost" in capsys.readouterr().out
+    for name in ("flags.csv", "estimates.csv", "loads.png", "loads.svg"):
+        assert (folder / "r0" / name).stat().st_size > 1000
+    flags = list(csv.DictReader((folder / "r0" / "flags.csv").read_text().splitlines()))
+    assert list(flags[0]) == ["t_s", "drive", "adhesion", "thermal", "reason"]
+    assert {f["adhesion"] for f in flags if f["drive"] == "2"} == {
+        "Unknown", "Adhering", "AdhesionLost",
+    }  # fmt: skip
+    assert flags[0]["reason"] == "Starting"
+
+
+def test_replay_output_is_only_the_gateways_frames_on_the_logs_clock(folder):
+    main(["replay", str(folder / "s.log"), "-o", str(folder / "c.log")])
+    codec = bind(shipped_dbc("traction.dbc"), (1, 2, 3))
+    first = next(iter(Reader(folder / "s.log"))).t_ns
+    stamps = set()
+    for frame in Reader(folder / "c.log", strict=True):
+        assert codec.by_id[frame.can_id].is_gateway
+        assert frame.channel == "vcan0"
+        stamps.add(frame.t_ns)
+    ticks = sorted((t - first) / 10_000_000 for t in stamps)
+    assert ticks == list(range(len(ticks)))
+
+
+def test_a_log_with_our_own_frames_in_it_gives_the_same_flags(folder):
+    main(["replay", str(folder / "s.log"), "-o", str(folder / "own.log")])
+    both = sorted([*Reader(folder / "s.log"), *Reader(folder / "own.log")], key=lambda f: f.t_ns)
+    from dbc.candump import Writer
+
+    writer = Writer(folder / "both.log")
+    for frame in both:
+        writer.write(frame)
+    writer.close()
+    main(["replay", str(folder / "both.log"), "-o", str(folder / "again.log")])
+
+    def flags(path):
+        return [f.data[1:] for f in Reader(path) if f.can_id == 0x1A0]
+
+    assert flags(folder / "again.log") == flags(folder / "own.log")
+
+
+def test_gz_and_detector_and_config(folder, capsys):
+    packed = folder / "s.log.gz"
+    packed.write_bytes(gzip.compress((folder / "s.log").read_bytes()))
+    assert main(["replay", str(packed), "--detector", "median"]) == 0
+    assert "AdhesionLost" in capsys.readouterr().out
+    config = folder / "two.toml"
+    config.write_text('[estimator]\nkind = "ukf"\n[[drive]]\nnode = 2\n[[drive]]\nnode = 3\n')
+    assert main(["replay", str(packed), "--config", str(config)]) == 0
+    out = capsys.readouterr().out
+    assert "drive 1" not in out
+    assert "AdhesionLost" in out
+
+
+def test_bad_input_is_one_clear_line(folder, capsys, tmp_path):
+    assert "no such file" in refused(capsys, "replay", tmp_path / "none.log")
+    empty = tmp_path / "empty.log"
+    empty.write_text("")
+    assert "no frame" in refused(capsys, "replay", empty)
+    bad = tmp_path / "bad.toml"
+    bad.write_text("[loop]\nrate = 5\n")
+    assert "loop.rate" in refused(capsys, "replay", folder / "s.log", "--config", bad)
+    bad.write_text('[dbc]\nfile = "none.dbc"\n')
+    assert "none.dbc" in refused(capsys, "check", bad)
+    bad.write_text('[dbc]\nfile = "broken.dbc"\n')
+    (tmp_path / "broken.dbc").write_text("BO_ garbage")
+    assert "broken.dbc" in refused(capsys, "check", bad)
+    assert "wibble" in refused(capsys, "replay", folder / "s.log", "--detector", "wibble")
+    bad.write_text('title = "x"\nduration_s = -1\nwrong = 2\n')
+    said = refused(capsys, "hil", bad)
+    assert "duration_s" in said
+    assert "wrong" in said
+    assert "no_such" in refused(capsys, "sim", "no_such")
+
+
+def test_garbage_lines_are_counted_and_strict_stops(folder, capsys, tmp_path):
+    lines = (folder / "s.log").read_bytes().splitlines(keepends=True)
+    lines[100:100] = [b"garbage\n", b"\x00\x00\x00\n", b"(1.0) vcan0 123#1\n"]
+    dirty = tmp_path / "dirty.log"
+    dirty.write_bytes(b"".join(lines) + b"(0000000002.1) vcan0 18")
+    assert main(["replay", str(dirty)]) == 0
+    out, err = capsys.readouterr()
+    assert "malformed" in out
+    assert "101" in err
+    assert "101" in refused(capsys, "replay", dirty, "--strict")
+
+
+def test_several_channels_need_a_name(folder, capsys, tmp_path):
+    text = (folder / "s.log").read_text().splitlines()
+    mixed = tmp_path / "mixed.log"
+    mixed.write_text("\n".join([*text, text[-1].replace("vcan0", "can7")]) + "\n")
+    assert "--log-channel" in refused(capsys, "replay", mixed)
+    assert main(["replay", str(mixed), "--log-channel", "vcan0"]) == 0
+
+
+def test_hil_judges_and_writes_junit(folder, capsys, tmp_path):
+    report = tmp_path / "r.xml"
+    assert main(["hil", str(folder / "s.toml"), "--junit", str(report)]) == 0
+    suite = ET.parse(report).getroot()[0]
+    assert suite.get("tests") == "3"
+    assert suite.get("failures") == "0"
+    wrong = tmp_path / "w.toml"
+    wrong.write_text(SCENARIO.replace('is = "bad"\ndrive = 2', 'is = "bad"\ndrive = 1', 1))
+    assert main(["hil", str(wrong), "--junit", str(report)]) == 1
+    assert ET.parse(report).getroot()[0].get("failures") == "1"
+    assert "FAIL" in capsys.readouterr().out
+
+
+def test_check_knows_the_bus_load_of_the_contract(capsys, tmp_path):
+    path = tmp_path / "t.toml"
+
+    def text(n):
+        return "".join(f"[[drive]]\nnode = {k}\n" for k in range(1, n + 1))
+
+    path.write_text(text(4))
+    assert main(["check", str(path), "--no-timing"]) == 0
+    assert "65 %" in capsys.readouterr().out
+    path.write_text(text(6))
+    assert main(["check", str(path), "--no-timing"]) == 2
+    out, err = capsys.readouterr()
+    assert "97 %" in out
+    assert "above 80 %" in err
+
+
+def test_calibrate_then_replay_knows_thermal(folder, capsys, tmp_path):
+    healthy = tmp_path / "h.toml"
+    healthy.write_text('title = "h"\nseed = 3\nduration_s = 30\ndrives = 3\ntraffic = "slow"\n')
+    log = tmp_path / "h.log"
+    assert main(["sim", str(healthy), "-o", str(log)]) == 0
+    cells = tmp_path / "cells.toml"
+    assert main(["calibrate", str(log), "-o", str(cells)]) == 0
+    config = tmp_path / "c.toml"
+    config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
+    capsys.readouterr()
+    assert main(["replay", str(log), "--config", str(config)]) == 0
+    out = capsys.readouterr().out
+    assert out.count("thermal   NoFault") == 3
+    assert " Fault" not in out
+
+
+def test_help_and_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("traction-gateway 0.")
+    assert main([]) == 2
+    with pytest.raises(SystemExit) as stop:
+        main(["replay", "--help"])
+    assert stop.value.code == 0
