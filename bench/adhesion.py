@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.commands.common import prepare
 from gateway.core import Gateway
-from gateway.drivers.expect import FlagTrack
+from gateway.results.expect import FlagTrack
 from gateway.results.scoring import Score, score_run
 from sim.random_runs import random_scenario
 from sim.simulation import Simulation

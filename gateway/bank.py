@@ -20,7 +20,7 @@ from estimators.models import pmsm
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
 from gateway.health import Health, Reason
-from gateway.inbox import Sample
+from gateway.pairing import Samples
 
 SETTLE_STEPS: Final = 480
 """Sub-steps (60 ms) a new filter runs before its load is believed."""
@@ -82,7 +82,7 @@ class Bank:
 
     def advance(
         self,
-        samples: Sequence[Sample],
+        samples: Samples,
         restart: Collection[int],
         inputs: Sequence[Reason],
         fresh: Sequence[bool],
@@ -96,7 +96,7 @@ class Bank:
         for k in restart:
             self._drop(k)
             lock.forget(self.chords, k)
-        if samples:
+        if len(samples.drive):
             self._sweep(samples)
         first, P_first = self._start_states()
         agreement = self._agreement()
@@ -105,17 +105,11 @@ class Bank:
             for k in range(len(self.tracks))
         ]
 
-    def _sweep(self, samples: Sequence[Sample]) -> None:
-        drives, _, *signals, steps, gaps = zip(*samples, strict=True)
-        drive = np.array(drives, dtype=np.int32)
-        values = np.array(signals).T
-        u = np.ascontiguousarray(values[:, :2])
-        y = np.ascontiguousarray(values[:, 2:])
-        n_sub = np.array(steps, dtype=np.int64)
-        n_gap = np.array(gaps, dtype=np.int64)
+    def _sweep(self, samples: Samples) -> None:
+        drive, u, y, n_sub, n_gap = samples
         dt = SAMPLE_NS * 1e-9
         lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
-        nis = np.empty(len(samples))
+        nis = np.empty(len(drive))
         ok = np.empty(len(self.tracks), dtype=np.bool_)
         arguments = (
             self.table, self.noise.Q, self.noise.R, self.noise.coast, self.x, self.P,
@@ -125,7 +119,7 @@ class Bank:
             ukf_sweep(*arguments, UKF_KAPPA, nis, ok)
         else:
             ekf_sweep(*arguments, nis, ok)
-        for k, value, step in zip(drives, nis.tolist(), steps, strict=True):
+        for k, value, step in zip(drive.tolist(), nis.tolist(), n_sub.tolist(), strict=True):
             track = self.tracks[k]
             if track.active:
                 track.steps += step

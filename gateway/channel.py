@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from dbc.codec import MessageSpec
-from dbc.frame import Nanos
+from dbc.frame import FD, Nanos
 from dbc.protection import WINDOW, Check, Profile, Receiver, SmState
 from gateway.health import Reason
 
@@ -36,25 +36,9 @@ class Channel:
     """State of one message. The inbox feeds it; everybody else only asks."""
 
     __slots__ = (
-        "blame",
-        "cause",
-        "drive",
-        "good_ns",
-        "heard_ns",
-        "kind",
-        "last_ns",
-        "length",
-        "limit_ns",
-        "pair_ns",
-        "period_ns",
-        "picked",
-        "protected",
-        "quality",
-        "receiver",
-        "seen_valid",
-        "spec",
-        "state",
-        "steps",
+        "blame", "cause", "check", "drive", "fd", "good_ns", "heard_ns", "index", "kind",
+        "last_ns", "length", "limit_ns", "number", "period_ns", "picked", "protected",
+        "quality", "receiver", "seen_valid", "spec", "state", "steps",
     )  # fmt: skip
 
     def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
@@ -66,7 +50,11 @@ class Channel:
         self.length = spec.length
         self.period_ns = spec.cycle_ns
         self.limit_ns = 3 * spec.cycle_ns + tick_ns
-        self.pair_ns = 8 * spec.cycle_ns
+        self.index = spec.index
+        self.fd = FD if spec.is_fd else 0
+        self.number = -1
+        """Position among the inbox's channels."""
+        self.check = Check.NO_NEW_DATA
         self.steps = max(1, round(spec.cycle_ns / SAMPLE_NS))
         self.receiver = Receiver(spec)
         self.protected = spec.profile is not Profile.NONE
@@ -80,18 +68,22 @@ class Channel:
         self.state = Reason.STARTING
         self.seen_valid = False
 
-    def verify(self, data: bytes, t_ns: Nanos) -> Check:
-        """Judge protection and counter of one frame and advance the receiver's window."""
+    def verify(self, data: bytes, t_ns: Nanos) -> bool:
+        """Judge protection and counter of one frame (`check`) and advance the receiver's window.
+
+        True only for the plain case: good, and part of an unbroken good stream.
+        """
         if not self.protected:
             self.last_ns = t_ns
             self.seen_valid = True
-            return Check.OK
+            return True
         receiver = self.receiver
-        check = receiver.check(data, t_ns)
-        if check is Check.OK and receiver.oks_seen == WINDOW and receiver.state is SmState.VALID:
-            # A full window of good frames: one more changes nothing.
+        self.check = check = receiver.check(data, t_ns)
+        if check is Check.OK:
             self.last_ns = t_ns
-            return check
+            if receiver.oks_seen == WINDOW and receiver.state is SmState.VALID:
+                # A full window of good frames: one more changes nothing.
+                return True
         for _ in range(receiver.missed):
             receiver.cycle(Check.NO_NEW_DATA)
         state = receiver.cycle(check)
@@ -101,7 +93,7 @@ class Channel:
                 self.seen_valid = True
         else:
             self.cause = self.blame = _REASON[check]
-        return check
+        return False
 
     def malformed(self) -> None:
         """A frame with our id that cannot be our message: as bad as a wrong checksum."""

@@ -14,12 +14,16 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dbc.codec import ABSENT, NOT_AVAILABLE, VALID, Codec
+from dbc.codec import NOT_AVAILABLE, VALID, Codec
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
 from dbc.protection import Check, SmState
-from gateway.channel import SAMPLE_NS, Channel
+from gateway import pairing
+from gateway._kernels import take_rows
+from gateway.channel import Channel
 from gateway.health import Reason
+from gateway.pairing import Row, Trouble
 from gateway.supervision import Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
@@ -27,8 +31,6 @@ SAMPLES = "Samples"
 SLOW = ("Motion", "Status", "Temperatures")
 MAX_GAP_NS: Final[Nanos] = 200_000_000
 """Longer without a sample: the filter starts anew instead of coasting."""
-SUM_SMOOTHING: Final = 0.05
-SQRT3: Final = math.sqrt(3.0)
 RPM: Final = 2.0 * math.pi / 60.0
 """rad/s in one revolution per minute."""
 USABLE: Final = (1.0, 2.0)
@@ -37,23 +39,7 @@ _ORDER = itemgetter(0, 1)
 """Time stamp, then id."""
 _ODD = ERROR | REMOTE | EXTENDED
 
-Half = tuple[Nanos, float, float]
-
-
-class Sample(NamedTuple):
-    """Currents and mean voltages of one instant of one drive, SI units, stationary frame.
-
-    steps: sub-steps of SAMPLE_NS since the sample before; gap: sub-steps missing before that.
-    """
-
-    drive: int
-    t_ns: Nanos
-    u_alpha: float
-    u_beta: float
-    i_alpha: float
-    i_beta: float
-    steps: int
-    gap: int
+Array = NDArray[np.float64]
 
 
 class Temperatures(NamedTuple):
@@ -75,15 +61,13 @@ class DriveInput:
     def __init__(self, node: int) -> None:
         self.node = node
         self.channels: dict[str, Channel] = {}
-        self.currents: list[Half | None] = [None] * 16
-        self.voltages: list[Half | None] = [None] * 16
-        self.sequence: int | None = None
         self.sample_ns: Nanos | None = None
         self.torque_command: float | None = None
         self.speed: float | None = None
         self.torque: float | None = None
         self.irms: float | None = None
         self.sum_error = 0.0
+        """Smoothed |Ia + Ib + Ic|, A."""
         self.electrical: tuple[Channel, ...] = ()
         self.limit_ns: Nanos = 0
 
@@ -110,7 +94,7 @@ class Inbox:
         self.supervision = supervision
         self.drives = [DriveInput(node) for node in nodes]
         self.counts: Counter[str] = Counter()
-        self.samples: list[Sample] = []
+        self.samples = pairing.room(0)
         self.temperatures: list[Temperatures] = []
         self.restart: set[int] = set()
         self.own = {spec.can_id for spec in codec.messages if spec.is_gateway}
@@ -123,33 +107,42 @@ class Inbox:
                     drive.channels[kind] = channel
                     self.table[spec.can_id] = channel
             drive.settled()
-        self._handlers = {
-            "PhaseCurrents": self._currents,
-            "StatorVoltages": self._voltages,
-            SAMPLES: self._block,
-            "Motion": self._motion,
-            "Status": self._status,
-        }
+        channels = list(self.table.values())
+        for number, channel in enumerate(channels):
+            channel.number = number
+        self._wiring = pairing.wiring(channels)
+        self._pairs = pairing.start(len(self.drives))
+        self._room = pairing.room(64)
 
     def take(self, frames: Iterable[Frame], now: Nanos) -> None:
         """Accept the frames of one tick, in the order of their time stamps, then ids."""
-        self.samples.clear()
+        self.samples = self._room.first(0)
         self.temperatures.clear()
         self.restart.clear()
         rows: list[tuple[Channel, Nanos, bytes]] = []
-        table = self.table
+        find = self.table.get
         # Stable: frames of one id with one stamp stay in the order in which they came.
         ordered = sorted(frames, key=_ORDER)
         for frame in ordered:
-            channel = None if frame.flags & _ODD else table.get(frame.can_id)
+            t_ns, can_id, data, flags, _, _ = frame
+            channel = None if flags & _ODD else find(can_id)
             if channel is None:
                 self._foreign(frame)
-            elif self._admit(channel, frame, now):
-                rows.append((channel, frame.t_ns, frame.data))
+                continue
+            last = channel.last_ns
+            if t_ns > now or (last is not None and t_ns < last):
+                self.counts["time_back"] += 1
+                continue
+            channel.heard_ns = t_ns
+            if len(data) != channel.length or flags & FD != channel.fd:
+                self.counts["wrong_length"] += 1
+                channel.malformed()
+            elif channel.verify(data, t_ns) or self._admit(channel):
+                rows.append((channel, t_ns, data))
         self.counts["received"] += len(ordered)
         if rows:
             self._decode(rows)
-        for channel in table.values():
+        for channel in self.table.values():
             channel.settle(now)
 
     def _foreign(self, frame: Frame) -> None:
@@ -167,22 +160,11 @@ class Inbox:
             cause = "unknown_id"
         self.counts[cause] += 1
 
-    def _admit(self, channel: Channel, frame: Frame, now: Nanos) -> bool:
-        """A rejected frame updates nothing, not even its good signals."""
-        t_ns = frame.t_ns
-        last = channel.last_ns
-        if t_ns > now or (last is not None and t_ns < last):
-            self.counts["time_back"] += 1
-            return False
-        channel.heard_ns = t_ns
-        if len(frame.data) != channel.length or bool(frame.flags & FD) != channel.spec.is_fd:
-            self.counts["wrong_length"] += 1
-            channel.malformed()
-            return False
-        check = channel.verify(frame.data, t_ns)
+    def _admit(self, channel: Channel) -> bool:
+        """Count what `verify` did not pass at once; a rejected frame updates nothing at all."""
+        check = channel.check
         if check is Check.OK or check is Check.OK_SOME_LOST:
-            if check is Check.OK_SOME_LOST:
-                self.counts["lost"] += channel.receiver.missed
+            self.counts["lost"] += channel.receiver.missed
             if channel.receiver.state is SmState.INVALID and channel.protected:
                 self.counts["not_yet_valid"] += 1
                 return False
@@ -191,127 +173,74 @@ class Inbox:
         return False
 
     def _decode(self, rows: list[tuple[Channel, Nanos, bytes]]) -> None:
-        """Decode the tick's accepted frames in one call and hand them on, row by row."""
-        index = np.array([row[0].spec.index for row in rows], dtype=np.int32)
-        joined = b"".join([row[2].ljust(64, b"\0") for row in rows])
+        """Decode the tick's accepted frames in one call, pair them, hand on the slow ones."""
+        channels, stamps, data = zip(*rows, strict=True)
+        n = len(rows)
+        if len(self._room.drive) < 8 * n:
+            self._room = pairing.room(2 * n)
+        number = np.array([channel.number for channel in channels], dtype=np.int64)
+        index = np.array([channel.index for channel in channels], dtype=np.int32)
+        joined = b"".join([payload.ljust(64, b"\0") for payload in data])
         payload = np.frombuffer(joined, dtype=np.uint8).reshape(-1, 64)
         value, validity = self.codec.decode_rows(index, payload)
-        validity[validity == ABSENT] = VALID
-        worst = validity.max(axis=1).tolist()
-        values = value.tolist()
-        decoded = 0
-        for k, (channel, t_ns, data) in enumerate(rows):
-            row = values[k]
-            usable = channel.quality < 0 or row[channel.quality] in USABLE
+        verdict = np.empty(n, dtype=np.uint8)
+        pairs = self._pairs
+        count = take_rows(
+            number, np.array(stamps, dtype=np.int64), payload, value, validity,
+            self._wiring, MAX_GAP_NS, pairs, verdict, self._room,
+        )  # fmt: skip
+        self.samples = self._room.first(count)
+        self._electrical()
+        good = 0
+        for k, (channel, t_ns, _) in enumerate(rows):
             if channel.kind == "Temperatures":
-                self._temperature(channel, t_ns, row, validity[k].tolist(), usable)
-            elif worst[k] == VALID and usable:
+                self._temperature(channel, t_ns, value[k].tolist(), validity[k].tolist())
+            elif verdict[k] == Row.GOOD:
                 channel.cause = Reason.NONE
                 channel.good_ns = t_ns
-                decoded += 1
-                self._handlers[channel.kind](channel, t_ns, row, data)
+                good += 1
+                if channel.kind == "Motion":
+                    self._motion(channel, value[k])
+                elif channel.kind == "Status":
+                    self._status(channel, value[k])
             else:
-                missing = not usable or NOT_AVAILABLE in validity[k]
+                missing = verdict[k] == Row.MISSING
                 channel.cause = Reason.NOT_AVAILABLE if missing else Reason.RANGE
                 self.counts[channel.cause.name.lower()] += 1
-        self.counts["decoded"] += decoded
+        self.counts["decoded"] += good
 
-    def _currents(self, channel: Channel, t_ns: Nanos, row: list[float], data: bytes) -> None:
-        drive = self.drives[channel.drive]
-        k_a, k_b, k_c = channel.picked
-        a, b, c = row[k_a], row[k_b], row[k_c]
-        # A real motor's phases sum to nothing; a slow average forgives noise.
-        drive.sum_error += SUM_SMOOTHING * (abs(a + b + c) - drive.sum_error)
-        counter = data[1] & 0x0F
-        i = (t_ns, (2.0 * a - b - c) / 3.0, (b - c) / SQRT3)
-        u = drive.voltages[counter]
-        if u is None:
-            drive.currents[counter] = i
-        else:
-            drive.voltages[counter] = None
-            self._pair(channel, drive, counter, i, u)
+    def _electrical(self) -> None:
+        """Take over what the compiled loop has found out."""
+        pairs = self._pairs
+        if pairs.restart.any():
+            self.restart.update(np.flatnonzero(pairs.restart).tolist())
+            pairs.restart[:] = False
+        if pairs.trouble.any():
+            for trouble in Trouble:
+                self.counts[trouble.name.lower()] += int(pairs.trouble[trouble])
+            pairs.trouble[:] = 0
+        stamps, errors = pairs.sample_ns.tolist(), pairs.sum_error.tolist()
+        for drive, t_ns, error in zip(self.drives, stamps, errors, strict=True):
+            drive.sample_ns = t_ns if t_ns >= 0 else None
+            drive.sum_error = error
 
-    def _voltages(self, channel: Channel, t_ns: Nanos, row: list[float], data: bytes) -> None:
-        drive = self.drives[channel.drive]
-        k_alpha, k_beta = channel.picked
-        counter = data[1] & 0x0F
-        u = (t_ns, row[k_alpha], row[k_beta])
-        i = drive.currents[counter]
-        if i is None:
-            drive.voltages[counter] = u
-        else:
-            drive.currents[counter] = None
-            self._pair(channel, drive, counter, i, u)
-
-    def _pair(self, channel: Channel, drive: DriveInput, counter: int, i: Half, u: Half) -> None:
-        """Currents and voltages with the same counter, close in time, are one sample."""
-        if abs(i[0] - u[0]) > channel.pair_ns:
-            # The older half belongs to an earlier turn of the counter; keep the newer one.
-            if i[0] > u[0]:
-                drive.currents[counter] = i
-            else:
-                drive.voltages[counter] = u
-            self.counts["unpaired"] += 1
-            return
-        t_ns = max(i[0], u[0])
-        gap = self._advance(drive, channel, counter, 16, t_ns)
-        if gap is not None:
-            steps = channel.steps
-            self.samples.append(
-                Sample(channel.drive, t_ns, u[1], u[2], i[1], i[2], steps, gap * steps)
-            )
-
-    def _block(self, channel: Channel, t_ns: Nanos, row: list[float], _data: bytes) -> None:
-        """Eight samples of a FD frame, 125 us apart; the last one at the frame's instant."""
-        drive = self.drives[channel.drive]
-        index, *picked = channel.picked
-        gap = self._advance(drive, channel, int(row[index]) // 8, 8192, t_ns)
-        if gap is None:
-            return
-        for k in range(8):
-            a, b, u_alpha, u_beta = (row[c] for c in picked[4 * k : 4 * k + 4])
-            missing = 8 * gap if k == 0 else 0
-            i_beta = (a + 2.0 * b) / SQRT3
-            at = t_ns - (7 - k) * SAMPLE_NS
-            self.samples.append(Sample(channel.drive, at, u_alpha, u_beta, a, i_beta, 1, missing))
-
-    def _advance(
-        self, drive: DriveInput, channel: Channel, counter: int, modulus: int, t_ns: Nanos
-    ) -> int | None:
-        """Cycles missing before this sample; None if it is not newer than the last.
-
-        The counter says how many cycles have passed, the stamps only which turn of it.
-        """
-        last, last_ns = drive.sequence, drive.sample_ns
-        if last is None or last_ns is None or t_ns - last_ns > MAX_GAP_NS:
-            self.restart.add(channel.drive)
-            missing = 0
-        else:
-            delta = (counter - last) % modulus
-            turns = round(((t_ns - last_ns) / channel.period_ns - delta) / modulus)
-            missing = delta + modulus * turns - 1
-            if missing < 0:
-                self.counts["late_sample"] += 1
-                return None
-        drive.sequence, drive.sample_ns = counter, t_ns
-        return missing
-
-    def _motion(self, channel: Channel, _t_ns: Nanos, row: list[float], _data: bytes) -> None:
+    def _motion(self, channel: Channel, row: Array) -> None:
         drive = self.drives[channel.drive]
         speed, torque = channel.picked
-        drive.speed = row[speed] * RPM
-        drive.torque = row[torque]
+        drive.speed = float(row[speed]) * RPM
+        drive.torque = float(row[torque])
 
-    def _status(self, channel: Channel, _t_ns: Nanos, row: list[float], _data: bytes) -> None:
+    def _status(self, channel: Channel, row: Array) -> None:
         drive = self.drives[channel.drive]
         command, irms = channel.picked
-        drive.torque_command = row[command]
-        drive.irms = row[irms]
+        drive.torque_command = float(row[command])
+        drive.irms = float(row[irms])
 
     def _temperature(
-        self, channel: Channel, t_ns: Nanos, row: list[float], valid: list[int], usable: bool
+        self, channel: Channel, t_ns: Nanos, row: list[float], valid: list[int]
     ) -> None:
         """Each point by itself: one dead sensor must not silence the other three."""
+        usable = channel.quality < 0 or row[channel.quality] in USABLE
         points = channel.picked
         good = tuple(usable and valid[k] == VALID for k in points)
         channel.cause = Reason.NONE if usable else Reason.NOT_AVAILABLE

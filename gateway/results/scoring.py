@@ -10,9 +10,9 @@ import bisect
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from gateway.drivers.expect import FlagTrack
 from gateway.health import Flag
 from gateway.results.delays import Loss, TruthRow, injected
+from gateway.results.expect import FlagTrack
 
 
 class Score(NamedTuple):

@@ -140,7 +140,8 @@ def test_bad_input_is_one_clear_line(folder, capsys, tmp_path):
     bad.write_text('[dbc]\nfile = "broken.dbc"\n')
     (tmp_path / "broken.dbc").write_text("BO_ garbage")
     assert "broken.dbc" in refused(capsys, "check", bad)
-    assert "wibble" in refused(capsys, "replay", folder / "s.log", "--detector", "wibble")
+    log = folder / "s.log"
+    assert "adhesion.detector" in refused(capsys, "replay", log, "--detector", "wibble")
     bad.write_text('title = "x"\nduration_s = -1\nwrong = 2\n')
     said = refused(capsys, "hil", bad)
     assert "duration_s" in said
