@@ -38,7 +38,7 @@ class Channel:
     __slots__ = (
         "blame", "cause", "check", "drive", "fd", "good_ns", "heard_ns", "index", "kind",
         "last_ns", "length", "limit_ns", "number", "period_ns", "picked", "protected",
-        "quality", "receiver", "seen_valid", "spec", "state", "steps",
+        "quality", "receiver", "seen_valid", "slow", "spec", "state", "steps",
     )  # fmt: skip
 
     def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
@@ -47,6 +47,7 @@ class Channel:
         self.spec = spec
         self.drive = drive
         self.kind = spec.kind
+        self.slow = spec.kind in ("Motion", "Status", "Temperatures")
         self.length = spec.length
         self.period_ns = spec.cycle_ns
         self.limit_ns = 3 * spec.cycle_ns + tick_ns

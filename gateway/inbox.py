@@ -110,6 +110,7 @@ class Inbox:
         channels = list(self.table.values())
         for number, channel in enumerate(channels):
             channel.number = number
+        self._index = np.array([channel.index for channel in channels], dtype=np.int32)
         self._wiring = pairing.wiring(channels)
         self._pairs = pairing.start(len(self.drives))
         self._room = pairing.room(64)
@@ -120,6 +121,7 @@ class Inbox:
         self.temperatures.clear()
         self.restart.clear()
         rows: list[tuple[Channel, Nanos, bytes]] = []
+        special: list[int] = []
         find = self.table.get
         # Stable: frames of one id with one stamp stay in the order in which they came.
         ordered = sorted(frames, key=_ORDER)
@@ -138,10 +140,12 @@ class Inbox:
                 self.counts["wrong_length"] += 1
                 channel.malformed()
             elif channel.verify(data, t_ns) or self._admit(channel):
-                rows.append((channel, t_ns, data))
+                if channel.slow or channel.cause is not Reason.NONE:
+                    special.append(len(rows))
+                rows.append((channel, t_ns, data.ljust(64, b"\0")))
         self.counts["received"] += len(ordered)
         if rows:
-            self._decode(rows)
+            self._decode(rows, special)
         for channel in self.table.values():
             channel.settle(now)
 
@@ -172,41 +176,40 @@ class Inbox:
         self.counts[check.name.lower()] += 1
         return False
 
-    def _decode(self, rows: list[tuple[Channel, Nanos, bytes]]) -> None:
-        """Decode the tick's accepted frames in one call, pair them, hand on the slow ones."""
-        channels, stamps, data = zip(*rows, strict=True)
+    def _decode(self, rows: list[tuple[Channel, Nanos, bytes]], special: list[int]) -> None:
+        """Decode the tick's accepted frames in one call, pair them, hand on the `special` ones."""
         n = len(rows)
         if len(self._room.drive) < 8 * n:
             self._room = pairing.room(2 * n)
-        number = np.array([channel.number for channel in channels], dtype=np.int64)
-        index = np.array([channel.index for channel in channels], dtype=np.int32)
-        joined = b"".join([payload.ljust(64, b"\0") for payload in data])
+        number = np.array([row[0].number for row in rows], dtype=np.int64)
+        joined = b"".join([row[2] for row in rows])
         payload = np.frombuffer(joined, dtype=np.uint8).reshape(-1, 64)
-        value, validity = self.codec.decode_rows(index, payload)
+        stamps = np.array([row[1] for row in rows], dtype=np.int64)
+        value, validity = self.codec.decode_rows(self._index[number], payload)
         verdict = np.empty(n, dtype=np.uint8)
-        pairs = self._pairs
         count = take_rows(
-            number, np.array(stamps, dtype=np.int64), payload, value, validity,
-            self._wiring, MAX_GAP_NS, pairs, verdict, self._room,
+            number, stamps, payload, value, validity,
+            self._wiring, MAX_GAP_NS, self._pairs, verdict, self._room,
         )  # fmt: skip
         self.samples = self._room.first(count)
         self._electrical()
-        good = 0
-        for k, (channel, t_ns, _) in enumerate(rows):
+        good = n
+        # Plain electrical rows are done; the rest is handed on one by one.
+        for k in range(n) if verdict.any() else special:
+            channel, t_ns, _ = rows[k]
             if channel.kind == "Temperatures":
+                good -= 1
                 self._temperature(channel, t_ns, value[k].tolist(), validity[k].tolist())
-            elif verdict[k] == Row.GOOD:
-                channel.cause = Reason.NONE
-                channel.good_ns = t_ns
-                good += 1
-                if channel.kind == "Motion":
-                    self._motion(channel, value[k])
-                elif channel.kind == "Status":
-                    self._status(channel, value[k])
-            else:
+            elif verdict[k]:
+                good -= 1
                 missing = verdict[k] == Row.MISSING
                 channel.cause = Reason.NOT_AVAILABLE if missing else Reason.RANGE
                 self.counts[channel.cause.name.lower()] += 1
+            else:
+                channel.cause = Reason.NONE
+                channel.good_ns = t_ns
+                if channel.slow:
+                    self._slow(channel, value[k])
         self.counts["decoded"] += good
 
     def _electrical(self) -> None:
@@ -224,17 +227,14 @@ class Inbox:
             drive.sample_ns = t_ns if t_ns >= 0 else None
             drive.sum_error = error
 
-    def _motion(self, channel: Channel, row: Array) -> None:
+    def _slow(self, channel: Channel, row: Array) -> None:
+        """Keep the last measured speed and torque, or command and current."""
         drive = self.drives[channel.drive]
-        speed, torque = channel.picked
-        drive.speed = float(row[speed]) * RPM
-        drive.torque = float(row[torque])
-
-    def _status(self, channel: Channel, row: Array) -> None:
-        drive = self.drives[channel.drive]
-        command, irms = channel.picked
-        drive.torque_command = float(row[command])
-        drive.irms = float(row[irms])
+        first, second = row[list(channel.picked)].tolist()
+        if channel.kind == "Motion":
+            drive.speed, drive.torque = first * RPM, second
+        else:
+            drive.torque_command, drive.irms = first, second
 
     def _temperature(
         self, channel: Channel, t_ns: Nanos, row: list[float], valid: list[int]
