@@ -61,6 +61,8 @@ class Reader:
 
     def __init__(self, source: Path | str | IO[bytes], *, strict: bool = False) -> None:
         """Nothing is opened before iteration."""
+        self.bytes_read = 0
+        """Of the file as it stands (compressed or not), for a progress bar."""
         self._source = Path(source) if isinstance(source, str) else source
         self.name = str(self._source) if isinstance(self._source, Path) else "log"
         self.strict = strict
@@ -76,6 +78,7 @@ class Reader:
     def __iter__(self) -> Iterator[Frame]:
         """Read from the start."""
         self._reset()
+        self.bytes_read = 0
         with ExitStack() as stack:
             yield from self._frames(self._chunks(stack))
 
@@ -84,12 +87,14 @@ class Reader:
         if isinstance(stream, Path):
             stream = stack.enter_context(stream.open("rb"))
         chunk = stream.read(_CHUNK)
+        self.bytes_read += len(chunk)
         if isinstance(self._source, Path) and chunk[:2] == b"\x1f\x8b":
             yield from self._unzipped(chunk, stream)
             return
         while chunk:
             yield chunk
             chunk = stream.read(_CHUNK)
+            self.bytes_read += len(chunk)
 
     def _unzipped(self, chunk: bytes, stream: IO[bytes]) -> Iterator[bytes]:
         """Members of a gzip file; what can be unpacked of a cut one is given, then it ends.
@@ -110,6 +115,7 @@ class Reader:
                         unpack = zlib.decompressobj(wbits=31)
                 elif not pending:
                     pending = stream.read(_CHUNK)
+                    self.bytes_read += len(pending)
             yield unpack.flush()
             if not unpack.eof:
                 self.truncated = "compressed data end early"
@@ -248,9 +254,12 @@ class Writer:
         else:
             self._stream = target
 
-    def write(self, frame: Frame) -> None:
-        """Append one frame. Raises ValueError (see `format_frame`) or OSError."""
-        self._stream.write(format_frame(frame, self._channel) + b"\n")
+    def write(self, frame: Frame, channel: str = "") -> None:
+        """Append one frame, `channel` standing in where it has none.
+
+        Raises ValueError (see `format_frame`) or OSError.
+        """
+        self._stream.write(format_frame(frame, channel or self._channel) + b"\n")
 
     def close(self) -> None:
         """Flush and close what was opened here; a given stream stays open."""

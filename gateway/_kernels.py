@@ -22,7 +22,7 @@ Bytes = NDArray[np.uint8]
 _NOT_AVAILABLE, _ABSENT = 1, 4  # dbc.spec
 _CURRENTS, _VOLTAGES, _BLOCK = 0, 1, 2  # pairing.Kind
 _GOOD, _MISSING, _OUTSIDE = 0, 1, 2  # pairing.Row
-_UNPAIRED, _LATE = 0, 1  # pairing.Trouble
+_UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
 _SUM_SMOOTHING = 0.05
 
@@ -116,6 +116,7 @@ def take_rows(
                 older = 1 - kind if other < t else kind
                 state.half_ns[d, older, counter] = -1
                 state.trouble[_UNPAIRED] += 1
+                state.trouble[_ANY] = 1
                 continue
             state.half_ns[d, 0, counter] = -1
             state.half_ns[d, 1, counter] = -1
@@ -123,9 +124,11 @@ def take_rows(
         missing = _gap(state, d, counter, modulus, t, period, hole_ns)
         if missing == -1:
             state.trouble[_LATE] += 1
+            state.trouble[_ANY] = 1
             continue
         if missing == -2:
             state.restart[d] = True
+            state.trouble[_ANY] = 1
             missing = 0
         state.sequence[d] = counter
         state.sample_ns[d] = t

@@ -125,8 +125,8 @@ class Bank:
                 track.steps += step
                 if math.isfinite(value):  # NaN where the row was skipped
                     track.nis += NIS_SMOOTHING * (value - track.nis)
-        if not ok.all():
-            for k in np.flatnonzero(~ok).tolist():
+        for k, fine in enumerate(ok.tolist()):
+            if not fine:
                 self._diverge(k)
 
     def _agreement(self) -> list[int]:

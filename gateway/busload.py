@@ -24,12 +24,13 @@ class BusLoad:
             self.last = min(126.0, 100.0 * self.busy_s * SECOND / (now - self.since_ns))
             self.since_ns = now
             self.busy_s = 0.0
-        for _, _, data, flags, _, _ in frames:
-            if flags & FD:
-                n = len(data)
+        classic = self.classic_s
+        for frame in frames:
+            if frame[3] & FD:
+                n = len(frame[2])
                 self.busy_s += 34 / self.bitrate + (8 * n + 33 + 8 * n // 4) / self.data_bitrate
             else:
-                self.busy_s += self.classic_s[len(data) & 15]
+                self.busy_s += classic[len(frame[2]) & 15]
 
     def percent(self, now: Nanos) -> float | None:
         """The last closed window; None before the first, or when it is long past."""

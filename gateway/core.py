@@ -36,7 +36,7 @@ from gateway.health import (
     summary,
     worst,
 )
-from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
+from gateway.inbox import ELECTRICAL, SAMPLES, Inbox
 from gateway.outbox import DriveView, GatewayView, Outbox
 from gateway.supervision import Life, Supervision
 from gateway.thermal import Report, ThermalSide
@@ -94,6 +94,8 @@ class Gateway:
         self.overrun_ns: Nanos | None = None
         self.late_in_a_row = 0
         self.missed = 0
+        self.lost = [False] * len(nodes)
+        """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
         self.start_ns = start_ns
@@ -115,7 +117,8 @@ class Gateway:
         self.load.add(frames, now)
         inbox = self.inbox
         inbox.take(frames, now)
-        inputs = [self._input_reason(k, now) for k in range(len(self.nodes))]
+        self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
+        inputs = [self._input_reason(k) for k in range(len(self.nodes))]
         fresh = [d.fresh(now) for d in inbox.drives]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
         opinion = self._opinion(estimates, now)
@@ -143,7 +146,7 @@ class Gateway:
         flags = {self.outbox.specs[f"Gateway_{n}"].can_id for n in ("Adhesion", "Faults", "Status")}
         return [f for f in self.outbox.due(view) if f.can_id in flags]
 
-    def _input_reason(self, k: int, now: Nanos) -> Reason:
+    def _input_reason(self, k: int) -> Reason:
         """Why this drive's currents and voltages cannot be believed; NONE if they can."""
         drive = self.inbox.drives[k]
         if not drive.electrical:
@@ -151,7 +154,7 @@ class Gateway:
         reasons = [channel.state for channel in drive.electrical]
         if drive.sum_error > self.sum_limit_a[k]:
             reasons.append(Reason.RANGE)
-        if self.supervision.life(drive.node, now) is Life.LOST:
+        if self.lost[k]:
             reasons.append(Reason.STALE)
         return worst(reasons)
 
@@ -192,7 +195,7 @@ class Gateway:
             "adhesion": adhesion,
             "thermal": report.thermal,
             "sensor": report.sensor,
-            "comm": self._comm(drive, now),
+            "comm": self._comm(k),
             "estimator": _estimator_flag(estimate.health),
         }
         flags = self.flags[k]
@@ -249,9 +252,10 @@ class Gateway:
         # Between the thresholds the evidence of the tick before stands.
         return (self.flags[k]["adhesion"].evidence if seen is None else seen), Reason.STARTING
 
-    def _comm(self, drive: DriveInput, now: Nanos) -> Flag:
+    def _comm(self, k: int) -> Flag:
         """Bad once anything that was valid is stale, silent or corrupted."""
-        if self.supervision.life(drive.node, now) is Life.LOST:
+        drive = self.inbox.drives[k]
+        if self.lost[k]:
             return Flag.BAD
         for channel in drive.channels.values():
             if channel.seen_valid and channel.state in COMM_CAUSES:
@@ -264,12 +268,11 @@ class Gateway:
     ) -> GatewayView:
         counts = self.inbox.counts
         recent = self.overrun_ns is not None and now - self.overrun_ns <= OVERRUN_HOLD_NS
-        unknown = any(d.adhesion is Flag.UNKNOWN for d in drives)
-        starting = all(d.health in (Health.UNKNOWN, Health.CONVERGING) for d in drives)
-        if starting:
-            state = GatewayState.STARTING
-        else:
-            state = GatewayState.DEGRADED if unknown or recent else GatewayState.RUNNING
+        state = GatewayState.RUNNING
+        if recent or any(d.adhesion is Flag.UNKNOWN for d in drives):
+            idle = (Health.UNKNOWN, Health.CONVERGING)
+            starting = all(d.health in idle for d in drives)
+            state = GatewayState.STARTING if starting else GatewayState.DEGRADED
         return GatewayView(
             t_ns=now,
             drives=drives,
@@ -280,15 +283,15 @@ class Gateway:
                 if opinion is not None and opinion.known.any()
                 else None
             ),
-            adhesion_reason=worst(d.adhesion_reason for d in drives),
-            faults_reason=worst(d.thermal_reason for d in drives),
-            sensor=summary(d.sensor for d in drives),
-            comm=summary(d.comm for d in drives),
-            estimator=summary(d.estimator for d in drives),
+            adhesion_reason=worst([d.adhesion_reason for d in drives]),
+            faults_reason=worst([d.thermal_reason for d in drives]),
+            sensor=summary([d.sensor for d in drives]),
+            comm=summary([d.comm for d in drives]),
+            estimator=summary([d.estimator for d in drives]),
             overrun=Flag.BAD if recent else Flag.GOOD,
             state=state,
             deadline_misses=self.deadline_misses,
-            rejected=sum(counts[c] for c in REJECTED),
+            rejected=sum([counts[c] for c in REJECTED]),
             lost=counts["lost"],
             bus_load_percent=self.load.percent(now),
             latency_p99_us=self.latency_p99_us,

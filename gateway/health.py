@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from enum import IntEnum
 
 
@@ -37,9 +37,13 @@ PRIORITY = tuple(Reason(n) for n in (11, 10, 9, 3, 4, 5, 7, 2, 6, 8, 1))
 _RANK = {reason: rank for rank, reason in enumerate((*PRIORITY, Reason.NONE))}
 
 
-def worst(reasons: Iterable[Reason]) -> Reason:
-    """The reason of highest priority; NONE of an empty set."""
-    return min(reasons, key=_RANK.__getitem__, default=Reason.NONE)
+def worst(reasons: Sequence[Reason]) -> Reason:
+    """The reason of highest priority; NONE of none."""
+    found = Reason.NONE
+    for reason in reasons:
+        if reason is not found and _RANK[reason] < _RANK[found]:
+            found = reason
+    return found
 
 
 class Health(IntEnum):
@@ -87,9 +91,8 @@ class GatewayState(IntEnum):
     SILENT = 4
 
 
-def summary(flags: Iterable[Flag]) -> Flag:
+def summary(flags: Sequence[Flag]) -> Flag:
     """One flag for a set of drives: bad if any is bad, else unknown if any is, else good."""
-    seen = set(flags)
-    if Flag.BAD in seen:
+    if Flag.BAD in flags:
         return Flag.BAD
-    return Flag.UNKNOWN if Flag.UNKNOWN in seen or not seen else Flag.GOOD
+    return Flag.GOOD if flags and Flag.UNKNOWN not in flags else Flag.UNKNOWN

@@ -117,7 +117,6 @@ class Inbox:
 
     def take(self, frames: Iterable[Frame], now: Nanos) -> None:
         """Accept the frames of one tick, in the order of their time stamps, then ids."""
-        self.samples = self._room.first(0)
         self.temperatures.clear()
         self.restart.clear()
         rows: list[tuple[Channel, Nanos, bytes]] = []
@@ -146,6 +145,8 @@ class Inbox:
         self.counts["received"] += len(ordered)
         if rows:
             self._decode(rows, special)
+        else:
+            self.samples = self._room.first(0)
         for channel in self.table.values():
             channel.settle(now)
 
@@ -215,11 +216,10 @@ class Inbox:
     def _electrical(self) -> None:
         """Take over what the compiled loop has found out."""
         pairs = self._pairs
-        if pairs.restart.any():
+        if pairs.trouble.item(Trouble.ANY):
             self.restart.update(np.flatnonzero(pairs.restart).tolist())
             pairs.restart[:] = False
-        if pairs.trouble.any():
-            for trouble in Trouble:
+            for trouble in (Trouble.UNPAIRED, Trouble.LATE):
                 self.counts[trouble.name.lower()] += int(pairs.trouble[trouble])
             pairs.trouble[:] = 0
         stamps, errors = pairs.sample_ns.tolist(), pairs.sum_error.tolist()
@@ -230,7 +230,7 @@ class Inbox:
     def _slow(self, channel: Channel, row: Array) -> None:
         """Keep the last measured speed and torque, or command and current."""
         drive = self.drives[channel.drive]
-        first, second = row[list(channel.picked)].tolist()
+        first, second = (row.item(column) for column in channel.picked)
         if channel.kind == "Motion":
             drive.speed, drive.torque = first * RPM, second
         else:

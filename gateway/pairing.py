@@ -43,6 +43,8 @@ class Trouble(IntEnum):
 
     UNPAIRED = 0
     LATE = 1
+    ANY = 2
+    """Not 0 where there is something to look at, a restart included."""
 
 
 _KINDS = {"PhaseCurrents": Kind.CURRENTS, "StatorVoltages": Kind.VOLTAGES, "Samples": Kind.BLOCK}

@@ -50,7 +50,7 @@ def _one_start(
     a1, b1, m1, v1 = a, b[1], m[1], 0.0
     log_pi0 = digamma(alpha0) - digamma(alpha0 + alpha1)
     log_pi1 = digamma(alpha1) - digamma(alpha0 + alpha1)
-    bound = 0.0
+    n0 = n1 = entropy = 0.0
     for _ in range(sweeps):
         base0 = log_pi0 + 0.5 * (digamma(a0) - math.log(b0)) - 0.5 * v0
         base1 = log_pi1 + 0.5 * (digamma(a1) - math.log(b1)) - 0.5 * v1
@@ -87,22 +87,23 @@ def _one_start(
         total = digamma(alpha0 + alpha1 + n)
         log_pi0 = digamma(alpha0 + n0) - total
         log_pi1 = digamma(alpha1 + n1) - total
-        bound = (
-            entropy
-            + math.lgamma(a0)
-            - math.lgamma(a)
-            + a * math.log(b[0])
-            - a0 * math.log(b0)
-            + 0.5 * math.log(beta[0] * v0)
-            + math.lgamma(a1)
-            - math.lgamma(a)
-            + a * math.log(b[1])
-            - a1 * math.log(b1)
-            + 0.5 * math.log(beta[1] * v1)
-            + _log_beta(alpha0 + n0, alpha1 + n1)
-            - _log_beta(alpha0, alpha1)
-            - 0.5 * n * math.log(2.0 * math.pi)
-        )
+    # Only the last bound is compared.
+    bound = (
+        entropy
+        + math.lgamma(a0)
+        - math.lgamma(a)
+        + a * math.log(b[0])
+        - a0 * math.log(b0)
+        + 0.5 * math.log(beta[0] * v0)
+        + math.lgamma(a1)
+        - math.lgamma(a)
+        + a * math.log(b[1])
+        - a1 * math.log(b1)
+        + 0.5 * math.log(beta[1] * v1)
+        + _log_beta(alpha0 + n0, alpha1 + n1)
+        - _log_beta(alpha0, alpha1)
+        - 0.5 * n * math.log(2.0 * math.pi)
+    )
     return m0, bound
 
 

@@ -12,7 +12,7 @@ from gateway.calibration import to_toml
 from gateway.commands.common import GOOD, add_config, out_file, prepare, track_file
 from gateway.config import Config
 from gateway.core import Gateway
-from gateway.drivers.replay import open_log, pick_channel, replay
+from gateway.drivers.replay import OneChannel, open_log, replay
 from gateway.outbox import GatewayView
 from gateway.results.calibrating import Learner
 
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     learner = Learner(config.nodes, config.thermal.window_s)
     for log in options.log:
         reader = open_log(log, strict=False)
-        frames = track_file(pick_channel(reader, options.log_channel), reader, log, log.name)
+        frames = OneChannel(track_file(reader, reader, log, log.name), options.log_channel)
         learner.begin()
         _learn(frames, config, codec, learner)
     result = learner.finish(MARGIN)

@@ -56,20 +56,20 @@ def console() -> Console:
     return Console(stderr=True)
 
 
-def track_file(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Iterator[Any]:
-    """Pass `frames` on while a progress bar shows how much of the file is read."""
-    if not sys.stderr.isatty():
-        yield from frames
-        return
+def track_file(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Iterable[Any]:
+    """`frames` with a progress bar of how much of the file is read, if a person is watching."""
+    return _bar(frames, reader, path, what) if sys.stderr.isatty() else frames
+
+
+def _bar(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Iterator[Any]:
     from rich.progress import Progress
 
-    position = getattr(reader, "bytes_read", None)
+    known = hasattr(reader, "bytes_read")
     with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(what, total=path.stat().st_size if position is not None else None)
+        task = progress.add_task(what, total=path.stat().st_size if known else None)
         for count, item in enumerate(frames):
             if count % 2000 == 0:
-                done = getattr(reader, "bytes_read", 0)
-                progress.update(task, completed=done)
+                progress.update(task, completed=getattr(reader, "bytes_read", 0))
             yield item
 
 

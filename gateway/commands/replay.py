@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -32,32 +31,26 @@ def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout."""
     from dbc.candump import Writer
     from gateway.core import Gateway
-    from gateway.drivers.replay import open_log, pick_channel, replay
+    from gateway.drivers.replay import OneChannel, open_log, replay
     from gateway.results.record import Recorder
 
     changes = {"adhesion": {"detector": options.detector}} if options.detector else {}
     config, codec = prepare(options.config, **changes)
     reader = open_log(options.log, options.strict)
-    frames = track_file(pick_channel(reader, options.log_channel), reader, options.log, "replaying")
-    recorder = Recorder(options.results, config.nodes)
+    frames = OneChannel(track_file(reader, reader, options.log, "replaying"), options.log_channel)
+    recorder = Recorder(options.results, config.nodes, series=options.results is not None)
     writer = Writer(out_file(options.output)) if options.output else None
-    name = [options.log_channel or ""]
-
-    def first_name(stream: Iterable[Any]) -> Iterable[Any]:
-        for frame in stream:
-            name[0] = name[0] or frame.channel or "can0"
-            yield frame
 
     def sink(_now: int, out: list[Any], view: Any) -> None:
         recorder.add(view)
         if writer is not None:
             for frame in out:
-                writer.write(frame._replace(channel=name[0]))
+                writer.write(frame, frames.name or "")
 
     began = time.perf_counter()
     try:
         done = replay(
-            first_name(frames),
+            frames,
             lambda start: Gateway(config, codec, start),
             config.loop.period_ns,
             sink,

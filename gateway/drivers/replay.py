@@ -6,7 +6,7 @@ cannot transmit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,20 +37,30 @@ class BadLogError(Exception):
     """The log cannot be replayed; the text says why and what to do."""
 
 
-def pick_channel(frames: Iterable[Frame], wanted: str | None) -> Iterable[Frame]:
-    """Frames of one channel. Raises BadLogError if there are several and none is named."""
-    channel = wanted
-    for frame in frames:
-        if channel is None:
-            channel = frame.channel
-        if frame.channel == channel:
-            yield frame
-        elif wanted is None:
-            msg = (
-                f"the log has several channels ({channel}, {frame.channel}, ..); "
-                "name one with --log-channel"
-            )
-            raise BadLogError(msg)
+class OneChannel:
+    """The frames of one channel of a log; `name` is known once the first was read."""
+
+    def __init__(self, frames: Iterable[Frame], wanted: str | None) -> None:
+        """wanted: None takes the only channel there is."""
+        self.name = wanted
+        self._frames = frames
+        self._wanted = wanted
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Raises BadLogError if there are several channels and none is named."""
+        name = self.name
+        for frame in self._frames:
+            if frame.channel == name:
+                yield frame
+            elif name is None:
+                self.name = name = frame.channel
+                yield frame
+            elif self._wanted is None:
+                msg = (
+                    f"the log has several channels ({name}, {frame.channel}, ..); "
+                    "name one with --log-channel"
+                )
+                raise BadLogError(msg)
 
 
 def replay(frames: Iterable[Frame], make: Make, period_ns: Nanos, sink: Sink) -> Replayed:
@@ -114,4 +124,4 @@ def open_log(path: Path, strict: bool) -> Iterable[Frame]:
     return read_any(path)
 
 
-__all__ = ["BadLogError", "LogError", "Replayed", "open_log", "pick_channel", "replay"]
+__all__ = ["BadLogError", "LogError", "OneChannel", "Replayed", "open_log", "replay"]

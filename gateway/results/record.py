@@ -39,8 +39,9 @@ class Series:
 class Recorder:
     """Collects views tick by tick; writes both tables while it goes."""
 
-    def __init__(self, folder: Path | None, nodes: tuple[int, ...]) -> None:
-        """folder: where the tables go; None keeps only the series and the flag changes."""
+    def __init__(self, folder: Path | None, nodes: tuple[int, ...], *, series: bool = True) -> None:
+        """folder: where the tables go, None for none; series: keep what pictures need."""
+        self._keep = series
         self.series = {node: Series() for node in nodes}
         self.changes: list[tuple[int, int, str, str]] = []
         self._last: dict[tuple[int, str], str] = {}
@@ -64,6 +65,8 @@ class Recorder:
                 if self._last.get((d.node, what)) != word:
                     self._last[d.node, what] = word
                     self.changes.append((view.t_ns, d.node, what, word))
+            if not self._keep:
+                continue
             series = self.series[d.node]
             series.t_s.append(seconds)
             series.load_nm.append(nan if d.load_nm is None else d.load_nm)
