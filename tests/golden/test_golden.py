@@ -50,8 +50,7 @@ def flag_log(log: Path, dbc: str, nodes: tuple[int, ...], detector: str) -> list
             words = [
                 f"{name}={labels[name].get(int(reading.raw), f'{reading.value:g}')}"
                 for name, reading in codec.decode(spec, frame.data).items()
-                if name not in ("Crc", "Counter", "ConfigHash")
-                and name not in others
+                if name not in ("Crc", "Counter", "ConfigHash") and name not in others
             ]
             stamp = f"{frame.t_ns / 1e9:.6f}"
             data = frame.data.hex().upper()
