@@ -11,7 +11,7 @@ demo: $(VENV)/.ready
 # The tests that need a real SocketCAN interface run natively, or in user-mode-linux where the
 # kernel has none; where neither is possible they are skipped and say why.
 test: $(VENV)/.ready
-	$(BIN)/pytest $(ARGS)
+	$(BIN)/pytest -n auto $(ARGS)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check .

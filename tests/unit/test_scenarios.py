@@ -1,0 +1,71 @@
+"""Every shipped scenario on the virtual clock: what it expects, holds."""
+
+import pytest
+
+from gateway.commands.common import prepare
+from gateway.commands.hil import scenario_thermal
+from gateway.drivers.bench import run_virtual
+from gateway.results.record import Recorder
+from sim.scenario import builtin, builtin_names, parse
+
+NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]
+THERMAL = {"bearing", "cooling_loss", "overheating", "stuck_sensor"}
+
+
+def run(scenario, watch=()):
+    config, codec = prepare(None, thermal=scenario_thermal())
+    return run_virtual(scenario, config, codec, watch)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in THERMAL else ()) for n in NAMES]
+)
+def test_expectations_hold(name):
+    outcome = run(builtin(name))
+    assert outcome.verdicts
+    assert not [v for v in outcome.verdicts if not v.passed]
+    counts = outcome.gateway.inbox.counts
+    assert counts["received"] > 100
+
+
+def test_a_wrong_expectation_fails():
+    table = {
+        "title": "t",
+        "seed": 1,
+        "duration_s": 1.0,
+        "drives": 2,
+        "expect": [{"flag": "adhesion", "is": "bad", "drive": 1, "after_s": 0, "within_ms": 900}],
+    }
+    outcome = run(parse(table))
+    assert not outcome.passed
+    assert "not seen" in outcome.verdicts[0].detail
+
+
+def test_the_same_scenario_gives_the_same_bytes():
+    def frames():
+        seen = []
+        run(builtin("release"), [lambda _now, rx, tx, _view: seen.extend((*rx, *tx))])
+        return seen
+
+    assert frames() == frames()
+
+
+def test_a_cut_drive_is_released_and_comes_back_to_full_torque():
+    """The loop closed on the bus: lost, cut to 30 %, regained, released within a second, ramped."""
+    commands = []
+    recorder = Recorder(None, (1, 2, 3))
+
+    def watch(now, _rx, _tx, view):
+        recorder.add(view)
+        commands.append((now / 1e9, view))
+
+    outcome = run(builtin("release"), [watch])
+    changes = [(t / 1e9, word) for t, node, what, word in recorder.changes
+               if node == 1 and what == "adhesion"]  # fmt: skip
+    lost = [t for t, word in changes if word == "AdhesionLost"]
+    back = [t for t, word in changes if word == "Adhering" and t > lost[0]]
+    assert 2.0 < lost[0] < 2.05
+    assert 4.0 < back[0] < 5.0
+    assert len(lost) == 1
+    load = {node: outcome.gateway.view.drives[node - 1].load_nm for node in (1, 2)}
+    assert load[1] == pytest.approx(load[2], abs=3.0)
