@@ -8,10 +8,12 @@ ARGS ?=
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
-# The tests that need a real SocketCAN interface run natively, or in user-mode-linux where the
-# kernel has none; where neither is possible they are skipped and say why.
+# The tests that need a real SocketCAN interface (tests/hil) run natively, or in user-mode-linux
+# where the kernel has none; where neither is possible they are skipped and say why. They run by
+# themselves: real time and a busy second core do not go together.
 test: $(VENV)/.ready
-	$(BIN)/pytest -n auto $(ARGS)
+	$(BIN)/pytest -n auto --ignore=tests/hil $(ARGS)
+	$(BIN)/pytest tests/hil $(ARGS)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check .

@@ -98,7 +98,8 @@ class Bank:
             lock.forget(self.chords, k)
         if len(samples.drive):
             self._sweep(samples)
-        first, P_first = self._start_states()
+        idle = any(not track.active for track in self.tracks)
+        first, P_first = self.start_states() if idle else (self.x, self.P)
         agreement = self._agreement()
         return [
             self._judge(k, inputs[k], fresh[k], agreement[k], first[k], P_first[k], now)
@@ -140,10 +141,8 @@ class Bank:
         verdicts: list[int] = out.tolist()
         return verdicts
 
-    def _start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
-        """Starts from the chords, needed only where a drive is not tracked."""
-        if all(track.active for track in self.tracks):
-            return self.x, self.P
+    def start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
+        """First x (N, 5) and P (N, 5, 5) of every drive from its chords."""
         return lock.start_state(self.chords, self.par, self.noise, self.rated)
 
     def _judge(

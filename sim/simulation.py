@@ -97,6 +97,11 @@ class Simulation:
         rows, self._truth = self._truth, []
         return rows
 
+    @property
+    def fastest_cycle_ns(self) -> Nanos:
+        """Cycle time of the most frequent message, ns."""
+        return min(self._cycles.values()) * PERIOD_NS
+
     def step(self, rx_frames: Iterable[Frame], now_ns: Nanos) -> list[Frame]:
         """Advance the world to `now_ns`; frames of the drives with stamps in (last, now], sorted.
 

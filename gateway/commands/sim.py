@@ -45,6 +45,9 @@ def run(options: argparse.Namespace) -> int:
         path = shipped_dbc(options.dbc)
     codec = bind(path, nodes)
     on_bus = hasattr(options, "interface") or hasattr(options, "channel")
+    if on_bus:
+        # Compile before the clock starts: real time does not wait for the first step.
+        Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
     simulation = Simulation(scenario, codec, nodes=nodes, self_start=not options.wait_for_start)
     seconds = scenario.duration_s if options.duration is None else options.duration
     truth = _Truth(options.truth and out_file(options.truth))
@@ -108,4 +111,6 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
         f"{simulation.scenario.title}: {simulation.scenario.drives} drives for {seconds:g} s",
         markup=False,
     )
-    run_on_bus(simulation, transport, seconds, lambda: truth.take(simulation))
+    overwritten = run_on_bus(simulation, transport, seconds, lambda: truth.take(simulation))
+    if overwritten:
+        console().print(f"{overwritten} frames were too old to be sent: this machine stalled")

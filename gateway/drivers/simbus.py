@@ -15,17 +15,26 @@ STEP_NS: Final[Nanos] = MS
 """Frames leave at most this late; a bus at 2 ms cycles wants no coarser step."""
 
 
+MAILBOX_CYCLES: Final = 6
+"""A real ECU has a mailbox per message: after a stall it sends the newest, not the backlog. Older
+than this many of the fastest cycles was overwritten; it stays below half a counter period, so
+that halves of one sample still pair."""
+
+
 def run_on_bus(
     simulation: Simulation,
     transport: Transport,
     seconds: float,
     after_step: Callable[[], None],
     stop: Stop | None = None,
-) -> None:
+) -> int:
     """Run for `seconds` or until SIGINT or SIGTERM; then close the transport.
 
     Missed ticks are caught up by the simulation itself: it always advances to the true time.
+    Returns how many frames a stall of this process has made too old to be sent.
     """
+    overwritten = 0
+    mailbox = MAILBOX_CYCLES * simulation.fastest_cycle_ns
     stop = stop or Stop()
     ticker = Ticker(STEP_NS)
     end = round(seconds * SECOND)
@@ -37,9 +46,13 @@ def run_on_bus(
                 start = now if start is None else start
                 world = min(now - start, end)
                 for frame in simulation.step(transport.receive(0.0), world):
-                    transport.send(frame)
+                    if world - frame.t_ns <= mailbox:
+                        transport.send(frame)
+                    else:
+                        overwritten += 1
                 after_step()
                 if world >= end:
                     break
     finally:
         transport.close()
+    return overwritten

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from dbc.codec import Codec
 from dbc.frame import MS, Frame
 from dbc.protection import protect
+from estimators.detect import Evidence
 from gateway.config import Config
 from gateway.core import Gateway
 
@@ -37,3 +40,7 @@ def warm_up(config: Config, codec: Codec) -> None:
             protect(spec, payload, tick)
             frames.append(Frame(max(0, now - MS), spec.can_id, bytes(payload), 8 * spec.is_fd))
         gateway.step(frames, now)
+    # At standstill nobody is tracked, so these two would be met first in the middle of a run.
+    gateway.bank.start_states()
+    n = max(2, len(config.nodes))
+    gateway.detector(Evidence(np.full(n, 0.5), np.full(n, 0.02), np.ones(n, dtype=np.bool_)))
