@@ -24,10 +24,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
     from gateway.core import Gateway
+    from gateway.drivers.bus import open_transport
     from gateway.drivers.canopen_node import CanopenNode
     from gateway.drivers.live import LiveSnapshot, Stop, run_live
     from gateway.drivers.realtime import Ticker
-    from gateway.drivers.transport import Allow, open_transport
+    from gateway.drivers.transport import Allow
     from gateway.drivers.warm import warm_up
 
     config, codec = prepare(options.config)

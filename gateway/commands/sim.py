@@ -103,8 +103,8 @@ def _progress(total: int, what: str) -> Iterator[int]:
 
 
 def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
+    from gateway.drivers.bus import open_transport
     from gateway.drivers.simbus import run_on_bus
-    from gateway.drivers.transport import open_transport
 
     transport = open_transport(options)
     console().print(

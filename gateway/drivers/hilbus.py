@@ -11,10 +11,11 @@ from dbc.frame import SECOND, Nanos
 from gateway.config import Config
 from gateway.core import Gateway
 from gateway.drivers.bench import Outcome, for_scenario, touched_drives
+from gateway.drivers.bus import open_transport
 from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.live import LiveSnapshot, Stop, run_live
 from gateway.drivers.realtime import Ticker
-from gateway.drivers.transport import Allow, open_transport
+from gateway.drivers.transport import Allow
 from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
 from sim.scenario import Scenario

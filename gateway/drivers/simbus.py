@@ -11,7 +11,7 @@ from gateway.drivers.realtime import Ticker
 from gateway.drivers.transport import Transport
 from sim.simulation import Simulation
 
-STEP_NS: Final[Nanos] = MS
+STEP_NS: Final[Nanos] = 2 * MS
 """Frames leave at most this late; a bus at 2 ms cycles wants no coarser step."""
 
 

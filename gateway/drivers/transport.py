@@ -1,20 +1,17 @@
 """The one way to a bus: a small protocol, what it reports, and the transmit allow-list.
 
-`open_transport` picks our own raw socket for SocketCAN and python-can for everything else.
 After `open()` no method raises on anything a bus can do: faults are states and counts.
 """
 
 from __future__ import annotations
 
-from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, StrEnum
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
 from dbc.spec import EXTENDED_KEY
-from gateway.config import ConfigError
 from gateway.drivers.wire import BusState, bus_state
 
 if TYPE_CHECKING:
@@ -198,42 +195,3 @@ class Guarded:
     def close(self) -> None:
         """See Transport."""
         self._inner.close()
-
-
-_BUS_KEYS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
-
-
-def bus_options(options: Namespace | Mapping[str, Any]) -> dict[str, Any]:
-    """The bus part of parsed arguments (python-can's `add_bus_arguments`) or of a mapping."""
-    given = dict(vars(options)) if isinstance(options, Namespace) else dict(options)
-    chosen = {key: given[key] for key in _BUS_KEYS if given.get(key) is not None}
-    return {**chosen, **(given.get("bus_kwargs") or {})}
-
-
-def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None = None) -> Transport:
-    """Make and open the transport that the options name.
-
-    Where interface or channel are missing, python-can's own sources decide (`CAN_INTERFACE`,
-    `can.conf` ..). Without `allow` anything may be sent (simulated drives).
-    Raises ConfigError if no interface is named or an option cannot be meant.
-    """
-    chosen = bus_options(options)
-    if "interface" not in chosen or "channel" not in chosen:
-        from gateway.drivers.pythoncan import complete
-
-        chosen = complete(chosen)
-    inner: Transport
-    if chosen["interface"] == "socketcan":
-        from gateway.drivers.socketcan import SocketCan
-
-        unknown = sorted(set(chosen) - set(_BUS_KEYS))
-        if unknown:
-            raise ConfigError("bus", [f"{key}: not an option of socketcan" for key in unknown])
-        inner = SocketCan(str(chosen["channel"]), fd=bool(chosen.get("fd", False)))
-    else:
-        from gateway.drivers.pythoncan import PythonCan
-
-        inner = PythonCan(chosen)
-    transport = inner if allow is None else Guarded(inner, allow)
-    transport.open()
-    return transport

@@ -12,8 +12,9 @@ import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from gateway.drivers import socketcan
+from gateway.drivers.bus import open_transport
 from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import LinkState, SendResult, open_transport
+from gateway.drivers.transport import LinkState, SendResult
 from gateway.drivers.wire import BusState
 
 if TYPE_CHECKING:

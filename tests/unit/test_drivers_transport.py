@@ -11,6 +11,7 @@ from can.cli import add_bus_arguments
 from dbc.codec import bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from gateway.config import ConfigError, shipped_dbc
+from gateway.drivers.bus import bus_options, open_transport
 from gateway.drivers.pythoncan import PythonCan
 from gateway.drivers.transport import (
     Allow,
@@ -18,9 +19,7 @@ from gateway.drivers.transport import (
     LinkState,
     SendResult,
     Status,
-    bus_options,
     monotonic_stamp,
-    open_transport,
 )
 
 
