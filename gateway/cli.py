@@ -6,8 +6,11 @@ import argparse
 import importlib
 import logging
 import sys
+import time
 from collections.abc import Sequence
 
+BEGAN_S = time.monotonic()
+"""When this program started, for what is measured from there."""
 VERBS = {
     "demo": "the whole system on an embedded bus: simulated drives, gateway, display, picture",
     "run": "the gateway on a bus",
@@ -54,6 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         level=level, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
     )
     command = importlib.import_module(f"gateway.commands.{options.verb}")
+    options.began_s = BEGAN_S
     try:
         return int(command.run(options))
     except KeyboardInterrupt:

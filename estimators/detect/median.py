@@ -7,11 +7,11 @@ With a majority of drives slipping the median is on the wrong side; use `vb` the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.special import ndtr
 
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
@@ -34,5 +34,11 @@ class MedianDetector:
         deficit = (common - evidence.load) * direction / evidence.spread
         # A coasting train: nothing is carried, so nothing can be missing.
         carried = abs(common) > self.threshold * evidence.spread
-        lost = np.where(carried & evidence.usable, ndtr(deficit - self.threshold), 0.0)
+        beyond = np.array([_normal_cdf(d - self.threshold) for d in deficit.tolist()])
+        lost = np.where(carried & evidence.usable, beyond, 0.0)
         return Opinion(lost, evidence.usable.copy(), common)
+
+
+def _normal_cdf(x: float) -> float:
+    """Standard normal distribution; `scipy.special` would cost a quarter second at start."""
+    return 0.5 * math.erfc(-x / math.sqrt(2.0))

@@ -19,7 +19,6 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln, digamma, expit, gammaln
 
 from estimators.detect._kernels import judge
 from estimators.detect.protocol import Evidence, Opinion, nobody
@@ -60,6 +59,8 @@ def infer(x: Array, m: Array, scatter: Array, priors: Priors, sweeps: int = 5) -
     Each sweep is (32)-(35), then (39)-(47), so the bound never falls from sweep to sweep.
     This is the readable form; `_kernels.best_start` is its compiled twin.
     """
+    from scipy.special import digamma, expit  # slow to load, and only this twin needs it
+
     beta = np.array([priors.beta_adhering, priors.beta_lost])
     alpha = np.array([priors.alpha_adhering, priors.alpha_lost])
     a = np.full_like(scatter, priors.nu / 2.0)
@@ -102,6 +103,8 @@ def _bound(
     n: int,
 ) -> Array:
     """Lower bound (18) right after the parameter update: ratios of normalising constants."""
+    from scipy.special import betaln, gammaln
+
     (a, b, beta), (a_k, b_k, beta_k) = prior, posterior
     entropy = -np.sum(r * np.log(np.maximum(r, 1e-300)), axis=(1, 2))
     components = (

@@ -56,12 +56,13 @@ def run(options: argparse.Namespace) -> int:
             live.update(render(view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s"))
 
     with live or nullcontext():
-        done = run_demo(scenario, config, codec, CHANNEL, seconds, watch)
+        done = run_demo(scenario, config, codec, CHANNEL, seconds, watch, options.began_s)
     truth = done.truth
     table = score(injected(truth), recorder.changes, 0)
     print(summary_table(table, config.nodes))
     print(
-        f"first flag {done.first_flag_s:.2f} s after start; ran at {done.pace:.2f} of real time; "
+        f"first flag {done.first_flag_s:.2f} s after the program started; "
+        f"ran at {done.pace:.2f} of real time; "
         f"frames received {done.gateway.inbox.counts['received']}, "
         f"rejected {done.gateway.view.rejected if done.gateway.view else 0}"
     )
