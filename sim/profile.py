@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from sim.scenario import Load, Scenario
 
@@ -45,5 +44,7 @@ def load_nm(load: Load, t_s: Array) -> Array:
         return np.asarray(np.interp(t_s, times, values), dtype=np.float64)
     out = np.full_like(t_s, values[0])
     for at, step in zip(times[1:], np.diff(values), strict=True):
+        from scipy.special import ndtr  # slow to load, and rarely needed
+
         out += step * ndtr((t_s - at) / load.smooth_s)
     return out
