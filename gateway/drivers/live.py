@@ -114,7 +114,7 @@ def run_live(
     which goes on to the caller).
     """
     stop = stop or Stop()
-    with _signals(stop), _frozen_garbage():
+    with _signals(stop), frozen_garbage():
         try:
             return _loop(gateway, transport, node, ticker, stop, errors, on_tick)
         finally:
@@ -188,7 +188,7 @@ def _signals(stop: Stop) -> Iterator[None]:
 
 
 @contextmanager
-def _frozen_garbage() -> Iterator[None]:
+def frozen_garbage() -> Iterator[None]:
     """Set everything built so far aside, so that a full collection does not cost 100 ms."""
     gc.collect()
     gc.freeze()

@@ -6,15 +6,13 @@ from collections.abc import Callable
 from typing import Final
 
 from dbc.frame import MS, SECOND, Nanos
-from gateway.drivers.live import Stop, stop_on_signals
+from gateway.drivers.live import Stop, frozen_garbage, stop_on_signals
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.transport import Transport
 from sim.simulation import Simulation
 
-STEP_NS: Final[Nanos] = 2 * MS
-"""Frames leave at most this late; a bus at 2 ms cycles wants no coarser step."""
-
-
+FINEST_NS: Final[Nanos] = 2 * MS
+"""Shortest step; else half of the fastest cycle. Frames leave at most a step late."""
 MAILBOX_CYCLES: Final = 6
 """A real ECU has a mailbox per message: after a stall it sends the newest, not the backlog. Older
 than this many of the fastest cycles was overwritten; it stays below half a counter period, so
@@ -36,11 +34,11 @@ def run_on_bus(
     overwritten = 0
     mailbox = MAILBOX_CYCLES * simulation.fastest_cycle_ns
     stop = stop or Stop()
-    ticker = Ticker(STEP_NS)
+    ticker = Ticker(max(FINEST_NS, simulation.fastest_cycle_ns // 2))
     end = round(seconds * SECOND)
     start: Nanos | None = None
     try:
-        with stop_on_signals(stop):
+        with stop_on_signals(stop), frozen_garbage():
             while not stop.requested:
                 now = ticker.wait().now_ns
                 start = now if start is None else start

@@ -103,6 +103,8 @@ class Job:
                 start_new_session=True,
                 env={**_path(), "HOME": str(directory), **self._uml_memory()},
             )
+        if chosen.uml:
+            _favour(self._process.pid)
 
     def _script(self, command: list[str], inside: str) -> str:
         environment = {key: os.environ[key] for key in _PASSED_ON if key in os.environ}
@@ -160,6 +162,17 @@ class Job:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
+
+
+def _favour(pid: int) -> None:
+    """Keep the guest on one processor and, where we may, before other work.
+
+    It has one processor, and every system call in it passes between two processes of the host:
+    17 us on one processor, 83 us across two (measured; a CAN frame costs two to four of them).
+    """
+    with contextlib.suppress(OSError):  # ended already, or not allowed: slower, not wrong
+        os.sched_setaffinity(pid, {max(os.sched_getaffinity(pid))})
+        os.setpriority(os.PRIO_PROCESS, pid, -10)
 
 
 def main(arguments: list[str]) -> int:
