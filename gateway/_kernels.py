@@ -89,6 +89,9 @@ def take_rows(
             continue
         d = wiring.drive[c]
         cols = wiring.columns[c]
+        if kind == _BLOCK and int(value[r, cols[0]]) % 8:
+            verdict[r] = _OUTSIDE
+            continue
         period = wiring.period_ns[c]
         t = t_ns[r]
         counter = payload[r, 1] & 0x0F

@@ -65,7 +65,7 @@ class Channel:
         self.last_ns: Nanos | None = None
         self.good_ns: Nanos | None = None
         self.cause = Reason.NONE
-        self.blame = Reason.STALE
+        self.blame = Reason.NONE
         self.state = Reason.STARTING
         self.seen_valid = False
 
@@ -116,7 +116,9 @@ class Channel:
         cause = self.cause
         if self.protected and self.receiver.state is not SmState.VALID:
             # Single good frames do not end it; the last thing that went wrong is why.
-            return self.blame if self.receiver.state is SmState.INVALID else Reason.STARTING
+            if self.blame is not Reason.NONE:
+                return self.blame
+            return Reason.STALE if self.receiver.state is SmState.INVALID else Reason.STARTING
         if self.last_ns is None or now - self.last_ns > self.limit_ns:
             return cause if cause is not Reason.NONE else Reason.STALE
         return cause if cause is Reason.RANGE or cause is Reason.NOT_AVAILABLE else Reason.NONE

@@ -79,10 +79,7 @@ def _is_users(error: Exception) -> bool:
     from gateway.config import ConfigError
 
     named = {"DbcMismatch", "BadLogError", "LogError", "ScenarioError"}
-    return (
-        isinstance(error, ConfigError | FileNotFoundError | PermissionError | IsADirectoryError)
-        or type(error).__name__ in named
-    )
+    return isinstance(error, ConfigError | OSError) or type(error).__name__ in named
 
 
 if __name__ == "__main__":

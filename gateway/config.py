@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -27,7 +27,11 @@ class ConfigError(Exception):
 class Strict(BaseModel):
     """Unknown keys are refused; values are frozen after start."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Positive = Annotated[float, Field(gt=0)]
+Variances = tuple[Positive, Positive, Positive, Positive, Positive]
 
 
 class Bus(Strict):
@@ -96,7 +100,13 @@ class Estimator(Strict):
 
     kind: Literal["ekf", "ukf"] = "ekf"
     current_noise_var: float = Field(2e-4, gt=0, description="A^2, before quantisation")
-    process_noise: tuple[float, float, float, float, float] = (1e-4, 1e-4, 1e-5, 1e-6, 0.1)
+    process_noise: tuple[Positive, Positive, Positive, Positive, Positive] = (
+        1e-4,
+        1e-4,
+        1e-5,
+        1e-6,
+        0.1,
+    )
     """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
     min_speed_rad_s: float = Field(20.0, gt=0, description="electrical; below: not observable")
 
@@ -117,9 +127,9 @@ class Thermal(Strict):
     """`[thermal]`: without a calibration the thermal flags stay unknown."""
 
     calibration: str | None = None
-    window_s: float = Field(5.0, gt=0, description="causal moving average")
-    raise_s: float = Field(1.0, ge=0)
-    clear_s: float = Field(5.0, ge=0)
+    window_s: float = Field(5.0, gt=0, le=3600, description="causal moving average")
+    raise_s: float = Field(1.0, ge=0, le=3600)
+    clear_s: float = Field(5.0, ge=0, le=3600)
 
 
 class Canopen(Strict):
@@ -236,5 +246,6 @@ def load(path: Path | None, **changes: dict[str, Any]) -> Config:
     if "base" in raw:
         raise ConfigError(str(path), ["base: unknown key; remove it or correct its name"])
     for section, keys in changes.items():
-        raw[section] = {**raw.get(section, {}), **keys}
+        if isinstance(raw.get(section, {}), dict):
+            raw[section] = {**raw.get(section, {}), **keys}
     return parse(raw, str(path), path.parent)

@@ -49,6 +49,12 @@ COMM_CAUSES: Final = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
 OVERRUN_HOLD_NS: Final = SECOND
 COASTING: Final = 0.05
 """Below this share of rated torque the commands say nothing about each other."""
+FOLLOWING_NS: Final[Nanos] = 2 * SECOND
+"""A drive's torque is back a second after its flag cleared; twice that."""
+SPEED_TOLERANCE: Final = 0.15
+SPEED_TOLERANCE_RAD_S: Final = 5.0
+"""At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
+CONTRADICTION_TICKS: Final = 5
 SHARE_FLOOR: Final = 0.2
 SHARE_UNKNOWN: Final = 0.1
 """A drive commanded less than a tenth of the others carries too little to be judged."""
@@ -94,6 +100,7 @@ class Gateway:
         self.overrun_ns: Nanos | None = None
         self.late_in_a_row = 0
         self.missed = 0
+        self.contradictions = [0] * len(nodes)
         self.lost = [False] * len(nodes)
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
@@ -114,13 +121,18 @@ class Gateway:
         """Take the frames of one tick, give the frames to send. Never raises on wire data."""
         frames = list(frames)
         self._overrun(now)
-        self.load.add(frames, now)
         inbox = self.inbox
+        # Our own frames are counted as they go out; in a log they stand a second time.
+        self.load.add([frame for frame in frames if frame.can_id not in inbox.own], now)
         inbox.take(frames, now)
         self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
         fresh = [d.fresh(now) for d in inbox.drives]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
+        for k, estimate in enumerate(estimates):
+            if self._contradicts(k, estimate, now):
+                inputs[k] = worst([inputs[k], Reason.RANGE])
+                estimates[k] = DriveEstimate(Health.INPUT_INVALID)
         opinion = self._opinion(estimates, now)
         self.thermal.take(inbox.temperatures, now)
         drives = tuple(
@@ -159,22 +171,62 @@ class Gateway:
         return worst(reasons)
 
     def _opinion(self, estimates: list[DriveEstimate], now: Nanos) -> Opinion:
-        """Loads referred to full command, in units of rated torque, through the detector."""
+        """Loads referred to full command and direction of travel, per unit, to the detector.
+
+        A drive mounted the other way round turns and pulls the other way; its own speed's sign
+        brings it to the train's direction.
+        """
+        load, spread, usable = [], [], []
+        for estimate, share, rated in zip(estimates, self._shares(now), self.rated, strict=True):
+            usable.append(estimate.health is Health.TRACKING and share >= SHARE_UNKNOWN)
+            known = max(share, SHARE_FLOOR)
+            forward = 1.0 if (estimate.speed_rad_s or 0.0) >= 0.0 else -1.0
+            load.append(forward * (estimate.load_nm or 0.0) / rated / known)
+            spread.append(self.spread / known)
+        return self.detector(Evidence(np.array(load), np.array(spread), np.array(usable)))
+
+    def _shares(self, now: Nanos) -> list[float]:
+        """Each drive's torque command over the largest one; 1 where that says nothing.
+
+        The drives' Status frames are up to a cycle apart, so commands that change with the train
+        differ by their age alone. They are compared while all are steady; a drive that follows
+        its own flag (down to 30 % and back) is compared always.
+        """
+        drives = self.inbox.drives
         command = [
             abs(d.torque_command) / rated
             if d.torque_command is not None and d.channels["Status"].fresh(now)
             else None
-            for d, rated in zip(self.inbox.drives, self.rated, strict=True)
+            for d, rated in zip(drives, self.rated, strict=True)
         ]
         largest = max((c for c in command if c is not None), default=0.0)
-        load, spread, usable = [], [], []
-        for estimate, c, rated in zip(estimates, command, self.rated, strict=True):
-            share = c / largest if c is not None and largest > COASTING else 1.0
-            usable.append(estimate.health is Health.TRACKING and share >= SHARE_UNKNOWN)
-            share = max(share, SHARE_FLOOR)
-            load.append((estimate.load_nm or 0.0) / rated / share)
-            spread.append(self.spread / share)
-        return self.detector(Evidence(np.array(load), np.array(spread), np.array(usable)))
+        if largest <= COASTING:
+            return [1.0] * len(drives)
+        follows = [
+            flags["adhesion"].flag is Flag.BAD or now < flags["adhesion"].since_ns + FOLLOWING_NS
+            for flags in self.flags
+        ]
+        calm = all(d.command_steady or follows[k] for k, d in enumerate(drives))
+        return [
+            c / largest if c is not None and (calm or follows[k]) else 1.0
+            for k, c in enumerate(command)
+        ]
+
+    def _contradicts(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
+        """True once the measured speed has contradicted the estimated one for long enough.
+
+        It sees what currents alone cannot: swapped phases, an aliased speed, a wrong sign.
+        """
+        drive = self.inbox.drives[k]
+        motion = drive.channels.get("Motion")
+        if motion is None or drive.speed is None or estimate.health is not Health.TRACKING:
+            # Whatever was found stands until a tracked speed agrees again.
+            return self.contradictions[k] >= CONTRADICTION_TICKS
+        if motion.fresh(now):
+            limit = max(SPEED_TOLERANCE_RAD_S, SPEED_TOLERANCE * abs(drive.speed))
+            apart = abs((estimate.speed_rad_s or 0.0) - drive.speed) > limit
+            self.contradictions[k] = self.contradictions[k] + 1 if apart else 0
+        return self.contradictions[k] >= CONTRADICTION_TICKS
 
     def _drive(
         self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason, now: Nanos
@@ -213,7 +265,11 @@ class Gateway:
             adhesion=flags["adhesion"].flag,
             adhesion_reason=reason if flags["adhesion"].flag is Flag.UNKNOWN else Reason.NONE,
             thermal=flags["thermal"].flag,
-            thermal_reason=report.reason if flags["thermal"].flag is Flag.UNKNOWN else Reason.NONE,
+            thermal_reason=(
+                (report.reason or Reason.STARTING)
+                if flags["thermal"].flag is Flag.UNKNOWN
+                else Reason.NONE
+            ),
             sensor=flags["sensor"].flag,
             comm=flags["comm"].flag,
             estimator=flags["estimator"].flag,

@@ -35,6 +35,11 @@ RPM: Final = 2.0 * math.pi / 60.0
 """rad/s in one revolution per minute."""
 USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
+STEADY_NM: Final = 0.5
+STEADY_SHARE: Final = 0.05
+"""A command that moved less between two Status frames is steady: 5 % and the wire's noise."""
+OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
+"""Heartbeat and emergency of node 32, the gateway."""
 _ORDER = itemgetter(0, 1)
 """Time stamp, then id."""
 _ODD = ERROR | REMOTE | EXTENDED
@@ -63,6 +68,8 @@ class DriveInput:
         self.channels: dict[str, Channel] = {}
         self.sample_ns: Nanos | None = None
         self.torque_command: float | None = None
+        self.command_steady = True
+        """The command has hardly changed since the Status before."""
         self.speed: float | None = None
         self.torque: float | None = None
         self.irms: float | None = None
@@ -97,7 +104,7 @@ class Inbox:
         self.samples = pairing.room(0)
         self.temperatures: list[Temperatures] = []
         self.restart: set[int] = set()
-        self.own = {spec.can_id for spec in codec.messages if spec.is_gateway}
+        self.own = {spec.can_id for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
         self.table: dict[int, Channel] = {}
         for index, drive in enumerate(self.drives):
             for kind in (*ELECTRICAL, SAMPLES, *SLOW):
@@ -234,6 +241,9 @@ class Inbox:
         if channel.kind == "Motion":
             drive.speed, drive.torque = first * RPM, second
         else:
+            before = drive.torque_command
+            near = STEADY_NM + STEADY_SHARE * abs(first)
+            drive.command_steady = before is None or abs(first - before) <= near
             drive.torque_command, drive.irms = first, second
 
     def _temperature(

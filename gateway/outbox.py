@@ -15,8 +15,6 @@ from dbc.protection import protect
 from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 
 Value = float | int | None
-AGE_NONE = None
-"""No sample at all: the not-available code."""
 
 
 class DriveView(NamedTuple):
@@ -159,7 +157,7 @@ def _adhesion(view: GatewayView) -> dict[str, Value]:
     values["Reason"] = view.adhesion_reason
     values["Detector"] = view.detector
     values["CommonMode"] = view.common_mode
-    values["Age"] = AGE_NONE if age is None else min(254, age // MS)
+    values["Age"] = None if age is None else min(254, age // MS)
     return values
 
 
@@ -177,7 +175,7 @@ def _faults(view: GatewayView) -> dict[str, Value]:
     values["CommFault"] = view.comm
     values["EstimatorFault"] = view.estimator
     values["Overrun"] = view.overrun
-    values["Age"] = AGE_NONE if age is None else min(2540, 10 * (age // (10 * MS)))
+    values["Age"] = None if age is None else min(2540, 10 * (age // (10 * MS)))
     return values
 
 

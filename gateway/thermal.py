@@ -79,6 +79,7 @@ class ThermalSide:
         self.points = [[_Point() for _ in POINTS] for _ in range(motors)]
         self.values = np.zeros((motors, len(POINTS)))
         self.heard_ns: list[Nanos | None] = [None] * motors
+        self.first_ns: list[Nanos] = [0] * motors
         self.next_push_ns: Nanos | None = None
         self.deviation = np.full((motors, len(POINTS)), np.nan)
         self.maisd = np.full(len(POINTS), np.nan)
@@ -90,6 +91,8 @@ class ThermalSide:
     def take(self, readings: Sequence[Temperatures], now: Nanos) -> None:
         """Accept this tick's readings; advance the windows once per temperature cycle."""
         for reading in readings:
+            if self.heard_ns[reading.drive] is None:
+                self.first_ns[reading.drive] = reading.t_ns
             self.heard_ns[reading.drive] = reading.t_ns
             for k in range(len(POINTS)):
                 self._point(reading, k)
@@ -161,8 +164,11 @@ class ThermalSide:
         heard = self.heard_ns[drive]
         if heard is None:
             return FaultClass.UNKNOWN
-        if point.valid_ns is None or heard - point.valid_ns > LOST_NS:
+        since = point.valid_ns if point.valid_ns is not None else self.first_ns[drive]
+        if heard - since > LOST_NS:
             return FaultClass.SENSOR_LOST
+        if point.valid_ns is None:
+            return FaultClass.UNKNOWN
         if now - point.changed_ns > self._hold_ns(drive, k) and now - heard <= self.limit_ns:
             return FaultClass.SENSOR_STUCK
         return FaultClass.SENSOR_BIAS if point.bias_k else FaultClass.NONE
@@ -196,7 +202,9 @@ class ThermalSide:
                     mixed_c=mixed,
                     maisd_k=largest,
                 )
-        good = Report(sensor=Flag.GOOD, mixed_c=mixed, maisd_k=largest)
+        booting = any(point.valid_ns is None for point in self.points[drive])
+        seen = Flag.UNKNOWN if booting else Flag.GOOD
+        good = Report(sensor=seen, mixed_c=mixed, maisd_k=largest)
         if self.calibration is None:
             return good._replace(reason=Reason.CONFIG)
         if not self.known[drive].all():

@@ -8,8 +8,9 @@ with its misprints corrected: one m per component in (27)-(28); weights 1 - E[I]
 The priors are ours, because the paper's never see a partial loss. They state what the
 problem knows: adhering drives agree to within their spread; a lost drive carries anything
 between nothing and everything; losses are rare. The mean of component 0 is started at every
-drive's load in turn and the start with the highest lower bound wins, so that neither a
-majority of slipping drives nor one odd reading decides what is normal.
+drive's load in turn and the start with the highest lower bound wins: a majority of slipping
+drives does not decide what is normal. The price: one drive that reads far too much (twice the
+others) explains them as slipping, because that is what a slipping majority looks like.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -17,6 +18,17 @@ if TYPE_CHECKING:
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
+
+
+def positive_seconds(text: str) -> float:
+    """A duration on the command line. Raises ArgumentTypeError unless finite and positive."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds < 1e7:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a duration in seconds")
+    return seconds
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, console, prepare
+from gateway.commands.common import GOOD, console, positive_seconds, prepare
 
 HELP = "the whole system on an embedded bus"
 CHANNEL = "traction-gateway-demo"
@@ -18,7 +18,9 @@ SETTLE_NS = 500_000_000
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("--headless", action="store_true", help="no live display")
-    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    parser.add_argument(
+        "--duration", type=positive_seconds, metavar="S", help="instead of the scenario's"
+    )
     parser.add_argument("--scenario", default="demo", help="a scenario file or shipped name")
     parser.add_argument("-o", "--output", type=Path, default=Path("demo.png"), metavar="PNG",
                         help="where the picture goes (default: demo.png)")  # fmt: skip

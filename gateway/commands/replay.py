@@ -31,11 +31,13 @@ def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout."""
     from dbc.candump import Writer
     from gateway.core import Gateway
-    from gateway.drivers.replay import OneChannel, open_log, replay
+    from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
     from gateway.results.record import Recorder
 
     changes = {"adhesion": {"detector": options.detector}} if options.detector else {}
     config, codec = prepare(options.config, **changes)
+    if options.output and options.output.exists() and options.output.samefile(options.log):
+        raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
     reader = open_log(options.log, options.strict)
     frames = OneChannel(track_file(reader, reader, options.log, "replaying"), options.log_channel)
     recorder = Recorder(options.results, config.nodes, series=options.results is not None)

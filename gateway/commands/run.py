@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from gateway.commands.common import GOOD, add_bus, add_config, console, prepare
+from gateway.commands.common import GOOD, add_bus, add_config, console, positive_seconds, prepare
 
 HELP = "the gateway on a bus"
 DISPLAY_EVERY = 20
@@ -16,7 +16,9 @@ DISPLAY_EVERY = 20
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     add_config(parser)
-    parser.add_argument("--duration", type=float, metavar="S", help="stop after this long")
+    parser.add_argument(
+        "--duration", type=positive_seconds, metavar="S", help="stop after this long"
+    )
     parser.add_argument("--quiet", action="store_true", help="no live table")
     add_bus(parser)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, add_bus, console, out_file
+from gateway.commands.common import GOOD, add_bus, console, out_file, positive_seconds
 
 HELP = "simulated inverter ECUs: on a bus in real time, or into a candump log"
 TRUTH_HEADER = (
@@ -23,7 +23,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
                         help="write a candump log, faster than real time")  # fmt: skip
     parser.add_argument("--truth", type=Path, metavar="FILE", help="CSV of what is really so")
-    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scenario's")
+    parser.add_argument(
+        "--duration", type=positive_seconds, metavar="S", help="instead of the scenario's"
+    )
     parser.add_argument("--dbc", default="traction.dbc", metavar="FILE",
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--wait-for-start", action="store_true",

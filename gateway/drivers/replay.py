@@ -13,6 +13,7 @@ from typing import NamedTuple
 from dbc.candump import LogError, Reader
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.core import Gateway
+from gateway.health import Flag
 from gateway.outbox import GatewayView
 
 HOLE_NS: Nanos = 10 * SECOND
@@ -106,18 +107,27 @@ def replay(frames: Iterable[Frame], make: Make, period_ns: Nanos, sink: Sink) ->
 
 
 def _any_good(view: GatewayView) -> bool:
-    return any(d.adhesion == 1 or d.thermal == 1 for d in view.drives)
+    flags = [view.sensor, view.comm, view.estimator]
+    for drive in view.drives:
+        flags += [drive.adhesion, drive.thermal]
+    return Flag.GOOD in flags
 
 
 def open_log(path: Path, strict: bool) -> Iterable[Frame]:
-    """Frames of a candump log, or of any other format by its suffix.
+    """Frames of a log: python-can's formats by their suffix, candump's text with any other.
 
     Raises BadLogError for a file that is not there or not readable.
     """
-    if not path.is_file():
+    if not path.exists():
         msg = f"{path}: no such file"
         raise BadLogError(msg)
-    if path.name.removesuffix(".gz").endswith((".log", ".txt", ".candump")):
+    if path.is_dir():
+        msg = f"{path}: a folder, not a log"
+        raise BadLogError(msg)
+    from can.io.player import MESSAGE_READERS
+
+    suffix = Path(path.name.removesuffix(".gz")).suffix
+    if suffix == ".log" or suffix not in MESSAGE_READERS:
         return Reader(path, strict=strict)
     from dbc.otherlogs import read_any
 

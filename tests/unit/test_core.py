@@ -370,3 +370,51 @@ def test_compiled_agreement_equals_the_readable_one():
     )  # fmt: skip
     assert out.tolist() == lock.agrees(state, x, tuning).tolist()
     assert set(out.tolist()) == {0, 1, 2}
+
+
+def test_a_drive_mounted_the_other_way_round_is_not_lost():
+    motors = drives((20.0, 20.0, -20.0))
+    motors[2].w = -100.0
+    motors[2].command = -20.0
+    view = Bench(gateway(), motors).run(80)
+    assert [d.adhesion for d in view.drives] == [Flag.GOOD] * 3
+
+
+@pytest.mark.parametrize(("rpm", "flag"), [(25.0 * 30 / np.pi, Flag.GOOD), (-238.7, Flag.UNKNOWN)])
+def test_measured_speed_that_contradicts_makes_unknown(rpm, flag):
+    bench = Bench(gateway(), drives())
+    motion = Sender(CODEC, "Drive1_Motion")
+
+    def measured(frames, now):
+        return [*frames, motion.frame(now, Speed=rpm, ElectricalAngle=10.0, Torque=20.0)]
+
+    view = bench.run(60, measured)
+    assert view.drives[0].adhesion is flag
+    assert view.drives[1].adhesion is Flag.GOOD
+    if flag is Flag.UNKNOWN:
+        assert view.adhesion_reason is Reason.RANGE
+        assert view.drives[0].health is Health.INPUT_INVALID
+
+
+def test_commands_that_ramp_with_the_train_accuse_nobody():
+    """Status frames of the drives are a third of a cycle apart while all commands rise alike."""
+    motors = drives((10.0, 10.0, 10.0))
+    for motor in motors:
+        motor.command = 10.0
+    bench = Bench(gateway(), motors)
+    bench.run(60)
+    seen = set()
+    for step in range(30):
+        motors[step % 3].command = 10.0 + step
+        view = bench.run(3)
+        seen |= {d.adhesion for d in view.drives}
+    assert seen == {Flag.GOOD}
+
+
+def test_input_that_is_bad_from_the_start_says_so():
+    bench = Bench(gateway(), drives())
+    mine = CODEC.by_name["Drive2_PhaseCurrents"].can_id
+    view = bench.run(
+        20, lambda frames, now: [corrupt(f) if f.can_id == mine else f for f in frames]
+    )
+    assert view.drives[1].adhesion_reason is Reason.CORRUPTED
