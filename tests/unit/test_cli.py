@@ -221,3 +221,42 @@ def test_help_and_version(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["replay", "--help"])
     assert stop.value.code == 0
+
+
+def test_outputs_that_cannot_be_are_one_line(folder, capsys, tmp_path):
+    log = folder / "s.log"
+    size = log.stat().st_size
+    assert "is the log itself" in refused(capsys, "replay", log, "-o", log)
+    assert log.stat().st_size == size
+    assert "No space left" in refused(capsys, "replay", log, "-o", "/dev/full")
+    refused(capsys, "replay", log, "-o", log / "x.log")
+    refused(capsys, "replay", log, "--results", log)
+    assert "folder" in refused(capsys, "replay", tmp_path)
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-1", "0", "soon"])
+def test_a_duration_is_a_finite_time(text, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["sim", "healthy", f"--duration={text}"])
+    assert stop.value.code == 2
+    assert "not a duration" in capsys.readouterr().err
+
+
+def test_infinite_and_negative_settings_are_refused(capsys, tmp_path):
+    path = tmp_path / "c.toml"
+    for text in (
+        "[thermal]\nraise_s = inf\n",
+        "[thermal]\nwindow_s = 1e13\n",
+        "[estimator]\nprocess_noise = [1, 1, -1, 1, 1]\n",
+        "[adhesion]\nspread_nm = inf\n",
+        "adhesion = 3\n",
+    ):
+        path.write_text(text)
+        refused(capsys, "check", path)
+
+
+def test_a_log_may_have_any_name(folder, capsys, tmp_path):
+    odd = tmp_path / "recording"
+    odd.write_bytes((folder / "s.log").read_bytes())
+    assert main(["replay", str(odd)]) == 0
+    assert "AdhesionLost" in capsys.readouterr().out
