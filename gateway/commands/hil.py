@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -65,7 +68,8 @@ def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
     from gateway.drivers.bench import run_virtual
 
     if options.output is None:
-        return run_virtual(scenario, config, codec).verdicts
+        with _progress(scenario) as watch:
+            return run_virtual(scenario, config, codec, watch).verdicts
     from dbc.candump import Writer
 
     writer = Writer(out_file(options.output))
@@ -75,9 +79,28 @@ def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
             writer.write(frame._replace(channel="vcan0"))
 
     try:
-        return run_virtual(scenario, config, codec, [record]).verdicts
+        with _progress(scenario) as watch:
+            return run_virtual(scenario, config, codec, [record, *watch]).verdicts
     finally:
         writer.close()
+
+
+@contextmanager
+def _progress(scenario: Any) -> Iterator[list[Any]]:
+    """A bar over the scenario's time, if a person is watching."""
+    if not sys.stderr.isatty():
+        yield []
+        return
+    from rich.progress import Progress
+
+    with Progress(console=console(), transient=True) as progress:
+        task = progress.add_task(scenario.title, total=scenario.duration_s)
+
+        def look(now: int, *_: Any) -> None:
+            if now % 500_000_000 == 0:
+                progress.update(task, completed=now / 1e9)
+
+        yield [look]
 
 
 def scenario_thermal() -> dict[str, str]:
