@@ -40,7 +40,7 @@ _FLOAT_FORMATS: Final = {32: (">f", ">I"), 64: (">d", ">Q")}
 _FLOAT_LARGEST: Final = {n: float(np.finfo(t).max) for n, t in ((32, np.float32), (64, np.float64))}
 
 
-class _Tables(NamedTuple):
+class Tables(NamedTuple):
     """The kernel's tables; their columns are explained in `_kernels`."""
 
     rows: NDArray[np.int64]
@@ -75,7 +75,7 @@ class Codec:
         self.fd = any(m.is_fd for m in self.messages)
         self.width = max((len(m.signals) for m in self.messages), default=0)
         self._kernels = _kernels
-        self._tables = _tables(self.messages)
+        self.tables = _tables(self.messages)
         self._writers = [_writers(m) for m in self.messages]
         self._bases = [_bases(writers) for writers in self._writers]
         # Compiled (or loaded from numba's cache) now, not in the first tick.
@@ -149,7 +149,7 @@ class Codec:
         n = len(index)
         value = np.empty((n, self.width))
         validity = np.empty((n, self.width), np.uint8)
-        t = self._tables
+        t = self.tables
         self._kernels.decode_block(
             index, payload, t.rows, t.layout, t.keys, t.factors, t.ranges, value, validity
         )
@@ -289,7 +289,7 @@ _U64: Final = (1 << 64) - 1
 _TOP: Final = 1 << 63
 
 
-def _tables(messages: Sequence[MessageSpec]) -> _Tables:
+def _tables(messages: Sequence[MessageSpec]) -> Tables:
     rows: list[tuple[int, int]] = []
     layout: list[tuple[int, ...]] = []
     keys: list[tuple[int, ...]] = []
@@ -320,7 +320,7 @@ def _tables(messages: Sequence[MessageSpec]) -> _Tables:
             bounds = ((raw & _U64) ^ flip for raw in (s.raw_min, s.raw_max, code))
             keys.append(((1 << s.length) - 1, flip, *bounds))
             factors.append((s.scale, s.offset, s.float_min, s.float_max))
-    return _Tables(
+    return Tables(
         np.array(rows, np.int64).reshape(-1, 2),
         np.array(layout, np.int64).reshape(-1, 11),
         np.array(keys, np.uint64).reshape(-1, 5),

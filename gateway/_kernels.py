@@ -1,6 +1,7 @@
-"""Compiled row loop of the inbox: validity of decoded rows, pairing of halves, sample gaps.
+"""Compiled loops of the inbox: which frames are ours and good, and the samples they make.
 
-Scalar by nature, so its twin is the same function uncompiled (`take_rows.py_func`).
+Scalar by nature, so their twins are the same functions uncompiled (`.py_func`); protection is
+compared with `dbc.protection.Receiver` as well.
 """
 
 from __future__ import annotations
@@ -12,22 +13,38 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from dbc._kernels import decode_block
+from dbc._receive_kernels import cycle, judge
+
 if TYPE_CHECKING:
+    from dbc.codec import Tables
+    from dbc.receive import Guard, Window
+    from gateway.channel import ChannelState
     from gateway.pairing import PairState, Samples, Wiring
+    from gateway.receiving import Routes, Scratch
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 _NOT_AVAILABLE, _ABSENT = 1, 4  # dbc.spec
-_CURRENTS, _VOLTAGES, _BLOCK = 0, 1, 2  # pairing.Kind
+_CURRENTS, _VOLTAGES, _BLOCK, _TEMPERATURES = 0, 1, 2, 4  # pairing.Kind
 _GOOD, _MISSING, _OUTSIDE = 0, 1, 2  # pairing.Row
 _UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
 _SUM_SMOOTHING = 0.05
+_EXTENDED, _REMOTE, _ERROR_FRAME, _FD = 1, 2, 4, 8  # dbc.frame
+_OK, _SOME_LOST, _ERROR, _REPEATED, _WRONG_SEQUENCE, _NO_NEW_DATA = range(6)  # protection.Check
+_SM_VALID, _SM_INVALID = 2, 3  # protection.SmState
+_FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(7)  # Reason
+(
+    _T_DECODED, _T_ERROR_FRAME, _T_REMOTE, _T_OWN, _T_TIME_BACK, _T_WRONG_LENGTH, _T_CRC,
+    _T_REPEATED, _T_WRONG_SEQUENCE, _T_LOST, _T_NOT_YET_VALID, _T_NOT_AVAILABLE, _T_RANGE,
+) = range(13)  # receiving.Tally  # fmt: skip
+_NO_ROUTE, _OWN = -1, -2  # receiving.Routes
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _verdict(row: int, c: int, wiring: Wiring, value: Array, validity: Bytes) -> int:
     """Whether every signal of a row may be used, and if not why."""
     quality = wiring.quality[c]
@@ -44,7 +61,7 @@ def _verdict(row: int, c: int, wiring: Wiring, value: Array, validity: Bytes) ->
     return _OUTSIDE if outside else _GOOD
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _gap(
     state: PairState, d: int, counter: int, modulus: int, t: int, period: int, hole: int
 ) -> int:
@@ -61,7 +78,7 @@ def _gap(
     return cycles - 1 if cycles > 0 else -1
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def take_rows(
     channel: Ints,
     t_ns: Ints,
@@ -155,3 +172,193 @@ def take_rows(
             out.gap[m] = 8 * missing if k == 0 else 0
             m += 1
     return m
+
+
+@njit(cache=True, forceinline=True)
+def _route(can_id: int, flags: int, routes: Routes) -> int:
+    """Channel of an identifier; _OWN for the gateway's own, _NO_ROUTE for any other."""
+    key = np.int64(can_id) | (np.int64(flags & _EXTENDED) << 31)
+    first, last = 0, routes.key.shape[0]
+    while first < last:
+        middle = (first + last) // 2
+        if routes.key[middle] < key:
+            first = middle + 1
+        else:
+            last = middle
+    if first < routes.key.shape[0] and routes.key[first] == key:
+        return int(routes.channel[first])
+    return _NO_ROUTE
+
+
+@njit(cache=True, forceinline=True)
+def _admit(
+    data: Bytes, c: int, t: int, guard: Guard, memory: Window, state: ChannelState, tally: Ints
+) -> bool:
+    """Whether a frame of channel c may be used: checksum, counter, and a valid receiver.
+
+    A rejected frame updates nothing but counters and reasons.
+    """
+    check = judge(data, c, guard, memory)
+    if guard.profile[c] == 0:
+        state.last_ns[c] = t
+        state.seen_valid[c] = True
+        return True
+    for _ in range(memory.missed[c]):
+        cycle(c, _NO_NEW_DATA, memory)
+    valid = cycle(c, check, memory) == _SM_VALID
+    if check <= _SOME_LOST:
+        state.last_ns[c] = t
+        tally[_T_LOST] += memory.missed[c]
+        # While it is invalid nothing gets in; at the start good frames do, and are not believed.
+        invalid = memory.state[c] == _SM_INVALID
+        tally[_T_NOT_YET_VALID] += invalid
+        state.seen_valid[c] |= valid
+        return not invalid
+    blame = _CORRUPTED if check == _ERROR else _SEQUENCE
+    state.cause[c] = blame
+    state.blame[c] = blame
+    tally[_T_CRC + check - _ERROR] += 1
+    return False
+
+
+@njit(cache=True, forceinline=True)
+def _unbelieved(c: int, now: int, guard: Guard, memory: Window, state: ChannelState) -> int:
+    """Why channel c is not believed at `now`; 0 if it is."""
+    heard, last, cause = state.heard_ns[c], state.last_ns[c], state.cause[c]
+    if heard < 0:
+        return _STARTING
+    if now - heard > state.limit_ns[c]:
+        return _STALE
+    if guard.profile[c] != 0 and memory.state[c] != _SM_VALID:
+        # Single good frames do not end it; the last thing that went wrong is why.
+        if state.blame[c] != _FINE:
+            return int(state.blame[c])
+        return _STALE if memory.state[c] == _SM_INVALID else _STARTING
+    if last < 0 or now - last > state.limit_ns[c]:
+        return int(cause) if cause != _FINE else _STALE
+    return int(cause) if cause in (_RANGE, _MISSING_VALUE) else _FINE
+
+
+@njit(cache=True, forceinline=True)
+def settle(now: int, guard: Guard, memory: Window, state: ChannelState) -> None:
+    """End of a tick: notice silence, and say why each channel is not believed (`reason`)."""
+    for c in range(state.reason.shape[0]):
+        if state.last_ns[c] >= 0 and now - state.last_ns[c] > state.limit_ns[c]:
+            cycle(c, _NO_NEW_DATA, memory)
+        state.reason[c] = _unbelieved(c, now, guard, memory, state)
+
+
+@njit(cache=True, forceinline=True)
+def _note(row: int, c: int, wiring: Wiring, state: ChannelState, scratch: Scratch) -> bool:
+    """Keep whether the values of a decoded row could be used; true if Python must see the row."""
+    verdict = scratch.verdict[row]
+    t = scratch.t_ns[row]
+    if wiring.kind[c] == _TEMPERATURES:
+        # Each point by itself: one dead sensor must not silence the other three.
+        quality = wiring.quality[c]
+        usable = quality < 0 or scratch.value[row, quality] in (1.0, 2.0)
+        state.cause[c] = _FINE if usable else _MISSING_VALUE
+        for k in range(wiring.points[c]):
+            if usable and scratch.validity[row, wiring.columns[c, k]] == 0:
+                state.good_ns[c] = t
+    elif verdict == _GOOD:
+        state.cause[c] = _FINE
+        state.good_ns[c] = t
+    else:
+        state.cause[c] = _MISSING_VALUE if verdict == _MISSING else _RANGE
+    tally = (_T_DECODED, _T_NOT_AVAILABLE, _T_RANGE)[verdict]
+    scratch.tally[tally] += 1
+    slow = wiring.kind[c] > _BLOCK
+    return bool(slow and (verdict == _GOOD or wiring.kind[c] == _TEMPERATURES))
+
+
+@njit(cache=True)
+def take_block(
+    t_ns: Ints,
+    can_id: NDArray[np.uint32],
+    flags: Bytes,
+    length: Bytes,
+    data: Bytes,
+    now: int,
+    routes: Routes,
+    guard: Guard,
+    memory: Window,
+    state: ChannelState,
+    tables: Tables,
+    wiring: Wiring,
+    hole_ns: int,
+    pairs: PairState,
+    scratch: Scratch,
+    out: Samples,
+) -> tuple[int, int, int]:
+    """A tick's frames, in order: route, verify, decode, pair. Every frame ends in one tally.
+
+    The first five are columns of a `dbc.block.Block`. Returns the numbers of samples in `out`,
+    of rows that Python must see (`scratch.seen`) and of frames that are none of the drives'
+    messages (`scratch.foreign`).
+    """
+    m = foreign = 0
+    for r in range(t_ns.shape[0]):
+        if flags[r] & (_ERROR_FRAME | _REMOTE):
+            scratch.tally[_T_ERROR_FRAME if flags[r] & _ERROR_FRAME else _T_REMOTE] += 1
+            continue
+        c = _route(can_id[r], flags[r], routes)
+        if c == _OWN:
+            scratch.tally[_T_OWN] += 1
+            continue
+        if c == _NO_ROUTE:
+            scratch.foreign[foreign] = r
+            foreign += 1
+            continue
+        t = t_ns[r]
+        if t > now or t < state.last_ns[c]:
+            scratch.tally[_T_TIME_BACK] += 1
+            continue
+        state.heard_ns[c] = t
+        if length[r] != guard.length[c] or flags[r] & _FD != guard.fd[c]:
+            # One with our id that cannot be our message is as bad as a wrong checksum.
+            scratch.tally[_T_WRONG_LENGTH] += 1
+            cycle(c, _ERROR, memory)
+            state.cause[c] = _CORRUPTED
+            state.blame[c] = _CORRUPTED
+        elif _admit(data[r], c, t, guard, memory, state, scratch.tally):
+            scratch.channel[m] = c
+            scratch.message[m] = wiring.message[c]
+            scratch.t_ns[m] = t
+            scratch.payload[m] = data[r]
+            m += 1
+    samples = seen = 0
+    if m:
+        channel, stamps, payload = scratch.channel[:m], scratch.t_ns[:m], scratch.payload[:m]
+        value, validity = scratch.value[:m], scratch.validity[:m]
+        decode_block(
+            scratch.message[:m], payload, tables.rows, tables.layout, tables.keys, tables.factors,
+            tables.ranges, value, validity,
+        )  # fmt: skip
+        samples = take_rows(
+            channel, stamps, payload, value, validity, wiring, hole_ns, pairs,
+            scratch.verdict[:m], out,
+        )  # fmt: skip
+        for row in range(m):
+            if _note(row, channel[row], wiring, state, scratch):
+                scratch.seen[seen] = row
+                seen += 1
+    settle(now, guard, memory, state)
+    return samples, seen, foreign
+
+
+@njit(cache=True)
+def busy_s(
+    busy: float,
+    can_id: NDArray[np.uint32],
+    flags: Bytes,
+    length: Bytes,
+    routes: Routes,
+    classic_s: Array,
+    fd_s: Array,
+) -> float:
+    """`busy` and the seconds that a tick's frames took on the wire, the gateway's own left out."""
+    for r in range(can_id.shape[0]):
+        if _route(can_id[r], flags[r], routes) != _OWN:
+            busy += fd_s[length[r]] if flags[r] & _FD else classic_s[length[r]]
+    return busy

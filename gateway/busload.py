@@ -4,33 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
+from dbc.block import Block
 from dbc.frame import FD, SECOND, Frame, Nanos
+from gateway._kernels import busy_s
+from gateway.receiving import Routes
 
 
 class BusLoad:
     """Counts frames of one bus; nominal and data bit rate in bit/s."""
 
     def __init__(self, bitrate: int, data_bitrate: int, start_ns: Nanos) -> None:
-        self.bitrate = bitrate
-        self.data_bitrate = data_bitrate
-        self.classic_s = [(47 + 8 * n + (33 + 8 * n) // 4) / bitrate for n in range(16)]
+        lengths = range(256)
+        self.classic_s = np.array([(47 + 8 * n + (33 + 8 * n) // 4) / bitrate for n in lengths])
+        self.fd_s = np.array(
+            [34 / bitrate + (8 * n + 33 + 8 * n // 4) / data_bitrate for n in lengths]
+        )
+        """Seconds on the wire by number of data bytes."""
         self.since_ns = start_ns
         self.busy_s = 0.0
         self.last: float | None = None
 
-    def add(self, frames: Iterable[Frame], now: Nanos) -> None:
-        """Count frames of one tick; a window closes every second."""
+    def add(self, frames: Iterable[Frame]) -> None:
+        """Count frames that go out in this tick."""
+        for frame in frames:
+            length = len(frame[2])
+            self.busy_s += (self.fd_s if frame[3] & FD else self.classic_s).item(length)
+
+    def add_block(self, block: Block, routes: Routes, now: Nanos) -> None:
+        """Count what came in a tick but for the gateway's own; a window closes every second."""
         if now - self.since_ns >= SECOND:
             self.last = min(126.0, 100.0 * self.busy_s * SECOND / (now - self.since_ns))
             self.since_ns = now
             self.busy_s = 0.0
-        classic = self.classic_s
-        for frame in frames:
-            if frame[3] & FD:
-                n = len(frame[2])
-                self.busy_s += 34 / self.bitrate + (8 * n + 33 + 8 * n // 4) / self.data_bitrate
-            else:
-                self.busy_s += classic[len(frame[2]) & 15]
+        self.busy_s = busy_s(
+            self.busy_s, block.can_id, block.flags, block.length, routes, self.classic_s, self.fd_s
+        )
 
     def percent(self, now: Nanos) -> float | None:
         """The last closed window; None before the first, or when it is long past."""

@@ -1,13 +1,23 @@
-"""One received message of one drive: its protection state, its age, and why it is not believed."""
+"""One received message of one drive: what it is, its age, and why it is not believed.
+
+The compiled receive loop works on arrays with a row per channel (`ChannelState`); after every
+tick each `Channel` is told what the rest of the core asks for.
+"""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
-from dbc.codec import MessageSpec
-from dbc.frame import FD, Nanos
-from dbc.protection import WINDOW, Check, Profile, Receiver, SmState
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.frame import Nanos
+from dbc.protection import Profile
+from dbc.spec import MessageSpec
 from gateway.health import Reason
+
+Ints = NDArray[np.int64]
 
 SAMPLE_NS: Final[Nanos] = 125_000
 """Spacing of the eight samples in a FD frame, and the filters' sub-step."""
@@ -25,20 +35,31 @@ USED: Final = {
     "Temperatures": ("Tstator", "Tde", "Tnde", "Tambient"),
 }
 
-_REASON = {
-    Check.ERROR: Reason.CORRUPTED,
-    Check.REPEATED: Reason.SEQUENCE,
-    Check.WRONG_SEQUENCE: Reason.SEQUENCE,
-}
+
+class ChannelState(NamedTuple):
+    """Memory of the receive loop, a row per channel; stamps are -1 where there is none.
+
+    heard_ns: any frame of ours; last_ns: one with good protection; good_ns: one whose values
+    could be used; cause: why the last values could not be (Reason); blame: what last went wrong
+    in the protection; reason: why the channel is not believed now; seen_valid: it once was.
+    """
+
+    heard_ns: Ints
+    last_ns: Ints
+    good_ns: Ints
+    cause: Ints
+    blame: Ints
+    reason: Ints
+    seen_valid: NDArray[np.bool_]
+    limit_ns: Ints
 
 
 class Channel:
-    """State of one message. The inbox feeds it; everybody else only asks."""
+    """Constants of one message, and its state as of the last tick."""
 
     __slots__ = (
-        "blame", "cause", "check", "drive", "fd", "good_ns", "heard_ns", "index", "kind",
-        "last_ns", "length", "limit_ns", "number", "period_ns", "picked", "protected",
-        "quality", "receiver", "seen_valid", "slow", "spec", "state", "steps",
+        "drive", "good_ns", "index", "kind", "limit_ns", "period_ns", "picked", "protected",
+        "quality", "seen_valid", "spec", "state", "steps",
     )  # fmt: skip
 
     def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
@@ -47,83 +68,43 @@ class Channel:
         self.spec = spec
         self.drive = drive
         self.kind = spec.kind
-        self.slow = spec.kind in ("Motion", "Status", "Temperatures")
-        self.length = spec.length
         self.period_ns = spec.cycle_ns
         self.limit_ns = 3 * spec.cycle_ns + tick_ns
         self.index = spec.index
-        self.fd = FD if spec.is_fd else 0
-        self.number = -1
-        """Position among the inbox's channels."""
-        self.check = Check.NO_NEW_DATA
         self.steps = max(1, round(spec.cycle_ns / SAMPLE_NS))
-        self.receiver = Receiver(spec)
         self.protected = spec.profile is not Profile.NONE
         self.quality = columns.get("Quality", -1)
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
-        self.heard_ns: Nanos | None = None
-        self.last_ns: Nanos | None = None
-        self.good_ns: Nanos | None = None
-        self.cause = Reason.NONE
-        self.blame = Reason.NONE
+        self.good_ns: Nanos = -1
         self.state = Reason.STARTING
         self.seen_valid = False
-
-    def verify(self, data: bytes, t_ns: Nanos) -> bool:
-        """Judge protection and counter of one frame (`check`) and advance the receiver's window.
-
-        True only for the plain case: good, and part of an unbroken good stream.
-        """
-        if not self.protected:
-            self.last_ns = t_ns
-            self.seen_valid = True
-            return True
-        receiver = self.receiver
-        self.check = check = receiver.check(data, t_ns)
-        if check is Check.OK:
-            self.last_ns = t_ns
-            if receiver.oks_seen == WINDOW and receiver.state is SmState.VALID:
-                # A full window of good frames: one more changes nothing.
-                return True
-        for _ in range(receiver.missed):
-            receiver.cycle(Check.NO_NEW_DATA)
-        state = receiver.cycle(check)
-        if check is Check.OK or check is Check.OK_SOME_LOST:
-            self.last_ns = t_ns
-            if state is SmState.VALID:
-                self.seen_valid = True
-        else:
-            self.cause = self.blame = _REASON[check]
-        return False
-
-    def malformed(self) -> None:
-        """A frame with our id that cannot be our message: as bad as a wrong checksum."""
-        self.receiver.cycle(Check.ERROR)
-        self.cause = self.blame = Reason.CORRUPTED
-
-    def settle(self, now: Nanos) -> None:
-        """End of a tick: notice silence, and say why the channel is not believed (`state`)."""
-        if self.last_ns is not None and now - self.last_ns > self.limit_ns:
-            self.receiver.cycle(Check.NO_NEW_DATA)
-        self.state = self._reason(now)
-
-    def _reason(self, now: Nanos) -> Reason:
-        heard = self.heard_ns
-        if heard is None:
-            return Reason.STARTING
-        if now - heard > self.limit_ns:
-            return Reason.STALE
-        cause = self.cause
-        if self.protected and self.receiver.state is not SmState.VALID:
-            # Single good frames do not end it; the last thing that went wrong is why.
-            if self.blame is not Reason.NONE:
-                return self.blame
-            return Reason.STALE if self.receiver.state is SmState.INVALID else Reason.STARTING
-        if self.last_ns is None or now - self.last_ns > self.limit_ns:
-            return cause if cause is not Reason.NONE else Reason.STALE
-        return cause if cause is Reason.RANGE or cause is Reason.NOT_AVAILABLE else Reason.NONE
 
     def fresh(self, now: Nanos) -> bool:
         """True while the last good value is within the age limit and can be believed."""
         good = self.good_ns
-        return good is not None and now - good <= self.limit_ns and self.state is Reason.NONE
+        return good >= 0 and now - good <= self.limit_ns and self.state is Reason.NONE
+
+
+def channel_state(channels: Sequence[Channel]) -> ChannelState:
+    """Nothing received yet."""
+    n = len(channels)
+    heard, last, good = (np.full(n, -1, dtype=np.int64) for _ in range(3))
+    cause, blame = (np.full(n, Reason.NONE, dtype=np.int64) for _ in range(2))
+    reason = np.full(n, Reason.STARTING, dtype=np.int64)
+    limit = np.array([channel.limit_ns for channel in channels], dtype=np.int64).reshape(n)
+    return ChannelState(heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit)
+
+
+def tell(channels: Sequence[Channel], state: ChannelState) -> None:
+    """Give every channel its state as of this tick."""
+    rows = zip(
+        channels, state.reason.tolist(), state.good_ns.tolist(), state.seen_valid.tolist(),
+        strict=True,
+    )  # fmt: skip
+    for channel, reason, good_ns, seen_valid in rows:
+        channel.state = _REASONS[reason]
+        channel.good_ns = good_ns
+        channel.seen_valid = seen_valid
+
+
+_REASONS: Final = {int(reason): reason for reason in Reason}

@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from dbc.block import Block
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import DETECTORS, Evidence, Opinion
@@ -117,14 +118,13 @@ class Gateway:
         self.latency_p99_us = latency_p99_us
         self.lateness_p99_us = lateness_p99_us
 
-    def step(self, frames: Iterable[Frame], now: Nanos) -> list[Frame]:
+    def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
         """Take the frames of one tick, give the frames to send. Never raises on wire data."""
-        frames = list(frames)
         self._overrun(now)
         inbox = self.inbox
+        block = inbox.take(frames, now)
         # Our own frames are counted as they go out; in a log they stand a second time.
-        self.load.add([frame for frame in frames if frame.can_id not in inbox.own], now)
-        inbox.take(frames, now)
+        self.load.add_block(block, inbox.routes, now)
         self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
         fresh = [d.fresh(now) for d in inbox.drives]
@@ -140,7 +140,7 @@ class Gateway:
         )
         self.view = self._view(drives, opinion, now)
         out = self.outbox.due(self.view)
-        self.load.add(out, now)
+        self.load.add(out)
         return out
 
     def _overrun(self, now: Nanos) -> None:

@@ -10,20 +10,19 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbc.codec import NOT_AVAILABLE, VALID, Codec
-from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
-from dbc.protection import Check, SmState
-from gateway import pairing
-from gateway._kernels import take_rows
-from gateway.channel import Channel
-from gateway.health import Reason
-from gateway.pairing import Row, Trouble
+from dbc import receive
+from dbc.block import Block, block_of
+from dbc.codec import VALID, Codec
+from dbc.frame import Frame, Nanos
+from gateway import pairing, receiving
+from gateway._kernels import settle, take_block
+from gateway.channel import Channel, channel_state, tell
+from gateway.pairing import Trouble
+from gateway.receiving import NAMES
 from gateway.supervision import Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
@@ -40,11 +39,6 @@ STEADY_SHARE: Final = 0.05
 """A command that moved less between two Status frames is steady: 5 % and the wire's noise."""
 OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
 """Heartbeat and emergency of node 32, the gateway."""
-_ORDER = itemgetter(0, 1)
-"""Time stamp, then id."""
-_ODD = ERROR | REMOTE | EXTENDED
-
-Array = NDArray[np.float64]
 
 
 class Temperatures(NamedTuple):
@@ -104,121 +98,69 @@ class Inbox:
         self.samples = pairing.room(0)
         self.temperatures: list[Temperatures] = []
         self.restart: set[int] = set()
-        self.own = {spec.can_id for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
-        self.table: dict[int, Channel] = {}
+        own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
+        self.channels: list[Channel] = []
+        keys: dict[int, int] = {}
         for index, drive in enumerate(self.drives):
             for kind in (*ELECTRICAL, SAMPLES, *SLOW):
                 spec = codec.by_name.get(f"Drive{drive.node}_{kind}")
                 if spec is not None:
                     channel = Channel(spec, index, tick_ns)
                     drive.channels[kind] = channel
-                    self.table[spec.can_id] = channel
+                    keys[spec.key] = len(self.channels)
+                    self.channels.append(channel)
             drive.settled()
-        channels = list(self.table.values())
-        for number, channel in enumerate(channels):
-            channel.number = number
-        self._index = np.array([channel.index for channel in channels], dtype=np.int32)
-        self._wiring = pairing.wiring(channels)
+        self._state = channel_state(self.channels)
+        self._guard = receive.guard([channel.spec for channel in self.channels])
+        self._memory = receive.window(len(self.channels))
+        self.routes = receiving.routes(keys, own)
+        self._wiring = pairing.wiring(self.channels)
         self._pairs = pairing.start(len(self.drives))
-        self._room = pairing.room(64)
+        self._make_room(64)
 
-    def take(self, frames: Iterable[Frame], now: Nanos) -> None:
-        """Accept the frames of one tick, in the order of their time stamps, then ids."""
+    def _make_room(self, rows: int) -> None:
+        self._room = pairing.room(rows)
+        self._scratch = receiving.scratch(rows, self.codec.width)
+
+    def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
+        """Accept the frames of one tick, in the order of their time stamps, then ids.
+
+        Returns them as a block, in that order.
+        """
         self.temperatures.clear()
         self.restart.clear()
-        rows: list[tuple[Channel, Nanos, bytes]] = []
-        special: list[int] = []
-        find = self.table.get
-        # Stable: frames of one id with one stamp stay in the order in which they came.
-        ordered = sorted(frames, key=_ORDER)
-        for frame in ordered:
-            t_ns, can_id, data, flags, _, _ = frame
-            channel = None if flags & _ODD else find(can_id)
-            if channel is None:
-                self._foreign(frame)
-                continue
-            last = channel.last_ns
-            if t_ns > now or (last is not None and t_ns < last):
-                self.counts["time_back"] += 1
-                continue
-            channel.heard_ns = t_ns
-            if len(data) != channel.length or flags & FD != channel.fd:
-                self.counts["wrong_length"] += 1
-                channel.malformed()
-            elif channel.verify(data, t_ns) or self._admit(channel):
-                if channel.slow or channel.cause is not Reason.NONE:
-                    special.append(len(rows))
-                rows.append((channel, t_ns, data.ljust(64, b"\0")))
-        self.counts["received"] += len(ordered)
-        if rows:
-            self._decode(rows, special)
-        else:
+        block = (frames if isinstance(frames, Block) else block_of(frames)).ordered()
+        if not block.size:
             self.samples = self._room.first(0)
-        for channel in self.table.values():
-            channel.settle(now)
-
-    def _foreign(self, frame: Frame) -> None:
-        """Count a frame that is none of the drives' messages."""
-        flags = frame.flags
-        if flags & ERROR:
-            cause = "error_frame"
-        elif flags & REMOTE:
-            cause = "remote"
-        elif not flags & EXTENDED and frame.can_id in self.own:
-            cause = "own"
-        elif self.supervision.observe(frame):
-            cause = "canopen"
-        else:
-            cause = "unknown_id"
-        self.counts[cause] += 1
-
-    def _admit(self, channel: Channel) -> bool:
-        """Count what `verify` did not pass at once; a rejected frame updates nothing at all."""
-        check = channel.check
-        if check is Check.OK or check is Check.OK_SOME_LOST:
-            self.counts["lost"] += channel.receiver.missed
-            if channel.receiver.state is SmState.INVALID and channel.protected:
-                self.counts["not_yet_valid"] += 1
-                return False
-            return True
-        self.counts[check.name.lower()] += 1
-        return False
-
-    def _decode(self, rows: list[tuple[Channel, Nanos, bytes]], special: list[int]) -> None:
-        """Decode the tick's accepted frames in one call, pair them, hand on the `special` ones."""
-        n = len(rows)
-        if len(self._room.drive) < 8 * n:
-            self._room = pairing.room(2 * n)
-        number = np.array([row[0].number for row in rows], dtype=np.int64)
-        joined = b"".join([row[2] for row in rows])
-        payload = np.frombuffer(joined, dtype=np.uint8).reshape(-1, 64)
-        stamps = np.array([row[1] for row in rows], dtype=np.int64)
-        value, validity = self.codec.decode_rows(self._index[number], payload)
-        verdict = np.empty(n, dtype=np.uint8)
-        count = take_rows(
-            number, stamps, payload, value, validity,
-            self._wiring, MAX_GAP_NS, self._pairs, verdict, self._room,
+            settle(now, self._guard, self._memory, self._state)
+            tell(self.channels, self._state)
+            return block
+        if block.size > len(self._scratch.t_ns):
+            self._make_room(2 * block.size)
+        samples, seen, foreign = take_block(
+            block.t_ns, block.can_id, block.flags, block.length, block.data,
+            now, self.routes, self._guard, self._memory, self._state, self.codec.tables,
+            self._wiring, MAX_GAP_NS, self._pairs, self._scratch, self._room,
         )  # fmt: skip
-        self.samples = self._room.first(count)
+        self.samples = self._room.first(samples)
+        self._count(block.size)
+        for k in self._scratch.foreign[:foreign].tolist():
+            known = self.supervision.observe(block.frame(k))
+            self.counts["canopen" if known else "unknown_id"] += 1
         self._electrical()
-        good = n
-        # Plain electrical rows are done; the rest is handed on one by one.
-        for k in range(n) if verdict.any() else special:
-            channel, t_ns, _ = rows[k]
-            if channel.kind == "Temperatures":
-                good -= 1
-                self._temperature(channel, t_ns, value[k].tolist(), validity[k].tolist())
-            elif verdict[k]:
-                good -= 1
-                missing = verdict[k] == Row.MISSING
-                channel.cause = Reason.NOT_AVAILABLE if missing else Reason.RANGE
-                self.counts[channel.cause.name.lower()] += 1
-            else:
-                channel.cause = Reason.NONE
-                channel.good_ns = t_ns
-                if channel.slow:
-                    self._slow(channel, value[k])
-        self.counts["decoded"] += good
+        for row in self._scratch.seen[:seen].tolist():
+            self._slow(row)
+        tell(self.channels, self._state)
+        return block
+
+    def _count(self, received: int) -> None:
+        """Take over the loop's counters."""
+        self.counts["received"] += received
+        tally = self._scratch.tally
+        for name, count in zip(NAMES, tally.tolist(), strict=True):
+            if count:
+                self.counts[name] += count
+        tally[:] = 0
 
     def _electrical(self) -> None:
         """Take over what the compiled loop has found out."""
@@ -234,10 +176,15 @@ class Inbox:
             drive.sample_ns = t_ns if t_ns >= 0 else None
             drive.sum_error = error
 
-    def _slow(self, channel: Channel, row: Array) -> None:
-        """Keep the last measured speed and torque, or command and current."""
+    def _slow(self, row: int) -> None:
+        """Keep the last measured speed and torque, command and current, or temperatures."""
+        scratch = self._scratch
+        channel = self.channels[scratch.channel.item(row)]
         drive = self.drives[channel.drive]
-        first, second = (row.item(column) for column in channel.picked)
+        if channel.kind == "Temperatures":
+            self._temperature(channel, row)
+            return
+        first, second = (scratch.value.item(row, column) for column in channel.picked)
         if channel.kind == "Motion":
             drive.speed, drive.torque = first * RPM, second
         else:
@@ -246,30 +193,21 @@ class Inbox:
             drive.command_steady = before is None or abs(first - before) <= near
             drive.torque_command, drive.irms = first, second
 
-    def _temperature(
-        self, channel: Channel, t_ns: Nanos, row: list[float], valid: list[int]
-    ) -> None:
+    def _temperature(self, channel: Channel, row: int) -> None:
         """Each point by itself: one dead sensor must not silence the other three."""
-        usable = channel.quality < 0 or row[channel.quality] in USABLE
+        scratch = self._scratch
+        value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
+        usable = channel.quality < 0 or value[channel.quality] in USABLE
         points = channel.picked
         good = tuple(usable and valid[k] == VALID for k in points)
-        channel.cause = Reason.NONE if usable else Reason.NOT_AVAILABLE
-        if all(good):
-            self.counts["decoded"] += 1
-        elif not usable or any(valid[k] == NOT_AVAILABLE for k in points):
-            self.counts["not_available"] += 1
-        else:
-            self.counts["range"] += 1
-        if any(good):
-            channel.good_ns = t_ns
         self.temperatures.append(
             Temperatures(
                 channel.drive,
-                t_ns,
-                tuple(row[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
+                scratch.t_ns.item(row),
+                tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
                 good,
                 tuple(
-                    round(row[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)
+                    round(value[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)
                 ),
             )
         )

@@ -27,7 +27,8 @@ class Kind(IntEnum):
     CURRENTS = 0
     VOLTAGES = 1
     BLOCK = 2
-    OTHER = 3
+    SLOW = 3
+    TEMPERATURES = 4
 
 
 class Row(IntEnum):
@@ -47,20 +48,27 @@ class Trouble(IntEnum):
     """Not 0 where there is something to look at, a restart included."""
 
 
-_KINDS = {"PhaseCurrents": Kind.CURRENTS, "StatorVoltages": Kind.VOLTAGES, "Samples": Kind.BLOCK}
+_KINDS = {
+    "PhaseCurrents": Kind.CURRENTS,
+    "StatorVoltages": Kind.VOLTAGES,
+    "Samples": Kind.BLOCK,
+    "Temperatures": Kind.TEMPERATURES,
+}
 _MOST_COLUMNS = 33
 
 
 class Wiring(NamedTuple):
     """Constants, a row per channel.
 
-    columns: (C, 33) columns taken; quality: column of `Quality` or -1; width: number of signals;
-    steps: sub-steps per sample.
+    message: its number in the codec; columns: (C, 33) columns taken, the first `points` of
+    them; quality: column of `Quality` or -1; width: number of signals; steps: sub-steps per sample.
     """
 
     kind: Ints
     drive: Ints
+    message: Ints
     columns: Ints
+    points: Ints
     quality: Ints
     width: Ints
     period_ns: Ints
@@ -115,9 +123,11 @@ def wiring(channels: Sequence[Channel]) -> Wiring:
         return np.array(values, dtype=np.int64).reshape(n)
 
     return Wiring(
-        each([_KINDS.get(c.kind, Kind.OTHER) for c in channels]),
+        each([_KINDS.get(c.kind, Kind.SLOW) for c in channels]),
         each([c.drive for c in channels]),
+        each([c.index for c in channels]),
         columns,
+        each([len(c.picked) for c in channels]),
         each([c.quality for c in channels]),
         each([len(c.spec.signals) for c in channels]),
         each([c.period_ns for c in channels]),

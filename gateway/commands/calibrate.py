@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
+from dbc.block import Block
 from dbc.codec import Codec
 from dbc.frame import Frame
 from gateway.calibration import to_toml
@@ -34,10 +35,9 @@ def run(options: argparse.Namespace) -> int:
     config, codec = prepare(options.config)
     learner = Learner(config.nodes, config.thermal.window_s)
     for log in options.log:
-        reader = open_log(log, strict=False)
-        frames = OneChannel(track_file(reader, reader, log, log.name), options.log_channel)
+        tracked = track_file(open_log(log, strict=False), log, log.name)
         learner.begin()
-        _learn(frames, config, codec, learner)
+        _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
     result = learner.finish(MARGIN)
     path = out_file(options.output)
     path.write_text(to_toml(result), encoding="utf-8")
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     return GOOD
 
 
-def _learn(frames: Iterable[Frame], config: Config, codec: Codec, learner: Learner) -> None:
+def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
     """One log through the gateway, the learner looking on."""
     made: list[Gateway] = []
 
@@ -59,4 +59,4 @@ def _learn(frames: Iterable[Frame], config: Config, codec: Codec, learner: Learn
     def look(now: int, _out: list[Frame], _view: GatewayView) -> None:
         learner.take(made[0].thermal, now)
 
-    replay(frames, make, config.loop.period_ns, look)
+    replay(blocks, make, config.loop.period_ns, look)

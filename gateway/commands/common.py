@@ -14,7 +14,9 @@ from gateway.config import Config, load
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from dbc.block import Block
     from dbc.codec import Codec
+    from gateway.drivers.replay import Log
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
@@ -68,21 +70,19 @@ def console() -> Console:
     return Console(stderr=True)
 
 
-def track_file(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Iterable[Any]:
-    """`frames` with a progress bar of how much of the file is read, if a person is watching."""
-    return _bar(frames, reader, path, what) if sys.stderr.isatty() else frames
+def track_file(log: Log, path: Path, what: str) -> Iterable[Block]:
+    """Its blocks, with a progress bar of how much of the file is read, if a person is watching."""
+    return _bar(log, path, what) if sys.stderr.isatty() else log.blocks
 
 
-def _bar(frames: Iterable[Any], reader: Any, path: Path, what: str) -> Iterator[Any]:
+def _bar(log: Log, path: Path, what: str) -> Iterator[Block]:
     from rich.progress import Progress
 
-    known = hasattr(reader, "bytes_read")
     with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(what, total=path.stat().st_size if known else None)
-        for count, item in enumerate(frames):
-            if count % 2000 == 0:
-                progress.update(task, completed=getattr(reader, "bytes_read", 0))
-            yield item
+        task = progress.add_task(what, total=path.stat().st_size if log.reader else None)
+        for block in log.blocks:
+            progress.update(task, completed=log.reader.bytes_read if log.reader else 0)
+            yield block
 
 
 def out_file(path: Path) -> Path:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gateway.commands.common import GOOD, add_config, console, out_file, prepare, track_file
+
+if TYPE_CHECKING:
+    from dbc.candump import Reader
+    from gateway.drivers.replay import Replayed
+    from gateway.results.record import Recorder
 
 HELP = "run the gateway over a recorded log, as fast as the machine can"
 
@@ -38,8 +42,8 @@ def run(options: argparse.Namespace) -> int:
     config, codec = prepare(options.config, **changes)
     if options.output and options.output.exists() and options.output.samefile(options.log):
         raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
-    reader = open_log(options.log, options.strict)
-    frames = OneChannel(track_file(reader, reader, options.log, "replaying"), options.log_channel)
+    log = open_log(options.log, options.strict)
+    blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
     recorder = Recorder(options.results, config.nodes, series=options.results is not None)
     writer = Writer(out_file(options.output)) if options.output else None
 
@@ -47,12 +51,12 @@ def run(options: argparse.Namespace) -> int:
         recorder.add(view)
         if writer is not None:
             for frame in out:
-                writer.write(frame, frames.name or "")
+                writer.write(frame, blocks.name or "")
 
     began = time.perf_counter()
     try:
         done = replay(
-            frames,
+            blocks,
             lambda start: Gateway(config, codec, start),
             config.loop.period_ns,
             sink,
@@ -68,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
 
         for suffix in ("png", "svg"):
             loads(options.results / f"loads.{suffix}", recorder.series, options.log.name)
-    _summary(reader, done, recorder)
+    _summary(log.reader, done, recorder)
     console().print(
         f"replayed {span:.2f} s of {done.channel or 'the log'} in {seconds:.2f} s "
         f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks"
@@ -76,15 +80,13 @@ def run(options: argparse.Namespace) -> int:
     return GOOD
 
 
-def _summary(reader: Any, done: Any, recorder: Any) -> None:
+def _summary(reader: Reader | None, done: Replayed, recorder: Recorder) -> None:
     """What the log held and what the gateway said, on stdout."""
-    lines: Counter[str] = Counter()
-    for verdict, count in getattr(reader, "counts", {}).items():
-        lines[getattr(verdict, "name", str(verdict)).lower()] += count
-    if lines:
-        print("lines: " + ", ".join(f"{k} {v}" for k, v in sorted(lines.items()) if v))
-    for number, verdict, text in list(getattr(reader, "problems", []))[:5]:
-        console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
+    if reader is not None:
+        lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
+        print("lines: " + ", ".join(f"{name} {n}" for name, n in lines))
+        for number, verdict, text in reader.problems[:5]:
+            console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
     counts = done.gateway.inbox.counts
     print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
     for t_ns, node, what, word in recorder.changes:

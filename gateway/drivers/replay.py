@@ -10,6 +10,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.block import EMPTY, Block, in_blocks, join
 from dbc.candump import LogError, Reader
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.core import Gateway
@@ -41,69 +45,101 @@ class BadLogError(Exception):
 class OneChannel:
     """The frames of one channel of a log; `name` is known once the first was read."""
 
-    def __init__(self, frames: Iterable[Frame], wanted: str | None) -> None:
+    def __init__(self, blocks: Iterable[Block], wanted: str | None) -> None:
         """wanted: None takes the only channel there is."""
         self.name = wanted
-        self._frames = frames
+        self._blocks = blocks
         self._wanted = wanted
 
-    def __iter__(self) -> Iterator[Frame]:
+    def __iter__(self) -> Iterator[Block]:
         """Raises BadLogError if there are several channels and none is named."""
-        name = self.name
-        for frame in self._frames:
-            if frame.channel == name:
-                yield frame
-            elif name is None:
-                self.name = name = frame.channel
-                yield frame
-            elif self._wanted is None:
+        for block in self._blocks:
+            if self.name is None:
+                self.name = block.names[block.channel[0]]
+            names = np.array([name == self.name for name in block.names])
+            mine = names[block.channel]
+            if mine.all():
+                yield block
+                continue
+            if self._wanted is None:
+                other = block.names[block.channel[np.argmin(mine)]]
                 msg = (
-                    f"the log has several channels ({name}, {frame.channel}, ..); "
+                    f"the log has several channels ({self.name}, {other}, ..); "
                     "name one with --log-channel"
                 )
                 raise BadLogError(msg)
+            if mine.any():
+                yield block.pick(mine)
 
 
-def replay(frames: Iterable[Frame], make: Make, period_ns: Nanos, sink: Sink) -> Replayed:
-    """Run the core over `frames`. Ticks are t_first + k * period; tick k takes t <= t_k.
+def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) -> Replayed:
+    """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
 
     Frames whose time goes back are dropped and counted. The last tick is the first at or
     after the last frame. Raises BadLogError for a log without frames.
     """
-    stream = iter(frames)
-    first = next(stream, None)
-    if first is None:
+    stream = iter(blocks)
+    block = next(stream, EMPTY)
+    if not block.size:
         msg = "no frame in the log (or none on this channel)"
         raise BadLogError(msg)
+    first = block.frame(0)
     gateway = make(first.t_ns)
-    counts = gateway.inbox.counts
     now = latest = first.t_ns
-    batch = [first]
-    total, ticks = 1, 0
-    for frame in stream:
-        total += 1
-        t_ns = frame.t_ns
-        if t_ns < latest:
-            counts["received"] += 1
-            counts["time_back"] += 1
-            continue
-        hole = t_ns - latest > HOLE_NS
-        latest = t_ns
-        while t_ns > now:
-            out = gateway.step(batch, now)
-            ticks += 1
-            view = gateway.view
-            assert view is not None
-            sink(now, out, view)
-            batch = []
-            now += period_ns
-            if hole and t_ns > now and not _any_good(view):
-                now += -((now - t_ns) // period_ns) * period_ns
-        batch.append(frame)
-    out = gateway.step(batch, now)
-    assert gateway.view is not None
-    sink(now, out, gateway.view)
-    return Replayed(first.t_ns, latest, total, ticks + 1, first.channel, gateway)
+    total, ticks = block.size, 0
+
+    def step(frames: Block) -> GatewayView:
+        nonlocal ticks
+        out = gateway.step(frames, now)
+        ticks += 1
+        assert gateway.view is not None
+        sink(now, out, gateway.view)
+        return gateway.view
+
+    def drop(count: int) -> None:
+        gateway.inbox.counts["received"] += count
+        gateway.inbox.counts["time_back"] += count
+
+    held = EMPTY
+    while True:
+        block, dropped, latest = _forward(block, latest)
+        dropped += held.size
+        block = join(held, block)
+        done = 0
+        while (end := done + int(np.searchsorted(block.t_ns[done:], now, "right"))) < block.size:
+            batch, following = block.part(done, end), block.t_ns.item(end)
+            done = end
+            if len(dropped):
+                now_dropped = int(np.count_nonzero(dropped <= end))
+                drop(now_dropped)
+                dropped = dropped[now_dropped:]
+            hole = following - block.t_ns.item(end - 1) > HOLE_NS
+            while following > now:
+                view = step(batch)
+                batch = EMPTY
+                now += period_ns
+                if hole and following > now and not _any_good(view):
+                    now += -((now - following) // period_ns) * period_ns
+        # More frames of this tick may stand in the next block.
+        drop(len(dropped))
+        held = block.part(done, block.size)
+        if (more := next(stream, None)) is None:
+            break
+        block = more
+        total += block.size
+    step(held)
+    return Replayed(first.t_ns, latest, total, ticks, first.channel, gateway)
+
+
+def _forward(block: Block, latest: Nanos) -> tuple[Block, NDArray[np.int64], Nanos]:
+    """The frames whose time does not go back, and the latest time.
+
+    Of every other one it gives how many good ones stand before it.
+    """
+    highest = np.maximum(np.maximum.accumulate(block.t_ns), latest)
+    good = block.t_ns == highest
+    dropped = np.cumsum(good)[~good]
+    return block.pick(good) if len(dropped) else block, dropped, highest.item(-1)
 
 
 def _any_good(view: GatewayView) -> bool:
@@ -113,8 +149,15 @@ def _any_good(view: GatewayView) -> bool:
     return Flag.GOOD in flags
 
 
-def open_log(path: Path, strict: bool) -> Iterable[Frame]:
-    """Frames of a log: python-can's formats by their suffix, candump's text with any other.
+class Log(NamedTuple):
+    """A log that can be read: its blocks, and what keeps the counts (None: nobody does)."""
+
+    blocks: Iterable[Block]
+    reader: Reader | None
+
+
+def open_log(path: Path, strict: bool) -> Log:
+    """A log: python-can's formats by their suffix, candump's text with any other.
 
     Raises BadLogError for a file that is not there or not readable.
     """
@@ -128,10 +171,11 @@ def open_log(path: Path, strict: bool) -> Iterable[Frame]:
 
     suffix = Path(path.name.removesuffix(".gz")).suffix
     if suffix == ".log" or suffix not in MESSAGE_READERS:
-        return Reader(path, strict=strict)
+        reader = Reader(path, strict=strict)
+        return Log(reader.blocks(), reader)
     from dbc.otherlogs import read_any
 
-    return read_any(path)
+    return Log(in_blocks(read_any(path)), None)
 
 
-__all__ = ["BadLogError", "LogError", "OneChannel", "Replayed", "open_log", "replay"]
+__all__ = ["BadLogError", "Log", "LogError", "OneChannel", "Replayed", "open_log", "replay"]

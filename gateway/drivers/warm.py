@@ -40,6 +40,7 @@ def warm_up(config: Config, codec: Codec) -> None:
             protect(spec, payload, tick)
             frames.append(Frame(max(0, now - MS), spec.can_id, bytes(payload), 8 * spec.is_fd))
         gateway.step(frames, now)
+    gateway.step([], now)
     # At standstill nobody is tracked, so these two would be met first in the middle of a run.
     gateway.bank.start_states()
     n = max(2, len(config.nodes))

@@ -58,7 +58,7 @@ def flag_log(log: Path, dbc: str, nodes: tuple[int, ...], detector: str) -> list
                 data = "-"  # carries the configuration's hash, which names every new key
             lines.append(f"{stamp} {spec.name} {data} {' '.join(words)}")
 
-    replay(Reader(log), lambda start: Gateway(config, codec, start), 10_000_000, sink)
+    replay(Reader(log).blocks(), lambda start: Gateway(config, codec, start), 10_000_000, sink)
     return lines
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc import candump
 from dbc.candump import LogError, Reader, format_frame, parse_line
 from dbc.frame import Frame
 from dbc.logline import Verdict
@@ -45,6 +46,52 @@ def test_counts_add_up_to_the_lines(lines: list[bytes], terminated: bool) -> Non
     parsed = [parse_line(line)[1] for line in data.split(b"\n")]
     whole = [frame for frame in parsed if frame is not None]
     assert found in (whole, whole[:-1])
+
+
+PLAIN_LINES = st.builds(
+    lambda seconds, micros, name, can_id, flags, data, end: (
+        b"(%d.%06d) %b %03X#%b%b%b"
+        % (seconds, micros, name, can_id, flags, data.hex().upper().encode(), end)
+    ),
+    st.integers(0, 10_000_000_000),
+    st.integers(0, 999_999),
+    st.sampled_from([b"can0", b"vcan1", b"\xff\xfe", b"x" * 22, b" can0"]),
+    st.integers(0, 0x8FF),
+    st.sampled_from([b"", b"#1", b"#3", b"#", b"R"]),
+    st.binary(max_size=9) | st.sampled_from([bytes(12), bytes(13), bytes(64), bytes(65)]),
+    st.sampled_from([b"", b" R", b" T", b"\r", b" R\r", b"  R", b" ", b"\t", b"A", b"_9", b"\r\r"]),
+)
+"""Lines that are plain, or nearly."""
+
+
+@given(
+    st.lists(PLAIN_LINES | frames().map(format_frame) | log_lines(), max_size=20),
+    st.booleans(),
+    st.booleans(),
+    st.integers(1, 200),
+)
+@settings(max_examples=1000, deadline=None)
+def test_blocks_say_the_same(
+    lines: list[bytes], terminated: bool, strict: bool, chunk: int
+) -> None:
+    """The compiled scan equals the plain reader: frames, verdicts, counts, the fault in strict."""
+    data = b"\n".join(lines) + (b"\n" if terminated else b"")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(candump, "_CHUNK", chunk)
+        plain, fast = (Reader(io.BytesIO(data), strict=strict) for _ in range(2))
+        blocks = (frame for block in fast.blocks() for frame in block.frames())
+        said = []
+        for reader, found in ((plain, iter(plain)), (fast, blocks)):
+            frames: list[Frame] = []
+            fault = ""
+            try:
+                for frame in found:
+                    frames.append(frame)  # noqa: PERF402 - what came before a fault counts
+            except LogError as error:
+                fault = str(error)
+            told = (+reader.counts, reader.lines, reader.problems, reader.drops, fault)
+            said.append((frames, *told))
+    assert said[0] == said[1]
 
 
 @given(st.lists(frames().map(format_frame) | log_lines(), max_size=10))

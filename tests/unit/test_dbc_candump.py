@@ -166,8 +166,7 @@ def test_names_are_padded_and_keep_their_bytes() -> None:
 def test_reader_gives_the_same_as_parse_line() -> None:
     """The fast path and the grammar agree on every case above."""
     lines = [T + body for body, *_ in GOOD + BAD] + [line for line, _ in LINES]
-    reader = Reader(io.BytesIO(b"\n".join(lines) + b"\n"))
-    frames = list(reader)
+    frames, reader = read(b"\n".join(lines) + b"\n")
     parsed = [parse_line(line) for line in lines]
     assert frames == [f for _, f in parsed if f is not None]
     assert reader.lines == len(lines) == reader.counts.total()
@@ -182,7 +181,16 @@ def test_reader_gives_the_same_as_parse_line() -> None:
 
 def read(data: bytes) -> tuple[list[Frame], Reader]:
     reader = Reader(io.BytesIO(data))
-    return list(reader), reader
+    frames = list(reader)
+    blocks = Reader(io.BytesIO(data))
+    assert [f for block in blocks.blocks() for f in block.frames()] == frames
+    assert told(blocks) == told(reader)
+    return frames, reader
+
+
+def told(reader: Reader) -> tuple[object, ...]:
+    """Everything a reader says about the lines."""
+    return +reader.counts, reader.lines, reader.drops, reader.problems, reader.truncated
 
 
 LAST = b"(1.000000) can0 123#1122334455667788\n(2.000000) can0 123#1122334455667788\n"
@@ -357,8 +365,7 @@ def test_real_logs(name: str, count: int, channels: set[str]) -> None:
     import can
 
     path = LOGS / name
-    reader = Reader(path)
-    frames = list(reader)
+    frames, reader = read(path.read_bytes())
     assert reader.counts == {V.OK: count}
     assert {f.channel for f in frames} == channels
     with can.LogReader(path) as messages:

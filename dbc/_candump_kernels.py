@@ -1,0 +1,212 @@
+"""Compiled scan of candump text: the plain line of most logs, at memory speed.
+
+Plain: `(sec.frac) name ID#DATA` or `ID##FLAGSDATA`, 11 bits, six or nine decimals, with or
+without ` R`/` T` and a carriage return. Everything else is left to `dbc.logline.parse_line`,
+which is also what tests compare this with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+PLAIN, OTHER = 0, 1
+"""What a row is: a frame, or a line that Python must judge (it is text[can_id:t_ns] then)."""
+
+_FD_FLAG, _BRS, _ESI = 8, 16, 32  # dbc.frame
+_BAD = 255
+
+HEX = np.full(256, _BAD, dtype=np.uint8)
+HEX[ord("0") : ord("9") + 1] = np.arange(10)
+HEX[ord("A") : ord("F") + 1] = HEX[ord("a") : ord("f") + 1] = np.arange(10, 16)
+FD_LENGTH = np.zeros(65, dtype=np.bool_)
+FD_LENGTH[[*range(9), 12, 16, 20, 24, 32, 48, 64]] = True
+_SPACE, _OPEN, _CLOSE, _DOT, _HASH, _NEWLINE, _RETURN = 32, 40, 41, 46, 35, 10, 13
+_DELETE, _R, _T = 127, 82, 84
+_MOST_NAME = 21
+_MOST_GAP = 21
+
+
+@njit(cache=True, forceinline=True)
+def _digits(text: Bytes, at: int, count: int) -> int:
+    """Decimal number of `count` digits; -1 if one is none."""
+    number = np.int64(0)
+    for k in range(at, at + count):
+        digit = np.int64(text[k]) - 48
+        if digit < 0 or digit > 9:
+            return -1
+        number = 10 * number + digit
+    return int(number)
+
+
+@njit(cache=True, forceinline=True)
+def _stamp(text: Bytes, at: int, end: int) -> tuple[int, int]:
+    """(nanoseconds, place behind the bracket) of a stamp; place -1 if it is none."""
+    if at >= end or text[at] != _OPEN:
+        return 0, -1
+    dot = at + 1
+    while dot < end and dot - at <= 11 and text[dot] != _DOT:
+        dot += 1
+    count = dot - at - 1
+    if dot >= end or count < 1 or count > 10 or (count == 10 and text[at + 1] == 57):
+        return 0, -1
+    seconds = _digits(text, at + 1, count)
+    for decimals, scale in ((6, 1000), (9, 1)):
+        close = dot + 1 + decimals
+        if close < end and text[close] == _CLOSE:
+            fraction = _digits(text, dot + 1, decimals)
+            if seconds < 0 or fraction < 0:
+                return 0, -1
+            return seconds * 1_000_000_000 + fraction * scale, close + 1
+    return 0, -1
+
+
+@njit(cache=True, forceinline=True)
+def _gap(text: Bytes, at: int, end: int) -> int:
+    """Place behind 1 .. 21 blanks; -1 if there are none, or more."""
+    k = at
+    while k < end and text[k] == _SPACE:
+        k += 1
+    return k if 0 < k - at <= _MOST_GAP else -1
+
+
+@njit(cache=True, forceinline=True)
+def _named(text: Bytes, at: int, size: int, names: Bytes, sizes: Ints) -> int:
+    """Number of an interface name, entered if it is new; -1 if the table is full."""
+    for n in range(sizes.shape[0]):
+        if sizes[n] == 0:
+            sizes[n] = size
+            for k in range(size):
+                names[n, k] = text[at + k]
+            return n
+        if sizes[n] == size:
+            same = True
+            for k in range(size):
+                if names[n, k] != text[at + k]:
+                    same = False
+                    break
+            if same:
+                return n
+    return -1
+
+
+@njit(cache=True, forceinline=True)
+def _line(
+    text: Bytes,
+    start: int,
+    end: int,
+    row: int,
+    t_ns: Ints,
+    can_id: NDArray[np.uint32],
+    flags: Bytes,
+    length: Bytes,
+    data: Bytes,
+    channel: NDArray[np.uint16],
+    names: Bytes,
+    sizes: Ints,
+    hexes: Bytes,
+    fd_length: NDArray[np.bool_],
+) -> bool:
+    """Fill a row from text[start:end] (no line end); false if the line is not plain."""
+    t, at = _stamp(text, start, end)
+    if at < 0:
+        return False
+    name = _gap(text, at, end)
+    if name < 0:
+        return False
+    at = name
+    while at < end and text[at] > _SPACE and text[at] != _DELETE:
+        at += 1
+    size = at - name
+    if size < 1 or size > _MOST_NAME:
+        return False
+    at = _gap(text, at, end)
+    if at < 0 or at + 4 > end or text[at + 3] != _HASH:
+        return False
+    a, b, c = hexes[text[at]], hexes[text[at + 1]], hexes[text[at + 2]]
+    if a > 7 or _BAD in (b, c):
+        return False
+    identifier = (np.uint32(a) << 8) | (np.uint32(b) << 4) | np.uint32(c)
+    at += 4
+    kind = 0
+    if at < end and text[at] == _HASH:
+        if at + 1 >= end or hexes[text[at + 1]] == _BAD:
+            return False
+        bits = hexes[text[at + 1]]
+        kind = _FD_FLAG | (_BRS if bits & 1 else 0) | (_ESI if bits & 2 else 0)
+        at += 2
+    most = 64 if kind else 8
+    count = 0
+    while at + 1 < end:
+        high, low = hexes[text[at]], hexes[text[at + 1]]
+        if _BAD in (high, low):
+            break
+        if count == most:
+            return False
+        data[row, count] = (high << 4) | low
+        count += 1
+        at += 2
+    if kind and not fd_length[count]:
+        return False
+    if at < end and not (at + 2 == end and text[at] == _SPACE and text[at + 1] in (_R, _T)):
+        return False
+    number = _named(text, name, size, names, sizes)
+    if number < 0:
+        return False
+    for k in range(count, 64):
+        data[row, k] = 0
+    t_ns[row] = t
+    can_id[row] = identifier
+    flags[row] = kind
+    length[row] = count
+    channel[row] = number
+    return True
+
+
+@njit(cache=True)
+def scan(
+    text: Bytes,
+    start: int,
+    t_ns: Ints,
+    can_id: NDArray[np.uint32],
+    flags: Bytes,
+    length: Bytes,
+    data: Bytes,
+    channel: NDArray[np.uint16],
+    what: Bytes,
+    names: Bytes,
+    sizes: Ints,
+    hexes: Bytes,
+    fd_length: NDArray[np.bool_],
+) -> tuple[int, int]:
+    """Lines of text[start:], a row each, until the rows or the line ends run out.
+
+    `what` (R,) says PLAIN or OTHER; the latter has its place in the text instead of numbers.
+    names (K, 21), sizes (K,): the interface names met. Returns the number of rows and the place
+    behind the last line read.
+    """
+    row = 0
+    at = start
+    total = text.shape[0]
+    while row < what.shape[0]:
+        end = at
+        while end < total and text[end] != _NEWLINE:
+            end += 1
+        if end == total:
+            break
+        last = end - 1 if end > at and text[end - 1] == _RETURN else end
+        plain = _line(
+            text, at, last, row, t_ns, can_id, flags, length, data, channel, names, sizes,
+            hexes, fd_length,
+        )  # fmt: skip
+        what[row] = PLAIN if plain else OTHER
+        if not plain:
+            can_id[row] = at
+            t_ns[row] = end
+        row += 1
+        at = end + 1
+    return row, at

@@ -1,0 +1,145 @@
+"""Many frames as arrays: what the compiled loops read. A list of `Frame` says the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.frame import Frame
+
+ROOM: Final = 64
+"""Bytes kept per frame: the most that CAN FD carries."""
+
+
+class Block(NamedTuple):
+    """n frames, in the order in which they came.
+
+    t_ns (n,) int64; can_id (n,) uint32, flags (n,) uint8 and dlc (n,) int8 as in `Frame`;
+    length (n,) uint8; data (n, 64) uint8, zero behind the length; channel (n,) uint16, an index
+    into `names`.
+    """
+
+    t_ns: NDArray[np.int64]
+    can_id: NDArray[np.uint32]
+    flags: NDArray[np.uint8]
+    length: NDArray[np.uint8]
+    data: NDArray[np.uint8]
+    dlc: NDArray[np.int8]
+    channel: NDArray[np.uint16]
+    names: Sequence[str]
+
+    @property
+    def size(self) -> int:
+        """Number of frames."""
+        return len(self.t_ns)
+
+    def part(self, first: int, last: int) -> Block:
+        """Frames first .. last - 1, as views."""
+        return self.pick(slice(first, last))
+
+    def pick(self, which: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Block:
+        """The frames that an index or a mask names, copied; of a slice: views."""
+        return Block(
+            self.t_ns[which],
+            self.can_id[which],
+            self.flags[which],
+            self.length[which],
+            self.data[which],
+            self.dlc[which],
+            self.channel[which],
+            self.names,
+        )
+
+    def frame(self, k: int) -> Frame:
+        """One frame."""
+        return Frame(
+            self.t_ns.item(k),
+            self.can_id.item(k),
+            self.data[k, : self.length.item(k)].tobytes(),
+            self.flags.item(k),
+            self.names[self.channel.item(k)],
+            self.dlc.item(k),
+        )
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames."""
+        return (self.frame(k) for k in range(self.size))
+
+    def ordered(self) -> Block:
+        """By time stamp, then id; frames with the same of both stay in the order they came."""
+        t, i = self.t_ns, self.can_id
+        later = t[1:] > t[:-1]
+        if bool(np.all(later | ((t[1:] == t[:-1]) & (i[1:] >= i[:-1])))):
+            return self
+        return self.pick(np.lexsort((i, t)))
+
+
+def block_of(frames: Iterable[Frame]) -> Block:
+    """Frames as a block, in their order. Data beyond 64 bytes are cut; `length` tells (255)."""
+    rows = list(frames)
+    if not rows:
+        return EMPTY
+    t_ns, can_id, data, flags, channel, dlc = zip(*rows, strict=True)
+    names = list(dict.fromkeys(channel))
+    number = [0] * len(rows) if len(names) == 1 else [names.index(name) for name in channel]
+    joined = b"".join([item.ljust(ROOM, b"\0")[:ROOM] for item in data])
+    return Block(
+        np.array(t_ns, dtype=np.int64),
+        np.array(can_id, dtype=np.uint32),
+        np.array(flags, dtype=np.uint8),
+        np.array([min(len(item), 255) for item in data], dtype=np.uint8),
+        np.frombuffer(joined, dtype=np.uint8).reshape(-1, ROOM),
+        np.array(dlc, dtype=np.int8),
+        np.array(number, dtype=np.uint16),
+        names,
+    )
+
+
+def in_blocks(frames: Iterable[Frame], size: int = 1 << 13) -> Iterator[Block]:
+    """Frames as blocks of at most `size`; what came before an exception is given first."""
+    held: list[Frame] = []
+    try:
+        for frame in frames:
+            held.append(frame)
+            if len(held) == size:
+                yield block_of(held)
+                held = []
+    except Exception:
+        if held:
+            yield block_of(held)
+        raise
+    if held:
+        yield block_of(held)
+
+
+def join(first: Block, second: Block) -> Block:
+    """Both, one after the other."""
+    if not first.size or not second.size:
+        return second if not first.size else first
+    names = list(dict.fromkeys([*first.names, *second.names]))
+    number = np.array([names.index(name) for name in second.names], dtype=np.uint16)
+    return Block(
+        np.concatenate([first.t_ns, second.t_ns]),
+        np.concatenate([first.can_id, second.can_id]),
+        np.concatenate([first.flags, second.flags]),
+        np.concatenate([first.length, second.length]),
+        np.concatenate([first.data, second.data]),
+        np.concatenate([first.dlc, second.dlc]),
+        np.concatenate([first.channel, number[second.channel]]),
+        names,
+    )
+
+
+EMPTY: Final = Block(
+    np.zeros(0, dtype=np.int64),
+    np.zeros(0, dtype=np.uint32),
+    np.zeros(0, dtype=np.uint8),
+    np.zeros(0, dtype=np.uint8),
+    np.zeros((0, ROOM), dtype=np.uint8),
+    np.zeros(0, dtype=np.int8),
+    np.zeros(0, dtype=np.uint16),
+    [],
+)

@@ -1,0 +1,86 @@
+"""Compiled protection equals the library and `Receiver`, on good, damaged and random frames."""
+
+import numpy as np
+import pytest
+
+from dbc._receive_kernels import crc_fits, cycle, judge
+from dbc.codec import bind
+from dbc.protection import Check, Profile, Receiver, SmState, crc_ok, protect
+from dbc.receive import guard, window
+from gateway.config import shipped_dbc
+
+SPECS = [
+    next(m for m in bind(shipped_dbc(file), (1, 2)).messages if m.name == name)
+    for file, name in (
+        ("traction.dbc", "Drive1_PhaseCurrents"),
+        ("traction.dbc", "Drive2_Temperatures"),
+        ("traction_fd.dbc", "Drive2_Samples"),
+    )
+]
+GUARD = guard(SPECS)
+
+
+def frame(spec, counter, rng):
+    payload = bytearray(rng.integers(0, 256, spec.length, dtype=np.uint8).tobytes())
+    protect(spec, payload, counter)
+    return payload
+
+
+def row(payload):
+    return np.frombuffer(bytes(payload).ljust(64, b"\0"), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("c", range(3))
+def test_checksum_equals_the_library(c):
+    rng = np.random.default_rng(c)
+    spec, fits = SPECS[c], 0
+    for k in range(2000):
+        payload = frame(spec, k, rng)
+        if k % 3 == 0:
+            payload[rng.integers(spec.length)] ^= 1 << int(rng.integers(8))
+        assert crc_fits(row(payload), c, GUARD) == crc_ok(spec, payload)
+        fits += crc_ok(spec, payload)
+    assert 1300 < fits < 1400
+
+
+def test_frames_shorter_than_their_header_do_not_fit():
+    short = GUARD._replace(length=np.array([1, 0, 2]))
+    assert not any(crc_fits(row(b"\0\0"), c, short) for c in range(3))
+
+
+@pytest.mark.parametrize("c", range(3))
+@pytest.mark.parametrize("seed", range(5))
+def test_verdicts_and_states_equal_the_receiver(c, seed):
+    """A sender that loses, repeats, damages, restarts and falls silent."""
+    rng = np.random.default_rng((c, seed))
+    spec, receiver, memory = SPECS[c], Receiver(SPECS[c]), window(3)
+    counter, states, checks = 0, set(), set()
+    for _ in range(3000):
+        roll = rng.choice(["good", "lose", "repeat", "damage", "jump", "silent"],
+                          p=[0.8, 0.06, 0.04, 0.04, 0.02, 0.04])  # fmt: skip
+        step = {"lose": int(rng.integers(2, 6)), "repeat": 0, "jump": int(rng.integers(256))}
+        counter += step.get(roll, 1)
+        if roll == "silent":
+            check = Check.NO_NEW_DATA
+        else:
+            payload = frame(spec, counter % (256 if spec.profile is Profile.P05 else 16), rng)
+            if roll == "damage":
+                payload[0] ^= 0x10
+            check = receiver.check(bytes(payload))
+            assert judge(row(payload), c, GUARD, memory) == check
+            assert memory.missed[c] == receiver.missed
+        assert cycle(c, int(check), memory) == receiver.cycle(check)
+        assert (memory.oks[c], memory.errors[c]) == (receiver.oks_seen, receiver.errors_seen)
+        states.add(receiver.state)
+        checks.add(check)
+    assert checks == set(Check)
+    assert states == set(SmState) - {SmState.NO_DATA}
+
+
+def test_compiled_equals_uncompiled():
+    rng = np.random.default_rng(9)
+    for c, spec in enumerate(SPECS):
+        for k in range(50):
+            payload = frame(spec, k, rng)
+            payload[3] ^= k % 2
+            assert crc_fits(row(payload), c, GUARD) == crc_fits.py_func(row(payload), c, GUARD)
