@@ -16,13 +16,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-import numpy as np
-
 from dbc.block import Block
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
-from estimators.detect import DETECTORS, Evidence, Opinion
+from estimators.detect import Opinion
 from gateway import calibration
+from gateway.adhesion import AdhesionSide
 from gateway.bank import Bank, DriveEstimate
 from gateway.busload import BusLoad
 from gateway.config import Config, ConfigError
@@ -48,17 +47,10 @@ ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
 COMM_CAUSES: Final = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
 OVERRUN_HOLD_NS: Final = SECOND
-COASTING: Final = 0.05
-"""Below this share of rated torque the commands say nothing about each other."""
-FOLLOWING_NS: Final[Nanos] = 2 * SECOND
-"""A drive's torque is back a second after its flag cleared; twice that."""
 SPEED_TOLERANCE: Final = 0.15
 SPEED_TOLERANCE_RAD_S: Final = 5.0
 """At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
 CONTRADICTION_TICKS: Final = 5
-SHARE_FLOOR: Final = 0.2
-SHARE_UNKNOWN: Final = 0.1
-"""A drive commanded less than a tenth of the others carries too little to be judged."""
 
 
 class Gateway:
@@ -77,9 +69,6 @@ class Gateway:
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
         self.bank = Bank(motors, config.estimator, _current_step_a(codec))
-        self.detector = DETECTORS[config.adhesion.detector]()
-        self.rated = [m.T_rated for m in motors]
-        self.spread = config.adhesion.spread_nm / 30.0
         path = config.calibration_path
         cells = calibration.load(path, nodes, config.thermal.window_s) if path else None
         period = max((d.channels["Temperatures"].period_ns for d in self.inbox.drives
@@ -93,6 +82,9 @@ class Gateway:
             "estimator": ESTIMATOR,
             "sensor": SENSOR,
         }
+        self.adhesion = AdhesionSide(
+            a, [m.T_rated for m in motors], self.timing["adhesion"], config.loop.period_ns
+        )
         self.flags = [{name: FlagState(since_ns=start_ns) for name in self.timing} for _ in nodes]
         self.reports = [Report() for _ in nodes]
         self.outbox = Outbox(codec, nodes, config.hash24())
@@ -133,7 +125,8 @@ class Gateway:
             if self._contradicts(k, estimate, now):
                 inputs[k] = worst([inputs[k], Reason.RANGE])
                 estimates[k] = DriveEstimate(Health.INPUT_INVALID)
-        opinion = self._opinion(estimates, now)
+        adhesion = [flags["adhesion"] for flags in self.flags]
+        opinion = self.adhesion.judge(inbox.drives, estimates, adhesion, now)
         self.thermal.take(inbox.temperatures, now)
         drives = tuple(
             self._drive(k, estimates[k], opinion, inputs[k], now) for k in range(len(self.nodes))
@@ -169,48 +162,6 @@ class Gateway:
         if self.lost[k]:
             reasons.append(Reason.STALE)
         return worst(reasons)
-
-    def _opinion(self, estimates: list[DriveEstimate], now: Nanos) -> Opinion:
-        """Loads referred to full command and direction of travel, per unit, to the detector.
-
-        A drive mounted the other way round turns and pulls the other way; its own speed's sign
-        brings it to the train's direction.
-        """
-        load, spread, usable = [], [], []
-        for estimate, share, rated in zip(estimates, self._shares(now), self.rated, strict=True):
-            usable.append(estimate.health is Health.TRACKING and share >= SHARE_UNKNOWN)
-            known = max(share, SHARE_FLOOR)
-            forward = 1.0 if (estimate.speed_rad_s or 0.0) >= 0.0 else -1.0
-            load.append(forward * (estimate.load_nm or 0.0) / rated / known)
-            spread.append(self.spread / known)
-        return self.detector(Evidence(np.array(load), np.array(spread), np.array(usable)))
-
-    def _shares(self, now: Nanos) -> list[float]:
-        """Each drive's torque command over the largest one; 1 where that says nothing.
-
-        The drives' Status frames are up to a cycle apart, so commands that change with the train
-        differ by their age alone. They are compared while all are steady; a drive that follows
-        its own flag (down to 30 % and back) is compared always.
-        """
-        drives = self.inbox.drives
-        command = [
-            abs(d.torque_command) / rated
-            if d.torque_command is not None and d.channels["Status"].fresh(now)
-            else None
-            for d, rated in zip(drives, self.rated, strict=True)
-        ]
-        largest = max((c for c in command if c is not None), default=0.0)
-        if largest <= COASTING:
-            return [1.0] * len(drives)
-        follows = [
-            flags["adhesion"].flag is Flag.BAD or now < flags["adhesion"].since_ns + FOLLOWING_NS
-            for flags in self.flags
-        ]
-        calm = all(d.command_steady or follows[k] for k, d in enumerate(drives))
-        return [
-            c / largest if c is not None and (calm or follows[k]) else 1.0
-            for k, c in enumerate(command)
-        ]
 
     def _contradicts(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
         """True once the measured speed has contradicted the estimated one for long enough.
@@ -332,10 +283,10 @@ class Gateway:
         return GatewayView(
             t_ns=now,
             drives=drives,
-            detector=self.detector.code,
-            common_mode=Flag.UNKNOWN,
+            detector=self.adhesion.detector.code,
+            common_mode=Flag.UNKNOWN if opinion is None else self.adhesion.common.flag,
             common_load_nm=(
-                opinion.common * self.rated[0]
+                opinion.common * self.adhesion.rated[0]
                 if opinion is not None and opinion.known.any()
                 else None
             ),

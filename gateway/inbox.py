@@ -62,6 +62,8 @@ class DriveInput:
         self.channels: dict[str, Channel] = {}
         self.sample_ns: Nanos | None = None
         self.torque_command: float | None = None
+        self.command_before: float | None = None
+        self.command_ns: Nanos = 0
         self.command_steady = True
         """The command has hardly changed since the Status before."""
         self.speed: float | None = None
@@ -188,10 +190,11 @@ class Inbox:
         if channel.kind == "Motion":
             drive.speed, drive.torque = first * RPM, second
         else:
-            before = drive.torque_command
+            before = first if drive.torque_command is None else drive.torque_command
             near = STEADY_NM + STEADY_SHARE * abs(first)
-            drive.command_steady = before is None or abs(first - before) <= near
-            drive.torque_command, drive.irms = first, second
+            drive.command_steady = abs(first - before) <= near
+            drive.torque_command, drive.command_before, drive.irms = first, before, second
+            drive.command_ns = scratch.t_ns.item(row)
 
     def _temperature(self, channel: Channel, row: int) -> None:
         """Each point by itself: one dead sensor must not silence the other three."""

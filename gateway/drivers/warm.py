@@ -44,4 +44,6 @@ def warm_up(config: Config, codec: Codec) -> None:
     # At standstill nobody is tracked, so these two would be met first in the middle of a run.
     gateway.bank.start_states()
     n = max(2, len(config.nodes))
-    gateway.detector(Evidence(np.full(n, 0.5), np.full(n, 0.02), np.ones(n, dtype=np.bool_)))
+    gateway.adhesion.detector(
+        Evidence(np.full(n, 0.5), np.full(n, 0.02), np.ones(n, dtype=np.bool_))
+    )

@@ -85,9 +85,20 @@ def test_a_drive_cut_by_command_is_not_lost():
     assert [d.adhesion for d in view.drives] == [Flag.GOOD] * 3
 
 
-def test_one_drive_alone_cannot_be_judged():
-    view = Bench(gateway(nodes=(1,)), drives((20.0,))).run(60)
-    assert view.drives[0].adhesion is Flag.UNKNOWN
+@pytest.mark.parametrize(("command", "flag"), [(20.0, Flag.GOOD), (30.0, Flag.BAD)])
+def test_one_drive_alone_is_judged_by_its_command(command, flag):
+    motors = drives((20.0,))
+    motors[0].command = command
+    view = Bench(gateway(nodes=(1,)), motors).run(60)
+    assert view.drives[0].adhesion is view.common_mode is flag
+
+
+def test_one_drive_alone_without_a_command_cannot_be_judged():
+    status = CODEC.by_name["Drive1_Status"].can_id
+    view = Bench(gateway(nodes=(1,)), drives((20.0,))).run(
+        60, lambda frames, now: [f for f in frames if f.can_id != status]
+    )
+    assert view.drives[0].adhesion is view.common_mode is Flag.UNKNOWN
     assert view.drives[0].adhesion_reason is Reason.TOO_FEW_DRIVES
 
 
@@ -398,7 +409,7 @@ def test_measured_speed_that_contradicts_makes_unknown(rpm, flag):
 
 def test_commands_that_ramp_with_the_train_accuse_nobody():
     """Status frames of the drives are a third of a cycle apart while all commands rise alike."""
-    motors = drives((10.0, 10.0, 10.0))
+    motors = drives((40.0, 40.0, 40.0))
     for motor in motors:
         motor.command = 10.0
     bench = Bench(gateway(), motors)

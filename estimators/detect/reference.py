@@ -1,0 +1,96 @@
+"""What each drive's load is while it adheres: learnt slowly, never during a loss.
+
+Healthy drives differ for good (wheel diameter, axle load, a magnet off its data sheet): by a
+ratio, because all of these scale with the load. Per drive a scalar Kalman filter learns it,
+
+    x_i = rho_i m + e_i,    rho_i ~ N(1, RATIO_SIGMA^2) at the start,    e_i ~ N(0, s^2)
+
+with m the load that adhering drives share; e is correlated over some 50 ms, so `learn` is called
+once in `EVERY_S`. The spread s is learnt from what remains. Not in paper `adhesion`,
+whose drives are equal and whose thresholds are constants.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+RATIO_SIGMA: Final = 0.06
+"""Drives differ by this much, standard deviation, before anything is known."""
+RATIO_LIMIT: Final = 0.15
+"""More than this is a loss, not a difference."""
+RATIO_TAU_S: Final = 30.0
+"""Time constant of learning in the long run: slow against any loss."""
+EVERY_S: Final = 0.05
+"""Errors of the load estimate are independent only this far apart."""
+SPREAD_TAU_S: Final = 3.0
+SPREAD_FLOOR: Final = 0.6
+"""The spread is never believed to be less than this share of the configured one."""
+SPREAD_CLIP: Final = 3.0
+"""One residual counts as at most this many spreads: a start of a loss is not a wide spread."""
+LEAST_COMMON: Final = 0.1
+"""Per unit of rated torque: below it nothing is said about ratios."""
+
+
+class Reference(NamedTuple):
+    """Memory for N drives, per unit of rated torque.
+
+    ratio, variance (N,): estimate of rho and its variance; spread: s; configured: s at the start.
+    """
+
+    ratio: Array
+    variance: Array
+    spread: float
+    configured: float
+
+    def referred(self, load: Array) -> Array:
+        """(N,) loads as if the drives were equal."""
+        return load / self.ratio
+
+    def sigma(self, load: Array) -> Array:
+        """(N,) standard deviation of a healthy drive's referred load around the common one."""
+        return np.sqrt(self.spread**2 + self.variance * load * load)
+
+
+def start(n: int, spread: float) -> Reference:
+    """Nothing learnt yet; `spread` per unit of rated torque."""
+    return Reference(np.ones(n), np.full(n, RATIO_SIGMA**2), spread, spread)
+
+
+def learn(
+    memory: Reference, load: Array, common: float | Array, healthy: Flags, *, relative: bool = True
+) -> Reference:
+    """One observation, `EVERY_S` after the last, in which the `healthy` drives certainly adhere.
+
+    load (N,) per unit; common: what `referred` loads share, one number or one for each drive. With
+    less than `LEAST_COMMON`, or `relative` and fewer than two healthy drives: nothing is learnt.
+    `relative`: common is the drives' own, so that only differences between them are observable.
+    """
+    common = np.broadcast_to(common, load.shape)
+    healthy = healthy & (np.abs(common) >= LEAST_COMMON)
+    n = np.count_nonzero(healthy)
+    if n < 1 + relative:
+        return memory
+    residual = load / memory.ratio - common
+    noise = memory.spread**2
+    square = np.maximum(common * common, LEAST_COMMON**2)
+    # In the long run the ratio may drift: the variance that keeps the filter at RATIO_TAU_S.
+    drift = noise / square * (EVERY_S / RATIO_TAU_S) ** 2
+    variance = memory.variance + np.where(healthy, drift, 0.0)
+    gain = np.where(healthy, variance * common / (variance * square + noise), 0.0)
+    ratio = memory.ratio + gain * (load - memory.ratio * common)
+    variance = (1.0 - gain * common) * variance
+    if relative:
+        ratio[healthy] *= 1.0 / float(np.mean(ratio[healthy]))
+    ratio = np.clip(ratio, 1.0 - RATIO_LIMIT, 1.0 + RATIO_LIMIT)
+    clipped = np.clip(residual[healthy], -SPREAD_CLIP * memory.spread, SPREAD_CLIP * memory.spread)
+    unsure = float(np.mean((memory.variance * square)[healthy]))
+    seen = max(0.0, float(np.sum(clipped * clipped)) / (n - relative) - unsure)
+    spread2 = memory.spread**2 + EVERY_S / SPREAD_TAU_S * (seen - memory.spread**2)
+    floor = SPREAD_FLOOR * memory.configured
+    return Reference(ratio, variance, max(float(np.sqrt(spread2)), floor), memory.configured)

@@ -1,0 +1,89 @@
+"""Torque against response: what one drive's load says without any other drive.
+
+A train is heavy: what a drive is commanded its rail carries, less the few percent that accelerate
+its own rotor. A load that stays behind the command is a wheel that does not carry. This sees
+what no comparison between drives can: all wheels lost together, and a drive alone.
+
+Commands come late (every 100 ms). A load that falls may follow a command that has not been heard
+yet; so a deficit counts only once a command sent after its begin still stands. Until then the
+verdict is kept open (`OPEN`). Not in paper `adhesion`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.detect import reference
+from estimators.detect.reference import Reference
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+THRESHOLD: Final = 0.12
+"""Share of the command that must be missing."""
+LEAST_COMMAND: Final = 0.1
+"""Per unit of rated torque; a coasting wheel carries nothing that could be missing."""
+OPEN: Final = 0.7
+"""Probability while it is not known whether the command has changed: no flag changes at it."""
+STEADY: Final = 0.05
+"""Commands that differ by less may be learnt from."""
+
+
+class Heard(NamedTuple):
+    """N drives at one instant, per unit of rated torque, positive in the direction of the command.
+
+    load, command, before (the command before that), all (N,); age_s (N,): since the command was
+    sent; usable (N,): load and command are known.
+    """
+
+    load: Array
+    command: Array
+    before: Array
+    age_s: Array
+    usable: Flags
+
+
+class Memory(NamedTuple):
+    """reference: load over command in health; since_s (N,): how long a deficit stands, 0 none."""
+
+    reference: Reference
+    since_s: Array
+
+
+def start(n: int, spread: float) -> Memory:
+    """Nothing heard yet; `spread` per unit of rated torque."""
+    return Memory(reference.start(n, spread), np.zeros(n))
+
+
+def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array]:
+    """(N,) probabilities that a wheel does not carry its command, `dt` s after the last call.
+
+    Meaningless where not usable.
+    """
+    load = memory.reference.referred(heard.load)
+    # Between two messages the command may have been anywhere on its way, or further along it.
+    ways = np.stack([heard.command, heard.before, 2.0 * heard.command - heard.before])
+    least = np.where(
+        np.all(ways > 0.0, axis=0) | np.all(ways < 0.0, axis=0), np.abs(ways).min(axis=0), 0.0
+    )
+    missing = least * (1.0 - THRESHOLD) - load * np.sign(heard.command)
+    sigma = memory.reference.sigma(heard.load)
+    lost = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (missing / sigma).tolist()])
+    lost = np.where((least >= LEAST_COMMAND) & heard.usable, lost, 0.0)
+    since = np.where(lost > 0.5, memory.since_s + dt, 0.0)
+    confirmed = heard.age_s <= since
+    lost = np.where((lost > OPEN) & ~confirmed, OPEN, lost)
+    return Memory(memory.reference, since), lost
+
+
+def learn(memory: Memory, heard: Heard, healthy: Flags) -> Memory:
+    """Learn load over command of the `healthy` drives, once in `reference.EVERY_S`."""
+    near = STEADY * np.maximum(np.abs(heard.command), LEAST_COMMAND)
+    steady = np.abs(heard.command - heard.before) <= near
+    mine = healthy & heard.usable & steady
+    learnt = reference.learn(memory.reference, heard.load, heard.command, mine, relative=False)
+    return memory._replace(reference=learnt)

@@ -1,0 +1,109 @@
+"""What is learnt of the drives, and a drive's response to its own command."""
+
+import numpy as np
+import pytest
+
+from estimators.detect import reference, response
+
+SPREAD = 0.7 / 30.0
+
+
+def learnt(ratios, seconds, noise=SPREAD, common=0.6, seed=1, memory=None):
+    rng = np.random.default_rng(seed)
+    n = len(ratios)
+    memory = memory or reference.start(n, SPREAD)
+    for _ in range(round(seconds / reference.EVERY_S)):
+        load = np.array(ratios) * common + rng.normal(0.0, noise, n)
+        shared = float(np.mean(memory.referred(load)))
+        memory = reference.learn(memory, load, shared, np.ones(n, dtype=bool))
+    return memory
+
+
+def test_lasting_differences_are_learnt():
+    ratios = np.array([0.93, 1.0, 1.07])
+    memory = learnt(ratios, 2.5)
+    assert memory.ratio == pytest.approx(ratios, abs=0.02)
+    assert np.all(memory.variance < 0.012**2)
+    assert memory.spread == pytest.approx(SPREAD, rel=0.3)
+
+
+def test_the_spread_is_that_of_the_loads():
+    assert learnt((1.0, 1.0, 1.0), 20.0, noise=2.0 * SPREAD).spread == pytest.approx(
+        2.0 * SPREAD, rel=0.3
+    )
+    assert learnt((1.0, 1.0, 1.0), 20.0, noise=0.0).spread == reference.SPREAD_FLOOR * SPREAD
+
+
+def test_learning_slows_down_and_is_bounded():
+    memory = learnt((1.0, 1.0, 1.0), 60.0)
+    later = learnt((0.8, 1.0, 1.0), 1.0, memory=memory)
+    assert later.ratio[0] > 0.985, "a loss of a second is not learnt"
+    for_good = learnt((0.5, 1.0, 1.0), 600.0)
+    assert for_good.ratio[0] == pytest.approx(1.0 - reference.RATIO_LIMIT)
+
+
+def test_nothing_is_learnt_from_too_little():
+    memory = reference.start(3, SPREAD)
+    load = np.array([0.5, 0.6, 0.6])
+    alone = np.array([True, False, False])
+    assert reference.learn(memory, load, 0.6, alone) is memory
+    assert reference.learn(memory, 0.01 * load, 0.006, np.ones(3, dtype=bool)) is memory
+    two = reference.learn(memory, load, 0.6, np.array([False, True, True]))
+    assert two.ratio[0] == 1.0
+    assert two.variance[0] == memory.variance[0]
+
+
+def test_permuted_drives_give_permuted_memory():
+    ratios, order = np.array([0.95, 1.0, 1.05]), np.array([2, 0, 1])
+    straight, turned = learnt(ratios, 1.0, noise=0.0), learnt(ratios[order], 1.0, noise=0.0)
+    assert turned.ratio == pytest.approx(straight.ratio[order])
+
+
+def heard(load, command, before=None, age_s=0.0):
+    n = len(load)
+    before = command if before is None else before
+    return response.Heard(
+        *(np.array(column, dtype=float) for column in (load, command, before)),
+        np.full(n, age_s),
+        np.ones(n, dtype=bool),
+    )
+
+
+def say(what, ticks=1, memory=None):
+    memory = memory or response.start(len(what.load), SPREAD)
+    for _ in range(ticks):
+        memory, lost = response.respond(memory, what, 0.01)
+    return memory, lost
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_load_behind_its_command_is_a_loss_in_either_direction(sign):
+    _, lost = say(heard([sign * 0.6, sign * 0.3, 0.0], [sign * 0.6] * 3))
+    assert lost[0] < 0.05
+    assert np.all(lost[1:] > 0.99)
+
+
+def test_a_deficit_counts_only_with_a_younger_command():
+    memory, lost = say(heard([0.2], [0.6], age_s=0.09), ticks=8)
+    assert lost[0] == response.OPEN
+    _, lost = say(heard([0.2], [0.6], age_s=0.05), memory=memory)
+    assert lost[0] > 0.99
+    _, lost = say(heard([0.2], [0.2], [0.6], age_s=0.005), memory=memory)
+    assert lost[0] < 0.05, "the command has followed: it was no loss"
+
+
+@pytest.mark.parametrize(
+    ("command", "before"), [(0.6, 0.3), (0.3, 0.6), (0.2, -0.2), (0.05, 0.05), (0.0, 0.0)]
+)
+def test_commands_on_their_way_accuse_nobody(command, before):
+    slowest = min((command, before, 2 * command - before), key=abs)
+    _, lost = say(heard([0.95 * slowest], [command], [before]))
+    assert lost[0] < 0.5
+
+
+def test_load_over_command_is_learnt_from_steady_commands_only():
+    memory = response.start(2, SPREAD)
+    for _ in range(100):
+        memory = response.learn(memory, heard([0.55, 0.55], [0.6, 0.6], [0.6, 0.3]), np.ones(2) > 0)
+    assert memory.reference.ratio[0] == pytest.approx(0.55 / 0.6, abs=0.01)
+    assert memory.reference.ratio[1] == 1.0
