@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from estimators.detect import DETECTORS, Evidence, Opinion, reference, response
+from estimators.detect import DETECTORS, WITH_MEMORY, Evidence, Opinion, reference, response
 from gateway.bank import DriveEstimate
 from gateway.config import Adhesion
 from gateway.decide import FlagState, Timing, advance, from_probability
@@ -61,7 +61,7 @@ class AdhesionSide:
         self.rated = tuple(rated_nm)
         self.timing = timing
         self.tick_s = tick_ns / SECOND
-        self.detector = DETECTORS[config.detector]()
+        self.detector = (DETECTORS | WITH_MEMORY)[config.detector]()
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(len(self.rated), spread)
         self.response = response.start(len(self.rated), spread)

@@ -114,7 +114,7 @@ class Estimator(Strict):
 class Adhesion(Strict):
     """`[adhesion]`: detector and the timing of its flag."""
 
-    detector: Literal["vb", "median"] = "vb"
+    detector: Literal["vb", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"] = "vb"
     spread_nm: float = Field(0.7, gt=0, description="load spread of healthy drives, at 30 Nm")
     raise_probability: float = Field(0.9, gt=0.5, lt=1)
     clear_probability: float = Field(0.5, gt=0, lt=1)

@@ -18,11 +18,13 @@ class Evidence(NamedTuple):
     load: (N,) Nm, each referred to full command (a drive cut to 30 % is divided by 0.3).
     spread: (N,) Nm, standard deviation a healthy drive's load shows around the common one.
     usable: (N,) bool, false where the load is not known (the entry is then ignored, not NaN).
+    speed: (N,) rad/s at the wheel, forward positive, or None; for detectors that observe it.
     """
 
     load: NDArray[np.float64]
     spread: NDArray[np.float64]
     usable: NDArray[np.bool_]
+    speed: NDArray[np.float64] | None = None
 
 
 class Opinion(NamedTuple):

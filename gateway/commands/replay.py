@@ -25,7 +25,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="the gateway's own frames, as candump -L writes them")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
                         help="folder for flags.csv, estimates.csv and pictures")  # fmt: skip
-    parser.add_argument("--detector", help="override [adhesion] detector (vb, median)")
+    parser.add_argument(
+        "--detector",
+        help="override [adhesion] detector (vb, median, kmeans, vmp, paper_vb, paper_vb_reuse)",
+    )
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--strict", action="store_true",
                         help="stop at the first line that is not candump's")  # fmt: skip

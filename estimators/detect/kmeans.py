@@ -1,0 +1,102 @@
+"""k-means with two clusters over the drives' loads: paper `adhesion`, section 5.
+
+The paper takes scipy's `kmeans2` with two iterations from randomly chosen points. Ours starts
+at the smallest and the largest load: nothing random, and on a line neither cluster can run
+empty. The adhering centroid is that of the larger cluster; of two equal ones, the one with more
+load in either direction; of two with the same load either way, the upper one. A drive exactly
+between the centroids belongs to the lower cluster. The paper gives no threshold: a drive is
+lost when its load falls short of that centroid by more than `threshold` spreads, as in `median`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.detect import paper
+from estimators.detect.paper import Array
+from estimators.detect.protocol import Evidence, Opinion, nobody
+
+ITERATIONS: Final = 2
+"""The paper's number of iterations."""
+
+
+class Clusters(NamedTuple):
+    """centroid (T, 2), label (T, N) 0 lower or 1 upper, common (T,): the adhering centroid."""
+
+    centroid: Array
+    label: NDArray[np.int64]
+    common: Array
+
+
+def cluster(x: Array, iterations: int = ITERATIONS) -> Clusters:
+    """One tick by scipy's `kmeans2`: loads (N,); T = 1 in the result."""
+    from scipy.cluster.vq import ClusterError, kmeans2
+
+    start = np.array([[x.min()], [x.max()]])
+    if not np.abs(start).max() < paper.OVERFLOW:
+        # Where every distance overflows kmeans2 leaves its labels unset, and crashes on them.
+        return clusters(x[None], iterations)
+    try:
+        found, label = kmeans2(
+            x[:, None], start, iter=iterations, minit="matrix", missing="raise", check_finite=False
+        )
+    except ClusterError:
+        # All loads equal, or so nearly that no cluster can be told from the other.
+        return clusters(x[None], iterations)
+    centroid, label = found[:, 0][None], label[None].astype(np.int64)
+    return Clusters(centroid, label, adhering(centroid, label))
+
+
+def clusters(x: Array, iterations: int = ITERATIONS) -> Clusters:
+    """The vectorised twin of `cluster`: loads (T, N)."""
+    centroid = np.stack([x.min(axis=-1), x.max(axis=-1)], axis=-1)
+    label = np.zeros(x.shape, dtype=np.int64)
+    for _ in range(iterations):
+        distance = (x[..., None] - centroid[:, None]) ** 2
+        label = (distance[..., 1] < distance[..., 0]).astype(np.int64)
+        upper = label.sum(axis=-1)
+        sums = np.stack([np.sum(x * (1 - label), axis=-1), np.sum(x * label, axis=-1)], axis=-1)
+        count = np.stack([x.shape[1] - upper, upper], axis=-1)
+        # All loads equal: the upper cluster is empty and stays where it is.
+        centroid = np.divide(sums, count, out=centroid, where=count > 0)
+    return Clusters(centroid, label, adhering(centroid, label))
+
+
+def adhering(centroid: Array, label: NDArray[np.int64]) -> Array:
+    """Centroid (T,) of the larger cluster, ties as in the head of this module."""
+    upper = label.sum(axis=-1)
+    lower = label.shape[-1] - upper
+    more_load = np.abs(centroid[:, 1]) >= np.abs(centroid[:, 0])
+    pick = np.where(upper == lower, more_load, upper > lower)
+    return np.where(pick, centroid[:, 1], centroid[:, 0])
+
+
+def global_estimates(load: Array) -> Array:
+    """M_z^(G) of the paper's k-means: loads (T, N) -> (T,)."""
+    return clusters(load).common
+
+
+@dataclass(frozen=True)
+class KMeansDetector:
+    """Lost when the load is `threshold` spreads short of the larger cluster's centroid."""
+
+    threshold: float = 3.0
+    iterations: int = ITERATIONS
+    carried: float = 3.0
+
+    code: ClassVar[int] = 3
+
+    def __call__(self, evidence: Evidence) -> Opinion:
+        """See Detector. `lost` is the probability that the true shortfall is beyond it."""
+        part = paper.taking_part(evidence)
+        if np.count_nonzero(part) < 2:
+            return nobody(len(part))
+        with np.errstate(all="ignore"):
+            load, spread = evidence.load[part], evidence.spread[part]
+            common = float(cluster(load, self.iterations).common[0])
+            lost = paper.falls_short(load, spread, common, self.threshold)
+            return paper.opinion(evidence, part, lost, common, self.carried)

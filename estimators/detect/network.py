@@ -1,0 +1,217 @@
+"""A sensor network, simulated: wires between neighbours, and two ways to add up over them.
+
+Time goes in synchronous rounds: what is sent in one is there in the next. A node acts on its
+own store and on what came in; nobody looks at another node's store. `Traffic` counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from estimators.detect.paper import Array
+
+Graph = tuple[tuple[int, ...], ...]
+"""Neighbours of each node, in rising order."""
+
+TOLERANCE: Final = 1e-12
+"""Consensus ends when all nodes agree to this, relative to 1 + |value|."""
+
+WINDOWS: Final = 10_000
+"""Consensus gives up after this many windows of N rounds; `Consensus.agreed` says so."""
+
+HELLO: Final = 0.0
+JOIN: Final = 1.0
+
+
+class Traffic(NamedTuple):
+    """What went over the edges: messages, bytes of payload, synchronous rounds."""
+
+    messages: int
+    bytes: int
+    rounds: int
+
+
+def graph(nodes: int, edges: Iterable[tuple[int, int]]) -> Graph:
+    """Graph of `nodes` nodes. Raises ValueError for loops, unknown nodes and several parts."""
+    near: list[set[int]] = [set() for _ in range(nodes)]
+    for i, j in edges:
+        if i == j or not (0 <= i < nodes and 0 <= j < nodes):
+            raise ValueError(f"no edge {i}-{j} among {nodes} nodes")
+        near[i].add(j)
+        near[j].add(i)
+    reached, edge = {0}, {0}
+    while edge:
+        edge = set().union(*(near[i] for i in edge)) - reached
+        reached |= edge
+    if len(reached) < nodes:
+        raise ValueError(f"nodes {sorted(set(range(nodes)) - reached)} are not connected to 0")
+    return tuple(tuple(sorted(n)) for n in near)
+
+
+def ring(nodes: int) -> Graph:
+    """Each drive talks to the next, the last to the first."""
+    return graph(nodes, [(i, (i + 1) % nodes) for i in range(nodes) if nodes > 1])
+
+
+def tree(nodes: int, children: int = 2) -> Graph:
+    """Node i's parent is (i - 1) // children; with 1 a line, with nodes - 1 a star."""
+    return graph(nodes, [(i, (i - 1) // children) for i in range(1, nodes)])
+
+
+class Wires:
+    """The edges: carries arrays between neighbours, a round at a time, and counts."""
+
+    def __init__(self, near: Graph) -> None:
+        self.near = near
+        self.messages = self.bytes = self.rounds = 0
+        self.sent: list[tuple[int, int, Array]] = []
+
+    def send(self, source: int, target: int, payload: Array) -> None:
+        """Put one message on its way; it is there after `deliver`."""
+        assert target in self.near[source]
+        self.sent.append((source, target, payload))
+        self.messages += 1
+        self.bytes += 8 * payload.size
+
+    def deliver(self) -> list[dict[int, Array]]:
+        """End the round: what came in at each node, by sender."""
+        inbox: list[dict[int, Array]] = [{} for _ in self.near]
+        for source, target, payload in self.sent:
+            inbox[target][source] = payload
+        self.sent = []
+        self.rounds += 1
+        return inbox
+
+    def traffic(self) -> Traffic:
+        """What has gone over the wires so far."""
+        return Traffic(self.messages, self.bytes, self.rounds)
+
+
+class Tree:
+    """Spanning tree found by a flood; node i acts on parent[i] and children[i] only.
+
+    The flood costs at most two messages per edge, and one per node that joins.
+    """
+
+    agreed = True
+    """Exact: see `Consensus.agreed`."""
+
+    def __init__(self, wires: Wires) -> None:
+        self.wires = wires
+        n = len(wires.near)
+        self.parent: list[int | None] = [None] * n
+        self.children: list[list[int]] = [[] for _ in range(n)]
+        joined = [i == 0 for i in range(n)]
+        for target in wires.near[0]:
+            wires.send(0, target, np.array([HELLO]))
+        while wires.sent:
+            for i, inbox in enumerate(wires.deliver()):
+                heard = [source for source, payload in inbox.items() if payload[0] == HELLO]
+                self.children[i] += [source for source in inbox if source not in heard]
+                if not heard or joined[i]:
+                    continue
+                joined[i] = True
+                self.parent[i] = min(heard)
+                wires.send(i, min(heard), np.array([JOIN]))
+                for target in set(wires.near[i]).difference(heard):
+                    wires.send(i, target, np.array([HELLO]))
+
+    def total(self, values: list[Array]) -> list[Array]:
+        """Every node's copy of the sum."""
+        return self._join(values, np.add)
+
+    def largest(self, values: list[Array]) -> list[Array]:
+        """Every node's copy of the elementwise maximum."""
+        return self._join(values, np.maximum)
+
+    def _join(self, values: list[Array], join: Callable[[Array, Array], Array]) -> list[Array]:
+        """Up: a node speaks once all its children have. Down: the root's result, unchanged."""
+        store = list(values)
+        missing = [set(c) for c in self.children]
+        spoken = [False] * len(values)
+        while missing[0]:
+            for i, parent in enumerate(self.parent):
+                if parent is not None and not missing[i] and not spoken[i]:
+                    self.wires.send(i, parent, store[i])
+                    spoken[i] = True
+            for i, inbox in enumerate(self.wires.deliver()):
+                for source in sorted(inbox):
+                    store[i] = join(store[i], inbox[source])
+                missing[i].difference_update(inbox)
+        speaking = [0]
+        while any(self.children[i] for i in speaking):
+            for i in speaking:
+                for child in self.children[i]:
+                    self.wires.send(i, child, store[i])
+            speaking = []
+            for i, inbox in enumerate(self.wires.deliver()):
+                for payload in inbox.values():
+                    store[i] = payload
+                    speaking.append(i)
+        return store
+
+
+class Consensus:
+    """Averaging with all neighbours; Metropolis weights from the neighbours' degrees."""
+
+    def __init__(self, wires: Wires) -> None:
+        self.wires = wires
+        self.agreed = True
+        degree = [np.array([float(len(near))]) for near in wires.near]
+        self.weight = [
+            {j: 1.0 / (1.0 + max(degree[i][0], d[0])) for j, d in inbox.items()}
+            for i, inbox in enumerate(self._exchange(degree))
+        ]
+
+    def _exchange(self, values: list[Array]) -> list[dict[int, Array]]:
+        """Each node tells all neighbours: one round."""
+        for i, near in enumerate(self.wires.near):
+            for j in near:
+                self.wires.send(i, j, values[i])
+        return self.wires.deliver()
+
+    def largest(self, values: list[Array]) -> list[Array]:
+        """Every node's copy of the elementwise maximum: N - 1 rounds reach the furthest."""
+        for _ in range(len(values) - 1):
+            values = [
+                np.max([value, *inbox.values()], axis=0)
+                for value, inbox in zip(values, self._exchange(values), strict=True)
+            ]
+        return values
+
+    def total(self, values: list[Array]) -> list[Array]:
+        """N times the average, at each node to `TOLERANCE`.
+
+        In windows of N - 1 rounds: the averaging goes on while maximum and minimum of the
+        window's start are flooded with it, so at its end all nodes know how far apart they were.
+        """
+        n, size = len(values), len(values[0])
+        if n == 1:
+            return values
+        for _ in range(WINDOWS):
+            packed = [np.concatenate([v, v, -v]) for v in values]
+            for _ in range(n - 1):
+                packed = [
+                    self._mix(own, inbox, weight, size)
+                    for own, inbox, weight in zip(
+                        packed, self._exchange(packed), self.weight, strict=True
+                    )
+                ]
+            values = [p[:size] for p in packed]
+            # The flooded ends are the same at all nodes by now, and so is the decision.
+            high, low = packed[0][size : 2 * size], -packed[0][2 * size :]
+            if not (high - low > TOLERANCE * (1.0 + np.maximum(np.abs(high), np.abs(low)))).any():
+                return [n * v for v in values]
+        self.agreed = False
+        return [n * v for v in values]
+
+    @staticmethod
+    def _mix(own: Array, inbox: dict[int, Array], weight: dict[int, float], size: int) -> Array:
+        out = own.copy()
+        for source in sorted(inbox):
+            out[:size] += weight[source] * (inbox[source][:size] - own[:size])
+            np.maximum(out[size:], inbox[source][size:], out=out[size:])
+        return out
