@@ -42,6 +42,8 @@ class DriveEstimate(NamedTuple):
     load_nm: float | None = None
     load_sigma_nm: float | None = None
     nis: float | None = None
+    reason: Reason = Reason.STARTING
+    """Why, where it is not tracking."""
 
 
 class _Track:

@@ -13,7 +13,7 @@ Five laws:
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dbc.block import Block
@@ -24,6 +24,7 @@ from gateway import calibration
 from gateway.adhesion import AdhesionSide
 from gateway.bank import Bank, DriveEstimate
 from gateway.busload import BusLoad
+from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
 from gateway.decide import FlagState, Timing, advance, from_probability
 from gateway.health import (
@@ -36,7 +37,8 @@ from gateway.health import (
     summary,
     worst,
 )
-from gateway.inbox import ELECTRICAL, SAMPLES, Inbox
+from gateway.inbox import ELECTRICAL, RPM, SAMPLES, DriveInput, Inbox
+from gateway.motion import MotionSide, Timebase
 from gateway.outbox import DriveView, GatewayView, Outbox
 from gateway.supervision import Life, Supervision
 from gateway.thermal import Report, ThermalSide
@@ -69,6 +71,9 @@ class Gateway:
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
         self.bank = Bank(motors, config.estimator, _current_step_a(codec))
+        self.motion = MotionSide(
+            motors, config.estimator, _timing(self.inbox.drives), config.loop.period_ns
+        )
         path = config.calibration_path
         cells = calibration.load(path, nodes, config.thermal.window_s) if path else None
         period = max((d.channels["Temperatures"].period_ns for d in self.inbox.drives
@@ -121,8 +126,10 @@ class Gateway:
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
         fresh = [d.fresh(now) for d in inbox.drives]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
+        self.motion.take(inbox.motions)
         for k, estimate in enumerate(estimates):
-            if self._contradicts(k, estimate, now):
+            estimates[k] = self.motion.merge(k, estimate, self._measured_speed(k, now))
+            if not self.motion.beyond(k) and self._contradicts(k, estimate, now):
                 inputs[k] = worst([inputs[k], Reason.RANGE])
                 estimates[k] = DriveEstimate(Health.INPUT_INVALID)
         adhesion = [flags["adhesion"] for flags in self.flags]
@@ -162,6 +169,12 @@ class Gateway:
         if self.lost[k]:
             reasons.append(Reason.STALE)
         return worst(reasons)
+
+    def _measured_speed(self, k: int, now: Nanos) -> float | None:
+        """Rotor speed, rad/s, if the drive sends it and it is fresh."""
+        drive = self.inbox.drives[k]
+        motion = drive.channels.get("Motion")
+        return drive.speed if motion is not None and motion.fresh(now) else None
 
     def _contradicts(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
         """True once the measured speed has contradicted the estimated one for long enough.
@@ -249,7 +262,7 @@ class Gateway:
         if estimate.health is Health.DIVERGED:
             return Flag.UNKNOWN, Reason.DIVERGED
         if estimate.health is not Health.TRACKING:
-            return Flag.UNKNOWN, Reason.STARTING
+            return Flag.UNKNOWN, estimate.reason
         if not opinion.known[k]:
             return Flag.UNKNOWN, Reason.TOO_FEW_DRIVES
         a = self.config.adhesion
@@ -326,6 +339,20 @@ def _current_step_a(codec: Codec) -> float:
             if spec.kind in (ELECTRICAL[0], SAMPLES) and signal.name in ("Ia", "Ia_0"):
                 return float(abs(signal.scale))
     return 0.0
+
+
+def _timing(drives: Sequence[DriveInput]) -> Timebase:
+    """How often currents and `Motion` come, and how finely the latter tells speed."""
+    electrical = [d.electrical[0] for d in drives if d.electrical]
+    motion = [d.channels["Motion"] for d in drives if "Motion" in d.channels]
+    blocks = any(channel.kind == SAMPLES for channel in electrical)
+    sample_ns = SAMPLE_NS if blocks else max((c.period_ns for c in electrical), default=SAMPLE_NS)
+    steps = [c.spec.signals[c.picked[0]].scale for c in motion if c.picked]
+    return Timebase(
+        sample_ns / SECOND,
+        max((c.period_ns for c in motion), default=10 * MS),
+        max((abs(step) * RPM for step in steps), default=0.0),
+    )
 
 
 def _estimator_flag(health: Health) -> Flag:

@@ -54,6 +54,15 @@ class Temperatures(NamedTuple):
     raw: tuple[int, ...]
 
 
+class Motion(NamedTuple):
+    """One measurement of a drive: rotor speed rad/s, air-gap torque Nm."""
+
+    drive: int
+    t_ns: Nanos
+    speed: float
+    torque: float
+
+
 class DriveInput:
     """What one drive has sent: channels, half pairs, last slow values (SI)."""
 
@@ -99,6 +108,7 @@ class Inbox:
         self.counts: Counter[str] = Counter()
         self.samples = pairing.room(0)
         self.temperatures: list[Temperatures] = []
+        self.motions: list[Motion] = []
         self.restart: set[int] = set()
         own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
         self.channels: list[Channel] = []
@@ -130,6 +140,7 @@ class Inbox:
         Returns them as a block, in that order.
         """
         self.temperatures.clear()
+        self.motions.clear()
         self.restart.clear()
         block = (frames if isinstance(frames, Block) else block_of(frames)).ordered()
         if not block.size:
@@ -189,6 +200,8 @@ class Inbox:
         first, second = (scratch.value.item(row, column) for column in channel.picked)
         if channel.kind == "Motion":
             drive.speed, drive.torque = first * RPM, second
+            t_ns = scratch.t_ns.item(row)
+            self.motions.append(Motion(channel.drive, t_ns, drive.speed, drive.torque))
         else:
             before = first if drive.torque_command is None else drive.torque_command
             near = STEADY_NM + STEADY_SHARE * abs(first)
