@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.frame import SECOND, Nanos
+from dbc.frame import MS, SECOND, Nanos
 from estimators.detect import DETECTORS, WITH_MEMORY, Evidence, Opinion, reference, response
 from gateway.bank import DriveEstimate
-from gateway.config import Adhesion
+from gateway.config import Adhesion, Motor
 from gateway.decide import FlagState, Timing, advance, from_probability
 from gateway.health import Flag, Health
 from gateway.inbox import DriveInput
@@ -31,7 +31,19 @@ SHARE_UNKNOWN: Final = 0.1
 """A drive commanded less than a tenth of the others carries too little to be judged."""
 LEARN_NS: Final[Nanos] = round(reference.EVERY_S * SECOND)
 CERTAINLY_GOOD: Final = 0.05
-"""A loss more probable than this is not learnt from."""
+"""Response that no comparison can outvote."""
+PROBABLY_GOOD: Final = 0.5
+"""A loss more probable than this is not learnt from. Not less: learning only what looks best would
+be learning something better than it is."""
+SETTLED_NS: Final[Nanos] = 300 * MS
+"""A load is learnt from only when it has been known for this long."""
+VETOED: Final = 0.4
+"""What is left of an accusation that the drive's own response contradicts: not enough to raise."""
+SEVERE: Final = 0.35
+TRAIN_S: Final = 0.5
+"""Time constant of what counts as the train's own acceleration."""
+TRAIN_MOST: Final = 0.1
+"""Most of the rated torque that a rotor takes to accelerate with its train."""
 BASE_NM: Final = 30.0
 """Rated torque of the motor that `spread_nm` is stated for."""
 
@@ -54,20 +66,26 @@ class AdhesionSide:
     """Memory of the drives' healthy loads; `judge` per tick is the only mutator."""
 
     def __init__(
-        self, config: Adhesion, rated_nm: Sequence[float], timing: Timing, tick_ns: Nanos
+        self, config: Adhesion, motors: Sequence[Motor], timing: Timing, tick_ns: Nanos
     ) -> None:
-        """timing: of the common-mode flag; rated_nm: per drive."""
+        """timing: of the common-mode flag; motors: per drive."""
         self.config = config
-        self.rated = tuple(rated_nm)
+        self.rated = tuple(motor.T_rated for motor in motors)
+        self.inertia = tuple(motor.J for motor in motors)
         self.timing = timing
         self.tick_s = tick_ns / SECOND
         self.detector = (DETECTORS | WITH_MEMORY)[config.detector]()
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(len(self.rated), spread)
         self.response = response.start(len(self.rated), spread)
+        self.severe = np.zeros(len(self.rated), dtype=np.bool_)
+        """Drives that carry so much less than the others that noise cannot be the cause."""
         self.common = FlagState()
         """Whether all drives have lost adhesion at once."""
+        self._slow_speed: list[float | None] = [None] * len(self.rated)
         self._learn_ns: Nanos | None = None
+        self._known: list[Nanos | None] = [None] * len(self.rated)
+        """Since when each load has been known."""
 
     def judge(
         self,
@@ -82,13 +100,23 @@ class AdhesionSide:
         opinion = self.detector(
             Evidence(self.reference.referred(at.load) / at.share, spread, at.known)
         )
+        self._known = [
+            (now if since is None else since) if known else None
+            for since, known in zip(self._known, at.known.tolist(), strict=True)
+        ]
         heard = self._heard(drives, estimates, at.known, now)
-        self.response, alone = response.respond(self.response, heard, self.tick_s)
-        opinion = _fused(opinion, alone, heard.usable, at.known)
+        self.response, alone, meant = response.respond(self.response, heard, self.tick_s)
+        opinion = _fused(opinion, alone, heard.usable, meant)
+        carried = self.reference.referred(at.load) / at.share * np.sign(opinion.common)
+        self.severe = at.known & (carried < (1.0 - SEVERE) * abs(opinion.common))
         self._common_mode(alone, heard.usable, at.known, now)
+        healthy = self._healthy(opinion, flags, now)
+        self.response = response.learn(self.response, heard, healthy, self.tick_s)
         if self._learn_ns is None or now >= self._learn_ns:
             self._learn_ns = now + LEARN_NS
-            self._learn(at, opinion, heard, flags)
+            load = at.load / at.share
+            memory = reference.watch(self.reference, load, opinion.common, at.known)
+            self.reference = reference.learn(memory, load, opinion.common, healthy)
         return opinion
 
     def _instant(
@@ -152,9 +180,24 @@ class AdhesionSide:
             fresh = drive.torque_command is not None and drive.channels["Status"].fresh(now)
             usable.append(bool(known[k]) and fresh)
             rows.append([(number or 0.0) / self.rated[k] for number in numbers])
+            rows[-1][0] += self._accelerating(k, estimate.speed_rad_s)
         load, command, before = np.array(rows).T
         age_s = np.array([(now - drive.command_ns) / SECOND for drive in drives])
         return response.Heard(load, command, before, age_s, np.array(usable))
+
+    def _accelerating(self, k: int, speed: float | None) -> float:
+        """Part of the command that speeds up the drive's own rotor with the train, per unit.
+
+        Slow and bounded, because what a wheel takes that runs away is what is looked for.
+        """
+        if speed is None:
+            self._slow_speed[k] = None
+            return 0.0
+        slow = self._slow_speed[k]
+        slow = speed if slow is None else slow
+        self._slow_speed[k] = slow + self.tick_s / TRAIN_S * (speed - slow)
+        torque = self.inertia[k] * (speed - slow) / TRAIN_S / self.rated[k]
+        return min(max(torque, -TRAIN_MOST), TRAIN_MOST)
 
     def _common_mode(self, alone: Array, heard: Flags, known: Flags, now: Nanos) -> None:
         """All drives lost, debounced and latched. One that holds says no; yes needs all known."""
@@ -167,29 +210,24 @@ class AdhesionSide:
         evidence = self.common.evidence if seen is None else seen
         self.common = advance(self.common, evidence, now, self.timing)
 
-    def _learn(
-        self, at: Instant, opinion: Opinion, heard: response.Heard, flags: Sequence[FlagState]
-    ) -> None:
-        """Learn what the drives' loads are in health, while all that are known adhere."""
+    def _healthy(self, opinion: Opinion, flags: Sequence[FlagState], now: Nanos) -> Flags:
+        """(N,) drives that may be learnt from: none while any is lost."""
         good = np.array([state.flag is Flag.GOOD for state in flags])
-        healthy = good & opinion.known & (opinion.lost < CERTAINLY_GOOD)
-        lost = any(state.flag is Flag.BAD for state in flags)
-        if lost or not np.array_equal(healthy, good):
-            return
-        load = at.load / at.share
-        self.reference = reference.learn(self.reference, load, opinion.common, healthy)
-        self.response = response.learn(self.response, heard, healthy)
+        settled = np.array(
+            [since is not None and now - since >= SETTLED_NS for since in self._known]
+        )
+        if any(state.flag is Flag.BAD for state in flags):
+            return np.zeros_like(good)
+        return np.asarray(good & settled & opinion.known & (opinion.lost < PROBABLY_GOOD))
 
 
-def _fused(opinion: Opinion, alone: Array, heard: Flags, known: Flags) -> Opinion:
-    """Comparison between drives, and each drive's own response.
+def _fused(opinion: Opinion, alone: Array, heard: Flags, meant: Flags) -> Opinion:
+    """Comparison between drives, and each drive's own response to its command.
 
-    Drives that are equal may all be lost: as probably as the one that responds best. One drive
-    that is known has nothing but its response.
+    Either may accuse a drive; a drive that certainly answers its command is accused by no
+    comparison, which may have taken a slipping majority, or one that reads too much, for normal.
+    Without a command, or other drives, there is only one of the two.
     """
-    if np.count_nonzero(known) == 1:
-        return Opinion(alone, known & heard, opinion.common)
-    if not known.any() or not heard[known].all():
-        return opinion
-    together = np.where(known, alone[known].min(), 0.0)
-    return opinion._replace(lost=np.maximum(opinion.lost, together))
+    vetoed = np.where(alone < CERTAINLY_GOOD, np.minimum(opinion.lost, VETOED), opinion.lost)
+    both = np.where(meant, np.maximum(vetoed, alone), opinion.lost)
+    return Opinion(np.where(opinion.known, both, alone), opinion.known | heard, opinion.common)

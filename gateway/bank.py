@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dbc.frame import MS, Nanos
-from estimators import lock
+from estimators import adapt, lock
 from estimators._kernels import agreement, ekf_sweep, lock_sweep, ukf_sweep
 from estimators.models import pmsm
 from gateway.channel import SAMPLE_NS
@@ -31,6 +31,7 @@ DIVERGED_NS: Final = 100 * MS
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
+SUB_STEP_S: Final = SAMPLE_NS * 1e-9
 NIS_SMOOTHING: Final = 0.2
 
 
@@ -49,13 +50,15 @@ class DriveEstimate(NamedTuple):
 class _Track:
     """What the bank remembers of one drive besides x and P."""
 
-    __slots__ = ("active", "diverged_ns", "doubts", "nis", "steps")
+    __slots__ = ("active", "diverged_ns", "doubts", "nis", "noise", "steps")
 
     def __init__(self) -> None:
         self.active = False
         self.steps = 0
         self.doubts = 0
         self.nis = 2.0
+        self.noise = 1.0
+        """Variance of the currents over the configured one."""
         self.diverged_ns: Nanos | None = None
 
 
@@ -115,7 +118,7 @@ class Bank:
         nis = np.empty(len(drive))
         ok = np.empty(len(self.tracks), dtype=np.bool_)
         arguments = (
-            self.table, self.noise.Q, self.noise.R, self.noise.coast, self.x, self.P,
+            self.table, self.noise.Q, self._R(), self.noise.coast, self.x, self.P,
             drive, u, y, n_sub, n_gap, dt,
         )  # fmt: skip
         if self.ukf:
@@ -128,9 +131,17 @@ class Bank:
                 track.steps += step
                 if math.isfinite(value):  # NaN where the row was skipped
                     track.nis += NIS_SMOOTHING * (value - track.nis)
+                    track.noise = adapt.scale(
+                        track.noise, value, step * SUB_STEP_S, track.steps * SUB_STEP_S
+                    )
         for k, fine in enumerate(ok.tolist()):
             if not fine:
                 self._diverge(k)
+
+    def _R(self) -> pmsm.Array:
+        """Variance of the currents as the innovations show it, (N, 2)."""
+        scales = np.array([[track.noise] for track in self.tracks])
+        return np.asarray(self.noise.R * scales)
 
     def _agreement(self) -> list[int]:
         """`lock.agrees`, compiled."""

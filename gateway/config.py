@@ -86,6 +86,10 @@ BENCH_MOTOR = Motor(
     R_s=0.28, L_s=3.465e-3, psi_pm=0.1989, pole_pairs=4, J=0.04, I_rated=25.0, T_rated=30.0
 )
 """The motor of the adhesion paper (its constants are not in the paper: docs/papers.md)."""
+TRACTION_350KW = Motor(
+    R_s=0.08, L_s=3.02e-3, psi_pm=1.104, pole_pairs=2, J=11.0, I_rated=240.4, T_rated=796.0
+)
+"""The thermal paper's 350 kW, 1443 V, 170 A, 140 Hz as a magnet machine: see sim/plant.py."""
 
 
 class Drive(Strict):
@@ -119,6 +123,7 @@ class Adhesion(Strict):
     raise_probability: float = Field(0.9, gt=0.5, lt=1)
     clear_probability: float = Field(0.5, gt=0, lt=1)
     raise_ms: int = Field(20, ge=0)
+    raise_severe_ms: int = Field(10, ge=0, description="where a third of the load is missing")
     clear_ms: int = Field(30, ge=0)
     good_ms: int = Field(50, ge=0, description="good evidence needed before the first `Adhering`")
 
@@ -176,8 +181,8 @@ class Config(Strict):
 
     @property
     def motors(self) -> dict[str, Motor]:
-        """All motors by name; `bench` is always there unless redefined."""
-        return {"bench": BENCH_MOTOR, **self.motor}
+        """All motors by name; the built-in ones are always there unless redefined."""
+        return {"bench": BENCH_MOTOR, "traction_350kw": TRACTION_350KW, **self.motor}
 
     @property
     def nodes(self) -> tuple[int, ...]:

@@ -43,6 +43,7 @@ from gateway.outbox import DriveView, GatewayView, Outbox
 from gateway.supervision import Life, Supervision
 from gateway.thermal import Report, ThermalSide
 
+FLAGS: Final = ("adhesion", "thermal", "comm", "estimator", "sensor")
 HEARTBEAT_LIMIT_NS: Final = 300 * MS
 COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
@@ -82,15 +83,14 @@ class Gateway:
         a, t = config.adhesion, config.thermal
         self.timing = {
             "adhesion": Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS),
+            "severe": Timing(a.good_ms * MS, a.raise_severe_ms * MS, a.clear_ms * MS),
             "thermal": Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
             "comm": COMM,
             "estimator": ESTIMATOR,
             "sensor": SENSOR,
         }
-        self.adhesion = AdhesionSide(
-            a, [m.T_rated for m in motors], self.timing["adhesion"], config.loop.period_ns
-        )
-        self.flags = [{name: FlagState(since_ns=start_ns) for name in self.timing} for _ in nodes]
+        self.adhesion = AdhesionSide(a, motors, self.timing["adhesion"], config.loop.period_ns)
+        self.flags = [{name: FlagState(since_ns=start_ns) for name in FLAGS} for _ in nodes]
         self.reports = [Report() for _ in nodes]
         self.outbox = Outbox(codec, nodes, config.hash24())
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
@@ -218,7 +218,9 @@ class Gateway:
         for name, seen in evidence.items():
             state = flags[name]
             if state.flag is not seen or state.evidence is not seen:
-                flags[name] = advance(state, seen, now, self.timing[name])
+                severe = name == "adhesion" and self.adhesion.severe[k]
+                timing = self.timing["severe" if severe else name]
+                flags[name] = advance(state, seen, now, timing)
         if flags["thermal"].flag is Flag.GOOD and report.thermal is not Flag.GOOD:
             report = report._replace(fault_class=self.reports[k].fault_class)
         self.reports[k] = report

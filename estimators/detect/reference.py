@@ -22,17 +22,20 @@ Flags = NDArray[np.bool_]
 
 RATIO_SIGMA: Final = 0.06
 """Drives differ by this much, standard deviation, before anything is known."""
-RATIO_LIMIT: Final = 0.15
+RATIO_LIMIT: Final = 0.2
 """More than this is a loss, not a difference."""
 RATIO_TAU_S: Final = 30.0
 """Time constant of learning in the long run: slow against any loss."""
 EVERY_S: Final = 0.05
 """Errors of the load estimate are independent only this far apart."""
-SPREAD_TAU_S: Final = 3.0
+SPREAD_TAU_S: Final = 0.7
 SPREAD_FLOOR: Final = 0.6
 """The spread is never believed to be less than this share of the configured one."""
-SPREAD_CLIP: Final = 3.0
-"""One residual counts as at most this many spreads: a start of a loss is not a wide spread."""
+SPREAD_MOST: Final = 8.0
+STEP_CLIP: Final = 4.0
+"""One step counts as at most this many spreads: the edge of a loss is not a wide spread."""
+NOT_WHITE: Final = 2.0
+"""Errors last longer than the spread says: an offset turns with the rotor."""
 LEAST_COMMON: Final = 0.1
 """Per unit of rated torque: below it nothing is said about ratios."""
 
@@ -40,13 +43,16 @@ LEAST_COMMON: Final = 0.1
 class Reference(NamedTuple):
     """Memory for N drives, per unit of rated torque.
 
-    ratio, variance (N,): estimate of rho and its variance; spread: s; configured: s at the start.
+    ratio, variance (N,): estimate of rho and its variance; spread: s; configured: s at the start;
+    residual (N,): of the last observation, where seen (N,).
     """
 
     ratio: Array
     variance: Array
     spread: float
     configured: float
+    residual: Array
+    seen: Flags
 
     def referred(self, load: Array) -> Array:
         """(N,) loads as if the drives were equal."""
@@ -59,13 +65,40 @@ class Reference(NamedTuple):
 
 def start(n: int, spread: float) -> Reference:
     """Nothing learnt yet; `spread` per unit of rated torque."""
-    return Reference(np.ones(n), np.full(n, RATIO_SIGMA**2), spread, spread)
+    return Reference(
+        np.ones(n), np.full(n, RATIO_SIGMA**2), spread, spread,
+        np.zeros(n), np.zeros(n, dtype=np.bool_),
+    )  # fmt: skip
+
+
+def watch(
+    memory: Reference, load: Array, common: float | Array, known: Flags, *, relative: bool = True
+) -> Reference:
+    """Learn the spread from one observation, `EVERY_S` after the last; lost drives included.
+
+    What changes from one observation to the next is noise: a loss has two edges and no more, and
+    lasting differences cancel. So this needs no verdict, and no verdict can stop it. `relative`:
+    `common` is the drives' own mean, which follows each of them by its share.
+    """
+    residual = load / memory.ratio - common
+    both = known & memory.seen
+    n = np.count_nonzero(both)
+    spread = memory.spread
+    if n > relative:
+        most = STEP_CLIP * spread
+        step = np.clip((residual - memory.residual)[both], -most, most)
+        square = 0.5 * float(np.sum(step * step)) / (n - relative)
+        square = spread**2 + EVERY_S / SPREAD_TAU_S * (square - spread**2)
+        floor = SPREAD_FLOOR * memory.configured
+        spread = min(max(float(np.sqrt(square)), floor), SPREAD_MOST * memory.configured)
+    kept = np.where(known, residual, memory.residual)
+    return memory._replace(spread=spread, residual=kept, seen=known | memory.seen)
 
 
 def learn(
     memory: Reference, load: Array, common: float | Array, healthy: Flags, *, relative: bool = True
 ) -> Reference:
-    """One observation, `EVERY_S` after the last, in which the `healthy` drives certainly adhere.
+    """Learn ratios from one observation in which the `healthy` drives certainly adhere.
 
     load (N,) per unit; common: what `referred` loads share, one number or one for each drive. With
     less than `LEAST_COMMON`, or `relative` and fewer than two healthy drives: nothing is learnt.
@@ -73,11 +106,9 @@ def learn(
     """
     common = np.broadcast_to(common, load.shape)
     healthy = healthy & (np.abs(common) >= LEAST_COMMON)
-    n = np.count_nonzero(healthy)
-    if n < 1 + relative:
+    if np.count_nonzero(healthy) < 1 + relative:
         return memory
-    residual = load / memory.ratio - common
-    noise = memory.spread**2
+    noise = NOT_WHITE * memory.spread**2
     square = np.maximum(common * common, LEAST_COMMON**2)
     # In the long run the ratio may drift: the variance that keeps the filter at RATIO_TAU_S.
     drift = noise / square * (EVERY_S / RATIO_TAU_S) ** 2
@@ -88,9 +119,4 @@ def learn(
     if relative:
         ratio[healthy] *= 1.0 / float(np.mean(ratio[healthy]))
     ratio = np.clip(ratio, 1.0 - RATIO_LIMIT, 1.0 + RATIO_LIMIT)
-    clipped = np.clip(residual[healthy], -SPREAD_CLIP * memory.spread, SPREAD_CLIP * memory.spread)
-    unsure = float(np.mean((memory.variance * square)[healthy]))
-    seen = max(0.0, float(np.sum(clipped * clipped)) / (n - relative) - unsure)
-    spread2 = memory.spread**2 + EVERY_S / SPREAD_TAU_S * (seen - memory.spread**2)
-    floor = SPREAD_FLOOR * memory.configured
-    return Reference(ratio, variance, max(float(np.sqrt(spread2)), floor), memory.configured)
+    return memory._replace(ratio=ratio, variance=variance)

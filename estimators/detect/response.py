@@ -29,6 +29,10 @@ LEAST_COMMAND: Final = 0.1
 """Per unit of rated torque; a coasting wheel carries nothing that could be missing."""
 OPEN: Final = 0.7
 """Probability while it is not known whether the command has changed: no flag changes at it."""
+CLEAR: Final = 0.9
+"""Probability from which on a deficit stands: a lesser one may be noise before a new command."""
+LAG_S: Final = 0.01
+"""A command sent this long after a deficit was first seen is younger than its cause."""
 STEADY: Final = 0.05
 """Commands that differ by less may be learnt from."""
 
@@ -59,31 +63,40 @@ def start(n: int, spread: float) -> Memory:
     return Memory(reference.start(n, spread), np.zeros(n))
 
 
-def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array]:
-    """(N,) probabilities that a wheel does not carry its command, `dt` s after the last call.
+def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Flags]:
+    """What every drive's response says, `dt` s after the last call.
 
-    Meaningless where not usable.
+    Gives the (N,) probabilities that a wheel does not carry its command, and where they mean
+    something: not while the command is on its way through zero (`OPEN` there).
     """
     load = memory.reference.referred(heard.load)
     # Between two messages the command may have been anywhere on its way, or further along it.
     ways = np.stack([heard.command, heard.before, 2.0 * heard.command - heard.before])
-    least = np.where(
-        np.all(ways > 0.0, axis=0) | np.all(ways < 0.0, axis=0), np.abs(ways).min(axis=0), 0.0
-    )
+    one_sign = np.all(ways > 0.0, axis=0) | np.all(ways < 0.0, axis=0)
+    least = np.where(one_sign, np.abs(ways).min(axis=0), 0.0)
+    coasting = np.abs(ways).max(axis=0) < LEAST_COMMAND
     missing = least * (1.0 - THRESHOLD) - load * np.sign(heard.command)
     sigma = memory.reference.sigma(heard.load)
     lost = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (missing / sigma).tolist()])
     lost = np.where((least >= LEAST_COMMAND) & heard.usable, lost, 0.0)
-    since = np.where(lost > 0.5, memory.since_s + dt, 0.0)
-    confirmed = heard.age_s <= since
+    since = np.where(lost > CLEAR, memory.since_s + dt, 0.0)
+    # Seen first in this tick: it may be a tick old, and the filter's lag older.
+    confirmed = heard.age_s + LAG_S + dt <= since
     lost = np.where((lost > OPEN) & ~confirmed, OPEN, lost)
-    return Memory(memory.reference, since), lost
+    meant = heard.usable & ((least >= LEAST_COMMAND) | coasting)
+    return Memory(memory.reference, since), np.where(meant, lost, OPEN), meant
 
 
-def learn(memory: Memory, heard: Heard, healthy: Flags) -> Memory:
-    """Learn load over command of the `healthy` drives, once in `reference.EVERY_S`."""
+def learn(memory: Memory, heard: Heard, healthy: Flags, dt: float) -> Memory:
+    """Learn spread, and load over command of the `healthy` drives; every tick of `dt` s.
+
+    Only in the tick in which a command came that is that of before: then it has not changed
+    meanwhile, and the load is its answer.
+    """
     near = STEADY * np.maximum(np.abs(heard.command), LEAST_COMMAND)
-    steady = np.abs(heard.command - heard.before) <= near
-    mine = healthy & heard.usable & steady
-    learnt = reference.learn(memory.reference, heard.load, heard.command, mine, relative=False)
+    steady = heard.usable & (np.abs(heard.command - heard.before) <= near) & (heard.age_s < dt)
+    if not steady.any():
+        return memory
+    learnt = reference.watch(memory.reference, heard.load, heard.command, steady, relative=False)
+    learnt = reference.learn(learnt, heard.load, heard.command, healthy & steady, relative=False)
     return memory._replace(reference=learnt)
