@@ -1,70 +1,46 @@
-"""Detection figures on random single losses: tuned on one set of seeds, reported on another."""
+"""Detection figures: `traction-gateway evaluate` on development and reporting seeds."""
 
 from __future__ import annotations
 
-from gateway.commands.common import prepare
-from gateway.core import Gateway
-from gateway.results.expect import FlagTrack
-from gateway.results.scoring import Score, score_run
+from gateway.drivers.evaluation import Plan, evaluate, fitted, judge, one_run, record
+from gateway.results.evaluation_report import COLUMNS, cells
+from gateway.results.scoring import Score
+from sim.families import DEVELOPMENT, FAMILIES, REPORTING
 from sim.random_runs import random_scenario
-from sim.simulation import Simulation
 
-DEVELOPMENT = range(30)
-"""Seeds that thresholds may be tuned on."""
-REPORTING = range(1000, 1060)
-"""Seeds that nobody looks at before reporting."""
-
-
-def run(
-    seed: int, dbc: str = "traction.dbc", *, healthy: bool = False, detector: str = "vb"
-) -> Score:
-    """One random run in open loop, as a recorded log would be: simulate, step, score."""
-    config, codec = prepare(None, dbc={"file": dbc}, adhesion={"detector": detector})
-    scenario = random_scenario(seed, healthy=healthy)
-    simulation = Simulation(scenario, codec, self_start=True)
-    gateway = Gateway(config, codec, 0)
-    track = FlagTrack(codec, config.nodes)
-    truth = []
-    for tick in range(round(scenario.duration_s * config.loop.rate_hz) + 1):
-        now = tick * config.loop.period_ns
-        track.add(gateway.step(simulation.step((), now), now))
-        truth += simulation.truth_rows()
-    return score_run(truth, track, config.nodes)
+DETECTORS = ("vb", "median")
+FEW = ("single", "majority", "rough", "all_together")
+HOUR = range(2000, 2180)
+"""Seeds of healthy driving, 20 s each."""
 
 
 def pooled(seeds: range, dbc: str = "traction.dbc", *, healthy: bool = False,
            detector: str = "vb") -> Score:  # fmt: skip
-    """All runs of a set together."""
+    """Random single losses, all runs of a set together; without their loss if `healthy`."""
+    plan = Plan(("single",), (detector,), tuple(seeds), dbc)
     total = Score()
     for seed in seeds:
-        total = total.plus(run(seed, dbc, healthy=healthy, detector=detector))
+        if healthy:
+            scenario = random_scenario(seed, healthy=True)
+            config, codec = fitted(plan, detector, scenario)
+            measured = judge(record(scenario, config, codec), config, codec)
+        else:
+            (measured,) = one_run(plan, "single", seed)
+        total = total.plus(measured.flags)
     return total
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per set: what, seeds, F1, good share, median delay, missed, raised on healthy."""
-    table = []
-    for name, seeds, dbc, detector in (
-        ("2 ms classic, vb, development", DEVELOPMENT, "traction.dbc", "vb"),
-        ("2 ms classic, vb, reporting", REPORTING, "traction.dbc", "vb"),
-        ("2 ms classic, median, reporting", REPORTING, "traction.dbc", "median"),
-        ("8 kHz FD, vb, reporting", REPORTING[:20], "traction_fd.dbc", "vb"),
-    ):
-        lossy = pooled(seeds, dbc, detector=detector)
-        healthy = pooled(seeds[:20], dbc, healthy=True, detector=detector)
-        table.append(
-            (
-                name,
-                f"{seeds.start}-{seeds.stop - 1}",
-                f"{lossy.f1:.4f}",
-                f"{lossy.good_share:.4f}",
-                f"{lossy.median_delay_ms:.0f}",
-                f"{lossy.missed} of {lossy.missed + len(lossy.delays_ms)}",
-                f"{healthy.false_positive} of {healthy.healthy}",
-            )
-        )
-    return table
+    """A row per set, motor, bus, family and detector."""
+    everything = tuple(FAMILIES)
+    sets = (
+        ("development", Plan(("single", "rough"), DETECTORS, tuple(DEVELOPMENT))),
+        ("reporting", Plan(everything, DETECTORS, tuple(REPORTING))),
+        ("reporting, FD", Plan(FEW, DETECTORS[:1], tuple(REPORTING), "traction_fd.dbc")),
+        ("reporting, 350 kW", Plan(FEW, DETECTORS[:1], tuple(REPORTING), motor="traction_350kw")),
+        ("an hour of healthy driving", Plan(("healthy_hard",), DETECTORS[:1], tuple(HOUR))),
+    )
+    return [(name, *cells(line)) for name, plan in sets for line in evaluate(plan, 2)]
 
 
-HEADER = ("set", "seeds", "F1", "healthy frames `Adhering`", "median delay / ms", "losses missed",
-          "`AdhesionLost` frames in 20 healthy runs")  # fmt: skip
+HEADER = ("set", *COLUMNS)

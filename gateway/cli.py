@@ -19,6 +19,8 @@ VERBS = {
     "hil": "run scenarios against the gateway and judge their expectations",
     "check": "configuration against DBC, bus load and timing budget, before deployment",
     "calibrate": "thermal limits from fault-free logs",
+    "reproduce": "a paper's experiment: its tables and figures beside ours, and a report",
+    "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
 }
 """Verb -> one line of help; each is the module of that name in `gateway.commands`."""
 

@@ -8,8 +8,11 @@ State of one drive, columns of `x` (N, 10):
     2     w_m               rad/s    6, 7  voltage of the next period, V (alpha, beta)
     3     theta_e           rad      8     integrator of the speed or slip control, Nm
                                      9     torque limiter, 0..1
-Parameters of one drive, columns of `p` (N, 9):
+Parameters of one drive, columns of `p` (N, 14):
     0 R_s  1 L_s  2 psi_pm  3 pole_pairs  4 J  5 B  6 k_p  7 T_max  8 T_cut
+    9 share of the train's demand that falls to this drive  10 wheel diameter, 1 = nominal
+    11 phase a open (0 or 1)  12 psi_pm that the drive's own control believes in
+    13 most torque that the driver demands (the first drive's counts)
 Train, `train` (3,): speed at the rotor rad/s, integrator of the driver Nm, last demand Nm.
 
 May know: physics of the drive. May not know: bits, faults by name, sensors.
@@ -39,6 +42,12 @@ DRIVER_BANDWIDTH: Final = 1.0
 CUT_PER_S: Final = 7.0
 RESTORE_PER_S: Final = 0.7
 DC_SOURCE_OHM: Final = 0.2
+
+SHARE: Final = 9
+WHEEL: Final = 10
+PHASE_OPEN: Final = 11
+EFFORT: Final = 13
+PARAMETERS: Final = 14
 
 OUT: Final = 10
 I_ALPHA, I_BETA, U_ALPHA, U_BETA, U_DC, TORQUE, SPEED, ANGLE, LOAD, COMMAND = range(OUT)
@@ -78,11 +87,14 @@ def electric(
 
     L_s di/dt = u - R_s i - psi_pm w_e [-sin theta, cos theta]
     T = k_p pp psi_pm (i_beta cos theta - i_alpha sin theta)
+
+    With phase a open (star point isolated) i_alpha = i_a stays what it is, 0, and the voltage
+    across b and c, which is u_beta, drives i_beta as ever.
     """
     sin = math.sin(theta)
     cos = math.cos(theta)
     w_e = p[3] * w_m
-    d_a = (u_a - p[0] * i_a + p[2] * w_e * sin) / p[1]
+    d_a = (u_a - p[0] * i_a + p[2] * w_e * sin) / p[1] if p[PHASE_OPEN] == 0.0 else 0.0
     d_b = (u_b - p[0] * i_b - p[2] * w_e * cos) / p[1]
     torque = p[6] * p[3] * p[2] * (i_b * cos - i_a * sin)
     return d_a, d_b, torque
@@ -97,6 +109,8 @@ def integrate(
 
     `on_rail`: the load is the creep torque at the wheel's own speed; else it is `load`.
     """
+    if p[PHASE_OPEN] != 0.0:
+        x[0] = 0.0
     for _ in range(steps):
         i_a, i_b, w_m, theta = x[0], x[1], x[2], x[3]
         s_a = s_b = s_w = s_t = 0.0
@@ -136,7 +150,7 @@ def current_control(x: Array, torque_ref: float, u_max: float, p: Array) -> None
     i_d = x[0] * cos + x[1] * sin
     i_q = x[1] * cos - x[0] * sin
     e_d = -i_d
-    e_q = torque_ref / (p[6] * p[3] * p[2]) - i_q
+    e_q = torque_ref / (p[6] * p[3] * p[12]) - i_q
     gain = CURRENT_BANDWIDTH * p[1]
     u_d = gain * e_d + x[4] - w_e * p[1] * i_q
     u_q = gain * e_q + x[5] + w_e * (p[1] * i_d + p[2])
@@ -200,19 +214,21 @@ def advance(
     per drive Nm (rail: running resistance), `carry` (n, N) share of the train's demand that the
     rail can carry (1 = all), `cut` (n, N) limiter commanded down, `curves` (n, N, 6) rail,
     `mass_j` train inertia per drive at the rotor kg m2, `out` (n, N, 10) at the end of each period.
+    The command that drives report is the train's; what differs between them (`p` 9) is in the
+    torque that they deliver. Speeds are those of a rotor with a wheel of nominal diameter.
     """
     n, drives = carry.shape
     h = DT / inner
     no_limit = 1e30
     for k in range(n):
-        t_max = p[0, 7]
+        effort = p[0, EFFORT]
         if on_rail:
             error = w_ref[k] - train[0]
             gain = DRIVER_BANDWIDTH * mass_j
             demand = gain * error + train[1] + mass_j * w_acc[k]
-            if abs(demand) < t_max:
+            if abs(demand) < effort:
                 train[1] += 0.5 * DRIVER_BANDWIDTH * gain * error * DT
-            demand = min(max(demand, -t_max), t_max)
+            demand = min(max(demand, -effort), effort)
         else:
             demand = load[k]
         train[2] = demand
@@ -225,24 +241,24 @@ def advance(
             limit = no_limit
             if on_rail:
                 command = demand * s[9]
-                reference = slip_limit(s, command, train[0], q)
+                reference = slip_limit(s, command * q[SHARE], train[0] / q[WHEEL], q)
                 if carry[k, d] < 1.0:
-                    limit = carry[k, d] * abs(demand)
+                    limit = carry[k, d] * abs(demand * q[SHARE])
             else:
                 command = demand * s[9] + q[4] * w_acc[k]
-                reference = speed_control(s, w_ref[k], q)
-            held = demand * min(s[9], carry[k, d])
+                reference = speed_control(s, w_ref[k] / q[WHEEL], q)
+            held = demand * q[SHARE] * min(s[9], carry[k, d])
+            r = radius * q[WHEEL]
+            carried = load_nm * q[SHARE]
             u_a = s[6]
             u_b = s[7]
             power = 1.5 * (u_a * s[0] + u_b * s[1])
             dc = u_dc - DC_SOURCE_OHM * power / u_dc
             current_control(s, reference, dc / math.sqrt(3.0), q)
-            integrate(
-                s, u_a, u_b, q, h, inner, on_rail, held, v, radius, load_nm, curves[k, d], limit
-            )
+            integrate(s, u_a, u_b, q, h, inner, on_rail, held, v, r, carried, curves[k, d], limit)
             if on_rail:
-                held = rail_torque(s[2], v, radius, load_nm, curves[k, d], limit)
-            pull += held
+                held = rail_torque(s[2], v, r, carried, curves[k, d], limit)
+            pull += held / q[WHEEL]
             o = out[k, d]
             o[I_ALPHA] = s[0]
             o[I_BETA] = s[1]

@@ -98,6 +98,13 @@ class Schedule:
                 out[d] = rail(event.value)
         return out
 
+    def open_phase(self, t_s: float) -> Flags:
+        """(N,) drives whose phase a is open."""
+        out = np.zeros(self._n, np.bool_)
+        for _, who in self._active("phase_open", t_s):
+            out[who] = True
+        return out
+
     def heat(self, t_s: float) -> tuple[Array, Array]:
         """Fault heat (N, 6) W and share of cooling lost (N,)."""
         extra = np.zeros((self._n, thermal.NODES))

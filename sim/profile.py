@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.scenario import Load, Scenario
+from sim.scenario import Scenario
+from sim.tables import Load
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Random single losses of adhesion, by seed: what the detection figures are measured on.
 
 Nothing here is tuned to any detector; scores on a paper's own scenario flatter whatever was
-tuned on it.
+tuned on it. `sim.families` has the other kinds of runs.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from sim.plant import BENCH, MOTORS
 from sim.scenario import Scenario, parse
 
 STREAM: Final = 20
@@ -21,6 +22,32 @@ SPEED_RAD_S: Final = (40.0, 250.0)
 LOAD_NM: Final = (8.0, 30.0)
 RAMP_S: Final = 0.02
 TAIL_S: Final = 0.8
+TOP_RAD_S: Final = {"traction_350kw": 880.0}
+"""Highest electrical speed where it is not that of the bench: 140 Hz."""
+
+
+class PerUnit:
+    """The bench motor's ranges for another motor: torque by T_rated, current by I_rated."""
+
+    def __init__(self, motor: str) -> None:
+        """`motor`: a name of `sim.plant.MOTORS`."""
+        self.name = motor
+        self._torque = MOTORS[motor].T_rated / BENCH.T_rated
+        self._current = MOTORS[motor].I_rated / BENCH.I_rated
+        self.speed = (SPEED_RAD_S[0], TOP_RAD_S.get(motor, SPEED_RAD_S[1]))
+        """Range of electrical speeds, rad/s."""
+
+    def nm(self, bench: float) -> float:
+        """A torque of the bench motor's, to 1 mNm."""
+        return round(float(bench) * self._torque, 3)
+
+    def amps(self, bench: float) -> float:
+        """A current."""
+        return bench * self._current
+
+    def noise(self, bench_var: float) -> float:
+        """A variance of currents, A^2."""
+        return bench_var * self._current**2
 
 
 def random_scenario(
@@ -30,16 +57,18 @@ def random_scenario(
     kind: Literal["preset", "rail"] = "preset",
     healthy: bool = False,
     noise_var: float = 2e-4,
+    motor: str = "bench",
 ) -> Scenario:
     """One run: rolling start with unknown angles, one loss on one drive (none if `healthy`).
 
     Uniform draws: speed 40-250 electrical rad/s and load 8-30 Nm, each of either sign; depth
     0.2-1, length 0.1-2 s, onset 0.8-1.6 s, linear edges of 0-20 ms, any drive. `kind` is the
     plant's load: preset (every drive speed controlled) or the creep curve on dry rail. Runs end
-    0.8 s after the loss.
+    0.8 s after the loss. Loads and `noise_var` (A^2) are the bench motor's and scale with `motor`.
     """
+    unit = PerUnit(motor)
     rng = np.random.default_rng([seed, STREAM])
-    speed = rng.uniform(*SPEED_RAD_S) * rng.choice([-1.0, 1.0])
+    speed = rng.uniform(*unit.speed) * rng.choice([-1.0, 1.0])
     load = rng.uniform(*LOAD_NM) * rng.choice([-1.0, 1.0])
     onset = round(float(rng.uniform(*ONSET_S)), 4)
     length = round(float(rng.uniform(*LENGTH_S)), 4)
@@ -54,15 +83,16 @@ def random_scenario(
         "depth": depth,
         "ramp_s": ramp,
     }
-    title = f"random {seed}: {speed:.0f} rad/s, {load:.1f} Nm"
+    title = f"random {seed}: {speed:.0f} rad/s, {unit.nm(load):.1f} Nm"
     table = {
         "title": title if healthy else f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
         "seed": seed,
         "duration_s": round(onset + length + TAIL_S, 4),
         "drives": drives,
+        "motor": {"name": motor},
         "motion": {"speed": round(float(speed), 3)},
-        "load": {"kind": kind, "torque_nm": round(float(load), 3)},
-        "sensors": {"current_noise_var": noise_var},
+        "load": {"kind": kind, "torque_nm": unit.nm(load)},
+        "sensors": {"current_noise_var": unit.noise(noise_var)},
         "event": [] if healthy else [event],
     }
     return parse(table, f"random {seed}")

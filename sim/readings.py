@@ -15,6 +15,7 @@ from sim import sensors, thermal
 from sim.faults import Schedule
 from sim.scenario import Scenario
 from sim.thermal import ThermalTrain
+from sim.variety import Variety
 
 Array = NDArray[np.float64]
 Values = dict[str, float | int | None]
@@ -39,17 +40,20 @@ POINTS = ("Tstator", "Tde", "Tnde", "Tambient")
 class Readings:
     """Sensors of all drives and what has to be remembered between two messages."""
 
-    def __init__(self, scenario: Scenario, schedule: Schedule, heat: ThermalTrain) -> None:
+    def __init__(
+        self, scenario: Scenario, schedule: Schedule, heat: ThermalTrain, variety: Variety
+    ) -> None:
         """Everything random comes from the scenario's seed."""
         n = scenario.drives
         s, t = scenario.sensors, scenario.thermal
         self._schedule, self._heat, self._n = schedule, heat, n
+        self._torque_scale = variety.torque_scale
         self._currents = sensors.CurrentSensors(
             scenario.seed,
             n,
             s.current_noise_var,
-            s.current_offset_a,
-            s.current_gain,
+            variety.offset,
+            variety.gain,
             s.current_range_a,
         )
         self._temperatures = sensors.TemperatureSensors(
@@ -85,13 +89,15 @@ class Readings:
         out[:, 3:] = np.concatenate([amps[..., :2], volts], axis=2).reshape(m, -1)
         return out
 
-    @staticmethod
-    def motion(row: Array) -> list[Values]:
-        """Values of Motion, per drive, from the plant's row (N, 10)."""
+    def motion(self, row: Array) -> list[Values]:
+        """Values of Motion, per drive, from the plant's row (N, 10).
+
+        The torque is what the drive makes of its current with its data sheet's flux.
+        """
         rpm = row[:, columns.SPEED] * 30.0 / math.pi
         degrees = np.degrees(row[:, columns.ANGLE])
         degrees = np.where(degrees >= FULL_CIRCLE_DEG, 0.0, degrees)
-        torque = row[:, columns.TORQUE]
+        torque = row[:, columns.TORQUE] * self._torque_scale
         return [
             {"Quality": VALID, "Speed": w, "ElectricalAngle": a, "Torque": t}
             for w, a, t in zip(rpm.tolist(), degrees.tolist(), torque.tolist(), strict=True)

@@ -13,28 +13,36 @@ import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from sim.adhesion import rail
-from sim.plant import MOTORS
+from sim.tables import (
+    BusModel,
+    Load,
+    Mismatch,
+    Motion,
+    MotorChoice,
+    Sensors,
+    Strict,
+    ThermalStart,
+)
 
 MAX_DRIVES: Final = 16
 Kind = Literal[
     "adhesion_loss", "rail", "overheating", "cooling_loss", "bearing", "sensor_stuck",
-    "sensor_bias", "sensor_lost", "silent", "frame_loss", "corrupt",
+    "sensor_bias", "sensor_lost", "silent", "frame_loss", "corrupt", "phase_open",
 ]  # fmt: skip
 Sensor = Literal["stator", "drive_end", "non_drive_end", "ambient", "current"]
 
 NEEDS: Final[dict[str, str]] = {
     "adhesion_loss": "depth", "rail": "value", "overheating": "either", "cooling_loss": "depth",
     "bearing": "either", "sensor_stuck": "none", "sensor_bias": "value", "sensor_lost": "none",
-    "silent": "none", "frame_loss": "depth", "corrupt": "depth",
+    "silent": "none", "frame_loss": "depth", "corrupt": "depth", "phase_open": "none",
 }  # fmt: skip
 """Which of `depth` and `value` an event of this kind must carry."""
 SENSOR_KINDS: Final = ("sensor_stuck", "sensor_bias", "sensor_lost")
-Points = Annotated[list[tuple[float, float]], Field(min_length=1)]
 
 
 class ScenarioError(Exception):
@@ -44,14 +52,6 @@ class ScenarioError(Exception):
         """`source`: the file or name it came from."""
         self.problems = tuple(problems)
         super().__init__("\n".join([f"{source}:", *(f"  {p}" for p in problems)]))
-
-
-class Strict(BaseModel):
-    """Unknown keys are refused; values are frozen."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False
-    )
 
 
 class Event(Strict):
@@ -68,6 +68,8 @@ class Event(Strict):
     - `silent`: the drive sends nothing, heartbeat included, and hears nothing
     - `frame_loss` `depth`: probability that a frame is lost
     - `corrupt` `depth`: probability that 1 to 3 bits flip after the checksum was made
+    - `phase_open`: phase a carries no current (begins and ends on a grid of 10 ms); the drive goes
+      on as if nothing were, and reports the voltage that it commands
     """
 
     at_s: float = Field(ge=0)
@@ -142,109 +144,6 @@ class Expect(Strict):
         return self
 
 
-class MotorChoice(Strict):
-    """`[motor]`: one of `sim.plant.MOTORS`."""
-
-    name: str = "bench"
-
-    @model_validator(mode="after")
-    def _known(self) -> Self:
-        if self.name not in MOTORS:
-            msg = f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}"
-            raise ValueError(msg)
-        return self
-
-
-class Disturbance(Strict):
-    """`[[load.disturbance]]`, preset loads only: minus `amplitude_nm` x sin over half a period."""
-
-    drive: int = Field(ge=1)
-    at_s: float = Field(ge=0)
-    for_s: float = Field(gt=0)
-    amplitude_nm: float
-
-
-class Load(Strict):
-    """`[load]`: what the drives work against.
-
-    `kind = "rail"`: `torque_nm` is what the train resists with, per drive (gradient and running
-    resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm], ...]
-    replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed by
-    the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
-    """
-
-    kind: Literal["rail", "preset"] = "rail"
-    torque_nm: float = 18.0
-    profile: Points | None = None
-    transition: Literal["linear", "normal_cdf"] = "linear"
-    smooth_s: float = Field(0.00375, gt=0)
-    rail: float | str = "dry"
-    disturbance: list[Disturbance] = []
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        rail(self.rail)
-        if self.disturbance and self.kind != "preset":
-            raise ValueError("disturbance needs kind = 'preset'")
-        if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
-            raise ValueError("times of profile must rise")
-        return self
-
-
-class Motion(Strict):
-    """`[motion]`: the speed wanted, electrical rad/s, or rotor rpm with `unit = "rpm"`.
-
-    `profile` = [[t_s, speed], ...] (linear) replaces `speed`. `start = "rolling"`: at the profile's
-    first speed. `angle_rad`: initial electrical angle of every drive, else random per drive.
-    """
-
-    speed: float = 100.0
-    profile: Points | None = None
-    unit: Literal["rad_s", "rpm"] = "rad_s"
-    start: Literal["rolling", "standstill"] = "rolling"
-    angle_rad: float | None = None
-
-    @model_validator(mode="after")
-    def _rises(self) -> Self:
-        if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
-            raise ValueError("times of profile must rise")
-        return self
-
-
-class Sensors(Strict):
-    """`[sensors]`.
-
-    Currents: white noise per phase, offset and gain the same in all, range. Temperatures: noise
-    and the spread of constant offsets, both one sigma.
-    """
-
-    current_noise_var: float = Field(2e-4, ge=0)
-    current_offset_a: float = 0.0
-    current_gain: float = Field(1.0, gt=0)
-    current_range_a: float = Field(600.0, gt=0)
-    temperature_noise_k: float = Field(0.15, ge=0)
-    temperature_offset_k: float = Field(0.3, ge=0)
-
-
-class ThermalStart(Strict):
-    """`[thermal]`.
-
-    `start`: "equilibrium" of the first load and speed, "ambient", or degC for all nodes.
-    `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
-    """
-
-    start: Literal["equilibrium", "ambient"] | float = "equilibrium"
-    ambient_c: float = Field(20.0, ge=-40, le=60)
-    train_seed: int = Field(1, ge=0)
-
-
-class BusModel(Strict):
-    """`[bus]`: stamps follow arbitration at this bit rate; 0 = a bus without one, as vcan."""
-
-    bitrate: int = Field(1_000_000, ge=0)
-    data_bitrate: int = Field(5_000_000, gt=0)
-
-
 class Scenario(Strict):
     """A whole scenario."""
 
@@ -254,10 +153,11 @@ class Scenario(Strict):
     drives: int = Field(3, ge=1, le=MAX_DRIVES)
     traffic: Literal["full", "slow"] = "full"
     """"slow": only Motion, Status, Temperatures, from a quasi-static plant."""
-    event: list[Event] = []
-    expect: list[Expect] = []
+    event: list[Event] = Field(default_factory=list)
+    expect: list[Expect] = Field(default_factory=list)
     motor: MotorChoice = MotorChoice()
     load: Load = Load()
+    mismatch: Mismatch = Mismatch()
     motion: Motion = Motion()
     sensors: Sensors = Sensors()
     thermal: ThermalStart = ThermalStart()
@@ -271,12 +171,30 @@ class Scenario(Strict):
                 ("event", [e.drive for e in self.event]),
                 ("expect", [e.drive for e in self.expect]),
                 ("load.disturbance", [d.drive for d in self.load.disturbance]),
+                ("load.curve", [c.drive for c in self.load.curve]),
             )
             for k, drive in enumerate(items)
             if isinstance(drive, int) and not 1 <= drive <= self.drives
         ]
+        lists = {f"mismatch.{k}": getattr(self.mismatch, k) for k in ("R_s", "L_s", "psi_pm")}
+        lists |= {"load.share": self.load.share, "load.wheel": self.load.wheel}
+        wrong += [
+            f"{where}: {len(values)} numbers for {self.drives} drives"
+            for where, values in lists.items()
+            if isinstance(values, list) and len(values) != self.drives
+        ]
         if wrong:
             raise ValueError("; ".join(wrong))
+        return self
+
+    @model_validator(mode="after")
+    def _detail_needs_the_full_plant(self) -> Self:
+        if self.traffic == "slow" and (
+            self.mismatch != Mismatch()
+            or self.load.differs
+            or any(e.kind == "phase_open" for e in self.event)
+        ):
+            raise ValueError("traffic = 'slow' knows no mismatch, share, wheel or phase_open")
         return self
 
     def drives_of(self, who: int | str) -> tuple[int, ...]:
@@ -364,7 +282,7 @@ def _problems(error: ValidationError) -> list[str]:
 
 
 _BRANCHES: Final = frozenset({
-    "int", "float", "str", "literal['all']", "literal['all','others']",
-    "literal['equilibrium','ambient']",
+    "int", "float", "str", "constrained-float", "list[constrained-float]",
+    "literal['all']", "literal['all','others']", "literal['equilibrium','ambient']",
 })  # fmt: skip
 """Names pydantic adds to a location inside a union; they are no keys of the file."""

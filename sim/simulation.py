@@ -22,12 +22,13 @@ from dbc.frame import Frame, Nanos
 from sim import plant as columns
 from sim.ecu import FAST, Ecu
 from sim.faults import Schedule, WireFaults
-from sim.plant import MOTORS, Motor, Plant, QuasiStatic, rail_array
+from sim.plant import MOTORS, TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
 from sim.profile import Profile
 from sim.readings import SAMPLES_PER_FRAME, VALID, Readings, Values
 from sim.scenario import Scenario
 from sim.thermal import ThermalTrain
 from sim.truth import Truth
+from sim.variety import Variety
 from sim.wire import Arbiter
 
 Array = NDArray[np.float64]
@@ -73,9 +74,10 @@ class Simulation:
             for k, node in enumerate(self.nodes)
         ]
         self._cycles = _cycles(self._ecus, slow=scenario.traffic == "slow")
-        self._plant, self._slow = _plant(scenario, motor, self._profile)
+        self._variety = Variety(scenario, motor)
+        self._plant, self._slow = _plant(scenario, motor, self._profile, self._variety)
         self._heat = _heat(scenario, motor, self._profile)
-        self._readings = Readings(scenario, self._schedule, self._heat)
+        self._readings = Readings(scenario, self._schedule, self._heat, self._variety)
         self._arbiter = Arbiter(scenario.bus.bitrate, scenario.bus.data_bitrate)
         self._start_ns = start_ns
         self._now_ns: Nanos = 0
@@ -135,6 +137,8 @@ class Simulation:
         t_s = _seconds(at_ns)
         if first % GRID == 0:
             self._rails = self._schedule.rails(float(t_s[0]))
+            self._plant.set_share(self._variety.share(float(t_s[0])))
+            self._plant.set_open(self._schedule.open_phase(float(t_s[0])))
         w_ref, w_acc, load = self._profile.at(t_s)
         cut = np.stack([ecu.cut(at_ns) for ecu in self._ecus], axis=1)
         rails = np.repeat(rail_array(self._rails)[None], count, axis=0)
@@ -182,14 +186,24 @@ class Simulation:
         for ecu, fault in zip(self._ecus, classes, strict=True):
             ecu.note_fault(fault, now_ns)
         losing = self._schedule.losing(t_s)
+        depth = self._depth(losing, t_s)
         effect = self._readings.fault_effect(t_s).tolist()
         for k, node in enumerate(self.nodes):
-            slips = self._plant is not None and self._plant.slips(k, self._rails[k])
             speed, angle, load = row[k, [columns.SPEED, columns.ANGLE, columns.LOAD]].tolist()
-            lost_now = int(bool(losing[k]) or slips)
-            self._truth.append(
-                Truth(round(t_s, 6), node, speed, angle, load, lost_now, classes[k], effect[k])
-            )
+            slides, deep = bool(losing[k]), depth[k]
+            if self._plant is not None and self._plant.slips(k, self._rails[k]):
+                slides, deep = True, max(deep, self._plant.shortage(k, self._rails[k], load))
+            moves = round(t_s, 6), node, speed, angle, load, int(slides)
+            self._truth.append(Truth(*moves, classes[k], effect[k], deep))
+
+    def _depth(self, losing: NDArray[np.bool_], t_s: float) -> list[float]:
+        """(N,) share of the demand that losses and disturbances take away now."""
+        if not losing.any():
+            return [0.0] * len(self.nodes)
+        at = np.array([t_s])
+        carry = self._schedule.carry(at, self._profile.at(at)[2])[0]
+        depth: list[float] = np.where(losing, np.clip(1.0 - carry, 0.0, 1.0), 0.0).tolist()
+        return depth
 
     def _fast_frames(self, out: Array) -> list[Frame]:
         """Currents and voltages, or samples, of every instant that fell into this block."""
@@ -265,7 +279,7 @@ def _seconds(t_ns: NDArray[np.int64]) -> Array:
 
 
 def _plant(
-    scenario: Scenario, motor: Motor, profile: Profile
+    scenario: Scenario, motor: Motor, profile: Profile, variety: Variety
 ) -> tuple[Plant | None, QuasiStatic | None]:
     """The plant in full, or the quasi-static one for slow traffic."""
     n = scenario.drives
@@ -286,6 +300,8 @@ def _plant(
         on_rail=scenario.load.kind == "rail",
         w_0=w_ref[0] if rolling else 0.0,
         load_0=load[0],
+        train=TRAINS.get(scenario.motor.name, TRAIN),
+        p=variety.p,
     )
     return full, None
 

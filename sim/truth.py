@@ -19,6 +19,9 @@ class Truth(NamedTuple):
     `true_effect_k`: what the fault changes at the drive's temperature readings, the largest of the
     four, noise aside: against a fault-free twin of the motor under the same currents, sensor bias
     and the error of a stuck value included; 0 for a lost sensor.
+
+    `depth`: while `lost`, the share of the demand that does not reach the rail, 0..1; else 0. Not
+    in the truth file.
     """
 
     t_s: float
@@ -29,6 +32,7 @@ class Truth(NamedTuple):
     lost: int
     fault_class: int
     true_effect_k: float
+    depth: float = 0.0
 
     def text(self) -> tuple[str, ...]:
         """Cells of the truth file."""

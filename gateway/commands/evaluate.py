@@ -1,0 +1,111 @@
+"""`evaluate`: the benchmark of detectors on random runs by seed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+from gateway.commands.common import GOOD, add_config, console
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("--seeds", default="development", metavar="SET",
+                        help="development (default), reporting, or A-B")  # fmt: skip
+    parser.add_argument("--family", nargs="+", metavar="NAME",
+                        help="kinds of runs (default: all; a wrong name lists them)")  # fmt: skip
+    parser.add_argument("--detector", nargs="+", metavar="NAME",
+                        help="detectors (default: all)")  # fmt: skip
+    parser.add_argument("--dbc", metavar="FILE",
+                        help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
+    parser.add_argument("--motor", default="bench", metavar="NAME",
+                        help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR",
+                        help="evaluation.md, evaluation.csv, pictures")  # fmt: skip
+    parser.add_argument("-j", "--jobs", type=_jobs, default=1, metavar="N", help="processes")
+    add_config(parser)
+
+
+def _jobs(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 256:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes")
+    return int(text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Evaluate, print the table, write the files. Exit 2 where nothing can be evaluated."""
+    from gateway.config import ConfigError
+    from gateway.drivers.evaluation import Plan, evaluate, known_detectors, seeds_of
+    from gateway.results.evaluation_report import table, write
+
+    say = console()
+    seeds = seeds_of(options.seeds)
+    plan = Plan(_families(options), (), seeds, options.dbc, options.motor, options.config)
+    asked = options.detector or _all_detectors()
+    detectors, refused = known_detectors(dict.fromkeys(asked), plan)
+    if not detectors:
+        raise ConfigError("--detector", refused)
+    for line in refused:
+        say.print(f"left out: {line}", markup=False)
+    plan = plan._replace(detectors=tuple(detectors))
+    with _progress(len(plan.families) * len(seeds)) as (advance, note):
+        lines = evaluate(plan, options.jobs, advance, note)
+    print(table(lines))
+    if options.output is not None:
+        bus = options.dbc or "traction.dbc"
+        title = f"Detectors, {options.seeds} seeds, {bus}, {options.motor}"
+        with say.status("pictures") if sys.stderr.isatty() else nullcontext():
+            for path in write(options.output, title, lines):
+                say.print(f"written: {path}", markup=False)
+    return GOOD
+
+
+def _families(options: argparse.Namespace) -> tuple[str, ...]:
+    """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
+    from gateway.config import ConfigError
+    from sim.families import FAMILIES
+    from sim.plant import MOTORS
+
+    names = tuple(dict.fromkeys(options.family or FAMILIES))
+    problems = [
+        f"no family {name!r}; there are {', '.join(FAMILIES)}"
+        for name in names
+        if name not in FAMILIES
+    ]
+    if options.motor not in MOTORS:
+        problems.append(f"no motor {options.motor!r}; there are {', '.join(MOTORS)}")
+    if problems:
+        raise ConfigError("evaluate", problems)
+    return names
+
+
+def _all_detectors() -> tuple[str, ...]:
+    from estimators.detect import DETECTORS
+
+    return tuple(DETECTORS)
+
+
+Advance = Callable[[], None]
+Note = Callable[[str, float], None]
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[tuple[Advance, Note]]:
+    """A bar over the runs if a person is watching; a line per family in any case."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    shown = sys.stderr.isatty()
+    with Progress(*columns, console=console(), transient=True, disable=not shown) as progress:
+        task = progress.add_task("runs", total=total)
+
+        def advance() -> None:
+            progress.advance(task)
+
+        def note(family: str, seconds: float) -> None:
+            progress.console.print(f"{family}: {seconds:.1f} s", markup=False, highlight=False)
+
+        yield advance, note

@@ -1,0 +1,131 @@
+"""`reproduce adhesion -o DIR`: section 5 of paper `adhesion`, its Table 1 and Figures 5-9."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from gateway.commands.common import GOOD, console
+
+if TYPE_CHECKING:
+    from gateway.results.reproduction_report import Outcome
+    from sim.scenario import Scenario
+
+HELP = "the two papers' tables and figures"
+STANDING_SEEDS: Final = tuple(range(5, 17))
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("paper", choices=["adhesion"], help="which paper")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", required=True,
+                        help="folder for tables, figures, logs and report")  # fmt: skip
+    parser.add_argument("--seed", type=_seed, metavar="N",
+                        help="of noise and start angles (default: the scenario's)")  # fmt: skip
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a seed: a whole number from 0 on")
+    return int(text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Reproduce; Table 1 beside the paper on stdout."""
+    from gateway.commands import section5
+    from gateway.results.reproduction_text import table_text
+    from sim.scenario import builtin
+
+    began = time.perf_counter()
+    scenario = builtin(section5.NAME)
+    if options.seed is not None:
+        scenario = scenario.model_copy(update={"seed": options.seed})
+    outcome = reproduce(scenario, options.output)
+    print(table_text(outcome.cells))
+    agree = sum(c.agrees for c in outcome.cells)
+    print(f"{agree} of {len(outcome.cells)} numbers agree with the paper")
+    print(f"report: {options.output / 'report.html'}")
+    console().print(f"done in {time.perf_counter() - began:.0f} s")
+    return GOOD
+
+
+def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_SEEDS) -> Outcome:
+    """Everything into `folder`. Same scenario, same tables byte by byte.
+
+    `seeds`: of the standing starts. Raises OSError where `folder` cannot be written.
+    """
+    import numpy as np
+
+    from gateway.commands import section5
+    from gateway.results import reproduction as table_1
+    from gateway.results import reproduction_figures as figures
+    from gateway.results import reproduction_loads as bench
+    from gateway.results import reproduction_paths as paths
+    from gateway.results import reproduction_report as report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with _progress(5 + len(section5.BUSES) + len(table_1.METHODS)) as step:
+        step("three drives at 8 kHz")
+        world = section5.simulate(scenario)
+        step("filters without a bus")
+        full = section5.measure(world, 1, 2, (0.0, 0.0))
+        main = bench.estimate(full, bench.PAPER, *bench.unit_start(world.start))
+        zero = bench.estimate(full, bench.PAPER, *bench.unit_start(np.zeros_like(world.start)))
+        courses = section5.without_bus(world)
+        for bus in section5.BUSES:
+            step(f"{bus.way}: frames into a log, gateway over it")
+            log = folder / bus.log
+            section5.write_log(scenario, bus, log)
+            courses += [section5.replay_log(log, bus, b) for b in (bench.PAPER, bench.PRODUCT)]
+        step("standing starts")
+        starts = [section5.standing_start(scenario, seed) for seed in seeds]
+        step("tables")
+        zero_locked = section5.locked(zero.speed, world)
+        outcome = report.Outcome(
+            seed=scenario.seed,
+            duration_s=scenario.duration_s,
+            cells=table_1.compare(
+                table_1.table(main.load), table_1.table(zero.load), zero_locked=all(zero_locked)
+            ),
+            rmse=bench.rmse(main.load, world.load),
+            comparison=paths.compare(courses, paths.Course("truth", "", world.t_ns, world.load)),
+            zero_locked=zero_locked,
+            starts=starts,
+            strengths=table_1.prior_strengths(main.load),
+        )
+        table_1.write_table(folder / "table1.csv", outcome.cells)
+        paths.write_paths(folder / "table1_paths.csv", outcome.comparison)
+        picture = figures.Picture(world.t_s, world.load, main.load, section5.spans(scenario))
+        for number, method in enumerate(table_1.METHODS, 5):
+            step(f"figure {number}")
+            figures.loads(folder / f"figure{number}", picture, method)
+        step("figure 9 and report")
+        figures.histograms(folder / "figure9", picture)
+        report.write(folder, outcome)
+    return outcome
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[str], None]]:
+    """Yields `step(what comes next)`; a bar on stderr if a person is watching, else a line each."""
+    from rich.progress import Progress
+
+    watched = sys.stderr.isatty()
+    say = console()
+    with Progress(console=say, transient=True, disable=not watched) as progress:
+        task = progress.add_task("starting", total=total)
+        begun = 0
+
+        def step(what: str) -> None:
+            nonlocal begun
+            progress.update(task, description=what, completed=begun)
+            begun += 1
+            if not watched:
+                say.print(f"{begun}/{total} {what}", markup=False, highlight=False)
+
+        yield step

@@ -1,0 +1,244 @@
+"""Section 5 of paper `adhesion` on the simulator: the plant alone, and its frames in a log.
+
+Both are the same world: same start angles, same loads, and where a path takes the same samples as
+a bus does, the same noise.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.codec import Codec, bind
+from gateway.config import load, shipped_dbc
+from gateway.health import Health
+from gateway.results import reproduction as table_1
+from gateway.results import reproduction_loads as bench
+from gateway.results.pictures import Span
+from gateway.results.reproduction_loads import Filter, Record
+from gateway.results.reproduction_paths import Course
+from gateway.results.reproduction_report import StandingStart
+from sim import plant as columns
+from sim.faults import Schedule
+from sim.plant import MOTORS, Plant, rail_array
+from sim.profile import Profile
+from sim.scenario import Scenario
+from sim.sensors import CurrentSensors
+from sim.simulation import ANGLE_STREAM, PERIOD_NS, Simulation
+from sim.tables import Motion
+from sim.variety import Variety
+
+NAME: Final = "paper_section5"
+SLOW: Final = 16
+"""Periods of 125 us in the 2 ms of the classic bus."""
+STANDING_S: Final = 0.5
+RAMP_S: Final = 0.25
+
+Array = NDArray[np.float64]
+
+
+class Bus(NamedTuple):
+    """A bus: name of its way, DBC, ticks per second (one per sample or frame)."""
+
+    way: str
+    dbc: str
+    rate_hz: int
+
+    @property
+    def log(self) -> str:
+        """Name of the log's file."""
+        return f"section5_{self.way.split()[0].lower()}.log"
+
+
+BUSES: Final = (
+    Bus("FD bus", "traction_fd.dbc", 1000),
+    Bus("classic bus", "traction.dbc", 500),
+)
+
+
+class World(NamedTuple):
+    """The truth: rows (T, N, 10) of the plant, one per 125 us; start (N, 5) true state at t = 0."""
+
+    scenario: Scenario
+    rows: Array
+    start: Array
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """Time of each row."""
+        return np.arange(1, len(self.rows) + 1, dtype=np.int64) * PERIOD_NS
+
+    @property
+    def t_s(self) -> Array:
+        """The same in seconds."""
+        return np.asarray(self.t_ns * 1e-9, dtype=np.float64)
+
+    @property
+    def load(self) -> Array:
+        """(T, N) Nm."""
+        return self.rows[..., columns.LOAD]
+
+    @property
+    def speed(self) -> Array:
+        """(T, N) electrical rad/s."""
+        return self.rows[..., columns.SPEED] * MOTORS[self.scenario.motor.name].pole_pairs
+
+
+def simulate(scenario: Scenario) -> World:
+    """The plant of a preset-load scenario, without bus: as `sim.Simulation` moves it."""
+    motor = MOTORS[scenario.motor.name]
+    n = scenario.drives
+    count = round(scenario.duration_s * 1e9) // PERIOD_NS
+    t_s = np.arange(count, dtype=np.float64) * (PERIOD_NS * 1e-9)
+    schedule, profile = Schedule(scenario, motor), Profile(scenario, motor.pole_pairs)
+    w_ref, w_acc, load = profile.at(t_s)
+    theta = [
+        np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * np.pi)
+        for d in range(n)
+    ]
+    rolling = scenario.motion.start == "rolling"
+    plant = Plant(
+        motor,
+        np.array(theta),
+        on_rail=False,
+        w_0=w_ref[0] if rolling else 0.0,
+        load_0=load[0],
+        p=Variety(scenario, motor).p,
+    )
+    start = np.zeros((n, 5))
+    start[:, 2] = motor.pole_pairs * plant.x[:, 2]
+    start[:, 3] = plant.x[:, 3]
+    start[:, 4] = load[0]
+    cut = np.zeros((len(t_s), n), dtype=np.bool_)
+    rails = np.repeat(rail_array(schedule.rails(0.0))[None], len(t_s), axis=0)
+    rows = plant.advance(w_ref, w_acc, load, schedule.carry(t_s, load), cut, rails)
+    return World(scenario, rows, start)
+
+
+def measure(world: World, every: int, phases: int, steps: tuple[float, float]) -> Record:
+    """A sample each `every` periods, from `phases` currents, rounded to steps (A, V) or 0.
+
+    The noise is that of the bus that takes the same samples: the sensors draw per sample.
+    """
+    sensors, n = world.scenario.sensors, world.scenario.drives
+    noise = CurrentSensors(
+        world.scenario.seed, n, sensors.current_noise_var, 0.0, 1.0, sensors.current_range_a
+    )
+    count = len(world.rows) // every
+    whole = world.rows[: count * every].reshape(count, every, n, -1)
+    volts = whole[..., columns.U_ALPHA : columns.U_BETA + 1].mean(axis=1)
+    amps = noise.read(whole[:, -1, :, columns.I_ALPHA : columns.I_BETA + 1])
+    return bench.record(volts, amps[..., :phases], every, *steps)
+
+
+def without_bus(world: World) -> list[Course]:
+    """Loads of the ways that have no bus, by the paper's and the product's filter."""
+    exact = (0.0, 0.0)
+    ways = (
+        ("8 kHz", 1, 2, exact),
+        ("8 kHz, rounded", 1, 2, wire_steps(BUSES[0])),
+        ("2 ms", SLOW, 3, exact),
+        ("2 ms, rounded", SLOW, 3, wire_steps(BUSES[1])),
+    )
+    courses = []
+    for way, every, phases, steps in ways:
+        samples = measure(world, every, phases, steps)
+        t_ns = world.t_ns[every - 1 :: every]
+        for belief in (bench.PAPER, bench.PRODUCT):
+            load = bench.estimate(samples, belief, *bench.unit_start(world.start)).load
+            courses.append(Course(way, belief.name, t_ns, load))
+    return courses
+
+
+@cache
+def _codec(dbc: str) -> Codec:
+    """A shipped DBC bound for the drives of a configuration without a file."""
+    return bind(shipped_dbc(dbc), load(None).nodes)
+
+
+def wire_steps(bus: Bus) -> tuple[float, float]:
+    """Resolution of currents (A) and voltages (V) in the messages of a bus."""
+    codec = _codec(bus.dbc)
+    names = ("Ia", "Ualpha", "Ia_0", "Ualpha_0")
+    specs = [codec.by_name[f"Drive1_{m}"] for m in ("PhaseCurrents", "StatorVoltages", "Samples")
+             if f"Drive1_{m}" in codec.by_name]  # fmt: skip
+    amps, volts = (s.scale for spec in specs for s in spec.signals if s.name in names)
+    return amps, volts
+
+
+def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
+    """The drives' frames as a candump log, as `sim` writes it. Raises OSError."""
+    from dbc.candump import Writer
+
+    simulation = Simulation(scenario, _codec(bus.dbc))
+    writer = Writer(path, "vcan0")
+    try:
+        for tick in range(round(scenario.duration_s * 100) + 1):
+            for frame in simulation.step((), tick * 10_000_000):
+                writer.write(frame)
+    finally:
+        writer.close()
+
+
+def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:
+    """The gateway over a log: loads of tracked drives at its ticks, NaN where it knows none."""
+    from gateway.core import Gateway
+    from gateway.drivers.replay import OneChannel, open_log, replay
+
+    noise = {"process_noise": belief.Q, "current_noise_var": belief.R}
+    config = load(None, dbc={"file": bus.dbc}, loop={"rate_hz": bus.rate_hz}, estimator=noise)
+    codec = _codec(bus.dbc)
+    t_ns: list[int] = []
+    loads: list[list[float]] = []
+
+    def sink(now: int, _out: list[Any], view: Any) -> None:
+        t_ns.append(now)
+        loads.append(
+            [
+                d.load_nm if d.health is Health.TRACKING and d.load_nm is not None else np.nan
+                for d in view.drives
+            ]
+        )
+
+    blocks = OneChannel(open_log(path, strict=True).blocks, None)
+    replay(blocks, lambda start: Gateway(config, codec, start), config.loop.period_ns, sink)
+    return Course(bus.way, belief.name, np.array(t_ns), np.array(loads))
+
+
+def locked(speed: Array, world: World) -> tuple[bool, ...]:
+    """Per drive whether a filter's speed (T, N) ends at the true one."""
+    return tuple((np.abs(speed[-1] - world.speed[-1]) < 10.0).tolist())
+
+
+def standing(scenario: Scenario, seed: int) -> World:
+    """The same loads for half a second, from standstill to the same speed within `RAMP_S`."""
+    speed = scenario.motion.speed
+    motion = Motion(start="standstill", profile=[(0.0, 0.0), (RAMP_S, speed)])
+    return simulate(
+        scenario.model_copy(update={"seed": seed, "motion": motion, "duration_s": STANDING_S})
+    )
+
+
+def standing_start(scenario: Scenario, seed: int) -> StandingStart:
+    """The paper's filter started at zero on a standing train, judged by the median method."""
+    world = standing(scenario, seed)
+    samples = measure(world, 1, 2, (0.0, 0.0))
+    found = bench.estimate(samples, bench.PAPER, *bench.unit_start(np.zeros_like(world.start)))
+    difference = table_1.differences(found.load)["median"]
+    most: list[float] = difference.max(axis=0).tolist()
+    return StandingStart(seed, locked(found.speed, world), tuple(most))
+
+
+def spans(scenario: Scenario) -> list[Span]:
+    """When drives lose load, for shading."""
+    out = [
+        Span(e.at_s, e.end_s, d, "lost")
+        for e in scenario.event
+        for d in scenario.drives_of(e.drive)
+    ]
+    out += [Span(d.at_s, d.at_s + d.for_s, d.drive, "part") for d in scenario.load.disturbance]
+    return [s for s in out if s.start_s < scenario.duration_s]
