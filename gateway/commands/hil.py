@@ -117,7 +117,9 @@ def _fitting(options: argparse.Namespace, scenario: Any, changes: dict[str, Any]
 
     config, codec = prepare(options.config, **changes)
     if options.config is None:
-        drives = tuple(Drive(node=n) for n in range(1, scenario.drives + 1))
+        name = scenario.motor.name
+        motor = name if name in config.motors else "bench"
+        drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
         config = config.model_copy(update={"drive": drives})
         codec = bind(config.dbc_path, config.nodes)
     elif len(config.nodes) != scenario.drives:
