@@ -20,9 +20,6 @@ from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
 from sim.scenario import Scenario
 
-SPARE_NS: Nanos = SECOND
-"""The gateway goes on this long after the last drive has left."""
-
 
 def bus_arguments(options: Namespace) -> list[str]:
     """The bus options of this command line, for a child's."""
@@ -37,7 +34,11 @@ def bus_arguments(options: Namespace) -> list[str]:
 def run_on_real_bus(
     options: Namespace, name: str, scenario: Scenario, config: Config, codec: Codec
 ) -> Outcome:
-    """Run in real time. Scenario time starts with the first frame heard from a drive."""
+    """Run in real time, until the drives have left.
+
+    Scenario time starts with the first frame heard from a drive; what is said after its end, when
+    the drives are leaving, is not judged.
+    """
     config = for_scenario(config)
     ticker = Ticker(config.loop.period_ns)
     warm_up(config, codec)
@@ -50,16 +51,15 @@ def run_on_real_bus(
          "--dbc", str(codec.path), *bus_arguments(options)],
     )  # fmt: skip
     first: list[Nanos] = []
-    ended: list[Nanos] = []
+    duration = round(scenario.duration_s * SECOND)
 
     def watch(seen: LiveSnapshot) -> None:
-        track.add(seen.sent)
         if not first and seen.status.received:
             first.append(seen.now_ns)
+        if not first or seen.now_ns - first[0] <= duration:
+            track.add(seen.sent)
         if child.poll() is not None:
-            ended.append(seen.now_ns)
-            if seen.now_ns - ended[0] > SPARE_NS:
-                stop()
+            stop()
 
     try:
         node = CanopenNode(config.nodes, nmt_master=True)

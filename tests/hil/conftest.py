@@ -21,9 +21,9 @@ from typing import Any
 
 import pytest
 
-SILENCE_S = 240.0
+SILENCE_S = 450.0
 """Longest time without any report before the inner run is given up."""
-INNER_TIMEOUT_S = 180
+INNER_TIMEOUT_S = 400
 """Limit of one test inside."""
 WARM_UP = """
 from dbc.codec import bind

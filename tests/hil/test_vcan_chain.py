@@ -2,51 +2,69 @@
 
 from __future__ import annotations
 
-import shutil
+import itertools
+import re
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
-from xml.etree import ElementTree as ET
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from dbc.codec import bind
+from dbc.candump import Reader
 from gateway.cli import main
-from gateway.config import shipped_dbc
+from gateway.health import Flag, Reason
+from gateway.results.expect import FlagTrack
 from tests.hil.chain import (
+    ATTEMPTS,
+    FLAGS_ID,
+    PATIENCE_S,
     TICK_NS,
-    adhesion_changes,
+    FlagSocket,
+    Recording,
+    Setting,
+    changes,
+    drives_ns,
+    excused,
+    farewell_ns,
+    lost_spans,
     memory_folder,
-    protected,
-    settled,
-    slower,
-    wait_for,
+    own_frames,
+    program,
+    setting,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from conftest import Vcan
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
-UNKNOWN, ADHERING, LOST = 0, 1, 2
+UNKNOWN, ADHERING, LOST = Flag.UNKNOWN, Flag.GOOD, Flag.BAD
 SCENARIO = """
 title = "a full loss in the middle"
 seed = 10
 duration_s = {seconds}
 drives = {drives}
-[motion]
-speed = 40
 [[event]]
-at_s = 2.0
+at_s = 2.5
 for_s = 1.0
 drive = 1
 kind = "adhesion_loss"
 depth = 1.0
 """
+
+
+class Run(NamedTuple):
+    """What a run of the chain left behind."""
+
+    used: Setting
+    log: Path
+    truth: Path
+    sent: int
+    """Frames the gateway says it has sent."""
 
 
 @pytest.fixture
@@ -55,160 +73,143 @@ def folder() -> Iterator[Path]:
         yield path
 
 
-def gateway(*words: str) -> list[str]:
-    return [sys.executable, "-m", "gateway", *words]
-
-
-def run_chain(vcan: Vcan, folder: Path, config: Path, dbc: Path, drives: int, *more: str) -> Path:
-    """Gateway, drives and candump; the recording when all is quiet again."""
-    scenario = folder / "s.toml"
-    scenario.write_text(SCENARIO.format(seconds=5, drives=drives))
-    log = folder / "record.log"
-    recorder = vcan.record(log)
-    bus = ("-i", "socketcan", "-c", vcan.name, *more)
-    process = vcan.start(*gateway("run", *bus, "--quiet", "--config", str(config)),
-                         stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
-    settled(vcan, log)
-    simulated = subprocess.run(
-        gateway("sim", str(scenario), *bus, "--dbc", str(dbc)), check=False, capture_output=True
-    )
-    assert simulated.returncode == 0, simulated.stderr.decode()
-    time.sleep(0.5)
-    process.terminate()
-    output, errors = process.communicate(timeout=30)
-    assert process.returncode == 0, errors.decode()
-    assert b"refused 0, queue full 0" in output
+def run_chain(vcan: Vcan, folder: Path, used: Setting, seconds: float) -> Run:
+    """Gateway, drives and candump, from the gateway's first frame to its last."""
+    scenario, truth = folder / "s.toml", folder / "truth.csv"
+    scenario.write_text(SCENARIO.format(seconds=seconds, drives=len(used.nodes)))
+    recording = Recording(vcan, folder / "record")
+    flags = FlagSocket(vcan, used.codec)
+    words = ("run", *used.bus, "--quiet", "--config", str(used.config))
+    gateway = vcan.start(*program(vcan, *words), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    flags.until(used.nodes, UNKNOWN)
+    flags.close()
+    words = ("sim", str(scenario), *used.bus, "--dbc", str(used.codec.path), "--truth", str(truth))
+    drives = subprocess.run(program(vcan, *words), check=False, capture_output=True)
+    assert drives.returncode == 0, drives.stderr.decode()
     time.sleep(1.0)
-    recorder.terminate()
-    recorder.wait(timeout=10)
-    return log
+    gateway.terminate()
+    output, errors = gateway.communicate(timeout=PATIENCE_S)
+    assert gateway.returncode == 0, errors.decode()
+    sent = re.search(rb"sent (\d+), refused 0, queue full 0, link down 0; kernel drops 0", output)
+    assert sent is not None, output.decode()
+    return Run(used, recording.end(), truth, int(sent[1]))
 
 
-def check_chain(log: Path, config: Path, dbc: Path, nodes: tuple[int, ...]) -> None:
-    """What is on the wire is right, and the replay of it says the same."""
-    codec = bind(dbc, nodes)
-    assert protected(log, codec) > 1000
-    live = adhesion_changes(log, codec, nodes)
-    flags = [change.flag for change in live[1]]
-    assert flags == [UNKNOWN, ADHERING, LOST, ADHERING, UNKNOWN]
+def checked_run(vcan: Vcan, folder: Path, drives: int, seconds: float, fd: bool) -> Run:
+    """A run whose wire and replay are right.
+
+    It is tried again where the machine stalled; classic then at a rate that a slower one carries.
+    """
+    for k in range(ATTEMPTS):
+        here = folder / f"run{k}"
+        here.mkdir()
+        used = setting(vcan, here, drives, fd=fd, slower=k > 0 and not fd)
+        run = run_chain(vcan, here, used, seconds)
+        with excused(run.log, used):
+            check_wire(run)
+            check_replay(run)
+            return run
+    raise AssertionError("this machine stalls")
+
+
+def check_wire(run: Run) -> None:
+    """The recording says what happened, without a gap and well protected."""
+    used = run.used
+    codec, nodes = used.codec, used.nodes
+    assert own_frames(run.log, codec) == run.sent > 1000
+    seen = changes(run.log, codec, nodes, farewell_ns(run.log))
+    said = seen["adhesion", 1]
+    assert [c.flag for c in said] == [UNKNOWN, ADHERING, LOST, ADHERING, UNKNOWN]
     for node in nodes[1:]:
-        assert [change.flag for change in live[node]] == [UNKNOWN, ADHERING, UNKNOWN]
-    lost, back = live[1][2], live[1][3]
-    assert 0.9 < (back.t_ns - lost.t_ns) / 1e9 < 1.3
+        assert [c.flag for c in seen["adhesion", node]] == [UNKNOWN, ADHERING, UNKNOWN]
+    ((onset, end),) = lost_spans(run.truth, 1)
+    heard = drives_ns(run.log, used)
+    assert -0.02 < (said[2].t_ns - heard[0]) / 1e9 - onset < 0.3
+    assert 0.0 < (said[3].t_ns - heard[0]) / 1e9 - end < 1.0
+    # Silent drives are unknown, and known to be gone.
+    assert 0 < said[4].t_ns - heard[-1] < 20 * TICK_NS
+    assert seen["comm", 0][-1].flag is Flag.BAD
 
-    again = log.with_name("replayed.log")
-    assert main(["replay", str(log), "-o", str(again), "--config", str(config)]) == 0
-    replayed = adhesion_changes(again, codec, nodes)
-    for node in nodes:
-        assert [c.flag for c in replayed[node]] == [c.flag for c in live[node]]
-        # The first and the last change are the recording's own start and the farewell at its end.
-        for a, b in zip(live[node][1:-1], replayed[node][1:-1], strict=True):
-            assert abs(a.t_ns - b.t_ns) <= 2 * TICK_NS
+
+def check_replay(run: Run) -> None:
+    """A replay of the recording says the same, each change within two ticks."""
+    used = run.used
+    again = run.log.with_name("replayed.log")
+    assert main(["replay", str(run.log), "-o", str(again), "--config", str(used.config)]) == 0
+    live = changes(run.log, used.codec, used.nodes, farewell_ns(run.log))
+    replayed = changes(again, used.codec, used.nodes)
+    assert live.keys() == replayed.keys()
+    for key, said in live.items():
+        assert [c.flag for c in replayed[key]] == [c.flag for c in said], key
+        # The first is no change but where either begins. Live stamps are those of the wire, a part
+        # of a tick later than the tick.
+        for a, b in zip(said[1:], replayed[key][1:], strict=True):
+            assert abs(round((a.t_ns - b.t_ns) / TICK_NS)) <= 2, (key, a, b)
 
 
 def test_main_job_and_its_replay(vcan: Vcan, folder: Path) -> None:
-    dbc = slower(folder, 10)
-    config = folder / "train.toml"
-    config.write_text(f'[dbc]\nfile = "{dbc.name}"\n')
-    log = run_chain(vcan, folder, config, dbc, 3)
-    check_chain(log, config, dbc, (1, 2, 3))
+    run = checked_run(vcan, folder, drives=3, seconds=8.0, fd=False)
     cantools = Path(sys.executable).with_name("cantools")
     decoded = subprocess.run(
-        [str(cantools), "decode", "--single-line", str(dbc)],
-        input=log.read_bytes(), capture_output=True, check=True,
+        [str(cantools), "decode", "--single-line", str(run.used.codec.path)],
+        input=run.log.read_bytes(), capture_output=True, check=True,
     ).stdout.decode()  # fmt: skip
     assert "Adhesion1: AdhesionLost" in decoded
     assert "Adhesion2: Adhering" in decoded
+    assert "Adhesion2: AdhesionLost" not in decoded
     assert "Detector: VariationalBayes" in decoded
 
 
 def test_main_job_on_can_fd(vcan: Vcan, folder: Path) -> None:
-    dbc = shipped_dbc("traction_fd.dbc")
-    config = folder / "train.toml"
-    config.write_text('[dbc]\nfile = "traction_fd.dbc"\n[[drive]]\nnode = 1\n[[drive]]\nnode = 2\n')
-    log = run_chain(vcan, folder, config, dbc, 2, "--fd")
-    text = log.read_text()
+    run = checked_run(vcan, folder, drives=2, seconds=6.0, fd=True)
+    text = run.log.read_text()
     assert " 181##" in text
     assert " 1A0#" in text
-    codec = bind(dbc, (1, 2))
-    assert protected(log, codec) > 1000
-    # At 1 ms cycles data are stale after 13 ms, and a user-mode kernel stalls for longer now and
-    # then: unknown may come between, but lost is said once, of drive 1 only, live and replayed.
-    again = log.with_name("replayed.log")
-    assert main(["replay", str(log), "-o", str(again), "--config", str(config)]) == 0
-    onset = []
-    for path in (log, again):
-        changes = adhesion_changes(path, codec, (1, 2))
-        known = [c for c in changes[1] if c.flag != UNKNOWN]
-        said = [c for k, c in enumerate(known) if k == 0 or c.flag != known[k - 1].flag]
-        assert [c.flag for c in said] == [ADHERING, LOST, ADHERING]
-        assert {c.flag for c in changes[2]} == {UNKNOWN, ADHERING}
-        onset.append(said[1].t_ns)
-    assert abs(onset[0] - onset[1]) <= 10 * TICK_NS
-
-
-@pytest.mark.parametrize("name", ["release", "wet_one", "silent", "lossy_bus"])
-def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: str) -> None:
-    dbc = slower(folder)
-    config = folder / "train.toml"
-    config.write_text(f'[dbc]\nfile = "{dbc.name}"\n')
-    report = folder / "r.xml"
-    done = subprocess.run(
-        gateway("hil", name, "-i", "socketcan", "-c", vcan.name, "--config", str(config),
-                "--junit", str(report)),
-        check=False, capture_output=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout.decode() + done.stderr.decode()
-    suite = ET.parse(report).getroot()[0]
-    assert int(suite.get("tests", 0)) > 2
-    assert suite.get("failures") == "0"
-
-
-def test_bearing_overheats_on_a_real_bus(vcan: Vcan, folder: Path) -> None:
-    dbc = slower(folder)
-    cells = folder / "cells.toml"
-    shutil.copy(shipped_dbc("x").parents[1] / "gateway" / "bench_calibration.toml", cells)
-    config = folder / "train.toml"
-    config.write_text(f'[dbc]\nfile = "{dbc.name}"\n[thermal]\ncalibration = "{cells.name}"\n')
-    done = subprocess.run(
-        gateway("hil", "bearing", "-i", "socketcan", "-c", vcan.name, "--config", str(config)),
-        check=False, capture_output=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout.decode() + done.stderr.decode()
-    assert b"thermal of drive 2 bad" in done.stdout
 
 
 def test_late_interface_and_a_link_that_goes_and_comes(vcan: Vcan, folder: Path) -> None:
     """Flags are unknown when the drives cannot be heard, and come back by themselves."""
-    vcan.link("delete")
-    dbc = slower(folder, 10)
-    config = folder / "train.toml"
-    config.write_text(f'[dbc]\nfile = "{dbc.name}"\n')
+    used = setting(vcan, folder, drives=3, slower=vcan.own_kernel)
+    codec, nodes = used.codec, used.nodes
     scenario = folder / "s.toml"
-    scenario.write_text(SCENARIO.format(seconds=60, drives=2).split("[[event]]")[0])
-    bus = ("-i", "socketcan", "-c", vcan.name)
-    vcan.start(*gateway("run", *bus, "--quiet", "--config", str(config)))
-    time.sleep(2.0)
+    scenario.write_text(SCENARIO.format(seconds=600, drives=3).split("[[event]]")[0])
+    vcan.link("delete")
+    words = ("run", *used.bus, "--quiet", "--config", str(used.config))
+    gateway = vcan.start(*program(vcan, *words), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert gateway.stderr is not None
+    assert b"bus is absent" in gateway.stderr.readline()
     vcan.link("create")
-    log = folder / "record.log"
-    vcan.record(log)
-    settled(vcan, log)
-    vcan.start(*gateway("sim", str(scenario), *bus, "--dbc", str(dbc)))
-    codec = bind(dbc, (1, 2, 3))
-
-    def last(node: int) -> int:
-        changes = adhesion_changes(log, codec, (node,))[node]
-        return changes[-1].flag if changes else UNKNOWN
-
-    wait_for(lambda: last(2) == ADHERING, "adhering")
+    recording = Recording(vcan, folder / "record")
+    flags = FlagSocket(vcan, codec)
+    words = ("sim", str(scenario), *used.bus, "--dbc", str(used.codec.path))
+    drives = vcan.start(*program(vcan, *words), stderr=subprocess.DEVNULL)
+    flags.until(nodes, ADHERING)
+    time.sleep(0.5)
     vcan.link("down")
-    time.sleep(1.0)
-    down = time.time_ns()
+    time.sleep(0.5)
     vcan.link("up")
-    again = folder / "again.log"
-    vcan.record(again)
-    wait_for(lambda: again.stat().st_size > 4000, "frames after the link is back")
-    first = adhesion_changes(again, codec, (2,))[2][0]
-    assert first.t_ns > down
-    assert first.flag == UNKNOWN
-    wait_for(lambda: adhesion_changes(again, codec, (2,))[2][-1].flag == ADHERING, "again adhering")
+    flags.until(nodes, UNKNOWN)
+    flags.until(nodes, ADHERING)
+    flags.close()
+    for process in (drives, gateway):
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=PATIENCE_S)
+        assert process.returncode == 0
+    log = recording.end()
+
+    stamps = [f.t_ns for f in Reader(log) if f.can_id == FLAGS_ID]
+    down, up = max(itertools.pairwise(stamps), key=lambda pair: pair[1] - pair[0])
+    assert up - down > 400_000_000
+    track = FlagTrack(codec, nodes)
+    track.add(Reader(log))
+    for node in nodes:
+        said = track.seen["adhesion", node]
+        assert ADHERING in {flag for t_ns, flag in said if t_ns <= down}
+        # The very first frame after the silence takes the last good verdict back.
+        assert next(flag for t_ns, flag in said if t_ns == up) is UNKNOWN
+        assert ADHERING in {flag for t_ns, flag in said if t_ns > up}
+        assert LOST not in {flag for _, flag in said}
+    first = next(f for f in Reader(log) if f.can_id == FLAGS_ID and f.t_ns == up)
+    reason = codec.decode(codec.by_id[FLAGS_ID], first.data)["Reason"].raw
+    # Depends on whether a drive was quicker to say that its counter has gone on.
+    assert Reason(int(reason)) in (Reason.STALE, Reason.SEQUENCE)

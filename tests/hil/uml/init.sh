@@ -13,6 +13,13 @@ for module in net/can/can net/can/can-raw net/can/can-bcm net/can/can-gw \
     drivers/net/can/dev/can-dev drivers/net/can/vcan drivers/net/can/slcan/slcan; do
     insmod "$modules/$module.ko" || echo "cannot load $module"
 done
+# Tests give programs real-time priority so that none waits for another: no ration of it, and the
+# kernel's own thread that delivers frames goes before them (and its queue is no limit).
+echo -1 >/proc/sys/kernel/sched_rt_runtime_us
+echo 100000 >/proc/sys/net/core/netdev_max_backlog
+for process in /proc/[0-9]*; do
+    grep -q ksoftirqd "$process/comm" && chrt -f -p 50 "${process#/proc/}"
+done
 ip link set lo up
 sh "$VCAN_JOB/run.sh" >"$VCAN_JOB/output" 2>&1
 echo $? >"$VCAN_JOB/exit.part"

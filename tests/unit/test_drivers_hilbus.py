@@ -1,0 +1,114 @@
+"""A scenario on a real bus, without the bus: what is judged, and how it ends."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable
+
+import pytest
+
+from dbc.codec import Codec, bind
+from dbc.frame import MS, SECOND, Frame
+from gateway.config import Config, parse
+from gateway.drivers import hilbus
+from gateway.drivers.bench import Outcome
+from gateway.drivers.hilbus import bus_arguments, run_on_real_bus
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.transport import SendResult, Status
+from sim.scenario import Scenario, parse_text
+from sim.simulation import Simulation
+
+LATE_NS = 200 * MS
+"""The drives' program takes this long until it is on the bus."""
+SCENARIO = """
+title = "nothing happens"
+seed = 1
+duration_s = 1
+drives = 2
+[[expect]]
+flag = "adhesion"
+is = "good"
+drive = "all"
+within_ms = 500
+[[expect]]
+flag = "comm"
+is = "bad"
+never = true
+"""
+
+
+class World:
+    """Drives, their process, the bus and its clock; the drives leave when the scenario ends."""
+
+    def __init__(self, scenario: Scenario, codec: Codec) -> None:
+        self.now_ns = 0
+        self.status = Status()
+        self.ended_ns = LATE_NS + round(scenario.duration_s * SECOND)
+        self.terminated = False
+        self._simulation = Simulation(scenario, codec, self_start=False)
+        self._sent: list[Frame] = []
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * SECOND)
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        assert timeout_s == 0.0
+        if not LATE_NS <= self.now_ns <= self.ended_ns:
+            return []
+        frames = self._simulation.step(self._sent, self.now_ns - LATE_NS)
+        self._sent = []
+        self.status.received += len(frames)
+        return [f._replace(t_ns=f.t_ns + LATE_NS) for f in frames]
+
+    def send(self, frame: Frame) -> SendResult:
+        self._sent.append(frame)
+        return self.status.count(SendResult.SENT)
+
+    def close(self) -> None:
+        pass
+
+    def poll(self) -> int | None:
+        """The process is gone a while after its last frame."""
+        return 0 if self.now_ns > self.ended_ns + 100 * MS else None
+
+    def terminate(self) -> None:
+        self.terminated = True
+
+    def wait(self, timeout: float) -> int:
+        assert timeout > 0
+        return 0
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[[World, Scenario, Config, Codec], Outcome]:
+    def run(world: World, scenario: Scenario, config: Config, codec: Codec) -> Outcome:
+        monkeypatch.setattr(
+            hilbus, "Ticker", lambda period: Ticker(period, lambda: world.now_ns, world.sleep)
+        )
+        monkeypatch.setattr(hilbus, "open_transport", lambda *_: world)
+        monkeypatch.setattr(hilbus.subprocess, "Popen", lambda _: world)
+        return run_on_real_bus(Namespace(), "nothing", scenario, config, codec)
+
+    return run
+
+
+def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(
+    run: Callable[[World, Scenario, Config, Codec], Outcome],
+) -> None:
+    scenario = parse_text(SCENARIO, "nothing")
+    config = parse({"drive": [{"node": 1}, {"node": 2}]})
+    codec = bind(config.dbc_path, config.nodes)
+    world = World(scenario, codec)
+    outcome = run(world, scenario, config, codec)
+    assert outcome.passed, outcome.verdicts
+    assert outcome.gateway.view is not None
+    assert outcome.gateway.view.comm == 2  # it was said, after the end
+    assert world.now_ns < world.ended_ns + 200 * MS
+    assert not world.terminated
+
+
+def test_bus_options_are_handed_on() -> None:
+    options = Namespace(interface="socketcan", channel="vcan0", bitrate=None, fd=True)
+    assert bus_arguments(options) == ["-i", "socketcan", "-c", "vcan0", "--fd"]
+    assert bus_arguments(Namespace(data_bitrate=5_000_000)) == ["--data-bitrate", "5000000"]
+    assert bus_arguments(Namespace(fd=False)) == []
