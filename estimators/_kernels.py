@@ -29,6 +29,7 @@ Flags = NDArray[np.bool_]
 _TWO_PI = 2.0 * math.pi
 _FLOOR = 1e-12  # ekf.FLOOR
 _REPAIR = 1e-6  # ukf.REPAIR
+_TURN_MAX = 1.4  # pmsm.TURN_MAX
 
 
 @njit(cache=True)
@@ -70,8 +71,6 @@ def _store(x_d: Array, P_d: Array, x: Array, P: Array) -> bool:
 def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P: Array) -> None:
     """`ekf.coast` on work arrays."""
     psi_f, p, J, B, k_p = par[2], par[3], par[4], par[5], par[6]
-    P[0, 0] += var
-    P[1, 1] += var
     kappa = k_p * p * p * psi_f / J
     sin, cos = math.sin(x[3]), math.cos(x[3])
     a = kappa * (x[1] * cos - x[0] * sin) - p / J * x[4] - B / J * x[2]
@@ -112,6 +111,15 @@ def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P
                 total += M[i, k] * F[j, k]
             P[i, j] = total
             P[j, i] = total
+    # The torque meanwhile, in speed and angle; the currents at the end, for themselves.
+    g_w = kappa * tau
+    g_t = 0.5 * kappa * tau * tau
+    P[2, 2] += var * g_w * g_w
+    P[2, 3] += var * g_w * g_t
+    P[3, 2] = P[2, 3]
+    P[3, 3] += var * g_t * g_t
+    P[0, 0] += var
+    P[1, 1] += var
     x[0] = i_a
     x[1] = i_b
     x[2] += tau * a
@@ -153,6 +161,20 @@ def _update(R: Array, y: Array, x: Array, P: Array, K: Array, W: Array) -> float
 
 
 @njit(cache=True)
+def _turning(u: Array, w: float, n_sub: int, dt: float) -> tuple[float, float, float, float]:
+    """`pmsm.turning`: the first sub-step's voltage, and cosine and sine from one to the next."""
+    h = 0.5 * dt * w
+    if n_sub < 2 or h == 0.0 or not abs(n_sub * h) <= _TURN_MAX:
+        return u[0], u[1], 1.0, 0.0
+    gain = n_sub * math.sin(h) / math.sin(n_sub * h)
+    back = -h * (n_sub - 1)
+    cos, sin = gain * math.cos(back), gain * math.sin(back)
+    first_a = cos * u[0] - sin * u[1]
+    first_b = sin * u[0] + cos * u[1]
+    return first_a, first_b, math.cos(2.0 * h), math.sin(2.0 * h)
+
+
+@njit(cache=True)
 def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array, P: Array) -> None:
     """`ekf.predict` on work arrays; f.. are the entries of the Jacobian, m.. of F P."""
     R_s, L_s, psi_f = par[0], par[1], par[2]
@@ -162,8 +184,9 @@ def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array
     f22 = 1.0 - B / J * dt
     e = k_p * p * p * psi_f / J * dt
     f24 = -p * dt / J
-    v0 = dt / L_s * u[0]
-    v1 = dt / L_s * u[1]
+    v0, v1, cos_v, sin_v = _turning(u, x[2], n_sub, dt)
+    v0 *= dt / L_s
+    v1 *= dt / L_s
     q0, q1, q2, q3, q4 = Q[0], Q[1], Q[2], Q[3], Q[4]
     i_a, i_b, w, theta, load = x[0], x[1], x[2], x[3], x[4]
     p00, p01, p02, p03, p04 = P[0, 0], P[0, 1], P[0, 2], P[0, 3], P[0, 4]
@@ -219,6 +242,7 @@ def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array
         i_a_next = a * i_a + f02 * w + v0
         i_b_next = a * i_b + f12 * w + v1
         w_next = f22 * w + e * (i_b * cos - i_a * sin) + f24 * load
+        v0, v1 = cos_v * v0 - sin_v * v1, sin_v * v0 + cos_v * v1
         theta += w * dt
         i_a = i_a_next
         i_b = i_b_next
@@ -315,8 +339,9 @@ def _ukf_predict(
     theta_d = 1.0 - B / J * dt
     theta_e = k_p * p * p * psi_f / J * dt
     theta_f = p * dt / J
-    v0 = dt / L_s * u[0]
-    v1 = dt / L_s * u[1]
+    v0, v1, cos_v, sin_v = _turning(u, x[2], n_sub, dt)
+    v0 *= dt / L_s
+    v1 *= dt / L_s
     c = math.sqrt(5.0 + kappa)
     weight = 0.5 / (5.0 + kappa)
     weight_0 = kappa / (5.0 + kappa)
@@ -330,6 +355,7 @@ def _ukf_predict(
         f_b = theta_a * i_b - theta_b * w * cos + v1
         f_w = theta_d * w + theta_e * (i_b * cos - i_a * sin) - theta_f * load
         f_t = theta + w * dt
+        v0, v1, v0_now, v1_now = cos_v * v0 - sin_v * v1, sin_v * v0 + cos_v * v1, v0, v1
         for k in range(5):
             shift[k] = 0.0
         for j in range(5):
@@ -348,8 +374,8 @@ def _ukf_predict(
                 b_j = i_b + g * d_b
                 w_j = w + g * d_w
                 row = j + 5 * side
-                D[row, 0] = theta_a * a_j + theta_b * w_j * sin_j + v0 - f_a
-                D[row, 1] = theta_a * b_j - theta_b * w_j * cos_j + v1 - f_b
+                D[row, 0] = theta_a * a_j + theta_b * w_j * sin_j + v0_now - f_a
+                D[row, 1] = theta_a * b_j - theta_b * w_j * cos_j + v1_now - f_b
                 D[row, 2] = (
                     theta_d * w_j
                     + theta_e * (b_j * cos_j - a_j * sin_j)
@@ -458,15 +484,17 @@ def lock_sweep(
             if finite:
                 state.i_start[d] = i_k
                 state.i_last[d] = i_k
-            if state.age[d] > tuning.hold * state.span[d]:
+            if state.age[d] > tuning.hold * max(state.span[d], tuning.chord_steps * dt):
                 state.good[d] = 0
                 state.pairs[d] = 0
                 state.ready[d] = False
+                # Nobody knows how fast it turns by now: from the shortest chord again.
+                state.stride[d] = 1
             continue
         state.flux[d] += (u_k - 0.5 * par[d, 0] * (state.i_last[d] + i_k)) * tau
         state.i_last[d] = i_k
         state.steps[d] += n_sub[k]
-        if state.steps[d] < tuning.chord_steps:
+        if state.steps[d] < state.stride[d]:
             continue
         steps = state.steps[d]
         chord = state.flux[d] - par[d, 1] * (i_k - state.i_start[d])
@@ -478,7 +506,30 @@ def lock_sweep(
         state.chord[d] = chord
         state.pair[d] = steps
         if paired:
-            _add_pair(par[d, 2], state, tuning, d, chord, before, steps * dt)
+            _add_pair(par[d, 2], state, tuning, d, chord, before, steps, dt)
+            turn = abs(state.w[d]) * state.span[d]
+            if state.pairs[d] < tuning.settle:
+                continue
+            if turn > tuning.turn_long and steps > n_sub[k]:
+                state.stride[d] = steps // 2
+            elif 2 * steps <= tuning.chord_steps:
+                longest = state.w_max[d] * state.span[d]
+                state.stride[d] = 2 * steps if longest <= tuning.turn_short else steps
+
+
+@njit(cache=True)
+def _resize(state: LockState, d: int, ratio: float) -> None:
+    """The means as chords of `ratio` (2 or 1/2) times the length would have made them."""
+    S1, S2 = state.S1[d], state.S2[d]
+    turn = math.atan2(S1.imag, S1.real)
+    slow = math.atan2(S2.imag, S2.real)
+    # |c| = 2 psi |sin(turn / 2)|.
+    cos = math.cos(0.5 * turn) if ratio > 1.0 else math.cos(0.25 * turn)
+    grow = 4.0 * cos * cos if ratio > 1.0 else 0.25 / (cos * cos)
+    state.S0[d] *= grow
+    state.S1[d] = abs(S1) * grow * complex(math.cos(ratio * turn), math.sin(ratio * turn))
+    state.S2[d] = abs(S2) * grow * complex(math.cos(ratio * slow), math.sin(ratio * slow))
+    state.span[d] *= ratio
 
 
 @njit(cache=True)
@@ -489,9 +540,15 @@ def _add_pair(
     d: int,
     chord: complex,
     before: complex,
-    span: float,
+    steps: int,
+    dt: float,
 ) -> None:
-    """One more pair of consecutive chords, each `span` seconds: sums, speed, angle, ready."""
+    """One more pair of consecutive chords, each `steps` of dt: sums, speed, angle, ready."""
+    span = steps * dt
+    if state.ready[d] and span != state.span[d]:
+        ratio = span / state.span[d]
+        if ratio in (0.5, 2.0):
+            _resize(state, d, ratio)
     pair = chord * before.conjugate()
     energy = 0.5 * (abs(chord) ** 2 + abs(before) ** 2)
     if state.pairs[d] == 0 or state.span[d] != span:
@@ -544,6 +601,7 @@ def _add_pair(
         coherence >= tuning.coherence
         and abs(length - expected) <= tuning.length_tol * expected
         and abs(turn) <= tuning.turn_max
+        and abs(w) * dt <= tuning.step_turn_max
         and abs(lagging) >= tuning.w_off * span
         # The means remember, the last chord does not: it must be long enough for a rotor that
         # turns, and fit the speed, or a hard brake or a reversal slips through.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from estimators import kalman
 from estimators.kalman import Innovation
 from estimators.models import pmsm
-from estimators.models.pmsm import I_A, I_B, THETA_E, Noise, Pmsm
+from estimators.models.pmsm import I_A, I_B, THETA_E, W_E, Noise, Pmsm
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -42,9 +42,10 @@ def predict(
 ) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
     """Prior n_sub sub-steps of dt later, eq. (3)-(4) with (8) per sub-step, angle wrapped."""
     Q = _diagonal(noise.Q)
-    for _ in range(n_sub):
+    v = pmsm.turning(u, x[:, W_E], n_sub, dt)
+    for j in range(n_sub):
         F = pmsm.jacobian(par, x, dt)
-        x = pmsm.step(par, x, u, dt)
+        x = pmsm.step(par, x, v[:, j], dt)
         P = F @ P @ kalman.transpose(F) + Q
     return _wrapped(x), kalman.symmetric(P)
 
@@ -59,17 +60,22 @@ def coast(
 ) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
     """Prior after n_gap sub-steps without voltage: `pmsm.coast` in one step.
 
-    The currents are first taken as unknown by noise.coast, so that the torque they might have
-    made meanwhile shows in the variances of speed and angle.
+    What the voltage did meanwhile is unknown. A torque off by that of noise.coast all along is
+    added to speed and angle. The currents at the end are off by noise.coast too, but for
+    themselves: the next sample sets them anew instead of moving speed and load.
     """
     if n_gap == 0:
         return x, P
     tau = np.full(len(x), n_gap * dt)
-    P = P.copy()
-    P[:, I_A, I_A] += noise.coast
-    P[:, I_B, I_B] += noise.coast
     F = pmsm.coast_jacobian(par, x, tau)
     P = F @ P @ kalman.transpose(F) + n_gap * _diagonal(noise.Q)
+    kappa = par.k_p * par.p**2 * par.psi_f / par.J
+    g = np.zeros_like(x)
+    g[:, W_E] = kappa * tau
+    g[:, THETA_E] = 0.5 * kappa * tau**2
+    P = P + noise.coast[:, None, None] * g[:, :, None] * g[:, None, :]
+    P[:, I_A, I_A] += noise.coast
+    P[:, I_B, I_B] += noise.coast
     return _wrapped(pmsm.coast(par, x, tau)), kalman.symmetric(P)
 
 

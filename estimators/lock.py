@@ -9,12 +9,17 @@ so speed, its sign and the angle follow from two chords, from any start, with no
 converge and no wrong answer that is stable. A filter started on a wrong angle can stay wrong
 (speed and load of the wrong sign), with a NIS that depends on speed: no threshold on it works.
 
-Chords of about 2 ms; pairs of consecutive complete chords feed exponentially forgotten means:
+Chords of up to 2 ms; pairs of consecutive complete chords feed exponentially forgotten means:
 S1 = <c_k conj(c_(k-1))>, S0 = <|c|^2>, S2 = <S1>. arg S1 lags an acceleration by the memory,
 and arg(S1 conj S2) measures that lag (double smoothing), so w follows a ramp without error.
 
+Where samples come faster, chords are as long as the speed allows: they begin with one sample and
+are doubled while their length, which no alias can shorten there, leaves room, and halved above
+`turn_long`. Speeds of 5000 rad/s are then as good as 50.
+
 Limits. Below `w_off` the chord drowns in errors of R_s and voltage (20 % of R_s at 25 A looks
-like 7 rad/s on the bench motor): not observable, said so. Turns above pi per chord alias: with
+like 7 rad/s on the bench motor): not observable, said so. Above ten sub-steps of the filter per
+revolution (`step_turn_max`) its Euler step is too coarse. Turns above pi per sample alias: with
 2 ms a speed of 1571 rad/s and more reads as one of the other sign, and the length of the chord
 cannot tell, |sin| being the same. The caller must know that |w| dt < pi, as for any bus slower
 than two samples per revolution; `turn_max` keeps a margin.
@@ -45,7 +50,13 @@ class LockTuning(NamedTuple):
     """When the chords are believed. Speeds are electrical, rad/s."""
 
     chord_steps: int = 16
-    """Sub-steps per chord: 2 ms. A sample that spans more is a chord by itself."""
+    """Most sub-steps per chord: 2 ms. A sample that spans more is a chord by itself."""
+    turn_long: float = 1.5
+    """A chord that turns more, rad, is halved if it has more than one sample."""
+    turn_short: float = 0.9
+    """A chord whose length allows no more than this turn is doubled."""
+    settle: int = 4
+    """Pairs of a new length before it is judged."""
     forget: float = 0.92
     """Of S1, S2 and S0, per chord: memory of about 12 chords."""
     forget_angle: float = 0.5
@@ -61,8 +72,12 @@ class LockTuning(NamedTuple):
     """Relative difference of |c| from psi_f |turn|: R_s 20 % off at 20 rad/s makes 0.28."""
     turn_max: float = 2.5
     """Largest turn per chord, rad: margin below the alias at pi."""
+    step_turn_max: float = 0.63
+    """Largest turn per sub-step, rad: ten a revolution, 5000 rad/s at 125 us. The load of the
+    Euler model then reads 7 % high, 1 % at 3000 rad/s."""
     hold: float = 10.0
-    """Chord durations without a new pair that end the lock; shorter holes only break a pair."""
+    """Longest chord durations without a new pair that end the lock; shorter holes only break a
+    pair."""
 
 
 class LockState(NamedTuple):
@@ -71,9 +86,10 @@ class LockState(NamedTuple):
     i_last, i_start: current at the last sample and at the start of the open chord, A.
     flux: volt-seconds less resistive drop of the open chord, Wb; steps: its sub-steps, -1 when
     there is no start point. chord: the last complete chord, Wb; pair: its sub-steps, 0 when the
-    next one cannot be paired with it. S1, S2, S0: means over pairs, Wb^2; mean: rotated sum of
-    chords, Wb; span: chord duration, s; pairs: how many since the start; good: consecutive
-    plausible ones. w, theta: speed and angle at the end of the last paired chord; age: time
+    next one cannot be paired with it; stride: least sub-steps of the open chord. S1, S2, S0: means
+    over pairs, Wb^2; mean: rotated sum of chords, Wb; span: chord duration, s; pairs: how many
+    since the start; good: consecutive plausible ones. w, theta: speed and angle at the end of the
+    last paired chord; age: time
     since then, s; spread: circular standard deviation of the turn, rad; w_max: largest |w|
     that the length of the chords allows; psi: the magnet flux that length and turn say, Wb
     (errors of R_s included; NaN before the first pair); ready: w and theta can be believed.
@@ -85,6 +101,7 @@ class LockState(NamedTuple):
     steps: Ints
     chord: Complex
     pair: Ints
+    stride: Ints
     S1: Complex
     S2: Complex
     S0: Array
@@ -144,6 +161,7 @@ def start(n: int) -> LockState:
         steps=np.full(n, -1, dtype=np.int64),
         chord=c[3].copy(),
         pair=i[0].copy(),
+        stride=np.ones(n, dtype=np.int64),
         S1=c[4].copy(),
         S2=np.zeros(n, dtype=np.complex128),
         S0=f[0].copy(),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from estimators import ekf, kalman
 from estimators.models import pmsm
-from estimators.models.pmsm import THETA_E, Noise, Pmsm
+from estimators.models.pmsm import THETA_E, W_E, Noise, Pmsm
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -53,14 +53,15 @@ def predict(
     W_0 = kappa / (n + kappa)
     Q = noise.Q[:, :, None] * np.eye(n)
     ok = np.ones(len(x), dtype=np.bool_)
-    for _ in range(n_sub):
+    v = pmsm.turning(u, x[:, W_E], n_sub, dt)
+    for k in range(n_sub):
         L, good = factor(P)
         ok &= good
         spread = np.sqrt(n + kappa) * L
-        centre = pmsm.step(par, x, u, dt)
+        centre = pmsm.step(par, x, v[:, k], dt)
         # Deviations of the images from the image of the mean: well conditioned.
-        images = [pmsm.step(par, x + spread[:, :, j], u, dt) - centre for j in range(n)]
-        images += [pmsm.step(par, x - spread[:, :, j], u, dt) - centre for j in range(n)]
+        images = [pmsm.step(par, x + spread[:, :, j], v[:, k], dt) - centre for j in range(n)]
+        images += [pmsm.step(par, x - spread[:, :, j], v[:, k], dt) - centre for j in range(n)]
         D = np.stack(images, axis=1)
         shift = W * D.sum(axis=1)
         D = D - shift[:, None, :]

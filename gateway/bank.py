@@ -26,6 +26,15 @@ SETTLE_STEPS: Final = 480
 """Sub-steps (60 ms) a new filter runs before its load is believed."""
 DISAGREE_TICKS: Final = 3
 """Ticks in a row that the chords must contradict the filter before it counts as diverged."""
+LONGEST_COAST: Final = 64
+"""Sub-steps (8 ms) without samples that a filter bridges: what the voltage did meanwhile may turn
+the rotor by some tenths of a radian. After longer gaps the chords find speed and angle anew."""
+LOOSE: Final = 2.0
+"""A load is no evidence while its standard deviation is this many times its best."""
+FORGET: Final = 1.01
+"""Rise of that best per tick: sensors may become noisier for good."""
+MOVING: Final = 0.07
+"""Of the rated torque in a tick: more than the noise of a steady load."""
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
@@ -50,7 +59,10 @@ class DriveEstimate(NamedTuple):
 class _Track:
     """What the bank remembers of one drive besides x and P."""
 
-    __slots__ = ("active", "diverged_ns", "doubts", "nis", "noise", "steps")
+    __slots__ = (
+        "active", "best", "diverged_ns", "doubts", "load", "moved", "nis", "noise", "silent",
+        "steps",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.active = False
@@ -59,7 +71,14 @@ class _Track:
         self.nis = 2.0
         self.noise = 1.0
         """Variance of the currents over the configured one."""
+        self.best = math.inf
+        """Standard deviation of the load when it was known best of late, Nm."""
         self.diverged_ns: Nanos | None = None
+        self.silent = False
+        """No samples in this tick."""
+        self.load = 0.0
+        self.moved = 0.0
+        """Load after the last tick with samples, and how far it had moved in that, Nm."""
 
 
 class Bank:
@@ -101,8 +120,14 @@ class Bank:
         for k in restart:
             self._drop(k)
             lock.forget(self.chords, k)
+        self._drop_over_holes(samples)
         if len(samples.drive):
             self._sweep(samples)
+        self._note_moves(samples)
+        for k, track in enumerate(self.tracks):
+            if track.active and self.chords.pairs[k] < self.tuning.chords:
+                # The chords have begun anew, and the filter with its only witness.
+                self._drop(k)
         idle = any(not track.active for track in self.tracks)
         first, P_first = self.start_states() if idle else (self.x, self.P)
         agreement = self._agreement()
@@ -110,6 +135,21 @@ class Bank:
             self._judge(k, inputs[k], fresh[k], agreement[k], first[k], P_first[k], now)
             for k in range(len(self.tracks))
         ]
+
+    def _drop_over_holes(self, samples: Samples) -> None:
+        """Filters that cannot bridge what is missing begin anew; one sample they always can."""
+        long = samples.gap > np.maximum(samples.steps, LONGEST_COAST)
+        for k in set(samples.drive[long].tolist()):
+            self._drop(k)
+
+    def _note_moves(self, samples: Samples) -> None:
+        """Whose load has been moving, and who has said nothing in this tick."""
+        heard = set(samples.drive.tolist())
+        for k, track in enumerate(self.tracks):
+            track.silent = k not in heard
+            if not track.silent:
+                load = float(self.x[k, pmsm.T_L])
+                track.load, track.moved = load, abs(load - track.load)
 
     def _sweep(self, samples: Samples) -> None:
         drive, u, y, n_sub, n_gap = samples
@@ -183,12 +223,20 @@ class Bank:
             track.doubts = 0
         if track.diverged_ns is not None and now - track.diverged_ns < DIVERGED_NS:
             return DriveEstimate(Health.DIVERGED)
-        if not track.active and fresh and self.chords.ready[k]:
+        if not track.active and fresh and self._seen(k):
             self.x[k], self.P[k] = first, P_first
             track.active, track.steps, track.doubts, track.nis = True, 0, 0, 2.0
             track.diverged_ns = None
             agreement = lock.Agreement.AGREES
+        if track.silent and track.moved > MOVING * self.rated.T[k]:
+            # A load that moves is not the load of a tick ago.
+            fresh = False
         return self._estimate(k, cause, fresh, agreement)
+
+    def _seen(self, k: int) -> bool:
+        """Whether the chords know speed and angle from the very last samples."""
+        c = self.chords
+        return bool(c.ready[k] and c.age[k] < 2.0 * c.span[k])
 
     def _estimate(self, k: int, cause: Reason, fresh: bool, agreement: int) -> DriveEstimate:
         track = self.tracks[k]
@@ -205,7 +253,11 @@ class Bank:
             return DriveEstimate(Health.CONVERGING if fresh else Health.UNKNOWN)
         if not fresh:
             return numbers._replace(health=Health.PREDICTING)
-        if track.steps < SETTLE_STEPS or agreement == lock.Agreement.UNKNOWN:
+        if track.steps < SETTLE_STEPS or agreement != lock.Agreement.AGREES:
+            return numbers._replace(health=Health.CONVERGING)
+        sigma = float(np.sqrt(self.P[k, pmsm.T_L, pmsm.T_L]))
+        track.best = min(FORGET * track.best, sigma)
+        if sigma > LOOSE * track.best:
             return numbers._replace(health=Health.CONVERGING)
         return numbers
 

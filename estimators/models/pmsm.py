@@ -27,6 +27,8 @@ I_A, I_B, W_E, THETA_E, T_L = range(5)
 """Columns of x."""
 SUB_STEP_S = 125e-6
 """The paper's sampling period: the sub-step between samples of a slower bus."""
+TURN_MAX = 1.4
+"""Half the turn of the voltage over an interval, rad, up to which it is taken to turn."""
 RATED_BENCH_I = 25.0
 RATED_BENCH_T = 30.0
 THETA_VAR = 1e-6
@@ -68,7 +70,7 @@ class Noise(NamedTuple):
     """What the filters believe about disturbance and sensors.
 
     Q: (N, 5) variance added per sub-step; R: (N, 2) variance of y, A^2; coast: (N,) variance of
-    the phase currents after a stretch without samples, A^2.
+    the phase currents in and after a stretch without samples, A^2.
     """
 
     Q: Float[Array, "N 5"]
@@ -163,6 +165,25 @@ def step(
         ],
         axis=1,
     )
+
+
+def turning(
+    u: Float[Array, "N 2"], w_e: Float[Array, "N"], n_sub: int, dt: float
+) -> Float[Array, "N n_sub 2"]:
+    """Voltage of each of n_sub sub-steps whose mean is the measured u, V.
+
+    An inverter turns the voltage with the rotor; held still between samples it would push the
+    currents off course, and the load reads low by the square of w. With h = w dt / 2, sub-step j
+        u n sin(h) / sin(n h) exp(i 2 h (j - (n - 1) / 2))
+    keeps the volt-seconds. Held as it is where the interval is more than TURN_MAX / pi turns.
+    """
+    h = 0.5 * dt * w_e
+    turns = np.abs(n_sub * h) <= TURN_MAX
+    h = np.where(turns & (h != 0.0), h, 1e-12)
+    gain = n_sub * np.sin(h) / np.sin(n_sub * h)
+    angle = 2.0 * h[:, None] * (np.arange(n_sub) - 0.5 * (n_sub - 1))
+    z = ((u[:, 0] + 1j * u[:, 1]) * gain)[:, None] * np.exp(1j * angle)
+    return np.stack([z.real, z.imag], axis=2)
 
 
 def jacobian(par: Pmsm, x: Float[Array, "N 5"], dt: float) -> Float[Array, "N 5 5"]:

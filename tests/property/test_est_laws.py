@@ -175,6 +175,7 @@ def test_arrays_have_the_annotated_shapes(monkeypatch):
     assert checked(pmsm.jacobian)(par, x, SUB_STEP_S).shape == (n, 5, 5)
     assert checked(pmsm.coast)(par, x, np.ones(n)).shape == (n, 5)
     assert checked(pmsm.coast_jacobian)(par, x, np.ones(n)).shape == (n, 5, 5)
+    assert checked(pmsm.turning)(two, np.ones(n), 4, SUB_STEP_S).shape == (n, 4, 2)
     assert checked(pmsm.torque)(par, x).shape == (n,)
     checked(kalman.predict)(x, P, P, P)
     checked(kalman.update)(x, P, two, ekf.H, np.tile(np.eye(2), (n, 1, 1)))

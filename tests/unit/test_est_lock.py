@@ -80,6 +80,60 @@ def test_rolling_start(w, every, noise_var):
     assert (delay < (0.3 if abs(w) < 50.0 else 0.06)).all()
 
 
+@pytest.mark.parametrize(
+    ("w", "every"),
+    [(600.0, 16), (-1200.0, 16), (600.0, 1), (-1200.0, 1), (2000.0, 1), (-3500.0, 1), (4900.0, 1)],
+)
+def test_rolling_start_at_speed(w, every):
+    """The chord is as short as the speed asks for, down to a sample."""
+    truth = rolling(w)
+    delay = check_never_wrong(truth, sampled(truth, every, 2e-4, seed=1))
+    assert (delay < 0.06).all()
+
+
+@pytest.mark.parametrize("w", [5500.0, -9000.0, 13_400.0, 20_000.0])
+def test_faster_than_ten_samples_per_revolution_is_never_ready(w):
+    """16,000 rpm with eight pole pairs are 13,400 rad/s; with chords of 2 ms they would alias."""
+    truth = rolling(w, ticks=1600)
+    for _, estimate, _ in watch(truth, sampled(truth, 1, 2e-4, seed=1)):
+        assert not estimate.ready.any()
+
+
+@pytest.mark.parametrize(("begin", "final"), [(100.0, 3300.0), (-3300.0, -400.0)])
+def test_chords_change_their_length_without_losing_the_lock(begin, final):
+    ticks, rate = 8000, 4000.0
+    ref = np.clip(np.arange(ticks) * TICK_S * rate - 0.2 * rate, 0.0, abs(final - begin))
+    ref = begin + np.sign(final - begin) * ref
+    shape = (ticks, 36)
+    truth = motor(np.full(36, begin), ANGLES, np.tile(ref[:, None], (1, 36)), np.zeros(shape))
+    rows = sampled(truth, 1, 2e-4, seed=12)
+    lengths = set()
+    for tick, estimate, state in watch(truth, rows):
+        lengths |= set(state.stride.tolist())
+        assert estimate.ready.all() or tick < 800, tick
+        assert (np.abs(pmsm.wrap(estimate.theta - truth.theta[tick])) < 0.35).all() or tick < 800
+    assert len(lengths) >= 4
+    check_never_wrong(truth, rows)
+
+
+def test_a_long_hole_begins_with_the_shortest_chord_again():
+    """Nobody knows how fast a rotor turns after it: 2 ms might alias."""
+    slow, fast = rolling(50.0, ticks=1600), rolling(4000.0, ticks=1600)
+    par, _ = bench(36)
+    state = lock.start(36)
+    rows = sampled(slow, 1, 2e-4, seed=13)
+    feed(state, par, rows, np.ones(len(rows.drive), dtype=np.bool_))
+    assert (state.stride == 16).all()
+    rows = sampled(fast, 1, 2e-4, seed=14)
+    rows = rows._replace(n_gap=np.where(rows.tick == 0, 400, 0))
+    feed(state, par, rows, rows.tick < 40)
+    assert not state.ready.any()
+    feed(state, par, rows, rows.tick >= 40)
+    estimate = lock.lock_estimate(state)
+    assert estimate.ready.all()
+    assert estimate.w == pytest.approx(fast.w[-1], rel=0.01)
+
+
 @pytest.mark.parametrize("noise_var", [2e-4, 1e-2])
 @pytest.mark.parametrize("every", [16, 1])
 @pytest.mark.parametrize(

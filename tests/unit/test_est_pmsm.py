@@ -88,6 +88,25 @@ def test_coasting_keeps_rotor_frame_currents_and_integrates_the_mechanics():
     assert (got[:, 4] == x[:, 4]).all()
 
 
+@pytest.mark.parametrize("n_sub", [1, 2, 16, 40])
+def test_the_turning_voltage_keeps_its_mean_and_turns_with_the_rotor(n_sub):
+    w = np.array([0.0, 1e-9, 3.0, -250.0, 1300.0, -1.39 * 2.0 / (n_sub * SUB_STEP_S)])
+    w = w[np.abs(0.5 * n_sub * w * SUB_STEP_S) <= 1.4]
+    u = np.stack([np.linspace(-90.0, 120.0, len(w)), np.full(len(w), 40.0)], axis=1)
+    v = pmsm.turning(u, w, n_sub, SUB_STEP_S)
+    assert v.shape == (len(w), n_sub, 2)
+    assert v.mean(axis=1) == pytest.approx(u)
+    z = v[..., 0] + 1j * v[..., 1]
+    assert z[:, 1:] == pytest.approx(z[:, :-1] * np.exp(1j * w * SUB_STEP_S)[:, None])
+
+
+@pytest.mark.parametrize("w", [1401.0, -5000.0, math.pi / (8 * SUB_STEP_S), math.nan, math.inf])
+def test_a_voltage_that_turns_too_far_is_held(w):
+    u = np.array([[12.0, -7.0]])
+    v = pmsm.turning(u, np.array([w]), 16, SUB_STEP_S)
+    assert v == pytest.approx(np.tile(u[:, None], (1, 16, 1)))
+
+
 def test_torque_is_power_over_speed():
     """k_p (u_emf . i) = T w_m, whatever the angle: the Park constant and the pole pairs agree."""
     x = random_states(30, seed=3)

@@ -34,8 +34,9 @@ def test_equals_filterpy_over_many_steps(kappa):
         x, P, ok = ukf.predict(par, noise, x, P, u[None], 2, SUB_STEP_S, kappa)
         x, P, _ = ekf.update(noise, x, P, y[None])
         assert ok.all()
-        other.predict(u=u)
-        other.predict(u=u)
+        v = pmsm.turning(u[None], other.x[None, 2], 2, SUB_STEP_S)[0]
+        other.predict(u=v[0])
+        other.predict(u=v[1])
         other.update(y)
         assert pmsm.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
         assert np.delete(x[0], 3) == pytest.approx(np.delete(other.x, 3), rel=1e-9, abs=1e-9)

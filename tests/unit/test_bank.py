@@ -1,0 +1,183 @@
+"""The bank on samples of a true motor: what it does about holes, doubts and high speeds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from estimators import lock
+from gateway.bank import LONGEST_COAST, Bank
+from gateway.config import BENCH_MOTOR, Estimator
+from gateway.health import Health, Reason
+from gateway.pairing import Samples
+from tests.unit.test_est_truth import TICK_S, Rows, Truth, motor, sampled
+
+TICK = 80
+"""Sub-steps in 10 ms."""
+
+
+def bank(n: int, every: int = 16, **config) -> Bank:
+    return Bank([BENCH_MOTOR] * n, Estimator(**config), 0.02 if every >= 16 else 0.05)
+
+
+def steady(w: float, load: float, n: int = 2, seconds: float = 0.6) -> Truth:
+    shape = (round(seconds / TICK_S), n)
+    angles = np.linspace(-3.0, 3.0, n)
+    return motor(np.full(n, w), angles, np.full(shape, w), np.full(shape, load))
+
+
+def without(rows: Rows, lost: np.ndarray) -> Rows:
+    """The rows but for those where `lost` (M,); the gap of the next row of the drive grows."""
+    gap = rows.n_gap.copy()
+    for d in np.unique(rows.drive):
+        missing = 0
+        for k in np.flatnonzero(rows.drive == d):
+            if lost[k]:
+                missing += gap[k] + rows.n_sub[k]
+            else:
+                gap[k] += missing
+                missing = 0
+    return Rows(*(column[~lost] for column in rows._replace(n_gap=gap)))
+
+
+def advance(filters: Bank, rows: Rows, end: int, fresh: bool = True):
+    """One tick that ends with sub-step `end`."""
+    now = slice(*np.searchsorted(rows.tick, [end - TICK, end]))
+    n = len(filters.tracks)
+    picked = Samples(*(column[now] for column in rows[:5]))
+    heard = [fresh and bool((picked.drive == k).any()) for k in range(n)]
+    return filters.advance(picked, (), [Reason.NONE] * n, heard, end * 125_000)
+
+
+def run(filters: Bank, truth: Truth, rows: Rows):
+    """(estimates, true load) of every tick."""
+    for end in range(TICK, len(truth.w) + 1, TICK):
+        yield end, advance(filters, rows, end), truth.load[end - 1]
+
+
+def healths(filters: Bank, truth: Truth, rows: Rows) -> list[list[Health]]:
+    return [[e.health for e in estimates] for _, estimates, _ in run(filters, truth, rows)]
+
+
+def hole(rows: Rows, begin: int, steps: int, drive: int = 0) -> Rows:
+    inside = (rows.tick >= begin) & (rows.tick < begin + steps) & (rows.drive == drive)
+    return without(rows, inside)
+
+
+@pytest.mark.parametrize("every", [16, 1])
+def test_a_short_hole_costs_nothing_a_long_one_the_time_to_begin_anew(every):
+    truth = steady(100.0, 15.0)
+    rows = sampled(truth, every, 2e-4, seed=1)
+    begin = 40 * TICK - 2 * LONGEST_COAST
+    short = healths(bank(2, every), truth, hole(rows, begin, LONGEST_COAST))
+    assert all(tick == [Health.TRACKING] * 2 for tick in short[20:])
+    long = healths(bank(2, every), truth, hole(rows, begin, LONGEST_COAST + 16))
+    after = [tick[0] for tick in long[39:]]
+    assert after[0] is Health.CONVERGING
+    assert Health.DIVERGED not in after
+    assert after[-1] is Health.TRACKING
+    assert all(tick[1] is Health.TRACKING for tick in long[20:]), "the other drive does not notice"
+
+
+def test_a_single_sample_is_bridged_on_a_slow_bus_too():
+    truth = steady(50.0, 15.0, seconds=1.5)
+    rows = sampled(truth, 80, 2e-4, seed=1)
+    said = healths(bank(2, 80), truth, hole(rows, 100 * TICK, 80))
+    doubtful = [k for k, tick in enumerate(said[60:], start=60) if tick[0] is Health.CONVERGING]
+    assert set(doubtful) <= {101}, "until the next sample at most, not from anew"
+
+
+def test_a_load_that_was_moving_is_not_held_through_silence():
+    truth = steady(100.0, 15.0)
+    rows = sampled(truth, 16, 2e-4, seed=7)
+    for jump, health in ((0.0, Health.TRACKING), (4.0, Health.PREDICTING)):
+        filters = bank(2)
+        for end in range(TICK, 30 * TICK + 1, TICK):
+            advance(filters, rows, end)
+        filters.tracks[0].moved += jump
+        nothing = Samples(*(column[:0] for column in rows[:5]))
+        said = filters.advance(nothing, (), [Reason.NONE] * 2, [True, True], 31 * TICK * 125_000)
+        assert [e.health for e in said] == [health, Health.TRACKING]
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("every", [16, 1])
+def test_after_random_holes_what_is_tracked_is_right(every, kind):
+    """Bursts of up to 200 ms: unknown, but never a load that is wrong, and never diverged."""
+    n, ticks = 6, 24_000
+    rng = np.random.default_rng(3)
+    w = rng.uniform(40.0, 250.0, n) * rng.choice([-1.0, 1.0], n)
+    ref = w + 0.3 * w * np.sin(np.arange(ticks)[:, None] * TICK_S * 3.0)
+    load = np.copysign(rng.uniform(8.0, 25.0, n), w) * np.ones((ticks, 1))
+    truth = motor(w, rng.uniform(-3.0, 3.0, n), ref, load)
+    rows = sampled(truth, every, 2e-4, seed=4)
+    lost = np.zeros(len(rows.drive), dtype=np.bool_)
+    for d in range(n):
+        for begin in rng.uniform(1000.0, ticks, 12):
+            length = math.exp(rng.uniform(math.log(16.0), math.log(1600.0)))
+            lost |= (rows.drive == d) & (rows.tick >= begin) & (rows.tick < begin + length)
+    filters = bank(n, every, kind=kind)
+    tracked = 0
+    for end, estimates, true_load in run(filters, truth, without(rows, lost)):
+        for d, estimate in enumerate(estimates):
+            assert estimate.health is not Health.DIVERGED
+            if estimate.health is Health.TRACKING:
+                tracked += 1
+                assert estimate.load_nm == pytest.approx(true_load[d], abs=2.5), (d, end)
+    assert tracked > 0.3 * n * ticks / TICK
+
+
+def test_a_doubt_silences_at_once():
+    """One tick of contradiction is no divergence yet, but no evidence either."""
+    truth = steady(100.0, 15.0)
+    rows = sampled(truth, 16, 2e-4, seed=2)
+    filters = bank(2)
+    for end in range(TICK, 30 * TICK + 1, TICK):
+        before = advance(filters, rows, end)
+    assert [e.health for e in before] == [Health.TRACKING] * 2
+    filters.x[0, 3] += 2.5
+    after = advance(filters, rows, 31 * TICK)
+    assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
+
+
+def test_a_load_that_is_hardly_known_is_no_evidence():
+    truth = steady(100.0, 15.0)
+    rows = sampled(truth, 16, 2e-4, seed=2)
+    filters = bank(2)
+    for end in range(TICK, 30 * TICK + 1, TICK):
+        advance(filters, rows, end)
+    filters.tracks[0].best *= 0.4
+    after = advance(filters, rows, 31 * TICK)
+    assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
+
+
+@pytest.mark.parametrize("w", [2000.0, -3500.0, 5000.0])
+def test_fast_drives_on_the_fast_bus(w):
+    """Ten samples per revolution: tracked, the load within a tenth."""
+    truth = steady(w, math.copysign(15.0, w))
+    last = list(run(bank(2, 1), truth, sampled(truth, 1, 2e-4, seed=5)))[-20:]
+    for _, estimates, load in last:
+        for estimate in estimates:
+            assert estimate.health is Health.TRACKING
+            assert estimate.load_nm == pytest.approx(load[0], abs=3.0)
+    mean = np.mean([e.load_nm for _, estimates, _ in last for e in estimates])
+    assert mean == pytest.approx(math.copysign(15.0, w), rel=0.1)
+
+
+def test_faster_than_sampling_allows_is_unknown():
+    truth = steady(6000.0, 15.0)
+    said = healths(bank(2, 1), truth, sampled(truth, 1, 2e-4, seed=5))
+    assert {health for tick in said for health in tick} == {Health.CONVERGING}
+
+
+def test_what_the_lock_forgets_the_filter_begins_anew():
+    """Many short holes: the chords lose their memory, and with them the angle its witness."""
+    truth = steady(100.0, 15.0)
+    rows = sampled(truth, 16, 2e-4, seed=6)
+    thin = without(rows, (rows.drive == 0) & (rows.tick > 2400) & (rows.tick // 16 % 2 == 0))
+    said = healths(bank(2), truth, thin)
+    assert said[29] == [Health.TRACKING] * 2
+    assert said[-1] == [Health.CONVERGING, Health.TRACKING]
+    assert lock.LockTuning().hold * 16 * TICK_S == pytest.approx(0.02)
