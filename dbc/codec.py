@@ -59,6 +59,12 @@ class _Writer(NamedTuple):
     absent: int
     """Raw bits for "no value": the not-available code, else the start value."""
     start: int
+    scale: float
+    offset: float
+    low: int
+    high: int
+    is_float: bool
+    is_big_endian: bool
 
 
 class Codec:
@@ -78,6 +84,7 @@ class Codec:
         self.tables = _tables(self.messages)
         self._writers = [_writers(m) for m in self.messages]
         self._bases = [_bases(writers) for writers in self._writers]
+        self._multiplexed = [any(s.mux_parent for s in m.signals) for m in self.messages]
         # Compiled (or loaded from numba's cache) now, not in the first tick.
         self.decode_rows(np.zeros(1, np.int32), np.zeros((1, PAYLOAD), np.uint8))
 
@@ -181,7 +188,7 @@ class Codec:
         """
         writers = self._writers[spec.index]
         little, big = self._bases[spec.index]
-        selected = self._selected(spec, values) if any(s.mux_parent for s in spec.signals) else None
+        selected = self._selected(spec, values) if self._multiplexed[spec.index] else None
         if selected is not None:
             little = big = 0
         for name, value in values.items():
@@ -189,13 +196,13 @@ class Codec:
             if selected is not None and name in selected:
                 continue
             bits = _bits(writer, value)
-            if writer.signal.is_big_endian:
+            if writer.is_big_endian:
                 big ^= (bits ^ writer.start) << writer.shift
             else:
                 little ^= (bits ^ writer.start) << writer.shift
         for name, bits in (selected or {}).items():
             writer = writers[name]
-            if writer.signal.is_big_endian:
+            if writer.is_big_endian:
                 big |= bits << writer.shift
             else:
                 little |= bits << writer.shift
@@ -241,25 +248,29 @@ def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> 
 
 def _bits(writer: _Writer, value: float | None) -> int:
     """Raw bits of a physical value, saturated at the range."""
-    signal = writer.signal
     if value is None or value - value != 0:
         return writer.absent
-    raw = (value - signal.offset) / signal.scale
-    if signal.is_float:
-        low, high = sorted(
-            (limit - signal.offset) / signal.scale for limit in (signal.float_min, signal.float_max)
-        )
-        largest = _FLOAT_LARGEST[signal.length]
-        bounded = min(max(raw, low, -largest), high, largest)
-        unpack, pack = _FLOAT_FORMATS[signal.length]
-        bits: int = struct.unpack(pack, struct.pack(unpack, bounded))[0]
-        return bits
+    raw = (value - writer.offset) / writer.scale
+    if writer.is_float:
+        return _float_bits(writer.signal, raw)
     # Compared before rounding: a large enough number divided by the scale is infinite.
-    if raw <= signal.raw_min:
-        return signal.raw_min & writer.mask
-    if raw >= signal.raw_max:
-        return signal.raw_max & writer.mask
+    if raw <= writer.low:
+        return writer.low & writer.mask
+    if raw >= writer.high:
+        return writer.high & writer.mask
     return round(raw) & writer.mask
+
+
+def _float_bits(signal: SignalSpec, raw: float) -> int:
+    """The same for a signal that is a float on the wire."""
+    low, high = sorted(
+        (limit - signal.offset) / signal.scale for limit in (signal.float_min, signal.float_max)
+    )
+    largest = _FLOAT_LARGEST[signal.length]
+    bounded = min(max(raw, low, -largest), high, largest)
+    unpack, pack = _FLOAT_FORMATS[signal.length]
+    bits: int = struct.unpack(pack, struct.pack(unpack, bounded))[0]
+    return bits
 
 
 def _writers(spec: MessageSpec) -> dict[str, _Writer]:
@@ -270,7 +281,10 @@ def _writers(spec: MessageSpec) -> dict[str, _Writer]:
         if s.is_big_endian:
             shift = 8 * spec.length - (8 * (s.start >> 3) + 7 - (s.start & 7)) - s.length
         absent = s.start_raw if s.not_available is None else s.not_available
-        writers[s.name] = _Writer(s, shift, mask, absent & mask, s.start_raw & mask)
+        writers[s.name] = _Writer(
+            s, shift, mask, absent & mask, s.start_raw & mask,
+            s.scale, s.offset, s.raw_min, s.raw_max, s.is_float, s.is_big_endian,
+        )  # fmt: skip
     return writers
 
 
@@ -278,7 +292,7 @@ def _bases(writers: Mapping[str, _Writer]) -> tuple[int, int]:
     """(little, big) endian integers with every signal at its start value."""
     little = big = 0
     for writer in writers.values():
-        if writer.signal.is_big_endian:
+        if writer.is_big_endian:
             big |= writer.start << writer.shift
         else:
             little |= writer.start << writer.shift

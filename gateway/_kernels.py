@@ -348,6 +348,15 @@ def take_block(
 
 
 @njit(cache=True)
+def in_order(t_ns: Ints, can_id: NDArray[np.uint32]) -> bool:
+    """Whether `dbc.block.Block.ordered` has nothing to do."""
+    for k in range(1, t_ns.shape[0]):
+        if t_ns[k] < t_ns[k - 1] or (t_ns[k] == t_ns[k - 1] and can_id[k] < can_id[k - 1]):
+            return False
+    return True
+
+
+@njit(cache=True)
 def busy_s(
     busy: float,
     can_id: NDArray[np.uint32],

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from estimators.detect import DETECTORS, WITH_MEMORY, Evidence, Opinion, reference, response
+from estimators.detect import _reference_kernels as compiled
 from gateway.bank import DriveEstimate
 from gateway.config import Adhesion, Motor
 from gateway.decide import FlagState, Timing, advance, from_probability
@@ -30,15 +31,11 @@ SHARE_FLOOR: Final = 0.2
 SHARE_UNKNOWN: Final = 0.1
 """A drive commanded less than a tenth of the others carries too little to be judged."""
 LEARN_NS: Final[Nanos] = round(reference.EVERY_S * SECOND)
-CERTAINLY_GOOD: Final = 0.05
-"""Response that no comparison can outvote."""
 PROBABLY_GOOD: Final = 0.5
 """A loss more probable than this is not learnt from. Not less: learning only what looks best would
 be learning something better than it is."""
 SETTLED_NS: Final[Nanos] = 300 * MS
 """A load is learnt from only when it has been known for this long."""
-VETOED: Final = 0.4
-"""What is left of an accusation that the drive's own response contradicts: not enough to raise."""
 SEVERE: Final = 0.35
 TRAIN_S: Final = 0.5
 """Time constant of what counts as the train's own acceleration."""
@@ -78,7 +75,7 @@ class AdhesionSide:
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(len(self.rated), spread)
         self.response = response.start(len(self.rated), spread)
-        self.severe = np.zeros(len(self.rated), dtype=np.bool_)
+        self.severe = [False] * len(self.rated)
         """Drives that carry so much less than the others that noise cannot be the cause."""
         self.common = FlagState()
         """Whether all drives have lost adhesion at once."""
@@ -95,44 +92,75 @@ class AdhesionSide:
         now: Nanos,
     ) -> Opinion:
         """Probabilities of lost adhesion; `flags` are the drives' adhesion flags so far."""
-        at = self._instant(drives, estimates, flags, now)
+        fresh = [d.torque_command is not None and d.channels["Status"].fresh(now) for d in drives]
+        at = self._instant(drives, estimates, flags, fresh, now)
+        known = at.known.tolist()
+        heard = self._heard(drives, estimates, fresh, known, now)
+        referred = self.reference.referred(at.load) / at.share
         spread = self.reference.sigma(at.load) / at.share
-        opinion = self.detector(
-            Evidence(self.reference.referred(at.load) / at.share, spread, at.known)
-        )
+        compared = self.detector(Evidence(referred, spread, at.known))
         self._known = [
-            (now if since is None else since) if known else None
-            for since, known in zip(self._known, at.known.tolist(), strict=True)
+            (now if since is None else since) if sure else None
+            for since, sure in zip(self._known, known, strict=True)
         ]
-        heard = self._heard(drives, estimates, at.known, now)
-        self.response, alone, meant = response.respond(self.response, heard, self.tick_s)
-        opinion = _fused(opinion, alone, heard.usable, meant)
-        carried = self.reference.referred(at.load) / at.share * np.sign(opinion.common)
-        self.severe = at.known & (carried < (1.0 - SEVERE) * abs(opinion.common))
-        self._common_mode(alone, heard.usable, at.known, now)
-        healthy = self._healthy(opinion, flags, now)
-        self.response = response.learn(self.response, heard, healthy, self.tick_s)
-        if self._learn_ns is None or now >= self._learn_ns:
-            self._learn_ns = now + LEARN_NS
-            load = at.load / at.share
-            memory = reference.watch(self.reference, load, opinion.common, at.known)
-            self.reference = reference.learn(memory, load, opinion.common, healthy)
+        opinion, alone = self._respond(compared, heard)
+        common = opinion.common
+        carried = (referred * np.sign(common)).tolist()
+        least = (1.0 - SEVERE) * abs(common)
+        self.severe = [sure and x < least for sure, x in zip(known, carried, strict=True)]
+        self._common_mode(alone.tolist(), heard.usable.tolist(), known, now)
+        self._learn(at, heard, opinion, flags, now)
         return opinion
+
+    def _respond(self, compared: Opinion, heard: response.Heard) -> tuple[Opinion, Array]:
+        """The opinion with every drive's own response, and the response alone."""
+        n = len(self.rated)
+        alone, lost = np.empty(n), np.empty(n)
+        meant, known = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_)
+        compiled.respond(self.response, heard, self.tick_s, alone, meant)
+        compiled.fuse(compared.lost, compared.known, alone, heard.usable, meant, lost, known)
+        return Opinion(lost, known, compared.common), alone
+
+    def _learn(
+        self,
+        at: Instant,
+        heard: response.Heard,
+        opinion: Opinion,
+        flags: Sequence[FlagState],
+        now: Nanos,
+    ) -> None:
+        """Responses from every new command, differences between drives every LEARN_NS."""
+        answered = min(heard.age_s.tolist()) < self.tick_s
+        due = self._learn_ns is None or now >= self._learn_ns
+        if not (answered or due):
+            return
+        healthy = self._healthy(opinion, flags, now)
+        if answered:
+            own = self.response.reference
+            spread = compiled.learn_response(self.response, heard, healthy, self.tick_s)
+            self.response = self.response._replace(reference=own._replace(spread=spread))
+        if due:
+            self._learn_ns = now + LEARN_NS
+            load, common = at.load / at.share, np.full(len(healthy), opinion.common)
+            spread = compiled.watch(self.reference, load, common, at.known, True)
+            self.reference = self.reference._replace(spread=spread)
+            compiled.learn(self.reference, load, common, healthy, True)
 
     def _instant(
         self,
         drives: Sequence[DriveInput],
         estimates: Sequence[DriveEstimate],
         flags: Sequence[FlagState],
+        fresh: Sequence[bool],
         now: Nanos,
     ) -> Instant:
-        """Loads in the direction of travel.
+        """Loads in the direction of travel; fresh: whether each command is known.
 
         A drive mounted the other way round turns and pulls the other way; its own speed's sign
         brings it to the train's direction.
         """
         load, share, known = [], [], []
-        shares = self._shares(drives, flags, now)
+        shares = self._shares(drives, flags, fresh, now)
         for estimate, part, rated in zip(estimates, shares, self.rated, strict=True):
             known.append(estimate.health is Health.TRACKING and part >= SHARE_UNKNOWN)
             share.append(max(part, SHARE_FLOOR))
@@ -141,7 +169,11 @@ class AdhesionSide:
         return Instant(np.array(load), np.array(share), np.array(known))
 
     def _shares(
-        self, drives: Sequence[DriveInput], flags: Sequence[FlagState], now: Nanos
+        self,
+        drives: Sequence[DriveInput],
+        flags: Sequence[FlagState],
+        fresh: Sequence[bool],
+        now: Nanos,
     ) -> list[float]:
         """Each drive's torque command over the largest one; 1 where that says nothing.
 
@@ -150,12 +182,10 @@ class AdhesionSide:
         its own flag (down to 30 % and back) is compared always.
         """
         command = [
-            abs(d.torque_command) / rated
-            if d.torque_command is not None and d.channels["Status"].fresh(now)
-            else None
-            for d, rated in zip(drives, self.rated, strict=True)
+            abs(d.torque_command or 0.0) / rated if known else None
+            for d, rated, known in zip(drives, self.rated, fresh, strict=True)
         ]
-        largest = max((c for c in command if c is not None), default=0.0)
+        largest = max([c for c in command if c is not None], default=0.0)
         if largest <= COASTING:
             return [1.0] * len(drives)
         follows = [f.flag is Flag.BAD or now < f.since_ns + FOLLOWING_NS for f in flags]
@@ -169,21 +199,22 @@ class AdhesionSide:
         self,
         drives: Sequence[DriveInput],
         estimates: Sequence[DriveEstimate],
-        known: Flags,
+        fresh: Sequence[bool],
+        known: Sequence[bool],
         now: Nanos,
     ) -> response.Heard:
         """Loads beside the commands that they should answer, in each motor's own direction."""
-        rows: list[list[float]] = []
-        usable = []
+        load, command, before, age_s = [], [], [], []
         for k, (drive, estimate) in enumerate(zip(drives, estimates, strict=True)):
-            numbers = (estimate.load_nm, drive.torque_command, drive.command_before)
-            fresh = drive.torque_command is not None and drive.channels["Status"].fresh(now)
-            usable.append(bool(known[k]) and fresh)
-            rows.append([(number or 0.0) / self.rated[k] for number in numbers])
-            rows[-1][0] += self._accelerating(k, estimate.speed_rad_s)
-        load, command, before = np.array(rows).T
-        age_s = np.array([(now - drive.command_ns) / SECOND for drive in drives])
-        return response.Heard(load, command, before, age_s, np.array(usable))
+            rated = self.rated[k]
+            taken = self._accelerating(k, estimate.speed_rad_s)
+            load.append((estimate.load_nm or 0.0) / rated + taken)
+            command.append((drive.torque_command or 0.0) / rated)
+            before.append((drive.command_before or 0.0) / rated)
+            age_s.append((now - drive.command_ns) / SECOND)
+        usable = [a and b for a, b in zip(fresh, known, strict=True)]
+        rows = np.array([load, command, before, age_s])
+        return response.Heard(rows[0], rows[1], rows[2], rows[3], np.array(usable))
 
     def _accelerating(self, k: int, speed: float | None) -> float:
         """Part of the command that speeds up the drive's own rotor with the train, per unit.
@@ -199,11 +230,13 @@ class AdhesionSide:
         torque = self.inertia[k] * (speed - slow) / TRAIN_S / self.rated[k]
         return min(max(torque, -TRAIN_MOST), TRAIN_MOST)
 
-    def _common_mode(self, alone: Array, heard: Flags, known: Flags, now: Nanos) -> None:
+    def _common_mode(
+        self, alone: Sequence[float], heard: Sequence[bool], known: Sequence[bool], now: Nanos
+    ) -> None:
         """All drives lost, debounced and latched. One that holds says no; yes needs all known."""
-        judged = bool(known.any() and heard[known].all())
-        lost = float(alone[known].min()) if judged else 0.0
-        judged &= bool(known.all()) or lost <= self.config.clear_probability
+        judged = any(known) and all(h for h, sure in zip(heard, known, strict=True) if sure)
+        lost = min((p for p, sure in zip(alone, known, strict=True) if sure), default=0.0)
+        judged &= all(known) or lost <= self.config.clear_probability
         seen = from_probability(
             lost, judged, self.config.raise_probability, self.config.clear_probability
         )
@@ -212,22 +245,10 @@ class AdhesionSide:
 
     def _healthy(self, opinion: Opinion, flags: Sequence[FlagState], now: Nanos) -> Flags:
         """(N,) drives that may be learnt from: none while any is lost."""
-        good = np.array([state.flag is Flag.GOOD for state in flags])
-        settled = np.array(
-            [since is not None and now - since >= SETTLED_NS for since in self._known]
-        )
         if any(state.flag is Flag.BAD for state in flags):
-            return np.zeros_like(good)
-        return np.asarray(good & settled & opinion.known & (opinion.lost < PROBABLY_GOOD))
-
-
-def _fused(opinion: Opinion, alone: Array, heard: Flags, meant: Flags) -> Opinion:
-    """Comparison between drives, and each drive's own response to its command.
-
-    Either may accuse a drive; a drive that certainly answers its command is accused by no
-    comparison, which may have taken a slipping majority, or one that reads too much, for normal.
-    Without a command, or other drives, there is only one of the two.
-    """
-    vetoed = np.where(alone < CERTAINLY_GOOD, np.minimum(opinion.lost, VETOED), opinion.lost)
-    both = np.where(meant, np.maximum(vetoed, alone), opinion.lost)
-    return Opinion(np.where(opinion.known, both, alone), opinion.known | heard, opinion.common)
+            return np.zeros(len(flags), dtype=np.bool_)
+        settled = [
+            since is not None and now - since >= SETTLED_NS and state.flag is Flag.GOOD
+            for since, state in zip(self._known, flags, strict=True)
+        ]
+        return np.array(settled) & opinion.known & (opinion.lost < PROBABLY_GOOD)

@@ -14,7 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dbc.frame import MS, Nanos
-from estimators import adapt, lock
+from estimators import lock
+from estimators._adapt_kernels import absorb
 from estimators._kernels import agreement, ekf_sweep, lock_sweep, ukf_sweep
 from estimators.models import pmsm
 from gateway.channel import SAMPLE_NS
@@ -40,7 +41,6 @@ DIVERGED_NS: Final = 100 * MS
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
-SUB_STEP_S: Final = SAMPLE_NS * 1e-9
 NIS_SMOOTHING: Final = 0.2
 
 
@@ -57,20 +57,12 @@ class DriveEstimate(NamedTuple):
 
 
 class _Track:
-    """What the bank remembers of one drive besides x and P."""
+    """What the bank remembers of one drive beside the arrays."""
 
-    __slots__ = (
-        "active", "best", "diverged_ns", "doubts", "load", "moved", "nis", "noise", "silent",
-        "steps",
-    )  # fmt: skip
+    __slots__ = ("best", "diverged_ns", "doubts", "load", "moved", "silent")
 
     def __init__(self) -> None:
-        self.active = False
-        self.steps = 0
         self.doubts = 0
-        self.nis = 2.0
-        self.noise = 1.0
-        """Variance of the currents over the configured one."""
         self.best = math.inf
         """Standard deviation of the load when it was known best of late, Nm."""
         self.diverged_ns: Nanos | None = None
@@ -102,6 +94,13 @@ class Bank:
         self.P = np.tile(np.eye(5), (n, 1, 1))
         self.chords = lock.start(n)
         self.tracks = [_Track() for _ in range(n)]
+        self.active = np.zeros(n, dtype=np.bool_)
+        self.steps = np.zeros(n, dtype=np.int64)
+        """Sub-steps since the filter's start; negative once it has become a number that is none."""
+        self.nis = np.full(n, 2.0)
+        """Smoothed."""
+        self.scale = np.ones(n)
+        """Variance of the currents over the configured one, as the innovations show it."""
         self.pole_pairs = self.par.p.tolist()
 
     def advance(
@@ -124,12 +123,13 @@ class Bank:
         if len(samples.drive):
             self._sweep(samples)
         self._note_moves(samples)
-        for k, track in enumerate(self.tracks):
-            if track.active and self.chords.pairs[k] < self.tuning.chords:
+        active = self.active.tolist()
+        for k, pairs in enumerate(self.chords.pairs.tolist()):
+            if active[k] and pairs < self.tuning.chords:
                 # The chords have begun anew, and the filter with its only witness.
                 self._drop(k)
-        idle = any(not track.active for track in self.tracks)
-        first, P_first = self.start_states() if idle else (self.x, self.P)
+                active[k] = False
+        first, P_first = (self.x, self.P) if all(active) else self.start_states()
         agreement = self._agreement()
         return [
             self._judge(k, inputs[k], fresh[k], agreement[k], first[k], P_first[k], now)
@@ -138,6 +138,8 @@ class Bank:
 
     def _drop_over_holes(self, samples: Samples) -> None:
         """Filters that cannot bridge what is missing begin anew; one sample they always can."""
+        if not any(samples.gap.tolist()):
+            return
         long = samples.gap > np.maximum(samples.steps, LONGEST_COAST)
         for k in set(samples.drive[long].tolist()):
             self._drop(k)
@@ -148,7 +150,7 @@ class Bank:
         for k, track in enumerate(self.tracks):
             track.silent = k not in heard
             if not track.silent:
-                load = float(self.x[k, pmsm.T_L])
+                load = self.x.item(k, pmsm.T_L)
                 track.load, track.moved = load, abs(load - track.load)
 
     def _sweep(self, samples: Samples) -> None:
@@ -158,30 +160,17 @@ class Bank:
         nis = np.empty(len(drive))
         ok = np.empty(len(self.tracks), dtype=np.bool_)
         arguments = (
-            self.table, self.noise.Q, self._R(), self.noise.coast, self.x, self.P,
-            drive, u, y, n_sub, n_gap, dt,
+            self.table, self.noise.Q, self.noise.R * self.scale[:, None], self.noise.coast,
+            self.x, self.P, drive, u, y, n_sub, n_gap, dt,
         )  # fmt: skip
         if self.ukf:
             ukf_sweep(*arguments, UKF_KAPPA, nis, ok)
         else:
             ekf_sweep(*arguments, nis, ok)
-        for k, value, step in zip(drive.tolist(), nis.tolist(), n_sub.tolist(), strict=True):
-            track = self.tracks[k]
-            if track.active:
-                track.steps += step
-                if math.isfinite(value):  # NaN where the row was skipped
-                    track.nis += NIS_SMOOTHING * (value - track.nis)
-                    track.noise = adapt.scale(
-                        track.noise, value, step * SUB_STEP_S, track.steps * SUB_STEP_S
-                    )
+        absorb(drive, nis, n_sub, dt, NIS_SMOOTHING, self.active, self.steps, self.nis, self.scale)
         for k, fine in enumerate(ok.tolist()):
             if not fine:
                 self._diverge(k)
-
-    def _R(self) -> pmsm.Array:
-        """Variance of the currents as the innovations show it, (N, 2)."""
-        scales = np.array([[track.noise] for track in self.tracks])
-        return np.asarray(self.noise.R * scales)
 
     def _agreement(self) -> list[int]:
         """`lock.agrees`, compiled."""
@@ -209,24 +198,25 @@ class Bank:
         now: Nanos,
     ) -> DriveEstimate:
         track = self.tracks[k]
-        if track.steps < 0:
-            track.steps = 0
+        steps = self.steps.item(k)
+        if steps < 0:
+            self.steps[k] = 0
             track.diverged_ns = now
-        if track.active and agreement == lock.Agreement.DISAGREES:
+        if agreement == lock.Agreement.DISAGREES and self.active.item(k):
             track.doubts += 1
             if track.doubts >= DISAGREE_TICKS:
-                settled = track.steps >= SETTLE_STEPS
                 self._drop(k)
                 # A start that does not settle is tried again; a lost lock is a divergence.
-                track.diverged_ns = now if settled else track.diverged_ns
+                track.diverged_ns = now if steps >= SETTLE_STEPS else track.diverged_ns
         else:
             track.doubts = 0
         if track.diverged_ns is not None and now - track.diverged_ns < DIVERGED_NS:
             return DriveEstimate(Health.DIVERGED)
-        if not track.active and fresh and self._seen(k):
+        if fresh and not self.active.item(k) and self._seen(k):
             self.x[k], self.P[k] = first, P_first
-            track.active, track.steps, track.doubts, track.nis = True, 0, 0, 2.0
+            self.active[k], self.steps[k], self.nis[k] = True, 0, 2.0
             track.diverged_ns = None
+            track.doubts = 0
             agreement = lock.Agreement.AGREES
         if track.silent and track.moved > MOVING * self.rated.T[k]:
             # A load that moves is not the load of a tick ago.
@@ -239,41 +229,42 @@ class Bank:
         return bool(c.ready[k] and c.age[k] < 2.0 * c.span[k])
 
     def _estimate(self, k: int, cause: Reason, fresh: bool, agreement: int) -> DriveEstimate:
-        track = self.tracks[k]
-        numbers = DriveEstimate(
-            Health.TRACKING,
-            float(self.x[k, pmsm.W_E]) / self.pole_pairs[k],
-            float(self.x[k, pmsm.T_L]),
-            float(np.sqrt(self.P[k, pmsm.T_L, pmsm.T_L])),
-            track.nis,
-        )
         if cause in (Reason.RANGE, Reason.NOT_AVAILABLE, Reason.CORRUPTED, Reason.SEQUENCE):
             return DriveEstimate(Health.INPUT_INVALID)
-        if not track.active:
+        if not self.active.item(k):
             return DriveEstimate(Health.CONVERGING if fresh else Health.UNKNOWN)
+        sigma = math.sqrt(self.P.item(k, pmsm.T_L, pmsm.T_L))
+        health = Health.TRACKING
         if not fresh:
-            return numbers._replace(health=Health.PREDICTING)
-        if track.steps < SETTLE_STEPS or agreement != lock.Agreement.AGREES:
-            return numbers._replace(health=Health.CONVERGING)
-        sigma = float(np.sqrt(self.P[k, pmsm.T_L, pmsm.T_L]))
-        track.best = min(FORGET * track.best, sigma)
-        if sigma > LOOSE * track.best:
-            return numbers._replace(health=Health.CONVERGING)
-        return numbers
+            health = Health.PREDICTING
+        elif self.steps.item(k) < SETTLE_STEPS or agreement != lock.Agreement.AGREES:
+            health = Health.CONVERGING
+        else:
+            track = self.tracks[k]
+            track.best = min(FORGET * track.best, sigma)
+            if sigma > LOOSE * track.best:
+                health = Health.CONVERGING
+        return DriveEstimate(
+            health,
+            self.x.item(k, pmsm.W_E) / self.pole_pairs[k],
+            self.x.item(k, pmsm.T_L),
+            sigma,
+            self.nis.item(k),
+        )
 
     def _drop(self, k: int) -> None:
         """Forget the filter of one drive; it is acquired anew."""
-        self.tracks[k].active = False
-        self.tracks[k].steps = 0
+        self.active[k] = False
+        self.steps[k] = 0
         self.tracks[k].doubts = 0
         self.x[k] = 0.0
         self.P[k] = np.eye(5)
 
     def _diverge(self, k: int) -> None:
         """A number that is not one: reset now, said from this tick on."""
-        active = self.tracks[k].active
+        active = self.active.item(k)
         self._drop(k)
-        self.tracks[k].steps = -1 if active else 0
+        self.steps[k] = -1 if active else 0
 
 
 def _noise(par: pmsm.Pmsm, rated: pmsm.Rated, config: Estimator, step_a: float) -> pmsm.Noise:

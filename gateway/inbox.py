@@ -19,7 +19,7 @@ from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
 from gateway import pairing, receiving
-from gateway._kernels import settle, take_block
+from gateway._kernels import in_order, settle, take_block
 from gateway.channel import Channel, channel_state, tell
 from gateway.pairing import Trouble
 from gateway.receiving import NAMES
@@ -142,7 +142,9 @@ class Inbox:
         self.temperatures.clear()
         self.motions.clear()
         self.restart.clear()
-        block = (frames if isinstance(frames, Block) else block_of(frames)).ordered()
+        block = frames if isinstance(frames, Block) else block_of(frames)
+        if not in_order(block.t_ns, block.can_id):
+            block = block.ordered()
         if not block.size:
             self.samples = self._room.first(0)
             settle(now, self._guard, self._memory, self._state)

@@ -8,6 +8,8 @@ ratio, because all of these scale with the load. Per drive a scalar Kalman filte
 with m the load that adhering drives share; e is correlated over some 50 ms, so `learn` is called
 once in `EVERY_S`. The spread s is learnt from what remains. Not in paper `adhesion`,
 whose drives are equal and whose thresholds are constants.
+
+`_reference_kernels` has the compiled forms that run in the loop.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ what no comparison between drives can: all wheels lost together, and a drive alo
 Commands come late (every 100 ms). A load that falls may follow a command that has not been heard
 yet; so a deficit counts only once a command sent after its begin still stands. Until then the
 verdict is kept open (`OPEN`). Not in paper `adhesion`.
+
+`_reference_kernels` has the compiled forms that run in the loop.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.detect import reference
+from estimators.detect.protocol import Opinion
 from estimators.detect.reference import Reference
 
 Array = NDArray[np.float64]
@@ -35,6 +38,10 @@ LAG_S: Final = 0.01
 """A command sent this long after a deficit was first seen is younger than its cause."""
 STEADY: Final = 0.05
 """Commands that differ by less may be learnt from."""
+CERTAINLY_GOOD: Final = 0.05
+"""Response that no comparison can outvote."""
+VETOED: Final = 0.4
+"""What is left of an accusation that the drive's own response contradicts: not enough to raise."""
 
 
 class Heard(NamedTuple):
@@ -100,3 +107,16 @@ def learn(memory: Memory, heard: Heard, healthy: Flags, dt: float) -> Memory:
     learnt = reference.watch(memory.reference, heard.load, heard.command, steady, relative=False)
     learnt = reference.learn(learnt, heard.load, heard.command, healthy & steady, relative=False)
     return memory._replace(reference=learnt)
+
+
+def fuse(opinion: Opinion, alone: Array, heard: Flags, meant: Flags) -> Opinion:
+    """Comparison between drives, and each drive's own response to its command.
+
+    Either may accuse a drive; a drive that certainly answers its command is accused by no
+    comparison, which may have taken a slipping majority, or one that reads too much, for normal.
+    Without a command, or other drives, there is only one of the two. alone, meant: of `respond`;
+    heard: `Heard.usable`; all (N,).
+    """
+    vetoed = np.where(alone < CERTAINLY_GOOD, np.minimum(opinion.lost, VETOED), opinion.lost)
+    both = np.where(meant, np.maximum(vetoed, alone), opinion.lost)
+    return Opinion(np.where(opinion.known, both, alone), opinion.known | heard, opinion.common)

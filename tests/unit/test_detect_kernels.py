@@ -1,0 +1,126 @@
+"""The compiled memory of the detectors says what its NumPy twins say."""
+
+import numpy as np
+import pytest
+
+from estimators import _adapt_kernels, adapt
+from estimators.detect import Opinion, reference, response
+from estimators.detect import _reference_kernels as compiled
+
+SPREAD = 0.7 / 30.0
+DT = 0.01
+CLOSE = {"rtol": 1e-12, "atol": 1e-14}
+
+
+def apart(memory: reference.Reference) -> reference.Reference:
+    """A copy whose arrays may be changed."""
+    return reference.Reference(
+        *(part.copy() if isinstance(part, np.ndarray) else part for part in memory)
+    )
+
+
+def same(one: reference.Reference, other: reference.Reference) -> None:
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, **CLOSE)
+
+
+@pytest.mark.parametrize("relative", [True, False])
+@pytest.mark.parametrize("n", [1, 3, 16])
+def test_watching_and_learning(n, relative):
+    rng = np.random.default_rng(n)
+    plain = reference.start(n, SPREAD)
+    fast = apart(plain)
+    moved = False
+    for _ in range(400):
+        level = rng.choice([0.0, 0.05, 0.6, -0.8])
+        load = level * rng.uniform(0.7, 1.2, n) + rng.normal(0.0, SPREAD, n)
+        common = np.full(n, level) if relative else level * rng.uniform(0.9, 1.1, n)
+        known, healthy = rng.random(n) < 0.8, rng.random(n) < 0.7
+        plain = reference.watch(plain, load, common, known, relative=relative)
+        plain = reference.learn(plain, load, common, healthy, relative=relative)
+        fast = fast._replace(spread=compiled.watch(fast, load, common, known, relative))
+        compiled.learn(fast, load, common, healthy, relative)
+        same(fast, plain)
+        moved |= bool(np.any(plain.ratio != 1.0))
+    assert moved == (n > 1 or not relative)
+
+
+def heard(rng, n):
+    """Ten ticks of one situation: commands of one age, some answered, some not."""
+    command = rng.choice([0.0, 0.05, 0.3, -0.3, 0.9]) * np.ones(n)
+    before = np.where(rng.random(n) < 0.6, command, command * rng.uniform(-0.5, 1.5, n))
+    share = rng.choice([0.2, 0.85, 1.0], n)
+    age_s, usable = rng.uniform(0.0, 0.05, n), rng.random(n) < 0.9
+    for tick in range(10):
+        load = command * share + rng.normal(0.0, SPREAD, n)
+        yield response.Heard(load, command, before, (age_s + tick * DT) % 0.05, usable)
+
+
+@pytest.mark.parametrize("n", [1, 3, 16])
+def test_responding(n):
+    rng = np.random.default_rng(100 + n)
+    plain = response.start(n, SPREAD)
+    fast = response.Memory(apart(plain.reference), plain.since_s.copy())
+    said = set()
+    for now in (tick for _ in range(60) for tick in heard(rng, n)):
+        plain, lost, meant = response.respond(plain, now, DT)
+        fast_lost, fast_meant = np.empty(n), np.empty(n, dtype=bool)
+        compiled.respond(fast, now, DT, fast_lost, fast_meant)
+        np.testing.assert_allclose(fast_lost, lost, **CLOSE)
+        np.testing.assert_array_equal(fast_meant, meant)
+        np.testing.assert_allclose(fast.since_s, plain.since_s, **CLOSE)
+        said |= {
+            "lost" if p > response.CLEAR else "open" if p == response.OPEN else "" for p in lost
+        }
+        healthy = lost < 0.5
+        plain = response.learn(plain, now, healthy, DT)
+        spread = compiled.learn_response(fast, now, healthy, DT)
+        fast = fast._replace(reference=fast.reference._replace(spread=spread))
+        same(fast.reference, plain.reference)
+    assert said == {"lost", "open", ""}
+
+
+def test_fusing():
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        n = 5
+        compared = Opinion(rng.random(n), rng.random(n) < 0.7, 0.6)
+        alone, usable, meant = rng.random(n) ** 4, rng.random(n) < 0.7, rng.random(n) < 0.7
+        plain = response.fuse(compared, alone, usable, meant)
+        lost, known = np.empty(n), np.empty(n, dtype=bool)
+        compiled.fuse(compared.lost, compared.known, alone, usable, meant, lost, known)
+        np.testing.assert_array_equal(lost, plain.lost)
+        np.testing.assert_array_equal(known, plain.known)
+
+
+def test_a_response_outvotes_a_comparison_only_where_it_is_sure():
+    compared = Opinion(np.array([0.99, 0.99, 0.99, 0.1]), np.ones(4, dtype=bool), 0.6)
+    alone = np.array([0.01, 0.2, 0.01, 0.99])
+    everyone, meant = np.ones(4, dtype=bool), np.array([True, True, False, True])
+    fused = response.fuse(compared, alone, everyone, meant)
+    assert fused.lost.tolist() == [response.VETOED, 0.99, 0.99, 0.99]
+
+
+def test_innovations_are_absorbed_one_by_one():
+    rng = np.random.default_rng(3)
+    n, dt, smoothing = 3, 125e-6, 0.2
+    active = np.array([True, False, True])
+    steps, mean, scale = np.zeros(n, dtype=np.int64), np.full(n, 2.0), np.ones(n)
+    plain = [[0, 2.0, 1.0] for _ in range(n)]
+    for _ in range(50):
+        drive = rng.integers(0, n, 12).astype(np.int32)
+        nis = np.where(rng.random(12) < 0.1, np.nan, 20.0 * rng.random(12))
+        n_sub = rng.integers(1, 17, 12)
+        _adapt_kernels.absorb(drive, nis, n_sub, dt, smoothing, active, steps, mean, scale)
+        for d, value, step in zip(drive.tolist(), nis.tolist(), n_sub.tolist(), strict=True):
+            row = plain[d]
+            if active[d]:
+                row[0] += step
+                if value == value:
+                    row[1] += smoothing * (value - row[1])
+                    row[2] = adapt.scale(row[2], value, step * dt, row[0] * dt)
+    assert steps.tolist() == [row[0] for row in plain]
+    np.testing.assert_allclose(mean, [row[1] for row in plain], **CLOSE)
+    np.testing.assert_allclose(scale, [row[2] for row in plain], **CLOSE)
+    assert scale[0] > 1.0
+    assert scale[1] == 1.0
