@@ -92,7 +92,7 @@ class AdhesionSide:
         now: Nanos,
     ) -> Opinion:
         """Probabilities of lost adhesion; `flags` are the drives' adhesion flags so far."""
-        fresh = [d.torque_command is not None and d.channels["Status"].fresh(now) for d in drives]
+        fresh = [drive.commanded(now) for drive in drives]
         at = self._instant(drives, estimates, flags, fresh, now)
         known = at.known.tolist()
         heard = self._heard(drives, estimates, fresh, known, now)

@@ -77,8 +77,9 @@ class Gateway:
         )
         path = config.calibration_path
         cells = calibration.load(path, nodes, config.thermal.window_s) if path else None
-        period = max((d.channels["Temperatures"].period_ns for d in self.inbox.drives
-                      if "Temperatures" in d.channels), default=100 * MS)  # fmt: skip
+        temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
+        period = max((c.period_ns for c in temperatures if c), default=100 * MS)
+        self.temperature_limit_ns = [c.limit_ns if c else 0 for c in temperatures]
         self.thermal = ThermalSide(len(nodes), period, config.thermal.window_s, cells, nodes)
         a, t = config.adhesion, config.thermal
         self.timing = {
@@ -173,7 +174,7 @@ class Gateway:
     def _measured_speed(self, k: int, now: Nanos) -> float | None:
         """Rotor speed, rad/s, if the drive sends it and it is fresh."""
         drive = self.inbox.drives[k]
-        motion = drive.channels.get("Motion")
+        motion = drive.motion
         return drive.speed if motion is not None and motion.fresh(now) else None
 
     def _contradicts(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
@@ -182,7 +183,7 @@ class Gateway:
         It sees what currents alone cannot: swapped phases, an aliased speed, a wrong sign.
         """
         drive = self.inbox.drives[k]
-        motion = drive.channels.get("Motion")
+        motion = drive.motion
         if motion is None or drive.speed is None or estimate.health is not Health.TRACKING:
             # Whatever was found stands until a tracked speed agrees again.
             return self.contradictions[k] >= CONTRADICTION_TICKS
@@ -196,11 +197,9 @@ class Gateway:
         self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason, now: Nanos
     ) -> DriveView:
         drive = self.inbox.drives[k]
-        known = bool(opinion.known[k])
-        lost = float(opinion.lost[k])
-        adhesion, reason = self._adhesion_evidence(k, estimate, opinion, cause)
-        age = self.inbox.drives[k].channels.get("Temperatures")
-        report = self.thermal.report(k, now, age.limit_ns if age else 0)
+        lost = opinion.lost.item(k) if opinion.known.item(k) else None
+        adhesion, reason = self._adhesion_evidence(k, estimate, lost, cause)
+        report = self.thermal.report(k, now, self.temperature_limit_ns[k])
         if drive.sum_error > self.sum_limit_a[k] and report.sensor is not Flag.BAD:
             report = report._replace(
                 sensor=Flag.BAD,
@@ -243,7 +242,7 @@ class Gateway:
             speed_rad_s=estimate.speed_rad_s if tracking else None,
             load_nm=estimate.load_nm if tracking else None,
             load_sigma_nm=estimate.load_sigma_nm if tracking else None,
-            loss_probability=lost if known else None,
+            loss_probability=lost,
             nis=estimate.nis if tracking else None,
             age_ns=None if drive.sample_ns is None else now - drive.sample_ns,
             fault_class=report.fault_class,
@@ -254,7 +253,7 @@ class Gateway:
         )
 
     def _adhesion_evidence(
-        self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason
+        self, k: int, estimate: DriveEstimate, lost: float | None, cause: Reason
     ) -> tuple[Flag, Reason]:
         """Evidence for one drive's adhesion flag and, if unknown, why."""
         if self.late_in_a_row > 3:
@@ -265,12 +264,10 @@ class Gateway:
             return Flag.UNKNOWN, Reason.DIVERGED
         if estimate.health is not Health.TRACKING:
             return Flag.UNKNOWN, estimate.reason
-        if not opinion.known[k]:
+        if lost is None:
             return Flag.UNKNOWN, Reason.TOO_FEW_DRIVES
         a = self.config.adhesion
-        seen = from_probability(
-            float(opinion.lost[k]), True, a.raise_probability, a.clear_probability
-        )
+        seen = from_probability(lost, True, a.raise_probability, a.clear_probability)
         # Between the thresholds the evidence of the tick before stands.
         return (self.flags[k]["adhesion"].evidence if seen is None else seen), Reason.STARTING
 
@@ -346,7 +343,7 @@ def _current_step_a(codec: Codec) -> float:
 def _timing(drives: Sequence[DriveInput]) -> Timebase:
     """How often currents and `Motion` come, and how finely the latter tells speed."""
     electrical = [d.electrical[0] for d in drives if d.electrical]
-    motion = [d.channels["Motion"] for d in drives if "Motion" in d.channels]
+    motion = [d.motion for d in drives if d.motion is not None]
     blocks = any(channel.kind == SAMPLES for channel in electrical)
     sample_ns = SAMPLE_NS if blocks else max((c.period_ns for c in electrical), default=SAMPLE_NS)
     steps = [c.spec.signals[c.picked[0]].scale for c in motion if c.picked]

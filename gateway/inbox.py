@@ -82,9 +82,12 @@ class DriveInput:
         """Smoothed |Ia + Ib + Ic|, A."""
         self.electrical: tuple[Channel, ...] = ()
         self.limit_ns: Nanos = 0
+        self.motion: Channel | None = None
+        self.status: Channel | None = None
 
     def settled(self) -> None:
-        """All channels are there: note which carry currents and voltages."""
+        """All channels are there: note which carry what."""
+        self.motion, self.status = self.channels.get("Motion"), self.channels.get("Status")
         kinds = (SAMPLES,) if SAMPLES in self.channels else ELECTRICAL
         if all(kind in self.channels for kind in kinds):
             self.electrical = tuple(self.channels[kind] for kind in kinds)
@@ -93,6 +96,11 @@ class DriveInput:
     def fresh(self, now: Nanos) -> bool:
         """True while the newest complete sample is within its age limit."""
         return self.sample_ns is not None and now - self.sample_ns <= self.limit_ns
+
+    def commanded(self, now: Nanos) -> bool:
+        """True while the torque command is known and within its age limit."""
+        status = self.status
+        return self.torque_command is not None and status is not None and status.fresh(now)
 
 
 class Inbox:
