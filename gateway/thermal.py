@@ -7,13 +7,14 @@ sensors that are believed). A sensor that is not believed takes no part in the s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from dbc.frame import SECOND, Nanos
-from estimators import maisd
+from estimators import _maisd_kernels, maisd
 from gateway.calibration import POINTS, Calibration
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
@@ -85,6 +86,8 @@ class ThermalSide:
         self.maisd = np.full(len(POINTS), np.nan)
         self.mean = np.zeros((motors, len(POINTS)))
         self.known = np.zeros((motors, len(POINTS)), dtype=np.bool_)
+        self.largest: float | None = None
+        """The largest MAISD, K."""
         self.limit_ns = 3 * period_ns
         self._cache: dict[int, tuple[Nanos, Report]] = {}
 
@@ -148,15 +151,16 @@ class ThermalSide:
             ],
             dtype=np.bool_,
         )
-        self.window = maisd.push(self.window, self.values, present)
-        self.mean, known = maisd.average(self.window)
-        self.known = known & present
+        ring, seen = self.window
+        _maisd_kernels.take(ring, seen, self.values, present, self.mean, self.known)
+        self.window = self.window._replace(seen=seen + 1)
+        self.known &= present
         centred = self.mean
         if self.centring is not None:
             gain, offset = self.centring
             centred = (self.mean - offset) / gain
-        self.maisd = maisd.maisd(centred, self.known)
-        self.deviation = maisd.deviation(centred, self.known)
+        _maisd_kernels.compare(centred, self.known, self.maisd, self.deviation)
+        self.largest = max((x for x in self.maisd.tolist() if math.isfinite(x)), default=None)
 
     def _sensor(self, drive: int, k: int, now: Nanos) -> FaultClass:
         """What is wrong with one sensor; UNKNOWN while it has never been heard."""
@@ -190,7 +194,7 @@ class ThermalSide:
 
     def _look(self, drive: int, now: Nanos) -> Report:
         """Judge one motor anew."""
-        mixed, largest = self._numbers(drive)
+        mixed, largest = self._mixed(drive), self.largest
         for k in range(len(POINTS)):
             fault = self._sensor(drive, k, now)
             if fault not in (FaultClass.NONE, FaultClass.UNKNOWN):
@@ -230,9 +234,8 @@ class ThermalSide:
             kind = FaultClass.BEARING
         return good._replace(thermal=Flag.BAD, reason=Reason.NONE, fault_class=kind)
 
-    def _numbers(self, drive: int) -> tuple[float | None, float | None]:
-        """Mean of the believed window averages, degC, and the largest MAISD, K."""
-        known = self.known[drive]
-        mixed = float(self.mean[drive][known].mean()) if known.any() else None
-        finite = self.maisd[np.isfinite(self.maisd)]
-        return mixed, float(finite.max()) if len(finite) else None
+    def _mixed(self, drive: int) -> float | None:
+        """Mean of the believed window averages, degC."""
+        rows = zip(self.mean[drive].tolist(), self.known[drive].tolist(), strict=True)
+        believed = [mean for mean, known in rows if known]
+        return sum(believed) / len(believed) if believed else None

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from estimators import maisd
+from estimators import _maisd_kernels, maisd
 from gateway.calibration import Calibration, MotorCalibration
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
@@ -167,3 +167,29 @@ def test_silence_is_stale():
     rig.run(10)
     now = rig.k * 100 * MS + 1_000 * MS
     assert rig.side.report(0, now, 310 * MS).reason is Reason.STALE
+
+
+@pytest.mark.parametrize("motors", [1, 2, 5, 16])
+def test_the_compiled_maisd_says_what_its_twin_says(motors):
+    rng = np.random.default_rng(motors)
+    plain = maisd.start(7, motors, 3)
+    ring, seen = maisd.start(7, motors, 3)
+    mean, known = np.zeros((motors, 3)), np.zeros((motors, 3), dtype=bool)
+    spread, deviation = np.empty(3), np.empty((motors, 3))
+    told = False
+    for _ in range(40):
+        values, present = rng.normal(60.0, 5.0, (motors, 3)), rng.random((motors, 3)) < 0.6
+        plain = maisd.push(plain, values, present)
+        _maisd_kernels.take(ring, seen, values, present, mean, known)
+        seen += 1
+        np.testing.assert_array_equal(ring, plain.ring)
+        want_mean, want_known = maisd.average(plain)
+        np.testing.assert_allclose(mean, want_mean, rtol=1e-12)
+        np.testing.assert_array_equal(known, want_known)
+        _maisd_kernels.compare(mean, known, spread, deviation)
+        np.testing.assert_allclose(spread, maisd.maisd(want_mean, want_known), rtol=1e-9)
+        np.testing.assert_allclose(
+            deviation, maisd.deviation(want_mean, want_known), rtol=1e-9, atol=1e-12
+        )
+        told |= bool(np.isfinite(spread).any())
+    assert told == (motors > 1)
