@@ -9,12 +9,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators import adapt
+from estimators.lock import LockState
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Drives = NDArray[np.int32] | NDArray[np.int64]
 
 _scale = njit(cache=True)(adapt.scale)
+_lean = njit(cache=True)(adapt.lean)
+_most_lean = njit(cache=True)(adapt.most_lean)
 
 
 @njit(cache=True)
@@ -24,15 +27,23 @@ def absorb(
     n_sub: Ints,
     dt: float,
     smoothing: float,
+    settled: int,
+    par: Array,
+    rated: Array,
+    w_e: Array,
+    chords: LockState,
     active: NDArray[np.bool_],
     steps: Ints,
     mean: Array,
     scale: Array,
+    lean: Array,
 ) -> None:
-    """M innovations in order, of N drives: counts steps, smooths the NIS, scales R.
+    """M innovations in order, of N drives: counts steps, smooths the NIS, scales R, leans.
 
-    drive, nis, n_sub (M,): as in `ekf_sweep`, NaN where a row was skipped; dt: sub-step, s.
-    Changes steps (N,) in sub-steps since the start, mean and scale (N,) of the `active` drives.
+    drive, nis, n_sub (M,): as in `ekf_sweep`, NaN where a row was skipped; dt: sub-step, s;
+    settled: sub-steps from which on the speed says something about the motor; par: as in
+    `ekf_sweep`; rated: (N,) A; w_e (N,): the filters' speeds. Changes steps (N,) in sub-steps since
+    the start, mean, scale and lean (N,) of the `active` drives.
     """
     for k in range(drive.shape[0]):
         d = drive[k]
@@ -42,3 +53,7 @@ def absorb(
         if math.isfinite(nis[k]):
             mean[d] += smoothing * (nis[k] - mean[d])
             scale[d] = _scale(scale[d], nis[k], n_sub[k] * dt, steps[d] * dt)
+        if steps[d] >= settled and chords.ready[d]:
+            most = _most_lean(w_e[d], par[d, 0], par[d, 2], rated[d])
+            beyond = w_e[d] - chords.w[d]
+            lean[d] = _lean(lean[d], beyond, par[d, 2], n_sub[k] * dt, most)

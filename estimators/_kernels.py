@@ -256,6 +256,16 @@ def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array
 
 
 @njit(cache=True)
+def _leaned(u: Array, lean: float, half: float, x: Array, v: Array) -> None:
+    """`ekf.leaned`: fills v (2,); half: half the interval, s."""
+    v[0], v[1] = u[0], u[1]
+    if lean != 0.0:
+        angle = x[3] + half * x[2]
+        v[0] += lean * math.sin(angle)
+        v[1] -= lean * math.cos(angle)
+
+
+@njit(cache=True)
 def ekf_sweep(
     par: Array,
     Q: Array,
@@ -271,18 +281,20 @@ def ekf_sweep(
     dt: float,
     nis_out: Array,
     ok_out: Flags,
+    lean: Array,
 ) -> None:
     """Run the EKF over M samples; x (N, 5) and P (N, 5, 5) in place. Twin: `ekf.sweep`.
 
-    par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`.
-    nis_out (M,) and ok_out (N,) are filled. A drive whose result is not finite, or has a
-    negative variance, gets ok False, keeps its last good x and P, and its later rows are
-    skipped with nis NaN: start it anew.
+    par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`; lean (N,), V, as
+    in `ekf.leaned`. nis_out (M,) and ok_out (N,) are filled. A drive whose result is
+    not finite, or has a negative variance, gets ok False, keeps its last good x and P, and its
+    later rows are skipped with nis NaN: start it anew.
     """
     x_d = np.empty(5)
     P_d = np.empty((5, 5))
     K = np.empty((5, 2))
     W = np.empty((5, 5))
+    v = np.empty(2)
     nis_out[:] = np.nan
     ok_out[:] = True
     for k in range(drive.shape[0]):
@@ -292,7 +304,8 @@ def ekf_sweep(
         _load(x[d], P[d], x_d, P_d)
         if n_gap[k] > 0:
             _coast(par[d], Q[d], coast[d], n_gap[k] * dt, n_gap[k], x_d, P_d)
-        _ekf_predict(par[d], Q[d], u[k], n_sub[k], dt, x_d, P_d)
+        _leaned(u[k], lean[d], 0.5 * n_sub[k] * dt, x_d, v)
+        _ekf_predict(par[d], Q[d], v, n_sub[k], dt, x_d, P_d)
         nis = _update(R[d], y[k], x_d, P_d, K, W)
         if _store(x_d, P_d, x[d], P[d]):
             nis_out[k] = nis
@@ -423,6 +436,7 @@ def ukf_sweep(
     kappa: float,
     nis_out: Array,
     ok_out: Flags,
+    lean: Array,
 ) -> None:
     """Run the UKF over M samples: everything as in `ekf_sweep`. Twin: `ukf.sweep`.
 
@@ -435,6 +449,7 @@ def ukf_sweep(
     W = np.empty((5, 5))
     L = np.zeros((5, 5))
     D = np.empty((10, 5))
+    v = np.empty(2)
     nis_out[:] = np.nan
     ok_out[:] = True
     for k in range(drive.shape[0]):
@@ -444,7 +459,8 @@ def ukf_sweep(
         _load(x[d], P[d], x_d, P_d)
         if n_gap[k] > 0:
             _coast(par[d], Q[d], coast[d], n_gap[k] * dt, n_gap[k], x_d, P_d)
-        good = _ukf_predict(par[d], Q[d], u[k], n_sub[k], dt, kappa, x_d, P_d, L, D)
+        _leaned(u[k], lean[d], 0.5 * n_sub[k] * dt, x_d, v)
+        good = _ukf_predict(par[d], Q[d], v, n_sub[k], dt, kappa, x_d, P_d, L, D)
         nis = _update(R[d], y[k], x_d, P_d, K, W) if good else math.nan
         if good and _store(x_d, P_d, x[d], P[d]):
             nis_out[k] = nis

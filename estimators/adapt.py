@@ -1,8 +1,15 @@
-"""The noise of the sensors, learnt from the filter's own innovations.
+"""The noise of the sensors and the error of the motor's data, learnt while the filter runs.
 
 A filter that believes its sensors more than they deserve passes their noise on to the load, five
 times what it need be at fifty times the variance. The normalised innovation squared of m = 2
-currents has the mean 2 where R is right; R is scaled until it has. Not in paper `adhesion`.
+currents has the mean 2 where R is right; R is scaled until it has.
+
+A motor off its data sheet lacks a voltage along q (errors of R_s i_q and psi_f w_e). The filter
+takes it for speed, while its angle follows the rotor: innovations, load and speed are off for
+good, and jump where samples are missing. The chords' speed is that of a turning vector, whatever
+its length; what the filter's speed is beyond it is a voltage psi_f (w - w_chord), which `lean`
+integrates. (The innovations do not say it: they are zero where they move the load, not where the
+voltage is missing.) Neither in paper `adhesion`.
 """
 
 from __future__ import annotations
@@ -18,6 +25,10 @@ MOST: Final = 400.0
 CLIP: Final = 8.0
 """A single innovation counts as at most this: the onset of a loss is no noise."""
 EXPECTED: Final = 2.0
+LEAN_TAU_S: Final = 0.5
+MOST_RESISTANCE: Final = 0.3
+MOST_FLUX: Final = 0.2
+"""Relative errors of R_s and psi_f that are taken for possible."""
 
 
 def scale(now: float, nis: float, dt: float, age: float) -> float:
@@ -29,3 +40,16 @@ def scale(now: float, nis: float, dt: float, age: float) -> float:
     change = min(nis, CLIP) / EXPECTED - 1.0
     tau = min(max(0.25 * age, FIRST_TAU_S), TAU_S)
     return min(max(now * math.exp(change * min(dt / tau, 1.0)), 1.0), MOST)
+
+
+def lean(now: float, beyond: float, psi_f: float, dt: float, most: float) -> float:
+    """The missing voltage after one sample, `dt` s after the last, V; within `most`.
+
+    beyond: the filter's electrical speed less the chords', rad/s.
+    """
+    return min(max(now + dt / LEAN_TAU_S * psi_f * beyond, -most), most)
+
+
+def most_lean(w_e: float, R_s: float, psi_f: float, I_rated: float) -> float:
+    """More than this, V, is no motor off its data sheet."""
+    return MOST_RESISTANCE * R_s * I_rated + MOST_FLUX * psi_f * abs(w_e)

@@ -115,11 +115,13 @@ def sweep(
     n_gap: Int[NDArray[np.int64], "M"],
     dt: float,
     kappa: float = KAPPA,
+    lean: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
     """M samples in order, x and P in place: the twin of `_kernels.ukf_sweep`.
 
-    Returns (nis (M,), ok (N,)) with the meaning they have in `ekf.sweep`.
+    lean and the returned (nis (M,), ok (N,)) as in `ekf.sweep`.
     """
+    lean = np.zeros(len(x)) if lean is None else lean
     nis = np.full(len(drive), np.nan)
     ok = np.ones(len(x), dtype=np.bool_)
     for k, d in enumerate(drive):
@@ -130,9 +132,8 @@ def sweep(
         noise_d = Noise(*(value[one] for value in noise))
         with np.errstate(all="ignore"):
             x_d, P_d = ekf.coast(par_d, noise_d, x[one], P[one], int(n_gap[k]), dt)
-            x_d, P_d, factored = predict(
-                par_d, noise_d, x_d, P_d, u[k : k + 1], int(n_sub[k]), dt, kappa
-            )
+            v = ekf.leaned(u[k : k + 1], lean[one], 0.5 * int(n_sub[k]) * dt, x_d)
+            x_d, P_d, factored = predict(par_d, noise_d, x_d, P_d, v, int(n_sub[k]), dt, kappa)
             x_d, P_d, innovation = ekf.update(noise_d, x_d, P_d, y[k : k + 1])
         ok[d] = factored[0] and ekf.healthy(x_d, P_d)[0]
         if ok[d]:

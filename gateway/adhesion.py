@@ -41,6 +41,9 @@ TRAIN_S: Final = 0.5
 """Time constant of what counts as the train's own acceleration."""
 TRAIN_MOST: Final = 0.1
 """Most of the rated torque that a rotor takes to accelerate with its train."""
+ENOUGH_TO_COMPARE: Final = 2
+"""Drives. With fewer a sudden loss is told by the rotor; with more, all of whose loads fall, it may
+be the train's, and the next commands decide."""
 BASE_NM: Final = 30.0
 """Rated torque of the motor that `spread_nm` is stated for."""
 
@@ -75,11 +78,13 @@ class AdhesionSide:
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(len(self.rated), spread)
         self.response = response.start(len(self.rated), spread)
-        self.severe = [False] * len(self.rated)
+        self.severe: list[bool] = [False] * len(self.rated)
         """Drives that carry so much less than the others that noise cannot be the cause."""
         self.common = FlagState()
         """Whether all drives have lost adhesion at once."""
         self._slow_speed: list[float | None] = [None] * len(self.rated)
+        self._run_away: list[tuple[float, float] | None] = [None] * len(self.rated)
+        """Speed and gain of the tick before."""
         self._learn_ns: Nanos | None = None
         self._known: list[Nanos | None] = [None] * len(self.rated)
         """Since when each load has been known."""
@@ -104,10 +109,12 @@ class AdhesionSide:
             for since, sure in zip(self._known, known, strict=True)
         ]
         opinion, alone = self._respond(compared, heard)
-        common = opinion.common
-        carried = (referred * np.sign(common)).tolist()
-        least = (1.0 - SEVERE) * abs(common)
-        self.severe = [sure and x < least for sure, x in zip(known, carried, strict=True)]
+        # Of what the others carry, or with nobody to compare with, of the command.
+        carried, common = (
+            (referred, opinion.common) if opinion.common else (heard.load, heard.command)
+        )
+        least = (1.0 - SEVERE) * np.abs(common)
+        self.severe = (at.known & (carried * np.sign(common) < least)).tolist()
         self._common_mode(alone.tolist(), heard.usable.tolist(), known, now)
         self._learn(at, heard, opinion, flags, now)
         return opinion
@@ -204,17 +211,19 @@ class AdhesionSide:
         now: Nanos,
     ) -> response.Heard:
         """Loads beside the commands that they should answer, in each motor's own direction."""
-        load, command, before, age_s = [], [], [], []
+        load, excess, command, before, age_s = [], [], [], [], []
+        alone = sum(known) < ENOUGH_TO_COMPARE
         for k, (drive, estimate) in enumerate(zip(drives, estimates, strict=True)):
             rated = self.rated[k]
             taken = self._accelerating(k, estimate.speed_rad_s)
             load.append((estimate.load_nm or 0.0) / rated + taken)
+            excess.append(self._excess(k, estimate.speed_rad_s) if alone else 0.0)
             command.append((drive.torque_command or 0.0) / rated)
             before.append((drive.command_before or 0.0) / rated)
             age_s.append((now - drive.command_ns) / SECOND)
         usable = [a and b for a, b in zip(fresh, known, strict=True)]
-        rows = np.array([load, command, before, age_s])
-        return response.Heard(rows[0], rows[1], rows[2], rows[3], np.array(usable))
+        rows = np.array([load, excess, command, before, age_s])
+        return response.Heard(rows[0], rows[1], rows[2], rows[3], rows[4], np.array(usable))
 
     def _accelerating(self, k: int, speed: float | None) -> float:
         """Part of the command that speeds up the drive's own rotor with the train, per unit.
@@ -230,6 +239,20 @@ class AdhesionSide:
         torque = self.inertia[k] * (speed - slow) / TRAIN_S / self.rated[k]
         return min(max(torque, -TRAIN_MOST), TRAIN_MOST)
 
+    def _excess(self, k: int, speed: float | None) -> float:
+        """Torque that accelerated a rotor, per unit, on the average of a tick: largest of two.
+
+        A quick speed control takes the torque back within a tick; the speed that it could not hold
+        shows for longer.
+        """
+        last, self._run_away[k] = self._run_away[k], None
+        if speed is None:
+            return 0.0
+        before, gained_before = last or (speed, 0.0)
+        gained = self.inertia[k] * (speed - before) / self.tick_s / self.rated[k]
+        self._run_away[k] = speed, gained
+        return max(gained, gained_before, key=abs)
+
     def _common_mode(
         self, alone: Sequence[float], heard: Sequence[bool], known: Sequence[bool], now: Nanos
     ) -> None:
@@ -240,8 +263,8 @@ class AdhesionSide:
         seen = from_probability(
             lost, judged, self.config.raise_probability, self.config.clear_probability
         )
-        evidence = self.common.evidence if seen is None else seen
-        self.common = advance(self.common, evidence, now, self.timing)
+        if seen is not None:
+            self.common = advance(self.common, seen, now, self.timing)
 
     def _healthy(self, opinion: Opinion, flags: Sequence[FlagState], now: Nanos) -> Flags:
         """(N,) drives that may be learnt from: none while any is lost."""

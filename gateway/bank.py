@@ -101,6 +101,8 @@ class Bank:
         """Smoothed."""
         self.scale = np.ones(n)
         """Variance of the currents over the configured one, as the innovations show it."""
+        self.lean = np.zeros(n)
+        """Voltage along q that the motor lacks against its data, V."""
         self.pole_pairs = self.par.p.tolist()
 
     def advance(
@@ -164,10 +166,14 @@ class Bank:
             self.x, self.P, drive, u, y, n_sub, n_gap, dt,
         )  # fmt: skip
         if self.ukf:
-            ukf_sweep(*arguments, UKF_KAPPA, nis, ok)
+            ukf_sweep(*arguments, UKF_KAPPA, nis, ok, self.lean)
         else:
-            ekf_sweep(*arguments, nis, ok)
-        absorb(drive, nis, n_sub, dt, NIS_SMOOTHING, self.active, self.steps, self.nis, self.scale)
+            ekf_sweep(*arguments, nis, ok, self.lean)
+        absorb(
+            drive, nis, n_sub, dt, NIS_SMOOTHING, SETTLE_STEPS, self.table, self.rated.I,
+            self.x[:, pmsm.W_E], self.chords, self.active, self.steps, self.nis, self.scale,
+            self.lean,
+        )  # fmt: skip
         for k, fine in enumerate(ok.tolist()):
             if not fine:
                 self._diverge(k)
@@ -264,6 +270,7 @@ class Bank:
         """A number that is not one: reset now, said from this tick on."""
         active = self.active.item(k)
         self._drop(k)
+        self.lean[k] = 0.0
         self.steps[k] = -1 if active else 0
 
 

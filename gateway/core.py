@@ -198,7 +198,7 @@ class Gateway:
     ) -> DriveView:
         drive = self.inbox.drives[k]
         lost = opinion.lost.item(k) if opinion.known.item(k) else None
-        adhesion, reason = self._adhesion_evidence(k, estimate, lost, cause)
+        adhesion, reason = self._adhesion_evidence(estimate, lost, cause)
         report = self.thermal.report(k, now, self.temperature_limit_ns[k])
         if drive.sum_error > self.sum_limit_a[k] and report.sensor is not Flag.BAD:
             report = report._replace(
@@ -216,7 +216,7 @@ class Gateway:
         flags = self.flags[k]
         for name, seen in evidence.items():
             state = flags[name]
-            if state.flag is not seen or state.evidence is not seen:
+            if seen is not None and (state.flag is not seen or state.evidence is not seen):
                 severe = name == "adhesion" and self.adhesion.severe[k]
                 timing = self.timing["severe" if severe else name]
                 flags[name] = advance(state, seen, now, timing)
@@ -253,9 +253,9 @@ class Gateway:
         )
 
     def _adhesion_evidence(
-        self, k: int, estimate: DriveEstimate, lost: float | None, cause: Reason
-    ) -> tuple[Flag, Reason]:
-        """Evidence for one drive's adhesion flag and, if unknown, why."""
+        self, estimate: DriveEstimate, lost: float | None, cause: Reason
+    ) -> tuple[Flag | None, Reason]:
+        """Evidence for one drive's adhesion flag (None: nothing changes) and, if unknown, why."""
         if self.late_in_a_row > 3:
             return Flag.UNKNOWN, Reason.OVERRUN
         if cause is not Reason.NONE:
@@ -268,8 +268,7 @@ class Gateway:
             return Flag.UNKNOWN, Reason.TOO_FEW_DRIVES
         a = self.config.adhesion
         seen = from_probability(lost, True, a.raise_probability, a.clear_probability)
-        # Between the thresholds the evidence of the tick before stands.
-        return (self.flags[k]["adhesion"].evidence if seen is None else seen), Reason.STARTING
+        return seen, Reason.STARTING
 
     def _comm(self, k: int) -> Flag:
         """Bad once anything that was valid is stale, silent or corrupted."""

@@ -52,9 +52,9 @@ def advance(state: FlagState, evidence: Flag, now_ns: int, timing: Timing) -> Fl
 
 
 def from_probability(lost: float, known: bool, raise_at: float, clear_at: float) -> Flag | None:
-    """Evidence of one drive's loss probability; None between the thresholds (keep the last).
+    """Evidence of one drive's loss probability; None between the thresholds.
 
-    Written so that NaN is unknown.
+    There the evidence of before stands, but no flag changes by it. Written so that NaN is unknown.
     """
     if not known or not 0.0 <= lost <= 1.0:
         return Flag.UNKNOWN

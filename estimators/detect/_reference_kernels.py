@@ -30,6 +30,10 @@ _LEAST_COMMAND = response.LEAST_COMMAND
 _OPEN = response.OPEN
 _CLEAR = response.CLEAR
 _LAG_S = response.LAG_S
+_LARGE = response.LARGE
+_SUDDEN_S = response.SUDDEN_S
+_FREED = response.FREED
+_FOR_GOOD_S = response.FOR_GOOD_S
 _STEADY = response.STEADY
 _CERTAINLY_GOOD = response.CERTAINLY_GOOD
 _VETOED = response.VETOED
@@ -109,12 +113,16 @@ def respond(
         coasting = max(-low, high) < _LEAST_COMMAND
         x = heard.load[i]
         p = 0.0
+        sign = 1.0 if command > 0.0 else -1.0
         if least >= _LEAST_COMMAND and heard.usable[i]:
-            sign = 1.0 if command > 0.0 else -1.0
             missing = least * (1.0 - _THRESHOLD) - sign * x / healthy.ratio[i]
             sigma = math.sqrt(healthy.spread * healthy.spread + healthy.variance[i] * x * x)
             p = 0.5 * math.erfc(-missing / sigma * _SQRT_HALF)
-        memory.since_s[i] = memory.since_s[i] + dt if p > _CLEAR else 0.0
+        gone = least - sign * x
+        freed = gone >= _LARGE * least and sign * heard.excess[i] >= _FREED * gone
+        freed = freed and memory.since_s[i] <= _SUDDEN_S
+        more = _FOR_GOOD_S if freed else dt
+        memory.since_s[i] = memory.since_s[i] + more if p > _CLEAR else 0.0
         if p > _OPEN and not heard.age_s[i] + _LAG_S + dt <= memory.since_s[i]:
             p = _OPEN
         meant[i] = heard.usable[i] and (least >= _LEAST_COMMAND or coasting)

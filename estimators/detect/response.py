@@ -5,8 +5,10 @@ its own rotor. A load that stays behind the command is a wheel that does not car
 what no comparison between drives can: all wheels lost together, and a drive alone.
 
 Commands come late (every 100 ms). A load that falls may follow a command that has not been heard
-yet; so a deficit counts only once a command sent after its begin still stands. Until then the
-verdict is kept open (`OPEN`). Not in paper `adhesion`.
+yet; so a deficit counts only once a command sent after its begin still stands, or where it is
+sudden, large, and has set the rotor free: a load that falls first leaves a torque that accelerates
+the wheel, a torque that falls first does not. Until then the verdict is kept open (`OPEN`). Not in
+paper `adhesion`.
 
 `_reference_kernels` has the compiled forms that run in the loop.
 """
@@ -34,6 +36,14 @@ OPEN: Final = 0.7
 """Probability while it is not known whether the command has changed: no flag changes at it."""
 CLEAR: Final = 0.9
 """Probability from which on a deficit stands: a lesser one may be noise before a new command."""
+LARGE: Final = 0.5
+SUDDEN_S: Final = 0.015
+"""So much gone so soon after a deficit was first seen: no train's load is that fast."""
+FREED: Final = 0.25
+"""Share of the missing load that must be found in the rotor's acceleration: a speed control is
+quick to take the torque back."""
+FOR_GOOD_S: Final = 1e6
+"""As good as confirmed by a command, for as long as the deficit stands."""
 LAG_S: Final = 0.01
 """A command sent this long after a deficit was first seen is younger than its cause."""
 STEADY: Final = 0.05
@@ -47,11 +57,13 @@ VETOED: Final = 0.4
 class Heard(NamedTuple):
     """N drives at one instant, per unit of rated torque, positive in the direction of the command.
 
-    load, command, before (the command before that), all (N,); age_s (N,): since the command was
+    load, command, before (the command before that), all (N,); excess (N,): torque that accelerates
+    the rotor, largest of the last two ticks, 0 where not wanted; age_s (N,): since the command was
     sent; usable (N,): load and command are known.
     """
 
     load: Array
+    excess: Array
     command: Array
     before: Array
     age_s: Array
@@ -86,7 +98,11 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
     sigma = memory.reference.sigma(heard.load)
     lost = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (missing / sigma).tolist()])
     lost = np.where((least >= LEAST_COMMAND) & heard.usable, lost, 0.0)
-    since = np.where(lost > CLEAR, memory.since_s + dt, 0.0)
+    sign = np.sign(heard.command)
+    gone = least - sign * heard.load
+    freed = (gone >= LARGE * least) & (sign * heard.excess >= FREED * gone)
+    freed &= memory.since_s <= SUDDEN_S
+    since = np.where(lost > CLEAR, memory.since_s + np.where(freed, FOR_GOOD_S, dt), 0.0)
     # Seen first in this tick: it may be a tick old, and the filter's lag older.
     confirmed = heard.age_s + LAG_S + dt <= since
     lost = np.where((lost > OPEN) & ~confirmed, OPEN, lost)

@@ -92,7 +92,7 @@ def estimate(samples: Record, belief: Filter, x_0: Array, P_0: Array) -> Estimat
     for k in range(count):
         ekf_sweep(
             motor, Q, R, np.zeros(n), x, P, drive, u[k], y[k], n_sub, n_gap, pmsm.SUB_STEP_S,
-            nis, ok,
+            nis, ok, np.zeros(n),
         )  # fmt: skip
         if not ok.all():
             raise FloatingPointError(f"{belief.name}: a filter diverged at sample {k + 1}")

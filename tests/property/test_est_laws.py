@@ -35,10 +35,11 @@ def run(kind, par, x, P, rows):
     nis, ok = np.empty(len(table)), np.empty(len(x), dtype=np.bool_)
     head = (pmsm.table(par), noise.Q, noise.R, noise.coast, x, P)
     body = (drive, table[:, 1:3].copy(), table[:, 3:5].copy(), n_sub, n_gap, SUB_STEP_S)
+    straight = np.zeros(len(x))
     if kind == "ekf":
-        _kernels.ekf_sweep(*head, *body, nis, ok)
+        _kernels.ekf_sweep(*head, *body, nis, ok, straight)
     else:
-        _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok)
+        _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, straight)
     return x, P, nis, ok
 
 

@@ -181,3 +181,22 @@ def test_what_the_lock_forgets_the_filter_begins_anew():
     assert said[29] == [Health.TRACKING] * 2
     assert said[-1] == [Health.CONVERGING, Health.TRACKING]
     assert lock.LockTuning().hold * 16 * TICK_S == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize(("r", "psi"), [(1.2, 1.0), (0.8, 1.0), (1.0, 0.95), (1.2, 1.05)])
+def test_a_motor_off_its_data_sheet_is_learnt_by_the_voltage_it_lacks(kind, r, psi):
+    """Without that the speed stays off by as many per cent as the voltage."""
+    w, load = 120.0, 15.0
+    truth = steady(w, load, n=1, seconds=3.0)
+    sheet = BENCH_MOTOR.model_copy(
+        update={"R_s": BENCH_MOTOR.R_s * r, "psi_pm": BENCH_MOTOR.psi_pm * psi}
+    )
+    filters = Bank([sheet], Estimator(kind=kind), 0.02)
+    for _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=4)):
+        pass
+    i_q = load / (1.5 * BENCH_MOTOR.pole_pairs * BENCH_MOTOR.psi_pm)
+    lacking = (1.0 - r) * BENCH_MOTOR.R_s * i_q + (1.0 - psi) * BENCH_MOTOR.psi_pm * w
+    assert filters.lean[0] == pytest.approx(lacking, abs=0.15)
+    assert filters.x[0, 2] == pytest.approx(w, rel=0.005)
+    assert filters.scale[0] < 3.0

@@ -61,11 +61,13 @@ def test_permuted_drives_give_permuted_memory():
     assert turned.ratio == pytest.approx(straight.ratio[order])
 
 
-def heard(load, command, before=None, age_s=0.0):
+def heard(load, command, before=None, age_s=0.0, excess=0.0):
     n = len(load)
     before = command if before is None else before
     return response.Heard(
-        *(np.array(column, dtype=float) for column in (load, command, before)),
+        np.array(load, dtype=float),
+        np.full(n, excess),
+        *(np.array(column, dtype=float) for column in (command, before)),
         np.full(n, age_s),
         np.ones(n, dtype=bool),
     )
@@ -92,6 +94,24 @@ def test_a_deficit_counts_only_with_a_younger_command():
     assert lost[0] > 0.99
     _, lost = say(heard([0.2], [0.2], [0.3], age_s=0.005), memory=memory)
     assert lost[0] < 0.05, "the command has followed: it was no loss"
+
+
+def test_a_sudden_loss_is_told_by_the_rotor_it_sets_free():
+    old = {"age_s": 0.09}
+    _, lost = say(heard([0.1], [0.6], excess=0.2, **old))
+    assert lost[0] > 0.99
+    memory, lost = say(heard([0.1], [0.6], excess=-0.2, **old))
+    assert lost[0] == response.OPEN, "the rotor slowed down: the torque went first"
+    _, lost = say(heard([0.1], [0.6], excess=0.2, **old), ticks=2, memory=memory)
+    assert lost[0] > 0.99
+    _, lost = say(heard([0.4], [0.6], excess=0.2, **old))
+    assert lost[0] == response.OPEN, "so little may be noise"
+    slow, _ = say(heard([0.4], [0.6], **old), ticks=4)
+    _, lost = say(heard([0.1], [0.6], excess=0.2, **old), memory=slow)
+    assert lost[0] == response.OPEN, "a load that falls slowly may be the train's"
+    sudden, _ = say(heard([0.1], [0.6], excess=0.2, **old))
+    _, lost = say(heard([0.1], [0.6], **old), ticks=3, memory=sudden)
+    assert lost[0] > 0.99, "what was told stands while the deficit stands"
 
 
 @pytest.mark.parametrize(

@@ -72,9 +72,9 @@ def load_errors(
             nis = np.empty(now.stop - now.start)
             args = (table, noise.Q, noise.R, noise.coast, x, P, *(c[now] for c in rows[:5]), TICK_S)
             if kind == "ekf":
-                _kernels.ekf_sweep(*args, nis, ok)
+                _kernels.ekf_sweep(*args, nis, ok, np.zeros(DRIVES))
             else:
-                _kernels.ukf_sweep(*args, ukf.KAPPA, nis, ok)
+                _kernels.ukf_sweep(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES))
             assert ok.all()
             if end > 2000:
                 errors.append(x[:, 4] - truth.load[end - 1])

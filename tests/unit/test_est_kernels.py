@@ -20,6 +20,7 @@ class Case(NamedTuple):
     rows: Rows
     x: np.ndarray
     P: np.ndarray
+    lean: np.ndarray
 
 
 def case(n: int = 3, seed: int = 1, ticks: int = 1600, fastest: float = 200.0) -> Case:
@@ -32,7 +33,8 @@ def case(n: int = 3, seed: int = 1, ticks: int = 1600, fastest: float = 200.0) -
     truth = motor(w, theta, np.tile(w, (ticks, 1)), np.full((ticks, n), 8.0))
     x = np.stack([np.zeros(n), np.zeros(n), w, theta, np.zeros(n)], axis=1)
     P = np.tile(np.diag([1.0, 1.0, 25.0, 0.04, 400.0]), (n, 1, 1))
-    return Case(par, noise, sampled(truth, 16, 2e-4, seed, lost=0.2), x, P)
+    rows = sampled(truth, 16, 2e-4, seed, lost=0.2)
+    return Case(par, noise, rows, x, P, rng.uniform(-0.5, 0.5, n))
 
 
 def sweep(kind: str, c: Case, rows: Rows | None = None):
@@ -43,9 +45,9 @@ def sweep(kind: str, c: Case, rows: Rows | None = None):
     head = (pmsm.table(c.par), c.noise.Q, c.noise.R, c.noise.coast, x, P)
     body = (rows.drive, rows.u, rows.y, rows.n_sub, rows.n_gap, SUB_STEP_S)
     if kind == "ekf":
-        _kernels.ekf_sweep(*head, *body, nis, ok)
+        _kernels.ekf_sweep(*head, *body, nis, ok, c.lean)
     else:
-        _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok)
+        _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, c.lean)
     return x, P, nis, ok
 
 
@@ -53,7 +55,8 @@ def twin(kind: str, c: Case):
     x, P = c.x.copy(), c.P.copy()
     run = ekf.sweep if kind == "ekf" else ukf.sweep
     r = c.rows
-    nis, ok = run(c.par, c.noise, x, P, r.drive, r.u, r.y, r.n_sub, r.n_gap, SUB_STEP_S)
+    samples = (r.drive, r.u, r.y, r.n_sub, r.n_gap, SUB_STEP_S)
+    nis, ok = run(c.par, c.noise, x, P, *samples, lean=c.lean)
     return x, P, nis, ok
 
 
@@ -105,6 +108,7 @@ def test_permuted_drives_give_permuted_results(kind):
         c.rows._replace(drive=place[c.rows.drive]),
         c.x[order],
         c.P[order],
+        c.lean[order],
     )
     x_permuted, P_permuted, _, _ = sweep(kind, permuted)
     assert (x_permuted == x[order]).all()
