@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from sim.mismatches import MISMATCHES, Mismatch, tables
 from sim.plant import MOTORS, TRAIN, TRAINS
 from sim.random_runs import (
     DEPTH,
@@ -34,6 +35,8 @@ REPORTING: Final = range(1000, 1060)
 
 STREAM: Final = 21
 """Purpose of the random streams; the family's number follows."""
+GROUP_STREAM: Final = 1000
+ON_IT: Final = {"drive": 1}
 Table = dict[str, Any]
 Rng = np.random.Generator
 
@@ -67,8 +70,11 @@ class Family(NamedTuple):
 
 def draw(family: str, seed: int, motor: str = "bench") -> Scenario:
     """The scenario of this family and seed. Raises KeyError for an unknown family or motor."""
-    chosen = FAMILIES[family]
-    rng = np.random.default_rng([seed, STREAM, list(FAMILIES).index(family)])
+    chosen = ALL[family]
+    # The families of a group share one stream: the same runs but for what the group is about.
+    groups = [name for name, group in GROUPS.items() if family in group]
+    number = GROUP_STREAM if groups else list(FAMILIES).index(family)
+    rng = np.random.default_rng([seed, STREAM, number])
     return chosen.make(seed, rng, PerUnit(chosen.motor or motor))
 
 
@@ -308,6 +314,19 @@ def _healthy_hard(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     return _run("healthy, hard", seed, unit, table)
 
 
+def _mismatched(off: Mismatch) -> Callable[[int, Rng, PerUnit], Scenario]:
+    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+        table = _steady(rng, unit)
+        loss = _loss(rng, int(rng.integers(2, 4)), _between(rng, ROUGH_ONSET_S))
+        motor, sensors, events = tables(off, unit.amps(1.0))
+        table["event"] = [*events, loss if off.phase_open or rng.random() < 0.5 else loss | ON_IT]
+        table["mismatch"] = motor
+        table["sensors"] = {"current_noise_var": unit.noise(QUIET_VAR)} | sensors
+        return _run(off.title, seed, unit, table)
+
+    return make
+
+
 FAMILIES: Final[dict[str, Family]] = {
     "single": Family("one drive of three loses adhesion", _single),
     "majority": Family("more than half of 3 to 6 drives lose adhesion", _majority),
@@ -327,3 +346,8 @@ FAMILIES: Final[dict[str, Family]] = {
     "healthy_rough": Family("as rough, nothing lost", _healthy_rough, healthy=True),
 }
 """By name; new ones go to the end, because a family's place is part of its random stream."""
+GROUPS: Final[dict[str, dict[str, Family]]] = {
+    "mismatch": {name: Family(off.title, _mismatched(off)) for name, off in MISMATCHES.items()},
+}
+"""Families that are asked for by their group's name."""
+ALL: Final[dict[str, Family]] = {**FAMILIES, **GROUPS["mismatch"]}

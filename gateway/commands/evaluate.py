@@ -16,7 +16,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", default="development", metavar="SET",
                         help="development (default), reporting, or A-B")  # fmt: skip
     parser.add_argument("--family", nargs="+", metavar="NAME",
-                        help="kinds of runs (default: all; a wrong name lists them)")  # fmt: skip
+                        help="kinds of runs, or the group `mismatch` (default: all kinds; "
+                        "a wrong name lists them)")  # fmt: skip
     parser.add_argument("--detector", nargs="+", metavar="NAME",
                         help="detectors (default: all)")  # fmt: skip
     parser.add_argument("--dbc", metavar="FILE",
@@ -66,15 +67,13 @@ def run(options: argparse.Namespace) -> int:
 def _families(options: argparse.Namespace) -> tuple[str, ...]:
     """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
     from gateway.config import ConfigError
-    from sim.families import FAMILIES
+    from sim.families import ALL, FAMILIES, GROUPS
     from sim.plant import MOTORS
 
-    names = tuple(dict.fromkeys(options.family or FAMILIES))
-    problems = [
-        f"no family {name!r}; there are {', '.join(FAMILIES)}"
-        for name in names
-        if name not in FAMILIES
-    ]
+    asked = [one for name in options.family or FAMILIES for one in GROUPS.get(name, (name,))]
+    names = tuple(dict.fromkeys(asked))
+    known = ", ".join([*FAMILIES, *GROUPS])
+    problems = [f"no family {name!r}; there are {known}" for name in names if name not in ALL]
     if options.motor not in MOTORS:
         problems.append(f"no motor {options.motor!r}; there are {', '.join(MOTORS)}")
     if problems:

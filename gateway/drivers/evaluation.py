@@ -20,7 +20,7 @@ from estimators.detect import DETECTORS
 from gateway.config import Config, ConfigError, Drive, load
 from gateway.core import Gateway
 from gateway.results.evaluation import Line, Measured, listen, measure
-from sim.families import DEVELOPMENT, FAMILIES, REPORTING, draw
+from sim.families import ALL, DEVELOPMENT, REPORTING, draw
 from sim.scenario import Scenario
 from sim.simulation import Simulation
 from sim.truth import Truth
@@ -177,8 +177,8 @@ def _workers(jobs: int) -> Iterator[Run]:
 def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:
     from sim.plant import MOTORS
 
-    rated = MOTORS[FAMILIES[family].motor or plan.motor].T_rated
+    rated = MOTORS[ALL[family].motor or plan.motor].T_rated
     return [
-        Line(family, detector, plan.seeds, runs, FAMILIES[family].common, rated)
+        Line(family, detector, plan.seeds, runs, ALL[family].common, rated)
         for detector, runs in zip(plan.detectors, zip(*results, strict=True), strict=True)
     ]

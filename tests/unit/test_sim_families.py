@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.codec import bind
-from sim.families import DEVELOPMENT, FAMILIES, REPORTING, draw
+from sim.families import DEVELOPMENT, FAMILIES, GROUPS, REPORTING, draw
 from sim.random_runs import random_scenario
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, run
@@ -159,3 +159,27 @@ def test_crawl_stands_and_moves():
     speed = np.abs([r.speed_rad_s for r in rows])
     assert speed.min() < 0.2
     assert speed.max() > 0.5
+
+
+def test_mismatches_are_the_same_runs_but_for_what_is_off():
+    group = GROUPS["mismatch"]
+    assert not set(group) & set(FAMILIES)
+    for seed in SEEDS:
+        plain = draw("off_nothing", seed)
+        assert plain.mismatch == type(plain.mismatch)()
+        seen = set()
+        for name in group:
+            other = draw(name, seed)
+            seen.add((str(other.mismatch), str(other.sensors), len(other.event)))
+            assert (other.motion, other.load, other.seed) == (plain.motion, plain.load, plain.seed)
+            losses = [e for e in other.event if e.kind == "adhesion_loss"]
+            assert len(losses) == 1
+            same = plain.event[0].model_dump(exclude={"drive"})
+            assert losses[0].model_dump(exclude={"drive"}) == same
+        assert len(seen) == len(group), "every row is off in its own way"
+        opened = draw("off_phase_open", seed).event
+        assert [(e.kind, e.drive) for e in opened[:1]] == [("phase_open", 1)]
+        assert opened[1].drive in (2, 3), "what an open phase's wheel does nobody can say"
+    assert draw("off_R_s_up", 0).mismatch.R_s == [1.2, 1.0, 1.0]
+    large = draw("off_offset", 0, "traction_350kw").sensors.current_offset_within_a
+    assert large > draw("off_offset", 0).sensors.current_offset_within_a
