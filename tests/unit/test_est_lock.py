@@ -237,7 +237,6 @@ def test_start_state_starts_the_filter_right():
         nis,
         ok,
         np.zeros(36),
-        np.empty(len(nis)),
     )
     assert ok.all()
     assert np.abs(x[:, 4] - 15.0).max() < 2.0
