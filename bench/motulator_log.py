@@ -1,0 +1,165 @@
+"""Waveforms of a machine that is not ours: as frames in a log, replayed and judged.
+
+Only the machine is another: sensors, messages, arbitration and truth are the simulator's, so that
+the same run with our own machine differs in nothing else. Knows nothing of where waveforms come
+from.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump import Writer
+from dbc.codec import Codec
+from dbc.frame import Frame
+from gateway.config import Config
+from gateway.core import Gateway
+from gateway.drivers.replay import OneChannel, open_log, replay
+from gateway.results.evaluation import EDGE_S, SKIP_S, Measured, Said, listen, measure, nothing
+from gateway.results.scoring import quantile, truth_of
+from sim.plant import MOTORS, Plant
+from sim.scenario import Scenario
+from sim.simulation import GRID, GRID_NS, Simulation
+from sim.truth import Truth
+
+Array = NDArray[np.float64]
+TICKS_PER_S: Final = 100
+
+
+def periods(scenario: Scenario) -> int:
+    """Periods of 125 us that a run takes, in whole steps of 10 ms."""
+    return round(scenario.duration_s * TICKS_PER_S) * GRID
+
+
+class Played(Plant):
+    """A plant under preset load that only plays back what was computed elsewhere."""
+
+    def __init__(self, scenario: Scenario, rows: Array) -> None:
+        """`rows` (n, N, 10): columns `sim.plant.OUT` at the end of each period of 125 us."""
+        motor = MOTORS[scenario.motor.name]
+        still = np.zeros(rows.shape[1])
+        super().__init__(motor, still, on_rail=False, w_0=0.0, load_0=0.0)
+        self._rows = rows
+        self._at = 0
+
+    def advance(self, w_ref: Array, *_others: object) -> Array:
+        """The next rows, as many as `w_ref` has. Raises ValueError after the last one."""
+        first, self._at = self._at, self._at + len(w_ref)
+        if self._at > len(self._rows):
+            msg = f"{len(self._rows)} rows played, and the run goes on"
+            raise ValueError(msg)
+        return self._rows[first : self._at]
+
+
+class OtherMachine(Simulation):
+    """The simulated train with waveforms in place of its machines."""
+
+    def __init__(self, scenario: Scenario, codec: Codec, rows: Array) -> None:
+        """`rows` as in `Played`, for at least `periods(scenario)`."""
+        super().__init__(scenario, codec)
+        self._plant = Played(scenario, rows)
+
+
+def write_log(simulation: Simulation, path: Path) -> list[Truth]:
+    """Run a whole scenario into a candump log; what was true, a row per drive every 10 ms."""
+    with Writer(path, "vcan0") as writer:
+        for tick in range(periods(simulation.scenario) // GRID + 1):
+            for frame in simulation.step((), tick * GRID_NS):
+                writer.write(frame)
+    return simulation.truth_rows()
+
+
+def replay_log(path: Path, config: Config, codec: Codec) -> list[Frame]:
+    """What a fresh gateway sends over a log. Raises BadLogError or LogError."""
+    sent: list[Frame] = []
+    replay(
+        OneChannel(open_log(path, strict=True).blocks, None),
+        lambda start_ns: Gateway(config, codec, start_ns),
+        config.loop.period_ns,
+        lambda _now, out, _view: sent.extend(out),
+    )
+    return sent
+
+
+class Judged(NamedTuple):
+    """One run or several: all that `evaluate` measures, and load errors of healthy times alone."""
+
+    measured: Measured = nothing()
+    square_nm2: float = 0.0
+    loads: int = 0
+
+    def plus(self, other: Judged) -> Judged:
+        """Both pooled."""
+        return Judged(
+            self.measured.plus(other.measured),
+            self.square_nm2 + other.square_nm2,
+            self.loads + other.loads,
+        )
+
+    @property
+    def healthy_rmse_nm(self) -> float:
+        """Root mean square load error while the drive adheres; NaN where nothing was estimated."""
+        return math.sqrt(self.square_nm2 / self.loads) if self.loads else math.nan
+
+
+def judge(rows: Sequence[Truth], sent: Sequence[Frame], codec: Codec) -> Judged:
+    """Judge what a gateway sent in one run."""
+    nodes = tuple(dict.fromkeys(row.drive for row in rows))
+    said = listen(sent, codec, nodes)
+    errors = _healthy_errors(rows, said, nodes)
+    return Judged(measure(rows, said, nodes), float(errors @ errors), len(errors))
+
+
+def _healthy_errors(rows: Sequence[Truth], said: Said, nodes: Sequence[int]) -> Array:
+    """Estimated minus true load, Nm, of healthy drives while tracked; edges and start left out."""
+    errors = []
+    for node, estimates in zip(nodes, said.estimates, strict=True):
+        truth = truth_of(rows, node)
+        true_nm = np.array([row.load_nm for row in rows if row.drive == node])
+        row = np.maximum(truth.at(estimates.t_s), 0)
+        judged = truth.counted(estimates.t_s, EDGE_S, SKIP_S) & ~truth.lost[row]
+        error = (estimates.load_nm - true_nm[row])[judged]
+        errors.append(error[np.isfinite(error)])
+    return np.concatenate(errors)
+
+
+HEADER: Final = (
+    "machine", "family", "bus", "runs", "F1", "precision", "recall", "losses", "missed",
+    "delay ms", "delay abrupt ms", "adhering %", "false losses", "load rmse Nm healthy",
+    "load rmse Nm all",
+)  # fmt: skip
+LEGEND: Final = """\
+Per drive and flag frame, 30 ms around each edge and the first 0.5 s left out; unknown counts as not
+raised. Delay: median from the onset to the first `AdhesionLost`, of the losses found; abrupt: half
+of the demand gone within 20 ms. False losses: stretches of `AdhesionLost` that touch no loss.
+Adhering: share of healthy frames. Load: estimated minus true while tracking."""
+
+
+def cells(names: Sequence[str], runs: int, judged: Judged) -> list[str]:
+    """One line of the table; `names`: machine, family and bus."""
+    flags = judged.measured.flags
+    return [
+        *names,
+        str(runs),
+        *(f"{share:.4f}" for share in (flags.f1, flags.precision, flags.recall)),
+        str(flags.losses),
+        str(flags.missed),
+        f"{quantile(flags.delays_ms, 0.5):.0f}",
+        f"{quantile(flags.abrupt_ms, 0.5):.0f}",
+        f"{100.0 * flags.good_share:.2f}",
+        str(flags.alarms),
+        f"{judged.healthy_rmse_nm:.3f}",
+        f"{judged.measured.load_rmse_nm:.3f}",
+    ]
+
+
+def table(lines: Sequence[Sequence[str]]) -> str:
+    """All lines as a Markdown table."""
+    rows = [HEADER, ["---"] * len(HEADER), *lines]
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)

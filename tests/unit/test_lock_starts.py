@@ -1,0 +1,71 @@
+"""The lock from forty starts and thirty-six angles: right within a second, never wrong and sure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.bank import Bank
+from gateway.config import BENCH_MOTOR, Estimator
+from gateway.health import Health, Reason
+from gateway.pairing import Samples
+from tests.unit.test_est_truth import TICK_S, Truth, motor, sampled
+
+ANGLES = np.linspace(-np.pi, np.pi, 36, endpoint=False)
+STARTS = 40
+TICK = 80
+OBSERVABLE = 20.0
+"""Electrical speed, rad/s, from which on a second is given; nothing is observable at standstill."""
+FASTEST = {16: 1000.0, 1: 3000.0}
+"""By sub-steps per sample: 2 ms samples and 8 kHz."""
+
+
+def start(seed: int, every: int) -> Truth:
+    """One start of 36 motors that differ by their angle: even seeds roll, odd ones stand."""
+    rng = np.random.default_rng([seed, every])
+    n = len(ANGLES)
+    sign = rng.choice([-1.0, 1.0])
+    load = rng.uniform(2.0, 25.0) * rng.choice([-1.0, 1.0])
+    rolling = seed % 2 == 0
+    w = sign * np.exp(rng.uniform(np.log(25.0), np.log(FASTEST[every])))
+    ticks = round(1.2 / TICK_S)
+    if rolling:
+        speed = np.full(ticks, w)
+    else:
+        rate = rng.uniform(100.0, 1000.0)
+        stand = round(0.2 / TICK_S)
+        ticks = stand + round((abs(OBSERVABLE / rate) + 1.3) / TICK_S)
+        climb = np.clip(np.arange(ticks) - stand, 0, None) * TICK_S * rate
+        speed = sign * np.minimum(climb, abs(w))
+        load = load * (np.arange(ticks) >= stand)
+    first = np.full(n, speed[0])
+    profile = np.tile(speed[:, None], (1, n))
+    loads = np.tile(np.broadcast_to(load, (ticks,))[:, None], (1, n))
+    return motor(first, ANGLES.copy(), profile, loads)
+
+
+@pytest.mark.parametrize("every", [16, 1])
+@pytest.mark.parametrize("seed", range(STARTS))
+def test_forty_starts_from_thirty_six_angles(seed, every):
+    truth = start(seed, every)
+    rows = sampled(truth, every, 2e-4, seed)
+    n = len(ANGLES)
+    filters = Bank([BENCH_MOTOR] * n, Estimator(), 0.02 if every == 16 else 0.05)
+    slow = np.abs(truth.w) < OBSERVABLE
+    passed = len(slow) - np.argmax(slow[::-1], axis=0) if slow.any() else np.zeros(n, dtype=int)
+    tracked = np.full(n, -1)
+    for end in range(TICK, len(truth.w) + 1, TICK):
+        now = slice(*np.searchsorted(rows.tick, [end - TICK, end]))
+        picked = Samples(*(column[now] for column in rows[:5]))
+        estimates = filters.advance(picked, (), [Reason.NONE] * n, [True] * n, end * 125_000)
+        w, theta = truth.w[end - 1], truth.theta[end - 1]
+        for k, estimate in enumerate(estimates):
+            if estimate.health is not Health.TRACKING:
+                continue
+            assert abs(w[k]) > 0.5 * OBSERVABLE, "standstill is not observable"
+            assert abs(filters.x[k, 2] - w[k]) < 8.0 + 0.05 * abs(w[k])
+            off = filters.x[k, 3] - theta[k]
+            assert abs(np.angle(np.exp(1j * off))) < 0.5
+            tracked[k] = end if tracked[k] < 0 else tracked[k]
+    assert (tracked >= 0).all()
+    assert ((tracked - passed) * TICK_S <= 1.0).all()
