@@ -8,6 +8,7 @@ once, and a drive alone. May know: estimators, estimates, commands. May not know
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators.detect import DETECTORS, WITH_MEMORY, Evidence, Opinion, reference, response
+from estimators.detect import Evidence, Opinion, make, reference, response
 from estimators.detect import _reference_kernels as compiled
 from gateway.bank import DriveEstimate
 from gateway.config import Adhesion, Motor
@@ -74,7 +75,7 @@ class AdhesionSide:
         self.inertia = tuple(motor.J for motor in motors)
         self.timing = timing
         self.tick_s = tick_ns / SECOND
-        self.detector = (DETECTORS | WITH_MEMORY)[config.detector]()
+        self.detector = make(config.detector, config.observe)
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(len(self.rated), spread)
         self.response = response.start(len(self.rated), spread)
@@ -103,7 +104,7 @@ class AdhesionSide:
         heard = self._heard(drives, estimates, fresh, known, now)
         referred = self.reference.referred(at.load) / at.share
         spread = self.reference.sigma(at.load) / at.share
-        compared = self.detector(Evidence(referred, spread, at.known))
+        compared = self.detector(Evidence(referred, spread, at.known, self._speeds(estimates)))
         self._known = [
             (now if since is None else since) if sure else None
             for since, sure in zip(self._known, known, strict=True)
@@ -174,6 +175,12 @@ class AdhesionSide:
             forward = 1.0 if (estimate.speed_rad_s or 0.0) >= 0.0 else -1.0
             load.append(forward * (estimate.load_nm or 0.0) / rated)
         return Instant(np.array(load), np.array(share), np.array(known))
+
+    def _speeds(self, estimates: Sequence[DriveEstimate]) -> Array | None:
+        """Rotor speeds in the direction of travel, where the detector observes them."""
+        if self.config.observe == "torque":
+            return None
+        return np.abs([math.nan if e.speed_rad_s is None else e.speed_rad_s for e in estimates])
 
     def _shares(
         self,

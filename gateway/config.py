@@ -119,6 +119,9 @@ class Adhesion(Strict):
     """`[adhesion]`: detector and the timing of its flag."""
 
     detector: Literal["vb", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"] = "vb"
+    observe: Literal["torque", "speed", "both"] = Field(
+        "torque", description="what the paper's VB compares; the others compare torque"
+    )
     spread_nm: float = Field(0.7, gt=0, description="load spread of healthy drives, at 30 Nm")
     raise_probability: float = Field(0.9, gt=0.5, lt=1)
     clear_probability: float = Field(0.5, gt=0, lt=1)
@@ -175,6 +178,11 @@ class Config(Strict):
                 )
         if self.adhesion.clear_probability > self.adhesion.raise_probability:
             problems.append("adhesion.clear_probability: must not exceed raise_probability")
+        if self.adhesion.observe != "torque" and "paper_vb" not in self.adhesion.detector:
+            problems.append(
+                f"adhesion.observe: detector {self.adhesion.detector!r} compares torque only; "
+                "'speed' and 'both' need detector = 'paper_vb' or 'paper_vb_reuse'"
+            )
         if problems:
             raise ValueError("\n".join(problems))
         return self

@@ -28,6 +28,21 @@ DETECTORS: dict[str, type[Detector]] = {
 WITH_MEMORY: Final[dict[str, type[Detector]]] = {"paper_vb_reuse": ReusingVariationalDetector}
 """Detectors whose answer depends on the calls before: one object for one sequence of ticks."""
 
+
+def make(name: str, observe: str = "torque") -> Detector:
+    """A detector by its name; observe: "torque", "speed" or "both", for the paper's VB.
+
+    Raises KeyError for an unknown name, TypeError where another one is to observe speed.
+    """
+    kind = (DETECTORS | WITH_MEMORY)[name]
+    if observe == paper.Observe.TORQUE.value:
+        return kind()
+    if not issubclass(kind, PaperVariationalDetector):
+        msg = f"{name} compares torque only"
+        raise TypeError(msg)
+    return kind(observe=paper.Observe(observe))
+
+
 GLOBAL_ESTIMATES: Final[dict[str, Callable[[paper.Array], paper.Array]]] = {
     "paper_vb": paper_vb.global_estimates,
     "vmp": message_passing.global_estimates,
@@ -49,4 +64,5 @@ __all__ = [
     "PaperVariationalDetector",
     "ReusingVariationalDetector",
     "VariationalDetector",
+    "make",
 ]

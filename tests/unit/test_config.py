@@ -66,6 +66,13 @@ def test_missing_and_broken_files_are_one_clear_error(tmp_path):
         load(broken)
 
 
+def test_only_the_papers_vb_observes_speed():
+    for name in ("paper_vb", "paper_vb_reuse"):
+        assert parse({"adhesion": {"detector": name, "observe": "both"}}).adhesion.observe == "both"
+    with pytest.raises(ConfigError, match=r"adhesion.observe: detector 'vb' compares torque only"):
+        parse({"adhesion": {"observe": "speed"}})
+
+
 def test_example_is_the_default_written_out(pytestconfig):
     example = load(pytestconfig.rootpath / "examples" / "train.toml")
     bare = Config(motor={"bench": example.motor["bench"]})

@@ -78,6 +78,18 @@ def test_a_drive_that_carries_less_is_lost(kind, detector):
     assert view.drives[1].loss_probability > 0.9
 
 
+@pytest.mark.parametrize("observe", ["torque", "speed", "both"])
+def test_the_papers_vb_sees_what_it_is_told_to_observe(observe):
+    core = gateway(adhesion={"detector": "paper_vb", "observe": observe})
+    view = Bench(core, drives((20.0, 0.5, 20.0))).run(60)
+    lost = [float(d.loss_probability) for d in view.drives]
+    assert all(d.health is Health.TRACKING for d in view.drives)
+    assert core.adhesion.detector.observe.value == observe
+    # The three turn at one speed: the wheel that carries nothing is seen by its torque alone.
+    assert lost[1] > 0.9
+    assert (lost[0] < 0.5) == (lost[2] < 0.5)
+
+
 def test_a_drive_cut_by_command_is_not_lost():
     motors = drives((20.0, 6.0, 20.0))
     motors[1].command = 6.0

@@ -26,7 +26,9 @@ from estimators.detect import (
     MessagePassingDetector,
     PaperVariationalDetector,
     ReusingVariationalDetector,
+    VariationalDetector,
     kmeans,
+    make,
     message_passing,
     paper,
     paper_vb,
@@ -588,3 +590,12 @@ def test_import_does_not_load_the_slow_parts_of_scipy():
         "sys.exit(any(m in sys.modules for m in ('scipy.special', 'scipy.cluster', 'scipy.stats')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_detector_is_made_by_name_and_by_what_it_observes():
+    assert make("vb") == VariationalDetector()
+    assert make("paper_vb", "both") == PaperVariationalDetector(observe=Observe.BOTH)
+    with pytest.raises(TypeError, match="median compares torque only"):
+        make("median", "speed")
+    with pytest.raises(KeyError):
+        make("oracle")
