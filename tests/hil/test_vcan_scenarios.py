@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from sim.scenario import builtin
+from sim.scenario import builtin, builtin_names
 from tests.hil.chain import ATTEMPTS, Recording, excused, memory_folder, program, setting
 
 if TYPE_CHECKING:
@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
-NAMES = ("release", "wet_one", "silent", "lossy_bus", "leaves_all", "bearing")
-"""The closed loop through a cut drive; creep force; supervision; losses and bad checksums on the
-wire; all drives at once; the thermal side. All of them run on the virtual clock."""
+NAMES = tuple(name for name in builtin_names() if not name.startswith("calibration_"))
+"""All that ship but the fault-free runs to calibrate from, which expect nothing."""
 ON_THE_WIRE = {"silent", "frame_loss", "corrupt"}
 """Events that look like a machine that stalls."""
 
