@@ -150,13 +150,16 @@ def cells(names: Sequence[str], runs: int, judged: Judged) -> list[str]:
         *(f"{share:.4f}" for share in (flags.f1, flags.precision, flags.recall)),
         str(flags.losses),
         str(flags.missed),
-        f"{quantile(flags.delays_ms, 0.5):.0f}",
-        f"{quantile(flags.abrupt_ms, 0.5):.0f}",
+        *(_median(delays) for delays in (flags.delays_ms, flags.abrupt_ms)),
         f"{100.0 * flags.good_share:.2f}",
         str(flags.alarms),
         f"{judged.healthy_rmse_nm:.3f}",
         f"{judged.measured.load_rmse_nm:.3f}",
     ]
+
+
+def _median(delays_ms: Sequence[float]) -> str:
+    return f"{quantile(delays_ms, 0.5):.0f}" if delays_ms else "-"
 
 
 def table(lines: Sequence[Sequence[str]]) -> str:

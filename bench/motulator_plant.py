@@ -226,6 +226,15 @@ def _measure(options: argparse.Namespace, folder: Path) -> list[list[str]]:
     return [cells(names, len(options.seeds), judged) for names, judged in total.items()]
 
 
+def _report(options: argparse.Namespace, lines: list[list[str]]) -> str:
+    """All of it as Markdown, with what it takes to make it again."""
+    setup = (
+        f"Seeds {options.seeds.start}-{options.seeds.stop - 1}; of motulator {options.inverter} "
+        f"voltage, speed bandwidth {options.speed_bandwidth:g} rad/s, solver {options.solver}."
+    )
+    return f"# The machine of motulator and ours\n\n{setup}\n\n{table(lines)}\n\n{LEGEND}"
+
+
 def _seeds(text: str) -> range:
     first, _, last = text.partition("-")
     if not first.isdecimal() or (last and not last.isdecimal()):
@@ -243,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--speed-bandwidth", type=float, default=60.0, metavar="RAD_S",
                         help="of motulator's speed control (default: 60)")  # fmt: skip
     parser.add_argument("--inverter", choices=("mean", "switching"), default="mean",
-                        help="its mean voltage per period, or every state")  # fmt: skip
+                        help="mean voltage per period, or each switching state")  # fmt: skip
     parser.add_argument("--solver", choices=tuple(SOLVERS), default="rk4")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="also DIR/motulator.md")
     options = parser.parse_args(arguments)
@@ -258,13 +267,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
-    print(table(lines))
+    text = _report(options, lines)
+    print(text)
     if options.output:
         options.output.mkdir(parents=True, exist_ok=True)
-        what = f"seeds {options.seeds.start}-{options.seeds.stop - 1}, {options.inverter} voltage, "
-        what += f"speed bandwidth {options.speed_bandwidth:g} rad/s, {options.solver}"
-        text = f"# The machine of motulator and ours\n\n{what}\n\n{table(lines)}\n\n{LEGEND}\n"
-        (options.output / "motulator.md").write_text(text, encoding="utf-8")
+        (options.output / "motulator.md").write_text(text + "\n", encoding="utf-8")
     return 0
 
 

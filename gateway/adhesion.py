@@ -111,11 +111,9 @@ class AdhesionSide:
         ]
         opinion, alone = self._respond(compared, heard)
         # Of what the others carry, or with nobody to compare with, of the command.
-        carried, common = (
-            (referred, opinion.common) if opinion.common else (heard.load, heard.command)
-        )
-        least = (1.0 - SEVERE) * np.abs(common)
-        self.severe = (at.known & (carried * np.sign(common) < least)).tolist()
+        common = opinion.common or heard.command
+        carried = referred if opinion.common else heard.load
+        self.severe = (at.known & _far_behind(carried, common)).tolist()
         self._common_mode(alone.tolist(), heard.usable.tolist(), known, now)
         self._learn(at, heard, opinion, flags, now)
         return opinion
@@ -224,7 +222,7 @@ class AdhesionSide:
             rated = self.rated[k]
             taken = self._accelerating(k, estimate.speed_rad_s)
             load.append((estimate.load_nm or 0.0) / rated + taken)
-            excess.append(self._excess(k, estimate.speed_rad_s) if alone else 0.0)
+            excess.append(self._excess(k, estimate.speed_rad_s if alone else None))
             command.append((drive.torque_command or 0.0) / rated)
             before.append((drive.command_before or 0.0) / rated)
             age_s.append((now - drive.command_ns) / SECOND)
@@ -250,7 +248,7 @@ class AdhesionSide:
         """Torque that accelerated a rotor, per unit, on the average of a tick: largest of two.
 
         A quick speed control takes the torque back within a tick; the speed that it could not hold
-        shows for longer.
+        shows for longer. speed: None where it is not known, or not asked for.
         """
         last, self._run_away[k] = self._run_away[k], None
         if speed is None:
@@ -282,3 +280,8 @@ class AdhesionSide:
             for since, state in zip(self._known, flags, strict=True)
         ]
         return np.array(settled) & opinion.known & (opinion.lost < PROBABLY_GOOD)
+
+
+def _far_behind(carried: Array, common: float | Array) -> Flags:
+    """(N,) loads that are less than the common one by so much that noise cannot be the cause."""
+    return np.asarray(carried * np.sign(common) < (1.0 - SEVERE) * np.abs(common))

@@ -104,6 +104,7 @@ def test_loss_in_the_scenario_is_in_the_truth_and_not_in_steady_waveforms(tmp_pa
     line = cells(("by hand", "single", "traction.dbc"), 2, both)
     assert len(line) == len(HEADER)
     assert line[HEADER.index("missed")] == "2"
+    assert line[HEADER.index("delay ms")] == "-"
 
 
 def test_waveforms_that_end_too_soon(tmp_path):
