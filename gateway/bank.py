@@ -212,6 +212,7 @@ class Bank:
             track.doubts += 1
             if track.doubts >= DISAGREE_TICKS:
                 self._drop(k)
+                self.lean[k] = 0.0
                 # A start that does not settle is tried again; a lost lock is a divergence.
                 track.diverged_ns = now if steps >= SETTLE_STEPS else track.diverged_ns
         else:
