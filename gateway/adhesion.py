@@ -20,7 +20,7 @@ from estimators.detect import Evidence, Opinion, make, reference, response
 from estimators.detect import _reference_kernels as compiled
 from gateway.bank import DriveEstimate
 from gateway.config import Adhesion, Motor
-from gateway.decide import FlagState, Timing, advance, from_probability
+from gateway.decide import FlagState, Timing, advance, from_probability, hold
 from gateway.health import Flag, Health
 from gateway.inbox import DriveInput
 
@@ -38,6 +38,8 @@ be learning something better than it is."""
 SETTLED_NS: Final[Nanos] = 300 * MS
 """A load is learnt from only when it has been known for this long."""
 SEVERE: Final = 0.35
+SEVERE_SPREADS: Final = 6.0
+"""Share of the load that is missing, and in spreads, from which on noise is not the cause."""
 TRAIN_S: Final = 0.5
 """Time constant of what counts as the train's own acceleration."""
 TRAIN_MOST: Final = 0.1
@@ -74,6 +76,7 @@ class AdhesionSide:
         self.rated = tuple(motor.T_rated for motor in motors)
         self.inertia = tuple(motor.J for motor in motors)
         self.timing = timing
+        self.tick_ns = tick_ns
         self.tick_s = tick_ns / SECOND
         self.detector = make(config.detector, config.observe)
         spread = config.spread_nm / BASE_NM
@@ -112,8 +115,9 @@ class AdhesionSide:
         opinion, alone = self._respond(compared, heard)
         # Of what the others carry, or with nobody to compare with, of the command.
         common = opinion.common or heard.command
-        carried = referred if opinion.common else heard.load
-        self.severe = (at.known & _far_behind(carried, common)).tolist()
+        missing = np.abs(common) - np.sign(common) * (referred if opinion.common else heard.load)
+        severe = np.maximum(SEVERE * np.abs(common), SEVERE_SPREADS * spread)
+        self.severe = (at.known & (missing > severe)).tolist()
         self._common_mode(alone.tolist(), heard.usable.tolist(), known, now)
         self._learn(at, heard, opinion, flags, now)
         return opinion
@@ -268,7 +272,9 @@ class AdhesionSide:
         seen = from_probability(
             lost, judged, self.config.raise_probability, self.config.clear_probability
         )
-        if seen is not None:
+        if seen is None:
+            self.common = hold(self.common, self.tick_ns)
+        else:
             self.common = advance(self.common, seen, now, self.timing)
 
     def _healthy(self, opinion: Opinion, flags: Sequence[FlagState], now: Nanos) -> Flags:
@@ -280,8 +286,3 @@ class AdhesionSide:
             for since, state in zip(self._known, flags, strict=True)
         ]
         return np.array(settled) & opinion.known & (opinion.lost < PROBABLY_GOOD)
-
-
-def _far_behind(carried: Array, common: float | Array) -> Flags:
-    """(N,) loads that are less than the common one by so much that noise cannot be the cause."""
-    return np.asarray(carried * np.sign(common) < (1.0 - SEVERE) * np.abs(common))

@@ -26,7 +26,7 @@ from gateway.bank import Bank, DriveEstimate
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
-from gateway.decide import FlagState, Timing, advance, from_probability
+from gateway.decide import FlagState, Timing, advance, from_probability, hold
 from gateway.health import (
     FaultClass,
     FaultSensor,
@@ -216,7 +216,9 @@ class Gateway:
         flags = self.flags[k]
         for name, seen in evidence.items():
             state = flags[name]
-            if seen is not None and (state.flag is not seen or state.evidence is not seen):
+            if seen is None:
+                flags[name] = hold(state, self.config.loop.period_ns)
+            elif state.flag is not seen or state.evidence is not seen:
                 severe = name == "adhesion" and self.adhesion.severe[k]
                 timing = self.timing["severe" if severe else name]
                 flags[name] = advance(state, seen, now, timing)

@@ -54,10 +54,18 @@ def advance(state: FlagState, evidence: Flag, now_ns: int, timing: Timing) -> Fl
 def from_probability(lost: float, known: bool, raise_at: float, clear_at: float) -> Flag | None:
     """Evidence of one drive's loss probability; None between the thresholds.
 
-    There the evidence of before stands, but no flag changes by it. Written so that NaN is unknown.
+    There the evidence of before stands, but no flag changes by it: see `hold`. Written so that
+    NaN is unknown.
     """
     if not known or not 0.0 <= lost <= 1.0:
         return Flag.UNKNOWN
     if lost >= raise_at:
         return Flag.BAD
     return Flag.GOOD if lost <= clear_at else None
+
+
+def hold(state: FlagState, tick_ns: int) -> FlagState:
+    """One tick between the thresholds: it does not count towards a change of the flag."""
+    if state.evidence is state.flag:
+        return state
+    return state._replace(since_ns=state.since_ns + tick_ns)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.decide import TABLE, FlagState, Timing, advance, from_probability
+from gateway.decide import TABLE, FlagState, Timing, advance, from_probability, hold
 from gateway.health import PRIORITY, Flag, Reason, summary, worst
 
 TIMING = Timing(good_ns=50, raise_ns=20, clear_ns=30)
@@ -81,3 +81,16 @@ def test_summary_of_a_set():
     assert summary([G, U]) is U
     assert summary([G, G]) is G
     assert summary([]) is U
+
+
+def test_ticks_between_the_thresholds_do_not_count():
+    timing = Timing(good_ns=0, raise_ns=20, clear_ns=30)
+    state = FlagState(Flag.GOOD, Flag.GOOD, 0)
+    assert hold(state, 10) == state
+    state = advance(state, Flag.BAD, 100, timing)
+    for _ in range(5):
+        state = hold(state, 10)
+    assert state.flag is Flag.GOOD
+    state = advance(state, Flag.BAD, 160, timing)
+    assert state.flag is Flag.GOOD, "a single tick of evidence and five of doubt"
+    assert advance(state, Flag.BAD, 170, timing).flag is Flag.BAD
