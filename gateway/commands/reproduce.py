@@ -65,11 +65,12 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
     from gateway.results import reproduction as table_1
     from gateway.results import reproduction_figures as figures
     from gateway.results import reproduction_loads as bench
+    from gateway.results import reproduction_network as network
     from gateway.results import reproduction_paths as paths
     from gateway.results import reproduction_report as report
 
     folder.mkdir(parents=True, exist_ok=True)
-    with _progress(5 + len(section5.BUSES) + len(table_1.METHODS)) as step:
+    with _progress(6 + len(section5.BUSES) + len(table_1.METHODS)) as step:
         step("three drives at 8 kHz")
         world = section5.simulate(scenario)
         step("filters without a bus")
@@ -84,6 +85,8 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
             courses += [section5.replay_log(log, bus, b) for b in (bench.PAPER, bench.PRODUCT)]
         step("standing starts")
         starts = [section5.standing_start(scenario, seed) for seed in seeds]
+        step("networks without a central unit")
+        networks = network.rows(main.load)
         step("tables")
         zero_locked = section5.locked(zero.speed, world)
         outcome = report.Outcome(
@@ -97,6 +100,7 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
             zero_locked=zero_locked,
             starts=starts,
             strengths=table_1.prior_strengths(main.load),
+            networks=networks,
         )
         table_1.write_table(folder / "table1.csv", outcome.cells)
         paths.write_paths(folder / "table1_paths.csv", outcome.comparison)

@@ -19,6 +19,7 @@ from gateway.results.reproduction import (
     TOLERANCE_NM,
     Cell,
 )
+from gateway.results.reproduction_network import Row, section
 from gateway.results.reproduction_paths import Comparison
 from gateway.results.reproduction_text import grid, name_of, number, rows_of
 from gateway.results.reproduction_wire import wire
@@ -53,6 +54,7 @@ class Outcome(NamedTuple):
     zero_locked: tuple[bool, ...]
     starts: list[StandingStart]
     strengths: list[tuple[float, NDArray[np.float64]]]
+    networks: list[Row]
 
 
 def write(folder: Path, outcome: Outcome) -> None:
@@ -76,6 +78,7 @@ def markdown(outcome: Outcome) -> str:
         *_table(outcome),
         *_differences(outcome.cells),
         *_strengths(outcome),
+        *section(outcome.networks),
         *_starts(outcome),
         *wire(outcome.comparison),
         *_figures(),

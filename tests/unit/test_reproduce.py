@@ -15,6 +15,7 @@ from gateway.commands import reproduce, section5
 from gateway.config import shipped_dbc
 from gateway.results import reproduction as table_1
 from gateway.results import reproduction_loads as bench
+from gateway.results import reproduction_network as network
 from gateway.results import reproduction_paths as paths
 from gateway.results.reproduction_figures import thinned
 from sim.scenario import builtin
@@ -75,6 +76,22 @@ def test_prior_strength_one_is_the_table():
     means = [rows[beta][5] for beta in sorted(rows)]
     assert means == sorted(means, reverse=True)
     assert means[0] > means[-1] + 0.05
+
+
+def test_networks_equal_the_central_unit_and_say_what_it_costs():
+    rng = np.random.default_rng(5)
+    load = 15.0 + 0.3 * rng.standard_normal((100, 3))
+    load[40:, 1] -= 12.0
+    found = network.rows(load)
+    assert len(found) == 8
+    assert {(r.network, r.exchange, r.nodes) for r in found} == {
+        (n, e, k) for n in ("ring", "tree") for e in ("tree", "consensus") for k in (3, 15)
+    }
+    assert all(r.apart < 1e-6 for r in found)
+    # Five sweeps up and down a spanning tree, 2 (N - 1) each, and what the set-up costs.
+    assert all(
+        10 * (r.nodes - 1) < r.messages <= 16 * (r.nodes - 1) for r in found if r.exchange == "tree"
+    )
 
 
 def test_a_cell_agrees_within_its_tolerance_or_says_why():
