@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dbc.frame import MS, Nanos
+from dbc.frame import MS, SECOND, Nanos
 from estimators import lock
 from estimators._adapt_kernels import absorb
 from estimators._kernels import agreement, ekf_sweep, lock_sweep, ukf_sweep
@@ -36,6 +36,11 @@ FORGET: Final = 1.01
 """Rise of that best per tick: sensors may become noisier for good."""
 MOVING: Final = 0.07
 """Of the rated torque in a tick: more than the noise of a steady load."""
+FLUX_TAU_S: Final = 0.5
+FLUX_SURE: Final = 0.03
+"""What the chords say of the flux is believed beyond this, and beyond what an R_s that is off by
+`RESISTANCE_SURE` would make of it."""
+RESISTANCE_SURE: Final = 0.25
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
@@ -59,13 +64,15 @@ class DriveEstimate(NamedTuple):
 class _Track:
     """What the bank remembers of one drive beside the arrays."""
 
-    __slots__ = ("best", "diverged_ns", "doubts", "load", "moved", "silent")
+    __slots__ = ("best", "diverged_ns", "doubts", "flux", "load", "moved", "silent")
 
     def __init__(self) -> None:
         self.doubts = 0
         self.best = math.inf
         """Standard deviation of the load when it was known best of late, Nm."""
         self.diverged_ns: Nanos | None = None
+        self.flux: float | None = None
+        """Magnet flux over that of the data sheet; torque and load are larger by that."""
         self.silent = False
         """No samples in this tick."""
         self.load = 0.0
@@ -76,8 +83,15 @@ class _Track:
 class Bank:
     """Filters of N drives. `advance` once per tick is the only mutator."""
 
-    def __init__(self, motors: Sequence[Motor], config: Estimator, current_step_a: float) -> None:
+    def __init__(
+        self,
+        motors: Sequence[Motor],
+        config: Estimator,
+        current_step_a: float,
+        tick_ns: Nanos = 10 * MS,
+    ) -> None:
         """current_step_a: resolution of the currents on the bus, part of R."""
+        self.tick_s = tick_ns / SECOND
         rows = [(m.R_s, m.L_s, m.psi_pm, float(m.pole_pairs), m.J, m.B, m.k_p) for m in motors]
         self.par = pmsm.motors(*rows)
         self.rated = pmsm.Rated(
@@ -104,6 +118,7 @@ class Bank:
         self.lean = np.zeros(n)
         """Voltage along q that the motor lacks against its data, V."""
         self.pole_pairs = self.par.p.tolist()
+        self.sheet = list(zip(self.par.R_s.tolist(), self.par.psi_f.tolist(), strict=True))
 
     def advance(
         self,
@@ -241,6 +256,7 @@ class Bank:
         if not self.active.item(k):
             return DriveEstimate(Health.CONVERGING if fresh else Health.UNKNOWN)
         sigma = math.sqrt(self.P.item(k, pmsm.T_L, pmsm.T_L))
+        flux = self._flux(k)
         health = Health.TRACKING
         if not fresh:
             health = Health.PREDICTING
@@ -254,16 +270,34 @@ class Bank:
         return DriveEstimate(
             health,
             self.x.item(k, pmsm.W_E) / self.pole_pairs[k],
-            self.x.item(k, pmsm.T_L),
-            sigma,
+            self.x.item(k, pmsm.T_L) * flux,
+            sigma * flux,
             self.nis.item(k),
         )
+
+    def _flux(self, k: int) -> float:
+        """Magnet flux over that of the data sheet, as the chords' length has it of late.
+
+        Errors of R_s lengthen a chord, too: what they can explain is not taken for flux.
+        """
+        track, w = self.tracks[k], abs(self.chords.w.item(k))
+        if not self.chords.ready.item(k):
+            return track.flux or 1.0
+        R_s, psi_f = self.sheet[k]
+        current = math.hypot(self.x.item(k, pmsm.I_A), self.x.item(k, pmsm.I_B))
+        sure = FLUX_SURE * psi_f + RESISTANCE_SURE * R_s * current / w
+        more = self.chords.psi.item(k) - psi_f
+        believed = math.copysign(max(abs(more) - sure, 0.0), more) / psi_f
+        before = believed if track.flux is None else track.flux - 1.0
+        track.flux = 1.0 + before + self.tick_s / FLUX_TAU_S * (believed - before)
+        return track.flux
 
     def _drop(self, k: int) -> None:
         """Forget the filter of one drive; it is acquired anew."""
         self.active[k] = False
         self.steps[k] = 0
         self.tracks[k].doubts = 0
+        self.tracks[k].flux = None
         self.x[k] = 0.0
         self.P[k] = np.eye(5)
 

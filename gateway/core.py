@@ -71,7 +71,7 @@ class Gateway:
         missing = [d.node for d in self.inbox.drives if not d.channels]
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
-        self.bank = Bank(motors, config.estimator, _current_step_a(codec))
+        self.bank = Bank(motors, config.estimator, _current_step_a(codec), config.loop.period_ns)
         self.motion = MotionSide(
             motors, config.estimator, _timing(self.inbox.drives), config.loop.period_ns
         )

@@ -200,3 +200,19 @@ def test_a_motor_off_its_data_sheet_is_learnt_by_the_voltage_it_lacks(kind, r, p
     assert filters.lean[0] == pytest.approx(lacking, abs=0.15)
     assert filters.x[0, 2] == pytest.approx(w, rel=0.005)
     assert filters.scale[0] < 3.0
+
+
+@pytest.mark.parametrize("psi", [0.8, 1.25])
+def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
+    """The sheet's flux is off by a fifth; without this the load reads 20 % low or 25 % high."""
+    load = 15.0
+    truth = steady(150.0, load, n=1, seconds=2.0)
+    sheet = BENCH_MOTOR.model_copy(update={"psi_pm": BENCH_MOTOR.psi_pm * psi})
+    filters = Bank([sheet], Estimator(), 0.02)
+    said = [e[0].load_nm for _, e, _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=5))]
+    assert said[30] == pytest.approx(load, rel=0.12), "known with the lock"
+    assert said[-1] == pytest.approx(load, rel=0.1)
+    right = Bank([BENCH_MOTOR], Estimator(), 0.02)
+    for _ in run(right, truth, sampled(truth, 16, 2e-4, seed=5)):
+        pass
+    assert right.tracks[0].flux == 1.0, "what is within the doubt changes nothing"
