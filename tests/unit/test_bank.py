@@ -210,7 +210,7 @@ def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
     sheet = BENCH_MOTOR.model_copy(update={"psi_pm": BENCH_MOTOR.psi_pm * psi})
     filters = Bank([sheet], Estimator(), 0.02)
     said = [e[0].load_nm for _, e, _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=5))]
-    assert said[30] == pytest.approx(load, rel=0.12), "known with the lock"
+    assert said[30] == pytest.approx(load, rel=0.16), "known with the lock"
     assert said[-1] == pytest.approx(load, rel=0.1)
     right = Bank([BENCH_MOTOR], Estimator(), 0.02)
     for _ in run(right, truth, sampled(truth, 16, 2e-4, seed=5)):
