@@ -33,7 +33,10 @@ def main() -> None:
         text += [f"\n## {TITLES[name]}\n", table(PARTS[name].HEADER, rows)]
         print("\n".join(text[-2:]), flush=True)
     if options.output:
-        body = "# Figures\n\nWritten by `python -m bench -o docs/figures.md`.\n" + "\n".join(text)
+        body = (
+            "# Figures\n\nWritten by `python -m bench -o FILE`; detection: `docs/detection.md`.\n"
+            + "\n".join(text)
+        )
         options.output.write_text(body + "\n", encoding="utf-8")
         options.output.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from binascii import a2b_hex
 from enum import IntEnum
+from functools import lru_cache
 from typing import Final
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
@@ -185,8 +186,8 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
     else:
         fits = fits and size <= 8 and (dlc < 9 or (size == 8 and dlc <= 15))
         body = data.hex().upper() + (f"_{dlc:X}" if dlc > 8 else "")
-    name = (own or channel).encode("utf-8", "surrogateescape")
-    if not (fits and can_id >= 0 and 0 <= t_ns <= _LAST_NS and _NAMED.fullmatch(name)):
+    name = _name(own or channel)
+    if not (fits and can_id >= 0 and 0 <= t_ns <= _LAST_NS and name):
         msg = f"cannot be written as a candump line: {frame}"
         raise ValueError(msg)
     seconds, nanos = divmod(t_ns, 1_000_000_000)
@@ -194,3 +195,10 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
     return b"(%010d.%b) %b %b#%b" % (
         seconds, decimals.encode(), name, digits.encode(), body.encode(),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _name(channel: str) -> bytes:
+    """A channel as it stands in a line; empty where no line can have it."""
+    name = channel.encode("utf-8", "surrogateescape")
+    return name if _NAMED.fullmatch(name) else b""

@@ -6,6 +6,7 @@ cannot transmit.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -105,15 +106,15 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) ->
         block, dropped, latest = _forward(block, latest)
         dropped += held.size
         block = join(held, block)
-        done = 0
-        while (end := done + int(np.searchsorted(block.t_ns[done:], now, "right"))) < block.size:
-            batch, following = block.part(done, end), block.t_ns.item(end)
+        done, stamps = 0, block.t_ns.tolist()
+        while (end := bisect_right(stamps, now, done)) < block.size:
+            batch, following = block.part(done, end), stamps[end]
             done = end
             if len(dropped):
                 now_dropped = int(np.count_nonzero(dropped <= end))
                 drop(now_dropped)
                 dropped = dropped[now_dropped:]
-            hole = following - block.t_ns.item(end - 1) > HOLE_NS
+            hole = following - stamps[end - 1] > HOLE_NS
             while following > now:
                 view = step(batch)
                 batch = EMPTY

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from gateway.health import FaultClass, Flag, Health, Reason
-from gateway.outbox import GatewayView
+from gateway.outbox import DriveView, GatewayView
 
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
 FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
@@ -45,6 +45,7 @@ class Recorder:
         self.series = {node: Series() for node in nodes}
         self.changes: list[tuple[int, int, str, str]] = []
         self._last: dict[tuple[int, str], str] = {}
+        self._flagged: dict[int, tuple[Flag, Flag]] = {}
         self._files: list[TextIO] = []
         self._flags = self._estimates = None
         if folder is not None:
@@ -60,13 +61,13 @@ class Recorder:
         seconds = view.t_ns / 1e9
         nan = float("nan")
         for d in view.drives:
-            words = (("adhesion", ADHESION[d.adhesion]), ("thermal", FAULT[d.thermal]))
-            for what, word in words:
-                if self._last.get((d.node, what)) != word:
-                    self._last[d.node, what] = word
-                    self.changes.append((view.t_ns, d.node, what, word))
+            flags = d.adhesion, d.thermal
+            if self._flagged.get(d.node) != flags:
+                self._flagged[d.node] = flags
+                self._change(view.t_ns, d)
             if not self._keep:
                 continue
+            words = (("adhesion", ADHESION[d.adhesion]), ("thermal", FAULT[d.thermal]))
             series = self.series[d.node]
             series.t_s.append(seconds)
             series.load_nm.append(nan if d.load_nm is None else d.load_nm)
@@ -89,6 +90,13 @@ class Recorder:
                     camel(FaultClass(d.fault_class).name), _text(d.mixed_c, 2), _text(d.maisd_k, 3),
                 )
             )  # fmt: skip
+
+    def _change(self, t_ns: int, drive: DriveView) -> None:
+        words = (("adhesion", ADHESION[drive.adhesion]), ("thermal", FAULT[drive.thermal]))
+        for what, word in words:
+            if self._last.get((drive.node, what)) != word:
+                self._last[drive.node, what] = word
+                self.changes.append((t_ns, drive.node, what, word))
 
     def close(self) -> None:
         """Finish the tables."""
