@@ -1,25 +1,22 @@
-"""Compiled loops of the filters and of the lock: many samples of several drives in one call.
+"""Compiled loops of the filters: many samples of several drives in one call.
 
-Twins in plain form: `ekf.sweep`, `ukf.sweep`; `lock_sweep` is scalar by nature and its twin is
-the same function uncompiled. Common row layout, M samples in order of time, any mix of drives:
-drive (M,) int32, u (M, 2) V mean over the sample's own interval, y (M, 2) A at its end,
-n_sub (M,) int64 sub-steps of dt in that interval, n_gap (M,) int64 sub-steps missing before it.
+Twins in plain form: `ekf.sweep`, `ukf.sweep`. Row layout, also that of `_lock_kernels`: M samples
+in order of time, any mix of drives; drive (M,) int32, u (M, 2) V mean over the sample's own
+interval, y (M, 2) A at its end, n_sub (M,) int64 sub-steps of dt in that interval, n_gap (M,)
+int64 sub-steps missing before it.
 
 The Jacobian has 14 entries other than 0 and 1 and the covariance 15 different ones: the EKF
-writes both out, which is what makes a sub-step cheap. P is taken from its upper triangle.
+writes both out, which is what makes a sub-step cheap, and this file long. P is taken from its
+upper triangle.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from estimators.lock import LockState, LockTuning
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,7 +30,7 @@ _TURN_MAX = 1.4  # pmsm.TURN_MAX
 
 
 @njit(cache=True)
-def _wrap(theta: float) -> float:
+def wrap(theta: float) -> float:
     return theta - _TWO_PI * float(np.ceil((theta - math.pi) / _TWO_PI))
 
 
@@ -123,7 +120,7 @@ def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P
     x[0] = i_a
     x[1] = i_b
     x[2] += tau * a
-    x[3] = _wrap(x[3] + turn)
+    x[3] = wrap(x[3] + turn)
 
 
 @njit(cache=True)
@@ -156,7 +153,7 @@ def _update(R: Array, y: Array, x: Array, P: Array, K: Array, W: Array) -> float
             P[j, i] = value
         if 0.0 <= P[i, i] < _FLOOR:
             P[i, i] = _FLOOR
-    x[3] = _wrap(x[3])
+    x[3] = wrap(x[3])
     return nis
 
 
@@ -247,7 +244,7 @@ def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array
         i_a = i_a_next
         i_b = i_b_next
         w = w_next
-    x[0], x[1], x[2], x[3] = i_a, i_b, w, _wrap(theta)
+    x[0], x[1], x[2], x[3] = i_a, i_b, w, wrap(theta)
     P[0, 0], P[0, 1], P[0, 2], P[0, 3], P[0, 4] = p00, p01, p02, p03, p04
     P[1, 0], P[1, 1], P[1, 2], P[1, 3], P[1, 4] = p01, p11, p12, p13, p14
     P[2, 0], P[2, 1], P[2, 2], P[2, 3], P[2, 4] = p02, p12, p22, p23, p24
@@ -415,7 +412,7 @@ def _ukf_predict(
         x[2] = f_w + shift[2]
         x[3] = f_t + shift[3]
         x[4] = load + shift[4]
-    x[3] = _wrap(x[3])
+    x[3] = wrap(x[3])
     return True
 
 
@@ -466,198 +463,3 @@ def ukf_sweep(
             nis_out[k] = nis
         else:
             ok_out[d] = False
-
-
-@njit(cache=True)
-def lock_sweep(
-    par: Array,
-    state: LockState,
-    tuning: LockTuning,
-    drive: Drives,
-    u: Array,
-    y: Array,
-    n_sub: Ints,
-    n_gap: Ints,
-    dt: float,
-) -> None:
-    """Feed M samples to the chord sums of `lock`; `state` in place. Never raises on numbers.
-
-    par (N, 7) as `pmsm.table`. A sample that is not finite breaks the chord it falls into.
-    """
-    for k in range(drive.shape[0]):
-        d = drive[k]
-        i_k = complex(y[k, 0], y[k, 1])
-        u_k = complex(u[k, 0], u[k, 1])
-        tau = n_sub[k] * dt
-        finite = math.isfinite(y[k, 0] + y[k, 1] + u[k, 0] + u[k, 1])
-        gap = n_gap[k] * dt
-        state.age[d] += gap + tau
-        if not finite or state.steps[d] < 0 or gap > 0.0:
-            # No chord across a hole; the next one starts at the end of this sample.
-            state.pair[d] = 0
-            state.flux[d] = 0.0
-            state.steps[d] = 0 if finite else -1
-            if finite:
-                state.i_start[d] = i_k
-                state.i_last[d] = i_k
-            if state.age[d] > tuning.hold * max(state.span[d], tuning.chord_steps * dt):
-                state.good[d] = 0
-                state.pairs[d] = 0
-                state.ready[d] = False
-                # Nobody knows how fast it turns by now: from the shortest chord again.
-                state.stride[d] = 1
-            continue
-        state.flux[d] += (u_k - 0.5 * par[d, 0] * (state.i_last[d] + i_k)) * tau
-        state.i_last[d] = i_k
-        state.steps[d] += n_sub[k]
-        if state.steps[d] < state.stride[d]:
-            continue
-        steps = state.steps[d]
-        chord = state.flux[d] - par[d, 1] * (i_k - state.i_start[d])
-        before = state.chord[d]
-        paired = state.pair[d] == steps
-        state.i_start[d] = i_k
-        state.flux[d] = 0.0
-        state.steps[d] = 0
-        state.chord[d] = chord
-        state.pair[d] = steps
-        if paired:
-            _add_pair(par[d, 2], state, tuning, d, chord, before, steps, dt)
-            turn = abs(state.w[d]) * state.span[d]
-            if state.pairs[d] < tuning.settle:
-                continue
-            if turn > tuning.turn_long and steps > n_sub[k]:
-                state.stride[d] = steps // 2
-            elif 2 * steps <= tuning.chord_steps:
-                longest = state.w_max[d] * state.span[d]
-                state.stride[d] = 2 * steps if longest <= tuning.turn_short else steps
-
-
-@njit(cache=True)
-def _resize(state: LockState, d: int, ratio: float) -> None:
-    """The means as chords of `ratio` (2 or 1/2) times the length would have made them."""
-    S1, S2 = state.S1[d], state.S2[d]
-    turn = math.atan2(S1.imag, S1.real)
-    slow = math.atan2(S2.imag, S2.real)
-    # |c| = 2 psi |sin(turn / 2)|.
-    cos = math.cos(0.5 * turn) if ratio > 1.0 else math.cos(0.25 * turn)
-    grow = 4.0 * cos * cos if ratio > 1.0 else 0.25 / (cos * cos)
-    state.S0[d] *= grow
-    state.S1[d] = abs(S1) * grow * complex(math.cos(ratio * turn), math.sin(ratio * turn))
-    state.S2[d] = abs(S2) * grow * complex(math.cos(ratio * slow), math.sin(ratio * slow))
-    state.span[d] *= ratio
-
-
-@njit(cache=True)
-def _add_pair(
-    psi_f: float,
-    state: LockState,
-    tuning: LockTuning,
-    d: int,
-    chord: complex,
-    before: complex,
-    steps: int,
-    dt: float,
-) -> None:
-    """One more pair of consecutive chords, each `steps` of dt: sums, speed, angle, ready."""
-    span = steps * dt
-    if state.ready[d] and span != state.span[d]:
-        ratio = span / state.span[d]
-        if ratio in (0.5, 2.0):
-            _resize(state, d, ratio)
-    pair = chord * before.conjugate()
-    energy = 0.5 * (abs(chord) ** 2 + abs(before) ** 2)
-    if state.pairs[d] == 0 or state.span[d] != span:
-        state.S1[d] = pair
-        state.S2[d] = pair
-        state.S0[d] = energy
-        state.mean[d] = 0.0
-        state.pairs[d] = 0
-        state.good[d] = 0
-        state.ready[d] = False
-        state.span[d] = span
-    state.pairs[d] += 1
-    # A plain mean at first, so that the first pair does not outweigh the others.
-    keep = min(tuning.forget, 1.0 - 1.0 / state.pairs[d])
-    state.S1[d] = keep * state.S1[d] + (1.0 - keep) * pair
-    state.S2[d] = keep * state.S2[d] + (1.0 - keep) * state.S1[d]
-    state.S0[d] = keep * state.S0[d] + (1.0 - keep) * energy
-    S1, S2, S0 = state.S1[d], state.S2[d], state.S0[d]
-    if not math.isfinite(S0 + S1.real + S1.imag + S2.real + S2.imag):
-        # Finite input can still overflow its square; the next pair starts anew.
-        state.pairs[d] = 0
-        state.ready[d] = False
-        return
-    # The first sum lags an acceleration; its distance from the second says by how much.
-    lagging = math.atan2(S1.imag, S1.real)
-    slope = S1 * S2.conjugate()
-    turn = lagging + math.atan2(slope.imag, slope.real) / tuning.forget
-    w = turn / span
-    # After a hole the mean is older than one chord: begin with the chord before this one.
-    older = state.mean[d] if state.age[d] < 1.5 * span else before
-    rotated = older * complex(math.cos(turn), math.sin(turn))
-    state.mean[d] = tuning.forget_angle * rotated + chord
-    mean = state.mean[d]
-    quarter = 0.5 * math.pi if turn >= 0.0 else -0.5 * math.pi
-    state.theta[d] = _wrap(math.atan2(mean.imag, mean.real) - quarter + 0.5 * turn)
-    state.w[d] = w
-    state.age[d] = 0.0
-
-    coherence = abs(S1) / S0 if S0 > 0.0 else 0.0
-    state.spread[d] = math.sqrt(-2.0 * math.log(min(max(coherence, 1e-12), 1.0)))
-    length = math.sqrt(S0)
-    half_sine = abs(math.sin(0.5 * lagging))
-    expected = 2.0 * psi_f * half_sine
-    state.psi[d] = length / (2.0 * half_sine) if half_sine > 0.0 else math.nan
-    sine = length / (2.0 * psi_f * (1.0 - tuning.length_tol))
-    state.w_max[d] = 2.0 / span * math.asin(sine) if sine < 1.0 else math.inf
-    sudden = 2.0 * psi_f * abs(math.sin(0.5 * turn))
-    slowest = psi_f * tuning.w_off * span
-    plausible = (
-        coherence >= tuning.coherence
-        and abs(length - expected) <= tuning.length_tol * expected
-        and abs(turn) <= tuning.turn_max
-        and abs(w) * dt <= tuning.step_turn_max
-        and abs(lagging) >= tuning.w_off * span
-        # The means remember, the last chord does not: it must be long enough for a rotor that
-        # turns, and fit the speed, or a hard brake or a reversal slips through.
-        and abs(chord) >= (1.0 - tuning.length_tol) * slowest
-        and abs(abs(chord) - sudden) <= tuning.length_tol * sudden + slowest
-    )
-    state.good[d] = state.good[d] + 1 if plausible else 0
-    if state.good[d] == 0:
-        state.ready[d] = False
-    elif state.good[d] >= tuning.chords and abs(lagging) >= tuning.w_on * span:
-        state.ready[d] = True
-
-
-@njit(cache=True)
-def agreement(
-    w: Array,
-    theta: Array,
-    age: Array,
-    ready: Flags,
-    pairs: Ints,
-    w_max: Array,
-    x: Array,
-    chords: int,
-    tolerances: tuple[float, float, float, float],
-    out: Ints,
-) -> None:
-    """`lock.agrees` for a few drives a tick, where the array form is all call overhead.
-
-    tolerances: W_TOL, W_TOL_RELATIVE, THETA_TOL, STILL_TOL of `lock`; fills out (N,).
-    """
-    w_tol, w_relative, theta_tol, still_tol = tolerances
-    for d in range(x.shape[0]):
-        total = x[d, 0] + x[d, 1] + x[d, 2] + x[d, 3] + x[d, 4]
-        if not math.isfinite(total):
-            out[d] = 2
-        elif ready[d]:
-            turn = _wrap(x[d, 3] - _wrap(theta[d] + w[d] * age[d]))
-            same_w = abs(x[d, 2] - w[d]) <= w_tol + w_relative * abs(w[d])
-            out[d] = 1 if same_w and abs(turn) <= theta_tol else 2
-        elif pairs[d] >= chords and abs(x[d, 2]) > w_max[d] + still_tol:
-            out[d] = 2
-        else:
-            out[d] = 0

@@ -81,7 +81,7 @@ class LockTuning(NamedTuple):
 
 
 class LockState(NamedTuple):
-    """Memory of N drives, each entry (N,). Filled by `_kernels.lock_sweep`.
+    """Memory of N drives, each entry (N,). Filled by `_lock_kernels.lock_sweep`.
 
     i_last, i_start: current at the last sample and at the start of the open chord, A.
     flux: volt-seconds less resistive drop of the open chord, Wb; steps: its sub-steps, -1 when

@@ -16,7 +16,8 @@ import numpy as np
 from dbc.frame import MS, SECOND, Nanos
 from estimators import lock
 from estimators._adapt_kernels import absorb
-from estimators._kernels import agreement, ekf_sweep, lock_sweep, ukf_sweep
+from estimators._kernels import ekf_sweep, ukf_sweep
+from estimators._lock_kernels import agreement, lock_sweep
 from estimators.models import pmsm
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor

@@ -44,8 +44,7 @@ class Recorder:
         self._keep = series
         self.series = {node: Series() for node in nodes}
         self.changes: list[tuple[int, int, str, str]] = []
-        self._last: dict[tuple[int, str], str] = {}
-        self._flagged: dict[int, tuple[Flag, Flag]] = {}
+        self._last: dict[int, tuple[Flag, Flag]] = {}
         self._files: list[TextIO] = []
         self._flags = self._estimates = None
         if folder is not None:
@@ -62,9 +61,9 @@ class Recorder:
         nan = float("nan")
         for d in view.drives:
             flags = d.adhesion, d.thermal
-            if self._flagged.get(d.node) != flags:
-                self._flagged[d.node] = flags
+            if self._last.get(d.node) != flags:
                 self._change(view.t_ns, d)
+                self._last[d.node] = flags
             if not self._keep:
                 continue
             words = (("adhesion", ADHESION[d.adhesion]), ("thermal", FAULT[d.thermal]))
@@ -92,11 +91,11 @@ class Recorder:
             )  # fmt: skip
 
     def _change(self, t_ns: int, drive: DriveView) -> None:
-        words = (("adhesion", ADHESION[drive.adhesion]), ("thermal", FAULT[drive.thermal]))
-        for what, word in words:
-            if self._last.get((drive.node, what)) != word:
-                self._last[drive.node, what] = word
-                self.changes.append((t_ns, drive.node, what, word))
+        adhesion, thermal = self._last.get(drive.node, (None, None))
+        if drive.adhesion is not adhesion:
+            self.changes.append((t_ns, drive.node, "adhesion", ADHESION[drive.adhesion]))
+        if drive.thermal is not thermal:
+            self.changes.append((t_ns, drive.node, "thermal", FAULT[drive.thermal]))
 
     def close(self) -> None:
         """Finish the tables."""

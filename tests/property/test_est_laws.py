@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators import _kernels, ekf, lock, ukf
+from estimators import _kernels, _lock_kernels, ekf, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
 from tests.strategies import filter_states, motor_rows, sample_rows
@@ -127,7 +127,7 @@ def test_the_lock_takes_anything(rows):
     par = pmsm.repeat(pmsm.BENCH_MOTOR, DRIVES)
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
     state = lock.start(DRIVES)
-    _kernels.lock_sweep(
+    _lock_kernels.lock_sweep(
         pmsm.table(par),
         state,
         lock.LockTuning(),

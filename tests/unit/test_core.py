@@ -369,7 +369,7 @@ def test_the_default_dbc_is_the_shipped_one():
 
 def test_compiled_agreement_equals_the_readable_one():
     from estimators import lock
-    from estimators._kernels import agreement
+    from estimators._lock_kernels import agreement
     from gateway.bank import TOLERANCES
 
     rng = np.random.default_rng(5)

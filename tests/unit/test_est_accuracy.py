@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from estimators import _kernels, lock, ukf
+from estimators import _kernels, _lock_kernels, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
 from tests.unit.test_est_ekf import bench
@@ -62,7 +62,7 @@ def load_errors(
         rows = sampled(truth, every, 2e-4, seed + 1)
         state, x, P = lock.start(DRIVES), np.zeros((DRIVES, 5)), np.zeros((DRIVES, 5, 5))
         first = rows.tick < 800
-        _kernels.lock_sweep(
+        _lock_kernels.lock_sweep(
             table, state, lock.LockTuning(), *(column[first] for column in rows[:5]), TICK_S
         )
         assert state.ready.all()

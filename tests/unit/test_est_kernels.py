@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimators import _kernels, ekf, lock, ukf
+from estimators import _kernels, _lock_kernels, ekf, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
 from tests.unit.test_est_ekf import bench
@@ -172,9 +172,9 @@ def test_lock_sweep_equals_itself_uncompiled(every, monkeypatch):
     y[::97] = np.nan
     args = (rows.drive, rows.u, y, rows.n_sub, rows.n_gap, SUB_STEP_S)
     compiled, plain = lock.start(3), lock.start(3)
-    _kernels.lock_sweep(pmsm.table(c.par), compiled, lock.LockTuning(), *args)
-    monkeypatch.setattr(_kernels, "_add_pair", _kernels._add_pair.py_func)
-    monkeypatch.setattr(_kernels, "_wrap", _kernels._wrap.py_func)
-    _kernels.lock_sweep.py_func(pmsm.table(c.par), plain, lock.LockTuning(), *args)
+    _lock_kernels.lock_sweep(pmsm.table(c.par), compiled, lock.LockTuning(), *args)
+    for name in ("_add_pair", "_resize", "wrap"):
+        monkeypatch.setattr(_lock_kernels, name, getattr(_lock_kernels, name).py_func)
+    _lock_kernels.lock_sweep.py_func(pmsm.table(c.par), plain, lock.LockTuning(), *args)
     for name, got, want in zip(compiled._fields, compiled, plain, strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12, err_msg=name)

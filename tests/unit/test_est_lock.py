@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimators import _kernels, lock
+from estimators import _kernels, _lock_kernels, lock
 from estimators.lock import Agreement
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
@@ -34,7 +34,7 @@ def rolling(w: float, ticks: int = 2400) -> Truth:
 
 
 def feed(state: lock.LockState, par: Pmsm, rows: Rows, picked: np.ndarray) -> None:
-    _kernels.lock_sweep(
+    _lock_kernels.lock_sweep(
         pmsm.table(par), state, TUNING, *(column[picked] for column in rows[:5]), TICK_S
     )
 
