@@ -42,8 +42,9 @@ SEVERE_SPREADS: Final = 6.0
 """Share of the load that is missing, and in spreads, from which on noise is not the cause."""
 TRAIN_S: Final = 0.5
 """Time constant of what counts as the train's own acceleration."""
-TRAIN_MOST: Final = 0.1
-"""Most of the rated torque that a rotor takes to accelerate with its train."""
+TRAIN_MOST: Final = 0.15
+"""Most of the rated torque that a rotor takes to accelerate with its train: an emergency brake of
+1.5 m/s^2 for the 350 kW motor, the rotor behind its gear included."""
 ENOUGH_TO_COMPARE: Final = 2
 """Drives. With fewer a sudden loss is told by the rotor; with more, all of whose loads fall, it may
 be the train's, and the next commands decide."""

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from sim.mismatches import MISMATCHES, Mismatch, tables
-from sim.plant import MOTORS, TRAIN, TRAINS
+from sim.plant import BENCH, MOTORS, TRAIN, TRAINS
 from sim.random_runs import (
     DEPTH,
     LENGTH_S,
@@ -53,6 +53,10 @@ BUS_DRIVES: Final = 4
 HARD_S: Final = 20.0
 HARD_NM: Final = 28.0
 """The driver's limit: dry rail carries 29 Nm at 60 m/s, 39 at 10."""
+BRAKE_AT_S: Final = 0.3
+BRAKE: Final = 6.4
+"""Hardest change of speed, over what rated torque gives the train: an emergency brake of 1.4 m/s^2
+on the train of the 350 kW motor. The bench motor's ranges stay far below it."""
 WET_NM: Final = 20.0
 """What wet rail (friction 0.3) carries on the bench."""
 
@@ -149,15 +153,27 @@ def _number(drives: int) -> Callable[[int, Rng, PerUnit], Scenario]:
     return make
 
 
+def _tenable(unit: PerUnit, bench_nm: float) -> float:
+    """Electrical rad/s^2 at which the train's mass takes the torque `bench_nm` scaled."""
+    motor = MOTORS[unit.name]
+    return motor.pole_pairs * unit.nm(bench_nm) / TRAINS.get(unit.name, TRAIN).inertia(motor)
+
+
+def _hardest(unit: PerUnit) -> float:
+    """Electrical rad/s^2 of the hardest brake."""
+    return BRAKE * _tenable(unit, BENCH.T_rated)
+
+
 def _braking(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     event = _loss(rng, int(rng.integers(1, 4)), _between(rng, ONSET_S))
     low, high = unit.speed
     first, last = _between(rng, (0.5 * (low + high), high)), _between(rng, (low, 0.4 * high))
     forward = _sign(rng)
     end = event["at_s"] + event["for_s"] + TAIL_S
+    last = max(last, round(first - _hardest(unit) * (end - BRAKE_AT_S), 4))
     table = {
         "event": [event],
-        "motion": {"profile": [[0.3, forward * first], [round(end, 4), forward * last]]},
+        "motion": {"profile": [[BRAKE_AT_S, forward * first], [round(end, 4), forward * last]]},
         "load": {"kind": "preset", "torque_nm": unit.nm(-forward * _between(rng, LOAD_NM))},
     }
     return _run("braking", seed, unit, table)
@@ -173,6 +189,7 @@ def _crawl(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     forward = _sign(rng)
     start, rise = _between(rng, (0.2, 0.6)), _between(rng, (0.3, 1.0))
     top, hold = forward * _between(rng, (3.0, 40.0)), _between(rng, (1.5, 2.5))
+    rise = max(rise, round(abs(top) / _hardest(unit), 4))
     points = np.cumsum([start, rise, hold, rise]).round(4).tolist()
     events = []
     if rng.random() < 0.5:
@@ -225,12 +242,6 @@ def _large(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
         "load": {"kind": "preset", "torque_nm": unit.nm(_between(rng, LOAD_NM) * _sign(rng))},
     }
     return _run("large", seed, unit, table)
-
-
-def _tenable(unit: PerUnit, bench_nm: float) -> float:
-    """Electrical rad/s^2 at which the train's mass takes the torque `bench_nm` scaled."""
-    motor = MOTORS[unit.name]
-    return motor.pole_pairs * unit.nm(bench_nm) / TRAINS.get(unit.name, TRAIN).inertia(motor)
 
 
 def _all_together(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
