@@ -93,6 +93,8 @@ class AdhesionSide:
         self._learn_ns: Nanos | None = None
         self._known: list[Nanos | None] = [None] * len(self.rated)
         """Since when each load has been known."""
+        self._bad_ns: Nanos | None = None
+        """When last any wheel was lost."""
 
     def judge(
         self,
@@ -279,8 +281,10 @@ class AdhesionSide:
             self.common = advance(self.common, seen, now, self.timing)
 
     def _healthy(self, opinion: Opinion, flags: Sequence[FlagState], now: Nanos) -> Flags:
-        """(N,) drives that may be learnt from: none while any is lost."""
+        """(N,) drives that may be learnt from: none while any is lost, or finds its grip again."""
         if any(state.flag is Flag.BAD for state in flags):
+            self._bad_ns = now
+        if self._bad_ns is not None and now < self._bad_ns + FOLLOWING_NS:
             return np.zeros(len(flags), dtype=np.bool_)
         settled = [
             since is not None and now - since >= SETTLED_NS and state.flag is Flag.GOOD
