@@ -56,4 +56,4 @@ def absorb(
         if steps[d] >= settled and chords.ready[d]:
             most = _most_lean(w_e[d], par[d, 0], par[d, 2], rated[d])
             beyond = w_e[d] - chords.w[d]
-            lean[d] = _lean(lean[d], beyond, par[d, 2], n_sub[k] * dt, most)
+            lean[d] = _lean(lean[d], beyond, par[d, 2], n_sub[k] * dt, most, steps[d] * dt)

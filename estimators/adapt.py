@@ -26,6 +26,8 @@ CLIP: Final = 8.0
 """A single innovation counts as at most this: the onset of a loss is no noise."""
 EXPECTED: Final = 2.0
 LEAN_TAU_S: Final = 0.5
+LEAN_FIRST_TAU_S: Final = 0.05
+LEAN_AGE: Final = 0.5
 MOST_RESISTANCE: Final = 0.3
 MOST_FLUX: Final = 0.2
 """Relative errors of R_s and psi_f that are taken for possible."""
@@ -42,12 +44,14 @@ def scale(now: float, nis: float, dt: float, age: float) -> float:
     return min(max(now * math.exp(change * min(dt / tau, 1.0)), 1.0), MOST)
 
 
-def lean(now: float, beyond: float, psi_f: float, dt: float, most: float) -> float:
+def lean(now: float, beyond: float, psi_f: float, dt: float, most: float, age: float) -> float:
     """The missing voltage after one sample, `dt` s after the last, V; within `most`.
 
-    beyond: the filter's electrical speed less the chords', rad/s.
+    beyond: the filter's electrical speed less the chords', rad/s; age: seconds since the filter's
+    start, which is as far off as the motor is from its data sheet.
     """
-    return min(max(now + dt / LEAN_TAU_S * psi_f * beyond, -most), most)
+    tau = min(max(LEAN_AGE * age, LEAN_FIRST_TAU_S), LEAN_TAU_S)
+    return min(max(now + dt / tau * psi_f * beyond, -most), most)
 
 
 def most_lean(w_e: float, R_s: float, psi_f: float, I_rated: float) -> float:

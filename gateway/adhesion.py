@@ -45,6 +45,9 @@ TRAIN_S: Final = 0.5
 TRAIN_MOST: Final = 0.15
 """Most of the rated torque that a rotor takes to accelerate with its train: an emergency brake of
 1.5 m/s^2 for the 350 kW motor, the rotor behind its gear included."""
+PASSING: Final = 0.035
+"""Loads differ by this much, standard deviation, for some seconds: curves, load steps. Too short to
+be learnt."""
 ENOUGH_TO_COMPARE: Final = 2
 """Drives. With fewer a sudden loss is told by the rotor; with more, all of whose loads fall, it may
 be the train's, and the next commands decide."""
@@ -109,7 +112,7 @@ class AdhesionSide:
         known = at.known.tolist()
         heard = self._heard(drives, estimates, fresh, known, now)
         referred = self.reference.referred(at.load) / at.share
-        spread = self.reference.sigma(at.load) / at.share
+        spread = np.hypot(self.reference.sigma(at.load), PASSING * at.load) / at.share
         compared = self.detector(Evidence(referred, spread, at.known, self._speeds(estimates)))
         self._known = [
             (now if since is None else since) if sure else None

@@ -14,10 +14,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators import lock
+from estimators import lock, unbalance
 from estimators._adapt_kernels import absorb
 from estimators._kernels import ekf_sweep, ukf_sweep
 from estimators._lock_kernels import agreement, lock_sweep
+from estimators._unbalance_kernels import balance
 from estimators.models import pmsm
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
@@ -108,6 +109,7 @@ class Bank:
         self.x = np.zeros((n, 5))
         self.P = np.tile(np.eye(5), (n, 1, 1))
         self.chords = lock.start(n)
+        self.sensors = unbalance.start(n)
         self.tracks = [_Track() for _ in range(n)]
         self.active = np.zeros(n, dtype=np.bool_)
         self.steps = np.zeros(n, dtype=np.int64)
@@ -137,6 +139,7 @@ class Bank:
         for k in restart:
             self._drop(k)
             lock.forget(self.chords, k)
+            unbalance.forget(self.sensors, k)
         self._drop_over_holes(samples)
         if len(samples.drive):
             self._sweep(samples)
@@ -172,8 +175,10 @@ class Bank:
                 track.load, track.moved = load, abs(load - track.load)
 
     def _sweep(self, samples: Samples) -> None:
-        drive, u, y, n_sub, n_gap = samples
-        dt = SAMPLE_NS * 1e-9
+        drive, u, measured, n_sub, n_gap = samples
+        dt, y = SAMPLE_NS * 1e-9, np.empty_like(measured)
+        w_e = np.where(self.chords.ready, self.chords.w, 0.0)
+        balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, self.rated.I, y)
         lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
         nis = np.empty(len(drive))
         ok = np.empty(len(self.tracks), dtype=np.bool_)

@@ -1,0 +1,93 @@
+"""Compiled loop of `unbalance`: scalar by nature, its twin is itself uncompiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimators import unbalance
+from estimators.unbalance import Unbalance
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Drives = NDArray[np.int32] | NDArray[np.int64]
+
+_TURN = 2.0 * math.pi
+_REVOLUTIONS = unbalance.REVOLUTIONS
+_MOST_STEP = unbalance.MOST_STEP
+_STEADY = unbalance.STEADY
+_LEAST = unbalance.LEAST
+_MOST_OFFSET = unbalance.MOST_OFFSET
+_MOST_IMAGE = unbalance.MOST_IMAGE
+
+
+@njit(cache=True)
+def balance(
+    state: Unbalance,
+    drive: Drives,
+    y: Array,
+    n_sub: Ints,
+    n_gap: Ints,
+    dt: float,
+    w_e: Array,
+    rated: Array,
+    out: Array,
+) -> None:
+    """Correct M samples by what is known so far, and learn from them.
+
+    drive, y (M, 2), n_sub, n_gap, dt: as in `ekf_sweep`; w_e (N,): electrical speed, rad/s, 0
+    while it is not known; rated (N,) A; out (M, 2) is filled. Never raises on numbers: a sample
+    that is not finite stays what it is and begins the revolution anew.
+    """
+    for k in range(drive.shape[0]):
+        d = drive[k]
+        z = complex(y[k, 0], y[k, 1])
+        n = state.image[d]
+        centred = z - state.offset[d]
+        i = (centred - n * centred.conjugate()) / (1.0 - abs(n) ** 2)
+        out[k, 0], out[k, 1] = i.real, i.imag
+        step = abs(w_e[d]) * n_sub[k] * dt
+        if not (0.0 < step <= _MOST_STEP and n_gap[k] == 0 and math.isfinite(z.real + z.imag)):
+            _begin(state, d)
+            state.before[d] = 0.0
+            continue
+        left = _TURN - state.turned[d]
+        _add(state, d, z, min(step, left))
+        if step >= left:
+            _finish(state, d, rated[d])
+            _begin(state, d)
+            _add(state, d, z, step - left)
+
+
+@njit(cache=True)
+def _begin(state: Unbalance, d: int) -> None:
+    state.turned[d] = 0.0
+    state.square[d] = 0.0
+    state.first[d] = 0.0
+    state.second[d] = 0.0
+
+
+@njit(cache=True)
+def _add(state: Unbalance, d: int, z: complex, angle: float) -> None:
+    state.turned[d] += angle
+    state.square[d] += angle * (z.real * z.real + z.imag * z.imag)
+    state.first[d] += angle * z
+    state.second[d] += angle * z * z
+
+
+@njit(cache=True)
+def _finish(state: Unbalance, d: int, rated: float) -> None:
+    """Learn from a whole revolution."""
+    square, offset = state.square[d] / _TURN, state.first[d] / _TURN
+    before, state.before[d] = state.before[d], square
+    if not (square >= (_LEAST * rated) ** 2 and abs(square - before) <= _STEADY * before):
+        return
+    image = 0.5 * (state.second[d] / _TURN - offset * offset) / (square - abs(offset) ** 2)
+    if not (abs(offset) <= _MOST_OFFSET * rated and abs(image) <= _MOST_IMAGE):
+        return
+    state.turns[d] = min(state.turns[d] + 1, _REVOLUTIONS)
+    state.offset[d] += (offset - state.offset[d]) / state.turns[d]
+    state.image[d] += (image - state.image[d]) / state.turns[d]

@@ -1,0 +1,73 @@
+"""Offsets and unlike gains of the current sensors, learnt while the rotor turns.
+
+In healthy steady state the currents are one vector that turns, i = I e^(j theta) in the stationary
+frame (complex alpha + j beta). Sensors make of it, to first order in their errors,
+
+    z = i + n conj(i) + o        o: offset; n: image, from gains that differ between the phases
+
+(the gain that all have in common shows nowhere but in the load, whose ratio is learnt). Over a
+whole revolution i, i^2 and conj(i) have the mean zero, so
+
+    o = <z>,   n = (<z^2> - o^2) / (2 (<|z|^2> - |o|^2)).
+
+A revolution counts if its mean square is that of the one before: a load that steps within it
+would look like an offset. What is larger than sensors are off is not learnt: an open phase is a
+fault, not a gain. With two sensors (CAN FD), gains d apart make |n| = d / sqrt(3); left as it is,
+the load ripples with twice the electrical frequency. Not in paper `adhesion`.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Ints = NDArray[np.int64]
+
+REVOLUTIONS: Final = 16
+"""Memory in the long run; a mean until then."""
+MOST_STEP: Final = 0.63
+"""Largest turn between two samples, rad: ten a revolution."""
+STEADY: Final = 0.1
+"""Relative change of the mean square between two revolutions that are steady."""
+LEAST: Final = 0.2
+"""Per unit of rated current: with less, noise and offsets hide the image."""
+MOST_OFFSET: Final = 0.05
+"""Per unit of rated current; more is a fault."""
+MOST_IMAGE: Final = 0.08
+
+
+class Unbalance(NamedTuple):
+    """Memory of N drives.
+
+    offset (N,) A and image (N,), as learnt from `turns` (N,) steady revolutions; of the revolution
+    that is under way: turned (N,) rad, and the integrals over the angle of |z|^2, z, z^2;
+    before (N,): mean square of the revolution before, A^2, 0 none.
+    """
+
+    offset: Complex
+    image: Complex
+    turns: Ints
+    turned: Array
+    square: Array
+    first: Complex
+    second: Complex
+    before: Array
+
+
+def start(n: int) -> Unbalance:
+    """Nothing learnt: the sensors are what they should be."""
+    zero, none = np.zeros(n), np.zeros(n, dtype=np.complex128)
+    return Unbalance(
+        none.copy(), none.copy(), np.zeros(n, dtype=np.int64), zero.copy(), zero.copy(),
+        none.copy(), none.copy(), zero.copy(),
+    )  # fmt: skip
+
+
+def forget(state: Unbalance, k: int) -> None:
+    """Drive `k` begins anew."""
+    for array in state:
+        array[k] = 0
