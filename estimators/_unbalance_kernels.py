@@ -17,6 +17,7 @@ Drives = NDArray[np.int32] | NDArray[np.int64]
 
 _TURN = 2.0 * math.pi
 _REVOLUTIONS = unbalance.REVOLUTIONS
+_FOLLOW_S = unbalance.FOLLOW_S
 _MOST_STEP = unbalance.MOST_STEP
 _STEADY = unbalance.STEADY
 _LEAST = unbalance.LEAST
@@ -45,19 +46,23 @@ def balance(
     for k in range(drive.shape[0]):
         d = drive[k]
         z = complex(y[k, 0], y[k, 1])
-        n = state.image[d]
-        centred = z - state.offset[d]
+        near = min(n_sub[k] * dt / _FOLLOW_S, 1.0)
+        state.offset_now[d] += near * (state.offset[d] - state.offset_now[d])
+        state.image_now[d] += near * (state.image[d] - state.image_now[d])
+        n = state.image_now[d]
+        centred = z - state.offset_now[d]
         i = (centred - n * centred.conjugate()) / (1.0 - abs(n) ** 2)
         out[k, 0], out[k, 1] = i.real, i.imag
         step = abs(w_e[d]) * n_sub[k] * dt
         if not (0.0 < step <= _MOST_STEP and n_gap[k] == 0 and math.isfinite(z.real + z.imag)):
             _begin(state, d)
-            state.before[d] = 0.0
+            state.square[d] = 0.0
             continue
         left = _TURN - state.turned[d]
         _add(state, d, z, min(step, left))
         if step >= left:
             _finish(state, d, rated[d])
+            state.before[d] = state.rising[d]
             _begin(state, d)
             _add(state, d, z, step - left)
 
@@ -65,27 +70,35 @@ def balance(
 @njit(cache=True)
 def _begin(state: Unbalance, d: int) -> None:
     state.turned[d] = 0.0
-    state.square[d] = 0.0
-    state.first[d] = 0.0
-    state.second[d] = 0.0
+    state.flat[d] = 0.0
+    state.rising[d] = 0.0
 
 
 @njit(cache=True)
 def _add(state: Unbalance, d: int, z: complex, angle: float) -> None:
+    weight = angle * (state.turned[d] + 0.5 * angle) / _TURN
     state.turned[d] += angle
-    state.square[d] += angle * (z.real * z.real + z.imag * z.imag)
-    state.first[d] += angle * z
-    state.second[d] += angle * z * z
+    square = z.real * z.real + z.imag * z.imag
+    flat, rising = state.flat[d], state.rising[d]
+    flat[0] += angle * z
+    flat[1] += angle * z * z
+    flat[2] += angle * square
+    rising[0] += weight * z
+    rising[1] += weight * z * z
+    rising[2] += weight * square
 
 
 @njit(cache=True)
 def _finish(state: Unbalance, d: int, rated: float) -> None:
-    """Learn from a whole revolution."""
-    square, offset = state.square[d] / _TURN, state.first[d] / _TURN
-    before, state.before[d] = state.before[d], square
-    if not (square >= (_LEAST * rated) ** 2 and abs(square - before) <= _STEADY * before):
+    """Learn from this revolution and the one before, if both are whole and alike."""
+    now = state.flat[d, 2].real / _TURN
+    last, state.square[d] = state.square[d], now
+    if not (now >= (_LEAST * rated) ** 2 and abs(now - last) <= _STEADY * last):
         return
-    image = 0.5 * (state.second[d] / _TURN - offset * offset) / (square - abs(offset) ** 2)
+    # Up over the revolution before, down over this one: a triangle of area 2 pi.
+    mean = (state.before[d] + state.flat[d] - state.rising[d]) / _TURN
+    offset = mean[0]
+    image = 0.5 * (mean[1] - offset * offset) / (mean[2].real - abs(offset) ** 2)
     if not (abs(offset) <= _MOST_OFFSET * rated and abs(image) <= _MOST_IMAGE):
         return
     state.turns[d] = min(state.turns[d] + 1, _REVOLUTIONS)

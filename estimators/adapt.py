@@ -26,8 +26,7 @@ CLIP: Final = 8.0
 """A single innovation counts as at most this: the onset of a loss is no noise."""
 EXPECTED: Final = 2.0
 LEAN_TAU_S: Final = 0.5
-LEAN_FIRST_TAU_S: Final = 0.05
-LEAN_AGE: Final = 0.5
+LEAN_FIRST_TAU_S: Final = 0.15
 MOST_RESISTANCE: Final = 0.3
 MOST_FLUX: Final = 0.2
 """Relative errors of R_s and psi_f that are taken for possible."""
@@ -50,7 +49,7 @@ def lean(now: float, beyond: float, psi_f: float, dt: float, most: float, age: f
     beyond: the filter's electrical speed less the chords', rad/s; age: seconds since the filter's
     start, which is as far off as the motor is from its data sheet.
     """
-    tau = min(max(LEAN_AGE * age, LEAN_FIRST_TAU_S), LEAN_TAU_S)
+    tau = min(max(age, LEAN_FIRST_TAU_S), LEAN_TAU_S)
     return min(max(now + dt / tau * psi_f * beyond, -most), most)
 
 

@@ -5,12 +5,13 @@ frame (complex alpha + j beta). Sensors make of it, to first order in their erro
 
     z = i + n conj(i) + o        o: offset; n: image, from gains that differ between the phases
 
-(the gain that all have in common shows nowhere but in the load, whose ratio is learnt). Over a
-whole revolution i, i^2 and conj(i) have the mean zero, so
+(the gain that all have in common shows nowhere but in the load, whose ratio is learnt). Over
+whole revolutions i, i^2 and conj(i) have the mean zero, so
 
     o = <z>,   n = (<z^2> - o^2) / (2 (<|z|^2> - |o|^2)).
 
-A revolution counts if its mean square is that of the one before: a load that steps within it
+The means are weighted by a triangle over two revolutions, so that a current that grows or fades
+evenly leaves nothing. A pair of revolutions counts if their mean squares agree: a load that steps
 would look like an offset. What is larger than sensors are off is not learnt: an open phase is a
 fault, not a gain. With two sensors (CAN FD), gains d apart make |n| = d / sqrt(3); left as it is,
 the load ripples with twice the electrical frequency. Not in paper `adhesion`.
@@ -38,32 +39,37 @@ LEAST: Final = 0.2
 MOST_OFFSET: Final = 0.05
 """Per unit of rated current; more is a fault."""
 MOST_IMAGE: Final = 0.08
+FOLLOW_S: Final = 0.05
+"""What is taken off follows what is learnt: a step would look like one of the load."""
 
 
 class Unbalance(NamedTuple):
     """Memory of N drives.
 
-    offset (N,) A and image (N,), as learnt from `turns` (N,) steady revolutions; of the revolution
-    that is under way: turned (N,) rad, and the integrals over the angle of |z|^2, z, z^2;
-    before (N,): mean square of the revolution before, A^2, 0 none.
+    offset (N,) A, image (N,): as learnt from `turns` (N,) revolutions; offset_now, image_now (N,):
+    as taken off; of the revolution under way: turned (N,) rad, flat, rising (N, 3): integrals over
+    the angle of z, z^2, |z|^2, evenly and with a weight that rises from 0 to 1; before (N, 3):
+    `rising` of the revolution before; square (N,): its mean square, A^2, 0 none.
     """
 
     offset: Complex
     image: Complex
+    offset_now: Complex
+    image_now: Complex
     turns: Ints
     turned: Array
+    flat: Complex
+    rising: Complex
+    before: Complex
     square: Array
-    first: Complex
-    second: Complex
-    before: Array
 
 
 def start(n: int) -> Unbalance:
     """Nothing learnt: the sensors are what they should be."""
-    zero, none = np.zeros(n), np.zeros(n, dtype=np.complex128)
+    one, three = np.zeros(n, dtype=np.complex128), np.zeros((n, 3), dtype=np.complex128)
     return Unbalance(
-        none.copy(), none.copy(), np.zeros(n, dtype=np.int64), zero.copy(), zero.copy(),
-        none.copy(), none.copy(), zero.copy(),
+        one.copy(), one.copy(), one.copy(), one.copy(), np.zeros(n, dtype=np.int64), np.zeros(n),
+        three.copy(), three.copy(), three.copy(), np.zeros(n),
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _LEAST_COMMON = reference.LEAST_COMMON
+_GATE_SQUARE = reference.GATE**2
 _NOT_WHITE = reference.NOT_WHITE
 _DRIFT = (reference.EVERY_S / reference.RATIO_TAU_S) ** 2
 _SPREAD_GAIN = reference.EVERY_S / reference.SPREAD_TAU_S
@@ -69,22 +70,31 @@ def watch(
 
 
 @njit(cache=True)
+def _taught_by(load: float, m: float, ratio: float, variance: float, noise: float) -> bool:
+    """Whether the observation of a healthy drive says something about its ratio."""
+    beside = load - ratio * m
+    return abs(m) >= _LEAST_COMMON and beside * beside <= _GATE_SQUARE * (variance * m * m + noise)
+
+
+@njit(cache=True)
 def learn(
     memory: reference.Reference, load: Array, common: Array, healthy: Flags, relative: bool
 ) -> None:
     """`reference.learn`; changes ratio and variance."""
     ratio, variance = memory.ratio, memory.variance
+    noise = _NOT_WHITE * memory.spread * memory.spread
+    teaches = np.empty(load.shape[0], dtype=np.bool_)
     n = 0
     for i in range(load.shape[0]):
-        if healthy[i] and abs(common[i]) >= _LEAST_COMMON:
-            n += 1
+        fits = _taught_by(load[i], common[i], ratio[i], variance[i], noise)
+        teaches[i] = healthy[i] and fits
+        n += 1 if teaches[i] else 0
     if n < (2 if relative else 1):
         return
-    noise = _NOT_WHITE * memory.spread * memory.spread
     total = 0.0
     for i in range(load.shape[0]):
         m = common[i]
-        if not (healthy[i] and abs(m) >= _LEAST_COMMON):
+        if not teaches[i]:
             continue
         # |m| is at least LEAST_COMMON here, which the twin has to ask for.
         before = variance[i] + noise / (m * m) * _DRIFT
@@ -93,7 +103,7 @@ def learn(
         variance[i] = (1.0 - gain * m) * before
         total += ratio[i]
     for i in range(load.shape[0]):
-        if relative and healthy[i] and abs(common[i]) >= _LEAST_COMMON:
+        if relative and teaches[i]:
             ratio[i] *= n / total
         ratio[i] = min(max(ratio[i], _LOW), _HIGH)
 

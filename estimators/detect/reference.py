@@ -38,6 +38,9 @@ STEP_CLIP: Final = 4.0
 """One step counts as at most this many spreads: the edge of a loss is not a wide spread."""
 NOT_WHITE: Final = 2.0
 """Errors last longer than the spread says: an offset turns with the rotor."""
+GATE: Final = 4.0
+"""An observation that is off by more standard deviations does not belong to the model: a command
+that had not been heard yet, say."""
 LEAST_COMMON: Final = 0.1
 """Per unit of rated torque: below it nothing is said about ratios."""
 
@@ -107,16 +110,18 @@ def learn(
     `relative`: common is the drives' own, so that only differences between them are observable.
     """
     common = np.broadcast_to(common, load.shape)
-    healthy = healthy & (np.abs(common) >= LEAST_COMMON)
-    if np.count_nonzero(healthy) < 1 + relative:
-        return memory
     noise = NOT_WHITE * memory.spread**2
     square = np.maximum(common * common, LEAST_COMMON**2)
+    beside = load - memory.ratio * common
+    fits = beside * beside <= GATE**2 * (memory.variance * square + noise)
+    healthy = healthy & fits & (np.abs(common) >= LEAST_COMMON)
+    if np.count_nonzero(healthy) < 1 + relative:
+        return memory
     # In the long run the ratio may drift: the variance that keeps the filter at RATIO_TAU_S.
     drift = noise / square * (EVERY_S / RATIO_TAU_S) ** 2
     variance = memory.variance + np.where(healthy, drift, 0.0)
     gain = np.where(healthy, variance * common / (variance * square + noise), 0.0)
-    ratio = memory.ratio + gain * (load - memory.ratio * common)
+    ratio = memory.ratio + gain * beside
     variance = (1.0 - gain * common) * variance
     if relative:
         ratio[healthy] *= 1.0 / float(np.mean(ratio[healthy]))

@@ -40,8 +40,19 @@ def test_learning_slows_down_and_is_bounded():
     memory = learnt((1.0, 1.0, 1.0), 60.0)
     later = learnt((0.8, 1.0, 1.0), 1.0, memory=memory)
     assert later.ratio[0] > 0.98, "a loss of a second is not learnt"
-    for_good = learnt((0.5, 1.0, 1.0), 600.0)
+    for_good = learnt((0.72, 1.0, 1.0), 600.0)
     assert for_good.ratio[0] == pytest.approx(1.0 - reference.RATIO_LIMIT)
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_what_does_not_belong_to_the_model_is_not_learnt(relative):
+    """A load of 75 % beside a command of 24 %: the next command had not been heard yet."""
+    memory = reference.start(3, SPREAD)
+    load, command = np.array([0.75, 0.25, 0.23]), np.full(3, 0.24)
+    after = reference.learn(memory, load, command, np.ones(3, dtype=bool), relative=relative)
+    assert after.ratio[0] == 1.0
+    assert after.variance[0] == memory.variance[0]
+    assert after.variance[1] < memory.variance[1]
 
 
 def test_nothing_is_learnt_from_too_little():

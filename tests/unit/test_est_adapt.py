@@ -69,7 +69,7 @@ def test_innovations_are_absorbed_one_by_one():
                     row[1] += smoothing * (value - row[1])
                     row[2] = scale(row[2], value, step * dt, row[0] * dt)
                 if row[0] >= settled and chords.ready[d]:
-                    row[3] = lean(row[3], 4.0, motor[d, 2], step * dt, most)
+                    row[3] = lean(row[3], 4.0, motor[d, 2], step * dt, most, row[0] * dt)
     assert steps.tolist() == [row[0] for row in plain]
     for column, values in ((1, mean), (2, found), (3, lacking)):
         np.testing.assert_allclose(values, [row[column] for row in plain], rtol=1e-12)
@@ -84,8 +84,22 @@ def test_a_missing_voltage_is_bounded_by_what_a_data_sheet_can_be_off():
     assert most == pytest.approx(MOST_RESISTANCE * 0.28 * 25.0 + MOST_FLUX * 0.2 * 100.0)
     at = 0.0
     for _ in range(10000):
-        at = lean(at, 500.0, 0.2, 2e-3, most)
+        at = lean(at, 500.0, 0.2, 2e-3, most, 1.0)
     assert at == most
     for _ in range(20000):
-        at = lean(at, -500.0, 0.2, 2e-3, most)
+        at = lean(at, -500.0, 0.2, 2e-3, most, 1.0)
     assert at == -most
+
+
+def test_a_new_filter_learns_the_missing_voltage_faster():
+    """Nearly half of it in the first 0.1 s; later it takes LEAN_TAU_S."""
+    missing, psi = 2.0, 0.2
+
+    def after(seconds, age):
+        at = 0.0
+        for k in range(round(seconds / 2e-3)):
+            at = lean(at, (missing - at) / psi, psi, 2e-3, 10.0, age + k * 2e-3)
+        return at
+
+    assert after(0.1, 0.06) > 0.45 * missing
+    assert after(0.1, 10.0) < 0.25 * missing

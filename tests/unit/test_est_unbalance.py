@@ -1,0 +1,173 @@
+"""Offsets and unlike gains of current sensors: found from whole revolutions, nothing else is."""
+
+import numpy as np
+import pytest
+
+from estimators import unbalance
+from estimators._unbalance_kernels import balance
+from estimators.unbalance import MOST_IMAGE, MOST_OFFSET, Unbalance, forget, start
+
+RATED = np.array([25.0])
+STEP_S = 2e-3
+SUB_S = 125e-6
+
+
+def currents(seconds, w, amps, *, offset=0j, image=0j, noise=0.0, seed=1):
+    """(M,) z = i + n conj(i) + o of one drive; `w` and `amps` numbers or (M,)."""
+    m = round(seconds / STEP_S)
+    angle = 0.3 + np.cumsum(np.broadcast_to(w, m)) * STEP_S
+    i = np.broadcast_to(amps, m) * np.exp(1j * angle)
+    rng = np.random.default_rng(seed)
+    white = rng.normal(size=(m, 2)) @ np.array([1.0, 1j])
+    return i, i + image * i.conj() + offset + np.sqrt(noise) * white
+
+
+def feed(state, z, w, *, gap=None, rated=RATED, drive=None):
+    """What comes out, (M,) complex."""
+    m = len(z)
+    y, out = np.stack([z.real, z.imag], axis=1), np.empty((m, 2))
+    drive = np.zeros(m, dtype=np.int32) if drive is None else drive
+    gap = np.zeros(m, dtype=np.int64) if gap is None else gap
+    for k in range(m):
+        one = slice(k, k + 1)
+        speed = np.broadcast_to(w, m)[one]
+        speeds = np.broadcast_to(speed, len(rated)).astype(float)
+        balance(state, drive[one], y[one], np.array([16]), gap[one], SUB_S, speeds, rated, out[one])
+    return out[:, 0] + 1j * out[:, 1]
+
+
+@pytest.mark.parametrize("w", [30.0, -95.0, 250.0, 310.0])
+@pytest.mark.parametrize(("offset", "image"), [(0.5 - 0.3j, 0j), (0j, 0.05 * np.exp(0.5j)),
+                                               (0.4 + 0.4j, -0.03 + 0.04j)])  # fmt: skip
+def test_offset_and_image_are_found_and_taken_off(w, offset, image):
+    seconds = 25 * 2.0 * np.pi / abs(w)
+    i, z = currents(seconds, w, 12.0, offset=offset, image=image, noise=2e-4)
+    state = start(1)
+    out = feed(state, z, w)
+    assert state.turns[0] == unbalance.REVOLUTIONS
+    assert state.offset[0] == pytest.approx(offset, abs=0.03)
+    assert state.image[0] == pytest.approx(image, abs=0.003)
+    left = np.abs(out - i)[-100:]
+    assert left.max() < 0.12, "3 sigma of the noise, and what is left"
+    assert np.abs(z - i)[-100:].max() > 0.4
+
+
+def test_good_sensors_stay_what_they_are():
+    _, z = currents(5.0, 120.0, 12.0, noise=1e-2)
+    state = start(1)
+    feed(state, z, 120.0)
+    assert abs(state.offset[0]) < 0.03
+    assert abs(state.image[0]) < 0.003
+
+
+def test_two_sensors_with_unlike_gains_make_the_image_of_the_docstring():
+    """CAN FD: beta is made of Ia and Ib."""
+    i, _ = currents(3.0, 100.0, 15.0)
+    a, b = i.real, 0.5 * (np.sqrt(3.0) * i.imag - i.real)
+    d = 0.1
+    a, b = a * (1.0 + d / 2), b * (1.0 - d / 2)
+    state = start(1)
+    feed(state, a + 1j * (a + 2.0 * b) / np.sqrt(3.0), 100.0)
+    assert abs(state.image[0]) == pytest.approx(d / np.sqrt(3.0), rel=0.05)
+    assert np.angle(state.image[0]) == pytest.approx(np.pi / 6.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("offset", "image"), [(2.0 * MOST_OFFSET * 25.0, 0.0),
+                                               (0.0, 2.0 * MOST_IMAGE)])  # fmt: skip
+def test_what_is_larger_is_a_fault_and_is_not_learnt(offset, image):
+    _, z = currents(3.0, 100.0, 15.0, offset=offset, image=image)
+    state = start(1)
+    out = feed(state, z, 100.0)
+    assert state.turns[0] == 0
+    np.testing.assert_allclose(out, z)
+
+
+def test_an_open_phase_is_not_learnt():
+    i, _ = currents(3.0, 100.0, 15.0)
+    state = start(1)
+    feed(state, 1j * i.imag, 100.0)
+    assert state.turns[0] == 0
+
+
+def test_standstill_small_currents_and_too_few_samples_teach_nothing():
+    for w, amps in ((0.0, 15.0), (100.0, 2.0), (400.0, 15.0)):
+        _, z = currents(3.0, w, amps, offset=0.5)
+        state = start(1)
+        feed(state, z, w)
+        assert state.turns[0] == 0, (w, amps)
+
+
+def test_a_load_that_steps_is_no_offset():
+    w = 2.0 * np.pi * 10.0
+    m = round(4.0 / STEP_S)
+    amps = np.where(np.arange(m) // 135 % 2 == 0, 6.0, 20.0)
+    _, z = currents(4.0, w, amps)
+    state = start(1)
+    feed(state, z, w)
+    assert abs(state.offset[0]) < 0.2
+    assert abs(state.image[0]) < 0.01
+
+
+def test_a_current_that_grows_evenly_is_no_offset():
+    """A mean over one revolution alone would make 0.25 A of it."""
+    _, z = currents(3.0, 60.0, np.linspace(8.0, 20.0, 1500))
+    state = start(1)
+    feed(state, z, 60.0)
+    assert state.turns[0] > 5
+    assert abs(state.offset[0]) < 0.03
+    assert abs(state.image[0]) < 0.001
+
+
+def test_what_is_taken_off_follows_smoothly():
+    i, z = currents(2.0, 100.0, 15.0, offset=0.5)
+    taken = z - feed(start(1), z, 100.0)
+    assert taken[-1] == pytest.approx(0.5, abs=0.02)
+    assert np.abs(np.diff(taken)).max() < 0.05 * 0.5
+    assert abs(i[-1] - (z - taken)[-1]) < 0.02
+
+
+def test_a_hole_or_no_number_begins_the_revolution_anew():
+    _, z = currents(3.0, 100.0, 15.0, offset=0.5)
+    state = start(1)
+    gap = (np.arange(len(z)) % 30 == 0).astype(np.int64)
+    feed(state, z, 100.0, gap=gap)
+    assert state.turns[0] == 0, "no revolution without a hole"
+    z[::30] = complex(np.nan, 1.0)
+    out = feed(state, z, 100.0)
+    assert state.turns[0] == 0
+    assert np.isfinite(out[1:29]).all()
+    assert all(np.isfinite(array).all() for array in state)
+
+
+def test_drives_do_not_mix_and_one_can_be_forgotten():
+    _, first = currents(3.0, 100.0, 15.0, offset=0.5, image=0.03)
+    _, second = currents(3.0, 100.0, 8.0, offset=-0.3j)
+    both = np.stack([first, second], axis=1).reshape(-1)
+    drive = np.tile(np.array([0, 1], dtype=np.int32), len(first))
+    state, alone = start(2), start(1)
+    feed(state, both, 100.0, rated=np.array([25.0, 25.0]), drive=drive)
+    feed(alone, first, 100.0)
+    assert state.offset[0] == alone.offset[0]
+    assert state.image[0] == alone.image[0]
+    assert state.offset[1] == pytest.approx(-0.3j, abs=0.02)
+    forget(state, 0)
+    fresh = start(1)
+    for name in Unbalance._fields:
+        np.testing.assert_array_equal(getattr(state, name)[0], getattr(fresh, name)[0])
+    assert state.turns[1] == unbalance.REVOLUTIONS
+
+
+def test_compiled_equals_plain():
+    _, z = currents(1.0, 90.0, 15.0, offset=0.4, image=0.03j, noise=1e-2)
+    y = np.stack([z.real, z.imag], axis=1)
+    m = len(z)
+    results = []
+    for run in (balance, balance.py_func):
+        state, out = start(1), np.empty((m, 2))
+        run(
+            state, np.zeros(m, dtype=np.int32), y, np.full(m, 16), np.zeros(m, dtype=np.int64),
+            SUB_S, np.array([90.0]), RATED, out,
+        )  # fmt: skip
+        results.append((*state, out))
+    for compiled, plain in zip(*results, strict=True):
+        np.testing.assert_allclose(compiled, plain, rtol=1e-12)
