@@ -1,4 +1,4 @@
-"""`evaluate`: the benchmark of detectors on random runs by seed."""
+"""`evaluate`: the benchmark of detectors on random runs by seed; `evaluate thermal` its twin."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
+from gateway.commands import evaluate_thermal
 from gateway.commands.common import GOOD, add_config, console
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
+    parser.add_argument("what", nargs="?", choices=["adhesion", "thermal"], default="adhesion",
+                        help="which side (default: adhesion)")  # fmt: skip
     parser.add_argument("--seeds", default="development", metavar="SET",
                         help="development (default), reporting, or A-B")  # fmt: skip
     parser.add_argument("--family", nargs="+", metavar="NAME",
@@ -27,6 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="evaluation.md, evaluation.csv, pictures")  # fmt: skip
     parser.add_argument("-j", "--jobs", type=_jobs, default=1, metavar="N", help="processes")
+    evaluate_thermal.arguments(parser)
     add_config(parser)
 
 
@@ -38,6 +42,8 @@ def _jobs(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write the files. Exit 2 where nothing can be evaluated."""
+    if options.what == "thermal":
+        return evaluate_thermal.run(options)
     from gateway.config import ConfigError
     from gateway.drivers.evaluation import Plan, evaluate, known_detectors, seeds_of
     from gateway.results.evaluation_report import table, write

@@ -1,0 +1,217 @@
+"""Compiled loop of `hypotheses`: the discrete Bayes filter over kinds and sizes of faults.
+
+States of a motor: 0 nothing; 5 kinds of heat x S sizes; 3 points x 2 signs x S sizes; 3 loose
+connectors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_HEAT = 5
+_POINTS = 3
+_HELD = 0.6
+"""Hysteresis of the size that is a fault."""
+
+
+@njit(cache=True)
+def _tails(x: float, nu: float) -> float:
+    """Log density of Student's t up to a constant, unit scale."""
+    return -0.5 * (nu + 1.0) * math.log1p(x * x / nu)
+
+
+@njit(cache=True)
+def _whitened(
+    z: Array, white: Array, share: Array, shapes: Array, sizes: Array, nu: float, out: Array
+) -> None:
+    """Log likelihoods of one whole sample z (3,) under nothing, kinds of heat, sensors off."""
+    count = sizes.shape[0]
+    w = white @ z
+    none = 0.0
+    for c in range(_POINTS):
+        none += share[c] * _tails(w[c], nu)
+    out[0] = none
+    n = 1
+    for g in range(_HEAT + 2 * _POINTS):
+        # What the sample would be for a size of 1 K.
+        unit = np.zeros(_POINTS)
+        for c in range(_POINTS):
+            if g < _HEAT:
+                for p in range(_POINTS):
+                    unit[c] += white[c, p] * shapes[g, p]
+            else:
+                sign = 1.0 if (g - _HEAT) % 2 == 0 else -1.0
+                unit[c] = sign * white[c, (g - _HEAT) // 2]
+        for s in range(count):
+            total = 0.0
+            for c in range(_POINTS):
+                total += share[c] * _tails(w[c] - unit[c] * sizes[s], nu)
+            out[n] = total
+            n += 1
+
+
+@njit(cache=True)
+def _marginal(
+    z: Array, sigma: Array, share: Array, shapes: Array, sizes: Array, nu: float, out: Array
+) -> None:
+    """The same from the points that there are, each by itself; the others are NaN."""
+    count = sizes.shape[0]
+    least = share.min()
+    out[:] = 0.0
+    for p in range(_POINTS):
+        if not math.isfinite(z[p]):
+            continue
+        out[0] += least * _tails(z[p] / sigma[p], nu)
+        n = 1
+        for g in range(_HEAT + 2 * _POINTS):
+            own = (g - _HEAT) // 2 == p
+            unit = shapes[g, p] if g < _HEAT else (1.0 - 2.0 * ((g - _HEAT) % 2)) * own
+            for s in range(count):
+                out[n] += least * _tails((z[p] - unit * sizes[s]) / sigma[p], nu)
+                n += 1
+
+
+@njit(cache=True)
+def _own(z: Array, white: Array, q: int) -> tuple[float, float]:
+    """Point q's deviation from what the other two make likely, and its standard deviation."""
+    total, precision = 0.0, 0.0
+    for c in range(_POINTS):
+        row = 0.0
+        for p in range(_POINTS):
+            row += white[c, p] * z[p]
+        total += white[c, q] * row
+        precision += white[c, q] * white[c, q]
+    return total / precision, 1.0 / math.sqrt(precision)
+
+
+@njit(cache=True)
+def _loose(z: float, sigma: float, nu: float, share: float, most_k: float) -> float:
+    """Log likelihood ratio of a loose connector's reading to a good one; readings count in full."""
+    if not math.isfinite(z):
+        return 0.0
+    constant = math.lgamma(0.5 * (nu + 1.0)) - math.lgamma(0.5 * nu) - 0.5 * math.log(nu * math.pi)
+    good = math.exp(_tails(z / sigma, nu) + constant) / sigma
+    return math.log((1.0 - share) * good + share / (2.0 * most_k)) - math.log(max(good, 1e-300))
+
+
+@njit(cache=True)
+def _kind_of(g: int) -> int:
+    """A sensor's two signs are one kind."""
+    return g if g < _HEAT else _HEAT + (g - _HEAT) // 2
+
+
+@njit(cache=True)
+def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> None:
+    """One step of the Markov chain: (S,) probabilities before, after."""
+    begin, end, growth, often = rates[0], rates[1], rates[2], rates[6]
+    count = sizes.shape[0]
+    groups = _HEAT + 2 * _POINTS
+    out[0] = now[0] * (1.0 - begin - often) + (1.0 - now[0]) * end
+    for g in range(groups):
+        limit = benign[_kind_of(g)]
+        faults = (sizes >= limit).sum()
+        share = now[0] / (_HEAT + _POINTS) * (1.0 if g < _HEAT else 0.5)
+        first = 1 + g * count
+        for s in range(count):
+            stay = now[first + s]
+            moved = stay * (1.0 - 2.0 * growth)
+            moved += growth * (now[first + s - 1] if s > 0 else stay)
+            moved += growth * (now[first + s + 1] if s + 1 < count else stay)
+            enter = begin / faults if sizes[s] >= limit else often / (count - faults)
+            out[first + s] = (1.0 - end) * moved + share * enter
+    for q in range(_POINTS):
+        n = 1 + groups * count + q
+        # Between two bursts nothing is wrong to be seen: that must not last.
+        out[n] = (1.0 - rates[8]) * now[n] + now[0] * begin / (_HEAT + _POINTS)
+        out[0] += (rates[8] - end) * now[n]
+
+
+@njit(cache=True)
+def sweep(
+    z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array, benign: Array,
+    rates: Array, kind: Array, size: Array,
+) -> None:  # fmt: skip
+    """All samples of all motors; fills kind (K, M, 11) and size (K, M).
+
+    z (K, M, 3), sigma, white, share: as in `hypotheses.Spread`; shapes (K, 5, 3); sizes (S,);
+    benign (8,): of heat and sensors, the least size that is a fault; rates: begin, end, growth,
+    tail, loose share, loose K, often, learning, end of a loose connector.
+    """
+    count = sizes.shape[0]
+    loose = 1 + (_HEAT + 2 * _POINTS) * count
+    states = loose + _POINTS
+    p, moved, says = np.empty(states), np.empty(states), np.empty(states)
+    baseline, off = np.empty(_POINTS), np.empty(_POINTS)
+    nu = rates[3]
+    for m in range(z.shape[1]):
+        p[:] = 0.0
+        p[0] = 1.0
+        baseline[:] = 0.0
+        held = -1
+        for k in range(z.shape[0]):
+            _move(p, sizes, benign, rates, moved)
+            whole = True
+            for q in range(_POINTS):
+                off[q] = z[k, m, q] - baseline[q]
+                whole = whole and math.isfinite(off[q])
+            if whole:
+                _whitened(off, white[m], share[m], shapes[k], sizes, nu, says[:loose])
+            else:
+                _marginal(off, sigma[m], share[m], shapes[k], sizes, nu, says[:loose])
+            for q in range(_POINTS):
+                own, spread = _own(off, white[m], q) if whole else (off[q], sigma[m, q])
+                says[loose + q] = says[0] + _loose(own, spread, nu, rates[4], rates[5])
+            best = says.max()
+            total = 0.0
+            for n in range(states):
+                p[n] = moved[n] * math.exp(says[n] - best)
+                total += p[n]
+            for n in range(states):
+                p[n] /= total
+            _tell(p, sizes, benign, held, kind[k, m])
+            likeliest = int(kind[k, m].argmax())
+            held = likeliest if kind[k, m, likeliest] > 0.5 else -1
+            size[k, m] = _mean_size(p, sizes)
+            healthy = 1.0 - kind[k, m].sum()
+            for q in range(_POINTS):
+                if math.isfinite(off[q]):
+                    most = 3.0 * sigma[m, q]
+                    baseline[q] += rates[7] * healthy * min(max(off[q], -most), most)
+
+
+@njit(cache=True)
+def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None:
+    """Probabilities of the kinds, benign sizes left out: heat, sensors, loose connectors.
+
+    Of a kind that has been `held` for a fault (-1 none), lesser sizes belong to it as well.
+    """
+    count = sizes.shape[0]
+    kind[:] = 0.0
+    for g in range(_HEAT + 2 * _POINTS):
+        c = _kind_of(g)
+        limit = benign[c] * (_HELD if c == held else 1.0)
+        for s in range(count):
+            if sizes[s] >= limit:
+                kind[c] += p[1 + g * count + s]
+    for q in range(_POINTS):
+        kind[_HEAT + _POINTS + q] = p[1 + (_HEAT + 2 * _POINTS) * count + q]
+
+
+@njit(cache=True)
+def _mean_size(p: Array, sizes: Array) -> float:
+    """Mean size of the faults that have one, 0 without."""
+    count = sizes.shape[0]
+    weight = 0.0
+    total = 0.0
+    for g in range(_HEAT + 2 * _POINTS):
+        for s in range(count):
+            q = p[1 + g * count + s]
+            weight += q
+            total += q * sizes[s]
+    return total / weight if weight > 1e-12 else 0.0

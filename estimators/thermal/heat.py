@@ -1,0 +1,124 @@
+"""A motor as four lumps of heat, driven by what is on the bus: currents, speed, ambient.
+
+    winding      dw = a I^2 (1 + 0.0039 (w - 60)) - k_w (w - c)
+    core, frame  dc = k_c (w - c) + e_1 |W| + e_2 W^2 - (h_0 + h_1 |W|) (c - T_a)
+    drive end    dd = k_d (c - d) + f_d |W| - b_d (d - T_a)       non-drive end alike
+
+per second; I amplitude of the current A, W rotor speed rad/s, T_a ambient degC. Readings are w, d,
+n plus an offset each. Rates, not heat capacities: temperatures alone cannot tell more. It is run
+open loop: a filter would follow the fault, and after a few steps its residual is white again. In
+place of paper `thermal`, eq. (1), whose one lump of 850 kg has one time constant, whose Joule heat
+is of the current's change, and which lacks the time step.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal._heat_kernels import simulate
+from estimators.thermal.record import Record
+
+Array = NDArray[np.float64]
+
+NAMES: Final = (
+    "a", "k_w", "k_c", "e_1", "e_2", "h_0", "h_1", "k_d", "f_d", "b_d", "k_n", "f_n", "b_n",
+)  # fmt: skip
+RATES: Final = len(NAMES)
+A, K_W, K_C, E_1, E_2, H_0, H_1, K_D, F_D, B_D, K_N, F_N, B_N = range(RATES)
+OFFSETS: Final = slice(RATES, RATES + 3)
+COUNT: Final = RATES + 3
+EXTRA: Final = 4
+"""Rows of heat that no healthy motor has, K/s of each lump: for signatures of faults."""
+TYPICAL: Final = np.array(
+    [
+        4e-6, 5e-3, 6e-4, 6e-6, 8e-8, 1.6e-4, 1.4e-6,
+        1.6e-3, 3e-5, 6e-4, 1.6e-3, 3e-5, 6e-4, 0.0, 0.0, 0.0,
+    ]
+)  # fmt: skip
+"""Where the search begins: a motor of some hundred kilograms and kilowatts."""
+STEP_S: Final = 60.0
+"""Inputs are averaged over this much if they come faster and samples are further apart."""
+
+
+class Drive(NamedTuple):
+    """Inputs of the model: current_square (L, M), speed (L,), ambient (L,), at (K,), step_s."""
+
+    current_square: Array
+    speed: Array
+    ambient: Array
+    at: NDArray[np.int64]
+    step_s: float
+
+
+def drive(record: Record) -> Drive:
+    """A record's inputs, averaged to `STEP_S` where its samples are far enough apart."""
+    spacing = np.diff(record.at, prepend=-1).min() * record.step_s
+    group = round(min(STEP_S, spacing) / record.step_s)
+    if group <= 1 or len(record.speed) % group or np.any((record.at + 1) % group):
+        return Drive(
+            record.current_square, np.abs(record.speed), record.ambient, record.at, record.step_s
+        )
+    return Drive(
+        record.current_square.reshape(-1, group, record.motors).mean(axis=1),
+        np.abs(record.speed).reshape(-1, group).mean(axis=1),
+        record.ambient.reshape(-1, group).mean(axis=1),
+        (record.at + 1) // group - 1,
+        record.step_s * group,
+    )
+
+
+def predict(
+    parameters: Array, inputs: Drive, start: Array | None = None, extra: Array | None = None
+) -> Array:
+    """(K, M, 3) degC at stator, drive end, non-drive end, by the model alone.
+
+    parameters (M, 16): rates of `NAMES` and three offsets; start (M, 3): readings at the beginning,
+    without them the steady state of the first hour's mean inputs; extra (M, 4): constant heat in
+    winding, core, drive end, non-drive end, K/s.
+    """
+    motors = len(parameters)
+    square = np.ascontiguousarray(np.broadcast_to(
+        inputs.current_square, (len(inputs.speed), motors)
+    ))  # fmt: skip
+    heat = np.zeros((motors, EXTRA)) if extra is None else extra
+    out = np.empty((len(inputs.at), motors, 3))
+    if start is None:
+        first = max(round(3600.0 / inputs.step_s), 1)
+        speed, ambient = float(inputs.speed[:first].mean()), float(inputs.ambient[:first].mean())
+        mean = square[:first].mean(axis=0).tolist()
+        rows = [settled(p, mean[m], speed, ambient, heat[m]) for m, p in enumerate(parameters)]
+        state = np.stack(rows)
+    else:
+        state = begun(parameters, start, float(inputs.ambient[0]))
+    simulate(
+        parameters, square, inputs.speed, inputs.ambient, heat, inputs.at, inputs.step_s, state, out
+    )
+    return out
+
+
+def begun(parameters: Array, readings: Array, ambient: float) -> Array:
+    """(M, 4) degC: lumps of motors with readings (M, 3); the core as warm as its ends say.
+
+    An end that settles is k/(k + b) of the way from the air to the core.
+    """
+    p, true = parameters, readings - parameters[:, OFFSETS]
+    drive_end = ambient + (true[:, 1] - ambient) * (1.0 + p[:, B_D] / p[:, K_D])
+    other_end = ambient + (true[:, 2] - ambient) * (1.0 + p[:, B_N] / p[:, K_N])
+    return np.stack([true[:, 0], 0.5 * (drive_end + other_end), true[:, 1], true[:, 2]], axis=1)
+
+
+def settled(p: Array, square: float, speed: float, ambient: float, extra: Array) -> Array:
+    """(4,) degC: steady state of the lumps; finite for positive rates."""
+    air = p[H_0] + p[H_1] * speed
+    # The winding's own slope is left out: a start, not a result.
+    copper = p[A] * square + extra[0]
+    through = p[K_C] / p[K_W] * copper
+    core = ambient + (through + p[E_1] * speed + p[E_2] * speed**2 + extra[1]) / air
+    ends = [
+        (p[k] * core + p[f] * speed + p[b] * ambient + more) / (p[k] + p[b])
+        for k, f, b, more in ((K_D, F_D, B_D, extra[2]), (K_N, F_N, B_N, extra[3]))
+    ]
+    return np.array([core + copper / p[K_W], core, *ends])

@@ -1,0 +1,186 @@
+"""Which fault explains what the thermal model does not: a discrete Bayes filter per motor.
+
+States: nothing; a kind of heat times its size; a sensor off by a size, up or down; a loose
+connector. Every kind of heat has its own signature over the three points and over time, from the
+sensitivities of the calibrated model: more heat in the winding shows there and, less, elsewhere;
+a resistance goes with the current squared; less air lifts all three; a bearing one end; a sensor
+exactly one point. What is looked at is each motor's residual less the median of the other
+motors' (a mean is pulled by the fault itself; weather and duty that the model does not know are
+the same for all). Readings have heavy tails (Student t). Residuals are alike from sample to
+sample, so each one counts as the share of an independent one that its correlation leaves.
+
+In place of paper `thermal`, eq. (28)-(31): a filter follows a fault, and the spread between motors
+does not tell which motor or what.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal import heat
+from estimators.thermal._hypotheses_kernels import sweep
+from estimators.thermal.heat import Drive, predict
+
+Array = NDArray[np.float64]
+
+HEAT: Final = ("overheating", "cooling_loss", "bearing_de", "bearing_nde", "winding_resistance")
+SENSORS: Final = ("bias_stator", "bias_de", "bias_nde")
+LOOSE: Final = ("loose_stator", "loose_de", "loose_nde")
+KINDS: Final = (*HEAT, *SENSORS, *LOOSE)
+SIZES_K: Final = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.2, 6.0, 8.5, 12.0, 17.0])
+BENIGN_K: Final = np.array([1.5, 2.5, 2.5, 2.5, 1.5, 1.5, 1.5, 1.5])
+"""Of `HEAT` and `SENSORS`: smaller ones are no faults but dirt, draught, weather and wear, which
+air and bearings have more of. States of their own, so that they are taken neither for nothing nor
+for a
+fault."""
+TAIL: Final = 5.0
+"""Degrees of freedom of the readings' Student t."""
+LOOSE_SHARE, LOOSE_K = 0.1, 60.0
+"""Of the readings of a loose connector, and how far off they may be."""
+
+
+class Pace(NamedTuple):
+    """How fast things happen, in samples.
+
+    healthy: until a fault is expected; ill: that it lasts; often: until dirt, draught or weather
+    is; grows: until a size becomes the next larger, or smaller; learnt: time constant of a motor's
+    baseline, which is learnt while there is no fault; loose: that a loose connector is remembered.
+    """
+
+    healthy: float = 5000.0
+    ill: float = 1000.0
+    often: float = 50.0
+    grows: float = 50.0
+    learnt: float = 40.0
+    loose: float = 60.0
+
+    def slowed(self, samples: float) -> Pace:
+        """The same for samples that come this many times as often."""
+        return Pace(*(samples * value for value in self))
+
+
+SNAPSHOTS: Final = Pace()
+"""For samples that are hours apart: every one is a motor that has settled anew."""
+STREAM_S: Final = 60.0
+"""Samples that come faster say as much as one of these: nothing heats faster."""
+
+
+def pace(spacing_s: float) -> Pace:
+    """For samples this far apart."""
+    return SNAPSHOTS.slowed(max(STREAM_S / spacing_s, 1.0))
+
+
+class Spread(NamedTuple):
+    """What a healthy motor's residual beside its peers' is like, from fault-free data.
+
+    centre, sigma (M, 3) K; white (M, 3, 3) 1/K: rows turn the three points' residuals into
+    independent ones of unit variance (what the points share, and what each has of its own); share
+    (M, 3): of an independent sample that one sample of each of these counts as.
+    """
+
+    centre: Array
+    sigma: Array
+    white: Array
+    share: Array
+
+
+class Belief(NamedTuple):
+    """kind (K, M, len(KINDS)): probability of each; size_k (K, M): mean size if any."""
+
+    kind: Array
+    size_k: Array
+
+    @property
+    def fault(self) -> Array:
+        """(K, M) probability of any."""
+        out: Array = self.kind.sum(axis=2)
+        return out
+
+    @property
+    def statistic(self) -> Array:
+        """(K, M) log odds of a fault, 0 where none is as probable."""
+        p = np.clip(self.fault, 1e-300, 1.0 - 1e-15)
+        out: Array = np.maximum(np.log(p) - np.log1p(-p), 0.0)
+        return out
+
+
+def beside_peers(residual: Array) -> Array:
+    """(K, M, 3) residuals less the median of the other motors'; NaN without two of them."""
+    motors = residual.shape[1]
+    out = np.full(residual.shape, np.nan)
+    for m in range(motors):
+        others = np.delete(residual, m, axis=1)
+        enough = np.isfinite(others).sum(axis=1) >= min(2, motors - 1)
+        with np.errstate(all="ignore"):
+            middle = np.nanmedian(np.where(np.isfinite(others), others, np.nan), axis=1)
+        out[:, m] = np.where(enough, residual[:, m] - middle, np.nan)
+    return out
+
+
+def spread(beside: Array, learnt: float, floor_k: float = 0.1) -> Spread:
+    """From fault-free residuals beside the peers (K, M, 3) that were not used for the model."""
+    centre = np.nanmedian(beside, axis=0)
+    off = _less_baseline(beside - centre, learnt)
+    motors = off.shape[1]
+    white, share = np.empty((motors, 3, 3)), np.empty((motors, 3))
+    sigma = np.empty((motors, 3))
+    for m in range(motors):
+        seen = off[np.isfinite(off[:, m]).all(axis=1), m]
+        covariance = seen.T @ seen / max(len(seen), 1) + floor_k**2 * np.eye(3)
+        sigma[m] = np.sqrt(np.diag(covariance))
+        values, vectors = np.linalg.eigh(covariance)
+        white[m] = (vectors / np.sqrt(values)).T
+        parts = seen @ white[m].T
+        product = np.sum(parts[1:] * parts[:-1], axis=0)
+        square = np.maximum(np.sum(parts[:-1] ** 2, axis=0), 1e-12)
+        rho = np.clip(product / square, 0.0, 0.9999)
+        share[m] = (1.0 - rho) / (1.0 + rho)
+    return Spread(centre, sigma, white, share)
+
+
+def _less_baseline(off: Array, learnt: float) -> Array:
+    """(K, M, 3) less what the filter would have learnt as the motors' baseline."""
+    out, baseline = np.empty_like(off), np.zeros(off.shape[1:])
+    for k in range(len(off)):
+        out[k] = off[k] - baseline
+        baseline += np.nan_to_num(out[k]) / learnt
+    return out
+
+
+def signatures(parameters: Array, inputs: Drive, start: Array | None) -> Array:
+    """(K, 5, 3) K that faults of `HEAT` add to the readings, the largest point's mean being 1.
+
+    Of the mean motor, for faults that have been there long enough.
+    """
+    mean = parameters.mean(axis=0)
+    tried = np.tile(mean, (1 + len(HEAT), 1))
+    tried[2, [heat.H_0, heat.H_1]] *= 0.9
+    tried[3, heat.F_D] *= 2.0
+    tried[4, heat.F_N] *= 2.0
+    tried[5, heat.A] *= 1.1
+    extra = np.zeros((len(tried), heat.EXTRA))
+    extra[1, 0] = 0.01
+    square = inputs.current_square.mean(axis=1, keepdims=True)
+    begin = None if start is None else np.tile(start.mean(axis=0), (len(tried), 1))
+    out = predict(tried, inputs._replace(current_square=square), begin, extra)
+    more = out[:, 1:] - out[:, :1]
+    largest = np.abs(more).mean(axis=0).max(axis=1)
+    return np.asarray(more / np.maximum(largest, 1e-9)[:, None])
+
+
+def believe(beside: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
+    """Filter K samples of M motors; beside (K, M, 3), shapes (K, 5, 3)."""
+    k, m, _ = beside.shape
+    kind, size = np.empty((k, m, len(KINDS))), np.empty((k, m))
+    rates = np.array([
+        1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows, TAIL, LOOSE_SHARE, LOOSE_K,
+        1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose,
+    ])  # fmt: skip
+    sweep(
+        beside - known.centre, known.sigma, known.white, known.share, shapes, SIZES_K, BENIGN_K,
+        rates, kind, size,
+    )  # fmt: skip
+    return Belief(kind, size)

@@ -1,0 +1,89 @@
+"""The paper's fault detection: paper `thermal`, eq. (22)-(31), Algorithms 1 and 2.
+
+States of all motors by the sigma-mixed filter, with the degradation's drift in its prediction; a
+moving average; the spread between the motors, for each of the three points; a limit from fault-free
+data. As printed the average (29) looks ahead; `causal` ends its window at the sample, as on a bus.
+`centred` takes off each motor's own mean in health first, which (31) lacks: without it a constant
+difference between healthy motors is part of the statistic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal import degradation
+from estimators.thermal.record import Record
+from estimators.thermal.sigma_mixed import Estimates, SigmaMixedFilter, lumps
+
+Array = NDArray[np.float64]
+LIMIT: float = 0.99
+
+
+def moving_average(x: Array, window: int, *, causal: bool) -> Array:
+    """(29): (K, ...) means over `window` samples from k on, or up to k; shorter at the end."""
+    total = np.cumsum(np.concatenate([np.zeros_like(x[:1]), x]), axis=0)
+    k = np.arange(len(x))
+    low = np.maximum(k - window + 1, 0) if causal else k
+    high = k + 1 if causal else np.minimum(k + window, len(x))
+    count = (high - low).reshape(-1, *[1] * (x.ndim - 1))
+    return np.asarray((total[high] - total[low]) / count)
+
+
+def maisd(average: Array) -> Array:
+    """(31): (K, M, 3) -> (K, 3), the spread of the M motors around their mean."""
+    return np.asarray(average.std(axis=1))
+
+
+@dataclass(frozen=True)
+class PaperMethod:
+    """window: samples of the moving average."""
+
+    window: int = 7
+    causal: bool = False
+    centred: bool = False
+    weighted: bool = False
+    degrades: bool = True
+
+    name: ClassVar[str] = "paper"
+
+    def fit(self, healthy: Record) -> Callable[[Record], Array]:
+        """Learn from one fault-free run; what comes back gives (K,) statistics of a record.
+
+        1 is the limit of the point that is nearest to its own.
+        """
+        known = lumps(healthy)
+        plain = SigmaMixedFilter(self.weighted)
+        drift = self._drift(healthy, plain.run(healthy, known)) if self.degrades else None
+        first = plain.run(healthy, known, drift)
+        centre = first.state.mean(axis=0) if self.centred else np.zeros(first.state.shape[1:])
+        limit = np.quantile(self._points(first, centre), LIMIT, axis=0)
+
+        def score(record: Record) -> Array:
+            points = self._points(plain.run(record, known, drift), centre)
+            return np.asarray((points / limit).max(axis=1))
+
+        return score
+
+    def _points(self, estimates: Estimates, centre: Array) -> Array:
+        """(K, 3) MAISD of each point."""
+        average = moving_average(estimates.state - centre, self.window, causal=self.causal)
+        return maisd(average)
+
+    def _drift(self, record: Record, estimates: Estimates) -> Array:
+        """(M, 3) K/s: Algorithm 2, steps 2 and 3, of what states have beyond the motors' mean."""
+        t = (record.at - record.at[0]) * record.step_s
+        beyond = estimates.state - estimates.state.mean(axis=1, keepdims=True)
+        every = max(len(t) // 400, 1)
+        out = np.zeros(beyond.shape[1:])
+        for m, p in np.ndindex(*out.shape):
+            y = beyond[::every, m, p]
+            found = degradation.fit(y, t[::every])
+            # A drift within two of its own standard errors is none.
+            sure = abs(found.drift) > 2.0 * found.drift_sigma
+            out[m, p] = found.drift if sure else 0.0
+        return out

@@ -1,0 +1,38 @@
+"""Rivals of the thermal method: paper `thermal`, Table 2 (DPCA, DSFA, LSTM, JITL, EKF).
+
+Every one learns from one fault-free run and gives one statistic per sample; whoever compares them
+sets the alarm limit, by the same rule for all. None of them knows of motors being alike unless
+its own docstring says so.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+from estimators.thermal.record import Record
+from estimators.thermal.rivals.dpca import Dpca, Scorer
+from estimators.thermal.rivals.dsfa import Dsfa
+from estimators.thermal.rivals.ekf import EkfResidual
+from estimators.thermal.rivals.jitl import Jitl
+from estimators.thermal.rivals.lstm import Lstm
+
+__all__ = ["RIVALS", "Method", "Scorer"]
+
+
+class Method(Protocol):
+    """A way to detect thermal faults that is taught with healthy data alone."""
+
+    @property
+    def name(self) -> str:
+        """Key in `RIVALS`."""
+        ...
+
+    def fit(self, healthy: Record) -> Scorer:
+        """Learn from one fault-free run. ValueError if it is too short to learn from."""
+        ...
+
+
+RIVALS: Final[dict[str, Method]] = {
+    method.name: method for method in (Dpca(), Dsfa(), Lstm(), Jitl(), EkfResidual())
+}
+"""With the tuning of their docstrings (development seeds 0..9)."""

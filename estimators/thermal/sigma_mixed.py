@@ -1,0 +1,123 @@
+"""The sigma-mixed unscented Kalman filter: paper `thermal`, (1), (8), (19)-(21), Algorithm 1.
+
+One filter per motor, its states the three points' temperatures. Between two samples every point is
+one lump, (1) corrected: Joule heat is that of the current, not of its change; the loss is
+-xi (T - T_out); the time step belongs to both,
+
+    dT/dt = g I^2 - xi (T - T_out),     integrated exactly from sample to sample.
+
+After the prediction the sigma points of all three coupled points, each less its usual distance from
+their mean, are pooled, a mixture is fitted to the pool (EM), and its mean is the mixed state, the
+prior's common part. As printed that mean is (21), every component alike; `weighted` is the
+mixture's.
+
+Corrections: weights W_i = 1/(2 (n + kappa)), i > 0, so that they add up to 1 whatever kappa is;
+the columns of the square root; (28) is x+ = x- + K (y - y-hat): as printed it predicts twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal._sigma_mixed_kernels import sweep
+from estimators.thermal.record import Record, fading
+
+Array = NDArray[np.float64]
+
+KAPPA: Final = 0.0
+"""n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
+LOSSES: Final = 1.0 / np.geomspace(200.0, 7200.0, 15)
+"""Tried for xi, 1/s."""
+
+
+class Lumps(NamedTuple):
+    """Of each motor and point, all (M, 3) but `apart`.
+
+    gain: g over xi, K/A^2; loss: xi, 1/s; offset: K; q, r: variances K^2 of the model's error from
+    sample to sample and of a reading; apart (3,): usual distance of a point from the three's mean.
+    """
+
+    gain: Array
+    loss: Array
+    offset: Array
+    q: Array
+    r: Array
+    apart: Array
+
+
+class Estimates(NamedTuple):
+    """state (K, M, 3) degC after the update, mixed (K, M): the mixed state."""
+
+    state: Array
+    mixed: Array
+
+
+def lumps(record: Record) -> Lumps:
+    """Least squares on a fault-free record: best of `LOSSES`, gain and offset of each point."""
+    motors = record.motors
+    shape = (motors, 3)
+    gain, loss, offset, q, r = (np.zeros(shape) for _ in range(5))
+    for m in range(motors):
+        for p in range(3):
+            y = record.temperature[:, m, p]
+            seen = np.isfinite(y)
+            best = np.inf
+            for xi in LOSSES.tolist():
+                heat, air = _forced(record, m, xi)
+                rows = np.stack([heat, np.ones(len(heat))], axis=1)[seen]
+                (a, b), *_ = np.linalg.lstsq(rows, (y - air)[seen], rcond=None)
+                error = y[seen] - air[seen] - rows @ np.array([a, b])
+                if float(error @ error) < best:
+                    best = float(error @ error)
+                    gain[m, p], loss[m, p], offset[m, p] = a, xi, b
+                    steps = np.diff(error)
+                    total = max(float(np.var(error)), 1e-4)
+                    # What changes from sample to sample is noise, the rest wanders.
+                    r[m, p] = min(max(0.5 * float(np.var(steps)), 1e-3), total)
+                    q[m, p] = max(total - r[m, p], 0.05 * total)
+    level = np.nanmean(record.temperature, axis=(0, 1))
+    return Lumps(gain, loss, offset, q, r, level - level.mean())
+
+
+def _forced(record: Record, m: int, xi: float) -> tuple[Array, Array]:
+    """(K,) averages of I^2 and of the ambient that a lump with loss xi remembers."""
+    share = 1.0 - float(np.exp(-xi * record.step_s))
+    heat = fading(record.current_square[:, m], share)[record.at]
+    return heat, fading(record.ambient, share)[record.at]
+
+
+@dataclass(frozen=True)
+class SigmaMixedFilter:
+    """Algorithm 1, and how far it is followed.
+
+    weighted: the mixture's mean in place of (21); mixing: share of the common part that the mixture
+    gives (0 is the plain UKF).
+    """
+
+    weighted: bool = False
+    mixing: float = 0.2
+
+    def run(self, record: Record, known: Lumps, drift: Array | None = None) -> Estimates:
+        """Algorithm 1 over a record; drift (M, 3) K/s of the degradation, in the prediction.
+
+        Causal. Readings that are missing predict only.
+        """
+        k, m, _ = record.temperature.shape
+        settled = np.empty((k, m, 3))
+        for i in range(m):
+            for p in range(3):
+                heat, air = _forced(record, i, float(known.loss[i, p]))
+                settled[:, i, p] = known.gain[i, p] * heat + air + known.offset[i, p]
+        gap = np.diff(record.at, prepend=record.at[0]) * record.step_s
+        keep = np.exp(-known.loss * gap[:, None, None])
+        wear = np.zeros((m, 3)) if drift is None else drift
+        state, mixed = np.empty((k, m, 3)), np.empty((k, m))
+        sweep(
+            record.temperature, settled, keep, wear, gap, known.q, known.r, known.apart,
+            np.array([KAPPA, self.mixing, float(self.weighted)]), state, mixed,
+        )  # fmt: skip
+        return Estimates(state, mixed)

@@ -1,0 +1,94 @@
+"""`evaluate thermal`: the benchmark of thermal methods on labelled trains by seed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from gateway.commands.common import GOOD, console
+
+NOTE: Final = """\
+Per sample against the injection interval; graced: without the onset until the true effect passes 2
+K and the recovery until it is below 1 K. One limit rule for all: the 99 % quantile of a method's
+statistic on a fault-free run that it was not fitted on; best: the limit that would have been best
+in hindsight. Kind `none` is fault-free. Found, delay (median), motor, class: of the faults that
+were
+found. Last column: seconds to score one record."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options that only the thermal benchmark has."""
+    group = parser.add_argument_group("thermal")
+    group.add_argument("--base", choices=["days", "bench"], default="days",
+                       help="samples hours apart (default), or one a second")  # fmt: skip
+    group.add_argument("--kind", nargs="+", metavar="NAME",
+                       help="kinds of faults, `none` for fault-free runs (default: all)")  # fmt:
+                       skip
+    group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
+    from gateway.drivers.thermal_trials import HEALTHY, METHODS, evaluate
+    from gateway.results.thermal_scores import cells, table
+    from sim.labelled import KINDS
+
+    seeds = seeds_of(options.seeds)
+    kinds = _known("kind", options.kind, (*KINDS, HEALTHY))
+    methods = _known("method", options.method, tuple(METHODS))
+    say = console()
+    found = []
+    for n, rows in enumerate(evaluate(seeds, options.base, kinds, methods, options.jobs), 1):
+        found += rows
+        say.print(f"train {n} of {len(seeds)}", markup=False, highlight=False)
+    lines = []
+    for kind in (*kinds, *(["all"] if len(kinds) > 1 else [])):
+        for method in methods:
+            own = [t.score for t in found if t.method == method and kind in (t.kind, "all")]
+            if own:
+                lines.append(cells(method, kind, own))
+    left_out = [method for method in methods if not any(t.method == method for t in found)]
+    text = table(lines)
+    print(text)
+    for method in left_out:
+        say.print(f"left out: {method}: its library is not installed", markup=False)
+    if options.output is not None:
+        title = f"# Thermal methods, {options.seeds} seeds, {options.base} base"
+        missing = "".join(f"\n\n{method}: its library is not installed." for method in left_out)
+        folder: Path = options.output
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / "evaluation.md"
+        path.write_text(f"{title}\n\n{text}\n\n{NOTE}{missing}\n", encoding="utf-8")
+        say.print(f"written: {path}", markup=False)
+    return GOOD
+
+
+def seeds_of(text: str) -> Sequence[int]:
+    """As for detectors, with the thermal trains' own ranges. Raises ConfigError."""
+    from gateway.config import ConfigError
+    from gateway.drivers.thermal_trials import DEVELOPMENT, REPORTING
+
+    if text in ("development", "reporting"):
+        return DEVELOPMENT if text == "development" else REPORTING
+    first, dash, last = text.partition("-")
+    digits = first.isdecimal() and (last.isdecimal() or not dash)
+    seeds = range(int(first), int(last if dash else first) + 1) if digits else range(0)
+    if not seeds:
+        raise ConfigError("--seeds", [f"{text!r} is none of development, reporting, A-B"])
+    if set(seeds) & set(REPORTING):
+        kept = f"{REPORTING.start}-{REPORTING.stop - 1}"
+        raise ConfigError("--seeds", [f"{kept} are kept for reporting; say --seeds reporting"])
+    return seeds
+
+
+def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:
+    from gateway.config import ConfigError
+
+    names = tuple(dict.fromkeys(asked or known))
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        lines = [f"no {what} {name!r}; there are {', '.join(known)}" for name in unknown]
+        raise ConfigError(f"--{what}", lines)
+    return names

@@ -1,0 +1,137 @@
+"""Thermal methods on labelled trains: simulate, fit on fault-free runs, judge runs with a fault.
+
+One limit rule for all: the 99 % quantile of a method's statistic on a fault-free run that it was
+not fitted on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal.hypotheses import KINDS as BELIEFS
+from estimators.thermal.maisd_method import PaperMethod
+from estimators.thermal.model_method import Calibrated, ModelMethod
+from estimators.thermal.record import Record, join
+from estimators.thermal.rivals import RIVALS
+from gateway.results.thermal_scores import Score, Told, Truth, score
+from sim.labelled import BASES, KINDS, Base, Labelled, train
+
+Array = NDArray[np.float64]
+
+LIMIT: Final = 0.99
+DEVELOPMENT: Final = range(10)
+"""Seeds that anything may be tuned on."""
+REPORTING: Final = range(1000, 1024)
+"""Seeds that nobody looks at before reporting."""
+FIT_RUNS: Final = {"days": 1, "bench": 4}
+"""Fault-free runs to learn from; the next one sets the limit."""
+HEALTHY: Final = "none"
+METHODS: Final[dict[str, Any]] = {
+    "model": ModelMethod(),
+    "paper": PaperMethod(),
+    "paper_causal": PaperMethod(causal=True),
+    "paper_sound": PaperMethod(causal=True, weighted=True, centred=True),
+    **RIVALS,
+}
+"""The product's; the paper's as printed (it looks ahead), causal, and with the mixture's own mean
+and
+centred motors; the paper's rivals."""
+SHOWS: Final = {
+    "overheating": ("overheating",),
+    "cooling_loss": ("cooling_loss",),
+    "bearing": ("bearing_de", "bearing_nde"),
+    "winding_resistance": ("winding_resistance",),
+    "sensor_bias": ("bias_stator", "bias_de", "bias_nde"),
+    "intermittent": ("loose_stator", "loose_de", "loose_nde"),
+}
+"""Beliefs that name a kind of fault rightly."""
+
+
+class Trial(NamedTuple):
+    """One method on one run."""
+
+    seed: int
+    kind: str
+    method: str
+    score: Score
+
+
+def record_of(run: Labelled) -> Record:
+    """What a method may see of a run."""
+    return Record(run.temperature, run.at, run.current_square, run.speed, run.ambient, run.step_s)
+
+
+def truth_of(run: Labelled, base: Base) -> Truth:
+    """What it is judged by."""
+    effect = np.abs(run.effect).max(axis=(1, 2))
+    if run.fault is None:
+        return Truth(run.faulty, effect, -1, 0, base.sample_s)
+    loose = run.fault.kind == "intermittent"
+    return Truth(run.faulty, effect, run.fault.motor, run.fault.begin, base.sample_s, loose)
+
+
+def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -> list[Trial]:
+    """All methods on a train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function.
+
+    A method whose library is missing gives nothing (the LSTM needs PyTorch).
+    """
+    at = BASES[base]
+    fits = FIT_RUNS[base]
+    healthy = join([record_of(train(seed, at, None, n)) for n in range(fits)])
+    limiting = record_of(train(seed, at, None, fits))
+    runs = {
+        kind: train(seed, at, None if kind == HEALTHY else kind, fits + 1 + n)
+        for n, kind in enumerate((*KINDS, HEALTHY))
+        if kind in kinds
+    }
+    out = []
+    for name in methods:
+        try:
+            fitted: Callable[[Record], Array] = METHODS[name].fit(healthy)
+        except ModuleNotFoundError:
+            continue
+        limit = float(np.nanquantile(fitted(limiting), LIMIT))
+        out += [Trial(seed, kind, name, _one(fitted, limit, runs[kind], at)) for kind in kinds]
+    return out
+
+
+def _one(fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base) -> Score:
+    """Judge one run; the time is that of scoring it."""
+    record = record_of(run)
+    began = time.perf_counter()
+    if isinstance(fitted, Calibrated):
+        belief = fitted.believe(record)
+        motor = belief.statistic.argmax(axis=1)
+        statistic = belief.statistic.max(axis=1)
+        kind = belief.kind[np.arange(len(motor)), motor].argmax(axis=1)
+        wanted = SHOWS[run.fault.kind] if run.fault is not None else ()
+        named = np.isin(kind, [BELIEFS.index(name) for name in wanted])
+        told = Told(motor, named)
+    else:
+        statistic, told = fitted(record), None
+    seconds = time.perf_counter() - began
+    return score(statistic, limit, truth_of(run, base), told, seconds)
+
+
+def evaluate(
+    seeds: Sequence[int], base: str, kinds: Sequence[str], methods: Sequence[str], jobs: int = 1
+) -> Iterator[list[Trial]]:
+    """Trials seed by seed, in order, in so many processes."""
+    tasks = [(seed, base, tuple(kinds), tuple(methods)) for seed in seeds]
+    if jobs <= 1:
+        yield from (trials(*task) for task in tasks)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        yield from pool.map(_task, tasks)
+
+
+def _task(task: tuple[int, str, tuple[str, ...], tuple[str, ...]]) -> list[Trial]:
+    return trials(*task)

@@ -1,0 +1,198 @@
+"""How well a thermal fault was found: per sample against the injection interval, and per fault.
+
+Strict: every sample from the fault's begin to its end is faulty. Graced: its onset is left out
+until the true effect passes 2 K, and the recovery after it until the effect is below 1 K; there
+nobody can know. Numbers in, numbers out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+SHOWN_K: Final = 2.0
+GONE_K: Final = 1.0
+PRINTED_FPR: Final = 0.0275
+"""Paper `thermal`, Table 2: the rate at which every method's misses are compared."""
+DAY_S: Final = 86_400.0
+
+
+class Truth(NamedTuple):
+    """faulty (K,): a fault is injected; effect (K,) K: the largest at any point; loose: in bursts.
+
+    motor: -1 for a healthy run; begin: sample; sample_s: spacing.
+    """
+
+    faulty: Flags
+    effect: Array
+    motor: int
+    begin: int
+    sample_s: float
+    loose: bool = False
+
+
+class Told(NamedTuple):
+    """motor (K,), kind_right (K,): what a method says beside its alarm, where it says it."""
+
+    motor: NDArray[np.int64]
+    kind_right: Flags
+
+
+class Score(NamedTuple):
+    """Shares of samples, but for found (0 or 1), delay_s and episodes (false ones, per day)."""
+
+    accuracy: float
+    fpr: float
+    fnr: float
+    graced_fpr: float
+    graced_fnr: float
+    best_accuracy: float
+    best_fpr: float
+    best_fnr: float
+    fnr_at_printed: float
+    found: float
+    delay_s: float
+    motor_right: float
+    kind_right: float
+    episodes: float
+    seconds: float
+
+
+def score(
+    statistic: Array, limit: float, truth: Truth, told: Told | None = None, seconds: float = 0.0
+) -> Score:
+    """Of one run; NaN of the statistic is no alarm. A share of no samples is NaN."""
+    finite = np.where(np.isfinite(statistic), statistic, -np.inf)
+    alarm = finite > limit
+    faulty = truth.faulty
+    hidden = faulty & (truth.effect < SHOWN_K) & (not truth.loose)
+    judged = ~hidden & ~(~faulty & (truth.effect > GONE_K))
+    best = _best(finite, faulty)
+    hit = np.flatnonzero(alarm & faulty)
+    right = Told(np.full(len(faulty), -2), np.zeros(len(faulty), dtype=np.bool_))
+    right = told if told is not None else right
+    return Score(
+        accuracy=_share(alarm == faulty),
+        fpr=_share(alarm[~faulty]),
+        fnr=_share(~alarm[faulty]),
+        graced_fpr=_share(alarm[~faulty & judged]),
+        graced_fnr=_share(~alarm[faulty & judged]),
+        best_accuracy=best[0],
+        best_fpr=best[1],
+        best_fnr=best[2],
+        fnr_at_printed=_at(finite, faulty, PRINTED_FPR),
+        found=float(len(hit) > 0) if faulty.any() else math.nan,
+        delay_s=(float(hit[0]) - truth.begin) * truth.sample_s if len(hit) else math.nan,
+        motor_right=_share(right.motor[hit] == truth.motor) if told else math.nan,
+        kind_right=_share(right.kind_right[hit]) if told else math.nan,
+        episodes=_episodes(alarm & ~faulty) / (np.count_nonzero(~faulty) * truth.sample_s / DAY_S),
+        seconds=seconds,
+    )
+
+
+def mean(scores: Iterable[Score]) -> Score:
+    """Mean of every figure over the runs that have it; the delay's median."""
+    rows = np.array(list(scores), dtype=float)
+    with np.errstate(all="ignore"):
+        means = [_over(rows[:, k], np.mean) for k in range(rows.shape[1])]
+    delay = Score._fields.index("delay_s")
+    means[delay] = _over(rows[:, delay], np.median)
+    return Score(*means)
+
+
+def spread(scores: Iterable[Score]) -> Score:
+    """Standard deviation of every figure over the runs that have it."""
+    rows = np.array(list(scores), dtype=float)
+    return Score(*(_over(rows[:, k], np.std) for k in range(rows.shape[1])))
+
+
+def _over(values: Array, what: object) -> float:
+    known = values[np.isfinite(values)]
+    return float(what(known)) if len(known) else math.nan  # type: ignore[operator]
+
+
+def _share(flags: Flags) -> float:
+    return float(np.mean(flags)) if len(flags) else math.nan
+
+
+def _episodes(alarm: Flags) -> int:
+    return int(np.count_nonzero(np.diff(alarm.astype(np.int8), prepend=0) == 1))
+
+
+def _best(statistic: Array, faulty: Flags) -> tuple[float, float, float]:
+    """Accuracy, FPR, FNR with the limit that would have been best."""
+    order = np.argsort(-statistic, kind="stable")
+    hits = np.concatenate([[0], np.cumsum(faulty[order])])
+    false = np.arange(len(order) + 1) - hits
+    ill, well = hits[-1], len(faulty) - hits[-1]
+    accuracy = (hits + well - false) / len(faulty)
+    # A limit cannot part equal values.
+    ranked = statistic[order]
+    parted = np.concatenate([[True], ranked[1:] < ranked[:-1], [True]])
+    k = int(np.argmax(np.where(parted, accuracy, -1.0)))
+    return (
+        float(accuracy[k]),
+        float(false[k]) / well if well else math.nan,
+        1.0 - float(hits[k]) / ill if ill else math.nan,
+    )
+
+
+def _at(statistic: Array, faulty: Flags, fpr: float) -> float:
+    """FNR with the limit that just this share of the healthy samples exceed."""
+    if not faulty.any() or faulty.all():
+        return math.nan
+    healthy = np.sort(statistic[~faulty])
+    limit = healthy[min(math.ceil((1.0 - fpr) * len(healthy)), len(healthy)) - 1]
+    return _share(statistic[faulty] <= limit)
+
+
+COLUMNS: Final = (
+    "method", "kind", "runs", "accuracy %", "sd", "FPR %", "FNR %", "graced FPR %", "graced FNR %",
+    "best accuracy %", "best FPR %", "best FNR %", "FNR % at FPR 2.75 %", "found", "median delay",
+    "motor %", "class %", "false episodes / day", "s",
+)  # fmt: skip
+
+
+def cells(method: str, kind: str, scores: Sequence[Score]) -> list[str]:
+    """One line of the table, in the order of `COLUMNS`; a dash where there is no number."""
+    m, sd = mean(scores), spread(scores)
+    percent = [
+        m.accuracy, sd.accuracy, m.fpr, m.fnr, m.graced_fpr, m.graced_fnr, m.best_accuracy,
+        m.best_fpr, m.best_fnr, m.fnr_at_printed,
+    ]  # fmt: skip
+    count = sum(s.found == 1.0 for s in scores)
+    return [
+        method,
+        kind,
+        str(len(scores)),
+        *(_text(100.0 * value, 1) for value in percent),
+        f"{count}" if any(math.isfinite(s.found) for s in scores) else "-",
+        _time(m.delay_s),
+        _text(100.0 * m.motor_right, 0),
+        _text(100.0 * m.kind_right, 0),
+        _text(m.episodes, 2),
+        _text(m.seconds, 2),
+    ]
+
+
+def _text(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _time(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "-"
+    return f"{seconds:.0f} s" if seconds < 3600.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def table(rows: Iterable[Sequence[str]]) -> str:
+    """Markdown."""
+    lines = [COLUMNS, ["---"] * len(COLUMNS), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

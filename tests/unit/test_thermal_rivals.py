@@ -1,0 +1,194 @@
+"""The rivals of the thermal method: causal, repeatable, blind to nothing obvious, never raising."""
+
+import importlib.util
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from estimators.thermal.record import Record
+from estimators.thermal.rivals import RIVALS
+from estimators.thermal.rivals.dpca import filled, moving
+from estimators.thermal.rivals.dsfa import Slow
+from estimators.thermal.rivals.ekf import Lumped, gap
+from estimators.thermal.rivals.lstm import Lstm
+from sim.labelled import BENCH, DAYS, train
+
+EARLY = 40
+"""Samples by which every rival has its lags or its sequence."""
+LENGTH = {"days": 300, "bench": 1500}
+
+
+@cache
+def run(base, number):
+    """A healthy run, cut short: inputs, too, end with the last sample."""
+    whole = train(3, {"days": DAYS, "bench": BENCH}[base], None, number)
+    at = whole.at[: LENGTH[base]]
+    steps = int(at[-1]) + 1
+    return Record(
+        whole.temperature[: len(at)], at, whole.current_square[:steps], whole.speed[:steps],
+        whole.ambient[:steps], whole.step_s,
+    )  # fmt: skip
+
+
+@cache
+def fitted(name, base):
+    if name == "lstm":
+        pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
+    return RIVALS[name].fit(run(base, 0))
+
+
+def changed(record, change):
+    temperature = record.temperature.copy()
+    change(temperature)
+    return record._replace(temperature=temperature)
+
+
+every_rival = pytest.mark.parametrize("name", RIVALS)
+every_base = pytest.mark.parametrize("base", LENGTH)
+
+
+def test_the_registry_is_table_2():
+    assert list(RIVALS) == ["dpca", "dsfa", "lstm", "jitl", "ekf"]
+    assert all(name == method.name for name, method in RIVALS.items())
+
+
+@every_rival
+@every_base
+def test_another_run_is_scored_with_finite_statistics(name, base):
+    record = run(base, 1)
+    score = fitted(name, base)(record)
+    assert score.shape == record.at.shape
+    assert np.isfinite(score[EARLY:]).all()
+    assert (score[EARLY:] >= 0.0).all()
+    early = np.isnan(score)
+    assert not (np.diff(early.astype(int)) > 0).any(), "NaN only at the start"
+
+
+@every_rival
+@every_base
+def test_later_samples_change_nothing(name, base):
+    record, score = run(base, 1), fitted(name, base)
+    k = len(record.at) // 2
+
+    def later(temperature):
+        temperature[k:] += 50.0
+        temperature[k + 5 :, 0] = np.nan
+
+    whole = score(record)
+    np.testing.assert_allclose(score(changed(record, later))[:k], whole[:k], rtol=1e-5)
+    cut = record._replace(temperature=record.temperature[:k], at=record.at[:k])
+    np.testing.assert_allclose(score(cut), whole[:k], rtol=1e-5)
+
+
+@every_rival
+def test_the_same_data_give_the_same_statistic(name):
+    if name == "lstm":
+        pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
+    again = RIVALS[name].fit(run("days", 0))
+    np.testing.assert_array_equal(again(run("days", 1)), fitted(name, "days")(run("days", 1)))
+
+
+@every_rival
+@every_base
+def test_thirty_kelvin_on_one_sensor_stand_out(name, base):
+    record, score = run(base, 1), fitted(name, base)
+    k = len(record.at) // 2
+    healthy = score(record)[EARLY:]
+
+    def step(temperature):
+        temperature[k:, 2, 1] += 30.0
+
+    after = score(changed(record, step))[k : k + EARLY]
+    # The filter follows the step soon: it is enough that it was seen.
+    assert after.max() > np.quantile(healthy, 0.999)
+
+
+@every_rival
+@every_base
+def test_missing_readings_do_no_harm(name, base):
+    record, score = run(base, 1), fitted(name, base)
+    rng = np.random.default_rng(5)
+
+    def holes(temperature):
+        temperature[rng.random(temperature.shape) < 0.05] = np.nan
+        temperature[:3] = np.nan
+        temperature[60:80] = np.nan
+        temperature[:, 1, 2] = np.nan
+
+    assert np.isfinite(score(changed(record, holes))[EARLY:]).all()
+    healthy = changed(run(base, 0), holes)
+    assert np.isfinite(RIVALS[name].fit(healthy)(record)[EARLY:]).all()
+
+
+@every_rival
+def test_too_short_a_run_is_refused(name):
+    if name == "lstm":
+        pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
+    record = run("days", 0)
+    short = record._replace(temperature=record.temperature[:2], at=record.at[:2])
+    with pytest.raises(ValueError, match="too few"):
+        RIVALS[name].fit(short)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
+def test_without_torch_the_lstm_says_what_to_install():
+    with pytest.raises(ModuleNotFoundError, match=r"pip install traction-gateway\[lstm\]"):
+        Lstm().fit(run("days", 0))
+
+
+def test_an_unknown_view_is_refused():
+    with pytest.raises(ValueError, match="no view"):
+        replace(RIVALS["dpca"], view="sideways").fit(run("days", 0))
+
+
+def test_the_last_known_reading_stands_in():
+    readings = np.array([np.nan, 1.0, np.nan, np.nan, 4.0])[:, None, None]
+    out = filled(readings, np.array([[7.0]]))
+    assert out.ravel().tolist() == [7.0, 1.0, 1.0, 1.0, 4.0]
+
+
+def test_the_moving_mean_looks_back_only():
+    assert moving(np.array([1.0, 3.0, 5.0, 7.0]), 2).tolist() == [1.0, 2.0, 4.0, 6.0]
+    assert moving(np.array([1.0, 3.0]), 9).tolist() == [1.0, 2.0]
+
+
+def test_the_slowest_feature_comes_first():
+    t = np.arange(2000) * 0.01
+    slow, fast = np.sin(t), np.sin(29.0 * t)
+    mixed = np.stack([slow + 0.5 * fast, fast - 0.3 * slow], axis=1)
+    out = Slow.fit(mixed)(mixed)
+    assert abs(np.corrcoef(out[:, 0], slow)[0, 1]) > 0.999
+    assert np.allclose(out.std(axis=0), 1.0, atol=1e-3)
+
+
+def test_a_gap_is_integrated_exactly():
+    """Against ten thousand Euler steps per step."""
+    rng = np.random.default_rng(1)
+    loss, heat, air = np.array([[2e-3, 5e-4]]), rng.random((30, 2)), 20.0 * rng.random(30)
+    decay, warmed, aired = gap(loss, heat, air, 20.0)
+    T, h = np.array([50.0, 60.0]), 20.0 / 10_000
+    for k in range(30):
+        end = heat[k] / loss[0] + air[k]
+        T = end + (T - end) * (1.0 - h * loss[0]) ** 10_000
+    assert np.allclose(decay[0] * [50.0, 60.0] + warmed[0] + aired[0], T, atol=1e-3)
+
+
+def test_the_lumped_model_is_found_again():
+    """Data from eq. (1) itself give its own coefficients."""
+    rng = np.random.default_rng(2)
+    steps, step_s, gain, loss = 6000, 10.0, 2e-7, 6e-4
+    square = np.repeat(rng.uniform(0.0, 9e4, steps // 60), 60)
+    T, course = 20.0, []
+    for u in square.tolist():
+        end = gain * u / loss + 20.0
+        T = end + (T - end) * np.exp(-loss * step_s)
+        course.append(T)
+    at = np.arange(29, steps, 30)
+    reading = np.array(course)[at] + 0.1 * rng.standard_normal(len(at))
+    temperature = np.repeat(reading[:, None], 3, axis=1)[:, None, :]
+    record = Record(temperature, at, square[:, None], np.zeros(steps), np.full(steps, 20.0), step_s)
+    found = Lumped.of(record)
+    assert np.allclose(found.loss, loss, rtol=0.15)
+    assert np.allclose(found.gain / found.loss, gain / loss, rtol=0.05)
