@@ -1,5 +1,4 @@
-"""`python -m bench.detection`: regenerate docs/evaluation/, the tables of how well losses are
-found.
+"""`python -m bench.detection`: regenerate docs/evaluation/, how well losses are found.
 
 Each table is the output of one `traction-gateway evaluate`, whose command stands above it. On
 reporting seeds; half an hour on two cores.

@@ -13,8 +13,7 @@ NOTE: Final = """\
 Per sample against the injection interval; graced: without the onset until the true effect passes 2
 K and the recovery until it is below 1 K. One limit rule for all: the 99 % quantile of a method's
 statistic on a fault-free run that it was not fitted on; best: the limit that would have been best
-in hindsight. Kind `none` is fault-free. Found, delay (median), motor, class: of the faults that
-were
+in hindsight. Kind `none` is fault-free. Delay (median), motor, class: of the faults that were
 found. Last column: seconds to score one record."""
 
 
@@ -24,8 +23,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--base", choices=["days", "bench"], default="days",
                        help="samples hours apart (default), or one a second")  # fmt: skip
     group.add_argument("--kind", nargs="+", metavar="NAME",
-                       help="kinds of faults, `none` for fault-free runs (default: all)")  # fmt:
-                       skip
+                       help="kinds of faults, `none`: fault-free (default: all)")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
 
 
