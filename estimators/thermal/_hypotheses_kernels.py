@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 _HEAT = 5
 _POINTS = 3
 _HELD = 0.6
-"""Hysteresis of the size that is a fault."""
+_LEAST = 1.5
+"""Hysteresis of the size that is a fault, and K below which it does not reach."""
 
 
 @njit(cache=True)
@@ -107,6 +108,12 @@ def _kind_of(g: int) -> int:
 
 
 @njit(cache=True)
+def _faulty(g: int, size: float, limit: float) -> bool:
+    """A motor that is cooler than the model has no fault; a sensor's error has either sign."""
+    return size >= limit or (g >= _HEAT and -size >= limit)
+
+
+@njit(cache=True)
 def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> None:
     """One step of the Markov chain: (S,) probabilities before, after."""
     begin, end, growth, often = rates[0], rates[1], rates[2], rates[6]
@@ -115,7 +122,9 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
     out[0] = now[0] * (1.0 - begin - often) + (1.0 - now[0]) * end
     for g in range(groups):
         limit = benign[_kind_of(g)]
-        faults = (sizes >= limit).sum()
+        faults = 0
+        for s in range(count):
+            faults += 1 if _faulty(g, sizes[s], limit) else 0
         share = now[0] / (_HEAT + _POINTS) * (1.0 if g < _HEAT else 0.5)
         first = 1 + g * count
         for s in range(count):
@@ -123,7 +132,8 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
             moved = stay * (1.0 - 2.0 * growth)
             moved += growth * (now[first + s - 1] if s > 0 else stay)
             moved += growth * (now[first + s + 1] if s + 1 < count else stay)
-            enter = begin / faults if sizes[s] >= limit else often / (count - faults)
+            ill = _faulty(g, sizes[s], limit)
+            enter = begin / faults if ill else often / (count - faults)
             out[first + s] = (1.0 - end) * moved + share * enter
     for q in range(_POINTS):
         n = 1 + groups * count + q
@@ -195,9 +205,9 @@ def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None
     kind[:] = 0.0
     for g in range(_HEAT + 2 * _POINTS):
         c = _kind_of(g)
-        limit = benign[c] * (_HELD if c == held else 1.0)
+        limit = max(_HELD * benign[c], _LEAST) if c == held else benign[c]
         for s in range(count):
-            if sizes[s] >= limit:
+            if _faulty(g, sizes[s], limit):
                 kind[c] += p[1 + g * count + s]
     for q in range(_POINTS):
         kind[_HEAT + _POINTS + q] = p[1 + (_HEAT + 2 * _POINTS) * count + q]

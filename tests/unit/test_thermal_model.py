@@ -1,0 +1,224 @@
+"""The product's thermal method: model, identification, hypotheses; and how it is judged."""
+
+import numpy as np
+import pytest
+
+from estimators.thermal import heat, hypotheses
+from estimators.thermal.heat import TYPICAL, Drive, drive, predict, settled
+from estimators.thermal.hypotheses import KINDS, SIZES_K, believe, beside_peers, pace
+from estimators.thermal.identify import first_readings, identify
+from estimators.thermal.model_method import ModelMethod
+from estimators.thermal.record import Record, fading, features, join, split
+
+MOTORS = 4
+
+
+def steady_drive(hours=200.0, square=1e4, speed=150.0, ambient=12.0):
+    steps = round(hours * 60)
+    return Drive(
+        np.full((steps, MOTORS), square), np.full(steps, speed), np.full(steps, ambient),
+        np.arange(59, steps, 60), 60.0,
+    )  # fmt: skip
+
+
+def record(seed, k=300, noise=0.3, spread=0.1):
+    """Motors that are the model itself, with readings of them."""
+    own = np.random.default_rng(99)
+    parameters = TYPICAL * np.exp(spread * own.normal(size=(MOTORS, heat.COUNT)))
+    parameters[:, heat.OFFSETS] = own.normal(0.0, 0.5, (MOTORS, 3))
+    rng = np.random.default_rng(seed)
+    steps = 60 * k
+    square = np.repeat(rng.uniform(0.0, 4e4, steps // 30), 30)[:, None] * np.ones(MOTORS)
+    speed = np.repeat(rng.uniform(0.0, 400.0, steps // 60), 60)
+    ambient = 15.0 + 8.0 * np.sin(np.arange(steps) / 1440.0)
+    at = np.arange(60, steps + 1, 60) - 1
+    inputs = Drive(square, speed, ambient, at, 60.0)
+    truth = predict(parameters, inputs)
+    reading = truth + noise * rng.standard_normal(truth.shape)
+    return Record(reading, at, square, speed, ambient, 60.0), truth
+
+
+def test_the_model_settles_where_algebra_says():
+    inputs = steady_drive()
+    flat = TYPICAL.copy()
+    got = predict(np.tile(flat, (MOTORS, 1)), inputs)[-1, 0]
+    base = settled(flat, 1e4, 150.0, 12.0, np.zeros(4))
+    # The winding's resistance rises with its temperature, which the start leaves out.
+    assert got[0] == pytest.approx(base[0], rel=0.05)
+    copper = flat[heat.A] * 1e4 * (1.0 + 0.0039 * (got[0] - 60.0))
+    core = got[0] - copper / flat[heat.K_W]
+    end = (flat[heat.K_D] * core + flat[heat.F_D] * 150.0 + flat[heat.B_D] * 12.0) / (
+        flat[heat.K_D] + flat[heat.B_D]
+    )
+    assert got[1] == pytest.approx(end, abs=0.01)
+
+
+def test_long_steps_are_stable():
+    inputs = steady_drive()._replace(step_s=36_000.0)
+    assert np.isfinite(predict(np.tile(TYPICAL, (MOTORS, 1)), inputs)).all()
+    assert predict(np.tile(TYPICAL, (MOTORS, 1)), inputs).max() < 200.0
+
+
+def test_identified_motors_predict_another_run():
+    seen, _ = record(1)
+    other, truth = record(2)
+    found = identify([seen])
+    error = predict(found, drive(other), first_readings(other)) - truth
+    assert np.sqrt(np.mean(error[5:] ** 2)) < 0.25
+    turned = [2, 0, 3, 1]
+    swapped = seen._replace(
+        temperature=seen.temperature[:, turned], current_square=seen.current_square[:, turned]
+    )
+    np.testing.assert_allclose(identify([swapped]), found[turned], rtol=1e-6, atol=1e-9)
+
+
+def test_identification_bears_holes_and_refuses_nothing_at_all():
+    seen, truth = record(3)
+    holes = seen.temperature.copy()
+    holes[::3, 1, 2] = np.nan
+    found = identify([seen._replace(temperature=holes)])
+    error = predict(found, drive(seen), first_readings(seen)) - truth
+    assert np.sqrt(np.mean(error[5:] ** 2)) < 0.3
+    with pytest.raises(ValueError, match="all temperatures"):
+        identify([seen._replace(temperature=np.full_like(holes, np.nan))])
+
+
+SIGNATURE = {"overheating": (1.0, 0.3, 0.3), "bearing_de": (0.1, 1.0, 0.1)}
+
+
+def shapes(k):
+    """Signatures of a motor whose faults do not depend on the duty."""
+    rows = [(1.0, 0.35, 0.35), (1.0, 0.8, 0.8), (0.1, 1.0, 0.1), (0.1, 0.1, 1.0)]
+    wave = 1.0 + 0.9 * np.sin(np.arange(k) / 3.0)
+    out = np.tile(np.array([*rows, rows[0]]), (k, 1, 1))
+    out[:, 4] *= wave[:, None]
+    return out
+
+
+def healthy_beside(k=360, seed=0):
+    """Residuals that share a slow part between a motor's points."""
+    rng = np.random.default_rng(seed)
+    common = np.zeros((k, MOTORS, 1))
+    for n in range(1, k):
+        common[n] = 0.9 * common[n - 1] + 0.35 * rng.standard_normal((MOTORS, 1))
+    return common * np.array([1.0, 0.9, 0.9]) + 0.3 * rng.standard_normal((k, MOTORS, 3))
+
+
+@pytest.fixture(scope="module")
+def known():
+    return hypotheses.spread(healthy_beside(2000, 7), 40.0)
+
+
+def test_whitened_health_is_white(known):
+    z = healthy_beside(2000, 8) - known.centre
+    for m in range(MOTORS):
+        parts = z[:, m] @ known.white[m].T
+        np.testing.assert_allclose(np.cov(parts.T), np.eye(3), atol=0.45)
+    assert known.share.min() < 0.2 < 0.7 < known.share.max(), "slow in common, quick of its own"
+
+
+def test_nothing_wrong_is_nothing_said(known):
+    said = [believe(healthy_beside(seed=s), known, shapes(360)).fault.max() for s in range(5)]
+    assert np.median(said) < 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS[:8])
+@pytest.mark.parametrize("size", [4.0, 8.0])
+def test_every_kind_is_told_from_every_other(known, kind, size):
+    z = healthy_beside(seed=3)
+    index = KINDS.index(kind)
+    if index < 5:
+        z[180:270, 2] += size * shapes(360)[180:270, index]
+    else:
+        z[180:270, 2, index - 5] -= size
+    belief = believe(z, known, shapes(360))
+    assert belief.fault[:180, 2].mean() < 0.05
+    assert belief.fault[200:270, 2].mean() > 0.9
+    others = np.delete(belief.fault, 2, axis=1)
+    assert others[180:].mean() < 0.05
+    told = belief.kind[200:270, 2].mean(axis=0)
+    assert KINDS[int(told.argmax())] == kind
+    sizes = belief.size_k[230:270, 2].mean()
+    assert sizes == pytest.approx(size, rel=0.45)
+    assert SIZES_K.max() > size
+
+
+def test_a_loose_connector_is_told(known):
+    z = healthy_beside(seed=4)
+    rng = np.random.default_rng(1)
+    bursts = 180 + np.flatnonzero(rng.random(90) < 0.1)
+    z[bursts, 1, 0] += 25.0
+    belief = believe(z, known, shapes(360))
+    assert belief.kind[bursts[3] : 260, 1, KINDS.index("loose_stator")].mean() > 0.7
+    assert belief.fault[:180].mean() < 0.05
+
+
+def test_missing_points_say_nothing_and_break_nothing(known):
+    z = healthy_beside(seed=5)
+    z[180:270, 0] += 8.0 * shapes(360)[180:270, 0]
+    holes = z.copy()
+    holes[100:300, 0, 2] = np.nan
+    holes[50:60] = np.nan
+    belief = believe(holes, known, shapes(360))
+    assert np.isfinite(belief.kind).all()
+    assert belief.fault[210:270, 0].mean() > 0.9
+    assert belief.fault[:180].mean() < 0.1
+
+
+def test_permuted_motors_permute_and_later_samples_change_nothing(known):
+    z = healthy_beside(seed=6)
+    z[180:270, 3, 1] += 6.0
+    all_of_it = believe(z, known, shapes(360))
+    np.testing.assert_array_equal(
+        believe(z[:200], known, shapes(360)[:200]).kind, all_of_it.kind[:200]
+    )
+    turned = [3, 1, 0, 2]
+    swapped = hypotheses.Spread(*(a[turned] for a in known))
+    np.testing.assert_array_equal(
+        believe(z[:, turned], swapped, shapes(360)).kind, all_of_it.kind[:, turned]
+    )
+
+
+def test_beside_peers_is_pulled_by_no_fault():
+    r = np.zeros((5, MOTORS, 3))
+    r[:, 1] += 10.0
+    z = beside_peers(r)
+    np.testing.assert_array_equal(z[:, 1], 10.0)
+    np.testing.assert_array_equal(z[:, [0, 2, 3]], 0.0)
+    r[:, 0] = np.nan
+    assert np.isnan(beside_peers(r)[:, 0]).all()
+    np.testing.assert_array_equal(beside_peers(r)[:, 2], -5.0)
+    r[:, 3] = np.nan
+    assert np.isnan(beside_peers(r)).all(), "one other motor is nobody to compare with"
+
+
+def test_pace_counts_time_where_samples_are_quick():
+    assert pace(24_000.0) == hypotheses.SNAPSHOTS
+    assert pace(1.0).ill == 60.0 * hypotheses.SNAPSHOTS.ill
+
+
+def test_records_can_be_split_and_joined():
+    whole, _ = record(4, k=20)
+    first, rest = split(whole, 13)
+    assert len(first.at) == 13
+    assert len(rest.speed) == 7 * 60
+    again = join([first, rest])
+    for mine, theirs in zip(again, whole, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    with pytest.raises(ValueError, match="one step length"):
+        join([first, rest._replace(step_s=1.0)])
+    assert features(whole).shape == (20, 5)
+    np.testing.assert_allclose(fading(np.full(50, 3.0), 0.1), 3.0)
+
+
+def test_the_method_end_to_end_on_the_models_own_train():
+    healthy, _ = record(5, k=400)
+    test, _ = record(6)
+    ill = test.temperature.copy()
+    ill[150:200, 2, 1] += 5.0
+    fitted = ModelMethod().fit(healthy)
+    statistic = fitted(test._replace(temperature=ill))
+    assert np.mean(statistic[155:200] > 0.0) > 0.9
+    assert np.mean(statistic[:150] > 0.0) < 0.05
+    belief = fitted.believe(test._replace(temperature=ill))
+    assert KINDS[int(belief.kind[160:200, 2].mean(axis=0).argmax())] == "bias_de"

@@ -1,0 +1,143 @@
+"""Labelled trains, scores, and the benchmark of thermal methods."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gateway.cli import main
+from gateway.drivers.thermal_trials import FIT_RUNS, REPORTING, trials
+from gateway.results.thermal_scores import Told, Truth, cells, mean, score, spread, table
+from sim.labelled import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
+
+
+@pytest.mark.parametrize("base", [DAYS, BENCH])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_is_where_and_when_it_is_said_to_be(base, kind):
+    run = train(4, base, kind, 2)
+    fault = run.fault
+    assert fault is not None
+    assert not run.effect[: fault.begin].any()
+    others = np.delete(run.effect, fault.motor, axis=1)
+    assert not others.any()
+    own = np.abs(run.effect[fault.begin : fault.end, fault.motor])
+    assert own.max() > 1.0
+    if kind in SENSOR_KINDS:
+        assert not np.delete(own, fault.point, axis=1).any()
+    elif base is DAYS:
+        # Of the size drawn, at the mean duty.
+        assert own.mean(axis=0).max() == pytest.approx(fault.size_k, rel=0.35)
+        assert SIZE_K[0] <= fault.size_k <= SIZE_K[1]
+
+
+def test_a_train_is_a_pure_function_and_its_motors_stay():
+    first, again = train(7, BENCH, "bearing", 1), train(7, BENCH, "bearing", 1)
+    for mine, theirs in zip(first[:7], again[:7], strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    assert first.fault == again.fault
+    other = train(7, BENCH, None, 2)
+    assert not np.array_equal(other.speed, first.speed)
+    ratio = first.current_square[100] / first.current_square[100, 0]
+    busy = np.flatnonzero(other.current_square[:, 0])[0]
+    np.testing.assert_allclose(other.current_square[busy] / other.current_square[busy, 0], ratio)
+    assert first.temperature.shape == (BENCH.samples, MOTORS, 3)
+
+
+def truth(faulty, effect=None, motor=1):
+    faulty = np.array(faulty, dtype=bool)
+    effect = np.where(faulty, 5.0, 0.0) if effect is None else np.array(effect)
+    return Truth(faulty, effect, motor, int(np.argmax(faulty)), 10.0)
+
+
+def test_scores_by_hand():
+    statistic = np.array([0.0, 2.0, 0.0, np.nan, 0.0, 3.0, 4.0, 5.0, 0.0, 0.0])
+    t = truth([0, 0, 0, 0, 1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 1.0, 5, 5, 5, 1.5, 0])
+    told = Told(
+        np.array([0, 2, 0, 0, 0, 1, 1, 2, 0, 0]), np.array([0, 0, 0, 0, 0, 1, 0, 1, 0, 0]) > 0
+    )
+    s = score(statistic, 1.0, t, told)
+    assert s.accuracy == 0.8
+    assert s.fpr == pytest.approx(1 / 6)
+    assert s.fnr == 0.25
+    assert s.graced_fnr == 0.0, "nobody can know while the effect is 1 K"
+    assert s.graced_fpr == pytest.approx(1 / 5)
+    assert s.delay_s == 10.0
+    assert s.found == 1.0
+    assert s.motor_right == pytest.approx(2 / 3)
+    assert s.kind_right == pytest.approx(2 / 3)
+    assert s.best_accuracy == 0.9
+    assert s.episodes == pytest.approx(1 / (6 * 10.0 / 86_400.0))
+
+
+def test_accuracy_lies_between_and_hindsight_is_never_worse():
+    """Why the paper's 94.4 / 2.75 / 4.44 cannot be: accuracy is a mean of 1 - FPR and 1 - FNR."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        faulty = rng.random(60) < rng.uniform(0.1, 0.9)
+        if faulty.all() or not faulty.any():
+            continue
+        s = score(np.round(rng.normal(size=60) + faulty, 1), 0.5, truth(faulty))
+        low, high = sorted((1.0 - s.fpr, 1.0 - s.fnr))
+        assert low - 1e-12 <= s.accuracy <= high + 1e-12
+        assert s.best_accuracy >= s.accuracy
+    assert not 1.0 - 0.0444 <= 0.944 <= 1.0 - 0.0275
+
+
+def test_a_healthy_run_has_no_misses():
+    s = score(np.zeros(20), 0.0, truth(np.zeros(20), motor=-1))
+    assert s.accuracy == 1.0
+    assert s.fpr == 0.0
+    assert all(math.isnan(v) for v in (s.fnr, s.found, s.delay_s, s.best_fnr))
+    both = mean([s, score(np.ones(20), 0.0, truth([0] * 10 + [1] * 10))])
+    assert both.fnr == 0.0, "the mean of the runs that have one"
+    assert spread([s, s]).accuracy == 0.0
+    line = cells("model", "none", [s])
+    assert line[:4] == ["model", "none", "1", "100.0"]
+    assert table([line]).count("\n") == 2
+
+
+def test_the_model_beats_the_papers_method():
+    """Development seeds: the whole chain from train to score."""
+    kinds = ("overheating", "sensor_bias", "none")
+    found = [t for seed in (1, 3) for t in trials(seed, "days", kinds, ("model", "paper_causal"))]
+    assert len(found) == 2 * len(kinds) * 2
+    by = {m: mean(t.score for t in found if t.method == m) for m in ("model", "paper_causal")}
+    assert by["model"].accuracy > 0.95
+    assert by["model"].accuracy > by["paper_causal"].accuracy + 0.05
+    assert by["model"].motor_right > 0.95
+    assert by["model"].kind_right > 0.9
+    assert FIT_RUNS["days"] == 1
+
+
+def test_the_command(capsys, tmp_path):
+    words = [
+        "evaluate",
+        "thermal",
+        "--seeds",
+        "2",
+        "--kind",
+        "bearing",
+        "--method",
+        "model",
+        "dpca",
+    ]
+    assert main([*words, "-o", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "| model | bearing | 1 |" in out
+    assert "| dpca | bearing | 1 |" in out
+    assert out.strip() in (tmp_path / "evaluation.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["--seeds", "1000-1001"], "kept for reporting"),
+        (["--seeds", "x"], "none of development"),
+        (["--seeds", "1", "--kind", "flood"], "no kind 'flood'"),
+        (["--seeds", "1", "--method", "luck"], "no method 'luck'"),
+    ],
+)
+def test_wrong_words_are_explained(capsys, words, hint):
+    assert main(["evaluate", "thermal", *words]) == 2
+    assert hint in " ".join(capsys.readouterr().err.split())
+    assert REPORTING.start == 1000
