@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test lint format bench calibration lock clean
+.PHONY: demo test lint format bench calibration lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -46,6 +46,10 @@ $(VENV)/.ready: requirements.lock pyproject.toml
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
+
+# Compiled kernels are cached by their own file's age only.
+clean-kernels:
+	find dbc estimators gateway sim -name '*.nb[ic]' -delete
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info

@@ -144,14 +144,15 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
 
 @njit(cache=True)
 def sweep(
-    z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array, benign: Array,
-    rates: Array, kind: Array, size: Array,
+    z: Array, bursts: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
+    benign: Array, rates: Array, kind: Array, size: Array,
 ) -> None:  # fmt: skip
     """All samples of all motors; fills kind (K, M, 11) and size (K, M).
 
-    z (K, M, 3), sigma, white, share: as in `hypotheses.Spread`; shapes (K, 5, 3); sizes (S,);
-    benign (8,): of heat and sensors, the least size that is a fault; rates: begin, end, growth,
-    tail, loose share, loose K, often, learning, end of a loose connector.
+    z, bursts (K, M, 3): as in `hypotheses.Blocks`, less the centre; sigma, white, share: as in
+    `hypotheses.Spread`; shapes (K, 5, 3); sizes (S,); benign (8,): of heat and sensors, the least
+    size that is a fault; rates: begin, end, growth, tail, loose share, loose K, often, learning,
+    end of a loose connector.
     """
     count = sizes.shape[0]
     loose = 1 + (_HEAT + 2 * _POINTS) * count
@@ -175,6 +176,9 @@ def sweep(
             else:
                 _marginal(off, sigma[m], share[m], shapes[k], sizes, nu, says[:loose])
             for q in range(_POINTS):
+                if math.isfinite(bursts[k, m, q]):
+                    says[loose + q] = says[0] + bursts[k, m, q]
+                    continue
                 own, spread = _own(off, white[m], q) if whole else (off[q], sigma[m, q])
                 says[loose + q] = says[0] + _loose(own, spread, nu, rates[4], rates[5])
             best = says.max()

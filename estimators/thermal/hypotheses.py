@@ -15,6 +15,7 @@ does not tell which motor or what.
 
 from __future__ import annotations
 
+import warnings
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -57,20 +58,63 @@ class Pace(NamedTuple):
     learnt: float = 40.0
     loose: float = 60.0
 
-    def slowed(self, samples: float) -> Pace:
-        """The same for samples that come this many times as often."""
-        return Pace(*(samples * value for value in self))
-
 
 SNAPSHOTS: Final = Pace()
 """For samples that are hours apart: every one is a motor that has settled anew."""
-STREAM_S: Final = 60.0
-"""Samples that come faster say as much as one of these: nothing heats faster."""
+BLOCK_S: Final = 60.0
+"""Readings that come faster are taken together: nothing heats faster, and noise averages out."""
+BLOCKS: Final = Pace(often=200.0, grows=8.0, learnt=400.0, loose=30.0)
+"""For such blocks: a fault grows while the motor warms, within tens of them."""
+BURST: Final = 5.0
+"""Readings of a burst are not independent; they come about this many together."""
+FALSE_SHARE: Final = 5e-4
+"""Of a good connector's readings that look like a burst."""
+FAR: Final = 6.0
+"""Standard deviations of a reading from its block that do."""
 
 
-def pace(spacing_s: float) -> Pace:
-    """For samples this far apart."""
-    return SNAPSHOTS.slowed(max(STREAM_S / spacing_s, 1.0))
+def pace(spacing_s: float) -> tuple[Pace, int]:
+    """For samples this far apart: how fast things happen, and samples to be taken together."""
+    together = max(round(BLOCK_S / spacing_s), 1)
+    return (BLOCKS if together > 1 else SNAPSHOTS), together
+
+
+class Blocks(NamedTuple):
+    """Residuals beside the peers, taken together.
+
+    middle (B, M, 3): medians of blocks; loose (B, M, 3): log odds that bursts speak for a loose
+    connector, NaN where a block is one sample.
+    """
+
+    middle: Array
+    loose: Array
+
+
+def blocks(beside: Array, together: int, noise: Array | None) -> Blocks:
+    """(K, M, 3) -> whole blocks of `together` samples; noise (M, 3) K of single readings.
+
+    Without `noise` no bursts are looked for.
+    """
+    count = len(beside) // together
+    parts = beside[: count * together].reshape(count, together, *beside.shape[1:])
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        middle = parts[:, 0] if together == 1 else np.nanmedian(parts, axis=1)
+    if together == 1 or noise is None:
+        return Blocks(middle, np.full(middle.shape, np.nan))
+    far = np.abs(parts - middle[:, None]) > FAR * noise
+    seen = np.isfinite(parts).sum(axis=1)
+    odd = far.sum(axis=1)
+    odds = odd * np.log(LOOSE_SHARE / FALSE_SHARE)
+    odds += (seen - odd) * np.log((1.0 - LOOSE_SHARE) / (1.0 - FALSE_SHARE))
+    return Blocks(middle, odds / BURST)
+
+
+def single_noise(beside: Array, together: int) -> Array:
+    """(M, 3) K: standard deviation of a reading around its block's median."""
+    parts = blocks(beside, together, None)
+    off = beside[: len(parts.middle) * together] - np.repeat(parts.middle, together, axis=0)
+    return np.asarray(np.sqrt(np.nanmean(off * off, axis=0)))
 
 
 class Spread(NamedTuple):
@@ -171,16 +215,16 @@ def signatures(parameters: Array, inputs: Drive, start: Array | None) -> Array:
     return np.asarray(more / np.maximum(largest, 1e-9)[:, None])
 
 
-def believe(beside: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
-    """Filter K samples of M motors; beside (K, M, 3), shapes (K, 5, 3)."""
-    k, m, _ = beside.shape
+def believe(seen: Blocks, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
+    """Filter K samples or blocks of M motors; shapes (K, 5, 3): see `signatures`."""
+    k, m, _ = seen.middle.shape
     kind, size = np.empty((k, m, len(KINDS))), np.empty((k, m))
     rates = np.array([
         1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows, TAIL, LOOSE_SHARE, LOOSE_K,
         1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose,
     ])  # fmt: skip
     sweep(
-        beside - known.centre, known.sigma, known.white, known.share, shapes, SIZES_K, BENIGN_K,
-        rates, kind, size,
+        seen.middle - known.centre, seen.loose, known.sigma, known.white, known.share, shapes,
+        SIZES_K, BENIGN_K, rates, kind, size,
     )  # fmt: skip
     return Belief(kind, size)

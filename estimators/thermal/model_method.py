@@ -6,6 +6,7 @@ from data that the fit has seen are too tight.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -28,6 +29,8 @@ class Calibrated:
     parameters: Array
     spread: Spread
     pace: Pace
+    together: int
+    noise: Array
 
     def beside(self, record: Record) -> Array:
         """(K, M, 3) K: readings less the model's, less the other motors' median of that."""
@@ -35,9 +38,21 @@ class Calibrated:
         return hypotheses.beside_peers(record.temperature - model)
 
     def believe(self, record: Record) -> Belief:
-        """Probabilities of every kind of fault; causal but for the record's mean signatures."""
+        """Probabilities of every kind of fault; causal but for the record's mean signatures.
+
+        Where samples come fast, those of the last whole block.
+        """
+        n = self.together
+        seen = hypotheses.blocks(self.beside(record), n, self.noise)
         shapes = hypotheses.signatures(self.parameters, drive(record), first_readings(record))
-        return hypotheses.believe(self.beside(record), self.spread, shapes, self.pace)
+        found = hypotheses.believe(seen, self.spread, shapes[n - 1 :: n], self.pace)
+        if n == 1:
+            return found
+        k = len(record.at)
+        last = (np.arange(k) + 1) // n - 1
+        begun = last >= 0
+        kind = np.where(begun[:, None, None], found.kind[last], 0.0)
+        return Belief(kind, np.where(begun[:, None], found.size_k[last], 0.0))
 
     def __call__(self, record: Record) -> Array:
         """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""
@@ -55,10 +70,17 @@ class ModelMethod:
 
     def fit(self, healthy: Record) -> Calibrated:
         """Calibrate on one fault-free record of at least some hundred samples."""
-        first, rest = split(healthy, round(self.fit_share * len(healthy.at)))
-        parameters = identify([first])
+        return self.fit_runs(split(healthy, round(self.fit_share * len(healthy.at))))
+
+    def fit_runs(self, runs: Sequence[Record]) -> Calibrated:
+        """Calibrate on two or more fault-free runs: the last one is for the spread."""
+        healthy, rest = runs[0], runs[-1]
+        parameters = identify(runs[:-1])
         residual = rest.temperature - predict(parameters, drive(rest), first_readings(rest))
         spacing_s = float(np.median(np.diff(healthy.at))) * healthy.step_s
-        found = pace(spacing_s)
+        found, together = pace(spacing_s)
         beside = hypotheses.beside_peers(residual)
-        return Calibrated(parameters, hypotheses.spread(beside, found.learnt), found)
+        noise = hypotheses.single_noise(beside, together)
+        middle = hypotheses.blocks(beside, together, None).middle
+        known = hypotheses.spread(middle, found.learnt)
+        return Calibrated(parameters, known, found, together, noise)

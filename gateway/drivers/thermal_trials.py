@@ -82,7 +82,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     """
     at = BASES[base]
     fits = FIT_RUNS[base]
-    healthy = join([record_of(train(seed, at, None, n)) for n in range(fits)])
+    healthy = [record_of(train(seed, at, None, n)) for n in range(fits)]
     limiting = record_of(train(seed, at, None, fits))
     runs = {
         kind: train(seed, at, None if kind == HEALTHY else kind, fits + 1 + n)
@@ -92,12 +92,20 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     out = []
     for name in methods:
         try:
-            fitted: Callable[[Record], Array] = METHODS[name].fit(healthy)
+            fitted = _fit(METHODS[name], healthy)
         except ModuleNotFoundError:
             continue
         limit = float(np.nanquantile(fitted(limiting), LIMIT))
         out += [Trial(seed, kind, name, _one(fitted, limit, runs[kind], at)) for kind in kinds]
     return out
+
+
+def _fit(method: Any, healthy: Sequence[Record]) -> Callable[[Record], Array]:
+    """All methods learn from the same runs; those without a model see them one after another."""
+    if isinstance(method, ModelMethod) and len(healthy) > 1:
+        return method.fit_runs(healthy)
+    fitted: Callable[[Record], Array] = method.fit(join(healthy))
+    return fitted
 
 
 def _one(fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base) -> Score:
