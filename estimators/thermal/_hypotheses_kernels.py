@@ -129,9 +129,10 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
         first = 1 + g * count
         for s in range(count):
             stay = now[first + s]
-            moved = stay * (1.0 - 2.0 * growth)
-            moved += growth * (now[first + s - 1] if s > 0 else stay)
-            moved += growth * (now[first + s + 1] if s + 1 < count else stay)
+            grows = growth if g < _HEAT else rates[9]
+            moved = stay * (1.0 - 2.0 * grows)
+            moved += grows * (now[first + s - 1] if s > 0 else stay)
+            moved += grows * (now[first + s + 1] if s + 1 < count else stay)
             ill = _faulty(g, sizes[s], limit)
             enter = begin / faults if ill else often / (count - faults)
             out[first + s] = (1.0 - end) * moved + share * enter
@@ -152,7 +153,8 @@ def sweep(
     z, bursts (K, M, 3): as in `hypotheses.Blocks`, less the centre; sigma, white, share: as in
     `hypotheses.Spread`; shapes (K, 5, 3); sizes (S,); benign (8,): of heat and sensors, the least
     size that is a fault; rates: begin, end, growth, tail, loose share, loose K, often, learning,
-    end of a loose connector.
+    end of a
+    loose connector, growth of a sensor's error.
     """
     count = sizes.shape[0]
     loose = 1 + (_HEAT + 2 * _POINTS) * count

@@ -48,7 +48,8 @@ class Pace(NamedTuple):
 
     healthy: until a fault is expected; ill: that it lasts; often: until dirt, draught or weather
     is; grows: until a size becomes the next larger, or smaller; learnt: time constant of a motor's
-    baseline, which is learnt while there is no fault; loose: that a loose connector is remembered.
+    baseline, which is learnt while there is no fault; loose: that a loose connector is remembered;
+    drifts: as `grows`, for a sensor's error.
     """
 
     healthy: float = 5000.0
@@ -57,13 +58,14 @@ class Pace(NamedTuple):
     grows: float = 50.0
     learnt: float = 40.0
     loose: float = 60.0
+    drifts: float = 50.0
 
 
 SNAPSHOTS: Final = Pace()
 """For samples that are hours apart: every one is a motor that has settled anew."""
 BLOCK_S: Final = 60.0
 """Readings that come faster are taken together: nothing heats faster, and noise averages out."""
-BLOCKS: Final = Pace(often=200.0, grows=8.0, learnt=400.0, loose=30.0)
+BLOCKS: Final = Pace(often=200.0, grows=3.0, learnt=120.0, loose=30.0, drifts=1000.0)
 """For such blocks: a fault grows while the motor warms, within tens of them."""
 BURST: Final = 5.0
 """Readings of a burst are not independent; they come about this many together."""
@@ -221,7 +223,7 @@ def believe(seen: Blocks, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) ->
     kind, size = np.empty((k, m, len(KINDS))), np.empty((k, m))
     rates = np.array([
         1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows, TAIL, LOOSE_SHARE, LOOSE_K,
-        1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose,
+        1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose, 1.0 / at.drifts,
     ])  # fmt: skip
     sweep(
         seen.middle - known.centre, seen.loose, known.sigma, known.white, known.share, shapes,
