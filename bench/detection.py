@@ -1,4 +1,4 @@
-"""`python -m bench.detection`: regenerate docs/evaluation/, how well losses are found.
+"""`python -m bench.detection`: regenerate docs/evaluation/, how well losses and thermal faults are found.
 
 Each table is the output of one `traction-gateway evaluate`, whose command stands above it. On
 reporting seeds; half an hour on two cores.
@@ -24,6 +24,7 @@ RUNS: Final = {
     "mismatch": "--seeds 2000-2019 --detector vb --family mismatch",
     "mismatch_fd": f"--seeds 2000-2019 --detector vb --family mismatch {FD}",
     "hard": "--seeds 3000-3119 --detector vb --family healthy_hard",
+    "thermal_days": "thermal --seeds reporting",
     "detectors": "--seeds 2000-2009 --family single majority n2 braking rough all_together",
 }
 """Options of `evaluate` by the name of the table."""

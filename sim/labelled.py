@@ -101,11 +101,13 @@ class Fault(NamedTuple):
 class Labelled(NamedTuple):
     """A train's record and its truth.
 
-    temperature (K, M, 3) degC as read; at (K,): steps; current_square (L, M), speed (L,), ambient
-    (L,) as measured; effect (K, M, 3) K: readings less those without the fault, noise aside.
+    temperature (K, M, 3) degC as read, true (K, M, 3) without noise; at (K,): steps; current_square
+    (L, M), speed (L,), ambient (L,) as measured; effect (K, M, 3) K: readings less those without
+    the fault, noise aside.
     """
 
     temperature: Array
+    true: Array
     at: NDArray[np.int64]
     current_square: Array
     speed: Array
@@ -151,9 +153,11 @@ def train(seed: int, base: Base, kind: str | None, number: int = 0) -> Labelled:
         real = _heat(base, square, speed, (local, air, friction), ills, at)
     offset = OFFSET_K * _clipped(own, (MOTORS, len(MEASURED)))
     noise = READING_NOISE_K * rng.standard_normal(real.shape)
-    reading = np.round((real + offset + error + noise) / RESOLUTION_K) * RESOLUTION_K
+    true = real + offset + error
+    reading = np.round((true + noise) / RESOLUTION_K) * RESOLUTION_K
     seen = ambient + 0.3 * rng.standard_normal(steps)
-    return Labelled(reading, at, square, speed, seen, base.step_s, real - healthy + error, fault)
+    effect = real - healthy + error
+    return Labelled(reading, true, at, square, speed, seen, base.step_s, effect, fault)
 
 
 def _clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:

@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 KAPPA: Final = 0.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
+READING_VAR: Final = 0.1
+"""K^2: noise and resolution of a temperature."""
 LOSSES: Final = 1.0 / np.geomspace(200.0, 7200.0, 15)
 """Tried for xi, 1/s."""
 
@@ -74,11 +76,10 @@ def lumps(record: Record) -> Lumps:
                 if float(error @ error) < best:
                     best = float(error @ error)
                     gain[m, p], loss[m, p], offset[m, p] = a, xi, b
-                    steps = np.diff(error)
-                    total = max(float(np.var(error)), 1e-4)
-                    # What changes from sample to sample is noise, the rest wanders.
-                    r[m, p] = min(max(0.5 * float(np.var(steps)), 1e-3), total)
-                    q[m, p] = max(total - r[m, p], 0.05 * total)
+                    # Between samples that are hours apart the model's error is white as well:
+                    # only what a sensor is like tells the two apart.
+                    total = max(float(np.var(error)), 2.0 * READING_VAR)
+                    r[m, p], q[m, p] = READING_VAR, total - READING_VAR
     level = np.nanmean(record.temperature, axis=(0, 1))
     return Lumps(gain, loss, offset, q, r, level - level.mean())
 

@@ -1,4 +1,7 @@
-"""`reproduce adhesion -o DIR`: section 5 of paper `adhesion`, its Table 1 and Figures 5-9."""
+"""`reproduce adhesion|thermal -o DIR`: tables and figures of the two papers.
+
+Paper `adhesion`: section 5, Table 1 and Figures 5-9; `thermal`: see `reproduce_thermal`.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +25,11 @@ STANDING_SEEDS: Final = tuple(range(5, 17))
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.add_argument("paper", choices=["adhesion"], help="which paper")
+    parser.add_argument("paper", choices=["adhesion", "thermal"], help="which paper")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", required=True,
                         help="folder for tables, figures, logs and report")  # fmt: skip
     parser.add_argument("--seed", type=_seed, metavar="N",
-                        help="of noise and start angles (default: the scenario's)")  # fmt: skip
+                        help="adhesion: of noise and start angles")  # fmt: skip
 
 
 def _seed(text: str) -> int:
@@ -36,7 +39,9 @@ def _seed(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Reproduce; Table 1 beside the paper on stdout."""
+    """Reproduce; the paper's table beside ours on stdout."""
+    if options.paper == "thermal":
+        return _thermal(options.output)
     from gateway.commands import section5
     from gateway.results.reproduction_text import table_text
     from sim.scenario import builtin
@@ -50,6 +55,19 @@ def run(options: argparse.Namespace) -> int:
     agree = sum(c.agrees for c in outcome.cells)
     print(f"{agree} of {len(outcome.cells)} numbers agree with the paper")
     print(f"report: {options.output / 'report.html'}")
+    console().print(f"done in {time.perf_counter() - began:.0f} s")
+    return GOOD
+
+
+def _thermal(folder: Path) -> int:
+    from gateway.commands import reproduce_thermal as thermal
+    from gateway.results.thermal_report import table
+
+    began = time.perf_counter()
+    with _progress(thermal.TRAINS + thermal.STEPS) as step:
+        outcome = thermal.reproduce(folder, step)
+    print(table(outcome))
+    print(f"report: {folder / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD
 

@@ -92,7 +92,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     out = []
     for name in methods:
         try:
-            fitted = _fit(METHODS[name], healthy)
+            fitted = fit(METHODS[name], healthy)
         except ModuleNotFoundError:
             continue
         limit = float(np.nanquantile(fitted(limiting), LIMIT))
@@ -100,7 +100,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     return out
 
 
-def _fit(method: Any, healthy: Sequence[Record]) -> Callable[[Record], Array]:
+def fit(method: Any, healthy: Sequence[Record]) -> Callable[[Record], Array]:
     """All methods learn from the same runs; those without a model see them one after another."""
     if isinstance(method, ModelMethod) and len(healthy) > 1:
         return method.fit_runs(healthy)

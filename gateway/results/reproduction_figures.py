@@ -64,7 +64,7 @@ def loads(stem: Path, picture: Picture, method: str) -> None:
     n = picture.true.shape[1]
     common = GLOBAL_ESTIMATES[method](picture.estimated)
     difference = picture.estimated - common[:, None]
-    figure, axes = _subplots(n, 2, (13.0, 2.5 * n + 1.3), sharex=True)
+    figure, axes = subplots(n, 2, (13.0, 2.5 * n + 1.3), sharex=True)
     for d in range(n):
         left, right = axes[d]
         for axis in (left, right):
@@ -96,14 +96,14 @@ def loads(stem: Path, picture: Picture, method: str) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     number = 5 + list(METHODS).index(method)
     figure.suptitle(f"Figure {number}: loads and differences with {TITLES[method]}")
-    _save(figure, stem)
+    save(figure, stem)
 
 
 def histograms(stem: Path, picture: Picture) -> None:
     """Figure 9 as `stem`.png and .svg: a row per method, a column per drive. Raises OSError."""
     n = picture.true.shape[1]
     every = differences(picture.estimated)
-    figure, axes = _subplots(len(every), n, (4.1 * n, 9.4), sharey=True)
+    figure, axes = subplots(len(every), n, (4.1 * n, 9.4), sharey=True)
     for d in range(n):
         column = np.concatenate([difference[:, d] for difference in every.values()])
         width = 0.5 if np.ptp(column) > WIDE_NM else 0.1
@@ -122,10 +122,10 @@ def histograms(stem: Path, picture: Picture) -> None:
             if m == len(every) - 1:
                 axis.set_xlabel("$M_z - M_z^{(G)}$ / Nm")
     figure.suptitle("Figure 9: histograms of the differences, logarithmic counts")
-    _save(figure, stem)
+    save(figure, stem)
 
 
-def _subplots(rows: int, columns: int, size: tuple[float, float], **shared: Any) -> Any:
+def subplots(rows: int, columns: int, size: tuple[float, float], **shared: Any) -> Any:
     """A figure and its axes (rows, columns), drawn without a screen."""
     import matplotlib as mpl
 
@@ -135,7 +135,7 @@ def _subplots(rows: int, columns: int, size: tuple[float, float], **shared: Any)
     return plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained", **shared)
 
 
-def _save(figure: Figure, stem: Path) -> None:
+def save(figure: Figure, stem: Path) -> None:
     """PNG and SVG without date and random names: the same numbers give the same bytes."""
     import matplotlib as mpl
     from matplotlib import pyplot as plt

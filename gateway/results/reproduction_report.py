@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import platform
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
@@ -12,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.results import page
 from gateway.results.reproduction import (
     QUARTILE_TOLERANCE_NM,
     RELATIVE_TOLERANCE,
@@ -59,16 +59,7 @@ class Outcome(NamedTuple):
 
 def write(folder: Path, outcome: Outcome) -> None:
     """`report.md` and `report.html` beside the figures already there. Raises OSError."""
-    from markdown_it import MarkdownIt
-
-    text = markdown(outcome)
-    (folder / "report.md").write_text(text, encoding="utf-8")
-    body = MarkdownIt("commonmark").enable("table").render(text)
-    for name in FIGURES:
-        picture = base64.b64encode((folder / f"{name}.svg").read_bytes()).decode()
-        body = body.replace(f'src="{name}.svg"', f'src="data:image/svg+xml;base64,{picture}"')
-    page = PAGE.replace("BODY", body)
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    page.write(folder, "Section 5 of paper adhesion, reproduced", markdown(outcome), FIGURES)
 
 
 def markdown(outcome: Outcome) -> str:
@@ -254,28 +245,3 @@ def _assumptions(outcome: Outcome) -> list[str]:
         f"Files: `table1.csv`, `table1_paths.csv`, {', '.join(f'`{n}.png`' for n in FIGURES)} and "
         f"the same as `.svg`, `section5_fd.log`, `section5_classic.log` (seed {outcome.seed}).",
     ]  # fmt: skip
-
-
-PAGE: Final = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Section 5 of paper adhesion, reproduced</title>
-<style>
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 72rem;
-       margin: 2rem auto; padding: 0 1rem; }
-table { border-collapse: collapse; font-size: 0.85rem; margin: 1rem 0; display: block;
-        overflow-x: auto; font-variant-numeric: tabular-nums; }
-th, td { border-bottom: 1px solid #ddd; padding: 0.25rem 0.6rem; }
-th { background: #f4f4f4; }
-td:first-child { white-space: nowrap; }
-strong { color: #B03A00; }
-code { background: #f4f4f4; padding: 0 0.2em; }
-img { max-width: 100%; height: auto; }
-</style>
-</head>
-<body>
-BODY</body>
-</html>
-"""

@@ -1,0 +1,105 @@
+"""`reproduce thermal`: Table 2 and Figures 4-8 of paper `thermal`, on labelled trains."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.results.thermal_figures import Train
+from gateway.results.thermal_report import Outcome
+from gateway.results.thermal_scores import Score
+
+TRAINS: Final = 20
+FIRST_SEED: Final = 2000
+"""Neither tuned on nor kept for the benchmark's reporting."""
+KIND: Final = "overheating"
+BASE: Final = "days"
+STEPS: Final = 3
+"""Of `reproduce` beside the trains."""
+MOST_JOBS: Final = 4
+
+
+def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -> Outcome:
+    """Everything into `folder`; `step(what comes next)` is called `trains` + STEPS times.
+
+    Raises OSError where `folder` cannot be written.
+    """
+    from gateway.drivers.thermal_trials import METHODS, evaluate
+    from gateway.results import thermal_figures as figures
+    from gateway.results import thermal_report as report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    seeds = range(FIRST_SEED, FIRST_SEED + trains)
+    scores: dict[str, list[Score]] = {name: [] for name in METHODS}
+    jobs = min(os.cpu_count() or 1, MOST_JOBS, trains)
+    step(f"{trains} trains, {len(METHODS)} methods, {jobs} processes")
+    for seed, rows in zip(seeds, evaluate(seeds, BASE, (KIND,), tuple(METHODS), jobs), strict=True):
+        step(f"train {seed}")
+        for row in rows:
+            scores[row.method].append(row.score)
+    step("figures")
+    train, found = picture(FIRST_SEED)
+    figures.states(folder / "figure4", train)
+    figures.errors(folder / "figure5", train)
+    figures.jumps(folder / "figure6", train)
+    figures.motors(folder / "figure7", train)
+    figures.detection(folder / "figure8", train, found)
+    step("report")
+    missing = [name for name, own in scores.items() if not own]
+    outcome = Outcome(KIND, list(seeds), scores, missing)
+    report.write(folder, outcome)
+    return outcome
+
+
+def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], float]]]:
+    """What the figures show of one train, and every method's statistic with its limit."""
+    from estimators.thermal import degradation
+    from estimators.thermal.maisd_method import LIMIT as QUANTILE
+    from estimators.thermal.maisd_method import maisd, moving_average
+    from estimators.thermal.sigma_mixed import SigmaMixedFilter, lumps
+    from gateway.drivers.thermal_trials import FIT_RUNS, LIMIT, METHODS, fit, record_of
+    from sim.labelled import BASES, KINDS, train
+
+    base, fits = BASES[BASE], FIT_RUNS[BASE]
+    healthy = [record_of(train(seed, base, None, n)) for n in range(fits)]
+    limiting = record_of(train(seed, base, None, fits))
+    run = train(seed, base, KIND, fits + 1 + KINDS.index(KIND))
+    assert run.fault is not None
+    record = record_of(run)
+    known, plain = lumps(healthy[0]), SigmaMixedFilter()
+    estimates = plain.run(record, known)
+    window = METHODS["paper"].window
+    spreads = [
+        maisd(moving_average(states, window, causal=False))
+        for states in (plain.run(healthy[0], known).state, estimates.state)
+    ]
+    m = run.fault.motor
+    beyond = estimates.state[:, m, 0] - estimates.state[:, :, 0].mean(axis=1)
+    per_day = 86_400.0 / base.sample_s
+    shown = Train(
+        days=np.arange(1, base.samples + 1) / per_day,
+        fault=(run.fault.begin / per_day, run.fault.end / per_day),
+        odd=m,
+        reading=run.temperature,
+        true=run.true,
+        state=estimates.state,
+        mixed=estimates.mixed,
+        beyond=beyond,
+        detail=np.diff(beyond),
+        jumps=degradation.jump_points(beyond),
+        maisd=spreads[1],
+        limit=np.quantile(spreads[0], QUANTILE, axis=0),
+    )
+    found: dict[str, tuple[NDArray[np.float64], float]] = {}
+    for name, method in METHODS.items():
+        try:
+            score = fit(method, healthy)
+        except ModuleNotFoundError:
+            continue
+        found[name] = score(record), float(np.nanquantile(score(limiting), LIMIT))
+    return shown, found
