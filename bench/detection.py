@@ -1,4 +1,4 @@
-"""`python -m bench.detection`: regenerate docs/evaluation/, how well losses and thermal faults are found.
+"""`python -m bench.detection`: regenerate docs/evaluation/, how well losses and faults are found.
 
 Each table is the output of one `traction-gateway evaluate`, whose command stands above it. On
 reporting seeds; half an hour on two cores.

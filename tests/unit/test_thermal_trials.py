@@ -141,3 +141,33 @@ def test_wrong_words_are_explained(capsys, words, hint):
     assert main(["evaluate", "thermal", *words]) == 2
     assert hint in " ".join(capsys.readouterr().err.split())
     assert REPORTING.start == 1000
+
+
+def test_the_paper_reproduced(tmp_path):
+    """Table and figures of two trains; the whole command does twenty."""
+    from gateway.commands import reproduce_thermal
+    from gateway.results.thermal_report import FIGURES, markdown, rows
+
+    steps = []
+    outcome = reproduce_thermal.reproduce(tmp_path, steps.append, trains=2)
+    assert len(steps) == 2 + reproduce_thermal.STEPS
+    for name in FIGURES:
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+        assert "<svg" in (tmp_path / f"{name}.svg").read_text()[:2000]
+    text = (tmp_path / "report.md").read_text()
+    assert text == markdown(outcome)
+    assert "94.4 / 2.75 / 4.44, 1.24" in text
+    assert "between 95.56 and 97.25" in text
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/svg+xml;base64") == len(FIGURES)
+    assert "<title>Paper thermal, reproduced</title>" in page
+    table = {row[0]: row for row in rows(outcome)}
+    ours = float(table["calibrated model and hypotheses (the product's)"][1].split()[0])
+    causal = float(table["the paper's method, causal"][1].split()[0])
+    assert ours > causal
+    again = reproduce_thermal.reproduce(tmp_path / "again", steps.append, trains=2)
+    timeless = [s._replace(seconds=0.0) for s in again.scores["model"]]
+    assert timeless == [s._replace(seconds=0.0) for s in outcome.scores["model"]]
+    for name in FIGURES:
+        first, second = (p / f"{name}.svg" for p in (tmp_path, tmp_path / "again"))
+        assert first.read_bytes() == second.read_bytes()
