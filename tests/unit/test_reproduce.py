@@ -289,7 +289,8 @@ def test_another_seed_is_another_run(scenario):
 
 
 @pytest.mark.parametrize(
-    "words", [["weather", "-o", "x"], ["thermal"], ["adhesion"], ["adhesion", "-o", "x", "--seed", "-1"]]
+    "words",
+    [["weather", "-o", "x"], ["thermal"], ["adhesion"], ["adhesion", "-o", "x", "--seed", "-1"]],
 )
 def test_what_is_not_there_is_refused(words, capsys):
     with pytest.raises(SystemExit) as refused:
