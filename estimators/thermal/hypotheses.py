@@ -35,8 +35,7 @@ SIZES_K: Final = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.2, 6.0, 8.5, 12.0,
 BENIGN_K: Final = np.array([1.5, 2.5, 2.5, 2.5, 1.5, 1.5, 1.5, 1.5])
 """Of `HEAT` and `SENSORS`: smaller ones are no faults but dirt, draught, weather and wear, which
 air and bearings have more of. States of their own, so that they are taken neither for nothing nor
-for a
-fault."""
+for a fault."""
 TAIL: Final = 5.0
 """Degrees of freedom of the readings' Student t."""
 LOOSE_SHARE, LOOSE_K = 0.1, 60.0

@@ -83,9 +83,6 @@ def test_identification_bears_holes_and_refuses_nothing_at_all():
         identify([seen._replace(temperature=np.full_like(holes, np.nan))])
 
 
-SIGNATURE = {"overheating": (1.0, 0.3, 0.3), "bearing_de": (0.1, 1.0, 0.1)}
-
-
 def shapes(k):
     """Signatures of a motor whose faults do not depend on the duty."""
     rows = [(1.0, 0.35, 0.35), (1.0, 0.8, 0.8), (0.1, 1.0, 0.1), (0.1, 0.1, 1.0)]
