@@ -34,14 +34,15 @@ def balance(
     n_gap: Ints,
     dt: float,
     w_e: Array,
+    ready: NDArray[np.bool_],
     rated: Array,
     out: Array,
 ) -> None:
     """Correct M samples by what is known so far, and learn from them.
 
-    drive, y (M, 2), n_sub, n_gap, dt: as in `ekf_sweep`; w_e (N,): electrical speed, rad/s, 0
-    while it is not known; rated (N,) A; out (M, 2) is filled. Never raises on numbers: a sample
-    that is not finite stays what it is and begins the revolution anew.
+    drive, y (M, 2), n_sub, n_gap, dt: as in `ekf_sweep`; w_e (N,): electrical speed, rad/s, where
+    it is known (`ready`, (N,)); rated (N,) A; out (M, 2) is filled. Never raises on numbers: a
+    sample that is not finite stays what it is and begins the revolution anew.
     """
     for k in range(drive.shape[0]):
         d = drive[k]
@@ -53,7 +54,7 @@ def balance(
         centred = z - state.offset_now[d]
         i = (centred - n * centred.conjugate()) / (1.0 - abs(n) ** 2)
         out[k, 0], out[k, 1] = i.real, i.imag
-        step = abs(w_e[d]) * n_sub[k] * dt
+        step = abs(w_e[d]) * n_sub[k] * dt if ready[d] else 0.0
         if not (0.0 < step <= _MOST_STEP and n_gap[k] == 0 and math.isfinite(z.real + z.imag)):
             _begin(state, d)
             state.square[d] = 0.0

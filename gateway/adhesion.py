@@ -111,8 +111,8 @@ class AdhesionSide:
         at = self._instant(drives, estimates, flags, fresh, now)
         known = at.known.tolist()
         heard = self._heard(drives, estimates, fresh, known, now)
-        referred = self.reference.referred(at.load) / at.share
-        spread = np.hypot(self.reference.sigma(at.load), PASSING * at.load) / at.share
+        referred, spread = np.empty_like(at.load), np.empty_like(at.load)
+        compiled.refer(self.reference, at.load, at.share, PASSING, referred, spread)
         compared = self.detector(Evidence(referred, spread, at.known, self._speeds(estimates)))
         self._known = [
             (now if since is None else since) if sure else None
@@ -120,10 +120,11 @@ class AdhesionSide:
         ]
         opinion, alone = self._respond(compared, heard)
         # Of what the others carry, or with nobody to compare with, of the command.
-        common = opinion.common or heard.command
-        missing = np.abs(common) - np.sign(common) * (referred if opinion.common else heard.load)
-        severe = np.maximum(SEVERE * np.abs(common), SEVERE_SPREADS * spread)
-        self.severe = (at.known & (missing > severe)).tolist()
+        severe = np.empty_like(at.known)
+        compiled.severely(
+            opinion.common, heard, referred, spread, at.known, SEVERE, SEVERE_SPREADS, severe
+        )
+        self.severe = severe.tolist()
         self._common_mode(alone.tolist(), heard.usable.tolist(), known, now)
         self._learn(at, heard, opinion, flags, now)
         return opinion

@@ -177,8 +177,8 @@ class Bank:
     def _sweep(self, samples: Samples) -> None:
         drive, u, measured, n_sub, n_gap = samples
         dt, y = SAMPLE_NS * 1e-9, np.empty_like(measured)
-        w_e = np.where(self.chords.ready, self.chords.w, 0.0)
-        balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, self.rated.I, y)
+        w_e, known = self.chords.w, self.chords.ready
+        balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, known, self.rated.I, y)
         lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
         nis = np.empty(len(drive))
         ok = np.empty(len(self.tracks), dtype=np.bool_)

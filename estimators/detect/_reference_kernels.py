@@ -42,6 +42,39 @@ _SQRT_HALF = 1.0 / math.sqrt(2.0)
 
 
 @njit(cache=True)
+def refer(
+    memory: reference.Reference, load: Array, share: Array, passing: float, out: Array,
+    spread: Array,
+) -> None:  # fmt: skip
+    """Loads as if the drives were equal and fully commanded, out (N,), and their spread (N,).
+
+    `Reference.referred` and `sigma` over `share`; passing: relative, of what is not learnt.
+    """
+    for i in range(load.shape[0]):
+        x = load[i]
+        out[i] = x / memory.ratio[i] / share[i]
+        square = memory.spread * memory.spread + (memory.variance[i] + passing * passing) * x * x
+        spread[i] = math.sqrt(square) / share[i]
+
+
+@njit(cache=True)
+def severely(
+    common: float, heard: response.Heard, referred: Array, spread: Array, known: Flags,
+    part: float, spreads: float, out: Flags,
+) -> None:  # fmt: skip
+    """Drives that miss more than `part`, and `spreads`, of what the others carry; fills out (N,).
+
+    With nobody to compare with (`common` 0) of their own command.
+    """
+    for i in range(out.shape[0]):
+        wanted = common if common != 0.0 else heard.command[i]
+        carried = referred[i] if common != 0.0 else heard.load[i]
+        missing = wanted - carried if wanted > 0.0 else carried - wanted
+        least = max(part * abs(wanted), spreads * spread[i])
+        out[i] = known[i] and wanted != 0.0 and missing > least
+
+
+@njit(cache=True)
 def watch(
     memory: reference.Reference, load: Array, common: Array, known: Flags, relative: bool
 ) -> float:

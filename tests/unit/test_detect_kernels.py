@@ -99,3 +99,28 @@ def test_a_response_outvotes_a_comparison_only_where_it_is_sure():
     everyone, meant = np.ones(4, dtype=bool), np.array([True, True, False, True])
     fused = response.fuse(compared, alone, everyone, meant)
     assert fused.lost.tolist() == [response.VETOED, 0.99, 0.99, 0.99]
+
+
+def test_referred_loads_and_severe_losses_are_those_of_the_array_forms():
+    rng = np.random.default_rng(11)
+    for _ in range(200):
+        n = int(rng.integers(1, 6))
+        memory = reference.start(n, 0.02)._replace(
+            ratio=rng.uniform(0.8, 1.2, n), variance=rng.uniform(0.0, 0.004, n)
+        )
+        load, share = rng.normal(0.0, 0.6, n), rng.uniform(0.2, 1.0, n)
+        referred, spread = np.empty(n), np.empty(n)
+        compiled.refer(memory, load, share, 0.035, referred, spread)
+        np.testing.assert_allclose(referred, memory.referred(load) / share, rtol=1e-12)
+        both = np.hypot(memory.sigma(load), 0.035 * load) / share
+        np.testing.assert_allclose(spread, both, rtol=1e-12)
+        known, command = rng.random(n) < 0.8, rng.normal(0.0, 0.6, n)
+        zero = np.zeros(n)
+        heard = response.Heard(load, zero, command, command, zero, known)
+        for common in (0.0, 0.5, -0.5):
+            out = np.empty(n, dtype=np.bool_)
+            compiled.severely(common, heard, referred, spread, known, 0.35, 6.0, out)
+            wanted = common or command
+            missing = np.abs(wanted) - np.sign(wanted) * (referred if common else load)
+            severe = missing > np.maximum(0.35 * np.abs(wanted), 6.0 * spread)
+            np.testing.assert_array_equal(out, known & severe)

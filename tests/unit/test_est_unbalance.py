@@ -32,7 +32,11 @@ def feed(state, z, w, *, gap=None, rated=RATED, drive=None):
         one = slice(k, k + 1)
         speed = np.broadcast_to(w, m)[one]
         speeds = np.broadcast_to(speed, len(rated)).astype(float)
-        balance(state, drive[one], y[one], np.array([16]), gap[one], SUB_S, speeds, rated, out[one])
+        ready = np.ones(len(rated), dtype=np.bool_)
+        balance(
+            state, drive[one], y[one], np.array([16]), gap[one], SUB_S, speeds, ready, rated,
+            out[one],
+        )  # fmt: skip
     return out[:, 0] + 1j * out[:, 1]
 
 
@@ -126,6 +130,18 @@ def test_what_is_taken_off_follows_smoothly():
     assert abs(i[-1] - (z - taken)[-1]) < 0.02
 
 
+def test_a_speed_that_is_not_known_teaches_nothing():
+    _, z = currents(3.0, 100.0, 15.0, offset=0.5)
+    y, out, state = np.stack([z.real, z.imag], axis=1), np.empty((len(z), 2)), start(1)
+    nothing, m = np.zeros(len(z), dtype=np.int64), len(z)
+    balance(
+        state, nothing.astype(np.int32), y, np.full(m, 16), nothing, SUB_S, np.array([100.0]),
+        np.array([False]), RATED, out,
+    )  # fmt: skip
+    assert state.turns[0] == 0
+    np.testing.assert_allclose(out, y)
+
+
 def test_a_hole_or_no_number_begins_the_revolution_anew():
     _, z = currents(3.0, 100.0, 15.0, offset=0.5)
     state = start(1)
@@ -166,7 +182,7 @@ def test_compiled_equals_plain():
         state, out = start(1), np.empty((m, 2))
         run(
             state, np.zeros(m, dtype=np.int32), y, np.full(m, 16), np.zeros(m, dtype=np.int64),
-            SUB_S, np.array([90.0]), RATED, out,
+            SUB_S, np.array([90.0]), np.array([True]), RATED, out,
         )  # fmt: skip
         results.append((*state, out))
     for compiled, plain in zip(*results, strict=True):
