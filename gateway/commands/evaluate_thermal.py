@@ -29,11 +29,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
-    from gateway.drivers.thermal_trials import HEALTHY, METHODS, evaluate
+    from gateway.drivers.evaluation import seeds_of
+    from gateway.drivers.thermal_trials import (
+        DEVELOPMENT,
+        HEALTHY,
+        METHODS,
+        REPORTING,
+        evaluate,
+    )
     from gateway.results.thermal_scores import cells, table
     from sim.labelled import KINDS
 
-    seeds = seeds_of(options.seeds)
+    seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
     kinds = _known("kind", options.kind, (*KINDS, HEALTHY))
     methods = _known("method", options.method, tuple(METHODS))
     say = console()
@@ -61,24 +68,6 @@ def run(options: argparse.Namespace) -> int:
         path.write_text(f"{title}\n\n{text}\n\n{NOTE}{missing}\n", encoding="utf-8")
         say.print(f"written: {path}", markup=False)
     return GOOD
-
-
-def seeds_of(text: str) -> Sequence[int]:
-    """As for detectors, with the thermal trains' own ranges. Raises ConfigError."""
-    from gateway.config import ConfigError
-    from gateway.drivers.thermal_trials import DEVELOPMENT, REPORTING
-
-    if text in ("development", "reporting"):
-        return DEVELOPMENT if text == "development" else REPORTING
-    first, dash, last = text.partition("-")
-    digits = first.isdecimal() and (last.isdecimal() or not dash)
-    seeds = range(int(first), int(last if dash else first) + 1) if digits else range(0)
-    if not seeds:
-        raise ConfigError("--seeds", [f"{text!r} is none of development, reporting, A-B"])
-    if set(seeds) & set(REPORTING):
-        kept = f"{REPORTING.start}-{REPORTING.stop - 1}"
-        raise ConfigError("--seeds", [f"{kept} are kept for reporting; say --seeds reporting"])
-    return seeds
 
 
 def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -45,21 +45,23 @@ class Recording(NamedTuple):
     truth: list[Truth]
 
 
-def seeds_of(text: str) -> tuple[int, ...]:
+def seeds_of(
+    text: str, development: range = DEVELOPMENT, reporting: range = REPORTING
+) -> tuple[int, ...]:
     """Seeds by name (`development`, `reporting`) or as `A-B` or `A`.
 
     Raises ConfigError for anything else, and for numbers that are kept for reporting: those
     have to be asked for by name.
     """
     if text in ("development", "reporting"):
-        return tuple(DEVELOPMENT if text == "development" else REPORTING)
+        return tuple(development if text == "development" else reporting)
     first, dash, last = text.partition("-")
     digits = first.isdecimal() and (last.isdecimal() or not dash)
     seeds = range(int(first), int(last if dash else first) + 1) if digits else range(0)
     if not seeds:
         raise ConfigError("--seeds", [f"{text!r} is none of development, reporting, A-B"])
-    if set(seeds) & set(REPORTING):
-        kept = f"{REPORTING.start}-{REPORTING.stop - 1}"
+    if set(seeds) & set(reporting):
+        kept = f"{reporting.start}-{reporting.stop - 1}"
         raise ConfigError("--seeds", [f"{kept} are kept for reporting; say --seeds reporting"])
     return tuple(seeds)
 

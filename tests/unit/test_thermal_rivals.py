@@ -1,6 +1,6 @@
 """The rivals of the thermal method: causal, repeatable, blind to nothing obvious, never raising."""
 
-import importlib.util
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -132,8 +132,8 @@ def test_too_short_a_run_is_refused(name):
         RIVALS[name].fit(short)
 
 
-@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
-def test_without_torch_the_lstm_says_what_to_install():
+def test_without_torch_the_lstm_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install traction-gateway\[lstm\]"):
         Lstm().fit(run("days", 0))
 

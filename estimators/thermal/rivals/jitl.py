@@ -45,7 +45,7 @@ class Jitl:
             raise ValueError(f"{len(healthy.at)} samples are too few")
         start = usual(healthy.temperature)
         every = slice(None, None, -(-len(healthy.at) // self.most))
-        inputs, targets = self._views(healthy, start)
+        inputs, targets = rises(healthy, start, self.others)
         centre, scale = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-3)
         inputs = (inputs - centre) / scale
         store, known = inputs[every], targets[every]
@@ -62,20 +62,21 @@ class Jitl:
         norm = Norm.of(own, max(round(window / (every.step or 1)), 1), window, self.joint)
 
         def score(record: Record) -> Array:
-            inputs, targets = self._views(record, start)
+            inputs, targets = rises(record, start, self.others)
             inputs = (inputs - centre) / scale
             far, near = search.kneighbors(inputs)
             return norm(residual(inputs, targets, far, near))
 
         return score
 
-    def _views(self, record: Record, start: Array) -> tuple[Array, Array]:
-        """(K, U) inputs and (K, 3 M) targets, K above the ambient."""
-        known = features(record)
-        rise = filled(record.temperature, start) - known[:, :1, None]
-        if self.others and record.motors > 1:
-            rise = against_others(rise)
-        return known[:, 1:], rise.reshape(len(rise), -1)
+
+def rises(record: Record, start: Array, others: bool) -> tuple[Array, Array]:
+    """(K, U) inputs and (K, 3 M) targets, K above the ambient; `others`: beside their median."""
+    known = features(record)
+    rise = filled(record.temperature, start) - known[:, :1, None]
+    if others and record.motors > 1:
+        rise = against_others(rise)
+    return known[:, 1:], rise.reshape(len(rise), -1)
 
 
 class Norm(NamedTuple):

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from estimators.thermal.record import Array, Record, features
-from estimators.thermal.rivals.dpca import Scorer, against_others, filled, span, usual
-from estimators.thermal.rivals.jitl import Norm
+from estimators.thermal.record import Array, Record
+from estimators.thermal.rivals.dpca import Scorer, span, usual
+from estimators.thermal.rivals.jitl import Norm, rises
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Lstm:
         if len(healthy.at) - early < 10:
             raise ValueError(f"{len(healthy.at)} samples are too few")
         start = usual(healthy.temperature)
-        inputs, targets = self._views(healthy, start)
+        inputs, targets = rises(healthy, start, self.others)
         scaled, centre = _standard(inputs), _standard(targets)
         every = -(-(len(inputs) - early) // self.most)
         rows = np.arange(early, len(inputs), every)
@@ -80,7 +80,7 @@ class Lstm:
         norm = Norm.of(own, max(round(window / every), 1), window, self.joint)
 
         def score(record: Record) -> Array:
-            inputs, targets = self._views(record, start)
+            inputs, targets = rises(record, start, self.others)
             out = np.full(len(inputs), np.nan)
             if len(inputs) > early:
                 rows = np.arange(early, len(inputs))
@@ -88,14 +88,6 @@ class Lstm:
             return out
 
         return score
-
-    def _views(self, record: Record, start: Array) -> tuple[Array, Array]:
-        """(K, U) inputs and (K, 3 M) targets, K above the ambient."""
-        known = features(record)
-        rise = filled(record.temperature, start) - known[:, :1, None]
-        if self.others and record.motors > 1:
-            rise = against_others(rise)
-        return known[:, 1:], rise.reshape(len(rise), -1)
 
     def _learn(self, torch: Any, x: Any, y: Any) -> Any:
         """The network that did best on the last fifth, which it has not learnt from."""
