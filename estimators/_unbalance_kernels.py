@@ -23,6 +23,8 @@ _STEADY = unbalance.STEADY
 _LEAST = unbalance.LEAST
 _MOST_OFFSET = unbalance.MOST_OFFSET
 _MOST_IMAGE = unbalance.MOST_IMAGE
+_LINE_S = unbalance.LINE_S
+_LINE_LEAST = unbalance.LINE_LEAST
 
 
 @njit(cache=True)
@@ -54,6 +56,8 @@ def balance(
         centred = z - state.offset_now[d]
         i = (centred - n * centred.conjugate()) / (1.0 - abs(n) ** 2)
         out[k, 0], out[k, 1] = i.real, i.imag
+        if math.isfinite(z.real + z.imag):
+            _swing(state, d, z, (n_sub[k] + n_gap[k]) * dt, _LINE_LEAST * rated[d])
         step = abs(w_e[d]) * n_sub[k] * dt if ready[d] else 0.0
         if not (0.0 < step <= _MOST_STEP and n_gap[k] == 0 and math.isfinite(z.real + z.imag)):
             _begin(state, d)
@@ -66,6 +70,15 @@ def balance(
             state.before[d] = state.rising[d]
             _begin(state, d)
             _add(state, d, z, step - left)
+
+
+@njit(cache=True)
+def _swing(state: Unbalance, d: int, z: complex, passed: float, least: float) -> None:
+    near = min(passed / _LINE_S, 1.0)
+    whole = max(z.real * z.real + z.imag * z.imag, least * least)
+    state.line[d] += near * (z * z / whole - state.line[d])
+    state.seen[d] += near * ((z.real * z.real + z.imag * z.imag) / whole - state.seen[d])
+    state.step_s[d] = passed
 
 
 @njit(cache=True)

@@ -15,6 +15,9 @@ evenly leaves nothing. A pair of revolutions counts if their mean squares agree:
 would look like an offset. What is larger than sensors are off is not learnt: an open phase is a
 fault, not a gain. With two sensors (CAN FD), gains d apart make |n| = d / sqrt(3); left as it is,
 the load ripples with twice the electrical frequency. Not in paper `adhesion`.
+
+With a phase open the current swings on one line: <z^2 / |z|^2> has the length 1, not 0. That needs
+no model and few samples per revolution: it is judged where the filters do not reach, too.
 """
 
 from __future__ import annotations
@@ -39,6 +42,20 @@ LEAST: Final = 0.2
 MOST_OFFSET: Final = 0.05
 """Per unit of rated current; more is a fault."""
 MOST_IMAGE: Final = 0.08
+LINE_S: Final = 0.012
+"""Time constant of the mean that tells a line from a circle: before a flag is raised."""
+LINE_TURN: Final = 3.0
+"""Least angle, rad, that a rotor turns within that for the mean to tell."""
+LINE_STEP: Final = 2.5
+"""Largest turn between two samples, rad: at half a revolution all samples lie on one line."""
+LINE_LEAST: Final = 0.1
+"""Per unit of rated current; offsets draw a line from less."""
+ON_LINE: Final = 0.5
+"""Mean of e^(2j angle): 1 on a line, 1 / (2 LINE_TURN) at most of a current that turns."""
+OFF_LINE: Final = 0.3
+"""The current turns again."""
+ENOUGH: Final = 0.75
+"""Share of samples with a current to judge by."""
 FOLLOW_S: Final = 0.05
 """What is taken off follows what is learnt: a step would look like one of the load."""
 
@@ -49,7 +66,9 @@ class Unbalance(NamedTuple):
     offset (N,) A, image (N,): as learnt from `turns` (N,) revolutions; offset_now, image_now (N,):
     as taken off; of the revolution under way: turned (N,) rad, flat, rising (N, 3): integrals over
     the angle of z, z^2, |z|^2, evenly and with a weight that rises from 0 to 1; before (N, 3):
-    `rising` of the revolution before; square (N,): its mean square, A^2, 0 none.
+    `rising` of the revolution before; square (N,): its mean square, A^2, 0 none; line, seen (N,):
+    means of z^2 / |z|^2 and of 1 over `LINE_S`, small currents count less; step_s (N,): time
+    between the last two samples; on_line (N,): as last judged.
     """
 
     offset: Complex
@@ -62,6 +81,10 @@ class Unbalance(NamedTuple):
     rising: Complex
     before: Complex
     square: Array
+    line: Complex
+    seen: Array
+    step_s: Array
+    on_line: NDArray[np.bool_]
 
 
 def start(n: int) -> Unbalance:
@@ -70,6 +93,7 @@ def start(n: int) -> Unbalance:
     return Unbalance(
         one.copy(), one.copy(), one.copy(), one.copy(), np.zeros(n, dtype=np.int64), np.zeros(n),
         three.copy(), three.copy(), three.copy(), np.zeros(n),
+        one.copy(), np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
 
 
@@ -77,3 +101,17 @@ def forget(state: Unbalance, k: int) -> None:
     """Drive `k` begins anew."""
     for array in state:
         array[k] = 0
+
+
+def on_line(state: Unbalance, k: int, w_e: float) -> bool:
+    """Whether the current of drive `k` swings on one line although its rotor turns.
+
+    w_e: electrical speed, rad/s, as somebody else measures it. What cannot be judged, for lack of
+    speed or of current, stays as it was.
+    """
+    slow, fast = LINE_TURN / LINE_S, LINE_STEP / max(state.step_s.item(k), 1e-9)
+    seen = state.seen.item(k)
+    if slow <= abs(w_e) <= fast and seen >= ENOUGH:
+        limit = OFF_LINE if state.on_line.item(k) else ON_LINE
+        state.on_line[k] = abs(state.line.item(k)) > limit * seen
+    return bool(state.on_line.item(k))

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators import lock, unbalance
+from estimators import adapt, lock, unbalance
 from estimators._adapt_kernels import absorb
 from estimators._kernels import ekf_sweep, ukf_sweep
 from estimators._lock_kernels import agreement, lock_sweep
@@ -140,10 +140,12 @@ class Bank:
             self._drop(k)
             lock.forget(self.chords, k)
             unbalance.forget(self.sensors, k)
+            self.tracks[k].flux = None
         self._drop_over_holes(samples)
         if len(samples.drive):
             self._sweep(samples)
         self._note_moves(samples)
+        self._note_flux()
         active = self.active.tolist()
         for k, pairs in enumerate(self.chords.pairs.tolist()):
             if active[k] and pairs < self.tuning.chords:
@@ -241,8 +243,7 @@ class Bank:
         if track.diverged_ns is not None and now - track.diverged_ns < DIVERGED_NS:
             return DriveEstimate(Health.DIVERGED)
         if fresh and not self.active.item(k) and self._seen(k):
-            self.x[k], self.P[k] = first, P_first
-            self.active[k], self.steps[k], self.nis[k] = True, 0, 2.0
+            self._start(k, first, P_first)
             track.diverged_ns = None
             track.doubts = 0
             agreement = lock.Agreement.AGREES
@@ -250,6 +251,14 @@ class Bank:
             # A load that moves is not the load of a tick ago.
             fresh = False
         return self._estimate(k, cause, fresh, agreement)
+
+    def on_line(self, k: int, speed_rad_s: float) -> bool:
+        """Whether the currents do not turn with a rotor of this measured speed: an open phase."""
+        return unbalance.on_line(self.sensors, k, self.pole_pairs[k] * speed_rad_s)
+
+    def flux(self, k: int) -> float:
+        """Magnet flux of this drive over that of its data sheet; 1 where nothing is known."""
+        return self.tracks[k].flux or 1.0
 
     def _seen(self, k: int) -> bool:
         """Whether the chords know speed and angle from the very last samples."""
@@ -262,7 +271,7 @@ class Bank:
         if not self.active.item(k):
             return DriveEstimate(Health.CONVERGING if fresh else Health.UNKNOWN)
         sigma = math.sqrt(self.P.item(k, pmsm.T_L, pmsm.T_L))
-        flux = self._flux(k)
+        flux = self.flux(k)
         health = Health.TRACKING
         if not fresh:
             health = Health.PREDICTING
@@ -281,29 +290,39 @@ class Bank:
             self.nis.item(k),
         )
 
-    def _flux(self, k: int) -> float:
+    def _note_flux(self) -> None:
         """Magnet flux over that of the data sheet, as the chords' length has it of late.
 
-        Errors of R_s lengthen a chord, too: what they can explain is not taken for flux.
+        Errors of R_s lengthen a chord, too: what they can explain is not taken for flux. The
+        chords reach further than the filters, and what they found survives a new start.
         """
-        track, w = self.tracks[k], abs(self.chords.w.item(k))
-        if not self.chords.ready.item(k):
-            return track.flux or 1.0
-        R_s, psi_f = self.sheet[k]
-        current = math.hypot(self.x.item(k, pmsm.I_A), self.x.item(k, pmsm.I_B))
-        sure = FLUX_SURE * psi_f + RESISTANCE_SURE * R_s * current / w
-        more = self.chords.psi.item(k) - psi_f
-        believed = math.copysign(max(abs(more) - sure, 0.0), more) / psi_f
-        before = believed if track.flux is None else track.flux - 1.0
-        track.flux = 1.0 + before + self.tick_s / FLUX_TAU_S * (believed - before)
-        return track.flux
+        chords, near = self.chords, self.tick_s / FLUX_TAU_S
+        each = zip(
+            self.tracks, self.sheet, chords.ready.tolist(), chords.psi.tolist(),
+            chords.w.tolist(), np.abs(chords.i_last).tolist(), strict=True,
+        )  # fmt: skip
+        for track, (R_s, psi_f), ready, psi, w, current in each:
+            if not ready:
+                continue
+            sure = FLUX_SURE * psi_f + RESISTANCE_SURE * R_s * current / abs(w)
+            more = math.copysign(max(abs(psi - psi_f) - sure, 0.0), psi - psi_f) / psi_f
+            before = more if track.flux is None else track.flux - 1.0
+            track.flux = 1.0 + before + near * (more - before)
+
+    def _start(self, k: int, x: pmsm.Array, P: pmsm.Array) -> None:
+        """Begin a filter. What the chords are too long by is the voltage that the motor lacks."""
+        self.x[k], self.P[k] = x, P
+        self.active[k], self.steps[k], self.nis[k] = True, 0, 2.0
+        if not self.lean.item(k):
+            w, R_s, psi_f = self.chords.w.item(k), *self.sheet[k]
+            most = adapt.most_lean(w, R_s, psi_f, self.rated.I.item(k))
+            self.lean[k] = min(max((self.chords.psi.item(k) - psi_f) * w, -most), most)
 
     def _drop(self, k: int) -> None:
         """Forget the filter of one drive; it is acquired anew."""
         self.active[k] = False
         self.steps[k] = 0
         self.tracks[k].doubts = 0
-        self.tracks[k].flux = None
         self.x[k] = 0.0
         self.P[k] = np.eye(5)
 

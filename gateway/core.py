@@ -127,10 +127,15 @@ class Gateway:
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
         fresh = [d.fresh(now) for d in inbox.drives]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
-        self.motion.take(inbox.motions)
-        for k, estimate in enumerate(estimates):
-            estimates[k] = self.motion.merge(k, estimate, self._measured_speed(k, now))
-            if not self.motion.beyond(k) and self._contradicts(k, estimate, now):
+        self.motion.take(inbox.motions, self.bank.flux)
+        measured = [self._measured_speed(k, now) for k in range(len(self.nodes))]
+        self.motion.note_speeds(estimates, measured)
+        for k, (estimate, speed) in enumerate(zip(estimates, measured, strict=True)):
+            on_line = speed is not None and self.bank.on_line(k, speed)
+            believed = DriveEstimate(Health.INPUT_INVALID) if on_line else estimate
+            estimates[k] = self.motion.merge(k, believed, speed)
+            apart = not self.motion.beyond(k) and self._contradicts(k, estimate, now)
+            if on_line or apart:
                 inputs[k] = worst([inputs[k], Reason.RANGE])
                 estimates[k] = DriveEstimate(Health.INPUT_INVALID)
         adhesion = [flags["adhesion"] for flags in self.flags]

@@ -8,7 +8,7 @@ estimators, readings. May not know: frames, clocks, flags.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from dbc.frame import SECOND, Nanos
@@ -86,6 +86,7 @@ class MotionSide:
         self._limit_w_e = 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s)
         self._fade = math.exp(-tick_ns / SECOND / HAND_OVER_S)
         self._pole_pairs = [m.pole_pairs for m in motors]
+        self._any_beyond = False
         self._drives = [
             _Drive(
                 Mechanics(
@@ -99,10 +100,15 @@ class MotionSide:
             for m in motors
         ]
 
-    def take(self, readings: Sequence[Motion]) -> None:
-        """Readings of one tick, in order of time."""
-        for k, t_ns, speed, torque in readings:
+    def take(self, readings: Sequence[Motion], flux: Callable[[int], float]) -> None:
+        """Readings of one tick, in order of time.
+
+        flux: of a drive, its magnets' over that of the data sheet, from which the drive computes
+        the torque that it sends.
+        """
+        for k, t_ns, speed, sent in readings:
             drive = self._drives[k]
+            torque = sent * flux(k)
             # The cycle is exact, stamps jitter.
             cycles = round((t_ns - drive.last_ns) / self._period_ns)
             drive.last_ns = t_ns
@@ -118,25 +124,36 @@ class MotionSide:
         """Whether a drive turns too fast for its current samples."""
         return self._drives[k].beyond
 
+    def note_speeds(
+        self, estimates: Sequence[DriveEstimate], measured: Sequence[float | None]
+    ) -> None:
+        """Which drives turn too fast; once per tick, before `merge`."""
+        each = zip(self._drives, self._pole_pairs, estimates, measured, strict=True)
+        for drive, pole_pairs, estimate, measured_w in each:
+            w = measured_w if measured_w is not None else (estimate.speed_rad_s or 0.0)
+            limit = self._limit_w_e * (1.0 - HYSTERESIS if drive.beyond else 1.0)
+            drive.beyond = abs(pole_pairs * w) > limit
+        self._any_beyond = any(drive.beyond for drive in self._drives)
+
     def merge(self, k: int, estimate: DriveEstimate, measured_w: float | None) -> DriveEstimate:
         """The estimate to use this tick.
 
-        measured_w: rotor speed of fresh `Motion`, None without. A drive whose input cannot be
-        believed, or that has diverged, stays what it is.
+        measured_w: rotor speed of fresh `Motion`, None without. Drives are compared, and filter
+        and observer follow a load step at different speeds: where one drive needs the observer,
+        all that can use it. A drive whose input cannot be believed stays what it is.
         """
         drive = self._drives[k]
-        w = measured_w if measured_w is not None else (estimate.speed_rad_s or 0.0)
-        limit = self._limit_w_e * (1.0 - HYSTERESIS if drive.beyond else 1.0)
-        beyond = drive.beyond = abs(self._pole_pairs[k] * w) > limit
         if estimate.health is Health.INPUT_INVALID:
             drive.load = None
             return estimate
-        if beyond:
+        ready = measured_w is not None and drive.readings >= SETTLED_READINGS
+        observed = drive.beyond or (self._any_beyond and ready)
+        if observed:
             estimate = self._observed(drive, measured_w is not None)
         if estimate.load_nm is None or estimate.health is not Health.TRACKING:
             drive.load = None
             return estimate
-        return self._faded(drive, estimate, beyond)
+        return self._faded(drive, estimate, observed)
 
     def _observed(self, drive: _Drive, fresh: bool) -> DriveEstimate:
         state = drive.state

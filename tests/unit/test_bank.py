@@ -202,6 +202,22 @@ def test_a_motor_off_its_data_sheet_is_learnt_by_the_voltage_it_lacks(kind, r, p
     assert filters.scale[0] < 3.0
 
 
+@pytest.mark.parametrize(("r", "psi"), [(1.0, 0.83), (1.0, 1.2), (1.2, 1.0), (0.8, 0.9)])
+def test_what_the_motor_lacks_is_known_with_the_lock(r, psi):
+    """The chords are too long by it: no transient of the load after the start."""
+    w, load = 150.0, 15.0
+    truth = steady(w, load, n=1, seconds=0.4)
+    sheet = BENCH_MOTOR.model_copy(
+        update={"R_s": BENCH_MOTOR.R_s * r, "psi_pm": BENCH_MOTOR.psi_pm * psi}
+    )
+    filters, off = Bank([sheet], Estimator(), 0.02), []
+    for _, (estimate,), _ in run(filters, truth, sampled(truth, 16, 2e-4, seed=4)):
+        if estimate.health is Health.TRACKING:
+            off.append(abs(estimate.load_nm - load) / load)
+    assert len(off) > 20
+    assert max(off) < 0.15
+
+
 @pytest.mark.parametrize("psi", [0.8, 1.25])
 def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
     """The sheet's flux is off by a fifth; without this the load reads 20 % low or 25 % high."""

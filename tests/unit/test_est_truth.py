@@ -19,6 +19,23 @@ R_S, L_S, PSI, POLES, INERTIA, K_P = 0.28, 3.465e-3, 0.1989, 4.0, 0.04, 1.5
 TICK_S = 125e-6
 
 
+class Machine(NamedTuple):
+    """A motor and the currents its control works with; the bench motor of paper `adhesion`."""
+
+    R_s: float = R_S
+    L_s: float = L_S
+    psi: float = PSI
+    poles: float = POLES
+    inertia: float = INERTIA
+    most_a: float = 40.0
+    a_per_rad_s: float = 0.5
+
+
+BENCH = Machine()
+KW_350 = Machine(R_s=0.08, L_s=3.02e-3, psi=1.104, poles=2.0, inertia=11.0, most_a=385.0,
+                 a_per_rad_s=40.0)  # fmt: skip
+
+
 class Truth(NamedTuple):
     """Each (T, N): at the end of tick k; u is held during it. Currents and voltages complex."""
 
@@ -41,15 +58,15 @@ class Rows(NamedTuple):
 
 
 @njit
-def _rates(i_d, i_q, w, u_d, u_q, load):
-    d_d = (u_d - R_S * i_d) / L_S + w * i_q
-    d_q = (u_q - R_S * i_q - w * PSI) / L_S - w * i_d
-    d_w = POLES / INERTIA * (K_P * POLES * PSI * i_q - load)
+def _rates(m, i_d, i_q, w, u_d, u_q, load):
+    d_d = (u_d - m.R_s * i_d) / m.L_s + w * i_q
+    d_q = (u_q - m.R_s * i_q - w * m.psi) / m.L_s - w * i_d
+    d_w = m.poles / m.inertia * (K_P * m.poles * m.psi * i_q - load)
     return d_d, d_q, d_w
 
 
 @njit
-def _rotor_step(i_d, i_q, w, theta, u_a, u_b, load, dt):
+def _rotor_step(m, i_d, i_q, w, theta, u_a, u_b, load, dt):
     """RK4 with the stationary-frame voltage constant."""
     k = np.zeros((4, 4))
     for s in range(4):
@@ -60,7 +77,7 @@ def _rotor_step(i_d, i_q, w, theta, u_a, u_b, load, dt):
         u_q = u_b * math.cos(angle) - u_a * math.sin(angle)
         speed = w + h * k[r, 2]
         k[s, 0], k[s, 1], k[s, 2] = _rates(
-            i_d + h * k[r, 0], i_q + h * k[r, 1], speed, u_d, u_q, load
+            m, i_d + h * k[r, 0], i_q + h * k[r, 1], speed, u_d, u_q, load
         )
         k[s, 3] = speed
     out = (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3]) * (dt / 6.0)
@@ -68,24 +85,26 @@ def _rotor_step(i_d, i_q, w, theta, u_a, u_b, load, dt):
 
 
 @njit
-def _run(w_0, theta_0, w_ref, load, u_out, i_out, w_out, theta_out):
+def _run(m, w_0, theta_0, w_ref, load, u_out, i_out, w_out, theta_out):
     ticks, drives = w_ref.shape
     for n in range(drives):
         i_d, i_q, w, theta = 0.0, 0.0, w_0[n], theta_0[n]
         integral = 0.0
         for t in range(ticks):
             error = w_ref[t, n] - w
-            integral = min(max(integral + 8.0 * error * TICK_S, -40.0), 40.0)
-            i_ref = min(max(0.5 * error + integral, -40.0), 40.0)
+            step = 16.0 * m.a_per_rad_s * error * TICK_S
+            integral = min(max(integral + step, -m.most_a), m.most_a)
+            i_ref = min(max(m.a_per_rad_s * error + integral, -m.most_a), m.most_a)
             # A quarter of the deadbeat step; the rotor moves on by w T / 2 meanwhile.
-            u_d = R_S * i_d - w * L_S * i_q - 0.25 * L_S / TICK_S * i_d
-            u_q = R_S * i_q + w * (L_S * i_d + PSI) + 0.25 * L_S / TICK_S * (i_ref - i_q)
+            gain = 0.25 * m.L_s / TICK_S
+            u_d = m.R_s * i_d - w * m.L_s * i_q - gain * i_d
+            u_q = m.R_s * i_q + w * (m.L_s * i_d + m.psi) + gain * (i_ref - i_q)
             middle = theta + 0.5 * w * TICK_S
             u_a = u_d * math.cos(middle) - u_q * math.sin(middle)
             u_b = u_d * math.sin(middle) + u_q * math.cos(middle)
             for _ in range(4):
                 i_d, i_q, w, theta = _rotor_step(
-                    i_d, i_q, w, theta, u_a, u_b, load[t, n], 0.25 * TICK_S
+                    m, i_d, i_q, w, theta, u_a, u_b, load[t, n], 0.25 * TICK_S
                 )
             u_out[t, n] = complex(u_a, u_b)
             i_out[t, n] = complex(i_d, i_q) * complex(math.cos(theta), math.sin(theta))
@@ -93,12 +112,12 @@ def _run(w_0, theta_0, w_ref, load, u_out, i_out, w_out, theta_out):
             theta_out[t, n] = theta
 
 
-def motor(w_0, theta_0, w_ref, load) -> Truth:
+def motor(w_0, theta_0, w_ref, load, machine=BENCH) -> Truth:
     """Run N drives from speeds w_0 (N,) and angles theta_0 (N,) along w_ref, load (T, N)."""
     shape = w_ref.shape
     u, i = np.empty(shape, complex), np.empty(shape, complex)
     w, theta = np.empty(shape), np.empty(shape)
-    _run(np.asarray(w_0, float), np.asarray(theta_0, float), w_ref, load, u, i, w, theta)
+    _run(machine, np.asarray(w_0, float), np.asarray(theta_0, float), w_ref, load, u, i, w, theta)
     return Truth(u, i, w, theta, load)
 
 
@@ -153,7 +172,7 @@ def test_the_motor_follows_its_equations():
     want = solve_ivp(rates, (0.0, 0.02), [0.0, 0.0, w_0, theta_0], rtol=1e-10, atol=1e-10).y[:, -1]
     i_d, i_q, w, theta = 0.0, 0.0, w_0, theta_0
     for _ in range(640):
-        i_d, i_q, w, theta = _rotor_step(i_d, i_q, w, theta, u_a, u_b, load, 0.25 * TICK_S)
+        i_d, i_q, w, theta = _rotor_step(BENCH, i_d, i_q, w, theta, u_a, u_b, load, 0.25 * TICK_S)
     i = complex(i_d, i_q) * complex(math.cos(theta), math.sin(theta))
     assert [i.real, i.imag, w, theta] == pytest.approx(want, abs=1e-7)
 

@@ -93,6 +93,43 @@ def test_an_open_phase_is_not_learnt():
     assert state.turns[0] == 0
 
 
+@pytest.mark.parametrize("w", [260.0, -320.0, 560.0, 880.0])
+def test_a_current_on_one_line_is_told_from_one_that_turns_within_two_ticks(w):
+    i, _ = currents(1.0, w, 15.0, noise=1e-2)
+    state = start(1)
+    feed(state, i, w)
+    assert not unbalance.on_line(state, 0, w)
+    opened = np.exp(0.7j) * (np.exp(-0.7j) * i).real
+    feed(state, opened[:10], w)
+    assert unbalance.on_line(state, 0, w)
+    feed(state, opened, w)
+    assert unbalance.on_line(state, 0, w)
+    assert unbalance.on_line(state, 0, 50.0), "too slow to tell: as before"
+    feed(state, i[:25], w)
+    assert not unbalance.on_line(state, 0, w)
+
+
+def test_steps_and_errors_of_sensors_are_no_line():
+    """Neither a current that comes or reverses at once, nor what is learnt as unbalance."""
+    for w in (260.0, 400.0, 880.0):
+        m = round(1.0 / STEP_S)
+        amps = np.array([1.0, 20.0, -20.0, 3.0])[np.arange(m) // 25 % 4]
+        image, offset = 0.9 * MOST_IMAGE, 0.4 * MOST_OFFSET * RATED[0]
+        _, z = currents(1.0, w, amps, image=image, offset=offset)
+        state = start(1)
+        for one in z:
+            feed(state, np.array([one]), w)
+            assert not unbalance.on_line(state, 0, w), w
+
+
+def test_too_little_current_and_too_few_samples_are_not_judged():
+    for w, amps in ((400.0, 1.0), (1500.0, 15.0), (100.0, 15.0)):
+        i, _ = currents(1.0, w, amps)
+        state = start(1)
+        feed(state, i.real + 0j, w)
+        assert not unbalance.on_line(state, 0, w)
+
+
 def test_standstill_small_currents_and_too_few_samples_teach_nothing():
     for w, amps in ((0.0, 15.0), (100.0, 2.0), (400.0, 15.0)):
         _, z = currents(3.0, w, amps, offset=0.5)

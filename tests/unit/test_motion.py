@@ -56,8 +56,19 @@ def test_motion_that_stops_makes_unknown_within_its_age_limit():
     assert [d.adhesion for d in view.drives] == [Flag.UNKNOWN] * 3
 
 
-def side():
-    return MotionSide([BENCH_MOTOR], Estimator(), Timebase(2e-3, 10 * MS, 0.5 * RPM), 10 * MS)
+def side(drives=1):
+    times = Timebase(2e-3, 10 * MS, 0.5 * RPM)
+    return MotionSide([BENCH_MOTOR] * drives, Estimator(), times, 10 * MS)
+
+
+def tick(motion, *readings, flux=1.0):
+    motion.take(readings, lambda _: flux)
+
+
+def merged(motion, estimates, speeds):
+    motion.note_speeds(estimates, speeds)
+    each = zip(estimates, speeds, strict=True)
+    return [motion.merge(k, estimate, w) for k, (estimate, w) in enumerate(each)]
 
 
 def test_the_change_of_source_is_no_bump_and_fades():
@@ -66,8 +77,9 @@ def test_the_change_of_source_is_no_bump_and_fades():
     for k in range(300):
         w_m = (0.9 if k < 100 else 1.1) * LIMIT_W_E / 4.0
         # One torque with no acceleration but the step's: the observer must not see one.
-        motion.take([Motion(0, k * 10 * MS, LIMIT_W_E / 4.0, 20.0)])
-        estimate = motion.merge(0, DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0), w_m)
+        tick(motion, Motion(0, k * 10 * MS, LIMIT_W_E / 4.0, 20.0))
+        filtered = DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0)
+        (estimate,) = merged(motion, [filtered], [w_m])
         assert motion.beyond(0) is (k >= 100)
         given.append(estimate.load_nm)
     steps = [abs(b - a) for a, b in itertools.pairwise(given)]
@@ -81,7 +93,7 @@ def test_hysteresis_at_the_limit():
     seen = []
     for share in (0.99, 1.01, 0.97, 0.94, 0.99, 1.01):
         w_m = share * LIMIT_W_E / 4.0
-        motion.merge(0, DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0), w_m)
+        merged(motion, [DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0)], [w_m])
         seen.append(motion.beyond(0))
     assert seen == [False, True, True, False, False, True]
 
@@ -90,9 +102,9 @@ def test_input_that_cannot_be_believed_stays_so():
     motion = side()
     w_m = 2.0 * LIMIT_W_E / 4.0
     for k in range(10):
-        motion.take([Motion(0, k * 10 * MS, w_m, 20.0)])
+        tick(motion, Motion(0, k * 10 * MS, w_m, 20.0))
         wrong = DriveEstimate(Health.INPUT_INVALID)
-        assert motion.merge(0, wrong, w_m) is wrong
+        assert merged(motion, [wrong], [w_m])[0] is wrong
 
 
 def test_a_hole_starts_the_observer_anew():
@@ -100,6 +112,31 @@ def test_a_hole_starts_the_observer_anew():
     w_m = 2.0 * LIMIT_W_E / 4.0
     state = DriveEstimate(Health.CONVERGING)
     for k in (*range(10), *range(40, 44)):
-        motion.take([Motion(0, k * 10 * MS, w_m, 20.0)])
-        state = motion.merge(0, DriveEstimate(Health.CONVERGING), w_m)
+        tick(motion, Motion(0, k * 10 * MS, w_m, 20.0))
+        (state,) = merged(motion, [DriveEstimate(Health.CONVERGING)], [w_m])
     assert state.health is Health.CONVERGING
+
+
+def test_where_one_drive_needs_the_observer_all_use_it_that_can():
+    """Filter and observer follow a load step differently: compared, one would look lost."""
+    motion = side(3)
+    slow, fast = 0.9 * LIMIT_W_E / 4.0, 1.1 * LIMIT_W_E / 4.0
+    filtered = [DriveEstimate(Health.TRACKING, slow, 18.0, 0.5, 2.0)] * 3
+    for k in range(10):
+        now = k * 10 * MS
+        tick(motion, Motion(0, now, fast, 20.0), Motion(1, now, slow, 20.0))
+        given = merged(motion, filtered, [fast, slow, None])
+    assert motion.beyond(0)
+    assert not motion.beyond(1)
+    friction = BENCH_MOTOR.B * fast
+    assert given[0].load_nm == pytest.approx(20.0 - friction, abs=0.1)
+    assert given[1].load_sigma_nm == given[0].load_sigma_nm != filtered[1].load_sigma_nm
+    assert given[2] is filtered[2], "without Motion the filter's"
+
+
+def test_the_torque_sent_is_the_data_sheets_and_the_load_the_magnets():
+    motion, w_m = side(), 2.0 * LIMIT_W_E / 4.0
+    for k in range(50):
+        tick(motion, Motion(0, k * 10 * MS, w_m, 20.0), flux=1.15)
+        (estimate,) = merged(motion, [DriveEstimate(Health.UNKNOWN)], [w_m])
+    assert estimate.load_nm == pytest.approx(1.15 * 20.0 - BENCH_MOTOR.B * w_m, abs=0.1)
