@@ -25,7 +25,7 @@ RUNS: Final = {
     "mismatch_fd": f"--seeds 2000-2019 --detector vb --family mismatch {FD}",
     "mismatch_350kw": f"--seeds 2000-2009 --detector vb --family mismatch {BIG}",
     "mismatch_350kw_fd": f"--seeds 2000-2009 --detector vb --family mismatch {BIG} {FD}",
-    "hard_350kw": f"--seeds 3000-3059 --detector vb --family healthy_hard {BIG}",
+    "hard_350kw": f"--seeds 3000-3179 --detector vb --family healthy_hard {BIG}",
     "hard": "--seeds 3000-3119 --detector vb --family healthy_hard",
     "thermal_days": "thermal --seeds reporting",
     "detectors": "--seeds 2000-2009 --family single majority n2 braking rough all_together",

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 _HEAT = 5
 _POINTS = 3
@@ -21,10 +22,21 @@ _LEAST = 1.5
 """Hysteresis of the size that is a fault, and K below which it does not reach."""
 
 
+_UNSURE = 0.15
+"""Share by which a signature may be off: sizes are tried in steps of 1.4, and models err."""
+
+
 @njit(cache=True)
 def _tails(x: float, nu: float) -> float:
     """Log density of Student's t up to a constant, unit scale."""
     return -0.5 * (nu + 1.0) * math.log1p(x * x / nu)
+
+
+@njit(cache=True)
+def _unsure(x: float, mean: float, nu: float) -> float:
+    """The same around a mean that is known to `_UNSURE` of itself."""
+    scale = math.sqrt(1.0 + (_UNSURE * mean) ** 2)
+    return _tails((x - mean) / scale, nu) - math.log(scale)
 
 
 @njit(cache=True)
@@ -52,7 +64,7 @@ def _whitened(
         for s in range(count):
             total = 0.0
             for c in range(_POINTS):
-                total += share[c] * _tails(w[c] - unit[c] * sizes[s], nu)
+                total += share[c] * _unsure(w[c], unit[c] * sizes[s], nu)
             out[n] = total
             n += 1
 
@@ -74,7 +86,7 @@ def _marginal(
             own = (g - _HEAT) // 2 == p
             unit = shapes[g, p] if g < _HEAT else (1.0 - 2.0 * ((g - _HEAT) % 2)) * own
             for s in range(count):
-                out[n] += least * _tails((z[p] - unit * sizes[s]) / sigma[p], nu)
+                out[n] += least * _unsure(z[p] / sigma[p], unit * sizes[s] / sigma[p], nu)
                 n += 1
 
 
@@ -144,6 +156,63 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
 
 
 @njit(cache=True)
+def references(u: Array, trusted: Flags, out: Array) -> None:
+    """Fill out (M, 3): per motor and point the median of u (M, 3) over the other motors.
+
+    Of those that are `trusted` (M,), of all where too few are; 0 for a train of one motor, NaN
+    where fewer than two others (of two motors: one) have a reading.
+    """
+    motors = u.shape[0]
+    least = min(2, motors - 1)
+    values = np.empty(motors)
+    inside = np.empty(motors, dtype=np.bool_)
+    for q in range(u.shape[1]):
+        n, seen = 0, 0
+        for m in range(motors):
+            finite = math.isfinite(u[m, q])
+            seen += finite
+            n += finite and trusted[m]
+        everybody = n <= least < seen or n < least
+        n = 0
+        for m in range(motors):
+            inside[m] = math.isfinite(u[m, q]) and (everybody or trusted[m])
+            if inside[m]:
+                values[n] = u[m, q]
+                n += 1
+        ranked = np.sort(values[:n])
+        for m in range(motors):
+            others = n - inside[m]
+            if motors == 1:
+                out[m, q] = 0.0
+            elif others < least:
+                out[m, q] = math.nan
+            else:
+                left_out = np.searchsorted(ranked, u[m, q]) if inside[m] else n
+                low, high = (others - 1) // 2, others // 2
+                low += low >= left_out
+                high += high >= left_out
+                out[m, q] = 0.5 * (ranked[low] + ranked[high])
+
+
+@njit(cache=True)
+def compare(residual: Array, rate: float, out: Array) -> None:
+    """Fill out (K, M, 3): fault-free residuals as `sweep` would look at them, baselines learnt."""
+    samples, motors, _ = residual.shape
+    baseline = np.zeros((motors, _POINTS))
+    beside = np.empty((motors, _POINTS))
+    trusted = np.ones(motors, dtype=np.bool_)
+    for k in range(samples):
+        u = residual[k] - baseline
+        references(u, trusted, beside)
+        for m in range(motors):
+            for q in range(_POINTS):
+                off = u[m, q] - beside[m, q]
+                out[k, m, q] = off
+                if math.isfinite(off):
+                    baseline[m, q] += rate * off
+
+
+@njit(cache=True)
 def sweep(
     z: Array, bursts: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
     benign: Array, rates: Array, kind: Array, size: Array,
@@ -153,52 +222,63 @@ def sweep(
     z, bursts (K, M, 3): as in `hypotheses.Blocks`, less the centre; sigma, white, share: as in
     `hypotheses.Spread`; shapes (K, 5, 3); sizes (S,); benign (8,): of heat and sensors, the least
     size that is a fault; rates: begin, end, growth, tail, loose share, loose K, often, learning,
-    end of a
-    loose connector, growth of a sensor's error.
+    end of a loose connector, growth of a sensor's error.
     """
-    count = sizes.shape[0]
-    loose = 1 + (_HEAT + 2 * _POINTS) * count
-    states = loose + _POINTS
-    p, moved, says = np.empty(states), np.empty(states), np.empty(states)
-    baseline, off = np.empty(_POINTS), np.empty(_POINTS)
-    nu = rates[3]
-    for m in range(z.shape[1]):
-        p[:] = 0.0
-        p[0] = 1.0
-        baseline[:] = 0.0
-        held = -1
-        for k in range(z.shape[0]):
-            _move(p, sizes, benign, rates, moved)
-            whole = True
-            for q in range(_POINTS):
-                off[q] = z[k, m, q] - baseline[q]
-                whole = whole and math.isfinite(off[q])
-            if whole:
-                _whitened(off, white[m], share[m], shapes[k], sizes, nu, says[:loose])
-            else:
-                _marginal(off, sigma[m], share[m], shapes[k], sizes, nu, says[:loose])
-            for q in range(_POINTS):
-                if math.isfinite(bursts[k, m, q]):
-                    says[loose + q] = says[0] + bursts[k, m, q]
-                    continue
-                own, spread = _own(off, white[m], q) if whole else (off[q], sigma[m, q])
-                says[loose + q] = says[0] + _loose(own, spread, nu, rates[4], rates[5])
-            best = says.max()
-            total = 0.0
-            for n in range(states):
-                p[n] = moved[n] * math.exp(says[n] - best)
-                total += p[n]
-            for n in range(states):
-                p[n] /= total
-            _tell(p, sizes, benign, held, kind[k, m])
+    motors, count = z.shape[1], sizes.shape[0]
+    states = 1 + (_HEAT + 2 * _POINTS) * count + _POINTS
+    p = np.zeros((motors, states))
+    p[:, 0] = 1.0
+    baseline, beside = np.zeros((motors, _POINTS)), np.empty((motors, _POINTS))
+    held, trusted = np.full(motors, -1), np.ones(motors, dtype=np.bool_)
+    for k in range(z.shape[0]):
+        u = z[k] - baseline
+        references(u, trusted, beside)
+        for m in range(motors):
+            off = u[m] - beside[m]
+            _judge(
+                p[m], off, bursts[k, m], sigma[m], white[m], share[m], shapes[k], sizes, benign,
+                rates, held[m], kind[k, m],
+            )  # fmt: skip
+            size[k, m] = _mean_size(p[m], sizes)
             likeliest = int(kind[k, m].argmax())
-            held = likeliest if kind[k, m, likeliest] > 0.5 else -1
-            size[k, m] = _mean_size(p, sizes)
+            held[m] = likeliest if kind[k, m, likeliest] > 0.5 else -1
             healthy = 1.0 - kind[k, m].sum()
+            trusted[m] = healthy > 0.5
             for q in range(_POINTS):
                 if math.isfinite(off[q]):
                     most = 3.0 * sigma[m, q]
-                    baseline[q] += rates[7] * healthy * min(max(off[q], -most), most)
+                    baseline[m, q] += rates[7] * healthy * min(max(off[q], -most), most)
+
+
+@njit(cache=True)
+def _judge(
+    p: Array, off: Array, bursts: Array, sigma: Array, white: Array, share: Array, shapes: Array,
+    sizes: Array, benign: Array, rates: Array, held: int, kind: Array,
+) -> None:  # fmt: skip
+    """One sample of one motor, off (3,) K from its peers: its states p and kinds, in place."""
+    states, loose = p.shape[0], p.shape[0] - _POINTS
+    moved, says = np.empty(states), np.empty(states)
+    nu = rates[3]
+    _move(p, sizes, benign, rates, moved)
+    whole = math.isfinite(off[0]) and math.isfinite(off[1]) and math.isfinite(off[2])
+    if whole:
+        _whitened(off, white, share, shapes, sizes, nu, says[:loose])
+    else:
+        _marginal(off, sigma, share, shapes, sizes, nu, says[:loose])
+    for q in range(_POINTS):
+        if math.isfinite(bursts[q]):
+            says[loose + q] = says[0] + bursts[q]
+            continue
+        own, spread = _own(off, white, q) if whole else (off[q], sigma[q])
+        says[loose + q] = says[0] + _loose(own, spread, nu, rates[4], rates[5])
+    best = says.max()
+    total = 0.0
+    for n in range(states):
+        p[n] = moved[n] * math.exp(says[n] - best)
+        total += p[n]
+    for n in range(states):
+        p[n] /= total
+    _tell(p, sizes, benign, held, kind)
 
 
 @njit(cache=True)
@@ -221,7 +301,7 @@ def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None
 
 @njit(cache=True)
 def _mean_size(p: Array, sizes: Array) -> float:
-    """Mean size of the faults that have one, 0 without."""
+    """Mean size of the faults that have one, of either sign for sensors; 0 without."""
     count = sizes.shape[0]
     weight = 0.0
     total = 0.0
@@ -229,5 +309,5 @@ def _mean_size(p: Array, sizes: Array) -> float:
         for s in range(count):
             q = p[1 + g * count + s]
             weight += q
-            total += q * sizes[s]
+            total += q * (sizes[s] if g < _HEAT else abs(sizes[s]))
     return total / weight if weight > 1e-12 else 0.0

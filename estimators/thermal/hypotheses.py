@@ -2,12 +2,14 @@
 
 States: nothing; a kind of heat times its size; a sensor off by a size, up or down; a loose
 connector. Every kind of heat has its own signature over the three points and over time, from the
-sensitivities of the calibrated model: more heat in the winding shows there and, less, elsewhere;
-a resistance goes with the current squared; less air lifts all three; a bearing one end; a sensor
-exactly one point. What is looked at is each motor's residual less the median of the other
-motors' (a mean is pulled by the fault itself; weather and duty that the model does not know are
-the same for all). Readings have heavy tails (Student t). Residuals are alike from sample to
-sample, so each one counts as the share of an independent one that its correlation leaves.
+sensitivities of the calibrated model: more heat in the winding shows there and, less, elsewhere; a
+resistance goes with the current squared; less air lifts all three; a bearing one end; a sensor
+exactly one point. What is looked at is each motor's residual less the median of the other motors'
+(a mean is pulled by the fault itself; weather and duty that the model does not know are the same
+for all), of those that are not suspected themselves, all of them less what has been learnt of each:
+or a median over motors that have aged would step when one of them falls ill. Readings have heavy
+tails (Student t). Residuals are alike from sample to sample, so each one counts as the share of an
+independent one that its correlation leaves.
 
 In place of paper `thermal`, eq. (28)-(31): a filter follows a fault, and the spread between motors
 does not tell which motor or what.
@@ -22,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.thermal import heat
-from estimators.thermal._hypotheses_kernels import sweep
+from estimators.thermal._hypotheses_kernels import compare, sweep
 from estimators.thermal.heat import Drive, predict
 
 Array = NDArray[np.float64]
@@ -32,7 +34,7 @@ SENSORS: Final = ("bias_stator", "bias_de", "bias_nde")
 LOOSE: Final = ("loose_stator", "loose_de", "loose_nde")
 KINDS: Final = (*HEAT, *SENSORS, *LOOSE)
 SIZES_K: Final = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.2, 6.0, 8.5, 12.0, 17.0])
-BENIGN_K: Final = np.array([1.5, 2.5, 2.5, 2.5, 1.5, 1.5, 1.5, 1.5])
+BENIGN_K: Final = np.array([1.5, 3.6, 2.5, 2.5, 1.5, 1.5, 1.5, 1.5])
 """Of `HEAT` and `SENSORS`: smaller ones are no faults but dirt, draught, weather and wear, which
 air and bearings have more of. States of their own, so that they are taken neither for nothing nor
 for a fault."""
@@ -81,7 +83,7 @@ def pace(spacing_s: float) -> tuple[Pace, int]:
 
 
 class Blocks(NamedTuple):
-    """Residuals beside the peers, taken together.
+    """Residuals, taken together.
 
     middle (B, M, 3): medians of blocks; loose (B, M, 3): log odds that bursts speak for a loose
     connector, NaN where a block is one sample.
@@ -91,13 +93,13 @@ class Blocks(NamedTuple):
     loose: Array
 
 
-def blocks(beside: Array, together: int, noise: Array | None) -> Blocks:
+def blocks(residual: Array, together: int, noise: Array | None) -> Blocks:
     """(K, M, 3) -> whole blocks of `together` samples; noise (M, 3) K of single readings.
 
     Without `noise` no bursts are looked for.
     """
-    count = len(beside) // together
-    parts = beside[: count * together].reshape(count, together, *beside.shape[1:])
+    count = len(residual) // together
+    parts = residual[: count * together].reshape(count, together, *residual.shape[1:])
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         middle = parts[:, 0] if together == 1 else np.nanmedian(parts, axis=1)
@@ -111,10 +113,10 @@ def blocks(beside: Array, together: int, noise: Array | None) -> Blocks:
     return Blocks(middle, odds / BURST)
 
 
-def single_noise(beside: Array, together: int) -> Array:
+def single_noise(residual: Array, together: int) -> Array:
     """(M, 3) K: standard deviation of a reading around its block's median."""
-    parts = blocks(beside, together, None)
-    off = beside[: len(parts.middle) * together] - np.repeat(parts.middle, together, axis=0)
+    parts = blocks(residual, together, None)
+    off = residual[: len(parts.middle) * together] - np.repeat(parts.middle, together, axis=0)
     return np.asarray(np.sqrt(np.nanmean(off * off, axis=0)))
 
 
@@ -152,23 +154,14 @@ class Belief(NamedTuple):
         return out
 
 
-def beside_peers(residual: Array) -> Array:
-    """(K, M, 3) residuals less the median of the other motors'; NaN without two of them."""
-    motors = residual.shape[1]
-    out = np.full(residual.shape, np.nan)
-    for m in range(motors):
-        others = np.delete(residual, m, axis=1)
-        enough = np.isfinite(others).sum(axis=1) >= min(2, motors - 1)
-        with np.errstate(all="ignore"):
-            middle = np.nanmedian(np.where(np.isfinite(others), others, np.nan), axis=1)
-        out[:, m] = np.where(enough, residual[:, m] - middle, np.nan)
-    return out
+def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
+    """From fault-free residuals (K, M, 3) that were not used for the model.
 
-
-def spread(beside: Array, learnt: float, floor_k: float = 0.1) -> Spread:
-    """From fault-free residuals beside the peers (K, M, 3) that were not used for the model."""
-    centre = np.nanmedian(beside, axis=0)
-    off = _less_baseline(beside - centre, learnt)
+    learnt: as in `Pace`.
+    """
+    centre = np.nanmedian(residual, axis=0)
+    off = np.empty_like(residual)
+    compare(residual - centre, 1.0 / learnt, off)
     motors = off.shape[1]
     white, share = np.empty((motors, 3, 3)), np.empty((motors, 3))
     sigma = np.empty((motors, 3))

@@ -32,10 +32,9 @@ class Calibrated:
     together: int
     noise: Array
 
-    def beside(self, record: Record) -> Array:
-        """(K, M, 3) K: readings less the model's, less the other motors' median of that."""
-        model = predict(self.parameters, drive(record), first_readings(record))
-        return hypotheses.beside_peers(record.temperature - model)
+    def residual(self, record: Record) -> Array:
+        """(K, M, 3) K: readings less the model's."""
+        return record.temperature - predict(self.parameters, drive(record), first_readings(record))
 
     def believe(self, record: Record) -> Belief:
         """Probabilities of every kind of fault; causal but for the record's mean signatures.
@@ -43,7 +42,7 @@ class Calibrated:
         Where samples come fast, those of the last whole block.
         """
         n = self.together
-        seen = hypotheses.blocks(self.beside(record), n, self.noise)
+        seen = hypotheses.blocks(self.residual(record), n, self.noise)
         shapes = hypotheses.signatures(self.parameters, drive(record), first_readings(record))
         found = hypotheses.believe(seen, self.spread, shapes[n - 1 :: n], self.pace)
         if n == 1:
@@ -79,8 +78,7 @@ class ModelMethod:
         residual = rest.temperature - predict(parameters, drive(rest), first_readings(rest))
         spacing_s = float(np.median(np.diff(healthy.at))) * healthy.step_s
         found, together = pace(spacing_s)
-        beside = hypotheses.beside_peers(residual)
-        noise = hypotheses.single_noise(beside, together)
-        middle = hypotheses.blocks(beside, together, None).middle
+        noise = hypotheses.single_noise(residual, together)
+        middle = hypotheses.blocks(residual, together, None).middle
         known = hypotheses.spread(middle, found.learnt)
         return Calibrated(parameters, known, found, together, noise)

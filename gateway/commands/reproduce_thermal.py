@@ -62,13 +62,12 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
     from estimators.thermal.maisd_method import LIMIT as QUANTILE
     from estimators.thermal.maisd_method import maisd, moving_average
     from estimators.thermal.sigma_mixed import SigmaMixedFilter, lumps
-    from gateway.drivers.thermal_trials import FIT_RUNS, LIMIT, METHODS, fit, record_of
-    from sim.labelled import BASES, KINDS, train
+    from gateway.drivers.thermal_trials import LIMIT, METHODS, fit, record_of, runs_of
+    from sim.labelled import BASES
 
-    base, fits = BASES[BASE], FIT_RUNS[BASE]
-    healthy = [record_of(train(seed, base, None, n)) for n in range(fits)]
-    limiting = record_of(train(seed, base, None, fits))
-    run = train(seed, base, KIND, fits + 1 + KINDS.index(KIND))
+    base = BASES[BASE]
+    healthy, limiting, judged = runs_of(seed, base, (KIND,))
+    run = judged[KIND]
     assert run.fault is not None
     record = record_of(run)
     known, plain = lumps(healthy[0]), SigmaMixedFilter()

@@ -1,7 +1,7 @@
 """Thermal methods on labelled trains: simulate, fit on fault-free runs, judge runs with a fault.
 
 One limit rule for all: the 99 % quantile of a method's statistic on a fault-free run that it was
-not fitted on.
+not fitted on. Both are of the train when it was new; then it ages, and nobody tells the methods.
 """
 
 from __future__ import annotations
@@ -52,6 +52,14 @@ SHOWS: Final = {
 """Beliefs that name a kind of fault rightly."""
 
 
+class Runs(NamedTuple):
+    """Of one train: `healthy` to learn from, `limiting` for the limit, `judged` by kind."""
+
+    healthy: list[Record]
+    limiting: Record
+    judged: dict[str, Labelled]
+
+
 class Trial(NamedTuple):
     """One method on one run."""
 
@@ -75,20 +83,25 @@ def truth_of(run: Labelled, base: Base) -> Truth:
     return Truth(run.faulty, effect, run.fault.motor, run.fault.begin, base.sample_s, loose)
 
 
+def runs_of(seed: int, base: Base, kinds: Sequence[str]) -> Runs:
+    """A train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function."""
+    fits = FIT_RUNS[base.name]
+    new = [record_of(train(seed, base, None, n, new=True)) for n in range(fits + 1)]
+    judged = {
+        kind: train(seed, base, None if kind == HEALTHY else kind, fits + 1 + n)
+        for n, kind in enumerate((*KINDS, HEALTHY))
+        if kind in kinds
+    }
+    return Runs(new[:fits], new[fits], judged)
+
+
 def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -> list[Trial]:
     """All methods on a train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function.
 
     A method whose library is missing gives nothing (the LSTM needs PyTorch).
     """
     at = BASES[base]
-    fits = FIT_RUNS[base]
-    healthy = [record_of(train(seed, at, None, n)) for n in range(fits)]
-    limiting = record_of(train(seed, at, None, fits))
-    runs = {
-        kind: train(seed, at, None if kind == HEALTHY else kind, fits + 1 + n)
-        for n, kind in enumerate((*KINDS, HEALTHY))
-        if kind in kinds
-    }
+    healthy, limiting, runs = runs_of(seed, at, kinds)
     out = []
     for name in methods:
         try:

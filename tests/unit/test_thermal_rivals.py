@@ -50,7 +50,7 @@ every_base = pytest.mark.parametrize("base", LENGTH)
 
 
 def test_the_registry_is_table_2():
-    assert list(RIVALS) == ["dpca", "dsfa", "lstm", "jitl", "ekf"]
+    assert list(RIVALS) == ["dpca", "dsfa", "lstm", "jitl", "ekf", "ekf_following"]
     assert all(name == method.name for name, method in RIVALS.items())
 
 

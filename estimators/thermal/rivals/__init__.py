@@ -12,7 +12,7 @@ from typing import Final, Protocol
 from estimators.thermal.record import Record
 from estimators.thermal.rivals.dpca import Dpca, Scorer
 from estimators.thermal.rivals.dsfa import Dsfa
-from estimators.thermal.rivals.ekf import EkfResidual
+from estimators.thermal.rivals.ekf import FOLLOWING, EkfResidual
 from estimators.thermal.rivals.jitl import Jitl
 from estimators.thermal.rivals.lstm import Lstm
 
@@ -33,6 +33,6 @@ class Method(Protocol):
 
 
 RIVALS: Final[dict[str, Method]] = {
-    method.name: method for method in (Dpca(), Dsfa(), Lstm(), Jitl(), EkfResidual())
+    method.name: method for method in (Dpca(), Dsfa(), Lstm(), Jitl(), EkfResidual(), FOLLOWING)
 }
-"""With the tuning of their docstrings (development seeds 0..9)."""
+"""With the tuning of their docstrings (development seeds 0..9), `FOLLOWING` as described."""
