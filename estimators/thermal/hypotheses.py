@@ -72,6 +72,7 @@ BURST: Final = 5.0
 """Readings of a burst are not independent; they come about this many together."""
 FALSE_SHARE: Final = 5e-4
 """Of a good connector's readings that look like a burst."""
+SURE: Final = 1.0 - 1e-6
 FAR: Final = 6.0
 """Standard deviations of a reading from its block that do."""
 
@@ -222,3 +223,15 @@ def believe(seen: Blocks, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) ->
         SIZES_K, BENIGN_K, rates, kind, size,
     )  # fmt: skip
     return Belief(kind, size)
+
+
+def with_steps(belief: Belief, off: Array) -> Belief:
+    """What the filter believes of residuals whose sensors' steps off (K, M, 3) K were taken out.
+
+    A sensor that has stepped is off for certain, whatever else is wrong beside it.
+    """
+    kind = belief.kind.copy()
+    bias = kind[:, :, len(HEAT) : len(HEAT) + len(SENSORS)]
+    bias[off != 0.0] = SURE
+    kind /= np.maximum(kind.sum(axis=2, keepdims=True) / SURE, 1.0)
+    return Belief(kind, np.maximum(belief.size_k, np.abs(off).max(axis=2)))

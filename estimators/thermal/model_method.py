@@ -13,11 +13,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal import hypotheses
+from estimators.thermal import hypotheses, steps
 from estimators.thermal.heat import drive, predict
 from estimators.thermal.hypotheses import Belief, Pace, Spread, pace
 from estimators.thermal.identify import first_readings, identify
-from estimators.thermal.record import Record, split
+from estimators.thermal.record import Record, spacing, split
 
 Array = NDArray[np.float64]
 
@@ -41,17 +41,22 @@ class Calibrated:
 
         Where samples come fast, those of the last whole block.
         """
-        n = self.together
-        seen = hypotheses.blocks(self.residual(record), n, self.noise)
+        n, k = self.together, len(record.at)
+        residual = self.residual(record)
+        off = steps.offsets(residual, spacing(record))
+        seen = hypotheses.Blocks(
+            hypotheses.blocks(residual - off, n, None).middle,
+            hypotheses.blocks(residual, n, self.noise).loose,
+        )
         shapes = hypotheses.signatures(self.parameters, drive(record), first_readings(record))
         found = hypotheses.believe(seen, self.spread, shapes[n - 1 :: n], self.pace)
         if n == 1:
             return found
-        k = len(record.at)
         last = (np.arange(k) + 1) // n - 1
         begun = last >= 0
         kind = np.where(begun[:, None, None], found.kind[last], 0.0)
-        return Belief(kind, np.where(begun[:, None], found.size_k[last], 0.0))
+        size = np.where(begun[:, None], found.size_k[last], 0.0)
+        return hypotheses.with_steps(Belief(kind, size), off)
 
     def __call__(self, record: Record) -> Array:
         """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""
@@ -76,8 +81,7 @@ class ModelMethod:
         healthy, rest = runs[0], runs[-1]
         parameters = identify(runs[:-1])
         residual = rest.temperature - predict(parameters, drive(rest), first_readings(rest))
-        spacing_s = float(np.median(np.diff(healthy.at))) * healthy.step_s
-        found, together = pace(spacing_s)
+        found, together = pace(spacing(healthy))
         noise = hypotheses.single_noise(residual, together)
         middle = hypotheses.blocks(residual, together, None).middle
         known = hypotheses.spread(middle, found.learnt)

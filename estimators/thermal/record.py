@@ -37,6 +37,11 @@ class Record(NamedTuple):
         return int(self.temperature.shape[1])
 
 
+def spacing(record: Record) -> float:
+    """Median time between two samples, s."""
+    return float(np.median(np.diff(record.at))) * record.step_s
+
+
 def join(runs: Sequence[Record]) -> Record:
     """Runs of the same train and step, one after another. Raises ValueError for unlike steps."""
     if len({run.step_s for run in runs}) != 1:
