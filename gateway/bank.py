@@ -302,7 +302,7 @@ class Bank:
             chords.w.tolist(), np.abs(chords.i_last).tolist(), strict=True,
         )  # fmt: skip
         for track, (R_s, psi_f), ready, psi, w, current in each:
-            if not ready:
+            if not (ready and math.isfinite(psi) and w):
                 continue
             sure = FLUX_SURE * psi_f + RESISTANCE_SURE * R_s * current / abs(w)
             more = math.copysign(max(abs(psi - psi_f) - sure, 0.0), psi - psi_f) / psi_f
