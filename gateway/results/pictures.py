@@ -72,7 +72,11 @@ def loads(
         Rectangle((0, 0), 1, 1, color=ORANGE, label="AdhesionLost"),
         Rectangle((0, 0), 1, 1, fc="white", ec=GREY, hatch="////", label="Unknown"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
+    if spans:
+        # Or a flag that clears within one looks wrong.
+        shade = "rail below the train's demand (a drive that cut its torque adheres)"
+        handles.append(Rectangle((0, 0), 1, 1, color=ORANGE, alpha=0.15, lw=0, label=shade))
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small")
     figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
     plt.close(figure)
 
