@@ -54,6 +54,11 @@ SPEED_TOLERANCE: Final = 0.15
 SPEED_TOLERANCE_RAD_S: Final = 5.0
 """At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
 CONTRADICTION_TICKS: Final = 5
+LOCKED_NS: Final = SECOND
+"""A rotor that turns is locked to within this, or its currents and voltages are not what they seem:
+an open phase, a wrong motor."""
+TURNS: Final = 2.0
+"""Times the least speed that is observable."""
 
 
 class Gateway:
@@ -100,6 +105,8 @@ class Gateway:
         self.late_in_a_row = 0
         self.missed = 0
         self.contradictions = [0] * len(nodes)
+        self.unlocked_ns = [0] * len(nodes)
+        """How long each has turned, by its own word, with no lock to it."""
         self.lost = [False] * len(nodes)
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
@@ -185,10 +192,13 @@ class Gateway:
     def _contradicts(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
         """True once the measured speed has contradicted the estimated one for long enough.
 
-        It sees what currents alone cannot: swapped phases, an aliased speed, a wrong sign.
+        It sees what currents alone cannot: swapped phases, an aliased speed, a wrong sign, and that
+        a drive turns to which there is no lock.
         """
         drive = self.inbox.drives[k]
         motion = drive.motion
+        if self._unlocked(k, estimate, now):
+            return True
         if motion is None or drive.speed is None or estimate.health is not Health.TRACKING:
             # Whatever was found stands until a tracked speed agrees again.
             return self.contradictions[k] >= CONTRADICTION_TICKS
@@ -197,6 +207,14 @@ class Gateway:
             apart = abs((estimate.speed_rad_s or 0.0) - drive.speed) > limit
             self.contradictions[k] = self.contradictions[k] + 1 if apart else 0
         return self.contradictions[k] >= CONTRADICTION_TICKS
+
+    def _unlocked(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
+        """True once fresh currents of a drive that turns have given no lock for `LOCKED_NS`."""
+        w_e = self.bank.pole_pairs[k] * (self._measured_speed(k, now) or 0.0)
+        turns = abs(w_e) > TURNS * self.config.estimator.min_speed_rad_s
+        lost = turns and estimate.health is Health.CONVERGING
+        self.unlocked_ns[k] = self.unlocked_ns[k] + self.config.loop.period_ns if lost else 0
+        return self.unlocked_ns[k] > LOCKED_NS
 
     def _drive(
         self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason, now: Nanos
