@@ -8,9 +8,16 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
 
@@ -31,6 +38,7 @@ class Strict(BaseModel):
 
 
 Positive = Annotated[float, Field(gt=0)]
+SensorName = Literal["stator", "drive_end", "non_drive_end"]
 Variances = tuple[Positive, Positive, Positive, Positive, Positive]
 
 
@@ -97,6 +105,20 @@ class Drive(Strict):
 
     node: int = Field(ge=1, le=16)
     motor: str = "bench"
+    sensors: tuple[SensorName, ...] = get_args(SensorName)
+    """Temperature sensors that the motor has; the others' signals are never looked at."""
+
+    @field_validator("sensors")
+    @classmethod
+    def _some_and_each_once(cls, sensors: tuple[SensorName, ...]) -> tuple[SensorName, ...]:
+        if not sensors:
+            msg = f"at least one is needed, of {', '.join(get_args(SensorName))}"
+            raise ValueError(msg)
+        twice = sorted({name for name in sensors if sensors.count(name) > 1})
+        if twice:
+            msg = f"{', '.join(twice)} stands twice; name each sensor once"
+            raise ValueError(msg)
+        return sensors
 
 
 class Estimator(Strict):

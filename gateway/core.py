@@ -85,7 +85,10 @@ class Gateway:
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
         self.temperature_limit_ns = [c.limit_ns if c else 0 for c in temperatures]
-        self.thermal = ThermalSide(len(nodes), period, config.thermal.window_s, cells, nodes)
+        fitted = [d.sensors for d in config.drive]
+        self.thermal = ThermalSide(
+            len(nodes), period, config.thermal.window_s, cells, nodes, fitted
+        )
         a, t = config.adhesion, config.thermal
         self.timing = {
             "adhesion": Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS),

@@ -36,6 +36,8 @@ class Learner:
         self.hold_ns = np.zeros(shape)
         self.step_k = np.zeros(shape)
         self.samples = 0
+        self.fitted = np.ones(shape, dtype=np.bool_)
+        """(N, P): which motor has which sensor, as last seen."""
         self._count = 0
         self._last: np.ndarray | None = None
 
@@ -50,12 +52,14 @@ class Learner:
             return
         self._count = side.window.seen
         values = side.values.copy()
-        if side.known.all():
+        fitted = side.sensors.configured
+        if side.known[fitted].all():
+            self.fitted = fitted
             self.means.append(side.mean.copy())
             self.samples += 1
-            for j, row in enumerate(side.points):
-                for k, point in enumerate(row):
-                    self.hold_ns[j, k] = max(self.hold_ns[j, k], now - point.changed_ns)
+            for j, k in np.argwhere(fitted).tolist():
+                held = now - side.points[j][k].changed_ns
+                self.hold_ns[j, k] = max(self.hold_ns[j, k], held)
             if self._last is not None:
                 self.step_k = np.maximum(self.step_k, np.abs(values - self._last))
             self._last = values
@@ -68,12 +72,13 @@ class Learner:
             problem = "no stretch with all sensors of all motors; record a longer fault-free run"
             raise ConfigError("calibrate", [problem])
         means = np.array(self.means)
-        gain, offset = _against_fleet(means)
-        known = np.ones(offset.shape, dtype=np.bool_)
+        gain, offset = _against_fleet(means, self.fitted)
         centred = (means - offset) / gain
-        spread = np.array([maisd.maisd(m, known) for m in centred]).max(axis=0)
-        apart = np.array([maisd.deviation(m, known) for m in centred])
-        limit = np.abs(apart).max(axis=(0, 1))
+        spreads = np.array([maisd.maisd(m, self.fitted) for m in centred])
+        apart = np.array([maisd.deviation(m, self.fitted) for m in centred])
+        # NaN: a sensor that is not there, or that no other motor has. The floors stand then.
+        spread = np.nan_to_num(spreads).max(axis=0)
+        limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))
 
         def three(values: np.ndarray) -> tuple[float, float, float]:
             return (float(values[0]), float(values[1]), float(values[2]))
@@ -95,17 +100,18 @@ class Learner:
         )
 
 
-def _against_fleet(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _against_fleet(means: np.ndarray, fitted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares gain and offset (M, P) of every motor's points on the fleet's mean.
 
-    means: (T, M, P) window averages. One duty alone cannot tell gain from offset: gain 1.
+    means: (T, M, P) window averages; fitted: (M, P), the sensors there are: one that is not has
+    gain 1 and offset 0 and is in no mean. One duty alone cannot tell gain from offset: gain 1.
     """
-    fleet = means.mean(axis=1, keepdims=True)
+    fleet = (means * fitted).sum(axis=1, keepdims=True) / np.maximum(fitted.sum(axis=0), 1)
     centre = fleet.mean(axis=0)
     moved = fleet - centre
     apart = means - means.mean(axis=0)
     power = (moved**2).sum(axis=0)
-    told = np.broadcast_to(np.ptp(fleet, axis=0) > SPAN_K, means.shape[1:])
+    told = fitted & (np.ptp(fleet, axis=0) > SPAN_K)
     both = (apart * moved).sum(axis=0)
     gain = np.divide(both, power, out=np.ones(means.shape[1:]), where=told)
-    return gain, means.mean(axis=0) - gain * centre
+    return gain, np.where(fitted, means.mean(axis=0) - gain * centre, 0.0)

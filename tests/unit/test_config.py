@@ -112,3 +112,22 @@ def test_calibration_round_trip_and_mismatches(tmp_path):
         load_calibration(path, (1,), 5.0)
     with pytest.raises(ConfigError, match="traction-gateway calibrate"):
         load_calibration(tmp_path / "none.toml", (1,), 5.0)
+
+
+def test_a_drive_has_all_sensors_unless_told_which():
+    some = parse({"drive": [{"node": 1}, {"node": 2, "sensors": ["stator", "drive_end"]}]})
+    assert some.drive[0].sensors == ("stator", "drive_end", "non_drive_end")
+    assert some.drive[1].sensors == ("stator", "drive_end")
+
+
+@pytest.mark.parametrize(
+    ("sensors", "said"),
+    [
+        ([], "drive.0.sensors: at least one is needed"),
+        (["stator", "stator"], "drive.0.sensors: stator stands twice"),
+        (["winding"], "drive.0.sensors.0: Input should be 'stator', 'drive_end' or"),
+    ],
+)
+def test_sensors_are_refused_in_one_line(sensors, said):
+    (line,) = problems({"drive": [{"node": 1, "sensors": sensors}]})
+    assert line.startswith(said)

@@ -1,0 +1,126 @@
+"""Which sensors a drive has, and whose fault it is when all of them fail together."""
+
+import numpy as np
+import pytest
+
+from gateway.health import FaultClass, FaultSensor, Flag
+from gateway.inbox import Temperatures
+from gateway.results.calibrating import Learner
+from gateway.sensors import SensorSide
+from gateway.thermal import ThermalSide
+
+MS = 1_000_000
+HEALTHY = ((FaultClass.NONE, FaultSensor.NONE),)
+
+
+class Rig:
+    """One drive at 10 readings a second."""
+
+    def __init__(self, sensors=None):
+        self.side = SensorSide(1, 100 * MS, sensors=None if sensors is None else [sensors])
+        self.rng = np.random.default_rng(2)
+        self.k = 0
+
+    def run(self, readings, offsets=(0.0, 0.0, 0.0), lost=()):
+        """Verdicts of the readings, each once, in the order in which they came."""
+        said = []
+        for _ in range(readings):
+            self.k += 1
+            noise = self.rng.normal(scale=0.15, size=3)
+            celsius = np.round(np.array([60.0, 50.0, 48.0]) + noise + offsets, 1)
+            good = (*(p not in lost for p in range(3)), True)
+            raw = tuple(round(10 * c) for c in celsius)
+            now = self.k * 100 * MS
+            self.side.take(Temperatures(0, now, (*celsius, 20.0), good, (*raw, 200)))
+            found = self.side.verdict(0, now)
+            if not said or said[-1] != found:
+                said.append(found)
+        return tuple(said)
+
+
+@pytest.mark.parametrize("offsets", [(9, 9, 9), (9, -9, 30), (-5, -5, -5)])
+def test_sensors_that_jump_together_have_a_common_source(offsets):
+    rig = Rig()
+    assert rig.run(50) == HEALTHY
+    assert rig.run(20, offsets)[-1] == (FaultClass.SENSOR_BIAS, FaultSensor.NONE)
+    assert rig.run(20)[-1] == HEALTHY[0]
+
+
+def test_two_of_three_that_jump_are_two_sensors():
+    rig = Rig()
+    rig.run(50)
+    assert rig.run(20, (0, 9, 9))[-1] == (FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END)
+
+
+def test_jumps_a_second_apart_are_not_common():
+    rig = Rig()
+    rig.run(50)
+    rig.run(10, (9, 0, 0))
+    rig.run(10, (9, 9, 0))
+    assert rig.run(20, (9, 9, 9))[-1] == (FaultClass.SENSOR_BIAS, FaultSensor.STATOR)
+
+
+def test_two_readings_apart_are_common_three_are_not():
+    for between, named in ((2, FaultSensor.NONE), (3, FaultSensor.STATOR)):
+        rig = Rig(("stator", "non_drive_end"))
+        rig.run(50)
+        rig.run(between, (9, 0, 0))
+        assert rig.run(20, (9, 0, 9))[-1] == (FaultClass.SENSOR_BIAS, named)
+
+
+def test_all_lost_at_once_is_common_one_after_another_is_not():
+    rig = Rig()
+    rig.run(50)
+    assert rig.run(20, lost=(0, 1, 2))[-1] == (FaultClass.SENSOR_LOST, FaultSensor.NONE)
+    assert rig.run(20)[-1] == HEALTHY[0]
+    rig.run(20, lost=(1,))
+    found = rig.run(20, lost=(0, 1, 2))
+    assert found[-1] == (FaultClass.SENSOR_LOST, FaultSensor.STATOR)
+
+
+def test_an_only_sensor_is_named_itself():
+    rig = Rig(("drive_end",))
+    rig.run(50)
+    assert rig.run(20, lost=(1,))[-1] == (FaultClass.SENSOR_LOST, FaultSensor.DRIVE_END)
+
+
+def test_a_sensor_that_is_not_fitted_takes_part_in_nothing():
+    rig = Rig(("stator", "non_drive_end"))
+    assert rig.run(50, lost=(1,)) == HEALTHY
+    assert not rig.side.booting(0)
+    assert rig.side.believed(rig.k * 100 * MS).tolist() == [[True, False, True]]
+    assert rig.run(20, (0, 40, 0)) == HEALTHY
+    assert rig.side.values[0, 1] == 0.0
+    both = rig.run(20, (9, 0, 9))[-1]
+    assert both == (FaultClass.SENSOR_BIAS, FaultSensor.NONE), "all that there are"
+
+
+def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_have():
+    nodes, fitted = (1, 2, 3), (("stator",), ("stator", "drive_end"), ("stator", "drive_end"))
+    rng = np.random.default_rng(3)
+
+    def play(side, seconds, heat, look=lambda now: None):
+        for k in range(1, 10 * seconds + 1):
+            now, readings = k * 100 * MS, []
+            for j in range(3):
+                rise = heat * k / 10 if j == 1 else 0.0
+                level = np.array([60.0 + j, 50.0 - 2 * j + rise, -1.0, 20.0])
+                celsius = np.round(level + rng.normal(scale=0.15, size=4), 1)
+                raw = tuple(round(10 * c) for c in celsius)
+                # What is not fitted reads nonsense, as an open input does.
+                readings.append(Temperatures(j, now, tuple(celsius), (True,) * 4, raw))
+            side.take(readings, now)
+            look(now)
+        return [side.report(j, now, 310 * MS) for j in range(3)]
+
+    learner = Learner(nodes, 2.0)
+    side = ThermalSide(3, 100 * MS, 2.0, None, nodes, fitted)
+    play(side, 60, 0.0, lambda now: learner.take(side, now))
+    learnt = learner.finish(1.5)
+    assert learnt.motor[0].offset_k[1:] == (0.0, 0.0)
+    assert learnt.motor[1].offset_k[1] == pytest.approx(1.0, abs=0.1)
+    assert learnt.deviation_limit_k[2] == 1.0, "nobody has one: the floor"
+    well = play(ThermalSide(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.0)
+    assert {r.thermal for r in well} == {Flag.GOOD}
+    ill = play(ThermalSide(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.3)
+    assert [r.fault_class for r in ill] == [FaultClass.NONE, FaultClass.BEARING, FaultClass.NONE]
