@@ -24,6 +24,12 @@ HOLD_MARGIN: Final = 4.0
 SHORTEST_HOLD_NS: Final = 10 * SECOND
 UNCALIBRATED_HOLD_NS: Final = 240 * SECOND
 """Real sensors hold a value for up to a minute (house data); four times that, unmeasured."""
+QUIET_K: Final = 0.25
+"""A sensor that never moved by more than two steps of the wire has no noise to tell a dead one by.
+
+Between two steps it holds for as long as the motor keeps its temperature: real ones, seconds in
+one minute and two minutes in the next. What it held in health is no limit then.
+"""
 STEP_MARGIN: Final = 3.0
 SMALLEST_STEP_K: Final = 2.0
 STEP_READINGS: Final = 3
@@ -135,7 +141,9 @@ class SensorSide:
         cell = self.cells[drive]
         if cell is None:
             return UNCALIBRATED_HOLD_NS
-        return max(SHORTEST_HOLD_NS, round(HOLD_MARGIN * cell.longest_hold_s[k] * SECOND))
+        quiet = cell.largest_step_k[k] <= QUIET_K
+        least = UNCALIBRATED_HOLD_NS if quiet else SHORTEST_HOLD_NS
+        return max(least, round(HOLD_MARGIN * cell.longest_hold_s[k] * SECOND))
 
     def fault(self, drive: int, k: int, now: Nanos) -> FaultClass:
         """What is wrong with one sensor; UNKNOWN while it has never been heard.

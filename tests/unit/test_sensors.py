@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gateway.calibration import MotorCalibration
 from gateway.health import FaultClass, FaultSensor, Flag
 from gateway.inbox import Temperatures
 from gateway.results.calibrating import Learner
@@ -93,6 +94,16 @@ def test_a_sensor_that_is_not_fitted_takes_part_in_nothing():
     assert rig.side.values[0, 1] == 0.0
     both = rig.run(20, (9, 0, 9))[-1]
     assert both == (FaultClass.SENSOR_BIAS, FaultSensor.NONE), "all that there are"
+
+
+@pytest.mark.parametrize(("step_k", "hold_s"), [(0.2, 240), (0.8, 10)])
+def test_a_sensor_without_noise_is_not_held_to_what_it_held_in_health(step_k, hold_s):
+    three = (step_k,) * 3
+    cell = MotorCalibration(
+        node=1, gain=(1,) * 3, offset_k=(0,) * 3, longest_hold_s=(2.0,) * 3, largest_step_k=three
+    )
+    side = SensorSide(1, 100 * MS, [cell])
+    assert side.hold_ns(0, 0) == hold_s * 1000 * MS
 
 
 def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_have():
