@@ -33,6 +33,8 @@ one minute and two minutes in the next. What it held in health is no limit then.
 STEP_MARGIN: Final = 3.0
 SMALLEST_STEP_K: Final = 2.0
 STEP_READINGS: Final = 3
+FORGET_NS: Final = 10 * SECOND
+"""After longer without a valid value the motor may have changed by more than a step's limit."""
 TOGETHER: Final = 2
 """Faults of all sensors within this many readings of one another have a common source."""
 ALARMING: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST)
@@ -110,9 +112,11 @@ class SensorSide:
         drive = reading.drive
         point = self.points[drive][k]
         value, raw = reading.celsius[k], reading.raw[k]
-        if raw != point.raw:
+        back = point.valid_ns is None or reading.t_ns - point.valid_ns > FORGET_NS
+        if raw != point.raw or back:
             point.raw, point.changed_ns = raw, reading.t_ns
-        if not point.seen:
+        # An offset once found stays: silence does not clear it.
+        if back and not point.bias_k:
             point.level = value
         step = value - point.level - point.bias_k
         limit = self.step_limit(drive, k)

@@ -96,6 +96,36 @@ def test_a_sensor_that_is_not_fitted_takes_part_in_nothing():
     assert both == (FaultClass.SENSOR_BIAS, FaultSensor.NONE), "all that there are"
 
 
+@pytest.mark.parametrize("silent_s", [12, 600])
+def test_what_has_cooled_while_nothing_was_heard_has_not_jumped(silent_s):
+    rig = Rig()
+    rig.run(50)
+    rig.k += 10 * silent_s
+    assert rig.run(50, (-30, -20, -20)) == HEALTHY
+
+
+def test_the_same_value_before_and_after_a_silence_is_not_held():
+    side = SensorSide(1, 100 * MS)
+    for t_s in (0, 300):
+        side.take(Temperatures(0, t_s * 1000 * MS, (60.0,) * 4, (True,) * 4, (600,) * 4))
+    assert side.verdict(0, 300_050 * MS) == HEALTHY[0]
+
+
+def test_silence_does_not_clear_an_offset():
+    rig = Rig()
+    rig.run(50)
+    rig.run(20, (0, 9, 0))
+    rig.k += 600
+    assert rig.run(50, (0, 9, 0)) == ((FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END),)
+
+
+def test_a_jump_over_a_short_hole_is_still_one():
+    rig = Rig()
+    rig.run(50)
+    rig.k += 39
+    assert rig.run(50, (0, 9, 0))[-1] == (FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END)
+
+
 @pytest.mark.parametrize(("step_k", "hold_s"), [(0.2, 240), (0.8, 10)])
 def test_a_sensor_without_noise_is_not_held_to_what_it_held_in_health(step_k, hold_s):
     three = (step_k,) * 3
