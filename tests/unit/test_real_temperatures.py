@@ -115,8 +115,8 @@ def test_the_hot_half_bridge_is_named_and_the_others_are_silent(bridges, label):
         assert kinds(said, k) == ({FaultClass.OVERHEATING} if name == hot else set())
 
 
-def test_limits_from_one_session_alone_are_too_narrow_for_another(learnt):
-    """Kept as it is: what one session teaches, 2.1 K, is finer than the sensors are."""
+def test_limits_from_one_recording_alone_are_not_silent_on_f3(learnt):
+    """A known weakness, held so that a change of it is seen."""
     assert learnt.deviation_limit_k[0] == pytest.approx(2.1, abs=0.1)
     hot = {label: hot_bridges(said) for label, said in judged(learnt).items()}
     assert hot.pop("F3") == ["HB2"]
