@@ -79,7 +79,10 @@ KINDS: Final = (
 )  # fmt: skip
 SENSOR_KINDS: Final = ("sensor_bias", "intermittent")
 SIZE_K: Final = (3.0, 12.0)
-"""True effect at the sensor that shows it most, at the mean duty."""
+"""True effect at the sensor that shows it most: settled, at the mean duty, where samples are hours
+apart; else the largest that is reached while the fault lasts."""
+MOST_BLOCKED, MOST_MORE = 0.9, 1e5
+"""Largest share of the air that is lost; most of anything else."""
 INTERMITTENT_K: Final = (15.0, 40.0)
 INTERMITTENT_SHARE: Final = 0.05
 """Of the readings, in bursts, while the connector is loose."""
@@ -149,14 +152,17 @@ def train(
     friction = _course(own, rng, base, steps, FRICTION_SPREAD)
     local = ambient[:, None] + LOCAL_AIR_K * (_course(own, rng, base, steps, 1.0) - 1.0)
     fault = _fault(rng, base, kind) if kind else None
-    ills = _none(steps)
-    healthy = _heat(base, square, speed, (local, air, friction), ills, at)
+    healthy = _heat(base, square, speed, (local, air, friction), _none(steps), at)
     real, error = healthy, np.zeros_like(healthy)
     if fault is not None and fault.kind in SENSOR_KINDS:
         error[:, fault.motor, fault.point] = _sensor_error(rng, base, fault)
     elif fault is not None:
-        ills = _ills(fault, base, square, speed)
-        real = _heat(base, square, speed, (local, air, friction), ills, at)
+
+        def ill(share: float) -> Array:
+            ills = _ills(fault, base, square, speed, share)
+            return _heat(base, square, speed, (local, air, friction), ills, at)
+
+        real = ill(1.0) if base is DAYS else _reaching(fault.size_k, ill, healthy)
     offset = OFFSET_K * _clipped(own, (MOTORS, len(MEASURED)))
     noise = READING_NOISE_K * rng.standard_normal(real.shape)
     true = real + offset + error
@@ -259,10 +265,25 @@ def _none(steps: int) -> _Ills:
     return _Ills(0, WINDING, np.zeros(steps), np.zeros(steps), np.ones(steps))
 
 
-def _ills(fault: Fault, base: Base, square: Array, speed: Array) -> _Ills:
+def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> Array:
+    """(K, M, 3) degC with a fault whose largest effect is `size_k`, or as near as it gets.
+
+    ill: temperatures with this share of the fault that would reach it settled.
+    """
+    share = 1.0
+    for _ in range(4):
+        real = ill(share)
+        reached = float((real - healthy).max())
+        if abs(reached - size_k) < 0.05 * size_k:
+            break
+        share *= min(size_k / max(reached, 1e-3), 30.0)
+    return real
+
+
+def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -> _Ills:
     """Of a fault of heat, by its true effect.
 
-    The point that shows it most is `size_k` warmer at the mean duty, when settled.
+    With a share of 1 the point that shows it most is `size_k` warmer at the mean duty, when settled.
     """
     ills = _none(len(speed))._replace(motor=fault.motor)
     per = base.sample_s / base.step_s
@@ -279,7 +300,8 @@ def _ills(fault: Fault, base: Base, square: Array, speed: Array) -> _Ills:
 
     if fault.kind == "bearing":
         ills = ills._replace(node=MEASURED[fault.point])
-    amount = _amount(most, fault.size_k, 0.9 if fault.kind == "cooling_loss" else 1e5)
+    limit = MOST_BLOCKED if fault.kind == "cooling_loss" else MOST_MORE
+    amount = min(share * _amount(most, fault.size_k, limit), limit)
     if fault.kind == "overheating":
         ills.heat[when] = amount
     elif fault.kind == "bearing":

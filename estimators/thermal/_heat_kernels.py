@@ -1,4 +1,4 @@
-"""Compiled loop of `heat`: M motors of four lumps over L steps."""
+"""Compiled loop of `heat`: M motors of five lumps over L steps."""
 
 from __future__ import annotations
 
@@ -8,31 +8,32 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SLOPE = 0.0039
-_REFERENCE = 60.0
+SLOPE = 0.0039
+REFERENCE = 60.0
 
 
 @njit(cache=True)
 def step(p: Array, square: float, speed: float, ambient: float, extra: Array, dt: float, x: Array
          ) -> None:  # fmt: skip
-    """One step of one motor, x (4,) in place; linear parts implicit, so that any dt is stable."""
+    """One step of one motor, x (5,) in place; linear parts implicit, so that any dt is stable."""
     copper = p[0] * square
-    # Winding and core together: two linear equations, backward Euler.
-    a11 = 1.0 + dt * (p[1] - _SLOPE * copper)
-    a12 = -dt * p[1]
-    air = p[5] + p[6] * speed
-    a21 = -dt * p[2]
-    a22 = 1.0 + dt * (p[2] + air)
-    b1 = x[0] + dt * (copper * (1.0 - _SLOPE * _REFERENCE) + extra[0])
-    b2 = x[1] + dt * (p[3] * speed + p[4] * speed * speed + air * ambient + extra[1])
-    det = a11 * a22 - a12 * a21
-    x[0] = (b1 * a22 - a12 * b2) / det
-    x[1] = (a11 * b2 - a21 * b1) / det
-    x[2] = (x[2] + dt * (p[7] * x[1] + p[8] * speed + p[9] * ambient + extra[2])) / (
-        1.0 + dt * (p[7] + p[9])
+    air = p[7] + p[8] * speed
+    # Winding, core, frame: a chain of three linear equations, backward Euler, solved from its ends.
+    own_w = 1.0 + dt * (p[1] - SLOPE * copper)
+    own_c = 1.0 + dt * (p[2] + p[5])
+    own_f = 1.0 + dt * (p[6] + air)
+    w = (x[0] + dt * (copper * (1.0 - SLOPE * REFERENCE) + extra[0])) / own_w
+    f = (x[2] + dt * (air * ambient + extra[2])) / own_f
+    c = x[1] + dt * (p[3] * speed + p[4] * speed * speed + extra[1])
+    to_core_w, to_core_f = dt * p[1] / own_w, dt * p[6] / own_f
+    x[1] = (c + dt * (p[2] * w + p[5] * f)) / (own_c - dt * (p[2] * to_core_w + p[5] * to_core_f))
+    x[0] = w + to_core_w * x[1]
+    x[2] = f + to_core_f * x[1]
+    x[3] = (x[3] + dt * (p[9] * x[2] + p[10] * speed + p[11] * ambient + extra[3])) / (
+        1.0 + dt * (p[9] + p[11])
     )
-    x[3] = (x[3] + dt * (p[10] * x[1] + p[11] * speed + p[12] * ambient + extra[3])) / (
-        1.0 + dt * (p[10] + p[12])
+    x[4] = (x[4] + dt * (p[12] * x[2] + p[13] * speed + p[14] * ambient + extra[4])) / (
+        1.0 + dt * (p[12] + p[14])
     )
 
 
@@ -48,15 +49,11 @@ def simulate(
     state: Array,
     out: Array,
 ) -> None:
-    """Readings (K, M, 3) at the end of the steps `at`; arguments as `heat.predict`."""
+    """Lumps (K, M, 5) at the end of the steps `at`; arguments as `heat.predict`."""
     k = 0
     for n in range(speed.shape[0]):
         for m in range(parameters.shape[0]):
             step(parameters[m], square[n, m], speed[n], ambient[n], extra[m], dt, state[m])
         while k < at.shape[0] and at[k] == n:
-            for m in range(parameters.shape[0]):
-                p = parameters[m]
-                out[k, m, 0] = state[m, 0] + p[13]
-                out[k, m, 1] = state[m, 2] + p[14]
-                out[k, m, 2] = state[m, 3] + p[15]
+            out[k] = state
             k += 1

@@ -1,4 +1,4 @@
-"""Compiled loop of `steps`: sensor by sensor, sample by sample."""
+"""Compiled side of `steps`: one sensor's latest readings in, how far it has stepped out."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+OFF, LEVEL, HOME, SINCE, OLD = range(5)
+"""A sensor's state: offset K, level and undisturbed level K, samples since a step was seen that has
+not settled yet (-1 none), samples since `LEVEL` was seen."""
+STATE = 5
 _ENOUGH = 3
 """Readings that a median needs."""
 
@@ -27,41 +31,97 @@ def _median(x: Array, first: int, end: int) -> float:
 
 
 @njit(cache=True)
+def _trend(x: Array, first: int, end: int) -> tuple[float, float, float]:
+    """Of the line through the medians of the halves of x[first:end]: place, value there, slope."""
+    middle = (first + end) // 2
+    one, two = _median(x, first, middle), _median(x, middle, end)
+    return 0.5 * (middle + end - 1), two, (two - one) / (0.5 * (end - first))
+
+
+@njit(cache=True)
+def _jump(x: Array, before: int, after: int, level: float) -> float:
+    """K that x jumps by in [before, before + after): what came then less what was to be expected.
+
+    Expected is what would have come of the trend before, or of the trend after if that explains
+    more: a winding that begins to warm by 0.1 K/s bends, it does not jump. Over a hole: the level.
+    """
+    end = before + after
+    at = before + 0.5 * (after - 1)
+    place, value, slope = _trend(x, end, len(x))
+    now = value + slope * (at - place)
+    was_at, was, was_slope = _trend(x, 0, before)
+    near = _median(x, before - after, before)
+    if not (math.isfinite(was + was_slope) and math.isfinite(near)):
+        return now - level
+    straight = now - (was + was_slope * (at - was_at))
+    bent = now - (near + slope * (at - (before - 0.5 * (after + 1))))
+    return straight if abs(straight) < abs(bent) else bent
+
+
+@njit(cache=True)
+def start(state: Array) -> None:
+    """A sensor that nothing is known of, state (5,) in place."""
+    state[OFF], state[LEVEL], state[HOME], state[SINCE], state[OLD] = 0.0, math.nan, math.nan, -1, 0
+
+
+@njit(cache=True)
+def one(
+    x: Array, state: Array, before: int, after: int, step: float, back: float, follows: float
+) -> None:
+    """One more sample: x, the latest before + after + settled of a sensor's residuals; state (5,).
+
+    step, back: see `steps`; follows: K per sample that the level of a sensor without offset may
+    change by.
+    """
+    size, settled = len(x), len(x) - before - after
+    if state[SINCE] >= 0.0:
+        state[SINCE] += 1.0
+        if state[SINCE] >= settled:
+            moved = _jump(x, before, after, state[LEVEL])
+            if abs(moved) > 0.8 * step:
+                state[OFF] += moved
+                if abs(state[OFF]) < back:
+                    state[OFF] = 0.0
+            if math.isfinite(moved):
+                state[SINCE] = -1.0
+            elif state[SINCE] > settled:
+                # Too few readings since: wait, with what came after in its place.
+                state[SINCE] = float(settled)
+        return
+    now = _median(x, size - after - before, size - after)
+    known = math.isfinite(now)
+    state[OLD] = 0.0 if known else state[OLD] + 1.0
+    # Over a short hole the level is what it was; over a long one anything may warm.
+    if known or state[OLD] > settled:
+        state[LEVEL] = now
+    level = state[LEVEL]
+    if state[OFF] == 0.0 and math.isfinite(level):
+        home = level if math.isnan(state[HOME]) else state[HOME]
+        state[HOME] = home + min(max(level - home, -follows), follows)
+    elif abs(level - state[HOME]) < back:
+        # It was two bursts in a row, or has crept back.
+        state[OFF] = 0.0
+    # A median that is no number is not far from anything.
+    if abs(_median(x, size - after, size) - level) > step:
+        state[SINCE] = 0.0
+
+
+@njit(cache=True)
 def follow(
     x: Array, counts: NDArray[np.int64], step: float, back: float, follows: float, out: Array
 ) -> None:
     """Fill out (K, S) K: offsets of S sensors with residuals x (K, S).
 
-    counts: samples before, after, and until a step has settled; step, back: see `steps`; follows:
-    K per sample that the level of a sensor without offset may change by.
+    counts: samples before, after, and until a step has settled.
     """
     before, after, settled = counts
+    size = before + after + settled
+    padded = np.full(x.shape[0] + settled, np.nan)
+    state = np.empty(STATE)
     for s in range(x.shape[1]):
-        own = np.ascontiguousarray(x[:, s])
-        off, level, home = 0.0, math.nan, math.nan
-        # Sample at which a step that has not settled yet was seen; samples since `level` was.
-        seen, old = -1, 0
+        padded[settled:] = x[:, s]
+        start(state)
         for k in range(before + after, x.shape[0]):
-            if seen < 0:
-                now = _median(own, k + 1 - after - before, k + 1 - after)
-                known = math.isfinite(now)
-                old = 0 if known else old + 1
-                # Over a short hole the level is what it was; over a long one anything may warm.
-                level = now if known or old > settled else level
-                if off == 0.0 and math.isfinite(level):
-                    home = level if math.isnan(home) else home
-                    home += min(max(level - home, -follows), follows)
-                elif abs(level - home) < back:
-                    # It was two bursts in a row, or has crept back.
-                    off = 0.0
-                # A median that is no number is not far from anything.
-                if abs(_median(own, k + 1 - after, k + 1) - level) > step:
-                    seen = k
-            elif k >= seen + settled:
-                moved = _median(own, k + 1 - before, k + 1) - level
-                if abs(moved) > 0.8 * step:
-                    off += moved
-                    off = off if abs(off) >= back else 0.0
-                if math.isfinite(moved):
-                    seen = -1
-            out[k, s] = off
+            one(padded[k + settled + 1 - size : k + settled + 1], state, before, after, step, back,
+                follows)  # fmt: skip
+            out[k, s] = state[OFF]

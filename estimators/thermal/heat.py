@@ -1,14 +1,16 @@
-"""A motor as four lumps of heat, driven by what is on the bus: currents, speed, ambient.
+"""A motor as five lumps of heat, driven by what is on the bus: currents, speed, ambient.
 
     winding      dw = a I^2 (1 + 0.0039 (w - 60)) - k_w (w - c)
-    core, frame  dc = k_c (w - c) + e_1 |W| + e_2 W^2 - (h_0 + h_1 |W|) (c - T_a)
-    drive end    dd = k_d (c - d) + f_d |W| - b_d (d - T_a)       non-drive end alike
+    core         dc = k_c (w - c) + e_1 |W| + e_2 W^2 - g_c (c - f)
+    frame        df = g_f (c - f) - (h_0 + h_1 |W|) (f - T_a)
+    drive end    dd = k_d (f - d) + f_d |W| - b_d (d - T_a)       non-drive end alike
 
 per second; I amplitude of the current A, W rotor speed rad/s, T_a ambient degC. Readings are w, d,
-n plus an offset each. Rates, not heat capacities: temperatures alone cannot tell more. It is run
-open loop: a filter would follow the fault, and after a few steps its residual is white again. In
-place of paper `thermal`, eq. (1), whose one lump of 850 kg has one time constant, whose Joule heat
-is of the current's change, and which lacks the time step.
+n plus an offset each. Core and frame are two: air cools the frame, the ends hang on it, the winding
+on the core, and that is what is seen when cooling fails. Rates, not heat capacities: temperatures
+alone cannot tell more. It is run open loop: a filter would follow the fault, and after a few steps
+its residual is white again. In place of paper `thermal`, eq. (1), whose one lump of 850 kg has one
+time constant, whose Joule heat is of the current's change, and which lacks the time step.
 """
 
 from __future__ import annotations
@@ -18,23 +20,27 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal._heat_kernels import simulate
+from estimators.thermal._heat_kernels import SLOPE, simulate
 from estimators.thermal.record import Record
 
 Array = NDArray[np.float64]
 
 NAMES: Final = (
-    "a", "k_w", "k_c", "e_1", "e_2", "h_0", "h_1", "k_d", "f_d", "b_d", "k_n", "f_n", "b_n",
+    "a", "k_w", "k_c", "e_1", "e_2", "g_c", "g_f", "h_0", "h_1",
+    "k_d", "f_d", "b_d", "k_n", "f_n", "b_n",
 )  # fmt: skip
 RATES: Final = len(NAMES)
-A, K_W, K_C, E_1, E_2, H_0, H_1, K_D, F_D, B_D, K_N, F_N, B_N = range(RATES)
+A, K_W, K_C, E_1, E_2, G_C, G_F, H_0, H_1, K_D, F_D, B_D, K_N, F_N, B_N = range(RATES)
 OFFSETS: Final = slice(RATES, RATES + 3)
 COUNT: Final = RATES + 3
-EXTRA: Final = 4
-"""Rows of heat that no healthy motor has, K/s of each lump: for signatures of faults."""
+LUMPS: Final = 5
+WINDING, CORE, FRAME, DRIVE_END, OTHER_END = range(LUMPS)
+MEASURED: Final = (WINDING, DRIVE_END, OTHER_END)
+EXTRA: Final = LUMPS
+"""Columns of heat that no healthy motor has, K/s of each lump: for signatures of faults."""
 TYPICAL: Final = np.array(
     [
-        4e-6, 5e-3, 6e-4, 6e-6, 8e-8, 1.6e-4, 1.4e-6,
+        4e-6, 5e-3, 1e-3, 1e-5, 1.4e-7, 3e-3, 4e-3, 4e-4, 3e-6,
         1.6e-3, 3e-5, 6e-4, 1.6e-3, 3e-5, 6e-4, 0.0, 0.0, 0.0,
     ]
 )  # fmt: skip
@@ -71,20 +77,37 @@ def drive(record: Record) -> Drive:
 
 
 def predict(
-    parameters: Array, inputs: Drive, start: Array | None = None, extra: Array | None = None
+    parameters: Array,
+    inputs: Drive,
+    start: Array | None = None,
+    extra: Array | None = None,
+    core: Array | None = None,
 ) -> Array:
     """(K, M, 3) degC at stator, drive end, non-drive end, by the model alone.
 
-    parameters (M, 16): rates of `NAMES` and three offsets; start (M, 3): readings at the beginning,
-    without them the steady state of the first hour's mean inputs; extra (M, 4): constant heat in
-    winding, core, drive end, non-drive end, K/s.
+    parameters (M, 18): rates of `NAMES` and three offsets; start (M, 3): readings at the beginning,
+    without them the steady state of the first hour's mean inputs; extra (M, 5): constant heat in
+    the lumps, K/s; core (M,): K that the core is warmer at the beginning
+    than its ends say.
     """
+    lumps = courses(parameters, inputs, start, extra, core)
+    return np.asarray(lumps[:, :, list(MEASURED)] + parameters[:, OFFSETS])
+
+
+def courses(
+    parameters: Array,
+    inputs: Drive,
+    start: Array | None = None,
+    extra: Array | None = None,
+    core: Array | None = None,
+) -> Array:
+    """(K, M, 5) degC of all lumps; arguments as `predict`."""
     motors = len(parameters)
     square = np.ascontiguousarray(np.broadcast_to(
         inputs.current_square, (len(inputs.speed), motors)
     ))  # fmt: skip
     heat = np.zeros((motors, EXTRA)) if extra is None else extra
-    out = np.empty((len(inputs.at), motors, 3))
+    out = np.empty((len(inputs.at), motors, LUMPS))
     if start is None:
         first = max(round(3600.0 / inputs.step_s), 1)
         speed, ambient = float(inputs.speed[:first].mean()), float(inputs.ambient[:first].mean())
@@ -93,6 +116,8 @@ def predict(
         state = np.stack(rows)
     else:
         state = begun(parameters, start, float(inputs.ambient[0]))
+        if core is not None:
+            state[:, CORE] += core
     simulate(
         parameters, square, inputs.speed, inputs.ambient, heat, inputs.at, inputs.step_s, state, out
     )
@@ -100,25 +125,50 @@ def predict(
 
 
 def begun(parameters: Array, readings: Array, ambient: float) -> Array:
-    """(M, 4) degC: lumps of motors with readings (M, 3); the core as warm as its ends say.
+    """(M, 5) degC: lumps of motors with readings (M, 3); the frame as warm as its ends say.
 
-    An end that settles is k/(k + b) of the way from the air to the core.
+    An end that settles is k/(k + b) of the way from the air to the frame. The core is taken to be
+    half way from there to the winding.
     """
     p, true = parameters, readings - parameters[:, OFFSETS]
     drive_end = ambient + (true[:, 1] - ambient) * (1.0 + p[:, B_D] / p[:, K_D])
     other_end = ambient + (true[:, 2] - ambient) * (1.0 + p[:, B_N] / p[:, K_N])
-    return np.stack([true[:, 0], 0.5 * (drive_end + other_end), true[:, 1], true[:, 2]], axis=1)
+    frame = 0.5 * (drive_end + other_end)
+    return np.stack([true[:, 0], 0.5 * (true[:, 0] + frame), frame, true[:, 1], true[:, 2]], axis=1)
 
 
 def settled(p: Array, square: float, speed: float, ambient: float, extra: Array) -> Array:
-    """(4,) degC: steady state of the lumps; finite for positive rates."""
-    air = p[H_0] + p[H_1] * speed
+    """(5,) degC: steady state of the lumps; finite for positive rates."""
     # The winding's own slope is left out: a start, not a result.
-    copper = p[A] * square + extra[0]
-    through = p[K_C] / p[K_W] * copper
-    core = ambient + (through + p[E_1] * speed + p[E_2] * speed**2 + extra[1]) / air
+    copper = p[A] * square + extra[WINDING]
+    through = p[K_C] / p[K_W] * copper + p[E_1] * speed + p[E_2] * speed**2 + extra[CORE]
+    air = p[H_0] + p[H_1] * speed
+    frame = ambient + (p[G_F] / p[G_C] * through + extra[FRAME]) / air
+    core = frame + through / p[G_C]
     ends = [
-        (p[k] * core + p[f] * speed + p[b] * ambient + more) / (p[k] + p[b])
-        for k, f, b, more in ((K_D, F_D, B_D, extra[2]), (K_N, F_N, B_N, extra[3]))
-    ]
-    return np.array([core + copper / p[K_W], core, *ends])
+        (p[k] * frame + p[f] * speed + p[b] * ambient + more) / (p[k] + p[b])
+        for k, f, b, more in (
+            (K_D, F_D, B_D, extra[DRIVE_END]), (K_N, F_N, B_N, extra[OTHER_END])
+        )
+    ]  # fmt: skip
+    return np.array([core + copper / p[K_W], core, frame, *ends])
+
+
+def coupling(p: Array, square: float, speed: float) -> Array:
+    """(5, 5) 1/s: how fast deviations of the lumps from `predict` change; heat in, per second.
+
+    p (18,): of one motor; square A^2 and speed rad/s of the moment.
+    """
+    a = np.zeros((LUMPS, LUMPS))
+    links = (
+        (WINDING, CORE, K_W), (CORE, WINDING, K_C), (CORE, FRAME, G_C), (FRAME, CORE, G_F),
+        (DRIVE_END, FRAME, K_D), (OTHER_END, FRAME, K_N),
+    )  # fmt: skip
+    for lump, other, rate in links:
+        a[lump, other] += p[rate]
+        a[lump, lump] -= p[rate]
+    a[WINDING, WINDING] += SLOPE * p[A] * square
+    a[FRAME, FRAME] -= p[H_0] + p[H_1] * speed
+    a[DRIVE_END, DRIVE_END] -= p[B_D]
+    a[OTHER_END, OTHER_END] -= p[B_N]
+    return a

@@ -3,8 +3,9 @@
 The whole run is simulated and compared with the readings. (One-step prediction errors are biased:
 at 1 Hz the noise is ten times the change per step.) Motors of a fleet are alike: the mean motor is
 found first, by Levenberg-Marquardt; every motor's own then from the mean motor's sensitivities, in
-two Gauss-Newton steps. Rates are sought as logarithms, so they stay positive, near what is typical
-unless the data say otherwise.
+a few Gauss-Newton steps. Rates are sought as logarithms, so they stay positive, and near typical
+ones unless the data say otherwise. How warm the core was at the beginning of a run is sought as
+well: nobody measures it, and a wrong guess is an hour of wrong readings that bends all rates.
 """
 
 from __future__ import annotations
@@ -20,20 +21,24 @@ from estimators.thermal.record import Record
 
 Array = NDArray[np.float64]
 
-PRIOR_SIGMA: Final = np.array([1.0] * RATES + [5.0] * 3)
+PRIOR_SIGMA: Final = np.array([0.5] * RATES + [5.0] * 3)
 """Of the logarithm of a rate around the typical one, and K of an offset."""
 OWN_SIGMA: Final = np.array([0.15] * RATES + [2.0] * 3)
 """The same of a motor around the mean motor."""
-NOISE_K: Final = 1.0
+CORE_SIGMA: Final = 15.0
+"""K of a run's first core temperature around what its ends say."""
+NOISE_K: Final = 2.0
 """What the model leaves unexplained, independent from sample to sample."""
 MOST_SAMPLES: Final = 400
 DIFFERENCE: Final = 1e-3
-ITERATIONS: Final = 12
-OWN_STEPS: Final = 2
+ITERATIONS: Final = 30
+MOST_STEP: Final = 1.0
+"""Of one iteration, prior standard deviations."""
+OWN_STEPS: Final = 8
 
 
 def identify(runs: Sequence[Record]) -> Array:
-    """(M, 16) parameters of the motors from fault-free runs (at least one) of all of them.
+    """(M, 18) parameters of the motors from fault-free runs (at least one) of all of them.
 
     Raises ValueError if there is no reading.
     """
@@ -41,9 +46,9 @@ def identify(runs: Sequence[Record]) -> Array:
     if not any(np.isfinite(run.readings).all(axis=(1, 2)).any() for run in inputs):
         raise ValueError("no sample with all temperatures in any run")
     fleet = [run.mean() for run in inputs]
-    mean = _mean_motor(fleet)
-    slopes = np.concatenate([_sensitivities(mean, run) for run in fleet])
-    return _own(mean, slopes, inputs)
+    theta = _mean_motor(fleet)
+    slopes = _slopes(theta, fleet)[:, :COUNT]
+    return _own(theta, slopes, inputs)
 
 
 class _Run(NamedTuple):
@@ -63,9 +68,10 @@ class _Run(NamedTuple):
         start = self.start.mean(axis=0, keepdims=True)
         return _Run(self.inputs._replace(current_square=square), readings, start)
 
-    def errors(self, parameters: Array) -> Array:
-        """(K, M, 3) readings less the model's."""
-        return self.readings - predict(parameters, self.inputs, self.start)
+    def errors(self, parameters: Array, core: float) -> Array:
+        """(K, M, 3) readings less the model's; core: as in `heat.predict`, of all motors."""
+        warmer = np.full(len(parameters), core)
+        return self.readings - predict(parameters, self.inputs, self.start, core=warmer)
 
 
 def _thinned(run: Record) -> _Run:
@@ -87,21 +93,21 @@ def first_readings(run: Record) -> Array:
 
 
 def _plain(theta: Array) -> Array:
-    """(..., 16) rates and offsets from logarithms of rates, and offsets."""
+    """(..., 18) rates and offsets from logarithms of rates, and offsets."""
     out = theta.copy()
     out[..., :RATES] = TYPICAL[:RATES] * np.exp(theta[..., :RATES])
     return out
 
 
 def _mean_motor(runs: Sequence[_Run]) -> Array:
-    """(16,) search variables of the mean motor."""
-    theta, damping = np.zeros(COUNT), 1.0
-    error, cost = _errors(theta, runs)
+    """(18 + R,) search variables of the mean motor, and K of its core at the begin of R runs."""
+    theta, damping = np.zeros(COUNT + len(runs)), 1.0
+    sigma = np.concatenate([PRIOR_SIGMA, np.full(len(runs), CORE_SIGMA)])
+    error, cost = _errors(theta, runs, sigma)
     for _ in range(ITERATIONS):
-        slopes = np.concatenate([_sensitivities(theta, run) for run in runs])
-        step = _solve(slopes, error, theta, PRIOR_SIGMA, damping)
-        tried = theta + np.clip(step, -1.0, 1.0)
-        tried_error, tried_cost = _errors(tried, runs)
+        step = _solve(_slopes(theta, runs), error, theta, sigma, damping)
+        tried = theta + np.clip(step, -MOST_STEP * sigma, MOST_STEP * sigma)
+        tried_error, tried_cost = _errors(tried, runs, sigma)
         if tried_cost < cost:
             done = cost - tried_cost < 1e-4 * cost
             theta, error, cost, damping = tried, tried_error, tried_cost, 0.3 * damping
@@ -112,21 +118,37 @@ def _mean_motor(runs: Sequence[_Run]) -> Array:
     return theta
 
 
-def _errors(theta: Array, runs: Sequence[_Run]) -> tuple[Array, float]:
+def _errors(theta: Array, runs: Sequence[_Run], sigma: Array) -> tuple[Array, float]:
     """Readings less the model's, flat, 0 where there is none; and the penalised sum of squares."""
-    parts = [np.nan_to_num(run.errors(_plain(theta)[None])).ravel() for run in runs]
-    error = np.concatenate(parts)
-    cost = float(np.sum((error / NOISE_K) ** 2) + np.sum((theta / PRIOR_SIGMA) ** 2))
+    plain = _plain(theta[:COUNT])[None]
+    each = zip(runs, theta[COUNT:].tolist(), strict=True)
+    error = np.concatenate([np.nan_to_num(run.errors(plain, core)).ravel() for run, core in each])
+    cost = float(np.sum((error / NOISE_K) ** 2) + np.sum((theta / sigma) ** 2))
     return error, cost if np.isfinite(cost) else np.inf
 
 
-def _sensitivities(theta: Array, run: _Run) -> Array:
-    """(3 K, 16) derivatives of the readings by differences: all perturbed motors in one run."""
-    tried = np.tile(theta, (COUNT + 1, 1))
-    tried[1:] += DIFFERENCE * np.eye(COUNT)
-    out = predict(_plain(tried), run.inputs, np.tile(run.start, (COUNT + 1, 1)))
-    slopes = (out[:, 1:] - out[:, :1]) / DIFFERENCE
-    return slopes.transpose(0, 2, 1).reshape(-1, COUNT)
+def _slopes(theta: Array, runs: Sequence[_Run]) -> Array:
+    """(3 K of all runs, 18 + R) derivatives of the readings by the search variables."""
+    parts = []
+    for r, run in enumerate(runs):
+        own, core = _sensitivities(theta[:COUNT], float(theta[COUNT + r]), run)
+        cores = np.zeros((len(own), len(runs)))
+        cores[:, r] = core
+        parts.append(np.hstack([own, cores]))
+    return np.concatenate(parts)
+
+
+def _sensitivities(theta: Array, core: float, run: _Run) -> tuple[Array, Array]:
+    """Derivatives by differences, all perturbed motors in one run: (3 K, 18); by the core."""
+    tried = np.tile(theta, (COUNT + 2, 1))
+    tried[1 : COUNT + 1] += DIFFERENCE * np.eye(COUNT)
+    warmer = np.full(COUNT + 2, core)
+    warmer[-1] += 1.0
+    starts = np.tile(run.start, (COUNT + 2, 1))
+    out = predict(_plain(tried), run.inputs, starts, core=warmer)
+    slopes = (out[:, 1:-1] - out[:, :1]) / DIFFERENCE
+    by_core = out[:, -1] - out[:, 0]
+    return slopes.transpose(0, 2, 1).reshape(-1, COUNT), by_core.ravel()
 
 
 def _solve(slopes: Array, error: Array, around: Array, sigma: Array, damping: float) -> Array:
@@ -137,11 +159,13 @@ def _solve(slopes: Array, error: Array, around: Array, sigma: Array, damping: fl
     return np.asarray(np.linalg.solve(normal + np.diag(weight * (1.0 + damping)), right))
 
 
-def _own(mean: Array, slopes: Array, runs: Sequence[_Run]) -> Array:
-    """(M, 16) parameters of every motor around the mean motor's search variables."""
+def _own(found: Array, slopes: Array, runs: Sequence[_Run]) -> Array:
+    """(M, 18) parameters of every motor around the mean motor's search variables `found`."""
+    mean, cores = found[:COUNT], found[COUNT:].tolist()
     theta = np.tile(mean, (runs[0].readings.shape[1], 1))
     for _ in range(OWN_STEPS):
-        errors = [run.errors(_plain(theta)) for run in runs]
+        each = zip(runs, cores, strict=True)
+        errors = [run.errors(_plain(theta), core) for run, core in each]
         for m in range(len(theta)):
             error = np.concatenate([e[:, m].ravel() for e in errors])
             seen = np.isfinite(error)

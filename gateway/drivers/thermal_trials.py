@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from estimators.thermal.hypotheses import KINDS as BELIEFS
 from estimators.thermal.maisd_method import PaperMethod
-from estimators.thermal.model_method import Calibrated, ModelMethod
+from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
 from gateway.results.thermal_scores import Score, Told, Truth, score
@@ -125,7 +125,7 @@ def _one(fitted: Callable[[Record], Array], limit: float, run: Labelled, base: B
     """Judge one run; the time is that of scoring it."""
     record = record_of(run)
     began = time.perf_counter()
-    if isinstance(fitted, Calibrated):
+    if isinstance(fitted, Calibrated | Watching):
         belief = fitted.believe(record)
         motor = belief.statistic.argmax(axis=1)
         statistic = belief.statistic.max(axis=1)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from estimators.thermal import heat, hypotheses
+from estimators.thermal._heat_kernels import step
 from estimators.thermal._hypotheses_kernels import compare, references
 from estimators.thermal.heat import TYPICAL, Drive, drive, predict, settled
 from estimators.thermal.hypotheses import KINDS, SIZES_K, Belief, Blocks, pace
@@ -43,15 +44,31 @@ def test_the_model_settles_where_algebra_says():
     inputs = steady_drive()
     flat = TYPICAL.copy()
     got = predict(np.tile(flat, (MOTORS, 1)), inputs)[-1, 0]
-    base = settled(flat, 1e4, 150.0, 12.0, np.zeros(4))
+    base = settled(flat, 1e4, 150.0, 12.0, np.zeros(heat.EXTRA))
     # The winding's resistance rises with its temperature, which the start leaves out.
     assert got[0] == pytest.approx(base[0], rel=0.05)
     copper = flat[heat.A] * 1e4 * (1.0 + 0.0039 * (got[0] - 60.0))
     core = got[0] - copper / flat[heat.K_W]
-    end = (flat[heat.K_D] * core + flat[heat.F_D] * 150.0 + flat[heat.B_D] * 12.0) / (
+    iron = flat[heat.E_1] * 150.0 + flat[heat.E_2] * 150.0**2
+    through = flat[heat.K_C] * (got[0] - core) + iron
+    frame = core - through / flat[heat.G_C]
+    end = (flat[heat.K_D] * frame + flat[heat.F_D] * 150.0 + flat[heat.B_D] * 12.0) / (
         flat[heat.K_D] + flat[heat.B_D]
     )
     assert got[1] == pytest.approx(end, abs=0.01)
+
+
+def test_deviations_follow_the_coupling():
+    """A little warmer lump fades in the model as the matrix of deviations says."""
+    flat = TYPICAL.copy()
+    matrix = heat.coupling(flat, 1e4, 150.0)
+    for lump in range(heat.LUMPS):
+        base, warmer = np.full(heat.LUMPS, 60.0), np.full(heat.LUMPS, 60.0)
+        warmer[lump] += 1.0
+        for x in (base, warmer):
+            step(flat, 1e4, 150.0, 12.0, np.zeros(heat.EXTRA), 1e-3, x)
+        got = (warmer - base - np.eye(heat.LUMPS)[lump]) / 1e-3
+        np.testing.assert_allclose(got, matrix[:, lump], rtol=1e-4, atol=1e-7)
 
 
 def test_long_steps_are_stable():

@@ -1,0 +1,196 @@
+"""Compiled side of `models`: the interacting filters of one motor, one block of readings at a time.
+
+State: deviations of five lumps, K; five disturbances; the fault's size. Modes: nothing; a kind of
+heat each; a sensor that is off each.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LUMPS, DISTURBANCES, POINTS, HEATS = 5, 5, 3, 5
+STATES = LUMPS + DISTURBANCES + 1
+SIZE = STATES - 1
+MODES = 1 + HEATS + POINTS
+COOLING = 2
+"""Mode whose heat grows with the frame's own excess over the air."""
+SEEN = np.array([0, 3, 4])
+"""Lumps with a sensor."""
+_ORDER = 12
+_LEAST = 1e-30
+_OUTLYING = 0.01
+"""Share of blocks that are not what they seem."""
+
+
+@njit(cache=True)
+def _response(rates: Array, dt: float, fade: Array, gain: Array) -> None:
+    """What is left after dt s of deviations, and what a steady heat of 1 K/s has made of them.
+
+    rates (5, 5) 1/s as `heat.coupling`; fade, gain (5, 5) are filled: exp(rates dt) and its
+    integral, by Taylor of a step short enough and doubling.
+    """
+    norm = np.abs(rates).sum(axis=1).max() * dt
+    halvings = 0
+    while norm > 0.5:
+        norm *= 0.5
+        halvings += 1
+    h = dt / 2.0**halvings
+    term = np.eye(LUMPS) * h
+    total = term.copy()
+    for k in range(2, _ORDER):
+        term = term @ rates * (h / k)
+        total = total + term
+    power = np.eye(LUMPS) + rates @ total
+    for _ in range(halvings):
+        total = total + power @ total
+        power = power @ power
+    fade[:], gain[:] = power, total
+
+
+@njit(cache=True)
+def _mix(
+    mode: Array, mean: Array, cov: Array, begin: float, end: float, sizes: Array,
+    weight: Array, mean_out: Array, cov_out: Array,
+) -> None:  # fmt: skip
+    """The Markov chain of modes: faults begin with a fresh size, and end with none."""
+    modes = len(mode)
+    # What becomes healthy, or stays so.
+    weight[0] = (1.0 - begin) * mode[0] + end * mode[1:].sum()
+    mean_out[0], cov_out[0] = 0.0, 0.0
+    for g in range(modes):
+        share = ((1.0 - begin) if g == 0 else end) * mode[g] / weight[0]
+        mean_out[0, :SIZE] += share * mean[g, :SIZE]
+    for g in range(modes):
+        share = ((1.0 - begin) if g == 0 else end) * mode[g] / weight[0]
+        if share > 1e-12:
+            off = mean[g, :SIZE] - mean_out[0, :SIZE]
+            cov_out[0, :SIZE, :SIZE] += share * (cov[g, :SIZE, :SIZE] + np.outer(off, off))
+    for g in range(1, modes):
+        entering = begin * mode[0] / (modes - 1)
+        weight[g] = (1.0 - end) * mode[g] + entering
+        new = entering / weight[g]
+        fresh = mean[0].copy()
+        fresh[SIZE] = sizes[g, 0]
+        middle = new * fresh + (1.0 - new) * mean[g]
+        a, b = fresh - middle, mean[g] - middle
+        mean_out[g] = middle
+        cov_out[g] = new * np.outer(a, a) + (1.0 - new) * (cov[g] + np.outer(b, b))
+        cov_out[g, :SIZE, :SIZE] += new * cov[0, :SIZE, :SIZE]
+        cov_out[g, SIZE, SIZE] += new * sizes[g, 1] ** 2
+
+
+@njit(cache=True)
+def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> float:
+    """Kalman update by the readings y (3,) that there are, robust; log likelihood of them.
+
+    Readings are normal with `noise` K, or, rarely, `wide` of what they should be: then they say
+    little. x, p in place.
+    """
+    count = 0
+    rows = np.empty(POINTS, dtype=np.int64)
+    for q in range(POINTS):
+        if math.isfinite(y[q]):
+            rows[count] = q
+            count += 1
+    if count == 0:
+        return 0.0
+    seen = np.zeros((count, STATES))
+    error = np.empty(count)
+    for i in range(count):
+        q = rows[i]
+        seen[i, SEEN[q]] = 1.0
+        if g == 1 + HEATS + q:
+            seen[i, SIZE] = 1.0
+        error[i] = y[q] - seen[i] @ x
+    gain_t = seen @ p
+    inner = gain_t @ seen.T + noise * noise * np.eye(count)
+    inverse = np.linalg.inv(inner)
+    normal = -0.5 * (error @ (inverse @ error)) - 0.5 * math.log(np.linalg.det(inner))
+    loose = inner + wide * wide * np.eye(count)
+    outlying = -0.5 * (error @ np.linalg.solve(loose, error))
+    outlying -= 0.5 * math.log(np.linalg.det(loose))
+    normal += math.log(1.0 - _OUTLYING)
+    outlying += math.log(_OUTLYING)
+    top = max(normal, outlying)
+    says = top + math.log(math.exp(normal - top) + math.exp(outlying - top))
+    believed = math.exp(normal - says)
+    gain = gain_t.T @ inverse
+    moved = gain @ error
+    x += believed * moved
+    # Of the mixture of the two outcomes.
+    p -= believed * (gain @ gain_t)
+    p += believed * (1.0 - believed) * np.outer(moved, moved)
+    p[:] = 0.5 * (p + p.T)
+    return says
+
+
+@njit(cache=True)
+def advance(
+    mode: Array, mean: Array, cov: Array, y: Array, rates: Array, pushes: Array, heats: Array,
+    rise: float, dt: float, sigma: Array, odds: Array, sizes: Array, noise: float,
+) -> float:  # fmt: skip
+    """One block of one motor; mode (G,), mean (G, 11), cov (G, 11, 11) in place.
+
+    y (3,) K from its peers, NaN without; rates (5, 5) 1/s; pushes (5, 5) K/s of the lumps per
+    disturbance; heats (5, 5) K/s per kind of fault (rows) and K of size; rise: frame above the air,
+    K; dt: s since the last block; sigma (5,) of the disturbances; odds: begin and end per s, memory
+    of disturbances s, unsure share, size's walk K and share per block, K of a lump's own noise per
+    root of a minute, wide K; sizes (G, 2): mean and deviation of a fresh fault. Log likelihood.
+    """
+    modes = len(mode)
+    weight = np.empty(modes)
+    before, spread = np.empty_like(mean), np.empty_like(cov)
+    _mix(mode, mean, cov, odds[0] * dt, odds[1] * dt, sizes, weight, before, spread)
+    fade, gain = np.empty((LUMPS, LUMPS)), np.empty((LUMPS, LUMPS))
+    _response(rates, dt, fade, gain)
+    keep = math.exp(-dt / odds[2])
+    step = np.zeros((STATES, STATES))
+    step[:LUMPS, :LUMPS] = fade
+    step[:LUMPS, LUMPS:SIZE] = gain @ pushes * math.sqrt(keep)
+    for i in range(LUMPS, SIZE):
+        step[i, i] = keep
+    step[SIZE, SIZE] = 1.0
+    says = np.empty(modes)
+    for g in range(modes):
+        x = before[g]
+        step[:LUMPS, SIZE] = 0.0
+        if 0 < g <= HEATS:
+            more = max(1.0 + x[2] / rise, 0.2) if g == COOLING else 1.0
+            step[:LUMPS, SIZE] = gain @ heats[g - 1] * more
+        p = step @ spread[g] @ step.T
+        for i in range(LUMPS):
+            p[i, i] += odds[6] ** 2 * dt / 60.0 + (odds[3] * (1.0 - fade[i, i]) * x[i]) ** 2
+            p[LUMPS + i, LUMPS + i] += sigma[i] ** 2 * (1.0 - keep * keep)
+        if g > 0:
+            p[SIZE, SIZE] += odds[4] ** 2 + (odds[5] * x[SIZE]) ** 2
+        mean[g] = step @ x
+        cov[g] = p
+        says[g] = _update(mean[g], cov[g], g, y, noise, odds[7])
+    top = says.max()
+    total = 0.0
+    for g in range(modes):
+        mode[g] = max(weight[g] * math.exp(says[g] - top), _LEAST)
+        total += mode[g]
+    mode /= total
+    return float(top + math.log(total))
+
+
+@njit(cache=True)
+def tell(mode: Array, mean: Array, cov: Array, limits: Array, kind: Array) -> float:
+    """Fill kind (8,): probability of every kind with a size beyond its limit; the likely size K."""
+    total, size = 0.0, 0.0
+    for g in range(1, len(mode)):
+        scale = math.sqrt(2.0 * max(cov[g, SIZE, SIZE], 1e-9))
+        here = 0.5 * math.erfc((limits[g - 1] - mean[g, SIZE]) / scale)
+        if g > HEATS:
+            here += 0.5 * math.erfc((limits[g - 1] + mean[g, SIZE]) / scale)
+        kind[g - 1] = mode[g] * here
+        total += kind[g - 1]
+        size += kind[g - 1] * abs(mean[g, SIZE])
+    return size / total if total > 1e-12 else 0.0
