@@ -141,10 +141,9 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
         first = 1 + g * count
         for s in range(count):
             stay = now[first + s]
-            grows = growth if g < _HEAT else rates[9]
-            moved = stay * (1.0 - 2.0 * grows)
-            moved += grows * (now[first + s - 1] if s > 0 else stay)
-            moved += grows * (now[first + s + 1] if s + 1 < count else stay)
+            moved = stay * (1.0 - 2.0 * growth)
+            moved += growth * (now[first + s - 1] if s > 0 else stay)
+            moved += growth * (now[first + s + 1] if s + 1 < count else stay)
             ill = _faulty(g, sizes[s], limit)
             enter = begin / faults if ill else often / (count - faults)
             out[first + s] = (1.0 - end) * moved + share * enter
@@ -214,15 +213,14 @@ def compare(residual: Array, rate: float, out: Array) -> None:
 
 @njit(cache=True)
 def sweep(
-    z: Array, bursts: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
+    z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
     benign: Array, rates: Array, kind: Array, size: Array,
 ) -> None:  # fmt: skip
     """All samples of all motors; fills kind (K, M, 11) and size (K, M).
 
-    z, bursts (K, M, 3): as in `hypotheses.Blocks`, less the centre; sigma, white, share: as in
-    `hypotheses.Spread`; shapes (K, 5, 3); sizes (S,); benign (8,): of heat and sensors, the least
-    size that is a fault; rates: begin, end, growth, tail, loose share, loose K, often, learning,
-    end of a loose connector, growth of a sensor's error.
+    z (K, M, 3) K, less the centre; sigma, white, share: as in `hypotheses.Spread`; shapes
+    (K, 5, 3); sizes (S,); benign (8,): of heat and sensors, the least size that is a fault; rates:
+    begin, end, growth, tail, loose share, loose K, often, learning, end of a loose connector.
     """
     motors, count = z.shape[1], sizes.shape[0]
     states = 1 + (_HEAT + 2 * _POINTS) * count + _POINTS
@@ -236,7 +234,7 @@ def sweep(
         for m in range(motors):
             off = u[m] - beside[m]
             _judge(
-                p[m], off, bursts[k, m], sigma[m], white[m], share[m], shapes[k], sizes, benign,
+                p[m], off, sigma[m], white[m], share[m], shapes[k], sizes, benign,
                 rates, held[m], kind[k, m],
             )  # fmt: skip
             size[k, m] = _mean_size(p[m], sizes)
@@ -252,7 +250,7 @@ def sweep(
 
 @njit(cache=True)
 def _judge(
-    p: Array, off: Array, bursts: Array, sigma: Array, white: Array, share: Array, shapes: Array,
+    p: Array, off: Array, sigma: Array, white: Array, share: Array, shapes: Array,
     sizes: Array, benign: Array, rates: Array, held: int, kind: Array,
 ) -> None:  # fmt: skip
     """One sample of one motor, off (3,) K from its peers: its states p and kinds, in place."""
@@ -266,9 +264,6 @@ def _judge(
     else:
         _marginal(off, sigma, share, shapes, sizes, nu, says[:loose])
     for q in range(_POINTS):
-        if math.isfinite(bursts[q]):
-            says[loose + q] = says[0] + bursts[q]
-            continue
         own, spread = _own(off, white, q) if whole else (off[q], sigma[q])
         says[loose + q] = says[0] + _loose(own, spread, nu, rates[4], rates[5])
     best = says.max()

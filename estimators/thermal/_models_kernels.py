@@ -111,9 +111,9 @@ def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> 
     gain_t = seen @ p
     inner = gain_t @ seen.T + noise * noise * np.eye(count)
     inverse = np.linalg.inv(inner)
-    normal = -0.5 * (error @ (inverse @ error)) - 0.5 * math.log(np.linalg.det(inner))
+    normal = float(-0.5 * (error @ (inverse @ error))) - 0.5 * math.log(np.linalg.det(inner))
     loose = inner + wide * wide * np.eye(count)
-    outlying = -0.5 * (error @ np.linalg.solve(loose, error))
+    outlying = float(-0.5 * (error @ np.linalg.solve(loose, error)))
     outlying -= 0.5 * math.log(np.linalg.det(loose))
     normal += math.log(1.0 - _OUTLYING)
     outlying += math.log(_OUTLYING)

@@ -27,7 +27,7 @@ _FIRST_K = np.array([0.3, 5.0, 2.0, 0.3, 0.3])
 """How far lumps may be from what `begin` takes them for: core and frame are not seen."""
 _COLDEST_RISE = 3.0
 _MOST_SIGMA = 3.0
-_RAISE, _HALF, _CLEAR = 0.95, 0.5, 0.3
+_RAISE, _HALF, _CLEAR = 0.9, 0.5, 0.3
 _SUREST = 0.95
 """Of a loose connector: it has to be forgotten when it is mended."""
 

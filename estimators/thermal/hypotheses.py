@@ -1,5 +1,7 @@
 """Which fault explains what the thermal model does not: a discrete Bayes filter per motor.
 
+For samples hours apart, each of a motor that has settled anew; `watch` is for every second.
+
 States: nothing; a kind of heat times its size; a sensor off by a size, up or down; a loose
 connector. Every kind of heat has its own signature over the three points and over time, from the
 sensitivities of the calibrated model: more heat in the winding shows there and, less, elsewhere; a
@@ -17,7 +19,6 @@ does not tell which motor or what.
 
 from __future__ import annotations
 
-import warnings
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -49,8 +50,7 @@ class Pace(NamedTuple):
 
     healthy: until a fault is expected; ill: that it lasts; often: until dirt, draught or weather
     is; grows: until a size becomes the next larger, or smaller; learnt: time constant of a motor's
-    baseline, which is learnt while there is no fault; loose: that a loose connector is remembered;
-    drifts: as `grows`, for a sensor's error.
+    baseline, which is learnt while there is no fault; loose: that a loose connector is remembered.
     """
 
     healthy: float = 5000.0
@@ -59,66 +59,10 @@ class Pace(NamedTuple):
     grows: float = 50.0
     learnt: float = 40.0
     loose: float = 60.0
-    drifts: float = 50.0
 
 
 SNAPSHOTS: Final = Pace()
 """For samples that are hours apart: every one is a motor that has settled anew."""
-BLOCK_S: Final = 60.0
-"""Readings that come faster are taken together: nothing heats faster, and noise averages out."""
-BLOCKS: Final = Pace(often=200.0, grows=3.0, learnt=120.0, loose=30.0, drifts=1000.0)
-"""For such blocks: a fault grows while the motor warms, within tens of them."""
-BURST: Final = 5.0
-"""Readings of a burst are not independent; they come about this many together."""
-FALSE_SHARE: Final = 5e-4
-"""Of a good connector's readings that look like a burst."""
-SURE: Final = 1.0 - 1e-6
-FAR: Final = 6.0
-"""Standard deviations of a reading from its block that do."""
-
-
-def pace(spacing_s: float) -> tuple[Pace, int]:
-    """For samples this far apart: how fast things happen, and samples to be taken together."""
-    together = max(round(BLOCK_S / spacing_s), 1)
-    return (BLOCKS if together > 1 else SNAPSHOTS), together
-
-
-class Blocks(NamedTuple):
-    """Residuals, taken together.
-
-    middle (B, M, 3): medians of blocks; loose (B, M, 3): log odds that bursts speak for a loose
-    connector, NaN where a block is one sample.
-    """
-
-    middle: Array
-    loose: Array
-
-
-def blocks(residual: Array, together: int, noise: Array | None) -> Blocks:
-    """(K, M, 3) -> whole blocks of `together` samples; noise (M, 3) K of single readings.
-
-    Without `noise` no bursts are looked for.
-    """
-    count = len(residual) // together
-    parts = residual[: count * together].reshape(count, together, *residual.shape[1:])
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        middle = parts[:, 0] if together == 1 else np.nanmedian(parts, axis=1)
-    if together == 1 or noise is None:
-        return Blocks(middle, np.full(middle.shape, np.nan))
-    far = np.abs(parts - middle[:, None]) > FAR * noise
-    seen = np.isfinite(parts).sum(axis=1)
-    odd = far.sum(axis=1)
-    odds = odd * np.log(LOOSE_SHARE / FALSE_SHARE)
-    odds += (seen - odd) * np.log((1.0 - LOOSE_SHARE) / (1.0 - FALSE_SHARE))
-    return Blocks(middle, odds / BURST)
-
-
-def single_noise(residual: Array, together: int) -> Array:
-    """(M, 3) K: standard deviation of a reading around its block's median."""
-    parts = blocks(residual, together, None)
-    off = residual[: len(parts.middle) * together] - np.repeat(parts.middle, together, axis=0)
-    return np.asarray(np.sqrt(np.nanmean(off * off, axis=0)))
 
 
 class Spread(NamedTuple):
@@ -210,28 +154,16 @@ def signatures(parameters: Array, inputs: Drive, start: Array | None) -> Array:
     return np.asarray(more / np.maximum(largest, 1e-9)[:, None])
 
 
-def believe(seen: Blocks, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
-    """Filter K samples or blocks of M motors; shapes (K, 5, 3): see `signatures`."""
-    k, m, _ = seen.middle.shape
+def believe(residual: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
+    """Filter K samples of M motors, residual (K, M, 3) K; shapes (K, 5, 3): see `signatures`."""
+    k, m, _ = residual.shape
     kind, size = np.empty((k, m, len(KINDS))), np.empty((k, m))
     rates = np.array([
         1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows, TAIL, LOOSE_SHARE, LOOSE_K,
-        1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose, 1.0 / at.drifts,
+        1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose,
     ])  # fmt: skip
     sweep(
-        seen.middle - known.centre, seen.loose, known.sigma, known.white, known.share, shapes,
+        residual - known.centre, known.sigma, known.white, known.share, shapes,
         SIZES_K, BENIGN_K, rates, kind, size,
     )  # fmt: skip
     return Belief(kind, size)
-
-
-def with_steps(belief: Belief, off: Array) -> Belief:
-    """What the filter believes of residuals whose sensors' steps off (K, M, 3) K were taken out.
-
-    A sensor that has stepped is off for certain, whatever else is wrong beside it.
-    """
-    kind = belief.kind.copy()
-    bias = kind[:, :, len(HEAT) : len(HEAT) + len(SENSORS)]
-    bias[off != 0.0] = SURE
-    kind /= np.maximum(kind.sum(axis=2, keepdims=True) / SURE, 1.0)
-    return Belief(kind, np.maximum(belief.size_k, np.abs(off).max(axis=2)))

@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal import _watch_kernels, heat, hypotheses, steps
+from estimators.thermal import _watch_kernels, heat, hypotheses
 from estimators.thermal._heat_kernels import REFERENCE, SLOPE
 from estimators.thermal.heat import courses, drive, predict
-from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS, SURE, Belief, Pace, Spread, pace
+from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.record import Record, spacing, split
 from estimators.thermal.watch import LONGEST_BLOCK_S, SIZES_K, Known, Watch
@@ -29,39 +29,17 @@ SCALES = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A train's motors as fault-free data show them."""
+    """A train's motors as fault-free data show them, for samples hours apart."""
 
     parameters: Array
     spread: Spread
-    pace: Pace
-    together: int
-    noise: Array
-
-    def residual(self, record: Record) -> Array:
-        """(K, M, 3) K: readings less the model's."""
-        return record.temperature - predict(self.parameters, drive(record), first_readings(record))
 
     def believe(self, record: Record) -> Belief:
-        """Probabilities of every kind of fault; causal but for the record's mean signatures.
-
-        Where samples come fast, those of the last whole block.
-        """
-        n, k = self.together, len(record.at)
-        residual = self.residual(record)
-        off = steps.offsets(residual, spacing(record))
-        seen = hypotheses.Blocks(
-            hypotheses.blocks(residual - off, n, None).middle,
-            hypotheses.blocks(residual, n, self.noise).loose,
-        )
-        shapes = hypotheses.signatures(self.parameters, drive(record), first_readings(record))
-        found = hypotheses.believe(seen, self.spread, shapes[n - 1 :: n], self.pace)
-        if n == 1:
-            return found
-        last = (np.arange(k) + 1) // n - 1
-        begun = last >= 0
-        kind = np.where(begun[:, None, None], found.kind[last], 0.0)
-        size = np.where(begun[:, None], found.size_k[last], 0.0)
-        return hypotheses.with_steps(Belief(kind, size), off)
+        """Probabilities of every kind of fault; causal but for the record's mean signatures."""
+        first = first_readings(record)
+        residual = record.temperature - predict(self.parameters, drive(record), first)
+        shapes = hypotheses.signatures(self.parameters, drive(record), first)
+        return hypotheses.believe(residual, self.spread, shapes)
 
     def __call__(self, record: Record) -> Array:
         """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""
@@ -81,12 +59,7 @@ class Watching:
         samples, motors = record.temperature.shape[:2]
         kind, size = np.zeros((samples, motors, len(KINDS))), np.zeros((samples, motors))
         for k, _ in enumerate(followed(watch, record)):
-            kind[k], size[k] = watch.kind, watch.size_k
-            stepped = watch.offsets
-            bias = kind[k, :, len(HEAT) : len(HEAT) + len(SENSORS)]
-            bias[stepped != 0.0] = SURE
-            kind[k] /= np.maximum(kind[k].sum(axis=1, keepdims=True) / SURE, 1.0)
-            size[k] = np.maximum(size[k], np.abs(stepped).max(axis=1))
+            kind[k], size[k] = watch.told()
         return Belief(kind, size)
 
     def __call__(self, record: Record) -> Array:
@@ -193,13 +166,9 @@ class ModelMethod:
 
     def fit_runs(self, runs: Sequence[Record]) -> Calibrated | Watching:
         """Calibrate on two or more fault-free runs: the last one is for the spread."""
-        healthy, rest = runs[0], runs[-1]
+        rest = runs[-1]
         parameters = identify(runs[:-1])
-        if spacing(healthy) < LONGEST_BLOCK_S:
+        if spacing(rest) < LONGEST_BLOCK_S:
             return Watching(learn(parameters, runs))
         residual = rest.temperature - predict(parameters, drive(rest), first_readings(rest))
-        found, together = pace(spacing(healthy))
-        noise = hypotheses.single_noise(residual, together)
-        middle = hypotheses.blocks(residual, together, None).middle
-        known = hypotheses.spread(middle, found.learnt)
-        return Calibrated(parameters, known, found, together, noise)
+        return Calibrated(parameters, hypotheses.spread(residual, SNAPSHOTS.learnt))

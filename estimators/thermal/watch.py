@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from estimators.thermal import _models_kernels as models
 from estimators.thermal import _steps_kernels, _watch_kernels, heat, steps
-from estimators.thermal.hypotheses import KINDS
+from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,7 @@ are far, readings of one burst: they are not independent."""
 LOOSE_BEGIN_S, LOOSE_END_S = 30_000.0, 3600.0
 LEARNT_S: Final = 7200.0
 """Time constant of a motor's baseline, which is learnt while there is no fault."""
+SURE: Final = 1.0 - 1e-6
 LEAST_NOISE_K: Final = 0.01
 HOLE_S: Final = 60.0
 """After so long without knowing how it was driven, a motor begins anew."""
@@ -195,6 +196,16 @@ class Watch:
     def offsets(self) -> Array:
         """(M, 3) K that sensors have stepped by."""
         return self.jumps[:, :, _steps_kernels.OFF]
+
+    def told(self) -> tuple[Array, Array]:
+        """(M, 11) probability of every kind by now, and (M,) K of what is wrong if anything is.
+
+        A sensor that has stepped is off for certain, whatever else is wrong beside it.
+        """
+        kind, off = self.kind.copy(), self.offsets
+        kind[:, len(HEAT) : len(HEAT) + len(SENSORS)][off != 0.0] = SURE
+        kind /= np.maximum(kind.sum(axis=1, keepdims=True) / SURE, 1.0)
+        return kind, np.maximum(self.size_k, np.abs(off).max(axis=1))
 
 
 def reading_noise(noise: Array, together: int) -> Array:

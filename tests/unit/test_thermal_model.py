@@ -7,7 +7,7 @@ from estimators.thermal import heat, hypotheses
 from estimators.thermal._heat_kernels import step
 from estimators.thermal._hypotheses_kernels import compare, references
 from estimators.thermal.heat import TYPICAL, Drive, drive, predict, settled
-from estimators.thermal.hypotheses import KINDS, SIZES_K, Belief, Blocks, pace
+from estimators.thermal.hypotheses import KINDS, SIZES_K, Belief
 from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.model_method import ModelMethod
 from estimators.thermal.record import Record, fading, features, join, split
@@ -112,7 +112,7 @@ def shapes(k):
 
 
 def believe(z, known, signatures) -> Belief:
-    return hypotheses.believe(hypotheses.blocks(z, 1, None), known, signatures)
+    return hypotheses.believe(z, known, signatures)
 
 
 def healthy_beside(k=360, seed=0):
@@ -235,28 +235,6 @@ def test_a_fault_leaves_the_baselines_of_the_others_alone(known):
     assert belief.fault[190:268, 3].mean() > 0.9
     assert belief.fault[:, :3].mean() < 0.03
     assert belief.fault[280:, 3].mean() < 0.1
-
-
-def test_quick_samples_are_taken_together():
-    assert pace(24_000.0) == (hypotheses.SNAPSHOTS, 1)
-    assert pace(1.0) == (hypotheses.BLOCKS, 60)
-    assert pace(0.1)[1] == 600
-
-
-def test_blocks_are_medians_and_bursts_speak_for_a_loose_connector():
-    rng = np.random.default_rng(0)
-    z = 0.25 * rng.standard_normal((605, MOTORS, 3))
-    noise = hypotheses.single_noise(z, 60)
-    np.testing.assert_allclose(noise, 0.25, rtol=0.15)
-    z[130:135, 1, 0] += 20.0
-    z[300:360, 2] = np.nan
-    found: Blocks = hypotheses.blocks(z, 60, noise)
-    assert found.middle.shape == (10, MOTORS, 3)
-    np.testing.assert_allclose(np.nan_to_num(found.middle), 0.0, atol=0.15)
-    assert found.loose[2, 1, 0] > 2.0
-    assert np.delete(found.loose[:, 1, 0], 2).max() < 0.0
-    assert np.isnan(found.middle[5, 2]).all()
-    assert found.loose[5, 2, 0] == 0.0, "no reading says nothing"
 
 
 def test_records_can_be_split_and_joined():

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from estimators.thermal import hypotheses
-from estimators.thermal.hypotheses import KINDS, Belief, with_steps
 from estimators.thermal.steps import offsets
 
 NOISE_K = 0.25
@@ -69,17 +67,3 @@ def test_what_comes_later_changes_nothing_and_snapshots_know_no_steps():
     z[400:800] += 4.0
     np.testing.assert_array_equal(offsets(z[:700], 1.0), offsets(z, 1.0)[:700])
     assert not offsets(z, 60.0).any()
-
-
-def test_a_sensor_that_has_stepped_is_off_for_certain():
-    kind = np.zeros((3, 2, len(KINDS)))
-    kind[:, 0, 0] = 0.9
-    off = np.zeros((3, 2, 3))
-    off[1:, 1, 2] = -4.0
-    off[2, 0, 0] = 3.0
-    said = with_steps(Belief(kind, np.zeros((3, 2))), off)
-    np.testing.assert_array_equal(said.kind[0], kind[0])
-    assert KINDS[int(said.kind[1, 1].argmax())] == "bias_nde"
-    assert said.size_k[1, 1] == 4.0
-    assert said.fault.max() == pytest.approx(hypotheses.SURE)
-    assert said.kind[2, 0, 0] == pytest.approx(0.9 / 1.9, rel=1e-3), "both are wrong"
