@@ -283,7 +283,7 @@ def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> A
 def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -> _Ills:
     """Of a fault of heat, by its true effect.
 
-    With a share of 1 the point that shows it most is `size_k` warmer at the mean duty, when settled.
+    With a share of 1 the point that shows it most is `size_k` warmer at the mean duty, settled.
     """
     ills = _none(len(speed))._replace(motor=fault.motor)
     per = base.sample_s / base.step_s
