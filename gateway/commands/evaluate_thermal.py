@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import GOOD, console
+
+if TYPE_CHECKING:
+    from gateway.drivers.thermal_trials import Trial
 
 NOTE: Final = """\
 Per sample against the injection interval; graced: without the onset until the true effect passes 2
@@ -55,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
             if own:
                 lines.append(cells(method, kind, own))
     left_out = [method for method in methods if not any(t.method == method for t in found)]
-    text = table(lines)
+    text = "\n\n".join([table(lines), *_more(found, kinds, methods)])
     print(text)
     for method in left_out:
         say.print(f"left out: {method}: its library is not installed", markup=False)
@@ -68,6 +71,31 @@ def run(options: argparse.Namespace) -> int:
         path.write_text(f"{title}\n\n{text}\n\n{NOTE}{missing}\n", encoding="utf-8")
         say.print(f"written: {path}", markup=False)
     return GOOD
+
+
+def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) -> Iterator[str]:
+    """What was taken for what, and false alarms a month, as far as the kinds asked for tell."""
+    from gateway.drivers.thermal_trials import HEALTHY
+    from gateway.results.thermal_scores import mean, table_of
+
+    told = [kind for kind in kinds if kind != HEALTHY]
+    naming = [m for m in methods if any(t.named for t in found if t.method == m)]
+    for method in naming:
+        rows = []
+        for kind in told:
+            counts = [t.named for t in found if t.method == method and t.kind == kind]
+            total = sum(sum(names.values()) for names in counts)
+            shares = [sum(names.get(k, 0) for names in counts) / max(total, 1) for k in told]
+            rows.append([kind, *(f"{100.0 * share:.0f}" for share in shares)])
+        head = [f"{method}: fault is, told as %", *told]
+        yield table_of(head, rows)
+    if HEALTHY in kinds:
+        rows = [
+            [m, f"{30.0 * mean(own).episodes:.1f}"]
+            for m in methods
+            if (own := [t.score for t in found if t.method == m and t.kind == HEALTHY])
+        ]
+        yield table_of(["fault-free", "false alarms of a train in 30 days"], rows)
 
 
 def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ not fitted on. Both are of the train when it was new; then it ages, and nobody t
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -50,6 +51,7 @@ SHOWS: Final = {
     "intermittent": ("loose_stator", "loose_de", "loose_nde"),
 }
 """Beliefs that name a kind of fault rightly."""
+CLASS: Final = {belief: kind for kind, beliefs in SHOWS.items() for belief in beliefs}
 
 
 class Runs(NamedTuple):
@@ -67,6 +69,9 @@ class Trial(NamedTuple):
     kind: str
     method: str
     score: Score
+    named: dict[str, int]
+    """Samples in the fault's interval and beyond the limit, by the kind of fault that was told; empty
+    for methods that name none."""
 
 
 def record_of(run: Labelled) -> Record:
@@ -109,7 +114,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
         except ModuleNotFoundError:
             continue
         limit = float(np.nanquantile(fitted(limiting), LIMIT))
-        out += [Trial(seed, kind, name, _one(fitted, limit, runs[kind], at)) for kind in kinds]
+        out += [Trial(seed, kind, name, *_one(fitted, limit, runs[kind], at)) for kind in kinds]
     return out
 
 
@@ -121,8 +126,11 @@ def fit(method: Any, healthy: Sequence[Record]) -> Callable[[Record], Array]:
     return fitted
 
 
-def _one(fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base) -> Score:
+def _one(
+    fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base
+) -> tuple[Score, dict[str, int]]:
     """Judge one run; the time is that of scoring it."""
+    names: dict[str, int] = {}
     record = record_of(run)
     began = time.perf_counter()
     if isinstance(fitted, Calibrated | Watching):
@@ -133,10 +141,12 @@ def _one(fitted: Callable[[Record], Array], limit: float, run: Labelled, base: B
         wanted = SHOWS[run.fault.kind] if run.fault is not None else ()
         named = np.isin(kind, [BELIEFS.index(name) for name in wanted])
         told = Told(motor, named)
+        said = kind[run.faulty & (statistic > limit)].tolist()
+        names = dict(Counter(CLASS[BELIEFS[k]] for k in said))
     else:
         statistic, told = fitted(record), None
     seconds = time.perf_counter() - began
-    return score(statistic, limit, truth_of(run, base), told, seconds)
+    return score(statistic, limit, truth_of(run, base), told, seconds), names
 
 
 def evaluate(

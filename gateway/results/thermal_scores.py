@@ -193,6 +193,11 @@ def _time(seconds: float) -> str:
 
 
 def table(rows: Iterable[Sequence[str]]) -> str:
+    """Markdown, with the columns of `cells`."""
+    return table_of(COLUMNS, rows)
+
+
+def table_of(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Markdown."""
-    lines = [COLUMNS, ["---"] * len(COLUMNS), *rows]
+    lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
