@@ -6,6 +6,7 @@ flags stay unknown: a limit that was not measured is a guess.
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
 from pathlib import Path
 
@@ -13,9 +14,38 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
+from estimators.thermal import heat
+from estimators.thermal.watch import Known
 from gateway.config import ConfigError, Strict
 
 POINTS = ("stator", "drive_end", "non_drive_end")
+
+
+Three = tuple[float, float, float]
+
+
+class MotorHeat(Strict):
+    """One motor's thermal model, see `estimators.thermal.heat` and `watch.Known`.
+
+    rates: of its lumps, in the order of `heat.NAMES`; offset_k: of the sensors; centre_k: what it
+    differs from the others by in health; noise_k: of readings a second long.
+    """
+
+    rates: tuple[float, ...] = Field(min_length=heat.RATES, max_length=heat.RATES)
+    offset_k: Three
+    centre_k: Three
+    noise_k: Three
+
+
+class FleetHeat(Strict):
+    """What the motors' models have in common.
+
+    scale: of the disturbances that every motor has; duty: mean speed rad/s, mean squared current
+    A^2, cooling and heating K/s of the runs that it was learnt from: sizes of faults are for them.
+    """
+
+    scale: float = Field(gt=0)
+    duty: tuple[float, float, float, float]
 
 
 class MotorCalibration(Strict):
@@ -30,6 +60,7 @@ class MotorCalibration(Strict):
     offset_k: tuple[float, float, float]
     longest_hold_s: tuple[float, float, float]
     largest_step_k: tuple[float, float, float]
+    heat: MotorHeat | None = None
 
 
 class Calibration(Strict):
@@ -43,6 +74,26 @@ class Calibration(Strict):
     maisd_limit_k: tuple[float, float, float]
     deviation_limit_k: tuple[float, float, float]
     motor: tuple[MotorCalibration, ...]
+    heat: FleetHeat | None = None
+
+    def checksum(self) -> str:
+        """Of everything that was learnt; part of the configuration's hash on the bus."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+    def known(self, nodes: tuple[int, ...]) -> Known | None:
+        """For the thermal model, in the order of `nodes`; None where the logs could not give it."""
+        table = {m.node: m.heat for m in self.motor}
+        cells = [table[n] for n in nodes]
+        own = [cell for cell in cells if cell is not None]
+        if self.heat is None or len(own) < len(cells):
+            return None
+        return Known(
+            parameters=np.array([[*cell.rates, *cell.offset_k] for cell in own]),
+            centre=np.array([cell.centre_k for cell in own]),
+            noise=np.array([cell.noise_k for cell in own]),
+            scale=self.heat.scale,
+            duty=np.array(self.heat.duty),
+        )
 
     def centring(self, nodes: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Gains and offsets, each (M, 3), in the order of `nodes`. KeyError for an unknown node."""
@@ -54,7 +105,9 @@ class Calibration(Strict):
 def load(path: Path, nodes: tuple[int, ...], window_s: float) -> Calibration:
     """Read and compare with the configured drives. Raises ConfigError with every problem."""
     try:
-        calibration = Calibration.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        said = table.pop("checksum", None)
+        calibration = Calibration.model_validate(table)
     except FileNotFoundError:
         problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
         raise ConfigError(str(path), [problem]) from None
@@ -64,7 +117,11 @@ def load(path: Path, nodes: tuple[int, ...], window_s: float) -> Calibration:
         lines = [f"{'.'.join(str(p) for p in e['loc'])}: {e['msg']}" for e in error.errors()]
         raise ConfigError(str(path), lines) from None
     known = {m.node for m in calibration.motor}
-    problems = [
+    problems = []
+    if said != calibration.checksum():
+        problem = "checksum: the file is not what 'traction-gateway calibrate' wrote; measure anew"
+        problems.append(problem)
+    problems += [
         f"motor: node {n} is configured but not calibrated; calibrate with a log that has it"
         for n in nodes
         if n not in known
@@ -80,18 +137,19 @@ def load(path: Path, nodes: tuple[int, ...], window_s: float) -> Calibration:
 
 
 def to_toml(calibration: Calibration) -> str:
-    """Text of the file; numbers rounded to a thousandth (sensors resolve a tenth)."""
+    """Text of the file, with a checksum over the numbers as they stand there."""
 
-    def numbers(values: tuple[float, ...]) -> str:
-        return "[" + ", ".join(f"{v:.3f}" for v in values) + "]"
+    def numbers(values: tuple[float, ...], how: str = ".3f") -> str:
+        return "[" + ", ".join(f"{v:{how}}" for v in values) + "]"
 
+    fleet = calibration.heat
     lines = [
-        "# Thermal calibration from fault-free data; written by 'traction-gateway calibrate'.",
-        "# Order of points: stator, drive end, non-drive end.",
         f"window_s = {calibration.window_s}",
         f"maisd_limit_k = {numbers(calibration.maisd_limit_k)}",
         f"deviation_limit_k = {numbers(calibration.deviation_limit_k)}",
     ]
+    if fleet is not None:
+        lines += ["", "[heat]", f"scale = {fleet.scale}", f"duty = {numbers(fleet.duty, '.6g')}"]
     for motor in calibration.motor:
         lines += [
             "",
@@ -102,4 +160,19 @@ def to_toml(calibration: Calibration) -> str:
             f"longest_hold_s = {numbers(motor.longest_hold_s)}",
             f"largest_step_k = {numbers(motor.largest_step_k)}",
         ]
-    return "\n".join(lines) + "\n"
+        if motor.heat is not None:
+            lines += [
+                "[motor.heat]",
+                f"rates = {numbers(motor.heat.rates, '.5e')}",
+                f"offset_k = {numbers(motor.heat.offset_k)}",
+                f"centre_k = {numbers(motor.heat.centre_k)}",
+                f"noise_k = {numbers(motor.heat.noise_k)}",
+            ]
+    body = "\n".join(lines) + "\n"
+    # Of the numbers as they will be read: rounded.
+    checksum = Calibration.model_validate(tomllib.loads(body)).checksum()
+    return (
+        "# Thermal calibration from fault-free data; written by 'traction-gateway calibrate'.\n"
+        "# Order of points: stator, drive end, non-drive end.\n"
+        f'checksum = "{checksum}"\n{body}'
+    )

@@ -157,6 +157,12 @@ class Thermal(Strict):
     """`[thermal]`: without a calibration the thermal flags stay unknown."""
 
     calibration: str | None = None
+    method: Literal["model", "maisd"] = Field(
+        "model", description="a thermal model of each motor, or only how they differ"
+    )
+    limit_k: float = Field(
+        10.0, gt=0, le=300, description="that a motor may grow warmer than the others"
+    )
     window_s: float = Field(5.0, gt=0, le=3600, description="causal moving average")
     raise_s: float = Field(1.0, ge=0, le=3600)
     clear_s: float = Field(5.0, ge=0, le=3600)
@@ -232,9 +238,12 @@ class Config(Strict):
         """The thermal calibration, relative to the configuration."""
         return self.base / self.thermal.calibration if self.thermal.calibration else None
 
-    def hash24(self) -> int:
-        """24 bits that name this configuration on the bus (`Gateway_Info.ConfigHash`)."""
-        digest = hashlib.sha256(self.model_dump_json().encode()).digest()
+    def hash24(self, calibration: str = "") -> int:
+        """24 bits that name this configuration on the bus (`Gateway_Info.ConfigHash`).
+
+        calibration: checksum of the thermal one, if there is any.
+        """
+        digest = hashlib.sha256((self.model_dump_json() + calibration).encode()).digest()
         return int.from_bytes(digest[:3], "little")
 
 

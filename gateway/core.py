@@ -87,8 +87,9 @@ class Gateway:
         self.temperature_limit_ns = [c.limit_ns if c else 0 for c in temperatures]
         fitted = [d.sensors for d in config.drive]
         self.thermal = ThermalSide(
-            len(nodes), period, config.thermal.window_s, cells, nodes, fitted
-        )
+            len(nodes), period, config.thermal.window_s, cells, nodes, fitted,
+            model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
+        )  # fmt: skip
         a, t = config.adhesion, config.thermal
         self.timing = {
             "adhesion": Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS),
@@ -101,7 +102,7 @@ class Gateway:
         self.adhesion = AdhesionSide(a, motors, self.timing["adhesion"], config.loop.period_ns)
         self.flags = [{name: FlagState(since_ns=start_ns) for name in FLAGS} for _ in nodes]
         self.reports = [Report() for _ in nodes]
-        self.outbox = Outbox(codec, nodes, config.hash24())
+        self.outbox = Outbox(codec, nodes, config.hash24(cells.checksum() if cells else ""))
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         self.deadline_misses = 0
         self.overrun_ns: Nanos | None = None
@@ -150,7 +151,7 @@ class Gateway:
                 estimates[k] = DriveEstimate(Health.INPUT_INVALID)
         adhesion = [flags["adhesion"] for flags in self.flags]
         opinion = self.adhesion.judge(inbox.drives, estimates, adhesion, now)
-        self.thermal.take(inbox.temperatures, now)
+        self.thermal.take(inbox.temperatures, now, inbox.drives)
         drives = tuple(
             self._drive(k, estimates[k], opinion, inputs[k], now) for k in range(len(self.nodes))
         )
@@ -277,6 +278,7 @@ class Gateway:
             fault_sensor=report.fault_sensor,
             mixed_c=report.mixed_c,
             maisd_k=report.maisd_k,
+            wear=report.wear,
             temperature_age_ns=None if heard is None else now - heard,
         )
 

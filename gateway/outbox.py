@@ -13,7 +13,10 @@ from dbc.codec import Codec, MessageSpec
 from dbc.frame import BRS, FD, MS, Frame, Nanos
 from dbc.protection import protect
 from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
+from gateway.heatside import Wear
 
+MOST_JUMPS = 14
+"""One below the code for not available."""
 Value = float | int | None
 
 
@@ -39,6 +42,7 @@ class DriveView(NamedTuple):
     fault_sensor: FaultSensor = FaultSensor.NONE
     mixed_c: float | None = None
     maisd_k: float | None = None
+    wear: Wear = Wear()
     temperature_age_ns: Nanos | None = None
 
 
@@ -196,6 +200,6 @@ def _thermal(drive: DriveView) -> dict[str, Value]:
         "Tmixed": drive.mixed_c,
         "Maisd": drive.maisd_k,
         "FaultSensor": drive.fault_sensor,
-        "Jumps": None,
-        "DegradationRate": None,
+        "Jumps": min(drive.wear.jumps, MOST_JUMPS) if drive.wear.rate_k_h is not None else None,
+        "DegradationRate": drive.wear.rate_k_h,
     }

@@ -1,24 +1,32 @@
 """The thermal side: temperatures in, evidence per motor and per sensor out.
 
 Two questions are kept apart, so that a dead sensor is never a hot motor: is the sensor to
-be believed (`gateway/sensors.py`), and does the motor differ from the others (MAISD over the
-sensors that are believed). A sensor that is not believed takes no part in the second.
+be believed (`gateway/sensors.py`), and what is wrong with the motor: by its thermal model
+(`gateway/heatside.py`), or, with `method = "maisd"`, by how it differs from the others. A sensor
+that is not believed takes no part in the second.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from dbc.frame import SECOND, Nanos
 from estimators import _maisd_kernels, maisd
 from gateway.calibration import POINTS, Calibration
+from gateway.config import ConfigError
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
-from gateway.inbox import Temperatures
+from gateway.heatside import HeatSide, Sample, Seconds, Wear
+from gateway.inbox import DriveInput, Temperatures
 from gateway.sensors import SensorSide
+
+NO_MODEL: Final = (
+    "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
+    'and a changing duty, or set [thermal] method = "maisd"'
+)
 
 
 class Report(NamedTuple):
@@ -31,6 +39,7 @@ class Report(NamedTuple):
     fault_sensor: FaultSensor = FaultSensor.NONE
     mixed_c: float | None = None
     maisd_k: float | None = None
+    wear: Wear = Wear()
 
 
 class ThermalSide:
@@ -44,10 +53,15 @@ class ThermalSide:
         calibration: Calibration | None,
         nodes: tuple[int, ...],
         sensors: Sequence[Sequence[str]] | None = None,
+        *,
+        model: bool = False,
+        limit_k: float = 10.0,
     ) -> None:
         """period_ns: the temperatures' cycle; the window is `window_s` of it.
 
-        sensors: names of the points each drive has; None: all have all.
+        sensors: names of the points each drive has; None: all have all. model: judge by the thermal
+        model; limit_k: K that a motor may grow warmer than the others. Raises ConfigError where
+        the calibration has no model.
         """
         self.calibration = calibration
         self.period_ns = period_ns
@@ -67,21 +81,44 @@ class ThermalSide:
         self.known = np.zeros((motors, len(POINTS)), dtype=np.bool_)
         self.largest: float | None = None
         """The largest MAISD, K."""
+        self.seconds = Seconds(motors, period_ns)
+        self.last: Sample | None = None
+        """The newest second, in the temperature cycle that completed it."""
+        self.learning = False
+        """Look at seconds although there is no model: one is to be learnt."""
+        self.heat: HeatSide | None = None
+        if model and calibration is not None:
+            known = calibration.known(nodes)
+            if known is None:
+                raise ConfigError("calibration", [NO_MODEL])
+            self.heat = HeatSide(known, self.seconds.dt_s, limit_k)
         self._cache: dict[int, tuple[Nanos, Report]] = {}
 
-    def take(self, readings: Sequence[Temperatures], now: Nanos) -> None:
-        """Accept this tick's readings; advance the windows once per temperature cycle."""
+    def take(
+        self, readings: Sequence[Temperatures], now: Nanos, drives: Sequence[DriveInput] = ()
+    ) -> None:
+        """Accept this tick's readings; advance the windows once per temperature cycle.
+
+        drives: what else they have said, for the thermal model.
+        """
         for reading in readings:
             self.sensors.take(reading)
+            self.seconds.note(reading)
         if self.next_push_ns is None:
             self.next_push_ns = now if readings else None
         if self.next_push_ns is not None and now >= self.next_push_ns:
             self.next_push_ns += self.period_ns * (1 + (now - self.next_push_ns) // self.period_ns)
-            self._push(now)
+            self._push(now, drives)
+        if self.heat is not None:
+            self.heat.work()
 
-    def _push(self, now: Nanos) -> None:
+    def _push(self, now: Nanos, drives: Sequence[DriveInput]) -> None:
         self._cache.clear()
         present = self.sensors.believed(now)
+        if self.heat is not None or self.learning:
+            self.last = self.seconds.look(self.values, present, drives, now)
+            if self.last is not None and self.heat is not None:
+                self.heat.take(self.last)
         ring, seen = self.window
         _maisd_kernels.take(ring, seen, self.values, present, self.mean, self.known)
         self.window = self.window._replace(seen=seen + 1)
@@ -111,6 +148,7 @@ class ThermalSide:
     def _look(self, drive: int, now: Nanos) -> Report:
         """Judge one motor anew."""
         mixed, largest = self._mixed(drive), self.largest
+        wear = self.heat.wear(drive) if self.heat is not None else Wear()
         fault, sensor = self.sensors.verdict(drive, now)
         if fault is not FaultClass.NONE:
             return Report(
@@ -120,17 +158,36 @@ class ThermalSide:
                 fault_sensor=sensor,
                 mixed_c=mixed,
                 maisd_k=largest,
+                wear=wear,
             )
         seen = Flag.UNKNOWN if self.sensors.booting(drive) else Flag.GOOD
-        good = Report(sensor=seen, mixed_c=mixed, maisd_k=largest)
+        good = Report(sensor=seen, mixed_c=mixed, maisd_k=largest, wear=wear)
         if self.calibration is None:
             return good._replace(reason=Reason.CONFIG)
+        if self.heat is not None:
+            return self._modelled(drive, self.heat, good)
         fitted = self.sensors.configured[drive]
         if not self.known[drive][fitted].all():
             return good._replace(reason=Reason.STARTING)
         if not np.isfinite(self.deviation[drive][fitted]).all():
             return good._replace(reason=Reason.TOO_FEW_DRIVES)
         return self._judge(drive, good)
+
+    def _modelled(self, drive: int, side: HeatSide, good: Report) -> Report:
+        """What the thermal model of the motor says."""
+        if side.blind(drive):
+            return good._replace(reason=Reason.STALE)
+        if not side.ready(drive):
+            return good._replace(reason=Reason.STARTING)
+        if side.alone(drive):
+            return good._replace(reason=Reason.TOO_FEW_DRIVES)
+        found = side.finding(drive)
+        if found is None:
+            return good._replace(thermal=Flag.GOOD, reason=Reason.NONE, fault_class=FaultClass.NONE)
+        named = good._replace(fault_class=found.fault, fault_sensor=found.sensor)
+        if found.sensor is FaultSensor.NONE:
+            return named._replace(thermal=Flag.BAD, reason=Reason.NONE)
+        return named._replace(sensor=Flag.BAD, reason=Reason.NOT_AVAILABLE)
 
     def _judge(self, drive: int, good: Report) -> Report:
         """MAISD says that the fleet differs; the deviation says which motor it is."""

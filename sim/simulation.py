@@ -180,6 +180,7 @@ class Simulation:
         """Every 10 ms: heat, faults the ECUs know of, truth."""
         now_ns = self._period * PERIOD_NS
         t_s = now_ns * 1e-9
+        self._air(t_s)
         extra, lost = self._schedule.heat((now_ns - GRID_NS // 2) * 1e-9)
         self._heat.advance(i2, row[:, columns.SPEED], extra, lost)
         classes = self._schedule.classes(t_s)
@@ -195,6 +196,13 @@ class Simulation:
                 slides, deep = True, max(deep, self._plant.shortage(k, self._rails[k], load))
             moves = round(t_s, 6), node, speed, angle, load, int(slides)
             self._truth.append(Truth(*moves, classes[k], effect[k], deep))
+
+    def _air(self, t_s: float) -> None:
+        """The ambient temperature, where it changes."""
+        points = self.scenario.thermal.ambient_profile
+        if points:
+            times, values = zip(*points, strict=True)
+            self._heat.set_ambient(float(np.interp(t_s, times, values)))
 
     def _depth(self, losing: NDArray[np.bool_], t_s: float) -> list[float]:
         """(N,) share of the demand that losses and disturbances take away now."""

@@ -171,6 +171,7 @@ class ThermalStart(Strict):
 
     start: Literal["equilibrium", "ambient"] | float = "equilibrium"
     ambient_c: float = Field(20.0, ge=-40, le=60)
+    ambient_profile: Points | None = None
     train_seed: int = Field(1, ge=0)
 
 

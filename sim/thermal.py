@@ -72,7 +72,8 @@ class ThermalTrain:
         self.air_flow = 1.0 + AIR_SPREAD * np.clip(spread[:, 0], -2.5, 2.5)
         self.friction = 1.0 + FRICTION_SPREAD * np.clip(spread[:, 1], -2.5, 2.5)
         self.ambient = ambient_c
-        self.local_air = ambient_c + LOCAL_AIR_SPREAD * np.clip(spread[:, 2], -2.5, 2.5)
+        self._beside = LOCAL_AIR_SPREAD * np.clip(spread[:, 2], -2.5, 2.5)
+        self.local_air = ambient_c + self._beside
         self.drives = drives
         self.capacity = CAPACITY * self.scale
         link = np.zeros((NODES, NODES + 1))
@@ -82,6 +83,12 @@ class ThermalTrain:
         self._link = np.tile(link, (2 * drives, 1, 1))
         self._air = np.tile(self.local_air, 2)
         self._state = np.repeat(self._air[:, None], NODES, axis=1)
+
+    def set_ambient(self, ambient_c: float) -> None:
+        """The air around the train changes, as in a tunnel."""
+        self.ambient = ambient_c
+        self.local_air = ambient_c + self._beside
+        self._air = np.tile(self.local_air, 2)
 
     @property
     def temperatures(self) -> Array:

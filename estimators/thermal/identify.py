@@ -16,7 +16,20 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal.heat import COUNT, RATES, TYPICAL, Drive, drive, predict
+from estimators.thermal.heat import (
+    COUNT,
+    E_1,
+    E_2,
+    F_D,
+    F_N,
+    H_1,
+    RATES,
+    TYPICAL,
+    A,
+    Drive,
+    drive,
+    predict,
+)
 from estimators.thermal.record import Record
 
 Array = NDArray[np.float64]
@@ -37,18 +50,53 @@ MOST_STEP: Final = 1.0
 OWN_STEPS: Final = 8
 
 
-def identify(runs: Sequence[Record]) -> Array:
+TYPICAL_SQUARE, TYPICAL_SPEED = 1.2e4, 200.0
+"""A^2 and rad/s: mean duty of the motor that `heat.TYPICAL` is of."""
+SCALED_SIGMA: Final = np.array([1.5] * RATES + [2.0] * 3)
+"""As `PRIOR_SIGMA`, around rates that were only scaled to a motor's size."""
+PACES: Final = (1.0, 2.0, 4.0, 8.0)
+"""How many times quicker a smaller motor may warm."""
+
+
+def scaled(runs: Sequence[Record]) -> Array:
+    """(18,) typical rates for motors of another size, for `identify`: the likeliest of a few.
+
+    Losses are taken to warm it as much at its own mean duty as the typical motor at its.
+    """
+    square = max(float(np.mean([run.current_square.mean() for run in runs])), 1e-9)
+    speed = max(float(np.mean([np.abs(run.speed).mean() for run in runs])), 1e-9)
+    by_square, by_speed = TYPICAL_SQUARE / square, TYPICAL_SPEED / speed
+    same = TYPICAL.copy()
+    same[A] *= by_square
+    same[[E_1, F_D, F_N, H_1]] *= by_speed
+    same[E_2] *= by_speed**2
+    fleet = [_thinned(run).mean() for run in runs]
+    found = []
+    for pace in PACES:
+        typical = same.copy()
+        typical[:RATES] *= pace
+        theta = _mean_motor(fleet, typical, SCALED_SIGMA)
+        sigma = np.concatenate([SCALED_SIGMA, np.full(len(runs), CORE_SIGMA)])
+        found.append((_errors(theta, fleet, sigma, typical)[1], typical))
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def identify(
+    runs: Sequence[Record], typical: Array = TYPICAL, spread: Array = PRIOR_SIGMA
+) -> Array:
     """(M, 18) parameters of the motors from fault-free runs (at least one) of all of them.
 
+    typical (18,): where the search begins, and near what it stays unless the data say otherwise;
+    spread (18,): how near, of the logarithms of rates and K of offsets.
     Raises ValueError if there is no reading.
     """
     inputs = [_thinned(run) for run in runs]
     if not any(np.isfinite(run.readings).all(axis=(1, 2)).any() for run in inputs):
         raise ValueError("no sample with all temperatures in any run")
     fleet = [run.mean() for run in inputs]
-    theta = _mean_motor(fleet)
-    slopes = _slopes(theta, fleet)[:, :COUNT]
-    return _own(theta, slopes, inputs)
+    theta = _mean_motor(fleet, typical, spread)
+    slopes = _slopes(theta, fleet, typical)[:, :COUNT]
+    return _own(theta, slopes, inputs, typical)
 
 
 class _Run(NamedTuple):
@@ -92,22 +140,22 @@ def first_readings(run: Record) -> Array:
     return np.where(known, out, float(out[known].mean()) if known.any() else run.ambient[0])
 
 
-def _plain(theta: Array) -> Array:
+def _plain(theta: Array, typical: Array) -> Array:
     """(..., 18) rates and offsets from logarithms of rates, and offsets."""
     out = theta.copy()
-    out[..., :RATES] = TYPICAL[:RATES] * np.exp(theta[..., :RATES])
+    out[..., :RATES] = typical[:RATES] * np.exp(theta[..., :RATES])
     return out
 
 
-def _mean_motor(runs: Sequence[_Run]) -> Array:
+def _mean_motor(runs: Sequence[_Run], typical: Array, spread: Array) -> Array:
     """(18 + R,) search variables of the mean motor, and K of its core at the begin of R runs."""
     theta, damping = np.zeros(COUNT + len(runs)), 1.0
-    sigma = np.concatenate([PRIOR_SIGMA, np.full(len(runs), CORE_SIGMA)])
-    error, cost = _errors(theta, runs, sigma)
+    sigma = np.concatenate([spread, np.full(len(runs), CORE_SIGMA)])
+    error, cost = _errors(theta, runs, sigma, typical)
     for _ in range(ITERATIONS):
-        step = _solve(_slopes(theta, runs), error, theta, sigma, damping)
+        step = _solve(_slopes(theta, runs, typical), error, theta, sigma, damping)
         tried = theta + np.clip(step, -MOST_STEP * sigma, MOST_STEP * sigma)
-        tried_error, tried_cost = _errors(tried, runs, sigma)
+        tried_error, tried_cost = _errors(tried, runs, sigma, typical)
         if tried_cost < cost:
             done = cost - tried_cost < 1e-4 * cost
             theta, error, cost, damping = tried, tried_error, tried_cost, 0.3 * damping
@@ -118,34 +166,36 @@ def _mean_motor(runs: Sequence[_Run]) -> Array:
     return theta
 
 
-def _errors(theta: Array, runs: Sequence[_Run], sigma: Array) -> tuple[Array, float]:
+def _errors(
+    theta: Array, runs: Sequence[_Run], sigma: Array, typical: Array
+) -> tuple[Array, float]:
     """Readings less the model's, flat, 0 where there is none; and the penalised sum of squares."""
-    plain = _plain(theta[:COUNT])[None]
+    plain = _plain(theta[:COUNT], typical)[None]
     each = zip(runs, theta[COUNT:].tolist(), strict=True)
     error = np.concatenate([np.nan_to_num(run.errors(plain, core)).ravel() for run, core in each])
     cost = float(np.sum((error / NOISE_K) ** 2) + np.sum((theta / sigma) ** 2))
     return error, cost if np.isfinite(cost) else np.inf
 
 
-def _slopes(theta: Array, runs: Sequence[_Run]) -> Array:
+def _slopes(theta: Array, runs: Sequence[_Run], typical: Array) -> Array:
     """(3 K of all runs, 18 + R) derivatives of the readings by the search variables."""
     parts = []
     for r, run in enumerate(runs):
-        own, core = _sensitivities(theta[:COUNT], float(theta[COUNT + r]), run)
+        own, core = _sensitivities(theta[:COUNT], float(theta[COUNT + r]), run, typical)
         cores = np.zeros((len(own), len(runs)))
         cores[:, r] = core
         parts.append(np.hstack([own, cores]))
     return np.concatenate(parts)
 
 
-def _sensitivities(theta: Array, core: float, run: _Run) -> tuple[Array, Array]:
+def _sensitivities(theta: Array, core: float, run: _Run, typical: Array) -> tuple[Array, Array]:
     """Derivatives by differences, all perturbed motors in one run: (3 K, 18); by the core."""
     tried = np.tile(theta, (COUNT + 2, 1))
     tried[1 : COUNT + 1] += DIFFERENCE * np.eye(COUNT)
     warmer = np.full(COUNT + 2, core)
     warmer[-1] += 1.0
     starts = np.tile(run.start, (COUNT + 2, 1))
-    out = predict(_plain(tried), run.inputs, starts, core=warmer)
+    out = predict(_plain(tried, typical), run.inputs, starts, core=warmer)
     slopes = (out[:, 1:-1] - out[:, :1]) / DIFFERENCE
     by_core = out[:, -1] - out[:, 0]
     return slopes.transpose(0, 2, 1).reshape(-1, COUNT), by_core.ravel()
@@ -159,15 +209,15 @@ def _solve(slopes: Array, error: Array, around: Array, sigma: Array, damping: fl
     return np.asarray(np.linalg.solve(normal + np.diag(weight * (1.0 + damping)), right))
 
 
-def _own(found: Array, slopes: Array, runs: Sequence[_Run]) -> Array:
+def _own(found: Array, slopes: Array, runs: Sequence[_Run], typical: Array) -> Array:
     """(M, 18) parameters of every motor around the mean motor's search variables `found`."""
     mean, cores = found[:COUNT], found[COUNT:].tolist()
     theta = np.tile(mean, (runs[0].readings.shape[1], 1))
     for _ in range(OWN_STEPS):
         each = zip(runs, cores, strict=True)
-        errors = [run.errors(_plain(theta), core) for run, core in each]
+        errors = [run.errors(_plain(theta, typical), core) for run, core in each]
         for m in range(len(theta)):
             error = np.concatenate([e[:, m].ravel() for e in errors])
             seen = np.isfinite(error)
             theta[m] += _solve(slopes[seen], error[seen], theta[m] - mean, OWN_SIGMA, 0.0)
-    return _plain(theta)
+    return _plain(theta, typical)

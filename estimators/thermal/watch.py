@@ -151,12 +151,16 @@ class Watch:
         reading (M, 3) degC; square (M,) A^2 of the current's amplitude; speed (M,) rad/s without
         sign; ambient (M,) degC.
         """
-        known = self.known
+        known, before = self.known, self.begun.copy()
         _watch_kernels.samples(
             known.parameters, known.centre, reading, square, speed, ambient, self.dt_s, HOLE_S,
             self.begun, self.unknown_s, self.lumps, self.sums[2 * self.at // self.together],
             self.ring, self.jumps, self.block, self.raw, self.at, self.counts, self.how, self.lost,
         )  # fmt: skip
+        # Nobody sees the core: it may be as warm as the winding, or as the frame.
+        new = self.begun & ~before
+        span = self.lumps[new, heat.WINDING] - self.lumps[new, heat.FRAME]
+        self.cov[new, :, heat.CORE, heat.CORE] += (0.5 * span[:, None]) ** 2
         for m in np.flatnonzero(self.lost).tolist():
             self._clear(m)
         self.at += 1

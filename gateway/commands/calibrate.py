@@ -16,6 +16,7 @@ from gateway.core import Gateway
 from gateway.drivers.replay import OneChannel, open_log, replay
 from gateway.outbox import GatewayView
 from gateway.results.calibrating import Learner
+from gateway.thermal import NO_MODEL
 
 HELP = "thermal limits from fault-free logs"
 MARGIN = 1.5
@@ -33,6 +34,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read the temperatures through the gateway's own inbox and write the calibration."""
     config, codec = prepare(options.config)
+    # Whatever was learnt before says nothing now.
+    thermal = config.thermal.model_copy(update={"calibration": None})
+    config = config.model_copy(update={"thermal": thermal})
     learner = Learner(config.nodes, config.thermal.window_s)
     for log in options.log:
         tracked = track_file(open_log(log, strict=False), log, log.name)
@@ -42,9 +46,9 @@ def run(options: argparse.Namespace) -> int:
     path = out_file(options.output)
     path.write_text(to_toml(result), encoding="utf-8")
     limits = ", ".join(f"{v:.2f}" for v in result.maisd_limit_k)
-    print(
-        f"{path}: {learner.samples} samples of {len(config.nodes)} motors; MAISD limits {limits} K"
-    )
+    model = "thermal models learnt" if result.heat else NO_MODEL
+    motors = len(config.nodes)
+    print(f"{path}: {learner.samples} samples of {motors} motors; MAISD limits {limits} K; {model}")
     return GOOD
 
 
@@ -54,6 +58,7 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
 
     def make(start: int) -> Gateway:
         made.append(Gateway(config, codec, start))
+        made[0].thermal.learning = True
         return made[0]
 
     def look(now: int, _out: list[Frame], _view: GatewayView) -> None:

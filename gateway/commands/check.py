@@ -39,7 +39,11 @@ def run(options: argparse.Namespace) -> int:
             f"timing         a tick takes {tick_us:.0f} us of {period_us:.0f} us "
             f"({100 * tick_us / period_us:.0f} %) on this machine"
         )
-    calibrated = "calibrated" if config.calibration_path else "not calibrated: flags stay unknown"
+    calibrated = (
+        f"calibrated, method {config.thermal.method}"
+        if config.calibration_path
+        else "not calibrated: flags stay unknown"
+    )
     print(f"thermal        {calibrated}")
     if config.calibration_path:
         from gateway import calibration

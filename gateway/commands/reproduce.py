@@ -64,9 +64,10 @@ def _thermal(folder: Path) -> int:
     from gateway.results.thermal_report import table
 
     began = time.perf_counter()
-    with _progress(thermal.TRAINS + thermal.STEPS) as step:
+    with _progress(2 * thermal.TRAINS + thermal.STEPS) as step:
         outcome = thermal.reproduce(folder, step)
-    print(table(outcome))
+    for base in thermal.BASES:
+        print(table(outcome, base))
     print(f"report: {folder / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD

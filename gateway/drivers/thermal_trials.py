@@ -70,8 +70,10 @@ class Trial(NamedTuple):
     method: str
     score: Score
     named: dict[str, int]
-    """Samples in the fault's interval and beyond the limit, by the kind of fault that was told; empty
-    for methods that name none."""
+    """Samples in the fault's interval and beyond the limit, by the kind of fault that was told.
+
+    Empty for methods that name none.
+    """
 
 
 def record_of(run: Labelled) -> Record:

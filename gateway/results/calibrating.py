@@ -8,11 +8,18 @@ the single sample would be wrong; the maximum of what was really seen is not.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbc.frame import Nanos
 from estimators import maisd
-from gateway.calibration import POINTS, Calibration, MotorCalibration
+from estimators.thermal import heat
+from estimators.thermal.identify import SCALED_SIGMA, identify, scaled
+from estimators.thermal.model_method import learn
+from estimators.thermal.record import Record, split
+from estimators.thermal.watch import Known
+from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat
 from gateway.config import ConfigError
+from gateway.heatside import Sample
 from gateway.thermal import ThermalSide
 
 FLOOR_K = (0.5, 1.0)
@@ -20,6 +27,9 @@ FLOOR_K = (0.5, 1.0)
 a motor that was cut for a second, or sits in another draught, differs by this much."""
 
 
+FIT_SHARE = 0.7
+FEWEST_SECONDS = 300
+"""Of a run: less says nothing of how motors warm."""
 SPAN_K = 5.0
 """The fleet's mean must move this much over the logs before a gain is learnt."""
 
@@ -38,6 +48,9 @@ class Learner:
         self.samples = 0
         self.fitted = np.ones(shape, dtype=np.bool_)
         """(N, P): which motor has which sensor, as last seen."""
+        self.seconds: list[list[Sample]] = []
+        """Of every log, second by second."""
+        self.dt_s = 1.0
         self._count = 0
         self._last: np.ndarray | None = None
 
@@ -45,12 +58,16 @@ class Learner:
         """A new log starts: nothing is compared across the cut."""
         self._last = None
         self._count = 0
+        self.seconds.append([])
 
     def take(self, side: ThermalSide, now: Nanos) -> None:
         """Look at the thermal side once per temperature cycle."""
         if side.window.seen == self._count:
             return
         self._count = side.window.seen
+        if side.last is not None:
+            self.seconds[-1].append(side.last)
+            self.dt_s = side.seconds.dt_s
         values = side.values.copy()
         fitted = side.sensors.configured
         if side.known[fitted].all():
@@ -83,7 +100,10 @@ class Learner:
         def three(values: np.ndarray) -> tuple[float, float, float]:
             return (float(values[0]), float(values[1]), float(values[2]))
 
+        known = self._known()
+        fleet = known and FleetHeat(scale=known.scale, duty=tuple(known.duty.tolist()))
         return Calibration(
+            heat=fleet,
             window_s=self.window_s,
             maisd_limit_k=three(np.maximum(margin * spread, FLOOR_K[0])),
             deviation_limit_k=three(np.maximum(margin * limit, FLOOR_K[1])),
@@ -94,10 +114,67 @@ class Learner:
                     offset_k=three(offset[j]),
                     longest_hold_s=three(self.hold_ns[j] / 1e9),
                     largest_step_k=three(self.step_k[j]),
+                    heat=known and _motor_heat(known, j),
                 )
                 for j, node in enumerate(self.nodes)
             ),
         )
+
+    def _known(self) -> Known | None:
+        """The thermal model of every motor; None where the logs do not tell enough.
+
+        Parameters come from all logs but the last (of one log: its first 70 %), the spread from it.
+        """
+        runs = [record for log in self.seconds if (record := self._record(log)) is not None]
+        if len(runs) == 1:
+            runs = list(split(runs[0], round(FIT_SHARE * len(runs[0].at))))
+        if not runs or min(len(run.at) for run in runs) < FEWEST_SECONDS:
+            return None
+        if np.ptp(np.concatenate([run.current_square.mean(axis=1) for run in runs])) <= 0.0:
+            return None
+        return learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
+
+    def _record(self, log: list[Sample]) -> Record | None:
+        """A log's seconds from the first with everything known; None without one.
+
+        A second without current, speed or ambient has those of the second before.
+        """
+        if not log:
+            return None
+        square, speed, ambient = (
+            _held(np.array([getattr(second, name) for second in log]))
+            for name in ("square", "speed", "ambient")
+        )
+        known = np.isfinite(square + speed + ambient).all(axis=1)
+        if not known.any():
+            return None
+        first = int(np.argmax(known))
+        temperature = np.array([second.temperature for second in log])[first:]
+        return Record(
+            temperature, np.arange(len(temperature)), square[first:], speed[first:].mean(axis=1),
+            ambient[first:].mean(axis=1), self.dt_s,
+        )  # fmt: skip
+
+
+def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, M) with gaps filled by what was before; NaN before the first number."""
+    rows = np.arange(len(values))[:, None]
+    last = np.maximum.accumulate(np.where(np.isfinite(values), rows, 0), axis=0)
+    return np.take_along_axis(values, last, axis=0)
+
+
+def _motor_heat(known: Known, j: int) -> MotorHeat:
+    """Motor j's part of what was learnt."""
+
+    def three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+        return (float(values[0]), float(values[1]), float(values[2]))
+
+    return MotorHeat(
+        rates=tuple(known.parameters[j, : heat.RATES].tolist()),
+        offset_k=three(known.parameters[j, heat.OFFSETS]),
+        centre_k=three(known.centre[j]),
+        noise_k=three(known.noise[j]),
+    )
 
 
 def _against_fleet(means: np.ndarray, fitted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

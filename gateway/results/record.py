@@ -15,7 +15,8 @@ FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
 FLAGS_HEADER = ("t_s", "drive", "adhesion", "thermal", "reason")
 ESTIMATES_HEADER = (
     "t_s", "drive", "health", "speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability",
-    "nis", "fault_class", "mixed_c", "maisd_k",
+    "nis", "fault_class", "mixed_c", "maisd_k", "degradation_k_h", "degradation_sigma_k_h",
+    "hours_to_limit",
 )  # fmt: skip
 
 
@@ -87,6 +88,7 @@ class Recorder:
                     _text(d.load_nm, 4), _text(d.load_sigma_nm, 4),
                     _text(d.loss_probability, 4), _text(d.nis, 3),
                     camel(FaultClass(d.fault_class).name), _text(d.mixed_c, 2), _text(d.maisd_k, 3),
+                    _text(d.wear.rate_k_h, 4), _text(d.wear.sigma_k_h, 4), _text(d.wear.hours, 1),
                 )
             )  # fmt: skip
 

@@ -1,0 +1,59 @@
+"""Degradation: the rate of a line, its uncertainty, and what is no degradation."""
+
+import numpy as np
+import pytest
+
+from estimators.thermal.trend import ENOUGH_H, READING_K, Trend
+
+BLOCK_H = 30.0 / 3600.0
+
+
+def course(rate_k_h, hours, seed=0, motors=3):
+    t = np.arange(round(hours / BLOCK_H))[:, None] * BLOCK_H
+    noise = READING_K * np.random.default_rng(seed).standard_normal((len(t), motors))
+    return rate_k_h * t + noise
+
+
+def run(deviations):
+    trend = Trend(deviations.shape[1])
+    for row in deviations:
+        trend.take(row, BLOCK_H)
+    return trend
+
+
+def test_a_line_has_its_slope_within_its_uncertainty():
+    errors = []
+    for seed in range(10):
+        trend = run(course(0.2, 24.0, seed))
+        for m in range(3):
+            rate, sigma = trend.told(m)
+            errors.append((rate - 0.2) / sigma)
+            assert sigma < 0.1
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(0.5, abs=0.5)
+
+
+def test_time_to_a_limit_is_told_only_when_it_comes():
+    trend = run(course(0.5, 24.0))
+    assert trend.time_to(0, 20.0) == pytest.approx((20.0 - 12.0) / 0.5, rel=0.3)
+    assert trend.time_to(0, 5.0) is None, "it is there already"
+    assert run(course(0.0, 24.0)).time_to(0, 5.0) is None
+    assert run(course(-0.5, 24.0)).time_to(0, 5.0) is None
+
+
+def test_a_jump_moves_the_level_and_not_the_rate():
+    deviations = course(0.0, 24.0)
+    deviations[1500:, 1] += 8.0
+    trend = run(deviations)
+    rate, sigma = trend.told(1)
+    assert abs(rate) < 2.0 * sigma
+    assert trend.level[1] == pytest.approx(8.0, abs=0.7)
+
+
+def test_nothing_is_told_before_enough_was_seen():
+    short = round(0.9 * ENOUGH_H / BLOCK_H)
+    assert run(course(1.0, 2.0)[:short]).told(0) is None
+    holes = course(1.0, 6.0)
+    holes[:, 2] = np.nan
+    trend = run(holes)
+    assert trend.told(2) is None
+    assert trend.told(0)[0] == pytest.approx(1.0, abs=0.3)
