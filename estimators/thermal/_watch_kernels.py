@@ -190,7 +190,8 @@ def directions(p: Array, inputs: Array, unit: Array, rates: Array, pushes: Array
     """
     n = max(inputs[COUNT], 1.0)
     square, speed, cooling = inputs[SQUARE] / n, inputs[SPEED] / n, inputs[COOLING] / n
-    copper, rise = inputs[COPPER] / n, inputs[RISE] / n
+    # A block that lies in a short hole has no inputs at all.
+    copper, rise = inputs[COPPER] / n, max(inputs[RISE] / n, _COLDEST_RISE)
     rates[:] = 0.0
     rates[0, 0], rates[0, 1] = -p[1] + SLOPE * p[0] * square, p[1]
     rates[1, 0], rates[1, 1], rates[1, 2] = p[2], -p[2] - p[5], p[5]
