@@ -1,4 +1,4 @@
-"""Interacting filters of the thermal watch, by law: matrices, Kalman, Bayes, Markov, bad numbers."""
+"""Interacting filters of the thermal watch, by law: matrices, Kalman, Bayes, Markov."""
 
 import numpy as np
 import pytest
@@ -162,7 +162,7 @@ def test_explanations_that_never_change_are_weighed_by_bayes():
         # All states from the first and what shook them.
         powers = [np.linalg.matrix_power(f, n) for n in range(blocks + 1)]
         rows = [
-            np.hstack([powers[k + 1], *(powers[k - j] if j <= k else 0.0 * f for j in range(blocks))])
+            np.hstack([powers[k + 1], *(powers[max(k - j, 0)] * (j <= k) for j in range(blocks))])
             for k in range(blocks)
         ]  # fmt: skip
         seen = block_diag(*[h] * blocks) @ np.vstack(rows)
