@@ -143,6 +143,13 @@ def test_a_creeping_sensor_is_found(known, point):
     assert not np.delete(held, ILL, axis=1).any()
 
 
+@pytest.mark.parametrize("point", range(3))
+def test_nothing_cools_a_motor_but_a_sensor(known, point):
+    error = np.zeros((2 * HOUR, MOTORS, 3))
+    error[HOUR // 2 :, ILL, point] = -np.minimum(np.arange(3 * HOUR // 2) * 0.02, 6.0)
+    found(known, train(34, error=error), KINDS[5 + point], 900)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_hours_of_health_are_silent(known, seed):
     _, held, _ = watched(known, train(40 + seed, 3 * HOUR))
