@@ -124,11 +124,11 @@ def test_20_000_hostile_blocks_leave_probabilities_and_covariances():
         assert kind.sum() <= 1.0 + 1e-12
         assert (kind.sum() > 0.5) == held
         assert all(np.isfinite(a).all() for a in (mean, cov, base, loose))
-        if k % 20 == 0:
+        if k % 100 == 0:
             np.testing.assert_allclose(cov, cov.transpose(0, 2, 1), rtol=1e-9, atol=1e-12)
             values = np.linalg.eigvalsh(cov)
             assert (values[:, 0] >= -1e-7 * values[:, -1]).all(), k
-    for _ in range(3000):
+    for _ in range(2000):
         judged(p, 16.0 * np.array([2e4, 200.0, 0.03, 0.08, 30.0, 1.0]),
                0.02 * rng.standard_normal(3), np.full(3, -0.16), state, held)  # fmt: skip
     assert kind.sum() < 0.5, "it recovers"
