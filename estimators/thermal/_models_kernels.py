@@ -131,6 +131,13 @@ def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> 
 
 
 @njit(cache=True)
+def _warmer(x: Array, p: Array) -> float:
+    """Log probability that the size is above 0."""
+    below = -x[SIZE] / math.sqrt(2.0 * max(p[SIZE, SIZE], 1e-9))
+    return math.log(max(0.5 * math.erfc(below), _LEAST))
+
+
+@njit(cache=True)
 def advance(
     mode: Array, mean: Array, cov: Array, y: Array, rates: Array, pushes: Array, heats: Array,
     rise: float, dt: float, sigma: Array, odds: Array, sizes: Array, noise: float,
@@ -171,7 +178,12 @@ def advance(
             p[SIZE, SIZE] += odds[4] ** 2 + (odds[5] * x[SIZE]) ** 2
         mean[g] = step @ x
         cov[g] = p
+        heat = 0 < g <= HEATS
+        before_it = _warmer(mean[g], cov[g]) if heat else 0.0
         says[g] = _update(mean[g], cov[g], g, y, noise, odds[7])
+        if heat:
+            # No fault cools: of a normal size only what is above 0 explains anything.
+            says[g] += _warmer(mean[g], cov[g]) - before_it
     top = says.max()
     total = 0.0
     for g in range(modes):

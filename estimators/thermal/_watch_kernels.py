@@ -90,7 +90,7 @@ def _sample(
     x: Array, sums: Array, ring: Array, jumps: Array, block: Array, raw: Array, at: int,
     counts: Ints, how: Array,
 ) -> None:  # fmt: skip
-    """One sample of one motor that has begun; see `samples`."""
+    """One sample of one motor that has begun, dt s since the last; see `samples`."""
     step(p, square, speed, ambient, NONE, dt, x)
     rise = max(x[2] - ambient, _COLDEST_RISE)
     sums[SQUARE] += square
@@ -127,14 +127,17 @@ def samples(
     """
     for m in range(len(begun)):
         known = math.isfinite(square[m]) and math.isfinite(speed[m]) and math.isfinite(ambient[m])
+        # The motor has gone on in a hole, as likely as not as it does behind it.
+        since = dt + unknown_s[m]
         unknown_s[m] = 0.0 if known else unknown_s[m] + dt
         lost[m] = begun[m] and unknown_s[m] > hole_s
         block[m, :, at], raw[m, :, at] = math.nan, math.nan
         if known and not begun[m]:
             begun[m] = begin(parameters[m], reading[m], ambient[m], lumps[m])
+            since = dt
         if known and begun[m]:
             _sample(
-                parameters[m], reading[m], square[m], speed[m], ambient[m], dt, centre[m],
+                parameters[m], reading[m], square[m], speed[m], ambient[m], since, centre[m],
                 lumps[m], half[m], ring[m], jumps[m], block[m], raw[m], at, counts, how,
             )  # fmt: skip
 
@@ -190,7 +193,8 @@ def directions(p: Array, inputs: Array, unit: Array, rates: Array, pushes: Array
     """
     n = max(inputs[COUNT], 1.0)
     square, speed, cooling = inputs[SQUARE] / n, inputs[SPEED] / n, inputs[COOLING] / n
-    copper, rise = inputs[COPPER] / n, inputs[RISE] / n
+    # A block that lies in a short hole has no inputs at all.
+    copper, rise = inputs[COPPER] / n, max(inputs[RISE] / n, _COLDEST_RISE)
     rates[:] = 0.0
     rates[0, 0], rates[0, 1] = -p[1] + SLOPE * p[0] * square, p[1]
     rates[1, 0], rates[1, 1], rates[1, 2] = p[2], -p[2] - p[5], p[5]

@@ -1,0 +1,180 @@
+"""The thermal watch does not mind order, pace, later samples or absurd ones; what it learns."""
+
+import numpy as np
+import pytest
+
+from estimators.thermal import heat
+from estimators.thermal import model_method as method
+from estimators.thermal.heat import Drive, predict
+from estimators.thermal.record import Record
+from estimators.thermal.watch import Known, Watch
+
+MOTORS, K = 4, 2400
+TURNED = [2, 0, 3, 1]
+NOISE_K = np.random.default_rng(5).uniform(0.1, 0.5, (MOTORS, 3))
+FLEET = heat.TYPICAL * np.exp(
+    0.1 * np.random.default_rng(99).standard_normal((MOTORS, heat.COUNT))
+)  # fmt: skip
+STATE = (
+    "begun", "lumps", "ring", "jumps", "block", "raw", "sums", "middle", "bursts", "off", "mode",
+    "mean", "cov", "base", "loose", "kind", "size_k", "held", "judged", "late", "unknown_s",
+)  # fmt: skip
+
+
+def train(seed, k=K, step_s=1.0, every=1):
+    """A record whose sensor 1 of motor 1 steps in the middle; `every` so many steps a sample."""
+    rng = np.random.default_rng(seed)
+    steps = k * every
+    square = np.repeat(rng.uniform(0.0, 4e4, steps // 300 + 1), 300)[:steps]
+    square = np.outer(square, 1.0 + 0.01 * np.arange(MOTORS))
+    speed = np.repeat(rng.uniform(50.0, 350.0, steps // 300 + 1), 300)[:steps]
+    air = np.full(steps, 12.0)
+    at = np.arange(1, k + 1) * every - 1
+    reading = predict(FLEET, Drive(square, speed, air, at, step_s))
+    reading += NOISE_K * rng.standard_normal(reading.shape)
+    reading[k // 2 :, 1, 1] += 6.0
+    return Record(reading, at, square, speed, air, step_s)
+
+
+def turn(record, known):
+    swapped = record._replace(
+        temperature=record.temperature[:, TURNED], current_square=record.current_square[:, TURNED]
+    )
+    known = known._replace(
+        parameters=known.parameters[TURNED], centre=known.centre[TURNED], noise=known.noise[TURNED]
+    )
+    return swapped, known
+
+
+@pytest.fixture(scope="module")
+def known():
+    """Of a train with nothing wrong at its end."""
+    runs = [train(1), train(2)]
+    for run in runs:
+        run.temperature[K // 2 :, 1, 1] -= 6.0
+    return method.learn(FLEET, runs)
+
+
+def through(watch, record, work=MOTORS):
+    """All samples of a record; so many motors are judged after each."""
+    ones = np.ones(record.motors)
+    for k in range(len(record.at)):
+        watch.take(
+            record.temperature[k], record.current_square[k], ones * record.speed[k],
+            ones * record.ambient[k],
+        )  # fmt: skip
+        watch.work(work)
+    return watch
+
+
+def same(one, other, turned=None):
+    for name in STATE:
+        a, b = getattr(one, name), getattr(other, name)
+        if turned is not None:
+            a = a[:, turned] if name == "sums" else a[turned]
+        np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_turned_motors_turn_what_is_said(known):
+    record = train(3)
+    swapped, other = turn(record, known)
+    one, two = Watch(known, 1.0), Watch(other, 1.0)
+    # A mean over motors rounds by their order.
+    np.testing.assert_allclose(one.unit, two.unit, rtol=1e-12)
+    two.unit = one.unit
+    same(through(one, record), through(two, swapped), TURNED)
+    kind, size = one.told()
+    np.testing.assert_array_equal(kind[TURNED], two.told()[0])
+    np.testing.assert_array_equal(size[TURNED], two.told()[1])
+    assert kind[1].sum() > 0.5 > np.delete(kind, 1, axis=0).sum(axis=1).max()
+
+
+def test_later_samples_change_nothing(known):
+    record, cut = train(4), 1777
+    wild = record._replace(
+        temperature=record.temperature.copy(), current_square=record.current_square.copy()
+    )
+    wild.temperature[cut:] = 500.0
+    wild.current_square[cut:] = np.nan
+    watching = method.Watching(known)
+    kinds, sizes = watching.believe(record)
+    for kind, size in (watching.believe(wild), watching.believe(_first(record, cut))):
+        np.testing.assert_array_equal(kind[:cut], kinds[:cut])
+        np.testing.assert_array_equal(size[:cut], sizes[:cut])
+
+
+def _first(record, k):
+    return Record(*(field[:k] for field in record[:5]), record.step_s)
+
+
+@pytest.mark.parametrize("pace", [0, 1, 3])
+def test_who_judges_slowly_judges_alike(known, pace):
+    """Those that wait are judged at the latest when the next block is there: nothing is lost."""
+    record = train(5)
+    watch = through(Watch(known, 1.0), record, pace)
+    watch.work(MOTORS)
+    same(through(Watch(known, 1.0), record), watch)
+
+
+def test_nothing_grows(known):
+    watch = through(Watch(known, 1.0), _first(train(6), 300))
+
+    def sizes():
+        return {n: a.nbytes for n, a in vars(watch).items() if isinstance(a, np.ndarray)}
+
+    before, names = sizes(), set(vars(watch))
+    through(watch, train(6))
+    assert sizes() == before
+    assert set(vars(watch)) == names
+    assert sum(before.values()) < 30_000 * MOTORS
+
+
+def test_inputs_between_samples_are_averaged(known):
+    fine = train(7, k=1200, step_s=0.5, every=2)
+    mean = Record(
+        fine.temperature, np.arange(1200), fine.current_square.reshape(-1, 2, MOTORS).mean(axis=1),
+        fine.speed.reshape(-1, 2).mean(axis=1), fine.ambient.reshape(-1, 2).mean(axis=1), 1.0,
+    )  # fmt: skip
+    one, two = Watch(known, 1.0), Watch(known, 1.0)
+    judged = sum(method.followed(one, fine))
+    assert judged == 1200 // one.together
+    assert sum(method.followed(two, mean)) == judged
+    for name in ("lumps", "mean", "mode"):
+        np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 1.0, 5.0])
+def test_absurd_samples_raise_nothing_and_leave_numbers(known, dt_s):
+    rng = np.random.default_rng(8)
+    watch = Watch(known, dt_s)
+    for k in range(3000):
+        wild = 10.0 ** rng.uniform(0.0, 6.0) if k % 5 == 0 else 30.0
+        reading = 50.0 + wild * rng.standard_normal((MOTORS, 3))
+        inputs = rng.uniform(0.0, 1.0, (3, MOTORS)) * np.array([[4e5], [1e3], [100.0]])
+        reading[rng.random((MOTORS, 3)) < 0.1] = np.nan
+        inputs[rng.random((3, MOTORS)) < (0.9 if k // 300 % 3 == 1 else 0.02)] = np.nan
+        watch.take(reading, *inputs)
+        watch.work(int(rng.integers(0, 3)))
+        kind, size = watch.told()
+        assert kind.min() >= 0.0
+        assert kind.sum(axis=1).max() <= 1.0
+        assert np.isfinite(size).all(), k
+    for name in ("mode", "mean", "cov", "base", "loose", "lumps"):
+        assert np.isfinite(getattr(watch, name)).all(), name
+    np.testing.assert_allclose(watch.mode.sum(axis=1), 1.0)
+
+
+def test_what_is_learnt_is_right_and_knows_no_order(known):
+    runs = [train(1), train(2)]
+    for run in runs:
+        run.temperature[K // 2 :, 1, 1] -= 6.0
+    assert np.abs(known.noise / NOISE_K - 1.0).max() < 0.2
+    swapped = [turn(run, known)[0] for run in runs]
+    got, want = method.learn(FLEET[TURNED], swapped), turn(runs[0], known)[1]
+    assert isinstance(got, Known)
+    assert got.scale == want.scale
+    for name in ("parameters", "centre", "noise", "duty"):
+        np.testing.assert_allclose(getattr(got, name), getattr(want, name), rtol=1e-9, atol=1e-12)
+    square, speed = (np.mean([x.mean() for x in c]) for c in
+                     ([r.current_square for r in runs], [r.speed for r in runs]))  # fmt: skip
+    np.testing.assert_allclose(got.duty[:2], [speed, square])
