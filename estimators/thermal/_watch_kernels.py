@@ -33,16 +33,18 @@ _SUREST = 0.95
 
 
 @njit(cache=True)
-def begin(p: Array, reading: Array, ambient: float, x: Array) -> bool:
-    """Lumps x (5,) of a motor with readings (3,), NaN without; as `heat.begun`. False: none at all.
+def begin(p: Array, reading: Array, speed: float, ambient: float, x: Array) -> bool:
+    """Lumps x (5,) of a motor with readings (3,), NaN without. False: none at all.
 
-    The frame is as warm as the ends that are seen say, or half way from the winding to the air.
+    As `heat.begun`, and friction at this speed is taken off: the frame is as warm as the ends that
+    are seen say, or half way from the winding to the air.
     """
     total, count = 0.0, 0
     for q in range(1, POINTS):
         if math.isfinite(reading[q]):
-            k, b = (p[9], p[11]) if q == 1 else (p[12], p[14])
-            total += ambient + (reading[q] - p[15 + q] - ambient) * (1.0 + b / k)
+            k, f, b = (p[9], p[10], p[11]) if q == 1 else (p[12], p[13], p[14])
+            own = reading[q] - p[15 + q]
+            total += max(ambient + ((own - ambient) * (k + b) - f * speed) / k, min(ambient, own))
             count += 1
     winding = reading[0] - p[15]
     if count == 0 and not math.isfinite(winding):
@@ -51,8 +53,8 @@ def begin(p: Array, reading: Array, ambient: float, x: Array) -> bool:
     x[0] = winding if math.isfinite(winding) else frame
     x[1], x[2] = 0.5 * (x[0] + frame), frame
     for q in range(1, POINTS):
-        k, b = (p[9], p[11]) if q == 1 else (p[12], p[14])
-        settled = ambient + (frame - ambient) / (1.0 + b / k)
+        k, f, b = (p[9], p[10], p[11]) if q == 1 else (p[12], p[13], p[14])
+        settled = ambient + (k * (frame - ambient) + f * speed) / (k + b)
         x[SEEN[q]] = reading[q] - p[15 + q] if math.isfinite(reading[q]) else settled
     return True
 
@@ -133,7 +135,7 @@ def samples(
         lost[m] = begun[m] and unknown_s[m] > hole_s
         block[m, :, at], raw[m, :, at] = math.nan, math.nan
         if known and not begun[m]:
-            begun[m] = begin(parameters[m], reading[m], ambient[m], lumps[m])
+            begun[m] = begin(parameters[m], reading[m], speed[m], ambient[m], lumps[m])
             since = dt
         if known and begun[m]:
             _sample(
@@ -160,8 +162,8 @@ def close(
 ) -> None:  # fmt: skip
     """Blocks of all motors: medians middle, off from the trusted others', odds, (M, 3) each.
 
-    odds: log odds that bursts speak for a loose connector. bursts: share of a loose and of a good
-    connector's readings, standard deviations that are far, readings of a burst.
+    odds: log odds that bursts speak for a loose connector, NaN without readings. bursts: share of a
+    loose and of a good connector's readings, standard deviations that are far, readings of a burst.
     """
     motors, _, together = block.shape
     store = np.empty(together)
@@ -176,7 +178,7 @@ def close(
                 odd += abs(store[i] - here) > bursts[2] * noise[m, q]
             odds[m, q] = odd * math.log(bursts[0] / bursts[1])
             odds[m, q] += (n - odd) * math.log((1.0 - bursts[0]) / (1.0 - bursts[1]))
-            odds[m, q] /= bursts[3]
+            odds[m, q] = odds[m, q] / bursts[3] if n else math.nan
     u = middle - base
     references(u, trusted, off)
     off[:] = u - off
@@ -237,6 +239,10 @@ def judge(
     )
     size = models.tell(mode, mean, cov, limits, kind[: models.MODES - 1])
     for q in range(POINTS):
+        kind[models.MODES - 1 + q] = loose[q]
+        if math.isnan(bursts[q]):
+            # No readings: what was believed of the connector stands.
+            continue
         here = loose[q] * (1.0 - loose_odds[1] * dt) + (1.0 - loose[q]) * loose_odds[0] * dt
         ratio = here / (1.0 - here) * math.exp(min(max(bursts[q], -50.0), 50.0))
         loose[q] = min(ratio / (1.0 + ratio), _SUREST)

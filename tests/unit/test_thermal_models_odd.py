@@ -140,17 +140,17 @@ def test_lumps_begin_as_the_model_says_and_with_whatever_is_there():
         p = heat.TYPICAL * np.exp(0.3 * rng.standard_normal(heat.COUNT))
         p[heat.OFFSETS] = rng.standard_normal(3)
         readings, x = rng.uniform(20.0, 120.0, 3), np.empty(5)
-        assert kernels.begin(p, readings, 12.0, x)
+        assert kernels.begin(p, readings, 0.0, 12.0, x)
         np.testing.assert_allclose(x, heat.begun(p[None], readings[None], 12.0)[0], rtol=1e-12)
         for gone in range(3):
             less = readings.copy()
             less[gone] = np.nan
-            assert kernels.begin(p, less, 12.0, x)
+            assert kernels.begin(p, less, 0.0, 12.0, x)
             assert np.isfinite(x).all()
             seen = x[list(heat.MEASURED)] + p[heat.OFFSETS]
             np.testing.assert_allclose(np.delete(seen, gone), np.delete(readings, gone))
         kept = x.copy()
-        assert not kernels.begin(p, np.full(3, np.nan), 12.0, x)
+        assert not kernels.begin(p, np.full(3, np.nan), 0.0, 12.0, x)
         np.testing.assert_array_equal(x, kept)
 
 

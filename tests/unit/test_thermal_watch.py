@@ -205,7 +205,7 @@ def test_one_motor_is_judged_as_beside_motors_that_are_the_model(known):
     )  # fmt: skip
     reading, x = record.temperature.copy(), np.empty(heat.LUMPS)
     first = np.array([70.0, 45.0, 45.0])
-    begin(FLEET[ILL], first, record.ambient[0], x)
+    begin(FLEET[ILL], first, record.speed[0], record.ambient[0], x)
     for k in range(HOUR):
         step(FLEET[ILL], record.current_square[k, ILL], record.speed[k], record.ambient[k],
              np.zeros(5), 1.0, x)  # fmt: skip
