@@ -148,7 +148,8 @@ def advance(
     disturbance; heats (5, 5) K/s per kind of fault (rows) and K of size; rise: frame above the air,
     K; dt: s since the last block; sigma (5,) of the disturbances; odds: begin and end per s, memory
     of disturbances s, unsure share, size's walk K and share per block, K of a lump's own noise per
-    root of a minute, wide K; sizes (G, 2): mean and deviation of a fresh fault. Log likelihood.
+    root of a minute, wide K, unsteady share; sizes (G, 2): mean and deviation of a fresh fault. Gives
+    the log likelihood.
     """
     modes = len(mode)
     weight = np.empty(modes)
@@ -174,6 +175,10 @@ def advance(
         for i in range(LUMPS):
             p[i, i] += odds[6] ** 2 * dt / 60.0 + (odds[3] * (1.0 - fade[i, i]) * x[i]) ** 2
             p[LUMPS + i, LUMPS + i] += sigma[i] ** 2 * (1.0 - keep * keep)
+        if 0 < g <= HEATS:
+            # A fault begins anywhere in a block, and no heat is as steady as a number.
+            heated = step[:LUMPS, SIZE] * x[SIZE]
+            p[:LUMPS, :LUMPS] += odds[8] ** 2 * np.outer(heated, heated)
         if g > 0:
             p[SIZE, SIZE] += odds[4] ** 2 + (odds[5] * x[SIZE]) ** 2
         mean[g] = step @ x

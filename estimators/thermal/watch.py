@@ -44,6 +44,8 @@ WALK_K, WALK_SHARE = 0.2, 0.03
 """A size changes by this from block to block."""
 OWN_K: Final = 0.02
 """Deviation that a lump takes on by itself, per root of a minute."""
+UNSTEADY: Final = 0.3
+"""Share of a block's heat: a fault begins somewhere in a block."""
 WIDE_K: Final = 5.0
 """How far off a block may be that is not what it seems."""
 SIZES_K: Final = np.array(
@@ -60,6 +62,9 @@ LEARNT_S: Final = 7200.0
 """Time constant of a motor's baseline, which is learnt while there is no fault."""
 SURE: Final = 1.0 - 1e-6
 LEAST_NOISE_K: Final = 0.01
+STEADY_S: Final = 100.0
+"""A motor whose quickest lump has a shorter time constant than this bends so fast that `steps`
+would take its heat for a sensor's: nothing is tested, the filters have to tell."""
 HOLE_S: Final = 60.0
 """After so long without knowing how it was driven, a motor begins anew."""
 
@@ -93,12 +98,12 @@ class Watch:
         self.block_s = self.together * dt_s
         self.unit = _unit(known)
         self.odds = np.array(
-            [1 / BEGIN_S, 1 / END_S, MEMORY_S, UNSURE, WALK_K, WALK_SHARE, OWN_K, WIDE_K]
+            [1 / BEGIN_S, 1 / END_S, MEMORY_S, UNSURE, WALK_K, WALK_SHARE, OWN_K, WIDE_K, UNSTEADY]
         )
         self.loose_odds = np.array([1 / LOOSE_BEGIN_S, 1 / LOOSE_END_S, 1 / LEARNT_S])
         self.sigma = known.scale * DISTURBANCES
         self.counts = np.array([round(s / dt_s) for s in (steps.BEFORE_S, steps.AFTER_S)])
-        tested = dt_s <= steps.SLOWEST_S
+        tested = dt_s <= steps.SLOWEST_S and quickest * STEADY_S < 1.0
         self.how = np.array([
             steps.STEP_K if tested else 0.0, steps.BACK_K, steps.HEAT_K_PER_S * dt_s
         ])  # fmt: skip

@@ -14,7 +14,7 @@ from estimators.thermal.watch import SIZES_K
 
 DT, NOISE = 30.0, 0.1
 SIGMA = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
-ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, 5.0])
+ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, 5.0, 0.3])
 SURE_OF_READINGS = 1e45
 """K: so wide that no block is what it seems not to be, but for the share of those that are."""
 CONSTANT = -0.5 * np.log(2.0 * np.pi)

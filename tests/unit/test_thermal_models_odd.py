@@ -14,7 +14,7 @@ from estimators.thermal.watch import BENIGN_K, BURSTS, SIZES_K
 
 DT, NOISE, WIDE = 16.0, 0.1, 5.0
 SIGMA = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
-ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, WIDE])
+ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, WIDE, 0.3])
 UNIT = np.array([200.0, 0.03, 0.08, 300.0, 900.0, 500.0, 500.0])
 CONSTANT = -0.5 * math.log(2.0 * math.pi)
 
