@@ -158,8 +158,9 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
 def references(u: Array, trusted: Flags, out: Array) -> None:
     """Fill out (M, 3): per motor and point the median of u (M, 3) over the other motors.
 
-    Of those that are `trusted` (M,), of all where too few are; 0 for a train of one motor, NaN
-    where fewer than two others (of two motors: one) have a reading.
+    Of those that are `trusted` (M,), of all where too few are (fewer than three, but of three
+    motors fewer than two); 0 for a train of one motor, NaN where fewer than two others (of two
+    motors, or beside one suspect of three: one) have a reading.
     """
     motors = u.shape[0]
     least = min(2, motors - 1)
@@ -171,7 +172,10 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
             finite = math.isfinite(u[m, q])
             seen += finite
             n += finite and trusted[m]
-        everybody = n <= least < seen or n < least
+        # Of three motors two are left beside a suspect: each has the other.
+        three = n == least and seen == least + 1
+        everybody = (n <= least < seen and not three) or n < least
+        needed = 1 if three else least
         n = 0
         for m in range(motors):
             inside[m] = math.isfinite(u[m, q]) and (everybody or trusted[m])
@@ -183,7 +187,7 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
             others = n - inside[m]
             if motors == 1:
                 out[m, q] = 0.0
-            elif others < least:
+            elif others < needed:
                 out[m, q] = math.nan
             else:
                 left_out = np.searchsorted(ranked, u[m, q]) if inside[m] else n

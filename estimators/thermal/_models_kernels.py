@@ -148,8 +148,8 @@ def advance(
     disturbance; heats (5, 5) K/s per kind of fault (rows) and K of size; rise: frame above the air,
     K; dt: s since the last block; sigma (5,) of the disturbances; odds: begin and end per s, memory
     of disturbances s, unsure share, size's walk K and share per block, K of a lump's own noise per
-    root of a minute, wide K, unsteady share; sizes (G, 2): mean and deviation of a fresh fault. Gives
-    the log likelihood.
+    root of a minute, wide K, unsteady share; sizes (G, 2): mean and deviation of a fresh fault.
+    Gives the log likelihood.
     """
     modes = len(mode)
     weight = np.empty(modes)

@@ -163,7 +163,8 @@ def close(
     """Blocks of all motors: medians middle, off from the trusted others', odds, (M, 3) each.
 
     odds: log odds that bursts speak for a loose connector, NaN without readings. bursts: share of a
-    loose and of a good connector's readings, standard deviations that are far, readings of a burst.
+    loose and of a good connector's readings, standard deviations that are far, readings of a
+    burst, K that are not far yet.
     """
     motors, _, together = block.shape
     store = np.empty(together)
@@ -175,7 +176,7 @@ def close(
             here, n = _middle(raw[m, q], store)
             odd = 0
             for i in range(n):
-                odd += abs(store[i] - here) > bursts[2] * noise[m, q]
+                odd += abs(store[i] - here) > max(bursts[2] * noise[m, q], bursts[4])
             odds[m, q] = odd * math.log(bursts[0] / bursts[1])
             odds[m, q] += (n - odd) * math.log((1.0 - bursts[0]) / (1.0 - bursts[1]))
             odds[m, q] = odds[m, q] / bursts[3] if n else math.nan

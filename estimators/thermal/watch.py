@@ -54,9 +54,9 @@ SIZES_K: Final = np.array(
 """Mean and deviation of a fault's size when it begins: of heat, K at the mean duty when settled."""
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
-BURSTS: Final = np.array([0.05, 1e-4, 6.0, 5.0])
+BURSTS: Final = np.array([0.05, 1e-4, 6.0, 5.0, 3.0])
 """Share of a loose and of a good connector's readings that are far off, standard deviations that
-are far, readings of one burst: they are not independent."""
+are far, readings of one burst: they are not independent; K within a block that heat can do."""
 LOOSE_BEGIN_S, LOOSE_END_S = 30_000.0, 3600.0
 LEARNT_S: Final = 7200.0
 """Time constant of a motor's baseline, which is learnt while there is no fault."""

@@ -9,7 +9,10 @@ from gateway.results.record import Recorder
 from sim.scenario import builtin, builtin_names, parse
 
 NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]
-THERMAL = {"bearing", "cooling_loss", "overheating", "stuck_sensor"}
+THERMAL = {
+    "bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "overheating",
+    "stuck_sensor", "tunnel",
+}  # fmt: skip
 
 
 def run(scenario, watch=()):

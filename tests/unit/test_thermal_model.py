@@ -220,6 +220,7 @@ def test_the_peers_median_is_pulled_by_no_fault_and_by_no_suspect():
     np.testing.assert_array_equal(beside(u, trusted)[0], 1.5)
     np.testing.assert_array_equal(beside(u, trusted)[1], 1.0)
     np.testing.assert_array_equal(beside(u, np.zeros(4, dtype=np.bool_)), beside(u))
+    np.testing.assert_array_equal(beside(u[1:], trusted[1:])[1:], [[2.0] * 3, [1.0] * 3])
     u[[0, 3]] = np.nan
     assert np.isnan(beside(u)[1:3]).all(), "one other motor is nobody to compare with"
     np.testing.assert_array_equal(beside(u)[0], 5.5)
