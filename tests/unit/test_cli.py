@@ -207,7 +207,9 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, tmp_path):
     assert main(["calibrate", str(log), "-o", str(cells)]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
-    capsys.readouterr()
+    assert "no thermal model" in capsys.readouterr().out, "seconds are too short for one"
+    assert "no thermal model" in refused(capsys, "replay", log, "--config", config)
+    config.write_text(f'[thermal]\ncalibration = "{cells.name}"\nmethod = "maisd"\n')
     assert main(["replay", str(log), "--config", str(config)]) == 0
     out = capsys.readouterr().out
     assert out.count("thermal   NoFault") == 3

@@ -1,0 +1,195 @@
+"""The thermal model on the bus: seconds, what is learnt and stored, what is said when blind."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from estimators.thermal import heat
+from estimators.thermal.heat import TYPICAL, Drive, predict
+from gateway import calibration
+from gateway.calibration import Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
+from gateway.commands.hil import scenario_thermal
+from gateway.config import ConfigError
+from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.heatside import Sample, Seconds
+from gateway.inbox import Temperatures
+from gateway.results.calibrating import Learner
+from gateway.thermal import ThermalSide
+
+MS = 1_000_000
+NODES = (1, 2, 3)
+
+
+class Line:
+    """A drive's Status and Motion, as fresh as told."""
+
+    def __init__(self, irms=10.0, speed=-25.0, fresh=True):
+        self.irms, self.speed = irms, speed
+        self.status = self.motion = SimpleNamespace(fresh=lambda _now: fresh)
+
+
+def reading(drive, t_ns, celsius):
+    return Temperatures(
+        drive, t_ns, tuple(celsius), (True,) * 4, tuple(round(10 * c) for c in celsius)
+    )
+
+
+def shipped():
+    path = Path(scenario_thermal()["calibration"])
+    return calibration.load(path, NODES, 5.0)
+
+
+def test_a_second_is_the_mean_of_what_was_known():
+    seconds = Seconds(2, 100 * MS)
+    drives = [Line(), Line(irms=None)]
+    believed = np.array([[True, True, False], [True, True, True]])
+    for k in range(10):
+        for drive in range(2):
+            seconds.note(reading(drive, k, (50, 40, 30, 20)))
+        values = np.array([[50.0 + k, 40, 30], [50, 40, 30]])
+        sample = seconds.look(values, believed, drives, k)
+        assert (sample is None) == (k < 9)
+    assert seconds.dt_s == 1.0
+    np.testing.assert_allclose(sample.temperature, [[54.5, 40, np.nan], [50, 40, 30]])
+    np.testing.assert_allclose(sample.square, [200.0, np.nan], err_msg="amplitude, from rms")
+    np.testing.assert_allclose(sample.speed, 25.0)
+    np.testing.assert_allclose(sample.ambient, 20.0)
+
+
+class Rig:
+    """Three motors of the shipped calibration, simulated by their own models."""
+
+    def __init__(self):
+        self.cells = shipped()
+        self.side = ThermalSide(3, 100 * MS, 5.0, self.cells, NODES, model=True)
+        self.known = self.cells.known(NODES)
+        self.k = 0
+
+    def run(self, seconds, drives=None, extra=None):
+        """extra (3, 5): heat in the lumps, K/s."""
+        n = 10 * seconds
+        drives = drives or [Line(8.0), Line(8.0), Line(8.0)]
+        inputs = Drive(
+            np.full((n, 3), 128.0), np.full(n, 25.0), np.full(n, 20.0), np.arange(n), 0.1
+        )  # fmt: skip
+        start = np.tile([60.0, 45.0, 45.0], (3, 1)) if self.k == 0 else self.last
+        out = predict(self.known.parameters, inputs, start, extra)
+        rng = np.random.default_rng(self.k)
+        for row in out:
+            self.k += 1
+            now = self.k * 100 * MS
+            noisy = np.round(row + rng.normal(0.0, 0.1, (3, 3)), 1)
+            self.side.take([reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, drives)
+        self.last = out[-1]
+        return [self.side.report(j, now, 310 * MS) for j in range(3)]
+
+
+def test_healthy_motors_are_good_and_a_hot_winding_is_named():
+    rig = Rig()
+    assert {r.reason for r in rig.run(2)} == {Reason.STARTING}
+    for report in rig.run(60):
+        assert (report.thermal, report.fault_class) == (Flag.GOOD, FaultClass.NONE)
+    hot = np.zeros((3, 5))
+    hot[1, heat.WINDING] = 0.1
+    reports = rig.run(30, extra=hot)
+    assert [r.thermal for r in reports] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
+    assert reports[1].fault_class in (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)
+    assert reports[1].sensor is Flag.GOOD, "the sensor is right: it is hot"
+
+
+@pytest.mark.parametrize("line", [Line(fresh=False), Line(irms=None), Line(speed=None)])
+def test_blind_is_unknown_and_says_stale(line):
+    rig = Rig()
+    assert {r.thermal for r in rig.run(20)} == {Flag.GOOD}
+    reports = rig.run(10, [line, Line(8.0), Line(8.0)])
+    assert (reports[0].thermal, reports[0].reason) == (Flag.UNKNOWN, Reason.STALE)
+    assert {r.reason for r in reports[1:]} == {Reason.TOO_FEW_DRIVES}, "one other is too few"
+    assert {r.thermal for r in rig.run(20)} == {Flag.GOOD}, "and it comes back"
+
+
+def test_one_motor_without_others_is_unknown():
+    rig = Rig()
+    rig.run(20)
+    rig.side.heat.watch.off[0] = np.nan
+    rig.side._cache.clear()
+    report = rig.side.report(0, rig.k * 100 * MS, 310 * MS)
+    assert (report.thermal, report.reason) == (Flag.UNKNOWN, Reason.TOO_FEW_DRIVES)
+
+
+def test_a_sensor_that_creeps_is_the_sensors_and_no_heat():
+    rig = Rig()
+    rig.run(30)
+    rig.side.heat.watch.held[2] = True
+    rig.side.heat.watch.kind[2] = 0.0
+    rig.side.heat.watch.kind[2, 6] = 0.95
+    found = rig.side.heat.finding(2)
+    assert (found.fault, found.sensor) == (FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END)
+
+
+def cells(with_heat=True):
+    rates = tuple(TYPICAL[: heat.RATES].tolist())
+    own = MotorHeat(rates=rates, offset_k=(1, 2, 3), centre_k=(0.1,) * 3, noise_k=(0.2,) * 3)
+    three = (1.0, 1.0, 1.0)
+    return Calibration(
+        window_s=5.0, maisd_limit_k=three, deviation_limit_k=three,
+        heat=FleetHeat(scale=1.5, duty=(25.0, 160.0, 0.02, 0.1)) if with_heat else None,
+        motor=tuple(
+            MotorCalibration(
+                node=n, gain=three, offset_k=(n, 0, 0), longest_hold_s=three,
+                largest_step_k=three, heat=own if with_heat else None,
+            )
+            for n in NODES
+        ),
+    )  # fmt: skip
+
+
+def test_what_was_learnt_is_stored_whole_and_edits_are_refused(tmp_path):
+    path = tmp_path / "cells.toml"
+    path.write_text(to_toml(cells()))
+    back = calibration.load(path, NODES, 5.0)
+    known, want = back.known((3, 1)), cells().known((3, 1))
+    np.testing.assert_allclose(known.parameters, want.parameters, rtol=1e-5)
+    np.testing.assert_allclose(known.duty, want.duty)
+    assert (known.scale, known.centre.shape) == (1.5, (2, 3))
+    path.write_text(path.read_text().replace("scale = 1.5", "scale = 1.6"))
+    with pytest.raises(ConfigError, match="checksum"):
+        calibration.load(path, NODES, 5.0)
+    path.write_text(to_toml(cells(with_heat=False)))
+    without = calibration.load(path, NODES, 5.0)
+    assert without.known(NODES) is None
+    with pytest.raises(ConfigError, match="method"):
+        ThermalSide(3, 100 * MS, 5.0, without, NODES, model=True)
+
+
+def test_the_learner_finds_motors_of_another_size(tmp_path):
+    """Rates four times the typical ones, a hundredth of the current: two logs with holes."""
+    own = TYPICAL.copy()
+    own[: heat.RATES] *= 4.0
+    own[heat.A] *= 100.0
+    learner = Learner(NODES, 5.0)
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        n = 900
+        square = np.repeat(rng.uniform(0.0, 250.0, n // 60), 60)
+        speed = np.repeat(rng.uniform(50.0, 350.0, n // 90), 90)
+        inputs = Drive(np.tile(square[:, None], 3), speed, np.full(n, 15.0), np.arange(n), 1.0)
+        truth = predict(np.tile(own, (3, 1)), inputs, np.tile([30.0, 25.0, 25.0], (3, 1)))
+        readings = truth + rng.normal(0.0, 0.05, truth.shape)
+        learner.begin()
+        for k in range(n):
+            hole = np.full(3, np.nan)
+            known = hole if k in (100, 101) else np.full(3, square[k])
+            learner.seconds[-1].append(
+                Sample(readings[k], known, np.full(3, speed[k]), np.full(3, 15.0))
+            )
+    known = learner._known()
+    assert known is not None
+    got, want = known.parameters.mean(axis=0), own
+    for rate in (heat.A, heat.K_W):
+        assert got[rate] == pytest.approx(want[rate], rel=0.15)
+    np.testing.assert_allclose(known.noise, 0.05, rtol=0.4)
+    assert known.duty[1] == pytest.approx(125.0, rel=0.2)
+    learner.seconds = [log[:100] for log in learner.seconds]
+    assert learner._known() is None, "too short"
