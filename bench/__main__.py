@@ -1,4 +1,4 @@
-"""`python -m bench [speed] [adhesion] [-o FILE]`: measure and write the tables."""
+"""`python -m bench [speed] [adhesion] [thermal] [-o FILE]`: measure and write the tables."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import adhesion, speed
+from bench import adhesion, speed, thermal
 
-PARTS = {"speed": speed, "adhesion": adhesion}
-TITLES = {"speed": "Speed", "adhesion": "Detection of random single losses of 20-100 %"}
+PARTS = {"speed": speed, "adhesion": adhesion, "thermal": thermal}
+TITLES = {
+    "speed": "Speed",
+    "adhesion": "Detection of random single losses of 20-100 %",
+    "thermal": "Thermal watch",
+}
 
 
 def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

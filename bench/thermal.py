@@ -1,0 +1,51 @@
+"""What the thermal watch costs: 16 to 1,024 motors at one sample a second, in ticks of 10 ms."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from estimators.thermal.heat import TYPICAL
+from estimators.thermal.watch import Known, Watch
+
+HEADER = ("what", "per 10 ms tick, mean", "goal", "a second's samples", "a motor's block")
+FLEETS = {16: "10 us", 64: "-", 1024: "500 us"}
+TICKS = 100
+"""In a second."""
+
+
+def _watch(motors: int) -> Watch:
+    nothing = np.zeros((motors, 3))
+    known = Known(
+        np.tile(TYPICAL, (motors, 1)), nothing, nothing + 0.25, 1.5,
+        np.array([200.0, 1e4, 0.02, 0.04]),
+    )  # fmt: skip
+    return Watch(known, 1.0)
+
+
+def rows() -> list[tuple[str, ...]]:
+    """One line a fleet: mean over two minutes of samples, and what comes at once."""
+    out = []
+    for motors, goal in FLEETS.items():
+        watch, rng = _watch(motors), np.random.default_rng(0)
+        square, speed, air = (np.full(motors, value) for value in (1e4, 200.0, 20.0))
+        samples, judged, blocks = 0.0, 0.0, 0
+        for second in range(180):
+            reading = 50.0 + 0.25 * rng.standard_normal((motors, 3))
+            begun = time.perf_counter()
+            watch.take(reading, square, speed, air)
+            taken = time.perf_counter()
+            waiting = watch.waiting
+            watch.work(waiting)
+            done = time.perf_counter()
+            if second >= 60:
+                samples += taken - begun
+                judged += done - taken
+                blocks += waiting
+        tick_us = 1e6 * (samples + judged) / 120 / TICKS
+        out.append((
+            f"thermal watch, {motors} motors", f"{tick_us:.1f} us", goal,
+            f"{1e6 * samples / 120:.0f} us", f"{1e6 * judged / max(blocks, 1):.0f} us",
+        ))  # fmt: skip
+    return out
