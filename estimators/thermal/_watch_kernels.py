@@ -158,13 +158,14 @@ def _middle(values: Array, store: Array) -> tuple[float, int]:
 @njit(cache=True)
 def close(
     block: Array, raw: Array, noise: Array, bursts: Array, base: Array, held: Flags, odds: Array,
-    middle: Array, off: Array,
+    middle: Array, off: Array, before: Flags, shift: Array,
 ) -> None:  # fmt: skip
     """Blocks of all motors: medians middle, off from the trusted others', odds, (M, 3) each.
 
-    odds: log odds that bursts speak for a loose connector, NaN without readings. bursts: share of a
-    loose and of a good connector's readings, standard deviations that are far, readings of a
-    burst, K that are not far yet.
+    before (M,): who was trusted in the last block, brought up to date; shift (M, 3): what that
+    makes the others' median move by. odds: log odds that bursts speak for a loose connector, NaN
+    without readings. bursts: share of a loose and of a good connector's readings, standard
+    deviations that are far, readings of a burst, K that are not far yet.
     """
     motors, _, together = block.shape
     store = np.empty(together)
@@ -181,8 +182,14 @@ def close(
             odds[m, q] += (n - odd) * math.log((1.0 - bursts[0]) / (1.0 - bursts[1]))
             odds[m, q] = odds[m, q] / bursts[3] if n else math.nan
     u = middle - base
+    references(u, before, shift)
     references(u, trusted, off)
-    off[:] = u - off
+    for m in range(motors):
+        for q in range(POINTS):
+            shift[m, q] = off[m, q] - shift[m, q]
+            shift[m, q] = shift[m, q] if math.isfinite(shift[m, q]) else 0.0
+            off[m, q] = u[m, q] - off[m, q]
+    before[:] = trusted
 
 
 @njit(cache=True)

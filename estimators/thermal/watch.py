@@ -122,6 +122,8 @@ class Watch:
         self.middle = np.full((motors, 3), np.nan)
         self.bursts = np.zeros((motors, 3))
         self.off = np.full((motors, 3), np.nan)
+        self.trusted = np.ones(motors, dtype=np.bool_)
+        self.shift = np.zeros((motors, 3))
         self.mode = np.empty((motors, models.MODES))
         self.mean = np.empty((motors, models.MODES, models.STATES))
         self.cov = np.empty((motors, models.MODES, models.STATES, models.STATES))
@@ -177,8 +179,11 @@ class Watch:
         self.work(self.waiting)
         _watch_kernels.close(
             self.block, self.raw, self.known.noise, BURSTS, self.base, self.held, self.bursts,
-            self.middle, self.off,
+            self.middle, self.off, self.trusted, self.shift,
         )  # fmt: skip
+        # Who is compared with others than before may stand as much elsewhere as they do.
+        seen = list(heat.MEASURED)
+        self.cov[:, :, seen, seen] += (self.shift**2)[:, None, :]
         # From the middle of the last block to that of this one.
         self.inputs = self.late + self.sums[0]
         self.late = self.sums[1].copy()

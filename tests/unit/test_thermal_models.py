@@ -94,7 +94,7 @@ def test_disturbances_push_as_the_joint_exponential_says():
         joint = expm(DT * np.block([[rates, pushes], [np.zeros((5, 5)), -np.eye(5) / 900.0]]))
         models.advance(
             mode, mean, cov, np.full(3, np.nan), rates, pushes, heats, 30.0, DT, SIGMA,
-            np.where(np.arange(8) == 0, 0.0, ODDS), SIZES_K, NOISE,
+            np.where(np.arange(len(ODDS)) == 0, 0.0, ODDS), SIZES_K, NOISE,
         )  # fmt: skip
         largest = np.abs(joint[:5, 5 + d]).max()
         np.testing.assert_allclose(mean[0, :5], joint[:5, 5 + d], atol=0.01 * largest)

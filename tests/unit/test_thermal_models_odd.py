@@ -165,7 +165,10 @@ def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     block, base = raw - 3.0, rng.standard_normal((motors, 3))
     held = np.array([False, True, False, False, False])
     odds, middle, off = (np.empty((motors, 3)) for _ in range(3))
-    kernels.close(block, raw, np.full((motors, 3), 0.25), BURSTS, base, held, odds, middle, off)
+    before, shift = np.ones(motors, dtype=np.bool_), np.empty((motors, 3))
+    kernels.close(
+        block, raw, np.full((motors, 3), 0.25), BURSTS, base, held, odds, middle, off, before, shift
+    )
     want = np.nanmedian(block, axis=2)
     want[2, 1] = np.nan
     np.testing.assert_array_equal(middle, want)
