@@ -159,6 +159,10 @@ class Watch:
         sign; ambient (M,) degC.
         """
         known, before = self.known, self.begun.copy()
+        # A view has another layout, so another kernel, which would be loaded in the middle of a run.
+        reading, square, speed, ambient = (
+            np.ascontiguousarray(part) for part in (reading, square, speed, ambient)
+        )
         _watch_kernels.samples(
             known.parameters, known.centre, reading, square, speed, ambient, self.dt_s, HOLE_S,
             self.begun, self.unknown_s, self.lumps, self.sums[2 * self.at // self.together],

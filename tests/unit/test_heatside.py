@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimators.thermal import heat
+from estimators.thermal import _watch_kernels, heat
 from estimators.thermal.heat import TYPICAL, Drive, predict
 from gateway import calibration
 from gateway.calibration import Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
 from gateway.commands.hil import scenario_thermal
 from gateway.config import ConfigError
+from gateway.drivers.warm import _warm_watch
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import Sample, Seconds
 from gateway.inbox import Temperatures
@@ -107,6 +108,16 @@ def test_blind_is_unknown_and_says_stale(line):
     assert (reports[0].thermal, reports[0].reason) == (Flag.UNKNOWN, Reason.STALE)
     assert {r.reason for r in reports[1:]} == {Reason.TOO_FEW_DRIVES}, "one other is too few"
     assert {r.thermal for r in rig.run(20)} == {Flag.GOOD}, "and it comes back"
+
+
+def test_nothing_is_compiled_after_the_warm_up():
+    """A kernel for another memory layout would be loaded, or compiled, in the middle of a run."""
+    rig = Rig()
+    _warm_watch(rig.side.heat.watch)
+    kernels = (_watch_kernels.samples, _watch_kernels.close, _watch_kernels.judge)
+    before = [len(kernel.signatures) for kernel in kernels]
+    rig.run(20)
+    assert [len(kernel.signatures) for kernel in kernels] == before
 
 
 def test_one_motor_without_others_is_unknown():

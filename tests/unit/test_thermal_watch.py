@@ -179,7 +179,6 @@ def test_holes_in_the_inputs_are_no_faults(known, length, motors):
     assert np.isfinite(watch.mean).all()
 
 
-@pytest.mark.xfail(reason="the frame begins too warm by what friction adds to its ends")
 @pytest.mark.parametrize("seed", [61, 62])
 def test_one_motor_that_begins_anew_beside_others_is_not_suspected(known, seed):
     assert not watched(known, train(seed, HOUR), (1800, 1890, [1]))[1].any()
