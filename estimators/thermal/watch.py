@@ -159,7 +159,7 @@ class Watch:
         sign; ambient (M,) degC.
         """
         known, before = self.known, self.begun.copy()
-        # A view has another layout, so another kernel, which would be loaded in the middle of a run.
+        # A view has another layout, so another kernel, which would be loaded in mid-run.
         reading, square, speed, ambient = (
             np.ascontiguousarray(part) for part in (reading, square, speed, ambient)
         )
