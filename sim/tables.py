@@ -166,6 +166,7 @@ class ThermalStart(Strict):
     """`[thermal]`.
 
     `start`: "equilibrium" of the first load and speed, "ambient", or degC for all nodes.
+    `ambient_profile` = [[t_s, degC], ...] (linear) replaces `ambient_c` while the train runs.
     `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
     """
 

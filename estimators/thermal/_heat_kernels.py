@@ -38,6 +38,17 @@ def step(p: Array, square: float, speed: float, ambient: float, extra: Array, dt
 
 
 @njit(cache=True)
+def coupling(p: Array, square: float, speed: float, a: Array) -> None:
+    """Fill a (5, 5) 1/s: how fast deviations of the lumps change; see `heat.coupling`."""
+    a[:] = 0.0
+    a[0, 0], a[0, 1] = -p[1] + SLOPE * p[0] * square, p[1]
+    a[1, 0], a[1, 1], a[1, 2] = p[2], -p[2] - p[5], p[5]
+    a[2, 1], a[2, 2] = p[6], -p[6] - p[7] - p[8] * speed
+    a[3, 2], a[3, 3] = p[9], -p[9] - p[11]
+    a[4, 2], a[4, 4] = p[12], -p[12] - p[14]
+
+
+@njit(cache=True)
 def simulate(
     parameters: Array,
     square: Array,

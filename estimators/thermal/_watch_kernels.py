@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from estimators.thermal import _models_kernels as models
 from estimators.thermal import _steps_kernels as steps
 from estimators.thermal._heat_kernels import REFERENCE as WARM
-from estimators.thermal._heat_kernels import SLOPE, step
+from estimators.thermal._heat_kernels import SLOPE, coupling, step
 from estimators.thermal._hypotheses_kernels import references
 
 Array = NDArray[np.float64]
@@ -205,12 +205,7 @@ def directions(p: Array, inputs: Array, unit: Array, rates: Array, pushes: Array
     square, speed, cooling = inputs[SQUARE] / n, inputs[SPEED] / n, inputs[COOLING] / n
     # A block that lies in a short hole has no inputs at all.
     copper, rise = inputs[COPPER] / n, max(inputs[RISE] / n, _COLDEST_RISE)
-    rates[:] = 0.0
-    rates[0, 0], rates[0, 1] = -p[1] + SLOPE * p[0] * square, p[1]
-    rates[1, 0], rates[1, 1], rates[1, 2] = p[2], -p[2] - p[5], p[5]
-    rates[2, 1], rates[2, 2] = p[6], -p[6] - p[7] - p[8] * speed
-    rates[3, 2], rates[3, 3] = p[9], -p[9] - p[11]
-    rates[4, 2], rates[4, 4] = p[12], -p[12] - p[14]
+    coupling(p, square, speed, rates)
     # Copper, local air, fan, friction of both ends.
     pushes[:] = 0.0
     pushes[0, 0] = copper

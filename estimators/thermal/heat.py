@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal._heat_kernels import SLOPE, simulate
+from estimators.thermal import _heat_kernels
 from estimators.thermal.record import Record
 
 Array = NDArray[np.float64]
@@ -87,8 +87,7 @@ def predict(
 
     parameters (M, 18): rates of `NAMES` and three offsets; start (M, 3): readings at the beginning,
     without them the steady state of the first hour's mean inputs; extra (M, 5): constant heat in
-    the lumps, K/s; core (M,): K that the core is warmer at the beginning
-    than its ends say.
+    the lumps, K/s; core (M,): K that the core is warmer at the beginning than its ends say.
     """
     lumps = courses(parameters, inputs, start, extra, core)
     return np.asarray(lumps[:, :, list(MEASURED)] + parameters[:, OFFSETS])
@@ -118,7 +117,7 @@ def courses(
         state = begun(parameters, start, float(inputs.ambient[0]))
         if core is not None:
             state[:, CORE] += core
-    simulate(
+    _heat_kernels.simulate(
         parameters, square, inputs.speed, inputs.ambient, heat, inputs.at, inputs.step_s, state, out
     )
     return out
@@ -159,16 +158,6 @@ def coupling(p: Array, square: float, speed: float) -> Array:
 
     p (18,): of one motor; square A^2 and speed rad/s of the moment.
     """
-    a = np.zeros((LUMPS, LUMPS))
-    links = (
-        (WINDING, CORE, K_W), (CORE, WINDING, K_C), (CORE, FRAME, G_C), (FRAME, CORE, G_F),
-        (DRIVE_END, FRAME, K_D), (OTHER_END, FRAME, K_N),
-    )  # fmt: skip
-    for lump, other, rate in links:
-        a[lump, other] += p[rate]
-        a[lump, lump] -= p[rate]
-    a[WINDING, WINDING] += SLOPE * p[A] * square
-    a[FRAME, FRAME] -= p[H_0] + p[H_1] * speed
-    a[DRIVE_END, DRIVE_END] -= p[B_D]
-    a[OTHER_END, OTHER_END] -= p[B_N]
+    a = np.empty((LUMPS, LUMPS))
+    _heat_kernels.coupling(p, square, speed, a)
     return a

@@ -97,23 +97,20 @@ class Learner:
         spread = np.nan_to_num(spreads).max(axis=0)
         limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))
 
-        def three(values: np.ndarray) -> tuple[float, float, float]:
-            return (float(values[0]), float(values[1]), float(values[2]))
-
         known = self._known()
         fleet = known and FleetHeat(scale=known.scale, duty=tuple(known.duty.tolist()))
         return Calibration(
             heat=fleet,
             window_s=self.window_s,
-            maisd_limit_k=three(np.maximum(margin * spread, FLOOR_K[0])),
-            deviation_limit_k=three(np.maximum(margin * limit, FLOOR_K[1])),
+            maisd_limit_k=_three(np.maximum(margin * spread, FLOOR_K[0])),
+            deviation_limit_k=_three(np.maximum(margin * limit, FLOOR_K[1])),
             motor=tuple(
                 MotorCalibration(
                     node=node,
-                    gain=three(gain[j]),
-                    offset_k=three(offset[j]),
-                    longest_hold_s=three(self.hold_ns[j] / 1e9),
-                    largest_step_k=three(self.step_k[j]),
+                    gain=_three(gain[j]),
+                    offset_k=_three(offset[j]),
+                    longest_hold_s=_three(self.hold_ns[j] / 1e9),
+                    largest_step_k=_three(self.step_k[j]),
                     heat=known and _motor_heat(known, j),
                 )
                 for j, node in enumerate(self.nodes)
@@ -163,17 +160,18 @@ def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.take_along_axis(values, last, axis=0)
 
 
+def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Of the points, as the calibration has them."""
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
 def _motor_heat(known: Known, j: int) -> MotorHeat:
     """Motor j's part of what was learnt."""
-
-    def three(values: NDArray[np.float64]) -> tuple[float, float, float]:
-        return (float(values[0]), float(values[1]), float(values[2]))
-
     return MotorHeat(
         rates=tuple(known.parameters[j, : heat.RATES].tolist()),
-        offset_k=three(known.parameters[j, heat.OFFSETS]),
-        centre_k=three(known.centre[j]),
-        noise_k=three(known.noise[j]),
+        offset_k=_three(known.parameters[j, heat.OFFSETS]),
+        centre_k=_three(known.centre[j]),
+        noise_k=_three(known.noise[j]),
     )
 
 

@@ -143,7 +143,7 @@ def test_one_mode_is_a_kalman_filter():
 def test_explanations_that_never_change_are_weighed_by_bayes():
     """Every mode's whole record as one normal vector: no filter in the reference at all."""
     rates, pushes, heats = surroundings(motor(5)[0])
-    odds = np.array([0.0, 0.0, 900.0, 0.0, 0.2, 0.0, 0.02, SURE_OF_READINGS])
+    odds = np.array([0.0, 0.0, 900.0, 0.0, 0.2, 0.0, 0.02, SURE_OF_READINGS, 0.0])
     keep, blocks = np.exp(-DT / 900.0), 12
     prior, mean, cov = beliefs(models.MODES, 6)
     # Far from cooling, which no fault does; and so little heat that all may be true.
