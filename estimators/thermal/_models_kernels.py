@@ -199,14 +199,29 @@ def advance(
 
 
 @njit(cache=True)
-def tell(mode: Array, mean: Array, cov: Array, limits: Array, kind: Array) -> float:
-    """Fill kind (8,): probability of every kind with a size beyond its limit; the likely size K."""
+def _warm(x: Array, p: Array, shown: float) -> float:
+    """Probability that the reading that shows most is `shown` K too warm."""
+    most = 0.0
+    for i in SEEN:
+        scale = math.sqrt(2.0 * max(p[i, i], 1e-9))
+        most = max(most, 0.5 * math.erfc((shown - x[i]) / scale))
+    return most
+
+
+@njit(cache=True)
+def tell(mode: Array, mean: Array, cov: Array, limits: Array, shown: float, kind: Array) -> float:
+    """Fill kind (8,): probability of every kind with a size beyond its limit; the likely size K.
+
+    shown: K that heat has to have made of some reading by now.
+    """
     total, size = 0.0, 0.0
     for g in range(1, len(mode)):
         scale = math.sqrt(2.0 * max(cov[g, SIZE, SIZE], 1e-9))
         here = 0.5 * math.erfc((limits[g - 1] - mean[g, SIZE]) / scale)
         if g > HEATS:
             here += 0.5 * math.erfc((limits[g - 1] + mean[g, SIZE]) / scale)
+        else:
+            here = min(here, _warm(mean[g], cov[g], shown))
         kind[g - 1] = mode[g] * here
         total += kind[g - 1]
         size += kind[g - 1] * abs(mean[g, SIZE])

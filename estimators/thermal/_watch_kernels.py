@@ -75,12 +75,14 @@ def forget(mode: Array, mean: Array, cov: Array, sigma: Array, sizes: Array) -> 
 @njit(cache=True)
 def clear(
     m: int, sigma: Array, sizes: Array, ring: Array, jumps: Array, block: Array, raw: Array,
-    sums: Array, mode: Array, mean: Array, cov: Array, base: Array, loose: Array, kind: Array,
+    sums: Array, mode: Array, mean: Array, cov: Array, base: Array, burst: Array, loose: Array,
+    kind: Array,
 ) -> None:  # fmt: skip
     """Motor m begins anew."""
     forget(mode[m], mean[m], cov[m], sigma, sizes)
     ring[m], block[m], raw[m] = math.nan, math.nan, math.nan
     base[m], loose[m], kind[m] = 0.0, 0.0, 0.0
+    burst[m, :, 0], burst[m, :, 1] = math.nan, 0.0
     sums[:, m] = 0.0
     for q in range(POINTS):
         steps.start(jumps[m, q])
@@ -156,16 +158,41 @@ def _middle(values: Array, store: Array) -> tuple[float, int]:
 
 
 @njit(cache=True)
+def _bursts(x: Array, count: int, middle: float, far: float, burst: Array) -> tuple[int, int]:
+    """Readings x[:count] of a block that are in bursts, and those that are not.
+
+    Far readings at an edge of the block are those of a burst only if the sensor comes back: the
+    next block, or the last one, is where this one is. burst (2,): median of the last block, far
+    readings at its end; brought up to date.
+    """
+    first = last = inner = 0
+    for k in range(count):
+        if abs(x[k] - middle) <= far:
+            inner += last
+            last = 0
+        elif k == first:
+            first += 1
+        else:
+            last += 1
+    odd = inner
+    if abs(middle - burst[0]) < 0.5 * far:
+        odd += first + int(burst[1])
+    burst[0], burst[1] = middle, float(last)
+    return odd, count - first - inner - last
+
+
+@njit(cache=True)
 def close(
-    block: Array, raw: Array, noise: Array, bursts: Array, base: Array, held: Flags, odds: Array,
-    middle: Array, off: Array, before: Flags, shift: Array,
+    block: Array, raw: Array, noise: Array, bursts: Array, base: Array, held: Flags, burst: Array,
+    odds: Array, middle: Array, off: Array, before: Flags, shift: Array,
 ) -> None:  # fmt: skip
     """Blocks of all motors: medians middle, off from the trusted others', odds, (M, 3) each.
 
     before (M,): who was trusted in the last block, brought up to date; shift (M, 3): what that
     makes the others' median move by. odds: log odds that bursts speak for a loose connector, NaN
     without readings. bursts: share of a loose and of a good connector's readings, standard
-    deviations that are far, readings of a burst, K that are not far yet.
+    deviations that are far, readings of a burst, K that are not far yet; burst (M, 3, 2): see
+    `_bursts`.
     """
     motors, _, together = block.shape
     store = np.empty(together)
@@ -175,11 +202,10 @@ def close(
         for q in range(POINTS):
             middle[m, q], _ = _middle(block[m, q], store)
             here, n = _middle(raw[m, q], store)
-            odd = 0
-            for i in range(n):
-                odd += abs(store[i] - here) > max(bursts[2] * noise[m, q], bursts[4])
+            far = max(bursts[2] * noise[m, q], bursts[4])
+            odd, good = _bursts(store, n, here, far, burst[m, q])
             odds[m, q] = odd * math.log(bursts[0] / bursts[1])
-            odds[m, q] += (n - odd) * math.log((1.0 - bursts[0]) / (1.0 - bursts[1]))
+            odds[m, q] += good * math.log((1.0 - bursts[0]) / (1.0 - bursts[1]))
             odds[m, q] = odds[m, q] / bursts[3] if n else math.nan
     u = middle - base
     references(u, before, shift)
@@ -224,15 +250,15 @@ def directions(p: Array, inputs: Array, unit: Array, rates: Array, pushes: Array
 @njit(cache=True)
 def judge(
     p: Array, inputs: Array, unit: Array, off: Array, bursts: Array, dt: float, sigma: Array,
-    odds: Array, sizes: Array, noise: float, limits: Array, loose_odds: Array,
+    odds: Array, sizes: Array, noise: float, limits: Array, shown: float, loose_odds: Array,
     mode: Array, mean: Array, cov: Array, base: Array, loose: Array, kind: Array, held: bool,
 ) -> tuple[float, float, bool]:  # fmt: skip
     """One block of one motor through its filters: likely size K, log likelihood, whether it is ill.
 
     A motor is ill from when that is surer than `_RAISE` until it is less so than `_CLEAR`.
 
-    off, bursts (3,): see `peers`, `middle`; loose_odds: begin, end per s, 1/s of the baseline's
-    learning; mode .. kind: the motor's state, in place; kind (11,).
+    off, bursts (3,): see `close`; limits (8,), shown: see `models.tell`; loose_odds: begin, end per
+    s, 1/s of the baseline's learning; mode .. kind: the motor's state, in place; kind (11,).
     """
     rates, pushes = np.empty((LUMPS, LUMPS)), np.empty((LUMPS, LUMPS))
     heats = np.empty((models.HEATS, LUMPS))
@@ -240,7 +266,7 @@ def judge(
     says = models.advance(
         mode, mean, cov, off, rates, pushes, heats, rise, dt, sigma, odds, sizes, noise
     )
-    size = models.tell(mode, mean, cov, limits, kind[: models.MODES - 1])
+    size = models.tell(mode, mean, cov, limits, shown, kind[: models.MODES - 1])
     for q in range(POINTS):
         kind[models.MODES - 1 + q] = loose[q]
         if math.isnan(bursts[q]):

@@ -54,7 +54,9 @@ SIZES_K: Final = np.array(
 """Mean and deviation of a fault's size when it begins: of heat, K at the mean duty when settled."""
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
-BURSTS: Final = np.array([0.05, 1e-4, 6.0, 5.0, 3.0])
+SHOWN_K: Final = 0.6
+"""What heat has to have made of some reading by now; before, draught does as much in a minute."""
+BURSTS: Final = np.array([0.04, 1e-6, 6.0, 5.0, 3.0])
 """Share of a loose and of a good connector's readings that are far off, standard deviations that
 are far, readings of one burst: they are not independent; K within a block that heat can do."""
 LOOSE_BEGIN_S, LOOSE_END_S = 30_000.0, 3600.0
@@ -124,6 +126,7 @@ class Watch:
         self.off = np.full((motors, 3), np.nan)
         self.trusted = np.ones(motors, dtype=np.bool_)
         self.shift = np.zeros((motors, 3))
+        self.burst = np.empty((motors, 3, 2))
         self.mode = np.empty((motors, models.MODES))
         self.mean = np.empty((motors, models.MODES, models.STATES))
         self.cov = np.empty((motors, models.MODES, models.STATES, models.STATES))
@@ -149,7 +152,7 @@ class Watch:
         self.late[m] = 0.0
         _watch_kernels.clear(
             m, self.sigma, SIZES_K, self.ring, self.jumps, self.block, self.raw, self.sums,
-            self.mode, self.mean, self.cov, self.base, self.loose, self.kind,
+            self.mode, self.mean, self.cov, self.base, self.burst, self.loose, self.kind,
         )  # fmt: skip
 
     def take(self, reading: Array, square: Array, speed: Array, ambient: Array) -> None:
@@ -182,8 +185,8 @@ class Watch:
         """A block is complete: compare the motors; they wait to be judged."""
         self.work(self.waiting)
         _watch_kernels.close(
-            self.block, self.raw, self.known.noise, BURSTS, self.base, self.held, self.bursts,
-            self.middle, self.off, self.trusted, self.shift,
+            self.block, self.raw, self.known.noise, BURSTS, self.base, self.held, self.burst,
+            self.bursts, self.middle, self.off, self.trusted, self.shift,
         )  # fmt: skip
         # Who is compared with others than before may stand as much elsewhere as they do.
         seen = list(heat.MEASURED)
@@ -205,7 +208,7 @@ class Watch:
             self.size_k[m], self.says[m], self.held[m] = _watch_kernels.judge(
                 self.known.parameters[m], self.inputs[m], self.unit, self.off[m], self.bursts[m],
                 self.block_s, self.sigma, self.odds, SIZES_K, self.noise_k[m], BENIGN_K,
-                self.loose_odds, self.mode[m], self.mean[m], self.cov[m], self.base[m],
+                SHOWN_K, self.loose_odds, self.mode[m], self.mean[m], self.cov[m], self.base[m],
                 self.loose[m], self.kind[m], self.held[m],
             )  # fmt: skip
             self.judged[m] += 1

@@ -25,7 +25,7 @@ from sim.labelled import BASES, KINDS, Base, Labelled, train
 Array = NDArray[np.float64]
 
 LIMIT: Final = 0.99
-DEVELOPMENT: Final = range(10)
+DEVELOPMENT: Final = range(30)
 """Seeds that anything may be tuned on."""
 REPORTING: Final = range(1000, 1024)
 """Seeds that nobody looks at before reporting."""

@@ -10,7 +10,7 @@ from estimators.thermal import _models_kernels as models
 from estimators.thermal import _watch_kernels as kernels
 from estimators.thermal import heat
 from estimators.thermal.hypotheses import KINDS
-from estimators.thermal.watch import BENIGN_K, BURSTS, SIZES_K
+from estimators.thermal.watch import BENIGN_K, BURSTS, SHOWN_K, SIZES_K
 
 DT, NOISE, WIDE = 16.0, 0.1, 5.0
 SIGMA = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
@@ -23,7 +23,7 @@ def judged(p, sums, off, bursts, state, held):
     """One block of one motor through `judge`; state: mode, mean, cov, base, loose, kind."""
     return kernels.judge(
         p, sums, UNIT, off, bursts, DT, SIGMA, ODDS, SIZES_K, NOISE, BENIGN_K,
-        np.array([1 / 30_000, 1 / 3600, 1 / 7200]), *state, held,
+        SHOWN_K, np.array([1 / 30_000, 1 / 3600, 1 / 7200]), *state, held,
     )  # fmt: skip
 
 
@@ -64,17 +64,21 @@ def test_an_update_is_the_mixture_of_a_good_and_an_outlying_block(g):
         np.testing.assert_allclose(got_p, want_p, atol=1e-9)
 
 
-def test_what_is_told_is_the_probability_of_more_than_is_benign():
+def test_what_is_told_is_the_probability_of_more_than_is_benign_and_of_being_seen():
     rng = np.random.default_rng(0)
     for _ in range(50):
         mode, mean = rng.dirichlet(np.ones(models.MODES)), 4.0 * rng.standard_normal((9, 11))
         cov = np.zeros((9, 11, 11))
         cov[:, 10, 10] = rng.uniform(0.1, 9.0, 9)
+        seen = list(heat.MEASURED)
+        cov[:, seen, seen] = rng.uniform(0.1, 4.0, (9, 3))
         kind = np.empty(8)
-        size = models.tell(mode, mean, cov, BENIGN_K, kind)
+        size = models.tell(mode, mean, cov, BENIGN_K, SHOWN_K, kind)
         sizes = norm(mean[1:, 10], np.sqrt(cov[1:, 10, 10]))
         beyond = sizes.sf(BENIGN_K)
         beyond[models.HEATS :] += sizes.cdf(-BENIGN_K)[models.HEATS :]
+        warm = norm(mean[1:, seen], np.sqrt(cov[1:, seen, seen])).sf(SHOWN_K).max(axis=1)
+        beyond[: models.HEATS] = np.minimum(beyond, warm)[: models.HEATS]
         np.testing.assert_allclose(kind, mode[1:] * beyond, atol=1e-12)
         assert size == pytest.approx(kind @ np.abs(mean[1:, 10]) / kind.sum())
 
@@ -154,6 +158,54 @@ def test_lumps_begin_as_the_model_says_and_with_whatever_is_there():
         np.testing.assert_array_equal(x, kept)
 
 
+def settled(motors):
+    """No readings yet."""
+    burst = np.zeros((motors, 3, 2))
+    burst[:, :, 0] = np.nan
+    return burst
+
+
+def evidence(far, near):
+    loose, good = BURSTS[0], BURSTS[1]
+    ratio = far * math.log(loose / good) + near * math.log((1.0 - loose) / (1.0 - good))
+    return ratio / BURSTS[3]
+
+
+def closed(blocks):
+    """Odds of one sensor's blocks (B, K), one after the other."""
+    burst, out = settled(1), []
+    odds, middle, off, shift = (np.empty((1, 3)) for _ in range(4))
+    for block in blocks:
+        raw = np.tile(block, (1, 3, 1))
+        kernels.close(
+            raw, raw, np.full((1, 3), 0.25), BURSTS, np.zeros((1, 3)), np.zeros(1, dtype=np.bool_),
+            burst, odds, middle, off, np.ones(1, dtype=np.bool_), shift,
+        )  # fmt: skip
+        out.append(odds[0, 0])
+    return out
+
+
+@pytest.mark.parametrize("first", range(16, 33))
+def test_a_burst_counts_once_wherever_a_block_ends_and_a_step_does_not(first):
+    quiet = np.full((4, 16), 0.1)
+    rest = 4 * 16 - 5
+    for size in (20.0, -5.0):
+        burst = quiet.copy()
+        burst.ravel()[first : first + 5] += size
+        assert sum(closed(burst)) == pytest.approx(evidence(5, rest)), size
+        step = quiet.copy()
+        step.ravel()[first:] += size
+        assert max(closed(step)) <= 0.0, size
+
+
+def test_a_sensor_that_begins_within_a_burst_is_not_believed_to_step_or_burst():
+    blocks = np.zeros((2, 16))
+    blocks[0, :5] = 20.0
+    first, second = closed(blocks)
+    assert first == pytest.approx(evidence(0, 11))
+    assert second == pytest.approx(evidence(0, 16))
+
+
 def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     rng = np.random.default_rng(3)
     motors, together = 5, 16
@@ -167,8 +219,9 @@ def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     odds, middle, off = (np.empty((motors, 3)) for _ in range(3))
     before, shift = np.ones(motors, dtype=np.bool_), np.empty((motors, 3))
     kernels.close(
-        block, raw, np.full((motors, 3), 0.25), BURSTS, base, held, odds, middle, off, before, shift
-    )
+        block, raw, np.full((motors, 3), 0.25), BURSTS, base, held, settled(motors), odds, middle,
+        off, before, shift,
+    )  # fmt: skip
     want = np.nanmedian(block, axis=2)
     want[2, 1] = np.nan
     np.testing.assert_array_equal(middle, want)
@@ -176,10 +229,15 @@ def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     for m in range(motors):
         others = [n for n in range(motors) if n not in (m, 1)]
         np.testing.assert_allclose(off[m], u[m] - np.nanmedian(u[others], axis=0), atol=1e-12)
-    far = (np.abs(raw - np.nanmedian(raw, axis=2)[:, :, None]) > 6.0 * 0.25).sum(axis=2)
+    far = (np.abs(raw - np.nanmedian(raw, axis=2)[:, :, None]) > BURSTS[4]).sum(axis=2)
     near = np.isfinite(raw).sum(axis=2) - far
-    loose, good = BURSTS[0], BURSTS[1]
-    ratio = far * math.log(loose / good) + near * math.log((1.0 - loose) / (1.0 - good))
+    assert far.sum() == 5
+    ratio = np.array(
+        [
+            [evidence(*pair) for pair in zip(*two, strict=True)]
+            for two in zip(far, near, strict=True)
+        ]
+    )
     known = np.isfinite(want)
-    np.testing.assert_allclose(odds[known], (ratio / BURSTS[3])[known])
+    np.testing.assert_allclose(odds[known], ratio[known])
     assert odds[1, 0] > 5.0 > 0.0 > odds[0].max()
