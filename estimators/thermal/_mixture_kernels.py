@@ -23,20 +23,18 @@ def expect_maximise(x: Array, iterations: int, floor: float, out: Array) -> None
         mean[i] = ordered[((2 * i + 1) * count) // (2 * n)]
         variance[i] = spread
     total, first, second = np.empty(n), np.empty(n), np.empty(n)
-    share = np.empty(n)
+    share, top = np.empty(n), np.empty(n)
     for _ in range(iterations):
         total[:] = 0.0
         first[:] = 0.0
         second[:] = 0.0
+        for i in range(n):
+            top[i] = math.log(max(weight[i], 1e-300)) - 0.5 * math.log(variance[i])
         for s in range(count):
             best = -1e300
             for i in range(n):
                 d = x[s] - mean[i]
-                share[i] = (
-                    math.log(max(weight[i], 1e-300))
-                    - 0.5 * math.log(variance[i])
-                    - 0.5 * d * d / variance[i]
-                )
+                share[i] = top[i] - 0.5 * d * d / variance[i]
                 best = max(best, share[i])
             norm = 0.0
             for i in range(n):

@@ -49,9 +49,11 @@ UNSTEADY: Final = 0.3
 WIDE_K: Final = 5.0
 """How far off a block may be that is not what it seems."""
 SIZES_K: Final = np.array(
-    [[0.0, 0.0], [8.0, 6.0], [12.0, 8.0], *[[8.0, 6.0]] * 3, *[[0.0, 6.0]] * 3]
+    [[0.0, 0.0], [15.0, 25.0], [12.0, 8.0], *[[8.0, 10.0]] * 2, [8.0, 6.0], *[[0.0, 6.0]] * 3]
 )
-"""Mean and deviation of a fault's size when it begins: of heat, K at the mean duty when settled."""
+"""Mean and deviation of a fault's size when it begins: of heat, K at the mean duty when settled.
+What heats a winding or a bearing may be of any power; a small motor's would be its sensor's, else.
+"""
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
 SHOWN_K: Final = 0.6

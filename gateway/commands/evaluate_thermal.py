@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.drivers.thermal_trials import (
         DEVELOPMENT,
         HEALTHY,
-        METHODS,
+        NAMES,
         REPORTING,
         evaluate,
     )
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
 
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
     kinds = _known("kind", options.kind, (*KINDS, HEALTHY))
-    methods = _known("method", options.method, tuple(METHODS))
+    methods = _known("method", options.method, NAMES)
     say = console()
     found = []
     for n, rows in enumerate(evaluate(seeds, options.base, kinds, methods, options.jobs), 1):

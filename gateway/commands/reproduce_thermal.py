@@ -31,7 +31,7 @@ def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -
 
     Raises OSError where `folder` cannot be written.
     """
-    from gateway.drivers.thermal_trials import METHODS, evaluate
+    from gateway.drivers.thermal_trials import NAMES, evaluate
     from gateway.results import thermal_figures as figures
     from gateway.results import thermal_report as report
 
@@ -40,9 +40,9 @@ def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -
     jobs = min(os.cpu_count() or 1, MOST_JOBS, trains)
     scores: dict[str, dict[str, list[Score]]] = {}
     for base in BASES:
-        scores[base] = {name: [] for name in METHODS}
-        step(f"{base} base: {trains} trains, {len(METHODS)} methods, {jobs} processes")
-        found = evaluate(seeds, base, (KIND,), tuple(METHODS), jobs)
+        scores[base] = {name: [] for name in NAMES}
+        step(f"{base} base: {trains} trains, {len(NAMES)} methods, {jobs} processes")
+        found = evaluate(seeds, base, (KIND,), NAMES, jobs)
         for seed, rows in zip(seeds, found, strict=True):
             step(f"train {seed}, {base} base")
             for row in rows:
@@ -77,7 +77,7 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
     record = record_of(run)
     known, plain = lumps(healthy[0]), SigmaMixedFilter()
     estimates = plain.run(record, known)
-    window = METHODS["paper"].window
+    window = METHODS[BASE]["paper"].window
     spreads = [
         maisd(moving_average(states, window, causal=False))
         for states in (plain.run(healthy[0], known).state, estimates.state)
@@ -100,7 +100,7 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
         limit=np.quantile(spreads[0], QUANTILE, axis=0),
     )
     found: dict[str, tuple[NDArray[np.float64], float]] = {}
-    for name, method in METHODS.items():
+    for name, method in METHODS[BASE].items():
         try:
             score = fit(method, healthy)
         except ModuleNotFoundError:

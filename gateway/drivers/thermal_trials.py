@@ -32,16 +32,20 @@ REPORTING: Final = range(1000, 1024)
 FIT_RUNS: Final = {"days": 1, "bench": 4}
 """Fault-free runs to learn from; the next one sets the limit."""
 HEALTHY: Final = "none"
-METHODS: Final[dict[str, Any]] = {
-    "model": ModelMethod(),
-    "paper": PaperMethod(),
-    "paper_causal": PaperMethod(causal=True),
-    "paper_sound": PaperMethod(causal=True, weighted=True, centred=True),
-    **RIVALS,
+METHODS: Final[dict[str, dict[str, Any]]] = {
+    base: {
+        "model": ModelMethod(),
+        "paper": PaperMethod(window),
+        "paper_causal": PaperMethod(window, causal=True),
+        "paper_sound": PaperMethod(window, causal=True, weighted=True, centred=True),
+        **RIVALS[base],
+    }
+    for base, window in (("days", 7), ("bench", 7))
 }
-"""The product's; the paper's as printed (it looks ahead), causal, and with the mixture's own mean
-and
-centred motors; the paper's rivals."""
+"""By time base: the product's; the paper's as printed (it looks ahead), causal, and with the
+mixture's own mean and centred motors; the paper's rivals. Tuned by `bench.thermal_rivals`."""
+NAMES: Final = tuple(METHODS["days"])
+"""Of the methods, on every base."""
 SHOWS: Final = {
     "overheating": ("overheating",),
     "cooling_loss": ("cooling_loss",),
@@ -112,7 +116,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     out = []
     for name in methods:
         try:
-            fitted = fit(METHODS[name], healthy)
+            fitted = fit(METHODS[base][name], healthy)
         except ModuleNotFoundError:
             continue
         limit = float(np.nanquantile(fitted(limiting), LIMIT))

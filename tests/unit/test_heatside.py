@@ -100,6 +100,26 @@ def test_healthy_motors_are_good_and_a_hot_winding_is_named():
     assert reports[1].sensor is Flag.GOOD, "the sensor is right: it is hot"
 
 
+@pytest.mark.parametrize(
+    ("lump", "rate", "classes"),
+    [
+        (heat.WINDING, 0.3, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
+        (heat.WINDING, 0.7, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
+        (heat.DRIVE_END, 0.25, (FaultClass.BEARING,)),
+        (heat.OTHER_END, 0.25, (FaultClass.BEARING,)),
+    ],
+)
+def test_quick_heat_is_not_called_its_sensors(lump, rate, classes):
+    rig = Rig()
+    rig.run(30)
+    hot = np.zeros((3, 5))
+    hot[1, lump] = rate
+    reports = rig.run(25, extra=hot)
+    assert [r.thermal for r in reports] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
+    assert reports[1].fault_class in classes
+    assert reports[1].sensor is Flag.GOOD
+
+
 @pytest.mark.parametrize("line", [Line(fresh=False), Line(irms=None), Line(speed=None)])
 def test_blind_is_unknown_and_says_stale(line):
     rig = Rig()

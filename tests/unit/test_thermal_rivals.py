@@ -13,7 +13,7 @@ from estimators.thermal.rivals.dpca import filled, moving
 from estimators.thermal.rivals.dsfa import Slow
 from estimators.thermal.rivals.ekf import Lumped, gap
 from estimators.thermal.rivals.lstm import Lstm
-from sim.labelled import BENCH, DAYS, train
+from sim.labelled import BASES, BENCH, DAYS, train
 
 EARLY = 40
 """Samples by which every rival has its lags or its sequence."""
@@ -36,7 +36,7 @@ def run(base, number):
 def fitted(name, base):
     if name == "lstm":
         pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
-    return RIVALS[name].fit(run(base, 0))
+    return RIVALS[base][name].fit(run(base, 0))
 
 
 def changed(record, change):
@@ -45,13 +45,15 @@ def changed(record, change):
     return record._replace(temperature=temperature)
 
 
-every_rival = pytest.mark.parametrize("name", RIVALS)
+every_rival = pytest.mark.parametrize("name", RIVALS["days"])
 every_base = pytest.mark.parametrize("base", LENGTH)
 
 
 def test_the_registry_is_table_2():
-    assert list(RIVALS) == ["dpca", "dsfa", "lstm", "jitl", "ekf", "ekf_following"]
-    assert all(name == method.name for name, method in RIVALS.items())
+    assert list(RIVALS) == list(BASES)
+    for rivals in RIVALS.values():
+        assert list(rivals) == ["dpca", "dsfa", "lstm", "jitl", "ekf", "ekf_following"]
+        assert all(name == method.name for name, method in rivals.items())
 
 
 @every_rival
@@ -86,7 +88,7 @@ def test_later_samples_change_nothing(name, base):
 def test_the_same_data_give_the_same_statistic(name):
     if name == "lstm":
         pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
-    again = RIVALS[name].fit(run("days", 0))
+    again = RIVALS["days"][name].fit(run("days", 0))
     np.testing.assert_array_equal(again(run("days", 1)), fitted(name, "days")(run("days", 1)))
 
 
@@ -119,7 +121,7 @@ def test_missing_readings_do_no_harm(name, base):
 
     assert np.isfinite(score(changed(record, holes))[EARLY:]).all()
     healthy = changed(run(base, 0), holes)
-    assert np.isfinite(RIVALS[name].fit(healthy)(record)[EARLY:]).all()
+    assert np.isfinite(RIVALS[base][name].fit(healthy)(record)[EARLY:]).all()
 
 
 @every_rival
@@ -129,7 +131,7 @@ def test_too_short_a_run_is_refused(name):
     record = run("days", 0)
     short = record._replace(temperature=record.temperature[:2], at=record.at[:2])
     with pytest.raises(ValueError, match="too few"):
-        RIVALS[name].fit(short)
+        RIVALS["days"][name].fit(short)
 
 
 def test_without_torch_the_lstm_says_what_to_install(monkeypatch):
@@ -140,7 +142,7 @@ def test_without_torch_the_lstm_says_what_to_install(monkeypatch):
 
 def test_an_unknown_view_is_refused():
     with pytest.raises(ValueError, match="no view"):
-        replace(RIVALS["dpca"], view="sideways").fit(run("days", 0))
+        replace(RIVALS["days"]["dpca"], view="sideways").fit(run("days", 0))
 
 
 def test_the_last_known_reading_stands_in():

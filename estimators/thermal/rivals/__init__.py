@@ -32,7 +32,12 @@ class Method(Protocol):
         ...
 
 
-RIVALS: Final[dict[str, Method]] = {
-    method.name: method for method in (Dpca(), Dsfa(), Lstm(), Jitl(), EkfResidual(), FOLLOWING)
+def _named(*methods: Method) -> dict[str, Method]:
+    return {method.name: method for method in methods}
+
+
+RIVALS: Final[dict[str, dict[str, Method]]] = {
+    "days": _named(Dpca(), Dsfa(), Lstm(), Jitl(), EkfResidual(), FOLLOWING),
+    "bench": _named(Dpca(), Dsfa(), Lstm(), Jitl(), EkfResidual(), FOLLOWING),
 }
-"""With the tuning of their docstrings (development seeds 0..9), `FOLLOWING` as described."""
+"""By time base, each tuned there as `bench.thermal_rivals` does it; `FOLLOWING` as described."""
