@@ -26,6 +26,8 @@ SAMPLE_NS: Final = SECOND
 """Readings that come faster are averaged."""
 POINTS: Final = 3
 AMBIENT: Final = 3
+LIKELY: Final = 0.5
+"""Probability of a fault from which a motor is not called good."""
 BLIND_S: Final = 5.0
 """So long without current, speed or ambient: nothing is known of the heat any more."""
 CLASSES: Final = {
@@ -167,6 +169,10 @@ class HeatSide:
     def alone(self, k: int) -> bool:
         """True where no reading of its last block could be compared with other motors'."""
         return not bool(np.isfinite(self.watch.off[k]).any())
+
+    def undecided(self, k: int) -> bool:
+        """True while something is likely to be wrong with motor k, but not sure enough to say."""
+        return bool(self.watch.ill[k] > LIKELY and not self.watch.held[k])
 
     def finding(self, k: int) -> Finding | None:
         """What is wrong with motor k; None if nothing is likelier."""

@@ -182,6 +182,9 @@ class ThermalSide:
         if side.alone(drive):
             return good._replace(reason=Reason.TOO_FEW_DRIVES)
         found = side.finding(drive)
+        if found is None and side.undecided(drive):
+            # Who follows the model no longer is not good, although nobody can say yet why.
+            return good._replace(reason=Reason.DIVERGED)
         if found is None:
             return good._replace(thermal=Flag.GOOD, reason=Reason.NONE, fault_class=FaultClass.NONE)
         named = good._replace(fault_class=found.fault, fault_sensor=found.sensor)

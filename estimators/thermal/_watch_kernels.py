@@ -252,10 +252,11 @@ def judge(
     p: Array, inputs: Array, unit: Array, off: Array, bursts: Array, dt: float, sigma: Array,
     odds: Array, sizes: Array, noise: float, limits: Array, shown: float, loose_odds: Array,
     mode: Array, mean: Array, cov: Array, base: Array, loose: Array, kind: Array, held: bool,
-) -> tuple[float, float, bool]:  # fmt: skip
-    """One block of one motor through its filters: likely size K, log likelihood, whether it is ill.
+) -> tuple[float, float, float, bool]:  # fmt: skip
+    """One block of one motor through its filters.
 
-    A motor is ill from when that is surer than `_RAISE` until it is less so than `_CLEAR`.
+    Likely size K, log likelihood, how probably it is ill, whether it is held to be: from when that
+    is surer than `_RAISE` until it is less so than `_CLEAR`.
 
     off, bursts (3,): see `close`; limits (8,), shown: see `models.tell`; loose_odds: begin, end per
     s, 1/s of the baseline's learning; mode .. kind: the motor's state, in place; kind (11,).
@@ -280,6 +281,7 @@ def judge(
     if total > 1.0:
         kind /= total
         total = 1.0
+    ill = total
     held = total > (_CLEAR if held else _RAISE)
     shown = max(total, _HALF + 0.01) if held else min(total, _HALF - 0.01)
     if total > 0.0:
@@ -288,7 +290,7 @@ def judge(
         if math.isfinite(off[q]):
             most = _MOST_SIGMA * 0.3
             base[q] += loose_odds[2] * dt * (1.0 - total) * min(max(off[q], -most), most)
-    return size, says, held
+    return size, says, ill, held
 
 
 @njit(cache=True)

@@ -137,6 +137,8 @@ class Watch:
         self.kind = np.zeros((motors, len(KINDS)))
         self.size_k = np.zeros(motors)
         self.says = np.zeros(motors)
+        self.ill = np.zeros(motors)
+        """How probably something is wrong, before hysteresis."""
         self.held = np.zeros(motors, dtype=np.bool_)
         self.lost = np.zeros(motors, dtype=np.bool_)
         self.judged = np.zeros(motors, dtype=np.int64)
@@ -150,7 +152,7 @@ class Watch:
     def _clear(self, m: int) -> None:
         """Motor m begins anew."""
         self.begun[m], self.held[m] = False, False
-        self.judged[m], self.size_k[m] = 0, 0.0
+        self.judged[m], self.size_k[m], self.ill[m] = 0, 0.0, 0.0
         self.late[m] = 0.0
         _watch_kernels.clear(
             m, self.sigma, SIZES_K, self.ring, self.jumps, self.block, self.raw, self.sums,
@@ -207,12 +209,13 @@ class Watch:
             self.waiting -= 1
             if not self.begun[m]:
                 continue
-            self.size_k[m], self.says[m], self.held[m] = _watch_kernels.judge(
+            found = _watch_kernels.judge(
                 self.known.parameters[m], self.inputs[m], self.unit, self.off[m], self.bursts[m],
                 self.block_s, self.sigma, self.odds, SIZES_K, self.noise_k[m], BENIGN_K,
                 SHOWN_K, self.loose_odds, self.mode[m], self.mean[m], self.cov[m], self.base[m],
                 self.loose[m], self.kind[m], self.held[m],
             )  # fmt: skip
+            self.size_k[m], self.says[m], self.ill[m], self.held[m] = found
             self.judged[m] += 1
 
     @property

@@ -40,7 +40,7 @@ METHODS: Final[dict[str, dict[str, Any]]] = {
         "paper_sound": PaperMethod(window, causal=True, weighted=True, centred=True),
         **RIVALS[base],
     }
-    for base, window in (("days", 7), ("bench", 7))
+    for base, window in (("days", 3), ("bench", 60))
 }
 """By time base: the product's; the paper's as printed (it looks ahead), causal, and with the
 mixture's own mean and centred motors; the paper's rivals. Tuned by `bench.thermal_rivals`."""

@@ -120,6 +120,21 @@ def test_quick_heat_is_not_called_its_sensors(lump, rate, classes):
     assert reports[1].sensor is Flag.GOOD
 
 
+def test_a_motor_that_may_well_be_ill_is_not_good_before_it_is_named():
+    rig = Rig()
+    rig.run(20)
+    now, watch = rig.k * 100 * MS, rig.side.heat.watch
+    for probability, flag, reason in (
+        (0.49, Flag.GOOD, Reason.NONE),
+        (0.51, Flag.UNKNOWN, Reason.DIVERGED),
+    ):
+        watch.ill[1] = probability
+        now += 100 * MS
+        report = rig.side.report(1, now, 310 * MS)
+        assert (report.thermal, report.reason) == (flag, reason)
+        assert rig.side.report(0, now, 310 * MS).thermal is Flag.GOOD
+
+
 @pytest.mark.parametrize("line", [Line(fresh=False), Line(irms=None), Line(speed=None)])
 def test_blind_is_unknown_and_says_stale(line):
     rig = Rig()

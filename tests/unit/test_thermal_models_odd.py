@@ -120,8 +120,11 @@ def test_20_000_hostile_blocks_leave_probabilities_and_covariances():
     mode, mean, cov, base, loose, kind = state
     for k in range(20_000):
         off, sums, bursts = hostile(rng, k)
-        size, says, held = judged(p, sums, off, bursts, state, held)
+        was = held
+        size, says, ill, held = judged(p, sums, off, bursts, state, held)
         assert math.isfinite(size + says), k
+        assert 0.0 <= ill <= 1.0
+        assert held == (ill > (0.3 if was else 0.9))
         assert abs(mode.sum() - 1.0) < 1e-9
         assert mode.min() > 0.0
         assert kind.min() >= 0.0
