@@ -212,19 +212,20 @@ def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
     while at < steps:
         top = rng.uniform(150.0, 420.0)
         for kind in ("pull", "cruise", "coast", "brake", "stand"):
+            pull, cruise, coast, brake, stand, *share = rng.random(8).tolist()
             for_s = {
-                "pull": rng.uniform(120.0, 360.0), "cruise": rng.uniform(120.0, 1500.0),
-                "coast": rng.uniform(30.0, 200.0), "brake": rng.uniform(60.0, 180.0),
-                "stand": rng.uniform(60.0, 400.0),
+                "pull": 120.0 + 240.0 * pull, "cruise": 120.0 + 1380.0 * cruise,
+                "coast": 30.0 + 170.0 * coast, "brake": 60.0 + 120.0 * brake,
+                "stand": 60.0 + 340.0 * stand,
             }[kind]  # fmt: skip
             n = min(max(round(for_s / base.step_s), 1), steps - at)
             end = {"pull": top, "cruise": top, "coast": 0.9 * top, "brake": 0.0, "stand": 0.0}[kind]
             level = {
-                "pull": rng.uniform(0.6, 1.0), "cruise": rng.uniform(0.15, 0.45), "coast": 0.0,
-                "brake": -rng.uniform(0.4, 0.9), "stand": 0.0,
+                "pull": 0.6 + (1.0 - 0.6) * share[0], "cruise": 0.15 + (0.45 - 0.15) * share[1], "coast": 0.0,
+                "brake": -(0.4 + 0.5 * share[2]), "stand": 0.0,
             }[kind]  # fmt: skip
             torque[at : at + n] = level * rated
-            speed[at : at + n] = np.linspace(now, end, n, endpoint=False)
+            speed[at : at + n] = now + (end - now) / n * np.arange(n)
             at, now = at + n, end
             if at >= steps:
                 break

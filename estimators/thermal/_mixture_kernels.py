@@ -38,7 +38,7 @@ def expect_maximise(x: Array, iterations: int, floor: float, out: Array) -> None
                 best = max(best, share[i])
             norm = 0.0
             for i in range(n):
-                share[i] = math.exp(share[i] - best)
+                share[i] = math.exp(share[i] - best) if share[i] != best else 1.0
                 norm += share[i]
             for i in range(n):
                 p = share[i] / norm
