@@ -212,6 +212,7 @@ def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
     while at < steps:
         top = rng.uniform(150.0, 420.0)
         for kind in ("pull", "cruise", "coast", "brake", "stand"):
+            # To the bit what `uniform` draws one by one.
             pull, cruise, coast, brake, stand, *share = rng.random(8).tolist()
             for_s = {
                 "pull": 120.0 + 240.0 * pull, "cruise": 120.0 + 1380.0 * cruise,
@@ -221,8 +222,8 @@ def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
             n = min(max(round(for_s / base.step_s), 1), steps - at)
             end = {"pull": top, "cruise": top, "coast": 0.9 * top, "brake": 0.0, "stand": 0.0}[kind]
             level = {
-                "pull": 0.6 + (1.0 - 0.6) * share[0], "cruise": 0.15 + (0.45 - 0.15) * share[1], "coast": 0.0,
-                "brake": -(0.4 + 0.5 * share[2]), "stand": 0.0,
+                "pull": 0.6 + 0.4 * share[0], "cruise": 0.15 + (0.45 - 0.15) * share[1],
+                "coast": 0.0, "brake": -(0.4 + 0.5 * share[2]), "stand": 0.0,
             }[kind]  # fmt: skip
             torque[at : at + n] = level * rated
             speed[at : at + n] = now + (end - now) / n * np.arange(n)
