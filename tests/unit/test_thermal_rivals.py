@@ -9,9 +9,10 @@ import pytest
 
 from estimators.thermal.record import Record
 from estimators.thermal.rivals import RIVALS
+from estimators.thermal.rivals._ekf_kernels import _gap, sweep
 from estimators.thermal.rivals.dpca import filled, moving
 from estimators.thermal.rivals.dsfa import Slow
-from estimators.thermal.rivals.ekf import Lumped, gap
+from estimators.thermal.rivals.ekf import Lumped
 from estimators.thermal.rivals.lstm import Lstm
 from sim.labelled import BASES, BENCH, DAYS, train
 
@@ -168,13 +169,69 @@ def test_the_slowest_feature_comes_first():
 def test_a_gap_is_integrated_exactly():
     """Against ten thousand Euler steps per step."""
     rng = np.random.default_rng(1)
-    loss, heat, air = np.array([[2e-3, 5e-4]]), rng.random((30, 2)), 20.0 * rng.random(30)
-    decay, warmed, aired = gap(loss, heat, air, 20.0)
-    T, h = np.array([50.0, 60.0]), 20.0 / 10_000
-    for k in range(30):
-        end = heat[k] / loss[0] + air[k]
-        T = end + (T - end) * (1.0 - h * loss[0]) ** 10_000
-    assert np.allclose(decay[0] * [50.0, 60.0] + warmed[0] + aired[0], T, atol=1e-3)
+    heat, speed, air = rng.random(30), rng.random(30), 20.0 * rng.random(30)
+    h = 20.0 / 10_000
+    for loss, start in ((2e-3, 50.0), (5e-4, 60.0)):
+        decay, warmed, aired = _gap(loss, heat, 0.3, speed, air, 20.0)
+        T = start
+        for k in range(30):
+            end = (heat[k] + 0.3 * speed[k]) / loss + air[k]
+            T = end + (T - end) * (1.0 - h * loss) ** 10_000
+        assert decay * start + warmed + aired == pytest.approx(T, abs=1e-3)
+
+
+def lumped(rng, points):
+    return np.stack([
+        rng.uniform(1e-7, 4e-7, points), rng.uniform(2e-4, 2e-3, points),
+        rng.uniform(0.0, 0.2, points), rng.normal(0.0, 1.0, points),
+        rng.uniform(0.1, 2.0, points), rng.uniform(0.05, 0.5, points), np.full(points, 50.0),
+    ])  # fmt: skip
+
+
+def test_with_known_coefficients_the_filter_is_the_kalman_filter():
+    from filterpy.kalman import KalmanFilter
+
+    rng = np.random.default_rng(4)
+    steps, step_s, model = 400, 5.0, lumped(rng, 3)
+    at = np.arange(3, steps, 4)
+    square, fast = rng.uniform(0.0, 9e4, (steps, 1)), rng.uniform(0.0, 9e4, steps)
+    air = 20.0 + rng.standard_normal(steps)
+    reading = 50.0 + rng.standard_normal((len(at), 3))
+    reading[rng.random(reading.shape) < 0.2] = np.nan
+    out = np.empty_like(reading)
+    sweep(reading, at, square, fast, air, step_s, model, 0.0, 0.0, out)
+    for n in range(3):
+        gain, loss, share, offset, unrest, noise, usual = model[:, n]
+        kf = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)
+        kf.x[:], kf.P[:], kf.R[:], kf.H[:] = usual - offset, 100.0, noise, 1.0
+        kf.B = np.eye(1)
+        for k, now in enumerate(at.tolist()):
+            if k:
+                gone = slice(int(at[k - 1]) + 1, now + 1)
+                decay, warmed, aired = _gap(
+                    loss, square[gone, 0], share, fast[gone], air[gone], step_s
+                )
+                kf.predict(
+                    u=np.array([[gain * warmed + aired]]),
+                    F=np.array([[decay]]),
+                    Q=np.array([[unrest * (1.0 - decay**2)]]),
+                )
+            want = 0.0
+            if np.isfinite(reading[k, n]):
+                kf.update(np.array([[reading[k, n] - offset]]))
+                want = kf.y[0, 0] / np.sqrt(kf.S[0, 0])
+            assert out[k, n] == pytest.approx(want, abs=1e-9), (k, n)
+
+
+def test_the_compiled_filter_is_its_plain_twin():
+    rng = np.random.default_rng(5)
+    model, at = lumped(rng, 3), np.arange(1, 60, 3)
+    square, fast = rng.uniform(0.0, 9e4, (60, 1)), rng.uniform(0.0, 9e4, 60)
+    air, reading = rng.uniform(10.0, 30.0, 60), 50.0 + 5.0 * rng.standard_normal((len(at), 3))
+    one, two = np.empty_like(reading), np.empty_like(reading)
+    sweep(reading, at, square, fast, air, 30.0, model, 1e-4, 0.05, one)
+    sweep.py_func(reading, at, square, fast, air, 30.0, model, 1e-4, 0.05, two)
+    np.testing.assert_allclose(one, two, rtol=1e-12)
 
 
 def test_the_lumped_model_is_found_again():

@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.thermal.record import Array, Record
+from estimators.thermal.rivals._ekf_kernels import sweep
 from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span
 
 LOSSES = np.geomspace(1.0 / 14_400.0, 1.0 / 120.0, 24)
@@ -154,60 +155,11 @@ def innovations(record: Record, model: Lumped, step: float, doubt: float) -> Arr
     step: variance of the logarithms of gain and loss per sample; doubt: their sigma at the start.
     A missing reading is left out: the filter's own prediction is its value.
     """
-    reading = record.temperature.reshape(len(record.at), -1) - model.offset
-    points = reading.shape[1]
-    motor = np.arange(points) // 3
-    speed_square = record.speed**2
-    heard = np.isfinite(reading)
-    x = np.stack([model.usual - model.offset, np.log(model.gain), np.log(model.loss)], axis=1)
-    # The coefficients of a machine stay within a factor of its own.
-    low, high = x[:, 1:] - 2.0, x[:, 1:] + 2.0
-    P = np.zeros((points, 3, 3))
-    P[:, 0, 0] = 100.0
-    P[:, 1, 1] = P[:, 2, 2] = doubt**2
-    A = np.tile(np.eye(3), (points, 1, 1))
-    nudged = np.array([[1.0], [1.0 + 1e-4]])
+    reading = np.ascontiguousarray(record.temperature.reshape(len(record.at), -1), np.float64)
     out = np.zeros(reading.shape)
-    last = int(record.at[0]) if len(reading) else 0
-    for k, now in enumerate(record.at.tolist()):
-        if now > last:
-            inputs = slice(last + 1, now + 1)
-            heat = record.current_square[inputs][:, motor]
-            heat = heat + model.speed_share * speed_square[inputs, None]
-            gain, loss = np.exp(x[:, 1]), np.exp(x[:, 2])
-            # The second row for the derivative by the logarithm of the loss.
-            decay, warmed, aired = gap(nudged * loss, heat, record.ambient[inputs], record.step_s)
-            T = decay * x[:, 0] + gain * warmed + aired
-            A[:, 0, 0] = decay[0]
-            A[:, 0, 1] = gain * warmed[0]
-            A[:, 0, 2] = (T[1] - T[0]) / 1e-4
-            x[:, 0] = T[0]
-            P = A @ P @ A.transpose(0, 2, 1)
-            P[:, 0, 0] += model.unrest * (1.0 - decay[0] ** 2)
-            P[:, 1, 1] += step
-            P[:, 2, 2] += step
-            last = now
-        S = P[:, 0, 0] + model.noise
-        nu = np.where(heard[k], reading[k] - x[:, 0], 0.0)
-        gains = P[:, :, 0] * (heard[k] / S)[:, None]
-        out[k] = nu / np.sqrt(S)
-        x += gains * nu[:, None]
-        x[:, 1:] = np.minimum(np.maximum(x[:, 1:], low), high)
-        P = P - gains[:, :, None] * P[:, None, 0, :]
+    if len(reading):
+        sweep(
+            reading, record.at, record.current_square, record.speed**2, record.ambient,
+            record.step_s, np.stack(model), step, doubt, out,
+        )  # fmt: skip
     return out
-
-
-def gap(loss: Array, heat: Array, air: Array, step_s: float) -> tuple[Array, Array, Array]:
-    """(R, N) decay, heat's and air's part over n steps of constant (n, N) heat and (n,) air.
-
-    Exact for the first-order model with (R, N) losses, 1/s: the last step's heat has decayed for
-    no step, the first's for n - 1.
-    """
-    n = len(heat)
-    keep = np.exp(-loss * step_s)
-    if n == 1:
-        return keep, (1.0 - keep) / loss * heat[0], (1.0 - keep) * air[0]
-    age = np.arange(n - 1, -1, -1)[:, None, None]
-    weight = np.exp(-age * (loss * step_s)) * (1.0 - keep)
-    warmed = (weight * heat[:, None, :]).sum(axis=0) / loss
-    return keep**n, warmed, (weight * air[:, None, None]).sum(axis=0)
