@@ -85,7 +85,8 @@ def block_of(frames: Iterable[Frame]) -> Block:
     t_ns, can_id, data, flags, channel, dlc = zip(*rows, strict=True)
     names = list(dict.fromkeys(channel))
     number = [0] * len(rows) if len(names) == 1 else [names.index(name) for name in channel]
-    joined = b"".join([item.ljust(ROOM, b"\0")[:ROOM] for item in data])
+    # Writable, as every other block: compiled code would be loaded once more for a read-only one.
+    joined = bytearray().join([item.ljust(ROOM, b"\0")[:ROOM] for item in data])
     return Block(
         np.array(t_ns, dtype=np.int64),
         np.array(can_id, dtype=np.uint32),

@@ -50,6 +50,9 @@ def run_demo(
     """
     config = for_scenario(config)
     warm_up(config, codec)
+    rehearsal = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
+    for tick in range(3):
+        rehearsal.step([], tick * config.loop.period_ns)
     now: Nanos = 0
 
     def clock() -> Nanos:

@@ -1,0 +1,44 @@
+"""After the warm-up nothing is compiled, or loaded, in the middle of a run."""
+
+import subprocess
+import sys
+
+PROGRAM = """
+import sys, time
+from numba.core.registry import CPUDispatcher
+from gateway.commands.common import prepare
+from gateway.commands.hil import scenario_thermal
+from gateway.drivers import demo
+from sim.scenario import find
+
+def compiled():
+    kernels = {
+        value
+        for name, module in list(sys.modules.items())
+        if name.partition(".")[0] in ("dbc", "estimators", "gateway", "sim")
+        for value in vars(module).values()
+        if isinstance(value, CPUDispatcher)
+    }
+    names = {k: (k.py_func.__module__, k.py_func.__name__) for k in kernels}
+    return {(*name, str(given)) for k, name in names.items() for given in k.signatures}
+
+before = set()
+config, codec = prepare(None, thermal=scenario_thermal())
+make = demo.Gateway
+
+def gateway(*given):
+    before.update(compiled())
+    return make(*given)
+
+demo.Gateway = gateway
+demo.run_demo(find("demo"), config, codec, "test-warm", 3.0, lambda *_: None, time.monotonic())
+assert len(before) > 10
+print(sorted(compiled() - before))
+"""
+
+
+def test_the_demo_compiles_nothing_in_mid_run():
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
