@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS
+from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS, side
 from estimators.thermal.trend import Trend
 from estimators.thermal.watch import Known, Watch
 from gateway.health import FaultClass, FaultSensor
@@ -175,13 +175,21 @@ class HeatSide:
         return bool(self.watch.ill[k] > LIKELY and not self.watch.held[k])
 
     def finding(self, k: int) -> Finding | None:
-        """What is wrong with motor k; None if nothing is likelier."""
+        """What is wrong with motor k; None if nothing is likelier.
+
+        The class is unknown while it may as well be a hot motor as a sensor that is off.
+        """
         watch = self.watch
         stepped = watch.offsets[k].any()
         if not (watch.held[k] or stepped):
             return None
         kind, size = watch.told()
-        name = KINDS[int(kind[k].argmax())]
+        whose = int(side(kind[k]))
+        if not whose:
+            return Finding(FaultClass.UNKNOWN, FaultSensor.NONE, float(size[k]))
+        first = 0 if whose > 0 else len(HEAT)
+        last = len(HEAT) if whose > 0 else len(KINDS)
+        name = KINDS[first + int(kind[k, first:last].argmax())]
         if name in CLASSES:
             return Finding(CLASSES[name], FaultSensor.NONE, float(size[k]))
         point = (KINDS.index(name) - len(HEAT)) % len(SENSORS)

@@ -187,6 +187,8 @@ class ThermalSide:
             return good._replace(reason=Reason.DIVERGED)
         if found is None:
             return good._replace(thermal=Flag.GOOD, reason=Reason.NONE, fault_class=FaultClass.NONE)
+        if found.fault is FaultClass.UNKNOWN:
+            return good._replace(sensor=Flag.UNKNOWN, reason=Reason.DIVERGED)
         named = good._replace(fault_class=found.fault, fault_sensor=found.sensor)
         if found.sensor is FaultSensor.NONE:
             return named._replace(thermal=Flag.BAD, reason=Reason.NONE)

@@ -77,7 +77,9 @@ BASES: Final = {base.name: base for base in (DAYS, BENCH)}
 KINDS: Final = (
     "overheating", "cooling_loss", "bearing", "winding_resistance", "sensor_bias", "intermittent",
 )  # fmt: skip
-SENSOR_KINDS: Final = ("sensor_bias", "intermittent")
+CREEP: Final = "sensor_creep"
+"""A sensor that goes off as slowly as heat does: not in the benchmark's sums."""
+SENSOR_KINDS: Final = ("sensor_bias", "intermittent", CREEP)
 SIZE_K: Final = (3.0, 12.0)
 """True effect at the sensor that shows it most: settled, at the mean duty, where samples are hours
 apart; else the largest that is reached while the fault lasts."""
@@ -375,12 +377,18 @@ def _heat(
 
 
 def _sensor_error(rng: Rng, base: Base, fault: Fault) -> Array:
-    """(K,) K: a bias that is there at once, or bursts of a loose connector, of either sign."""
+    """(K,) K of either sign: a bias at once or creeping up, or bursts of a loose connector."""
     error = np.zeros(base.samples)
     length = fault.end - fault.begin
     sign = float(rng.choice([-1.0, 1.0]))
     if fault.kind == "sensor_bias":
         error[fault.begin : fault.end] = sign * fault.size_k
+        return error
+    if fault.kind == CREEP:
+        ramp = rng.uniform(0.25, 1.0) * length
+        error[fault.begin : fault.end] = (
+            sign * fault.size_k * np.minimum(np.arange(1, length + 1) / ramp, 1.0)
+        )
         return error
     burst = max(round(5.0 / base.sample_s), 1)
     begins = np.flatnonzero(rng.random(length) < INTERMITTENT_SHARE / burst)

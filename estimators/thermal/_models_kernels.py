@@ -1,7 +1,7 @@
 """Compiled side of `models`: the interacting filters of one motor, one block of readings at a time.
 
-State: deviations of five lumps, K; five disturbances; the fault's size. Modes: nothing; a kind of
-heat each; a sensor that is off each.
+State: deviations of five lumps, K; five disturbances; the fault's size; how fast it creeps, K/s,
+which only a sensor's does. Modes: nothing; a kind of heat each; a sensor that is off each.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LUMPS, DISTURBANCES, POINTS, HEATS = 5, 5, 3, 5
-STATES = LUMPS + DISTURBANCES + 1
-SIZE = STATES - 1
+STATES = LUMPS + DISTURBANCES + 2
+SIZE, RATE = STATES - 2, STATES - 1
 MODES = 1 + HEATS + POINTS
 COOLING = 2
 """Mode whose heat grows with the frame's own excess over the air."""
@@ -76,13 +76,14 @@ def _mix(
         weight[g] = (1.0 - end) * mode[g] + entering
         new = entering / weight[g]
         fresh = mean[0].copy()
-        fresh[SIZE] = sizes[g, 0]
+        fresh[SIZE], fresh[RATE] = sizes[g, 0], 0.0
         middle = new * fresh + (1.0 - new) * mean[g]
         a, b = fresh - middle, mean[g] - middle
         mean_out[g] = middle
         cov_out[g] = new * np.outer(a, a) + (1.0 - new) * (cov[g] + np.outer(b, b))
         cov_out[g, :SIZE, :SIZE] += new * cov[0, :SIZE, :SIZE]
         cov_out[g, SIZE, SIZE] += new * sizes[g, 1] ** 2
+        cov_out[g, RATE, RATE] += new * sizes[g, 2] ** 2
 
 
 @njit(cache=True)
@@ -140,21 +141,25 @@ def _warmer(x: Array, p: Array) -> float:
 @njit(cache=True)
 def advance(
     mode: Array, mean: Array, cov: Array, y: Array, rates: Array, pushes: Array, heats: Array,
-    rise: float, dt: float, sigma: Array, odds: Array, sizes: Array, noise: float,
+    rise: float, dt: float, sigma: Array, odds: Array, sizes: Array, noise: float, held: bool,
 ) -> float:  # fmt: skip
-    """One block of one motor; mode (G,), mean (G, 11), cov (G, 11, 11) in place.
+    """One block of one motor; mode (G,), mean (G, 12), cov (G, 12, 12) in place.
 
     y (3,) K from its peers, NaN without; rates (5, 5) 1/s; pushes (5, 5) K/s of the lumps per
     disturbance; heats (5, 5) K/s per kind of fault (rows) and K of size; rise: frame above the air,
     K; dt: s since the last block; sigma (5,) of the disturbances; odds: begin and end per s, memory
     of disturbances s, unsure share, size's walk K and share per block, K of a lump's own noise per
-    root of a minute, wide K, unsteady share; sizes (G, 2): mean and deviation of a fresh fault.
-    Gives the log likelihood.
+    root of a minute, wide K, unsteady share, a sensor's walk K per block; sizes (G, 3): mean and
+    deviation of a fresh fault, K/s that it creeps by; held: a fault is being told. Gives the log
+    likelihood.
     """
     modes = len(mode)
     weight = np.empty(modes)
     before, spread = np.empty_like(mean), np.empty_like(cov)
-    _mix(mode, mean, cov, odds[0] * dt, odds[1] * dt, sizes, weight, before, spread)
+    # While a fault is told no other begins: one that did would write over an explanation that is
+    # less likely as yet, and what the fault really is would be forgotten.
+    begin = 0.0 if held else odds[0] * dt
+    _mix(mode, mean, cov, begin, odds[1] * dt, sizes, weight, before, spread)
     fade, gain = np.empty((LUMPS, LUMPS)), np.empty((LUMPS, LUMPS))
     _response(rates, dt, fade, gain)
     keep = math.exp(-dt / odds[2])
@@ -163,27 +168,29 @@ def advance(
     step[:LUMPS, LUMPS:SIZE] = gain @ pushes * math.sqrt(keep)
     for i in range(LUMPS, SIZE):
         step[i, i] = keep
-    step[SIZE, SIZE] = 1.0
+    step[SIZE, SIZE], step[SIZE, RATE], step[RATE, RATE] = 1.0, dt, keep
     says = np.empty(modes)
     for g in range(modes):
         x = before[g]
+        heat = 0 < g <= HEATS
         step[:LUMPS, SIZE] = 0.0
-        if 0 < g <= HEATS:
+        if heat:
             more = max(1.0 + x[2] / rise, 0.2) if g == COOLING else 1.0
             step[:LUMPS, SIZE] = gain @ heats[g - 1] * more
         p = step @ spread[g] @ step.T
         for i in range(LUMPS):
             p[i, i] += odds[6] ** 2 * dt / 60.0 + (odds[3] * (1.0 - fade[i, i]) * x[i]) ** 2
             p[LUMPS + i, LUMPS + i] += sigma[i] ** 2 * (1.0 - keep * keep)
-        if 0 < g <= HEATS:
+        if heat:
             # A fault begins anywhere in a block, and no heat is as steady as a number.
             heated = step[:LUMPS, SIZE] * x[SIZE]
             p[:LUMPS, :LUMPS] += odds[8] ** 2 * np.outer(heated, heated)
         if g > 0:
-            p[SIZE, SIZE] += odds[4] ** 2 + (odds[5] * x[SIZE]) ** 2
+            walk = odds[4] if heat else odds[9]
+            p[SIZE, SIZE] += walk**2 + (odds[5] * x[SIZE]) ** 2
+            p[RATE, RATE] += sizes[g, 2] ** 2 * (1.0 - keep * keep)
         mean[g] = step @ x
         cov[g] = p
-        heat = 0 < g <= HEATS
         before_it = _warmer(mean[g], cov[g]) if heat else 0.0
         says[g] = _update(mean[g], cov[g], g, y, noise, odds[7])
         if heat:

@@ -70,6 +70,7 @@ def forget(mode: Array, mean: Array, cov: Array, sigma: Array, sizes: Array) -> 
             cov[g, LUMPS + i, LUMPS + i] = sigma[i] ** 2
         mean[g, models.SIZE] = sizes[g, 0]
         cov[g, models.SIZE, models.SIZE] = sizes[g, 1] ** 2
+        cov[g, models.RATE, models.RATE] = sizes[g, 2] ** 2
 
 
 @njit(cache=True)
@@ -265,7 +266,7 @@ def judge(
     heats = np.empty((models.HEATS, LUMPS))
     rise = directions(p, inputs, unit, rates, pushes, heats)
     says = models.advance(
-        mode, mean, cov, off, rates, pushes, heats, rise, dt, sigma, odds, sizes, noise
+        mode, mean, cov, off, rates, pushes, heats, rise, dt, sigma, odds, sizes, noise, held
     )
     size = models.tell(mode, mean, cov, limits, shown, kind[: models.MODES - 1])
     for q in range(POINTS):
@@ -312,7 +313,7 @@ def likely(
             rise = directions(parameters[m], inputs[k, m], unit, rates, pushes, heats)
             says = models.advance(
                 mode, mean, cov, off[k, m], rates, pushes, heats, rise, dt, sigma, alone, sizes,
-                noise[m],
+                noise[m], False,
             )  # fmt: skip
             total += says if k > 0 else 0.0
     return total

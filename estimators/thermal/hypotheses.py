@@ -41,6 +41,8 @@ air and bearings have more of. States of their own, so that they are taken neith
 for a fault."""
 TAIL: Final = 5.0
 """Degrees of freedom of the readings' Student t."""
+NAMED: Final = 0.99
+"""Of what is wrong: so sure has one to be that it is heat, or a sensor, before either is named."""
 LOOSE_SHARE, LOOSE_K = 0.1, 60.0
 """Of the readings of a loose connector, and how far off they may be."""
 
@@ -97,6 +99,21 @@ class Belief(NamedTuple):
         p = np.clip(self.fault, 1e-300, 1.0 - 1e-15)
         out: Array = np.maximum(np.log(p) - np.log1p(-p), 0.0)
         return out
+
+
+def side(kind: Array) -> NDArray[np.int64]:
+    """1 where it is heat, -1 where it is a sensor, 0 where neither is sure.
+
+    kind (..., 11): probabilities; gives (...,).
+
+    A loose connector is told by bursts, which heat has none of, so it stands beside the question.
+    """
+    hot = kind[..., : len(HEAT)].sum(axis=-1)
+    off = kind[..., len(HEAT) : len(HEAT) + len(SENSORS)].sum(axis=-1)
+    loose = kind[..., len(HEAT) + len(SENSORS) :].sum(axis=-1)
+    share = hot / np.maximum(hot + off, 1e-300)
+    told = np.where(share >= NAMED, 1, np.where(share <= 1.0 - NAMED, -1, 0))
+    return np.where(loose > hot + off, -1, told)
 
 
 def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:

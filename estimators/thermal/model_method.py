@@ -19,7 +19,7 @@ from estimators.thermal.heat import courses, drive, predict
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.record import Record, spacing, split
-from estimators.thermal.watch import LONGEST_BLOCK_S, SIZES_K, Known, Watch
+from estimators.thermal.watch import LONGEST_BLOCK_S, Known, Watch
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def _likeliest(known: Known, inputs: Array, off: Array, dt: float) -> float:
         return float(
             _watch_kernels.likely(
                 known.parameters, inputs, watch.unit, off, watch.block_s, watch.sigma, watch.odds,
-                SIZES_K, watch.noise_k,
+                watch.sizes, watch.noise_k,
             )
         )  # fmt: skip
 

@@ -42,6 +42,13 @@ UNSURE: Final = 0.6
 has no number."""
 WALK_K, WALK_SHARE = 0.2, 0.03
 """A size changes by this from block to block."""
+CREEP_K_PER_S: Final = 0.003
+"""A sensor may creep away by so much, for as long as `MEMORY_S`."""
+WALK_SENSOR_K: Final = 0.3
+"""A sensor's error changes by this, besides. With more of it heat is less taken for a creeping
+sensor, and a creeping sensor more for heat: 0.2 misnames 2 % of overheating."""
+CAUGHT_K: Final = 1.5
+"""How far a sensor may be off at once where `steps` are looked for: more would have been caught."""
 OWN_K: Final = 0.02
 """Deviation that a lump takes on by itself, per root of a minute."""
 UNSTEADY: Final = 0.3
@@ -49,10 +56,18 @@ UNSTEADY: Final = 0.3
 WIDE_K: Final = 5.0
 """How far off a block may be that is not what it seems."""
 SIZES_K: Final = np.array(
-    [[0.0, 0.0], [15.0, 25.0], [12.0, 8.0], *[[8.0, 10.0]] * 2, [8.0, 6.0], *[[0.0, 6.0]] * 3]
+    [
+        [0.0, 0.0, 0.0],
+        [15.0, 25.0, 0.0],
+        [12.0, 8.0, 0.0],
+        *[[8.0, 10.0, 0.0]] * 2,
+        [8.0, 6.0, 0.0],
+        *[[0.0, 6.0, CREEP_K_PER_S]] * 3,
+    ]
 )
-"""Mean and deviation of a fault's size when it begins: of heat, K at the mean duty when settled.
-What heats a winding or a bearing may be of any power; a small motor's would be its sensor's, else.
+"""Mean and deviation of a fault's size when it begins, and how fast it creeps, K/s.
+
+Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power; a small motor's would be its sensor's, else.
 """
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
@@ -66,6 +81,8 @@ LEARNT_S: Final = 7200.0
 """Time constant of a motor's baseline, which is learnt while there is no fault."""
 SURE: Final = 1.0 - 1e-6
 LEAST_NOISE_K: Final = 0.01
+RETURNED_K: Final = 2.0
+"""A sensor that has crept and stepped is off by no more."""
 STEADY_S: Final = 100.0
 """A motor whose quickest lump has a shorter time constant than this bends so fast that `steps`
 would take its heat for a sensor's: nothing is tested, the filters have to tell."""
@@ -102,12 +119,18 @@ class Watch:
         self.block_s = self.together * dt_s
         self.unit = _unit(known)
         self.odds = np.array(
-            [1 / BEGIN_S, 1 / END_S, MEMORY_S, UNSURE, WALK_K, WALK_SHARE, OWN_K, WIDE_K, UNSTEADY]
-        )
+            [
+                1 / BEGIN_S, 1 / END_S, MEMORY_S, UNSURE, WALK_K, WALK_SHARE, OWN_K, WIDE_K,
+                UNSTEADY, WALK_SENSOR_K,
+            ]
+        )  # fmt: skip
         self.loose_odds = np.array([1 / LOOSE_BEGIN_S, 1 / LOOSE_END_S, 1 / LEARNT_S])
         self.sigma = known.scale * DISTURBANCES
         self.counts = np.array([round(s / dt_s) for s in (steps.BEFORE_S, steps.AFTER_S)])
         tested = dt_s <= steps.SLOWEST_S and quickest * STEADY_S < 1.0
+        self.sizes = SIZES_K.copy()
+        if tested:
+            self.sizes[1 + len(HEAT) :, 1] = CAUGHT_K
         self.how = np.array([
             steps.STEP_K if tested else 0.0, steps.BACK_K, steps.HEAT_K_PER_S * dt_s
         ])  # fmt: skip
@@ -155,7 +178,7 @@ class Watch:
         self.judged[m], self.size_k[m], self.ill[m] = 0, 0.0, 0.0
         self.late[m] = 0.0
         _watch_kernels.clear(
-            m, self.sigma, SIZES_K, self.ring, self.jumps, self.block, self.raw, self.sums,
+            m, self.sigma, self.sizes, self.ring, self.jumps, self.block, self.raw, self.sums,
             self.mode, self.mean, self.cov, self.base, self.burst, self.loose, self.kind,
         )  # fmt: skip
 
@@ -195,6 +218,10 @@ class Watch:
         # Who is compared with others than before may stand as much elsewhere as they do.
         seen = list(heat.MEASURED)
         self.cov[:, :, seen, seen] += (self.shift**2)[:, None, :]
+        # A sensor that had crept away and steps back is where it was.
+        stepped, crept = self.offsets, self.mean[:, 1 + models.HEATS :, models.SIZE]
+        likely = self.mode[:, 1 + models.HEATS :] > 0.5
+        stepped[likely & (stepped != 0.0) & (np.abs(stepped + crept) < RETURNED_K)] = 0.0
         # From the middle of the last block to that of this one.
         self.inputs = self.late + self.sums[0]
         self.late = self.sums[1].copy()
@@ -211,7 +238,7 @@ class Watch:
                 continue
             found = _watch_kernels.judge(
                 self.known.parameters[m], self.inputs[m], self.unit, self.off[m], self.bursts[m],
-                self.block_s, self.sigma, self.odds, SIZES_K, self.noise_k[m], BENIGN_K,
+                self.block_s, self.sigma, self.odds, self.sizes, self.noise_k[m], BENIGN_K,
                 SHOWN_K, self.loose_odds, self.mode[m], self.mean[m], self.cov[m], self.base[m],
                 self.loose[m], self.kind[m], self.held[m],
             )  # fmt: skip

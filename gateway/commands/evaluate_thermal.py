@@ -26,7 +26,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--base", choices=["days", "bench"], default="days",
                        help="samples hours apart (default), or one a second")  # fmt: skip
     group.add_argument("--kind", nargs="+", metavar="NAME",
-                       help="kinds of faults, `none`: fault-free (default: all)")  # fmt: skip
+                       help="kinds of faults, `none`: fault-free (default: all of these); "
+                       "`sensor_creep`: only when asked for")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
 
 
@@ -41,10 +42,11 @@ def run(options: argparse.Namespace) -> int:
         evaluate,
     )
     from gateway.results.thermal_scores import cells, table
-    from sim.labelled import KINDS
+    from sim.labelled import CREEP, KINDS
 
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
-    kinds = _known("kind", options.kind, (*KINDS, HEALTHY))
+    usual = (*KINDS, HEALTHY)
+    kinds = _known("kind", options.kind or usual, (*usual, CREEP))
     methods = _known("method", options.method, NAMES)
     say = console()
     found = []
@@ -75,19 +77,21 @@ def run(options: argparse.Namespace) -> int:
 
 def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) -> Iterator[str]:
     """What was taken for what, and false alarms a month, as far as the kinds asked for tell."""
-    from gateway.drivers.thermal_trials import HEALTHY
+    from gateway.drivers.thermal_trials import HEALTHY, UNDECIDED
     from gateway.results.thermal_scores import mean, table_of
+    from sim.labelled import KINDS
 
     told = [kind for kind in kinds if kind != HEALTHY]
+    columns = (*KINDS, UNDECIDED)
     naming = [m for m in methods if any(t.named for t in found if t.method == m)]
     for method in naming:
         rows = []
         for kind in told:
             counts = [t.named for t in found if t.method == method and t.kind == kind]
             total = sum(sum(names.values()) for names in counts)
-            shares = [sum(names.get(k, 0) for names in counts) / max(total, 1) for k in told]
+            shares = [sum(names.get(k, 0) for names in counts) / max(total, 1) for k in columns]
             rows.append([kind, *(f"{100.0 * share:.0f}" for share in shares)])
-        head = [f"{method}: fault is, told as %", *told]
+        head = [f"{method}: fault is, told as %", *columns]
         yield table_of(head, rows)
     if HEALTHY in kinds:
         rows = [

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.thermal.hypotheses import KINDS as BELIEFS
+from estimators.thermal.hypotheses import side
 from estimators.thermal.maisd_method import PaperMethod
 from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
 from gateway.results.thermal_scores import Score, Told, Truth, score
-from sim.labelled import BASES, KINDS, Base, Labelled, train
+from sim.labelled import BASES, CREEP, KINDS, Base, Labelled, train
 
 Array = NDArray[np.float64]
 
@@ -53,9 +54,14 @@ SHOWS: Final = {
     "winding_resistance": ("winding_resistance",),
     "sensor_bias": ("bias_stator", "bias_de", "bias_nde"),
     "intermittent": ("loose_stator", "loose_de", "loose_nde"),
+    CREEP: ("bias_stator", "bias_de", "bias_nde"),
 }
 """Beliefs that name a kind of fault rightly."""
-CLASS: Final = {belief: kind for kind, beliefs in SHOWS.items() for belief in beliefs}
+UNDECIDED: Final = "undecided"
+"""Hot motor or sensor: neither is sure."""
+CLASS: Final = {
+    belief: kind for kind, beliefs in SHOWS.items() if kind != CREEP for belief in beliefs
+}
 
 
 class Runs(NamedTuple):
@@ -100,7 +106,7 @@ def runs_of(seed: int, base: Base, kinds: Sequence[str]) -> Runs:
     new = [record_of(train(seed, base, None, n, new=True)) for n in range(fits + 1)]
     judged = {
         kind: train(seed, base, None if kind == HEALTHY else kind, fits + 1 + n)
-        for n, kind in enumerate((*KINDS, HEALTHY))
+        for n, kind in enumerate((*KINDS, HEALTHY, CREEP))
         if kind in kinds
     }
     return Runs(new[:fits], new[fits], judged)
@@ -143,12 +149,14 @@ def _one(
         belief = fitted.believe(record)
         motor = belief.statistic.argmax(axis=1)
         statistic = belief.statistic.max(axis=1)
-        kind = belief.kind[np.arange(len(motor)), motor].argmax(axis=1)
+        kinds = belief.kind[np.arange(len(motor)), motor]
+        kind, sure = kinds.argmax(axis=1), side(kinds) != 0
         wanted = SHOWS[run.fault.kind] if run.fault is not None else ()
-        named = np.isin(kind, [BELIEFS.index(name) for name in wanted])
+        named = sure & np.isin(kind, [BELIEFS.index(name) for name in wanted])
         told = Told(motor, named)
-        said = kind[run.faulty & (statistic > limit)].tolist()
-        names = dict(Counter(CLASS[BELIEFS[k]] for k in said))
+        said = run.faulty & (statistic > limit)
+        names = dict(Counter(CLASS[BELIEFS[k]] for k in kind[said & sure].tolist()))
+        names |= {UNDECIDED: int((said & ~sure).sum())} if (said & ~sure).any() else {}
     else:
         statistic, told = fitted(record), None
     seconds = time.perf_counter() - began

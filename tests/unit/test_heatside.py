@@ -174,6 +174,19 @@ def test_a_sensor_that_creeps_is_the_sensors_and_no_heat():
     assert (found.fault, found.sensor) == (FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END)
 
 
+def test_hot_motor_or_sensor_is_unknown_and_no_guess():
+    rig = Rig()
+    rig.run(30)
+    watch = rig.side.heat.watch
+    watch.held[2] = True
+    watch.kind[2] = 0.0
+    watch.kind[2, 0], watch.kind[2, 5] = 0.9, 0.05
+    rig.side._cache.clear()
+    report = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
+    assert (report.thermal, report.sensor) == (Flag.UNKNOWN, Flag.UNKNOWN)
+    assert (report.fault_class, report.reason) == (FaultClass.UNKNOWN, Reason.DIVERGED)
+
+
 def cells(with_heat=True):
     rates = tuple(TYPICAL[: heat.RATES].tolist())
     own = MotorHeat(rates=rates, offset_k=(1, 2, 3), centre_k=(0.1,) * 3, noise_k=(0.2,) * 3)

@@ -7,7 +7,7 @@ from estimators.thermal import heat, hypotheses
 from estimators.thermal._heat_kernels import step
 from estimators.thermal._hypotheses_kernels import compare, references
 from estimators.thermal.heat import TYPICAL, Drive, drive, predict, settled
-from estimators.thermal.hypotheses import KINDS, SIZES_K, Belief
+from estimators.thermal.hypotheses import KINDS, SIZES_K, Belief, side
 from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.model_method import ModelMethod
 from estimators.thermal.record import Record, fading, features, join, split
@@ -162,6 +162,24 @@ def test_every_kind_is_told_from_every_other(known, kind, size):
     sizes = belief.size_k[230:270, 2].mean()
     assert sizes == pytest.approx(size, rel=0.45)
     assert SIZES_K.max() > size
+
+
+def test_heat_or_sensor_is_named_only_when_sure():
+    """One row a case: heat, sensors off, loose connectors."""
+    rows = [
+        ([0.5, 0.4], [0.0, 0.0], 0.0, 1), ([0.9, 0.0], [0.05, 0.0], 0.02, 0),
+        ([0.003, 0.003], [0.9, 0.0], 0.05, -1), ([0.4, 0.0], [0.4, 0.0], 0.2, 0),
+        ([0.3, 0.0], [0.1, 0.0], 0.6, -1), ([0.9, 0.0], [0.004, 0.004], 0.09, 1),
+    ]  # fmt: skip
+    kind = np.zeros((len(rows), len(KINDS)))
+    for row, (hot, off, loose, _) in zip(kind, rows, strict=True):
+        row[1:3], row[5:7], row[9] = hot, off, loose
+    assert side(kind).tolist() == [row[-1] for row in rows]
+    assert int(side(kind[0])) == 1
+    for share in (0.9899, 0.9901):
+        row = np.zeros(len(KINDS))
+        row[3], row[7] = 0.8 * share, 0.8 * (1.0 - share)
+        assert int(side(row)) == (share > 0.99)
 
 
 def test_a_loose_connector_is_told(known):

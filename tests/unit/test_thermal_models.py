@@ -14,7 +14,7 @@ from estimators.thermal.watch import SIZES_K
 
 DT, NOISE = 30.0, 0.1
 SIGMA = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
-ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, 5.0, 0.3])
+ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, 5.0, 0.3, 0.3])
 SURE_OF_READINGS = 1e45
 """K: so wide that no block is what it seems not to be, but for the share of those that are."""
 CONSTANT = -0.5 * np.log(2.0 * np.pi)
@@ -40,12 +40,14 @@ def surroundings(p, square=2e4, speed=200.0, rise=30.0):
 
 
 def beliefs(modes, seed):
-    """Any probabilities, means and covariances; the first mode knows of no size."""
+    """Any probabilities, means, covariances; the first mode knows no size, heat does not creep."""
     rng = np.random.default_rng(seed)
-    root = rng.standard_normal((modes, 11, 11))
+    root = rng.standard_normal((modes, 12, 12))
     cov = 0.1 * root @ root.transpose(0, 2, 1)
-    mean = rng.standard_normal((modes, 11))
-    mean[0, 10], cov[0, 10], cov[0, :, 10] = 0.0, 0.0, 0.0
+    mean = rng.standard_normal((modes, 12))
+    mean[0, 10:], cov[0, 10:], cov[0, :, 10:] = 0.0, 0.0, 0.0
+    heat = slice(1, 1 + models.HEATS)
+    mean[heat, 11], cov[heat, 11], cov[heat, :, 11] = 0.0, 0.0, 0.0
     return rng.dirichlet(np.ones(modes)), mean, cov
 
 
@@ -89,12 +91,12 @@ def test_disturbances_push_as_the_joint_exponential_says():
     """They fade while they push: that they do so at once in the middle is 1 % off at most."""
     rates, pushes, heats = surroundings(motor(1)[0])
     for d in range(5):
-        mode, mean, cov = np.ones(1), np.zeros((1, 11)), 1e-12 * np.eye(11)[None]
+        mode, mean, cov = np.ones(1), np.zeros((1, 12)), 1e-12 * np.eye(12)[None]
         mean[0, 5 + d] = 1.0
         joint = expm(DT * np.block([[rates, pushes], [np.zeros((5, 5)), -np.eye(5) / 900.0]]))
         models.advance(
             mode, mean, cov, np.full(3, np.nan), rates, pushes, heats, 30.0, DT, SIGMA,
-            np.where(np.arange(len(ODDS)) == 0, 0.0, ODDS), SIZES_K, NOISE,
+            np.where(np.arange(len(ODDS)) == 0, 0.0, ODDS), SIZES_K, NOISE, False,
         )  # fmt: skip
         largest = np.abs(joint[:5, 5 + d]).max()
         np.testing.assert_allclose(mean[0, :5], joint[:5, 5 + d], atol=0.01 * largest)
@@ -124,7 +126,7 @@ def test_one_mode_is_a_kalman_filter():
         kf.predict(Q=np.diag([*own, *SIGMA**2 * (1.0 - keep**2)]))
         here = np.isfinite(y)
         says = models.advance(
-            mode, mean, cov, y, rates, pushes, heats, 30.0, DT, SIGMA, odds, SIZES_K, NOISE
+            mode, mean, cov, y, rates, pushes, heats, 30.0, DT, SIGMA, odds, SIZES_K, NOISE, False
         )
         want = 0.0
         if here.any():
@@ -143,7 +145,7 @@ def test_one_mode_is_a_kalman_filter():
 def test_explanations_that_never_change_are_weighed_by_bayes():
     """Every mode's whole record as one normal vector: no filter in the reference at all."""
     rates, pushes, heats = surroundings(motor(5)[0])
-    odds = np.array([0.0, 0.0, 900.0, 0.0, 0.2, 0.0, 0.02, SURE_OF_READINGS, 0.0])
+    odds = np.array([0.0, 0.0, 900.0, 0.0, 0.2, 0.0, 0.02, SURE_OF_READINGS, 0.0, 0.1])
     keep, blocks = np.exp(-DT / 900.0), 12
     prior, mean, cov = beliefs(models.MODES, 6)
     # Far from cooling, which no fault does; and so little heat that all may be true.
@@ -155,12 +157,14 @@ def test_explanations_that_never_change_are_weighed_by_bayes():
     y = np.cumsum(np.random.default_rng(3).normal(0.0, 0.1, (blocks, 3)), axis=0)
     want = np.empty(models.MODES)
     for g in range(models.MODES):
-        f = block_diag(fade, keep * np.eye(5), 1.0)
+        f = block_diag(fade, keep * np.eye(5), 1.0, keep)
+        f[10, 11] = DT
         f[:5, 5:10] = gain @ pushes * np.sqrt(keep)
         f[:5, 10] = gain @ heats[g - 1] if 0 < g <= models.HEATS else 0.0
-        walk = odds[4] ** 2 * (g > 0)
-        q = np.diag([*[odds[6] ** 2 * DT / 60.0] * 5, *SIGMA**2 * (1.0 - keep**2), walk])
-        h = np.eye(11)[[0, 3, 4]]
+        walk = (g > 0) * odds[4 if g <= models.HEATS else 9] ** 2
+        creep = SIZES_K[g, 2] ** 2 * (1.0 - keep**2)
+        q = np.diag([*[odds[6] ** 2 * DT / 60.0] * 5, *SIGMA**2 * (1.0 - keep**2), walk, creep])
+        h = np.eye(12)[[0, 3, 4]]
         if g > models.HEATS:
             h[g - models.HEATS - 1, 10] = 1.0
         # All states from the first and what shook them.
@@ -171,7 +175,7 @@ def test_explanations_that_never_change_are_weighed_by_bayes():
         ]  # fmt: skip
         seen = block_diag(*[h] * blocks) @ np.vstack(rows)
         spread = seen @ block_diag(cov[g], *[q] * blocks) @ seen.T
-        middle = seen[:, :11] @ mean[g]
+        middle = seen[:, :12] @ mean[g]
         spread += NOISE**2 * np.eye(3 * blocks)
         want[g] = multivariate_normal.logpdf(y.ravel(), middle, spread) + np.log(prior[g])
     mode = prior.copy()
@@ -179,8 +183,9 @@ def test_explanations_that_never_change_are_weighed_by_bayes():
     for k in range(blocks):
         # An endless rise: lost cooling is linear as well.
         says += models.advance(
-            mode, mean, cov, y[k], rates, pushes, heats, 1e15, DT, SIGMA, odds, SIZES_K, NOISE
-        )
+            mode, mean, cov, y[k], rates, pushes, heats, 1e15, DT, SIGMA, odds, SIZES_K, NOISE,
+            False,
+        )  # fmt: skip
     total = np.logaddexp.reduce(want)
     np.testing.assert_allclose(mode, np.exp(want - total), rtol=1e-5, atol=1e-15)
     assert np.sort(mode)[-3] > 1e-4, "not trivially so"
@@ -202,7 +207,7 @@ def test_mixing_is_the_markov_chain_s_moments(modes):
     weight, middle, spread = np.empty(modes), np.empty_like(mean), np.empty_like(cov)
     models._mix(mode, mean, cov, begin, end, SIZES_K[:modes], weight, middle, spread)
     assert weight.sum() == pytest.approx(1.0, abs=1e-14)
-    sizeless = np.diag([1.0] * 10 + [0.0])
+    sizeless = np.diag([1.0] * 10 + [0.0] * 2)
     parts = [((1.0 - begin) * mode[0], mean[0], cov[0])]
     parts += [
         (end * mode[g], sizeless @ mean[g], sizeless @ cov[g] @ sizeless) for g in range(1, modes)
@@ -211,6 +216,7 @@ def test_mixing_is_the_markov_chain_s_moments(modes):
     for g in range(1, modes):
         fresh, fresh_cov = sizeless @ mean[0], sizeless @ cov[0] @ sizeless
         fresh[10], fresh_cov[10, 10] = SIZES_K[g, 0], SIZES_K[g, 1] ** 2
+        fresh_cov[11, 11] = SIZES_K[g, 2] ** 2
         stays = ((1.0 - end) * mode[g], mean[g], cov[g])
         wants.append(mixture([stays, (begin * mode[0] / (modes - 1), fresh, fresh_cov)]))
     for g, (w, m, c) in enumerate(wants):
@@ -219,23 +225,37 @@ def test_mixing_is_the_markov_chain_s_moments(modes):
         np.testing.assert_allclose(spread[g], c, rtol=1e-10, atol=1e-12)
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_while_a_fault_is_told_no_other_explanation_is_written_over(held):
+    """An unlikely one keeps what it has learnt; else it would begin anew with every block."""
+    rates, pushes, heats = surroundings(motor(7)[0])
+    mode, mean, cov = beliefs(models.MODES, 8)
+    mode[:] = [0.3, 0.7 - 7e-20, *[1e-20] * 7]
+    mean[-1, models.SIZE :] = 7.0, 0.0
+    models.advance(
+        mode, mean, cov, np.full(3, np.nan), rates, pushes, heats, 30.0, DT, SIGMA, ODDS, SIZES_K,
+        NOISE, held,
+    )  # fmt: skip
+    assert mean[-1, models.SIZE] == pytest.approx(7.0 if held else 0.0, abs=1e-9)
+
+
 def test_mixing_without_sizes_is_filterpys():
     """Where all sizes are alike and certain, a fresh one is nothing new."""
     modes, begin, end = 4, 0.05, 0.2
     mode, mean, cov = beliefs(modes, 1)
-    mean[:, 10], cov[:, 10], cov[:, :, 10] = 0.0, 0.0, 0.0
+    mean[:, 10:], cov[:, 10:], cov[:, :, 10:] = 0.0, 0.0, 0.0
     chain = np.eye(modes) * (1.0 - end)
     chain[0], chain[1:, 0] = begin / (modes - 1), end
     chain[0, 0] = 1.0 - begin
     filters = []
     for g in range(modes):
-        kf = KalmanFilter(dim_x=11, dim_z=1)
-        kf.x, kf.P, kf.Q = mean[g].copy(), cov[g].copy(), np.zeros((11, 11))
+        kf = KalmanFilter(dim_x=12, dim_z=1)
+        kf.x, kf.P, kf.Q = mean[g].copy(), cov[g].copy(), np.zeros((12, 12))
         filters.append(kf)
     imm = IMMEstimator(filters, mode.copy(), chain)
     imm.predict()
     weight, middle, spread = np.empty(modes), np.empty_like(mean), np.empty_like(cov)
-    models._mix(mode, mean, cov, begin, end, np.zeros((modes, 2)), weight, middle, spread)
+    models._mix(mode, mean, cov, begin, end, np.zeros((modes, 3)), weight, middle, spread)
     np.testing.assert_allclose(weight, imm.cbar, rtol=1e-12)
     np.testing.assert_allclose(middle, [f.x for f in filters], rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(spread, [f.P for f in filters], rtol=1e-10, atol=1e-13)

@@ -14,7 +14,7 @@ from estimators.thermal.watch import BENIGN_K, BURSTS, SHOWN_K, SIZES_K
 
 DT, NOISE, WIDE = 16.0, 0.1, 5.0
 SIGMA = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
-ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, WIDE, 0.3])
+ODDS = np.array([1 / 36_000, 1 / 2400, 900.0, 0.6, 0.2, 0.03, 0.02, WIDE, 0.3, 0.3])
 UNIT = np.array([200.0, 0.03, 0.08, 300.0, 900.0, 500.0, 500.0])
 CONSTANT = -0.5 * math.log(2.0 * math.pi)
 
@@ -38,9 +38,9 @@ def begun():
 def test_an_update_is_the_mixture_of_a_good_and_an_outlying_block(g):
     rng = np.random.default_rng(g)
     for size in (0.1, 1.0, 3.0, 30.0):
-        root = 0.3 * rng.standard_normal((11, 11))
-        x, p = rng.standard_normal(11), root @ root.T
-        h = np.eye(11)[[0, 3, 4]]
+        root = 0.3 * rng.standard_normal((12, 12))
+        x, p = rng.standard_normal(12), root @ root.T
+        h = np.eye(12)[[0, 3, 4]]
         if g > models.HEATS:
             h[g - models.HEATS - 1, 10] = 1.0
         y = h @ x + size * rng.standard_normal(3)
@@ -67,8 +67,8 @@ def test_an_update_is_the_mixture_of_a_good_and_an_outlying_block(g):
 def test_what_is_told_is_the_probability_of_more_than_is_benign_and_of_being_seen():
     rng = np.random.default_rng(0)
     for _ in range(50):
-        mode, mean = rng.dirichlet(np.ones(models.MODES)), 4.0 * rng.standard_normal((9, 11))
-        cov = np.zeros((9, 11, 11))
+        mode, mean = rng.dirichlet(np.ones(models.MODES)), 4.0 * rng.standard_normal((9, 12))
+        cov = np.zeros((9, 12, 12))
         cov[:, 10, 10] = rng.uniform(0.1, 9.0, 9)
         seen = list(heat.MEASURED)
         cov[:, seen, seen] = rng.uniform(0.1, 4.0, (9, 3))
@@ -93,7 +93,7 @@ def test_nothing_seen_is_nothing_learnt():
         ill += (1.0 - ill) * ODDS[0] * DT - ill * ODDS[1] * DT
         says = models.advance(
             *state[:3], np.full(3, np.nan), rates, pushes, heats, 30.0, DT, SIGMA, ODDS, SIZES_K,
-            NOISE,
+            NOISE, False,
         )  # fmt: skip
         assert says == pytest.approx(0.0, abs=1e-12)
         np.testing.assert_allclose(state[0][1:], ill / 8, rtol=1e-9)

@@ -6,8 +6,9 @@ import pytest
 from estimators.thermal import heat
 from estimators.thermal import model_method as method
 from estimators.thermal._heat_kernels import simulate, step
+from estimators.thermal._models_kernels import SIZE
 from estimators.thermal._watch_kernels import begin
-from estimators.thermal.hypotheses import KINDS
+from estimators.thermal.hypotheses import HEAT, KINDS
 from estimators.thermal.record import Record
 from estimators.thermal.watch import HOLE_S, Watch
 
@@ -135,10 +136,11 @@ def test_every_ill_sensor_is_found_and_named(known, kind):
 
 @pytest.mark.parametrize("point", range(3))
 def test_a_creeping_sensor_is_found(known, point):
-    """Slower than any step; up it may be called what warms there."""
+    """Slower than any step; up it may be called what warms there, but is not forgotten."""
     error = np.zeros((2 * HOUR, MOTORS, 3))
     error[HOUR // 2 :, ILL, point] = np.minimum(np.arange(3 * HOUR // 2) * 0.02, 6.0)
-    _, held, _ = watched(known, train(33, error=error))
+    watch, held, _ = watched(known, train(33, error=error))
+    assert abs(watch.mean[ILL, 1 + len(HEAT) + point, SIZE] - 6.0) < 1.0
     assert held[HOUR:, ILL].mean() > 0.95
     assert not held[: HOUR // 2].any()
     assert not np.delete(held, ILL, axis=1).any()
@@ -149,6 +151,18 @@ def test_nothing_cools_a_motor_but_a_sensor(known, point):
     error = np.zeros((2 * HOUR, MOTORS, 3))
     error[HOUR // 2 :, ILL, point] = -np.minimum(np.arange(3 * HOUR // 2) * 0.02, 6.0)
     found(known, train(34, error=error), KINDS[5 + point], 900)
+
+
+@pytest.mark.parametrize("point", range(3))
+def test_a_sensor_that_crept_and_is_changed_is_well_again(known, point):
+    """What steps back to where it was has no step."""
+    error = np.zeros((2 * HOUR, MOTORS, 3))
+    crept = slice(HOUR // 2, 5 * HOUR // 4)
+    error[crept, ILL, point] = -np.minimum(np.arange(3 * HOUR // 4) * 0.01, 6.0)
+    watch, held, _ = watched(known, train(35, error=error))
+    assert held[HOUR : 5 * HOUR // 4, ILL].mean() > 0.9
+    assert not held[-HOUR // 4 :].any()
+    assert not watch.offsets.any()
 
 
 @pytest.mark.parametrize("seed", range(2))
