@@ -67,7 +67,8 @@ SIZES_K: Final = np.array(
 )
 """Mean and deviation of a fault's size when it begins, and how fast it creeps, K/s.
 
-Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power; a small motor's would be its sensor's, else.
+Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power; a
+small motor's would be its sensor's, else.
 """
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
