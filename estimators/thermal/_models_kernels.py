@@ -18,6 +18,8 @@ LUMPS, DISTURBANCES, POINTS, HEATS = 5, 5, 3, 5
 STATES = LUMPS + DISTURBANCES + 2
 SIZE, RATE = STATES - 2, STATES - 1
 MODES = 1 + HEATS + POINTS
+MEAN, SPREAD, CREEP, SHARE = range(4)
+"""Of a fresh fault, in a mode's row of `sizes`: K, K, K/s, and of all faults that begin."""
 COOLING = 2
 """Mode whose heat grows with the frame's own excess over the air."""
 SEEN = np.array([0, 3, 4])
@@ -72,18 +74,18 @@ def _mix(
             off = mean[g, :SIZE] - mean_out[0, :SIZE]
             cov_out[0, :SIZE, :SIZE] += share * (cov[g, :SIZE, :SIZE] + np.outer(off, off))
     for g in range(1, modes):
-        entering = begin * mode[0] / (modes - 1)
+        entering = begin * mode[0] * sizes[g, SHARE]
         weight[g] = (1.0 - end) * mode[g] + entering
         new = entering / weight[g]
         fresh = mean[0].copy()
-        fresh[SIZE], fresh[RATE] = sizes[g, 0], 0.0
+        fresh[SIZE], fresh[RATE] = sizes[g, MEAN], 0.0
         middle = new * fresh + (1.0 - new) * mean[g]
         a, b = fresh - middle, mean[g] - middle
         mean_out[g] = middle
         cov_out[g] = new * np.outer(a, a) + (1.0 - new) * (cov[g] + np.outer(b, b))
         cov_out[g, :SIZE, :SIZE] += new * cov[0, :SIZE, :SIZE]
-        cov_out[g, SIZE, SIZE] += new * sizes[g, 1] ** 2
-        cov_out[g, RATE, RATE] += new * sizes[g, 2] ** 2
+        cov_out[g, SIZE, SIZE] += new * sizes[g, SPREAD] ** 2
+        cov_out[g, RATE, RATE] += new * sizes[g, CREEP] ** 2
 
 
 @njit(cache=True)
@@ -149,9 +151,8 @@ def advance(
     disturbance; heats (5, 5) K/s per kind of fault (rows) and K of size; rise: frame above the air,
     K; dt: s since the last block; sigma (5,) of the disturbances; odds: begin and end per s, memory
     of disturbances s, unsure share, size's walk K and share per block, K of a lump's own noise per
-    root of a minute, wide K, unsteady share, a sensor's walk K per block; sizes (G, 3): mean and
-    deviation of a fresh fault, K/s that it creeps by; held: a fault is being told. Gives the log
-    likelihood.
+    root of a minute, wide K, unsteady share, a sensor's walk K per block; sizes (G, 4): see
+    `MEAN`; held: a fault is being told. Gives the log likelihood.
     """
     modes = len(mode)
     weight = np.empty(modes)
@@ -188,7 +189,7 @@ def advance(
         if g > 0:
             walk = odds[4] if heat else odds[9]
             p[SIZE, SIZE] += walk**2 + (odds[5] * x[SIZE]) ** 2
-            p[RATE, RATE] += sizes[g, 2] ** 2 * (1.0 - keep * keep)
+            p[RATE, RATE] += sizes[g, CREEP] ** 2 * (1.0 - keep * keep)
         mean[g] = step @ x
         cov[g] = p
         before_it = _warmer(mean[g], cov[g]) if heat else 0.0

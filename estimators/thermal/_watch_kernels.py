@@ -68,9 +68,9 @@ def forget(mode: Array, mean: Array, cov: Array, sigma: Array, sizes: Array) -> 
         for i in range(LUMPS):
             cov[g, i, i] = _FIRST_K[i] ** 2
             cov[g, LUMPS + i, LUMPS + i] = sigma[i] ** 2
-        mean[g, models.SIZE] = sizes[g, 0]
-        cov[g, models.SIZE, models.SIZE] = sizes[g, 1] ** 2
-        cov[g, models.RATE, models.RATE] = sizes[g, 2] ** 2
+        mean[g, models.SIZE] = sizes[g, models.MEAN]
+        cov[g, models.SIZE, models.SIZE] = sizes[g, models.SPREAD] ** 2
+        cov[g, models.RATE, models.RATE] = sizes[g, models.CREEP] ** 2
 
 
 @njit(cache=True)

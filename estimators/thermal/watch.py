@@ -47,8 +47,9 @@ CREEP_K_PER_S: Final = 0.003
 WALK_SENSOR_K: Final = 0.3
 """A sensor's error changes by this, besides. With more of it heat is less taken for a creeping
 sensor, and a creeping sensor more for heat: 0.2 misnames 2 % of overheating."""
-CAUGHT_K: Final = 1.5
-"""How far a sensor may be off at once where `steps` are looked for: more would have been caught."""
+CAUGHT_K, RARER = 1.5, 0.1
+"""Where `steps` are looked for: how far a sensor may be off at once (more would have been caught), and
+how much rarer one is that creeps, for most sensors step."""
 OWN_K: Final = 0.02
 """Deviation that a lump takes on by itself, per root of a minute."""
 UNSTEADY: Final = 0.3
@@ -57,15 +58,15 @@ WIDE_K: Final = 5.0
 """How far off a block may be that is not what it seems."""
 SIZES_K: Final = np.array(
     [
-        [0.0, 0.0, 0.0],
-        [15.0, 25.0, 0.0],
-        [12.0, 8.0, 0.0],
-        *[[8.0, 10.0, 0.0]] * 2,
-        [8.0, 6.0, 0.0],
-        *[[0.0, 6.0, CREEP_K_PER_S]] * 3,
+        [0.0, 0.0, 0.0, 0.0],
+        [15.0, 25.0, 0.0, 0.125],
+        [12.0, 8.0, 0.0, 0.125],
+        *[[8.0, 10.0, 0.0, 0.125]] * 2,
+        [8.0, 6.0, 0.0, 0.125],
+        *[[0.0, 6.0, CREEP_K_PER_S, 0.125]] * 3,
     ]
 )
-"""Mean and deviation of a fault's size when it begins, and how fast it creeps, K/s.
+"""Mean and deviation of a fault's size when it begins, how fast it creeps, K/s, and its share.
 
 Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power; a
 small motor's would be its sensor's, else.
@@ -131,7 +132,9 @@ class Watch:
         tested = dt_s <= steps.SLOWEST_S and quickest * STEADY_S < 1.0
         self.sizes = SIZES_K.copy()
         if tested:
-            self.sizes[1 + len(HEAT) :, 1] = CAUGHT_K
+            self.sizes[1 + len(HEAT) :, models.SPREAD] = CAUGHT_K
+            self.sizes[1 + len(HEAT) :, models.SHARE] *= RARER
+            self.sizes[:, models.SHARE] /= self.sizes[:, models.SHARE].sum()
         self.how = np.array([
             steps.STEP_K if tested else 0.0, steps.BACK_K, steps.HEAT_K_PER_S * dt_s
         ])  # fmt: skip

@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, console, positive_seconds, prepare
+from gateway.commands.common import GOOD, console, patience, positive_seconds, prepare
 
 HELP = "the whole system on an embedded bus"
 CHANNEL = "traction-gateway-demo"
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     """Drives and gateway talk over a real python-can bus; one loop, in real time."""
     from gateway.commands.hil import scenario_thermal
     from gateway.config import Drive
-    from gateway.drivers.demo import run_demo
+    from gateway.drivers.demo import rehearse, run_demo
     from gateway.results.delays import injected, score, summary_table
     from gateway.results.pictures import Span, loads
     from gateway.results.record import Recorder
@@ -57,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
 
             live.update(render(view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s"))
 
+    with patience():
+        rehearse(scenario, config, codec)
     with live or nullcontext():
         done = run_demo(scenario, config, codec, CHANNEL, seconds, watch, options.began_s)
     truth = done.truth

@@ -6,7 +6,15 @@ import argparse
 import sys
 from typing import Any
 
-from gateway.commands.common import GOOD, add_bus, add_config, console, positive_seconds, prepare
+from gateway.commands.common import (
+    GOOD,
+    add_bus,
+    add_config,
+    console,
+    patience,
+    positive_seconds,
+    prepare,
+)
 
 HELP = "the gateway on a bus"
 DISPLAY_EVERY = 20
@@ -35,7 +43,8 @@ def run(options: argparse.Namespace) -> int:
 
     config, codec = prepare(options.config)
     master = config.canopen.nmt_master
-    warm_up(config, codec)
+    with patience():
+        warm_up(config, codec)
     transport = open_transport(
         bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
     )

@@ -9,7 +9,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, add_bus, console, out_file, positive_seconds
+from gateway.commands.common import (
+    GOOD,
+    add_bus,
+    console,
+    out_file,
+    patience,
+    positive_seconds,
+)
 
 HELP = "simulated inverter ECUs: on a bus in real time, or into a candump log"
 TRUTH_HEADER = (
@@ -49,7 +56,8 @@ def run(options: argparse.Namespace) -> int:
     on_bus = hasattr(options, "interface") or hasattr(options, "channel")
     if on_bus:
         # Compile before the clock starts: real time does not wait for the first step.
-        Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
+        with patience():
+            Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
     simulation = Simulation(scenario, codec, nodes=nodes, self_start=not options.wait_for_start)
     seconds = scenario.duration_s if options.duration is None else options.duration
     truth = _Truth(options.truth and out_file(options.truth))

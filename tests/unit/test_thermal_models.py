@@ -205,7 +205,9 @@ def test_mixing_is_the_markov_chain_s_moments(modes):
     begin, end = 0.02, 0.1
     mode, mean, cov = beliefs(modes, modes)
     weight, middle, spread = np.empty(modes), np.empty_like(mean), np.empty_like(cov)
-    models._mix(mode, mean, cov, begin, end, SIZES_K[:modes], weight, middle, spread)
+    sizes = SIZES_K[:modes].copy()
+    sizes[:, models.SHARE] = np.arange(modes) / np.arange(modes).sum()
+    models._mix(mode, mean, cov, begin, end, sizes, weight, middle, spread)
     assert weight.sum() == pytest.approx(1.0, abs=1e-14)
     sizeless = np.diag([1.0] * 10 + [0.0] * 2)
     parts = [((1.0 - begin) * mode[0], mean[0], cov[0])]
@@ -218,7 +220,7 @@ def test_mixing_is_the_markov_chain_s_moments(modes):
         fresh[10], fresh_cov[10, 10] = SIZES_K[g, 0], SIZES_K[g, 1] ** 2
         fresh_cov[11, 11] = SIZES_K[g, 2] ** 2
         stays = ((1.0 - end) * mode[g], mean[g], cov[g])
-        wants.append(mixture([stays, (begin * mode[0] / (modes - 1), fresh, fresh_cov)]))
+        wants.append(mixture([stays, (begin * mode[0] * sizes[g, models.SHARE], fresh, fresh_cov)]))
     for g, (w, m, c) in enumerate(wants):
         assert weight[g] == pytest.approx(w, rel=1e-12)
         np.testing.assert_allclose(middle[g], m, rtol=1e-10, atol=1e-12)
@@ -253,9 +255,11 @@ def test_mixing_without_sizes_is_filterpys():
         kf.x, kf.P, kf.Q = mean[g].copy(), cov[g].copy(), np.zeros((12, 12))
         filters.append(kf)
     imm = IMMEstimator(filters, mode.copy(), chain)
+    sizes = np.zeros((modes, 4))
+    sizes[1:, models.SHARE] = 1.0 / (modes - 1)
     imm.predict()
     weight, middle, spread = np.empty(modes), np.empty_like(mean), np.empty_like(cov)
-    models._mix(mode, mean, cov, begin, end, np.zeros((modes, 3)), weight, middle, spread)
+    models._mix(mode, mean, cov, begin, end, sizes, weight, middle, spread)
     np.testing.assert_allclose(weight, imm.cbar, rtol=1e-12)
     np.testing.assert_allclose(middle, [f.x for f in filters], rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(spread, [f.P for f in filters], rtol=1e-10, atol=1e-13)

@@ -2,6 +2,11 @@
 
 import subprocess
 import sys
+import time
+
+import pytest
+
+from gateway.commands import common
 
 PROGRAM = """
 import sys, time
@@ -30,11 +35,22 @@ def gateway(*given):
     before.update(compiled())
     return make(*given)
 
+demo.rehearse(find("demo"), config, codec)
 demo.Gateway = gateway
 demo.run_demo(find("demo"), config, codec, "test-warm", 3.0, lambda *_: None, time.monotonic())
 assert len(before) > 10
 print(sorted(compiled() - before))
 """
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_who_waits_for_the_compiler_is_told_why(capsys, monkeypatch, slow):
+    monkeypatch.setattr(common, "PATIENCE_S", 0.01 if slow else 60.0)
+    with common.patience():
+        until = time.monotonic() + 5.0
+        while slow and time.monotonic() < until and not (said := capsys.readouterr().err):
+            time.sleep(0.01)
+    assert (said if slow else capsys.readouterr().err) == (common.COMPILING + "\n") * slow
 
 
 def test_the_demo_compiles_nothing_in_mid_run():
