@@ -35,7 +35,7 @@ DISTURBANCES: Final = np.array([0.01, 0.7, 0.02, 0.05, 0.05])
 friction in its ends; standard deviations of what wanders. What is constant is in its parameters."""
 MEMORY_S: Final = 900.0
 """Of what wanders."""
-BEGIN_S, END_S = 36_000.0, 2400.0
+BEGIN_S, END_S = 36_000.0, 3600.0
 """A fault is expected once in so long, and to last so long."""
 UNSURE: Final = 0.6
 """Share of a lump's own exchange of heat that the model may be wrong by: five lumps stand for what
@@ -48,8 +48,8 @@ WALK_SENSOR_K: Final = 0.3
 """A sensor's error changes by this, besides. With more of it heat is less taken for a creeping
 sensor, and a creeping sensor more for heat: 0.2 misnames 2 % of overheating."""
 CAUGHT_K, RARER = 1.5, 0.1
-"""Where `steps` are looked for: how far a sensor may be off at once (more would have been caught), and
-how much rarer one is that creeps, for most sensors step."""
+"""Where `steps` are looked for: how far a sensor may be off at once (more would have been caught),
+and how much rarer one is that creeps, for most sensors step."""
 OWN_K: Final = 0.02
 """Deviation that a lump takes on by itself, per root of a minute."""
 UNSTEADY: Final = 0.3
