@@ -1,0 +1,61 @@
+"""`python -m bench.thermal_healthy [A-B] [-j N]`: false episodes in many fault-free hours.
+
+`evaluate thermal` judges one fault-free run of two hours a train; rates of less than one a day
+need more. Runs of their own: none of them is in the benchmark.
+"""
+
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+
+from gateway.drivers.evaluation import seeds_of
+from gateway.drivers.thermal_trials import (
+    DEVELOPMENT,
+    FIT_RUNS,
+    LIMIT,
+    METHODS,
+    REPORTING,
+    fit,
+    record_of,
+)
+from sim.labelled import BENCH, train
+
+RUNS = range(20, 25)
+"""Numbers of the runs of a train."""
+DAYS_A_TRAIN = len(RUNS) * BENCH.samples * BENCH.sample_s / 86_400.0
+
+
+def episodes(seed: int) -> list[tuple[int, int, int, int]]:
+    """(train, run, begin s, length s) of every one."""
+    fits = FIT_RUNS[BENCH.name]
+    new = [record_of(train(seed, BENCH, None, n, new=True)) for n in range(fits + 1)]
+    fitted = fit(METHODS[BENCH.name]["model"], new[:fits])
+    limit = float(np.nanquantile(fitted(new[fits]), LIMIT))
+    out = []
+    for run in RUNS:
+        above = fitted(record_of(train(seed, BENCH, None, run))) > limit
+        turns = np.flatnonzero(np.diff(above.astype(int), prepend=0, append=0))
+        out += [(seed, run, int(a), int(b - a)) for a, b in turns.reshape(-1, 2)]
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", nargs="?", default="development", help="or reporting, or A-B")
+    parser.add_argument("-j", "--jobs", type=int, default=1)
+    options = parser.parse_args()
+    seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        found = [each for some in pool.map(episodes, seeds) for each in some]
+    for each in found:
+        print("train {}, run {}: from {} s for {} s".format(*each))
+    days = DAYS_A_TRAIN * len(seeds)
+    print(f"{len(found)} in {days:.1f} fault-free days: {len(found) / days:.2f} a day")
+
+
+if __name__ == "__main__":
+    main()
