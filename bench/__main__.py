@@ -1,4 +1,4 @@
-"""`python -m bench [speed] [adhesion] [thermal] [-o FILE]`: measure and write the tables."""
+"""`python -m bench [PART ..] [-o FILE]`: measure and write the tables."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import adhesion, speed, thermal
+from bench import adhesion, kernels, speed, thermal
 
-PARTS = {"speed": speed, "adhesion": adhesion, "thermal": thermal}
+PARTS = {"speed": speed, "kernels": kernels, "adhesion": adhesion, "thermal": thermal}
 TITLES = {
     "speed": "Speed",
+    "kernels": "What a step of the filters costs",
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",
 }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimators import _kernels, _lock_kernels, ekf, lock, ukf
+from estimators import _kernels, _lanes_kernels, _lock_kernels, ekf, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
 from tests.unit.test_est_ekf import bench
@@ -46,6 +46,8 @@ def sweep(kind: str, c: Case, rows: Rows | None = None):
     body = (rows.drive, rows.u, rows.y, rows.n_sub, rows.n_gap, SUB_STEP_S)
     if kind == "ekf":
         _kernels.ekf_sweep(*head, *body, nis, ok, c.lean)
+    elif kind == "lanes":
+        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, c.lean)
     else:
         _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, c.lean)
     return x, P, nis, ok
@@ -53,14 +55,14 @@ def sweep(kind: str, c: Case, rows: Rows | None = None):
 
 def twin(kind: str, c: Case):
     x, P = c.x.copy(), c.P.copy()
-    run = ekf.sweep if kind == "ekf" else ukf.sweep
+    run = ukf.sweep if kind == "ukf" else ekf.sweep
     r = c.rows
     samples = (r.drive, r.u, r.y, r.n_sub, r.n_gap, SUB_STEP_S)
     nis, ok = run(c.par, c.noise, x, P, *samples, lean=c.lean)
     return x, P, nis, ok
 
 
-both = pytest.mark.parametrize("kind", ["ekf", "ukf"])
+both = pytest.mark.parametrize("kind", ["ekf", "lanes", "ukf"])
 
 
 @both

@@ -1,0 +1,190 @@
+"""What a step of the filters costs: one drive to 1,024, against what a user would write.
+
+A step is a prediction over one sub-step and an update by two currents. References, in the same
+run: filterpy (one filter a drive), NumPy over all drives at once (`estimators.ekf`, the plain twin
+of the compiled forms), and the paper's block-diagonal matrices of 5N x 5N taken literally.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+
+from estimators import ekf, ukf
+from estimators._kernels import ekf_sweep, ukf_sweep
+from estimators._lanes_kernels import ekf_lanes
+from estimators.models import pmsm
+from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+
+HEADER = ("filter", "drives", "per call", "per drive and step", "reference in the same run")
+FLEETS: Final = (1, 3, 16, 64, 256, 1024)
+DENSE: Final = (3, 16)
+BLOCK: Final = 16
+"""Steps of a block of samples."""
+SPENT_S: Final = 0.25
+"""Of measuring, each."""
+
+
+def best(task: Callable[[], object]) -> float:
+    """Shortest of many runs, s."""
+    task()
+    until, least = time.perf_counter() + SPENT_S, float("inf")
+    while time.perf_counter() < until:
+        began = time.perf_counter()
+        task()
+        least = min(least, time.perf_counter() - began)
+    return least
+
+
+def _motors(n: int) -> tuple[Pmsm, Noise]:
+    par = pmsm.repeat(pmsm.BENCH_MOTOR, n)
+    return par, pmsm.default_noise(par, pmsm.Rated(np.full(n, 25.0), np.full(n, 30.0)))
+
+
+def _state(n: int) -> tuple[np.ndarray, np.ndarray]:
+    x = np.tile([1.0, -1.0, 100.0, 0.5, 1.0], (n, 1))
+    return x, np.tile(np.diag([1.0, 1.0, 25.0, 0.04, 400.0]), (n, 1, 1))
+
+
+def compiled(kernel: Any, n: int, steps: int, *more: float) -> float:
+    """s of one call with `steps` samples of each of n drives."""
+    par, noise = _motors(n)
+    x, P = _state(n)
+    rng, rows = np.random.default_rng(0), n * steps
+    drive = np.tile(np.arange(n, dtype=np.int32), steps)
+    u, y = rng.normal(0.0, 10.0, (rows, 2)), rng.normal(0.0, 1.0, (rows, 2))
+    one, none = np.ones(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64)
+    nis, ok, lean = np.empty(rows), np.empty(n, dtype=np.bool_), np.zeros(n)
+    table = pmsm.table(par)
+
+    def call() -> None:
+        kernel(
+            table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, one, none, SUB_STEP_S,
+            *more, nis, ok, lean,
+        )  # fmt: skip
+
+    return best(call)
+
+
+def stacked(n: int) -> float:
+    """NumPy, all drives at once."""
+    par, noise = _motors(n)
+    x, P = _state(n)
+    u, y = np.full((n, 2), 10.0), np.zeros((n, 2))
+
+    def call() -> None:
+        ekf.update(noise, *ekf.predict(par, noise, x, P, u, 1, SUB_STEP_S), y)
+
+    return best(call)
+
+
+def dense(n: int) -> float:
+    """Paper `adhesion`, eq. (16)-(17), as written: one filter of 5N states."""
+    par, noise = _motors(n)
+    x, P = _state(n)
+    u, y = np.full((n, 2), 10.0), np.zeros(2 * n)
+    H = np.kron(np.eye(n), np.eye(2, 5))
+    Q, R = np.diag(noise.Q.ravel()), np.diag(noise.R.ravel())
+
+    def all_of(blocks: np.ndarray) -> np.ndarray:
+        out = np.zeros((5 * n, 5 * n))
+        for k, block in enumerate(blocks):
+            out[5 * k : 5 * k + 5, 5 * k : 5 * k + 5] = block
+        return out
+
+    whole = all_of(P)
+
+    def call() -> None:
+        F = all_of(pmsm.jacobian(par, x, SUB_STEP_S))
+        prior = pmsm.step(par, x, u, SUB_STEP_S).ravel()
+        cov = F @ whole @ F.T + Q
+        gain = np.linalg.solve(H @ cov @ H.T + R, H @ cov).T
+        rest = np.eye(5 * n) - gain @ H
+        prior + gain @ (y - H @ prior), rest @ cov @ rest.T + gain @ R @ gain.T
+
+    return best(call)
+
+
+def library() -> float:
+    """filterpy, one drive."""
+    _, noise = _motors(1)
+    x, P = _state(1)
+    y, H, dt = np.zeros(2), np.eye(2, 5), SUB_STEP_S
+    R_s, L_s, psi, p, J, B, k_p = (float(value[0]) for value in pmsm.BENCH_MOTOR)
+    a, b, f, e = 1 - R_s / L_s * dt, psi / L_s * dt, 1 - B / J * dt, k_p * p * p * psi / J * dt
+
+    class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
+        """As a user would write it: floats, and one array at the end."""
+
+        def predict_x(self, _u: object = 0) -> None:
+            i_a, i_b, w, theta, load = self.x.tolist()
+            sin, cos = math.sin(theta), math.cos(theta)
+            self.x = np.array([
+                a * i_a + b * w * sin + 10.0 * dt / L_s,
+                a * i_b - b * w * cos + 10.0 * dt / L_s,
+                f * w + e * (i_b * cos - i_a * sin) - p * dt / J * load,
+                theta + w * dt,
+                load,
+            ])  # fmt: skip
+
+    motor = Motor(5, 2)
+    motor.x, motor.P = x[0], P[0]
+    motor.Q, motor.R = np.diag(noise.Q[0]), np.diag(noise.R[0])
+
+    def call() -> None:
+        i_a, i_b, w, theta, _ = motor.x.tolist()
+        sin, cos = math.sin(theta), math.cos(theta)
+        motor.F = np.array([
+            [a, 0.0, b * sin, b * w * cos, 0.0],
+            [0.0, a, -b * cos, b * w * sin, 0.0],
+            [-e * sin, e * cos, f, -e * (i_b * sin + i_a * cos), -p * dt / J],
+            [0.0, 0.0, dt, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 1.0],
+        ])  # fmt: skip
+        motor.predict()
+        motor.update(y, lambda _: H, lambda state: state[:2])
+
+    return best(call)
+
+
+def rows() -> list[tuple[str, ...]]:
+    """One row per filter and size of fleet."""
+    filterpy_s = library()
+    out = [("filterpy EKF", "1", _us(filterpy_s), _us(filterpy_s), "")]
+    forms: tuple[tuple[str, Any, tuple[float, ...]], ...] = (
+        ("EKF", ekf_sweep, ()),
+        ("EKF in lanes", ekf_lanes, ()),
+        ("UKF", ukf_sweep, (ukf.KAPPA,)),
+    )
+    for name, kernel, more in forms:
+        for n in FLEETS:
+            tick, block = compiled(kernel, n, 1, *more), compiled(kernel, n, BLOCK, *more)
+            step_s = block / n / BLOCK
+            out.append((
+                f"{name}, one step a call", str(n), _us(tick), _ns(tick / n),
+                f"filterpy {filterpy_s * n / tick:.0f} x",
+            ))  # fmt: skip
+            out.append((
+                f"{name}, {BLOCK} steps a call", str(n), _us(block), _ns(step_s),
+                f"filterpy {filterpy_s / step_s:.0f} x",
+            ))  # fmt: skip
+    for n in FLEETS:
+        numpy_s = stacked(n)
+        out.append(("EKF, NumPy over all drives", str(n), _us(numpy_s), _ns(numpy_s / n), ""))
+    for n in DENSE:
+        dense_s = dense(n)
+        out.append(("EKF of 5N states, NumPy", str(n), _us(dense_s), _ns(dense_s / n), ""))
+    return out
+
+
+def _us(seconds: float) -> str:
+    return f"{1e6 * seconds:.2f} us"
+
+
+def _ns(seconds: float) -> str:
+    return f"{1e9 * seconds:.1f} ns"

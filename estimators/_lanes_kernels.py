@@ -1,0 +1,371 @@
+"""The EKF of several drives at once: `_kernels.ekf_sweep`, in vectors of `LANES` drives.
+
+Drives are independent and do the same arithmetic, so one instruction can serve four of them. What
+a compiler needs for that: a loop over lanes without calls or branches, and memory that cannot
+overlap, so everything of a block of drives lies in one flat array, row by row, a lane each. Sines
+are polynomials (fdlibm's, 1e-16 of their own), products are fused with sums: results differ from
+`_kernels` by rounding only. Written out for the same reason, and as long, as `_kernels`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from estimators._kernels import _FLOOR, _TURN_MAX, _coast, _ekf_predict, _leaned, _update
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Drives = NDArray[np.int32]
+Flags = NDArray[np.bool_]
+
+LANES: Final = 4
+"""Numbers of a vector register of AVX2."""
+_L = LANES
+STATE: Final = 20
+"""Rows of x (5) and of P's upper triangle (15)."""
+_PAR, _Q, _R, _U, _LEAN, _V, _TURN, _Y = 20, 26, 31, 33, 35, 36, 38, 40
+_NIS, _GOOD, _KEPT = 42, 43, 44
+ROWS: Final = _KEPT + STATE
+"""Rows of a block: state, coefficients, noise, voltage as it is and as it turns, what comes out,
+and the state before the sample."""
+_TWO_OVER_PI, _PI_2, _PI_2_REST = 2.0 / math.pi, 1.5707963267948966, 6.123233995736766e-17
+_TURNS = 1.0 / (2.0 * math.pi)
+_TWO_PI = 2.0 * math.pi
+
+
+@njit(inline="always", fastmath={"contract"}, error_model="numpy")
+def _sincos(t: float) -> tuple[float, float]:
+    """Of |t| < 1e6 to 2e-16; of numbers beyond any angle no number, or a wrong one."""
+    q = np.floor(t * _TWO_OVER_PI + 0.5)
+    r = (t - q * _PI_2) - q * _PI_2_REST
+    z = r * r
+    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    s = 2.75573137070700676789e-06 + z * s
+    s = -1.98412698298579493134e-04 + z * s
+    s = 8.33333333332248946124e-03 + z * s
+    s = r + r * z * (-1.66666666666666324348e-01 + z * s)
+    c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+    c = -2.75573143513906633035e-07 + z * c
+    c = 2.48015872894767294178e-05 + z * c
+    c = -1.38888888888741095749e-03 + z * c
+    c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c)
+    quadrant = q - 4.0 * np.floor(q * 0.25)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    sin = c if odd else s
+    cos = s if odd else c
+    sin = -sin if quadrant >= 2.0 else sin
+    cos = -cos if (quadrant == 1.0) | (quadrant == 2.0) else cos
+    return sin, cos
+
+
+@njit(inline="always", fastmath={"contract"}, error_model="numpy")
+def _turning(s: Array, n_sub: int, dt: float) -> None:
+    """`_kernels._leaned` and `_turning`: the first sub-step's voltage, and how it turns."""
+    n, half = float(n_sub), 0.5 * n_sub * dt
+    for k in range(_L):
+        w, theta, lean = s[2 * _L + k], s[3 * _L + k], s[_LEAN * _L + k]
+        sin, cos = _sincos(theta + half * w)
+        u0 = s[_U * _L + k] + lean * sin
+        u1 = s[(_U + 1) * _L + k] - lean * cos
+        h = 0.5 * dt * w
+        sin_h, cos_h = _sincos(h)
+        sin_n, _ = _sincos(n * h)
+        sin_b, cos_b = _sincos(-h * (n - 1.0))
+        turns = (n > 1.5) & (h != 0.0) & (abs(n * h) <= _TURN_MAX)
+        gain = n * sin_h / sin_n
+        v0 = gain * (cos_b * u0 - sin_b * u1) if turns else u0
+        v1 = gain * (sin_b * u0 + cos_b * u1) if turns else u1
+        scale = s[(_PAR + 5) * _L + k]
+        s[_V * _L + k] = scale * v0
+        s[(_V + 1) * _L + k] = scale * v1
+        s[_TURN * _L + k] = 1.0 - 2.0 * sin_h * sin_h if turns else 1.0
+        s[(_TURN + 1) * _L + k] = 2.0 * sin_h * cos_h if turns else 0.0
+
+
+@njit(inline="always", fastmath={"contract"}, error_model="numpy")
+def _predict(s: Array, dt: float) -> None:
+    """One sub-step of `_kernels._ekf_predict`; the angle is not wrapped."""
+    for k in range(_L):
+        a, b, f22 = s[_PAR * _L + k], s[(_PAR + 1) * _L + k], s[(_PAR + 2) * _L + k]
+        e, f24 = s[(_PAR + 3) * _L + k], s[(_PAR + 4) * _L + k]
+        i_a, i_b, w, theta, load = s[k], s[_L + k], s[2 * _L + k], s[3 * _L + k], s[4 * _L + k]
+        p00, p01, p02 = s[5 * _L + k], s[6 * _L + k], s[7 * _L + k]
+        p03, p04 = s[8 * _L + k], s[9 * _L + k]
+        p11, p12, p13 = s[10 * _L + k], s[11 * _L + k], s[12 * _L + k]
+        p14, p22, p23 = s[13 * _L + k], s[14 * _L + k], s[15 * _L + k]
+        p24, p33, p34 = s[16 * _L + k], s[17 * _L + k], s[18 * _L + k]
+        p44 = s[19 * _L + k]
+        v0, v1 = s[_V * _L + k], s[(_V + 1) * _L + k]
+        cos_v, sin_v = s[_TURN * _L + k], s[(_TURN + 1) * _L + k]
+        sin, cos = _sincos(theta)
+        f02, f03 = b * sin, b * w * cos
+        f12, f13 = -b * cos, b * w * sin
+        f20, f21 = -e * sin, e * cos
+        f23 = -e * (i_b * sin + i_a * cos)
+
+        m00 = a * p00 + f02 * p02 + f03 * p03
+        m01 = a * p01 + f02 * p12 + f03 * p13
+        m02 = a * p02 + f02 * p22 + f03 * p23
+        m03 = a * p03 + f02 * p23 + f03 * p33
+        m04 = a * p04 + f02 * p24 + f03 * p34
+        m10 = a * p01 + f12 * p02 + f13 * p03
+        m11 = a * p11 + f12 * p12 + f13 * p13
+        m12 = a * p12 + f12 * p22 + f13 * p23
+        m13 = a * p13 + f12 * p23 + f13 * p33
+        m14 = a * p14 + f12 * p24 + f13 * p34
+        m20 = f20 * p00 + f21 * p01 + f22 * p02 + f23 * p03 + f24 * p04
+        m21 = f20 * p01 + f21 * p11 + f22 * p12 + f23 * p13 + f24 * p14
+        m22 = f20 * p02 + f21 * p12 + f22 * p22 + f23 * p23 + f24 * p24
+        m23 = f20 * p03 + f21 * p13 + f22 * p23 + f23 * p33 + f24 * p34
+        m24 = f20 * p04 + f21 * p14 + f22 * p24 + f23 * p34 + f24 * p44
+        m32, m33, m34 = dt * p22 + p23, dt * p23 + p33, dt * p24 + p34
+
+        s[5 * _L + k] = a * m00 + f02 * m02 + f03 * m03 + s[_Q * _L + k]
+        s[6 * _L + k] = a * m01 + f12 * m02 + f13 * m03
+        s[7 * _L + k] = f20 * m00 + f21 * m01 + f22 * m02 + f23 * m03 + f24 * m04
+        s[8 * _L + k] = dt * m02 + m03
+        s[9 * _L + k] = m04
+        s[10 * _L + k] = a * m11 + f12 * m12 + f13 * m13 + s[(_Q + 1) * _L + k]
+        s[11 * _L + k] = f20 * m10 + f21 * m11 + f22 * m12 + f23 * m13 + f24 * m14
+        s[12 * _L + k] = dt * m12 + m13
+        s[13 * _L + k] = m14
+        s[14 * _L + k] = (
+            f20 * m20 + f21 * m21 + f22 * m22 + f23 * m23 + f24 * m24 + s[(_Q + 2) * _L + k]
+        )
+        s[15 * _L + k] = dt * m22 + m23
+        s[16 * _L + k] = m24
+        s[17 * _L + k] = dt * m32 + m33 + s[(_Q + 3) * _L + k]
+        s[18 * _L + k] = m34
+        s[19 * _L + k] = p44 + s[(_Q + 4) * _L + k]
+
+        s[k] = a * i_a + f02 * w + v0
+        s[_L + k] = a * i_b + f12 * w + v1
+        s[2 * _L + k] = f22 * w + e * (i_b * cos - i_a * sin) + f24 * load
+        s[3 * _L + k] = theta + w * dt
+        s[_V * _L + k] = cos_v * v0 - sin_v * v1
+        s[(_V + 1) * _L + k] = sin_v * v0 + cos_v * v1
+
+
+@njit(inline="always", fastmath={"contract"}, error_model="numpy")
+def _correct(s: Array) -> None:
+    """`_kernels._update` and what `_store` asks for; bad lanes are told, not undone."""
+    for k in range(_L):
+        p00, p01, p02 = s[5 * _L + k], s[6 * _L + k], s[7 * _L + k]
+        p03, p04 = s[8 * _L + k], s[9 * _L + k]
+        p11, p12, p13 = s[10 * _L + k], s[11 * _L + k], s[12 * _L + k]
+        p14, p22, p23 = s[13 * _L + k], s[14 * _L + k], s[15 * _L + k]
+        p24, p33, p34 = s[16 * _L + k], s[17 * _L + k], s[18 * _L + k]
+        p44 = s[19 * _L + k]
+        r0, r1 = s[_R * _L + k], s[(_R + 1) * _L + k]
+        s00, s11 = p00 + r0, p11 + r1
+        det = s00 * s11 - p01 * p01
+        inv = 1.0 / det
+        nu0, nu1 = s[_Y * _L + k] - s[k], s[(_Y + 1) * _L + k] - s[_L + k]
+        i00, i01, i11 = s11 * inv, -p01 * inv, s00 * inv
+        k00, k01 = p00 * i00 + p01 * i01, p00 * i01 + p01 * i11
+        k10, k11 = p01 * i00 + p11 * i01, p01 * i01 + p11 * i11
+        k20, k21 = p02 * i00 + p12 * i01, p02 * i01 + p12 * i11
+        k30, k31 = p03 * i00 + p13 * i01, p03 * i01 + p13 * i11
+        k40, k41 = p04 * i00 + p14 * i01, p04 * i01 + p14 * i11
+
+        # Joseph: (I - K H) P, then less its first columns times K', plus K R K'.
+        w00, w01 = p00 - k00 * p00 - k01 * p01, p01 - k00 * p01 - k01 * p11
+        w02, w03 = p02 - k00 * p02 - k01 * p12, p03 - k00 * p03 - k01 * p13
+        w04 = p04 - k00 * p04 - k01 * p14
+        w10, w11 = p01 - k10 * p00 - k11 * p01, p11 - k10 * p01 - k11 * p11
+        w12, w13 = p12 - k10 * p02 - k11 * p12, p13 - k10 * p03 - k11 * p13
+        w14 = p14 - k10 * p04 - k11 * p14
+        w20, w21 = p02 - k20 * p00 - k21 * p01, p12 - k20 * p01 - k21 * p11
+        w22, w23 = p22 - k20 * p02 - k21 * p12, p23 - k20 * p03 - k21 * p13
+        w24 = p24 - k20 * p04 - k21 * p14
+        w30, w31 = p03 - k30 * p00 - k31 * p01, p13 - k30 * p01 - k31 * p11
+        w33, w34 = p33 - k30 * p03 - k31 * p13, p34 - k30 * p04 - k31 * p14
+        w40, w41 = p04 - k40 * p00 - k41 * p01, p14 - k40 * p01 - k41 * p11
+        w44 = p44 - k40 * p04 - k41 * p14
+        a00, a01 = k00 * r0 - w00, k01 * r1 - w01
+        a10, a11 = k10 * r0 - w10, k11 * r1 - w11
+        a20, a21 = k20 * r0 - w20, k21 * r1 - w21
+        a30, a31 = k30 * r0 - w30, k31 * r1 - w31
+        a40, a41 = k40 * r0 - w40, k41 * r1 - w41
+        t00, t01 = w00 + a00 * k00 + a01 * k01, w01 + a00 * k10 + a01 * k11
+        t02, t03 = w02 + a00 * k20 + a01 * k21, w03 + a00 * k30 + a01 * k31
+        t04 = w04 + a00 * k40 + a01 * k41
+        t11, t12 = w11 + a10 * k10 + a11 * k11, w12 + a10 * k20 + a11 * k21
+        t13, t14 = w13 + a10 * k30 + a11 * k31, w14 + a10 * k40 + a11 * k41
+        t22, t23 = w22 + a20 * k20 + a21 * k21, w23 + a20 * k30 + a21 * k31
+        t24 = w24 + a20 * k40 + a21 * k41
+        t33, t34 = w33 + a30 * k30 + a31 * k31, w34 + a30 * k40 + a31 * k41
+        t44 = w44 + a40 * k40 + a41 * k41
+
+        x0, x1 = s[k] + k00 * nu0 + k01 * nu1, s[_L + k] + k10 * nu0 + k11 * nu1
+        x2, x3 = s[2 * _L + k] + k20 * nu0 + k21 * nu1, s[3 * _L + k] + k30 * nu0 + k31 * nu1
+        x4 = s[4 * _L + k] + k40 * nu0 + k41 * nu1
+        x3 = x3 - _TWO_PI * np.ceil((x3 - math.pi) * _TURNS)
+        # NaN and infinity survive any sum.
+        total = x0 + x1 + x2 + x3 + x4 + t00 + t01 + t02 + t03 + t04 + t11 + t12 + t13 + t14
+        total = total + t22 + t23 + t24 + t33 + t34 + t44
+        good = (total - total == 0.0) & (det > 0.0) & (t00 >= 0.0) & (t11 >= 0.0)
+        good = good & (t22 >= 0.0) & (t33 >= 0.0) & (t44 >= 0.0)
+        s[_GOOD * _L + k] = 1.0 if good else 0.0
+        s[_NIS * _L + k] = i00 * nu0 * nu0 + 2.0 * i01 * nu0 * nu1 + i11 * nu1 * nu1
+        s[k], s[_L + k], s[2 * _L + k], s[3 * _L + k], s[4 * _L + k] = x0, x1, x2, x3, x4
+        s[5 * _L + k], s[10 * _L + k] = max(t00, _FLOOR), max(t11, _FLOOR)
+        s[14 * _L + k], s[17 * _L + k] = max(t22, _FLOOR), max(t33, _FLOOR)
+        s[19 * _L + k] = max(t44, _FLOOR)
+        s[6 * _L + k], s[7 * _L + k], s[8 * _L + k], s[9 * _L + k] = t01, t02, t03, t04
+        s[11 * _L + k], s[12 * _L + k], s[13 * _L + k] = t12, t13, t14
+        s[15 * _L + k], s[16 * _L + k], s[18 * _L + k] = t23, t24, t34
+
+
+@njit(cache=True)
+def _enter(s: Array, k: int, par: Array, Q: Array, R: Array, lean: float, dt: float) -> None:
+    """What does not change of one drive, in lane k."""
+    R_s, L_s, psi_f = par[0], par[1], par[2]
+    p, J, B, k_p = par[3], par[4], par[5], par[6]
+    s[_PAR * _L + k] = 1.0 - R_s / L_s * dt
+    s[(_PAR + 1) * _L + k] = psi_f / L_s * dt
+    s[(_PAR + 2) * _L + k] = 1.0 - B / J * dt
+    s[(_PAR + 3) * _L + k] = k_p * p * p * psi_f / J * dt
+    s[(_PAR + 4) * _L + k] = -p * dt / J
+    s[(_PAR + 5) * _L + k] = dt / L_s
+    for i in range(5):
+        s[(_Q + i) * _L + k] = Q[i]
+    s[_R * _L + k], s[(_R + 1) * _L + k] = R[0], R[1]
+    s[_LEAN * _L + k] = lean
+
+
+@njit(cache=True)
+def _load(s: Array, k: int, x: Array, P: Array) -> None:
+    """A drive's state into lane k."""
+    row = 5
+    for i in range(5):
+        s[i * _L + k] = x[i]
+        for j in range(i, 5):
+            s[row * _L + k] = P[i, j]
+            row += 1
+
+
+@njit(cache=True)
+def _store(s: Array, k: int, x: Array, P: Array) -> None:
+    """And out of it."""
+    row = 5
+    for i in range(5):
+        x[i] = s[i * _L + k]
+        for j in range(i, 5):
+            P[i, j] = P[j, i] = s[row * _L + k]
+            row += 1
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def _block(s: Array, n_sub: int, dt: float) -> None:
+    """One sample of all lanes."""
+    for k in range(STATE * _L):
+        s[_KEPT * _L + k] = s[k]
+    _turning(s, n_sub, dt)
+    for _ in range(n_sub):
+        _predict(s, dt)
+    _correct(s)
+
+
+@njit(cache=True)
+def _alone(
+    par: Array, Q: Array, R: Array, var: float, lean: float, u: Array, y: Array, n_sub: int,
+    n_gap: int, dt: float, x: Array, P: Array,
+) -> float:  # fmt: skip
+    """A sample behind a gap, as in `_kernels.ekf_sweep`."""
+    K, W, v = np.empty((5, 2)), np.empty((5, 5)), np.empty(2)
+    _coast(par, Q, var, n_gap * dt, n_gap, x, P)
+    _leaned(u, lean, 0.5 * n_sub * dt, x, v)
+    _ekf_predict(par, Q, v, n_sub, dt, x, P)
+    return _update(R, y, x, P, K, W)
+
+
+@njit(cache=True)
+def _healthy(x: Array, P: Array) -> bool:
+    """Finite, and no variance negative."""
+    total = 0.0
+    for i in range(5):
+        total += x[i]
+        if not P[i, i] >= 0.0:
+            return False
+        for j in range(i, 5):
+            total += P[i, j]
+    return math.isfinite(total)
+
+
+@njit(cache=True)
+def _settle(s: Array, b: int, row_of: Ints, nis_out: Array, ok_out: Flags) -> None:
+    """After a round of block b: what became of its rows; lanes without one are as before."""
+    for k in range(_L):
+        d = b * _L + k
+        row = row_of[d]
+        row_of[d] = -1
+        if row >= 0 and ok_out[d] and s[_GOOD * _L + k] == 1.0:
+            nis_out[row] = s[_NIS * _L + k]
+            continue
+        for i in range(STATE):
+            s[i * _L + k] = s[(_KEPT + i) * _L + k]
+        if row >= 0:
+            ok_out[d] = False
+
+
+@njit(cache=True)
+def ekf_lanes(
+    par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
+    y: Array, n_sub: Ints, n_gap: Ints, dt: float, nis_out: Array, ok_out: Flags, lean: Array,
+) -> None:  # fmt: skip
+    """Run the EKF over M samples of N drives; everything as `_kernels.ekf_sweep` has it.
+
+    Rows that follow one another are done together while they are of different drives, without a
+    gap and of one length; a drive's own rows keep their order. P comes out symmetric.
+    """
+    drives, rows = x.shape[0], drive.shape[0]
+    blocks = (drives + _L - 1) // _L
+    work = np.empty((blocks, ROWS * _L))
+    row_of = np.full(blocks * _L, -1)
+    for d in range(blocks * _L):
+        # Lanes without a drive calculate what the last drive does, and nobody looks at it.
+        m = min(d, drives - 1)
+        _enter(work[d // _L], d % _L, par[m], Q[m], R[m], lean[m], dt)
+        _load(work[d // _L], d % _L, x[m], P[m])
+        for i in range(2):
+            work[d // _L, (_U + i) * _L + d % _L] = work[d // _L, (_Y + i) * _L + d % _L] = 0.0
+    nis_out[:] = np.nan
+    ok_out[:] = True
+    x_d, P_d = np.empty(5), np.empty((5, 5))
+    i = 0
+    while i < rows:
+        first, d = i, drive[i]
+        if n_gap[i] > 0:
+            i += 1
+            if not ok_out[d]:
+                continue
+            s, k = work[d // _L], d % _L
+            _store(s, k, x_d, P_d)
+            nis = _alone(
+                par[d], Q[d], R[d], coast[d], lean[d], u[first], y[first], n_sub[first],
+                n_gap[first], dt, x_d, P_d,
+            )  # fmt: skip
+            ok_out[d] = _healthy(x_d, P_d)
+            if ok_out[d]:
+                nis_out[first] = nis
+                _load(s, k, x_d, P_d)
+            continue
+        while i < rows and n_gap[i] == 0 and n_sub[i] == n_sub[first] and row_of[drive[i]] < 0:
+            d = drive[i]
+            s, k = work[d // _L], d % _L
+            row_of[d] = i
+            s[_U * _L + k], s[(_U + 1) * _L + k] = u[i, 0], u[i, 1]
+            s[_Y * _L + k], s[(_Y + 1) * _L + k] = y[i, 0], y[i, 1]
+            i += 1
+        for b in range(blocks):
+            if row_of[b * _L : (b + 1) * _L].max() >= 0:
+                _block(work[b], n_sub[first], dt)
+                _settle(work[b], b, row_of, nis_out, ok_out)
+    for d in range(drives):
+        _store(work[d // _L], d % _L, x[d], P[d])
