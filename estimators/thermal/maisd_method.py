@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimators.thermal import degradation
 from estimators.thermal.record import Record
-from estimators.thermal.sigma_mixed import Estimates, SigmaMixedFilter, lumps
+from estimators.thermal.sigma_mixed import Estimates, Lumps, SigmaMixedFilter, lumps
 
 Array = NDArray[np.float64]
 LIMIT: float = 0.99
@@ -39,6 +39,14 @@ def maisd(average: Array) -> Array:
     return np.asarray(average.std(axis=1))
 
 
+class Learnt(NamedTuple):
+    """known: the thermal model; drift (M, 3) K/s or None; first: states of the fault-free run."""
+
+    known: Lumps
+    drift: Array | None
+    first: Estimates
+
+
 @dataclass(frozen=True)
 class PaperMethod:
     """window: samples of the moving average."""
@@ -51,15 +59,26 @@ class PaperMethod:
 
     name: ClassVar[str] = "paper"
 
-    def fit(self, healthy: Record) -> Callable[[Record], Array]:
-        """Learn from one fault-free run; what comes back gives (K,) statistics of a record.
+    @property
+    def learning(self) -> tuple[bool, bool]:
+        """Methods that are alike in this learn the same."""
+        return self.weighted, self.degrades
 
-        1 is the limit of the point that is nearest to its own.
-        """
+    def learn(self, healthy: Record) -> Learnt:
+        """What is the same for every window and limit, and takes the time."""
         known = lumps(healthy)
         plain = SigmaMixedFilter(self.weighted)
         drift = self._drift(healthy, plain.run(healthy, known)) if self.degrades else None
-        first = plain.run(healthy, known, drift)
+        return Learnt(known, drift, plain.run(healthy, known, drift))
+
+    def fit(self, healthy: Record, learnt: Learnt | None = None) -> Callable[[Record], Array]:
+        """Learn from one fault-free run; what comes back gives (K,) statistics of a record.
+
+        1 is the limit of the point that is nearest to its own. learnt: what a method of the same
+        `learning` has learnt of this run before.
+        """
+        known, drift, first = learnt or self.learn(healthy)
+        plain = SigmaMixedFilter(self.weighted)
         centre = first.state.mean(axis=0) if self.centred else np.zeros(first.state.shape[1:])
         limit = np.quantile(self._points(first, centre), LIMIT, axis=0)
 

@@ -58,8 +58,13 @@ class Watching:
         watch = Watch(self.known, spacing(record))
         samples, motors = record.temperature.shape[:2]
         kind, size = np.zeros((samples, motors, len(KINDS))), np.zeros((samples, motors))
-        for k, _ in enumerate(followed(watch, record)):
-            kind[k], size[k] = watch.told()
+        stepped = b""
+        for k, judged in enumerate(followed(watch, record)):
+            # Between blocks only a step, or a motor that begins anew, changes what is told.
+            steps = watch.offsets.tobytes()
+            if judged or k == 0 or steps != stepped or watch.lost.any():
+                told, stepped = watch.told(), steps
+            kind[k], size[k] = told
         return Belief(kind, size)
 
     def __call__(self, record: Record) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from estimators.thermal.hypotheses import KINDS as BELIEFS
 from estimators.thermal.hypotheses import side
-from estimators.thermal.maisd_method import PaperMethod
+from estimators.thermal.maisd_method import Learnt, PaperMethod
 from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
@@ -120,9 +120,10 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     at = BASES[base]
     healthy, limiting, runs = runs_of(seed, at, kinds)
     out = []
+    learnt: dict[tuple[bool, bool], Learnt] = {}
     for name in methods:
         try:
-            fitted = fit(METHODS[base][name], healthy)
+            fitted = fit(METHODS[base][name], healthy, learnt)
         except ModuleNotFoundError:
             continue
         limit = float(np.nanquantile(fitted(limiting), LIMIT))
@@ -130,10 +131,20 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     return out
 
 
-def fit(method: Any, healthy: Sequence[Record]) -> Callable[[Record], Array]:
-    """All methods learn from the same runs; those without a model see them one after another."""
+def fit(
+    method: Any, healthy: Sequence[Record], learnt: dict[tuple[bool, bool], Learnt] | None = None
+) -> Callable[[Record], Array]:
+    """All methods learn from the same runs; those without a model see them one after another.
+
+    learnt: what variants of the paper's method have learnt of these runs, by their `learning`.
+    """
     if isinstance(method, ModelMethod) and len(healthy) > 1:
         return method.fit_runs(healthy)
+    if isinstance(method, PaperMethod) and learnt is not None:
+        whole = join(healthy)
+        if method.learning not in learnt:
+            learnt[method.learning] = method.learn(whole)
+        return method.fit(whole, learnt[method.learning])
     fitted: Callable[[Record], Array] = method.fit(join(healthy))
     return fitted
 
