@@ -33,14 +33,18 @@ _MOST_GAP = 21
 
 @njit(cache=True, forceinline=True)
 def _digits(text: Bytes, at: int, count: int) -> int:
-    """Decimal number of `count` digits; -1 if one is none."""
+    """Decimal number of `count` digits; -1 if one is none. By twos: half as long a chain."""
     number = np.int64(0)
-    for k in range(at, at + count):
-        digit = np.int64(text[k]) - 48
-        if digit < 0 or digit > 9:
-            return -1
-        number = 10 * number + digit
-    return int(number)
+    odd = count & 1
+    bad = False
+    if odd:
+        number = np.int64(text[at]) - 48
+        bad = bool(number < 0 or number > 9)
+    for k in range(at + odd, at + count, 2):
+        tens, ones = np.int64(text[k]) - 48, np.int64(text[k + 1]) - 48
+        bad = bool(bad or tens < 0 or tens > 9 or ones < 0 or ones > 9)
+        number = 100 * number + (10 * tens + ones)
+    return -1 if bad else int(number)
 
 
 @njit(cache=True, forceinline=True)
@@ -98,7 +102,7 @@ def _named(text: Bytes, at: int, size: int, names: Bytes, sizes: Ints) -> int:
 def _line(
     text: Bytes,
     start: int,
-    end: int,
+    total: int,
     row: int,
     t_ns: Ints,
     can_id: NDArray[np.uint32],
@@ -110,53 +114,60 @@ def _line(
     sizes: Ints,
     hexes: Bytes,
     fd_length: NDArray[np.bool_],
-) -> bool:
-    """Fill a row from text[start:end] (no line end); false if the line is not plain."""
-    t, at = _stamp(text, start, end)
+) -> int:
+    """Fill a row from the line at text[start]; place of its line end, -1 if it is not plain.
+
+    Nothing that is plain goes past a line end, so nobody looks for it first.
+    """
+    t, at = _stamp(text, start, total)
     if at < 0:
-        return False
-    name = _gap(text, at, end)
+        return -1
+    name = _gap(text, at, total)
     if name < 0:
-        return False
+        return -1
     at = name
-    while at < end and text[at] > _SPACE and text[at] != _DELETE:
+    while at < total and text[at] > _SPACE and text[at] != _DELETE:
         at += 1
     size = at - name
     if size < 1 or size > _MOST_NAME:
-        return False
-    at = _gap(text, at, end)
-    if at < 0 or at + 4 > end or text[at + 3] != _HASH:
-        return False
+        return -1
+    at = _gap(text, at, total)
+    if at < 0 or at + 4 > total or text[at + 3] != _HASH:
+        return -1
     a, b, c = hexes[text[at]], hexes[text[at + 1]], hexes[text[at + 2]]
     if a > 7 or _BAD in (b, c):
-        return False
+        return -1
     identifier = (np.uint32(a) << 8) | (np.uint32(b) << 4) | np.uint32(c)
     at += 4
     kind = 0
-    if at < end and text[at] == _HASH:
-        if at + 1 >= end or hexes[text[at + 1]] == _BAD:
-            return False
+    if at < total and text[at] == _HASH:
+        if at + 1 > total - 1 or hexes[text[at + 1]] == _BAD:
+            return -1
         bits = hexes[text[at + 1]]
         kind = _FD_FLAG | (_BRS if bits & 1 else 0) | (_ESI if bits & 2 else 0)
         at += 2
     most = 64 if kind else 8
     count = 0
-    while at + 1 < end:
+    while at + 1 < total:
         high, low = hexes[text[at]], hexes[text[at + 1]]
         if _BAD in (high, low):
             break
         if count == most:
-            return False
+            return -1
         data[row, count] = (high << 4) | low
         count += 1
         at += 2
     if kind and not fd_length[count]:
-        return False
-    if at < end and not (at + 2 == end and text[at] == _SPACE and text[at + 1] in (_R, _T)):
-        return False
+        return -1
+    if at + 2 < total and text[at] == _SPACE and text[at + 1] in (_R, _T):
+        at += 2
+    if at + 1 < total and text[at] == _RETURN:
+        at += 1
+    if at >= total or text[at] != _NEWLINE:
+        return -1
     number = _named(text, name, size, names, sizes)
     if number < 0:
-        return False
+        return -1
     for k in range(count, 64):
         data[row, k] = 0
     t_ns[row] = t
@@ -164,7 +175,7 @@ def _line(
     flags[row] = kind
     length[row] = count
     channel[row] = number
-    return True
+    return at
 
 
 @njit(cache=True)
@@ -193,18 +204,18 @@ def scan(
     at = start
     total = text.shape[0]
     while row < what.shape[0]:
-        end = at
-        while end < total and text[end] != _NEWLINE:
-            end += 1
-        if end == total:
-            break
-        last = end - 1 if end > at and text[end - 1] == _RETURN else end
-        plain = _line(
-            text, at, last, row, t_ns, can_id, flags, length, data, channel, names, sizes,
+        end = _line(
+            text, at, total, row, t_ns, can_id, flags, length, data, channel, names, sizes,
             hexes, fd_length,
         )  # fmt: skip
-        what[row] = PLAIN if plain else OTHER
-        if not plain:
+        what[row] = PLAIN
+        if end < 0:
+            end = at
+            while end < total and text[end] != _NEWLINE:
+                end += 1
+            if end == total:
+                break
+            what[row] = OTHER
             can_id[row] = at
             t_ns[row] = end
         row += 1
