@@ -179,24 +179,34 @@ class Reader:
         small pieces, because a damaged piece is lost whole.
         """
         unpack = zlib.decompressobj(wbits=31)
-        pending = chunk
+        pending = memoryview(chunk)
+        done: list[bytes] = []
+        size = 0
         try:
             while pending:
-                yield unpack.decompress(pending[:_PIECE], _CHUNK)
-                pending = unpack.unconsumed_tail + pending[_PIECE:]
+                text = unpack.decompress(pending[:_PIECE], _CHUNK)
+                done.append(text)
+                size += len(text)
+                if size >= _CHUNK:
+                    yield b"".join(done)
+                    done, size = [], 0
+                pending = pending[_PIECE:]
+                if unpack.unconsumed_tail:
+                    pending = memoryview(unpack.unconsumed_tail + pending)
                 if unpack.eof:
-                    pending = (unpack.unused_data + pending).lstrip(b"\0")
-                    pending = pending or stream.read(_CHUNK).lstrip(b"\0")
+                    left = (unpack.unused_data + pending).lstrip(b"\0")
+                    pending = memoryview(left or stream.read(_CHUNK).lstrip(b"\0"))
                     if pending:
                         unpack = zlib.decompressobj(wbits=31)
                 elif not pending:
-                    pending = stream.read(_CHUNK)
+                    pending = memoryview(stream.read(_CHUNK))
                     self.bytes_read += len(pending)
-            yield unpack.flush()
+            done.append(unpack.flush())
             if not unpack.eof:
                 self.truncated = "compressed data end early"
         except zlib.error as error:
             self.truncated = f"compressed data are damaged ({error})"
+        yield b"".join(done)
 
     def _frames(self, chunks: Iterator[bytes]) -> Iterator[Frame]:
         """The hot loop: plain classic frames here, everything else in `parse_line`."""
