@@ -110,46 +110,57 @@ def dense(n: int) -> float:
     return best(call)
 
 
-def library() -> float:
-    """filterpy, one drive."""
-    _, noise = _motors(1)
-    x, P = _state(1)
-    y, H, dt = np.zeros(2), np.eye(2, 5), SUB_STEP_S
-    R_s, L_s, psi, p, J, B, k_p = (float(value[0]) for value in pmsm.BENCH_MOTOR)
-    a, b, f, e = 1 - R_s / L_s * dt, psi / L_s * dt, 1 - B / J * dt, k_p * p * p * psi / J * dt
+class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
+    """The motor in filterpy as a user would write it: floats, and one array at the end."""
 
-    class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
-        """As a user would write it: floats, and one array at the end."""
+    def __init__(self) -> None:
+        """The bench motor, in motion."""
+        super().__init__(5, 2)
+        _, noise = _motors(1)
+        x, P = _state(1)
+        self.x, self.P = x[0], P[0]
+        self.Q, self.R = np.diag(noise.Q[0]), np.diag(noise.R[0])
+        self.H = np.eye(2, 5)
+        self.u = (10.0, 10.0)
+        R_s, L_s, psi, p, J, B, k_p = (float(value[0]) for value in pmsm.BENCH_MOTOR)
+        dt = SUB_STEP_S
+        self.factors = (
+            1 - R_s / L_s * dt, psi / L_s * dt, 1 - B / J * dt, k_p * p * p * psi / J * dt,
+            p * dt / J, dt / L_s, dt,
+        )  # fmt: skip
 
-        def predict_x(self, _u: object = 0) -> None:
-            i_a, i_b, w, theta, load = self.x.tolist()
-            sin, cos = math.sin(theta), math.cos(theta)
-            self.x = np.array([
-                a * i_a + b * w * sin + 10.0 * dt / L_s,
-                a * i_b - b * w * cos + 10.0 * dt / L_s,
-                f * w + e * (i_b * cos - i_a * sin) - p * dt / J * load,
-                theta + w * dt,
-                load,
-            ])  # fmt: skip
-
-    motor = Motor(5, 2)
-    motor.x, motor.P = x[0], P[0]
-    motor.Q, motor.R = np.diag(noise.Q[0]), np.diag(noise.R[0])
-
-    def call() -> None:
-        i_a, i_b, w, theta, _ = motor.x.tolist()
+    def predict_x(self, _u: object = 0) -> None:
+        i_a, i_b, w, theta, load = self.x.tolist()
+        a, b, f, e, g, c, dt = self.factors
         sin, cos = math.sin(theta), math.cos(theta)
-        motor.F = np.array([
+        self.x = np.array([
+            a * i_a + b * w * sin + c * self.u[0],
+            a * i_b - b * w * cos + c * self.u[1],
+            f * w + e * (i_b * cos - i_a * sin) - g * load,
+            theta + w * dt,
+            load,
+        ])  # fmt: skip
+
+    def step(self, y: np.ndarray) -> None:
+        """One prediction and one update."""
+        i_a, i_b, w, theta, _ = self.x.tolist()
+        a, b, f, e, g, _c, dt = self.factors
+        sin, cos = math.sin(theta), math.cos(theta)
+        self.F = np.array([
             [a, 0.0, b * sin, b * w * cos, 0.0],
             [0.0, a, -b * cos, b * w * sin, 0.0],
-            [-e * sin, e * cos, f, -e * (i_b * sin + i_a * cos), -p * dt / J],
+            [-e * sin, e * cos, f, -e * (i_b * sin + i_a * cos), -g],
             [0.0, 0.0, dt, 1.0, 0.0],
             [0.0, 0.0, 0.0, 0.0, 1.0],
         ])  # fmt: skip
-        motor.predict()
-        motor.update(y, lambda _: H, lambda state: state[:2])
+        self.predict()
+        self.update(y, lambda _: self.H, lambda state: state[:2])
 
-    return best(call)
+
+def library() -> float:
+    """filterpy, one drive."""
+    motor, y = Motor(), np.zeros(2)
+    return best(lambda: motor.step(y))
 
 
 def rows() -> list[tuple[str, ...]]:

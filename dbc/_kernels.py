@@ -2,7 +2,7 @@
 
 Tables (built by `dbc.codec`), one row per signal, the rows of a message together:
   rows    int64  (M, 2)   first table row and number of signals of each message
-  layout  int64  (T, 11)  columns as named by the constants below
+  layout  int64  (T, 12)  columns as named by the constants below
   keys    uint64 (T, 5)   mask, key flip, lowest and highest valid key, not-available key
   factors float64 (T, 4)  scale, offset, lowest and highest physical value (floats only)
   ranges  int64  (R, 2)   multiplexer values, inclusive
@@ -19,10 +19,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-BYTE, COUNT, SHIFT, BIG, LENGTH, SIGNED, FLOAT, HAS_CODE, PARENT, FIRST_RANGE, SATURATES = range(11)
+(
+    BYTE, COUNT, SHIFT, BIG, LENGTH, SIGNED, FLOAT, HAS_CODE, PARENT, FIRST_RANGE, SATURATES, WORD,
+) = range(12)  # fmt: skip
 MASK, FLIP, LOW, HIGH, CODE = range(5)
 RANGES_PER_SIGNAL_SHIFT = 16
 """FIRST_RANGE holds first * 65536 + count: one column less to load."""
+WORD_SHIFT = 6
+"""WORD is the start bit, word * 64 + shift, of a signal that lies within one of the payload's eight
+words as this machine reads them; any other (-1) is put together from its bytes."""
+
 
 _VALID, _NOT_AVAILABLE, _RANGE, _SATURATED, _ABSENT = range(5)
 
@@ -46,6 +52,7 @@ def decode_block(
     """
     n, width = value.shape
     bits = np.empty(width, np.uint64)
+    words = payload.view(np.uint64)
     for i in range(n):
         first = 0
         count = 0
@@ -54,6 +61,11 @@ def decode_block(
             count = rows[index[i], 1]
         for k in range(count):
             t = first + k
+            word = layout[t, WORD]
+            if word >= 0:
+                acc = words[i, word >> WORD_SHIFT] >> np.uint64(word & ((1 << WORD_SHIFT) - 1))
+                bits[k] = acc & keys[t, MASK]
+                continue
             at = layout[t, BYTE]
             last = layout[t, COUNT] - 1
             shift = np.uint64(layout[t, SHIFT])
@@ -122,6 +134,7 @@ def decode_block(
             validity[i, k] = code
         for k in range(count, width):
             value[i, k] = np.nan
+        for k in range(count, width):
             validity[i, k] = _ABSENT
 
 

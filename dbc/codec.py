@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -154,6 +155,7 @@ class Codec:
         the caller's to check (`match`).
         """
         n = len(index)
+        payload = np.ascontiguousarray(payload)
         value = np.empty((n, self.width))
         validity = np.empty((n, self.width), np.uint8)
         t = self.tables
@@ -320,6 +322,13 @@ def _tables(messages: Sequence[MessageSpec]) -> Tables:
             else:
                 shift = s.start & 7
                 count = (shift + s.length + 7) >> 3
+            word = -1
+            if (
+                not s.is_big_endian
+                and (s.start & 63) + s.length <= 64
+                and sys.byteorder == "little"
+            ):
+                word = s.start
             parent = places[s.mux_parent] if s.mux_parent else -1
             first_range = (len(ranges) << 16) | len(s.mux_ranges)
             ranges += s.mux_ranges
@@ -327,7 +336,7 @@ def _tables(messages: Sequence[MessageSpec]) -> Tables:
             layout.append((
                 s.start >> 3, count, shift, s.is_big_endian, s.length, is_signed,
                 s.length if s.is_float else 0, s.not_available is not None, parent, first_range,
-                s.saturates,
+                s.saturates, word,
             ))  # fmt: skip
             flip = _TOP if is_signed else 0
             code = 0 if s.not_available is None else s.not_available
@@ -336,7 +345,7 @@ def _tables(messages: Sequence[MessageSpec]) -> Tables:
             factors.append((s.scale, s.offset, s.float_min, s.float_max))
     return Tables(
         np.array(rows, np.int64).reshape(-1, 2),
-        np.array(layout, np.int64).reshape(-1, 11),
+        np.array(layout, np.int64).reshape(-1, 12),
         np.array(keys, np.uint64).reshape(-1, 5),
         np.array(factors, np.float64).reshape(-1, 4),
         np.array(ranges, np.int64).reshape(-1, 2),
