@@ -27,7 +27,7 @@ format: $(VENV)/.ready
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.ready
-	$(BIN)/python -m bench $(ARGS)
+	$(BIN)/python -m bench -o docs/performance.md $(ARGS)
 
 # The calibration of the simulated bench motors that ships with the package.
 calibration: $(VENV)/.ready

@@ -3,20 +3,46 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import adhesion, kernels, speed, thermal
+from bench import adhesion, kernels, replay, speed, stages, thermal, wire
 
-PARTS = {"speed": speed, "kernels": kernels, "adhesion": adhesion, "thermal": thermal}
+PARTS = {
+    "speed": speed,
+    "stages": stages,
+    "wire": wire,
+    "replay": replay,
+    "kernels": kernels,
+    "adhesion": adhesion,
+    "thermal": thermal,
+}
 TITLES = {
-    "speed": "Speed",
+    "speed": "Start, replay, simulation",
+    "stages": "Where a tick's time goes",
+    "wire": "Reading and decoding",
+    "replay": "Replay against the libraries",
     "kernels": "What a step of the filters costs",
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",
 }
+
+
+def machine() -> str:
+    """What it was measured on."""
+    cpu = platform.machine()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        cpu = next((line.split(":")[1].strip() for line in lines if "model name" in line), cpu)
+    names = ", ".join(f"{n} {version(n)}" for n in ("numpy", "numba", "python-can", "cantools"))
+    return (
+        f"{cpu}, {os.cpu_count()} processors, {platform.system()} {platform.release()}; "
+        f"Python {platform.python_version()}, {names}."
+    )
 
 
 def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -29,8 +55,7 @@ def main() -> None:
     parser.add_argument("part", nargs="*", choices=[*PARTS, []], help="default: all")
     parser.add_argument("-o", "--output", type=Path, help="Markdown file; a JSON stands beside it")
     options = parser.parse_args()
-    names = ", ".join(f"{n} {version(n)}" for n in ("numpy", "numba", "python-can", "cantools"))
-    text = [f"Python {platform.python_version()}, {names}; {platform.machine()}."]
+    text = [machine()]
     results = {}
     for name in options.part or PARTS:
         rows = PARTS[name].rows()
@@ -39,8 +64,8 @@ def main() -> None:
         print("\n".join(text[-2:]), flush=True)
     if options.output:
         body = (
-            "# Figures\n\nWritten by `python -m bench -o FILE`; detection: `docs/detection.md`.\n"
-            + "\n".join(text)
+            "# Performance\n\nWritten by `make bench`; ratios are to what ran in the same run. "
+            "Detection: `docs/detection.md`.\n\n" + "\n".join(text)
         )
         options.output.write_text(body + "\n", encoding="utf-8")
         options.output.with_suffix(".json").write_text(json.dumps(results, indent=1) + "\n")

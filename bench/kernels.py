@@ -141,8 +141,8 @@ class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
             load,
         ])  # fmt: skip
 
-    def step(self, y: np.ndarray) -> None:
-        """One prediction and one update."""
+    def advance(self) -> None:
+        """One prediction, over `SUB_STEP_S`."""
         i_a, i_b, w, theta, _ = self.x.tolist()
         a, b, f, e, g, _c, dt = self.factors
         sin, cos = math.sin(theta), math.cos(theta)
@@ -154,6 +154,14 @@ class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
             [0.0, 0.0, 0.0, 0.0, 1.0],
         ])  # fmt: skip
         self.predict()
+
+    def step(self, y: np.ndarray) -> None:
+        """One prediction and one update."""
+        self.advance()
+        self.correct(y)
+
+    def correct(self, y: np.ndarray) -> None:
+        """One update by two currents."""
         self.update(y, lambda _: self.H, lambda state: state[:2])
 
 

@@ -1,0 +1,183 @@
+"""Reading and decoding: our reader and decoder against the libraries, in the same run.
+
+Reader: every verdict of the strict grammar included. Decoder: all signals of every frame, ranges
+and not-available codes included; `taken in` is the gateway's way in, with routing, E2E and pairing.
+"""
+
+from __future__ import annotations
+
+import gzip
+import resource
+import shutil
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+import can
+import cantools
+import numpy as np
+
+from bench.speed import best, quiet
+from dbc.block import EMPTY, Block, join
+from dbc.candump import Reader
+from dbc.codec import Codec, bind
+from dbc.frame import MS
+from gateway.config import shipped_dbc
+from gateway.inbox import Inbox
+from gateway.supervision import Supervision
+
+HEADER = ("figure", "measured", "reference in the same run", "ratio")
+SECONDS: Final = 60.0
+PIECE: Final = 8192
+"""Frames that are decoded together: a block of the reader."""
+FEW: Final = 20_000
+"""Frames that cantools decodes: it takes microseconds for each."""
+LARGE: Final = 20
+"""Times the log, for what memory does."""
+
+
+def log_of(folder: Path, dbc: str) -> Path:
+    """A minute of three healthy drives."""
+    log = folder / f"{Path(dbc).stem}.log"
+    quiet("sim", "healthy", "--duration", str(SECONDS), "--dbc", dbc, "-o", str(log))
+    return log
+
+
+def whole(log: Path) -> Block:
+    """All frames of a log."""
+    out = EMPTY
+    for block in Reader(log).blocks():
+        out = join(out, block)
+    return out
+
+
+def lines(log: Path) -> list[tuple[str, ...]]:
+    """Reading alone."""
+    frames = whole(log).size
+    ours = best(lambda: sum(block.size for block in Reader(log).blocks()), 7)
+    theirs = best(lambda: sum(1 for _ in can.LogReader(log)), 2)
+    packed = log.with_suffix(".log.gz")
+    with log.open("rb") as source, gzip.open(packed, "wb", compresslevel=6) as target:
+        shutil.copyfileobj(source, target)
+    unpacked = best(lambda: _drain(packed), 3)
+    from_gz = best(lambda: sum(block.size for block in Reader(packed).blocks()), 3)
+    large = log.with_suffix(".large.log")
+    with large.open("wb") as out:
+        for _ in range(LARGE):
+            out.write(log.read_bytes())
+    sum(block.size for block in Reader(log).blocks())
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.perf_counter()
+    sum(block.size for block in Reader(large).blocks())
+    spent = time.perf_counter() - began
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    size = large.stat().st_size / 1e6
+    return [
+        _against("candump lines, classic", frames / ours, frames / theirs, "lines/s", "LogReader"),
+        ("candump lines, .gz", f"{from_gz:.3f} s", f"decompressor alone {unpacked:.3f} s",
+         f"{from_gz / unpacked:.2f}"),
+        (f"{size:.0f} MB of candump lines", f"{LARGE * frames / spent / 1e6:.2f} M lines/s",
+         "peak memory before", f"+{grown:.1f} MB"),
+    ]  # fmt: skip
+
+
+def _drain(packed: Path) -> None:
+    with gzip.open(packed, "rb") as stream:
+        while stream.read(1 << 20):
+            pass
+
+
+def decoded(log: Path, dbc: str) -> list[tuple[str, ...]]:
+    """Decoding alone."""
+    path = shipped_dbc(dbc)
+    codec = bind(path, (1, 2, 3))
+    frames = whole(log)
+    number = numbers(codec)[frames.can_id]
+    index = number[number >= 0].astype(np.int32)
+    payload = np.ascontiguousarray(frames.data[number >= 0])
+    signals = np.array([len(spec.signals) for spec in codec.messages])[index]
+
+    def ours() -> None:
+        for k in range(0, len(index), PIECE):
+            codec.decode_rows(index[k : k + PIECE], payload[k : k + PIECE])
+
+    database = cantools.database.load_file(path)
+    by_id = {message.frame_id: message for message in database.messages}
+    some = [
+        (by_id[codec.messages[i].can_id], data.tobytes()[: codec.messages[i].length])
+        for i, data in zip(index[:FEW].tolist(), payload[:FEW], strict=True)
+    ]
+
+    def theirs() -> None:
+        for message, data in some:
+            message.decode(data)
+
+    rate = signals.sum() / best(ours, 7)
+    name = f"decode, {'FD' if codec.fd else 'classic'}"
+    out = [
+        _against(
+            name, rate, signals[:FEW].sum() / best(theirs, 3), "signals/s", "cantools",
+        ),
+        *_asammdf(name, log, path, rate, int(signals.sum())),
+    ]  # fmt: skip
+    taken = best(lambda: _taken(codec, frames), 3)
+    return [
+        *out,
+        (f"taken in, {'FD' if codec.fd else 'classic'}: a tick of 10 ms at a time",
+         f"{1e9 * taken / frames.size:.0f} ns a frame", "", ""),
+    ]  # fmt: skip
+
+
+def _taken(codec: Codec, frames: Block) -> None:
+    """Through the inbox, tick by tick."""
+    inbox = Inbox(codec, (1, 2, 3), 10 * MS, Supervision((1, 2, 3), 300 * MS))
+    first, last = frames.t_ns.item(0), frames.t_ns.item(-1)
+    ends = np.arange(first, last + 10 * MS, 10 * MS)
+    places = np.searchsorted(frames.t_ns, ends, side="right").tolist()
+    done = 0
+    for now, end in zip(ends.tolist(), places, strict=True):
+        inbox.take(frames.part(done, end), now)
+        done = end
+
+
+def _asammdf(name: str, log: Path, dbc: Path, ours: float, signals: int) -> list[tuple[str, ...]]:
+    """The same by asammdf, from its own file format."""
+    try:
+        from asammdf import MDF
+    except ModuleNotFoundError:
+        return [(f"{name}, against asammdf", "", "not installed", "")]
+    measured = log.with_suffix(".mf4")
+    with can.MF4Writer(measured, database=dbc) as writer:
+        for message in can.LogReader(log):
+            writer.on_message_received(message)
+    with MDF(measured) as file:
+        spent = best(lambda: file.extract_bus_logging({"CAN": [(str(dbc), 0)]}).close(), 1)
+    return [_against(f"{name}, against asammdf", ours, signals / spent, "signals/s",
+                     "extract_bus_logging")]  # fmt: skip
+
+
+def numbers(codec: Codec) -> np.ndarray:
+    """Message number of each 11-bit identifier, -1 for none."""
+    out = np.full(0x800, -1)
+    for spec in codec.messages:
+        out[spec.can_id] = spec.index
+    return out
+
+
+def _against(
+    what: str, ours: float, theirs: float, unit: str, reference: str
+) -> tuple[str, str, str, str]:
+    return (
+        what, f"{ours / 1e6:.2f} M {unit}", f"{reference} {theirs / 1e6:.3f} M {unit}",
+        f"{ours / theirs:.0f} x",
+    )  # fmt: skip
+
+
+def rows() -> list[tuple[str, ...]]:
+    """One row per figure."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        classic = log_of(folder, "traction.dbc")
+        fd = log_of(folder, "traction_fd.dbc")
+        return [*lines(classic), *decoded(classic, "traction.dbc"), *decoded(fd, "traction_fd.dbc")]
