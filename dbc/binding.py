@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dbc import contract as expected
+from dbc import prepared
 from dbc.contract import Contract, Direction, MessageNeed, SignalNeed
 from dbc.dataids import p02_data_ids
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
@@ -80,6 +81,26 @@ def specs_of(
 ) -> tuple[MessageSpec, ...]:
     """Every message of the file as a spec. Raises DbcMismatch with all objections."""
     problems: list[str] = []
+    try:
+        specs = prepared.recall(path.read_bytes())
+    except OSError:
+        # `load` says what is wrong with it.
+        specs = None
+    if specs is None:
+        specs, problems = read(path)
+    chosen = contract or choose(specs, nodes)
+    problems += _compare(specs, tuple(nodes), chosen)
+    if problems:
+        raise DbcMismatch(path, problems)
+    return specs
+
+
+def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
+    """Every message of the file by cantools, and what is wrong in the file itself.
+
+    Raises DbcMismatch for a file that cantools cannot read at all.
+    """
+    problems: list[str] = []
     refusal: tuple[str, ...] = ()
     try:
         database = load(path)
@@ -100,11 +121,7 @@ def specs_of(
         spec, faults = _message_spec(database, message, len(specs))
         specs.append(spec)
         problems += faults
-    chosen = contract or choose(specs, nodes)
-    problems += _compare(specs, tuple(nodes), chosen)
-    if problems:
-        raise DbcMismatch(path, problems)
-    return tuple(specs)
+    return tuple(specs), problems
 
 
 def choose(specs: Collection[MessageSpec], nodes: Sequence[int]) -> Contract:

@@ -1,4 +1,4 @@
-"""Writes the two DBC files from the message table: `python -m dbc.build`.
+"""Writes the two DBC files from the message table, and their specs: `python -m dbc.build`.
 
 The DBC files are what everybody reads (bind, other people's tools). A test asserts that the
 committed files are what this generates.
@@ -9,8 +9,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from dbc import binding, prepared
 from dbc.dataids import p02_data_ids
+from dbc.spec import DbcMismatch
 from dbc.table import DRIVES, GATEWAY, NOT_AVAILABLE, Entry, Field, messages
 
 HERE = Path(__file__).parent
@@ -116,13 +119,36 @@ def render(fd: bool) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> int:
-    """Rewrite both files beside this module."""
-    for name, fd in FILES.items():
-        (HERE / name).write_text(render(fd), encoding="ascii", newline="\n")
-        sys.stdout.write(f"{name} written\n")
-    return 0
+def outputs() -> dict[str, str]:
+    """Text of every file that is generated, by name: the DBC files, and their specs."""
+    texts = {name: render(fd) for name, fd in FILES.items()}
+    read = []
+    with TemporaryDirectory() as folder:
+        for name, text in texts.items():
+            path = Path(folder) / name
+            path.write_text(text, encoding="ascii", newline="\n")
+            specs, problems = binding.read(path)
+            if problems:
+                raise DbcMismatch(path, problems)
+            read.append((path.read_bytes(), specs))
+    return {**texts, prepared.TABLE.name: prepared.table_of(read)}
+
+
+def main(words: Sequence[str] = ()) -> int:
+    """Rewrite the files beside this module; `--check`: only say which are not as generated."""
+    wrong = 0
+    for name, text in outputs().items():
+        path = HERE / name
+        if path.exists() and path.read_bytes() == text.encode("ascii"):
+            continue
+        if "--check" in words:
+            sys.stderr.write(f"{name} is not what dbc.build writes\n")
+            wrong = 1
+        else:
+            path.write_text(text, encoding="ascii", newline="\n")
+            sys.stdout.write(f"{name} written\n")
+    return wrong
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(main(sys.argv[1:]))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from dbc import build
+from dbc import binding, build, prepared
 from dbc.codec import Codec, bind, load
 from dbc.dataids import p02_data_ids
 from dbc.protection import Profile
@@ -359,3 +361,58 @@ def test_kinds_and_nodes(codec: Codec) -> None:
     assert len(set(ids)) == len(ids)
     reserved = {0x000, 0x080, *range(0x081, 0x100), *range(0x580, 0x680), *range(0x700, 0x780)}
     assert not reserved & set(ids), "CANopen keeps these"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_prepared_specs_are_what_cantools_reads(name: str) -> None:
+    specs, problems = binding.read(FOLDER / name)
+    assert problems == []
+    assert repr(prepared.recall((FOLDER / name).read_bytes())) == repr(specs)
+
+
+def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
+    content = (FOLDER / "traction.dbc").read_bytes()
+    changed = content.replace(b"SG_ Ia : 16|16@1- (0.02,0)", b"SG_ Ia : 16|16@1- (0.04,0)")
+    assert changed != content
+    assert prepared.recall(changed) is None
+    path = tmp_path / "traction.dbc"
+    path.write_bytes(changed)
+    (signal,) = (
+        s for s in bind(path, (1,)).by_name["Drive1_PhaseCurrents"].signals if s.name == "Ia"
+    )
+    assert signal.scale == 0.04
+
+
+def test_a_copy_elsewhere_is_known_by_its_content(tmp_path: Path) -> None:
+    copy = tmp_path / "other.dbc"
+    copy.write_bytes((FOLDER / "traction.dbc").read_bytes())
+    script = (
+        "import sys; from pathlib import Path; from dbc.codec import bind; "
+        f"bind(Path({str(copy)!r}), (1, 2)); print('cantools' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "False\n"
+
+
+def test_a_table_of_another_version_or_none_is_not_used(tmp_path: Path) -> None:
+    content = (FOLDER / "traction.dbc").read_bytes()
+    other = tmp_path / "prepared.json"
+    assert prepared.recall(content, other) is None
+    text = prepared.TABLE.read_text(encoding="ascii")
+    other.write_text(text.replace('"mux_ranges"', '"something_new"', 1), encoding="ascii")
+    assert prepared.recall(content, other) is None
+
+
+def test_the_check_of_what_is_generated_can_fail(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert build.main(["--check"]) == 0
+    monkeypatch.setattr(build, "HERE", tmp_path)
+    assert build.main(["--check"]) == 1
+    assert "traction.dbc is not what" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    assert build.main() == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["prepared.json", *FILES]
+    assert build.main(["--check"]) == 0

@@ -1,0 +1,67 @@
+"""Specs of the shipped DBC files, read beforehand: cantools takes 0.4 s of a start, this 10 ms.
+
+A file is known by its content, wherever it lies; any other one is read by cantools. The table is
+written by `python -m dbc.build`, and tests compare it with what cantools reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+from dbc.protection import Profile
+from dbc.spec import MessageSpec, SignalSpec
+
+TABLE: Final = Path(__file__).with_name("prepared.json")
+_MESSAGE: Final = tuple(field.name for field in fields(MessageSpec))
+_SIGNAL: Final = tuple(field.name for field in fields(SignalSpec))
+
+
+def recall(content: bytes, table: Path = TABLE) -> tuple[MessageSpec, ...] | None:
+    """Specs of a DBC file with this content; None if it is none of the shipped ones."""
+    try:
+        known = json.loads(table.read_text(encoding="ascii"))
+    except OSError:
+        return None
+    if (known["message"], known["signal"]) != (list(_MESSAGE), list(_SIGNAL)):
+        # Of another version of this program.
+        return None
+    rows = known["files"].get(hashlib.sha256(content).hexdigest())
+    return None if rows is None else tuple(_message(row) for row in rows)
+
+
+def table_of(files: Iterable[tuple[bytes, Sequence[MessageSpec]]]) -> str:
+    """The table's text for (content, specs) of each file."""
+    known = {
+        "message": _MESSAGE,
+        "signal": _SIGNAL,
+        "files": {hashlib.sha256(content).hexdigest(): [_row(s) for s in specs]
+                  for content, specs in files},
+    }  # fmt: skip
+    return json.dumps(known, separators=(",", ":")).replace("]]],[", "]]],\n[") + "\n"
+
+
+def _row(spec: MessageSpec) -> list[Any]:
+    row = [getattr(spec, name) for name in _MESSAGE]
+    row[_MESSAGE.index("data_ids")] = spec.data_ids.hex()
+    row[_MESSAGE.index("signals")] = [[getattr(s, name) for name in _SIGNAL] for s in spec.signals]
+    return row
+
+
+def _message(row: Sequence[Any]) -> MessageSpec:
+    given = dict(zip(_MESSAGE, row, strict=True))
+    given["profile"] = Profile(given["profile"])
+    given["data_ids"] = bytes.fromhex(given["data_ids"])
+    given["signals"] = tuple(_signal(signal) for signal in given["signals"])
+    return MessageSpec(**given)
+
+
+def _signal(row: Sequence[Any]) -> SignalSpec:
+    given = dict(zip(_SIGNAL, row, strict=True))
+    given["labels"] = {int(raw): label for raw, label in given["labels"].items()}
+    given["mux_ranges"] = tuple((low, high) for low, high in given["mux_ranges"])
+    return SignalSpec(**given)
