@@ -14,6 +14,7 @@ from enum import IntEnum
 from canopen.emcy import EMCY_STRUCT
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
 
+from dbc.block import Block
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame, Nanos
 from gateway.drivers.transport import EMCY_ID, HEARTBEAT_ID, NMT_ID
 
@@ -55,6 +56,13 @@ def error_register(codes: Iterable[int]) -> int:
     for code in codes:
         register |= _GENERIC | _REGISTER_BIT.get(code >> 8, 0)
     return register
+
+
+def meant(block: Block) -> list[Frame]:
+    """The frames of a block that a `CanopenNode` listens to: NMT commands and heartbeats."""
+    service = block.can_id & 0x780
+    wanted = (block.can_id == NMT_ID) | (service == _HEARTBEAT_BASE)
+    return list(block.pick(wanted).frames()) if wanted.any() else []
 
 
 class CanopenNode:

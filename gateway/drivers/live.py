@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Protocol
 
+from dbc.block import Block
 from dbc.frame import Frame, Nanos
-from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.canopen_node import CanopenNode, meant
 from gateway.drivers.realtime import Histogram, Ticker
 from gateway.drivers.transport import LinkState, Status, Transport
 
@@ -32,7 +33,7 @@ TIMING_TICKS = 100
 class Core(Protocol):
     """The part of `gateway.core.Gateway` that the loop uses."""
 
-    def step(self, frames: Sequence[Frame], now_ns: Nanos, /) -> list[Frame]:
+    def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
         """One tick."""
 
     def note_overrun(self, missed: int, /) -> None:
@@ -144,11 +145,11 @@ def _loop(
             gateway.note_timing(
                 seen.latency.quantile(0.99) // 1000, seen.lateness.quantile(0.99) // 1000
             )
-        frames = transport.receive(0.0)
+        block = transport.take(0.0)
         now = clock()
-        out = gateway.step(frames, now)
+        out = gateway.step(block, now)
         node.set_errors(errors())
-        out += node.step(frames, now)
+        out += node.step(meant(block), now)
         for frame in out:
             transport.send(frame)
         seen.latency.add(clock() - tick.now_ns)

@@ -13,6 +13,7 @@ from typing import Any
 
 import can
 
+from dbc.block import Block, block_of
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
 from gateway.config import ConfigError
 from gateway.drivers.transport import (
@@ -116,6 +117,10 @@ class PythonCan:
             if frames or now >= deadline:
                 return frames
             time.sleep(_PAUSE_S)
+
+    def take(self, timeout_s: float) -> Block:
+        """See Transport."""
+        return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport."""

@@ -19,30 +19,29 @@ import struct
 import time
 from typing import NamedTuple, Protocol
 
+from dbc.block import EMPTY, Block
 from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.config import ConfigError
+from gateway.drivers.batch import Batch
 from gateway.drivers.transport import (
     RETRY_NS,
     LinkState,
     SendResult,
     Status,
-    monotonic_stamp,
 )
-from gateway.drivers.wire import FD_SIZE, BusState, pack, unpack
+from gateway.drivers.wire import FD_SIZE, BusState, pack
 
 LOOK_NS: Nanos = 100 * MS
 """Pause between two looks at the interface's index and flags: two system calls."""
 BATCH = 4096
 """Most frames read in one go, so that a flood cannot hold the loop."""
 RECEIVE_BUFFER = 8 << 20
-CONTROL_SIZE = 256
 
 _SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 33, 35, 40
 _CAN_RAW_ERR_FILTER = 2
 _SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFINDEX = 0x8913, 0x8921, 0x8933
 _IFF_UP = 1
 _IFREQ = struct.Struct("16s24x")
-_STAMP = struct.Struct("@ll")
 _GONE = frozenset((errno.ENODEV, errno.ENXIO, errno.EBADF))
 _QUEUE_FULL = frozenset((errno.ENOBUFS, errno.EAGAIN))
 
@@ -60,11 +59,6 @@ class RawSocket(Protocol):
 
     def fileno(self) -> int:
         """Descriptor for poll."""
-
-    def recvmsg(
-        self, bufsize: int, ancbufsize: int, /
-    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, object]:
-        """Read one frame with its control messages."""
 
     def send(self, data: bytes, /) -> int:
         """Hand one frame to the kernel."""
@@ -115,6 +109,10 @@ class Kernel:
             return None
         return Link(answers[0], bool(answers[1] & _IFF_UP), answers[2])
 
+    def read(self, raw: RawSocket, batch: Batch) -> None:
+        """Read what waits, as much as there is room for. OSError, BlockingIOError if nothing."""
+        batch.read(raw.fileno())
+
     def wait(self, raw: RawSocket, timeout_ms: int) -> None:
         """Wait until something can be read, at most so long."""
         poll = select.poll()
@@ -138,7 +136,7 @@ class SocketCan:
         self._raw: RawSocket | None = None
         self._ifindex = 0
         self._opened = False
-        self._drops = 0
+        self._batch = Batch(BATCH)
         self._retry_ns: Nanos = 0
         self._look_ns: Nanos = 0
         self._empty_ns: Nanos = 0  # when the queue was last found empty
@@ -160,17 +158,21 @@ class SocketCan:
 
     def receive(self, timeout_s: float) -> list[Frame]:
         """See Transport."""
+        return list(self.take(timeout_s).frames())
+
+    def take(self, timeout_s: float) -> Block:
+        """See Transport."""
         now = self._kernel.monotonic_ns()
         self._tend(now)
         if self._raw is None:
             if timeout_s > 0:
                 self._kernel.sleep(min(timeout_s, RETRY_NS / SECOND))
-            return []
-        frames = self._drain(self._raw, now)
-        if not frames and timeout_s > 0 and self._raw is not None:
+            return EMPTY
+        block = self._drain(self._raw, now)
+        if not block.size and timeout_s > 0 and self._raw is not None:
             self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))
-            frames = self._drain(self._raw, now)
-        return frames
+            block = self._drain(self._raw, now)
+        return block
 
     def send(self, frame: Frame) -> SendResult:
         """See Transport. Nothing is queued while down or bus-off: it would leave stale."""
@@ -218,7 +220,7 @@ class SocketCan:
             return
         self._raw = raw
         self._ifindex = 0
-        self._drops = 0
+        self._batch.begin()
         self._empty_ns = self._look_ns = now
         self.status.bus_state = BusState.ACTIVE
         self.status.reopened += self._opened
@@ -271,17 +273,18 @@ class SocketCan:
         self.status.note = note
         self._retry_ns = self._kernel.monotonic_ns() + RETRY_NS
 
-    def _drain(self, raw: RawSocket, started: Nanos) -> list[Frame]:
+    def _drain(self, raw: RawSocket, started: Nanos) -> Block:
         """Read until the queue is empty; stamp with the age the kernel's stamps tell.
 
         `started` is a time before the first read.
         """
-        status = self.status
-        read: list[tuple[bytes, Nanos]] = []
+        status, kernel, batch = self.status, self._kernel, self._batch
         emptied = False
         for _ in range(BATCH):
+            if batch.full:
+                break
             try:
-                data, control, _, _ = raw.recvmsg(FD_SIZE, CONTROL_SIZE)
+                kernel.read(raw, batch)
             except BlockingIOError:
                 emptied = True
                 break
@@ -294,37 +297,19 @@ class SocketCan:
                 else:
                     status.note = f"{self.channel} cannot be read: {error.strerror}"
                 break
-            read.append((data, self._control(control)))
-        if not read:
+        if not batch.filled:
             self._empty_ns = started
-            return []
-        kernel = self._kernel
+            return EMPTY
         real, now = kernel.real_ns(), kernel.monotonic_ns()
         bound = now - self._empty_ns
         if emptied:
             self._empty_ns = now
-        frames = []
-        for data, stamp in read:
-            t_ns = monotonic_stamp(stamp, real, now, bound) if stamp else now
-            frame = unpack(data, t_ns, self.channel)
-            if frame is None:
-                status.malformed += 1
-            else:
+        block, malformed, errors, dropped = batch.take(real, now, bound, self.channel)
+        status.malformed += malformed
+        status.kernel_drops += dropped
+        if errors or status.bus_state is BusState.BUS_OFF:
+            for frame in block.frames():
                 status.saw(frame)
-                frames.append(frame)
-        return frames
-
-    def _control(self, control: list[tuple[int, int, bytes]]) -> Nanos:
-        """Kernel stamp, ns of CLOCK_REALTIME (0 if none); counts drops on the way."""
-        stamp = 0
-        for level, kind, data in control:
-            if level != socket.SOL_SOCKET:
-                continue
-            if kind == _SO_TIMESTAMPNS:
-                seconds, nanos = _STAMP.unpack_from(data)
-                stamp = seconds * SECOND + nanos
-            elif kind == _SO_RXQ_OVFL:
-                drops = int.from_bytes(data[:4], "little")
-                self.status.kernel_drops += (drops - self._drops) & 0xFFFF_FFFF
-                self._drops = drops
-        return stamp
+        else:
+            status.received += block.size
+        return block

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import TYPE_CHECKING, Protocol, Self
 
+from dbc.block import Block
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
 from dbc.spec import EXTENDED_KEY
 from gateway.drivers.wire import BusState, bus_state
@@ -112,6 +113,9 @@ class Transport(Protocol):
         `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
         """
 
+    def take(self, timeout_s: float) -> Block:
+        """The same, as arrays: what the core's loop reads."""
+
     def send(self, frame: Frame) -> SendResult:
         """Hand one frame over without blocking."""
 
@@ -184,6 +188,10 @@ class Guarded:
     def receive(self, timeout_s: float) -> list[Frame]:
         """See Transport."""
         return self._inner.receive(timeout_s)
+
+    def take(self, timeout_s: float) -> Block:
+        """See Transport."""
+        return self._inner.take(timeout_s)
 
     def send(self, frame: Frame) -> SendResult:
         """Send if allowed, else REFUSED."""

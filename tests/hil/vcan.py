@@ -24,6 +24,8 @@ from typing import NamedTuple
 UML_INIT = Path(__file__).parent / "uml" / "init.sh"
 UML_MODULES = Path("/usr/lib/uml/modules")
 UML_MEMORY_MB = 2048
+UML_REGISTERS = Path(__file__).parent / "uml" / "whole_registers.c"
+"""What user-mode-linux needs on a processor with AMX; compiled when a job starts."""
 _PASSED_ON = ("LANG", "LC_ALL", "NUMBA_CACHE_DIR", "PYTHONPATH", "PYTHONWARNINGS", "TZ")
 _PROBE = (
     "ip link add vcan0 type vcan && "
@@ -55,7 +57,15 @@ def way() -> Way:
         return Way(reason=f"no real CAN: {why_not}, and {', '.join(missing)} missing for the guest")
     if not any(UML_MODULES.glob("*/kernel/drivers/net/can/vcan.ko")):
         return Way(reason=f"no real CAN: {why_not}, and user-mode-linux has no vcan module")
+    if _has_amx() and not _tool("cc"):
+        return Way(reason=f"no real CAN: {why_not}, and with AMX user-mode-linux needs cc")
     return Way(uml=kernel)
+
+
+def _has_amx() -> bool:
+    with contextlib.suppress(OSError):
+        return "amx_tile" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    return False
 
 
 def _native() -> tuple[tuple[str, ...], str]:
@@ -101,7 +111,11 @@ class Job:
                 stdout=console,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env={**_path(), "HOME": str(directory), **self._uml_memory()},
+                env={
+                    **_path(),
+                    "HOME": str(directory),
+                    **(self._uml_needs() if chosen.uml else {}),
+                },
             )
         if chosen.uml:
             _favour(self._process.pid)
@@ -126,12 +140,21 @@ class Job:
             *(f"uml_dir={self.directory}/", f"VCAN_JOB={self.directory}"),
         ]
 
-    def _uml_memory(self) -> dict[str, str]:
-        """The guest's memory is a file; /dev/shm of a container is often too small for it."""
+    def _uml_needs(self) -> dict[str, str]:
+        """Where its memory goes, which is a file, and help with the registers of AMX."""
+        needs = {"TMPDIR": str(self.directory)}
         with contextlib.suppress(OSError):
+            # /dev/shm of a container is often too small.
             if shutil.disk_usage("/dev/shm").free > UML_MEMORY_MB << 20:
-                return {"TMPDIR": "/dev/shm"}
-        return {"TMPDIR": str(self.directory)}
+                needs["TMPDIR"] = "/dev/shm"
+        if _has_amx():
+            library = self.directory / "whole_registers.so"
+            subprocess.run(
+                ["cc", "-O2", "-shared", "-fPIC", "-o", str(library), str(UML_REGISTERS)],
+                check=True,
+            )
+            needs["LD_PRELOAD"] = str(library)
+        return needs
 
     def running(self) -> bool:
         """Whether it still runs."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from dbc.block import Block, block_of
 from dbc.codec import Codec, bind
 from dbc.frame import MS, SECOND, Frame
 from gateway.config import Config, parse
@@ -59,6 +60,9 @@ class World:
         self._sent = []
         self.status.received += len(frames)
         return [f._replace(t_ns=f.t_ns + LATE_NS) for f in frames]
+
+    def take(self, timeout_s: float) -> Block:
+        return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:
         self._sent.append(frame)

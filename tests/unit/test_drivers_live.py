@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from dbc.block import Block, block_of
 from dbc.frame import MS, Frame
 from gateway.drivers.canopen_node import CanopenNode, GatewayError
 from gateway.drivers.live import LiveSnapshot, Stop, run_live, stop_on_signals
@@ -42,11 +43,11 @@ class Core:
         self.fails_at = -1
         self.ticks = 0
 
-    def step(self, frames: Sequence[Frame], now_ns: int) -> list[Frame]:
+    def step(self, frames: Block, now_ns: int) -> list[Frame]:
         if self.ticks == self.fails_at:
             raise ZeroDivisionError
         self.ticks += 1
-        self.journal.append(f"step {len(frames)}")
+        self.journal.append(f"step {frames.size}")
         return [Frame(now_ns, FLAGS, b"verdict!")]
 
     def note_overrun(self, missed: int) -> None:
@@ -78,6 +79,9 @@ class Bus:
         self._clock.now += self.stall.get(self._reads, 0)
         self._reads += 1
         return [Frame(self._clock.now, 0x181, b""), Frame(self._clock.now, 0x182, b"")]
+
+    def take(self, timeout_s: float) -> Block:
+        return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:
         self.journal.append(f"send {frame.can_id:03X}")

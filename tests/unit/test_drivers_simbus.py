@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
+from dbc.block import Block, block_of
 from dbc.frame import FD, MS, Frame
 from gateway.drivers import simbus
 from gateway.drivers.live import Stop
@@ -29,6 +30,9 @@ class Bus:
         assert timeout_s == 0.0
         frames, self.waiting = self.waiting, []
         return frames
+
+    def take(self, timeout_s: float) -> Block:
+        return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:
         self.sent.append(frame)

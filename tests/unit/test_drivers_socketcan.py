@@ -12,6 +12,7 @@ import pytest
 
 from dbc.frame import ERROR, FD, MS, SECOND, Frame
 from gateway.config import ConfigError
+from gateway.drivers.batch import Batch
 from gateway.drivers.socketcan import BATCH, Kernel, Link, RawSocket, SocketCan
 from gateway.drivers.transport import LinkState, SendResult
 from gateway.drivers.wire import BusState, pack
@@ -36,17 +37,15 @@ class FakeSocket:
     def fileno(self) -> int:
         return 99
 
-    def recvmsg(
-        self, bufsize: int, ancbufsize: int
-    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, object]:
-        assert (bufsize, ancbufsize) == (72, 256)
+    def fill(self, batch: Batch) -> None:
+        """As `recvmmsg`: what waits before the next error, the error if nothing does."""
         assert not self.closed
         if not self.to_read:
             raise BlockingIOError(errno.EAGAIN, "nothing")
-        item = self.to_read.popleft()
-        if isinstance(item, OSError):
-            raise item
-        return item[0], item[1], 0, ("vcan0",)
+        if isinstance(self.to_read[0], OSError):
+            raise self.to_read.popleft()
+        while self.to_read and not batch.full and not isinstance(self.to_read[0], OSError):
+            batch.put(*self.to_read.popleft())
 
     def send(self, data: bytes) -> int:
         if self.send_errors:
@@ -85,6 +84,10 @@ class FakeKernel(Kernel):
 
     def look(self, raw: RawSocket, channel: str) -> Link | None:
         return self.link
+
+    def read(self, raw: RawSocket, batch: Batch) -> None:
+        assert isinstance(raw, FakeSocket)
+        raw.fill(batch)
 
     def wait(self, raw: RawSocket, timeout_ms: int) -> None:
         self.pass_time(timeout_ms * MS)

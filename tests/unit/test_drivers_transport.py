@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from can.cli import add_bus_arguments
 
+from dbc.block import Block, block_of
 from dbc.codec import bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from gateway.config import ConfigError, shipped_dbc
@@ -37,6 +38,9 @@ class Recorder:
     def receive(self, timeout_s: float) -> list[Frame]:
         self.calls.append(f"receive {timeout_s}")
         return []
+
+    def take(self, timeout_s: float) -> Block:
+        return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:
         self.sent.append(frame)

@@ -1,0 +1,105 @@
+"""Compiled reading of what `recvmmsg` has filled: C structures to the columns of a block.
+
+Twin for one frame: `gateway.drivers.wire.unpack`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+
+_CLASSIC_SIZE, _FD_SIZE = 16, 72
+_HEAD = 8
+_EXTENDED, _REMOTE, _ERROR, _FD, _BRS, _ESI = 1, 2, 4, 8, 16, 32  # dbc.frame
+_SOL_SOCKET, _STAMP, _DROPS = 1, 35, 40
+FRAMES, MALFORMED, ERRORS, DROPPED, LAST_DROPS = range(5)
+"""Of `tally`: usable rows, others, error frames among the rows, frames that the kernel has dropped
+since, and its counter (which wraps), kept from call to call."""
+
+
+@njit(cache=True, forceinline=True)
+def _word(row: Bytes, at: int, size: int) -> int:
+    """Unsigned little-endian number of `size` bytes."""
+    number = np.int64(0)
+    for k in range(size):
+        number |= np.int64(row[at + k]) << (8 * k)
+    return int(number)
+
+
+@njit(cache=True)
+def unpack_rows(
+    data: Bytes, sizes: NDArray[np.uint32], control: Bytes, control_sizes: Ints, n: int,
+    native: int, stamp_ns: Ints, can_id: NDArray[np.uint32], flags: Bytes, length: Bytes,
+    out: Bytes, dlc: NDArray[np.int8], tally: Ints,
+) -> None:  # fmt: skip
+    """Read n messages of `sizes` (n,) bytes; fills one row for each that is a CAN frame.
+
+    data (n, 72), control (n, C) and how much of it is used; native: bytes of a C long. stamp_ns: of
+    CLOCK_REALTIME, 0 without. out (n, 64), zero behind the length. tally (5,): see above.
+    """
+    row = malformed = errors = 0
+    for k in range(n):
+        stamp = 0
+        at, header = 0, native + 8
+        while at + header <= control_sizes[k]:
+            size = _word(control[k], at, native)
+            if size < header:
+                break
+            level, kind = _word(control[k], at + native, 4), _word(control[k], at + native + 4, 4)
+            if level == _SOL_SOCKET and kind == _STAMP:
+                seconds = _word(control[k], at + header, native)
+                stamp = seconds * 1_000_000_000 + _word(control[k], at + header + native, native)
+            elif level == _SOL_SOCKET and kind == _DROPS:
+                drops = _word(control[k], at + header, 4)
+                tally[DROPPED] += (drops - tally[LAST_DROPS]) & 0xFFFF_FFFF
+                tally[LAST_DROPS] = drops
+            at += (size + native - 1) // native * native
+        if sizes[k] not in (_CLASSIC_SIZE, _FD_SIZE):
+            malformed += 1
+            continue
+        fd = sizes[k] == _FD_SIZE
+        word = _word(data[k], 0, 4)
+        said, raw = int(data[k, 4]), int(data[k, 7])
+        extended = word & 0x8000_0000 != 0
+        stamp_ns[row] = stamp
+        can_id[row] = word & (0x1FFF_FFFF if extended else 0x7FF)
+        kind = _EXTENDED if extended else 0
+        if fd:
+            kind |= _FD | (_BRS if data[k, 5] & 1 else 0) | (_ESI if data[k, 5] & 2 else 0)
+        count = min(said, 64 if fd else 8)
+        dlc[row] = -1
+        if word & 0x2000_0000:
+            can_id[row] = word & 0x1FFF_FFFF
+            kind = _ERROR
+            count = min(said, 8)
+            errors += 1
+        elif not fd:
+            if said == 8 and 9 <= raw <= 15:
+                dlc[row] = raw
+            if word & 0x4000_0000:
+                kind |= _REMOTE
+                count = 0
+                if dlc[row] < 0 and said > 0:
+                    dlc[row] = said
+        flags[row] = kind
+        length[row] = count
+        for b in range(count):
+            out[row, b] = data[k, _HEAD + b]
+        for b in range(count, 64):
+            out[row, b] = 0
+        row += 1
+    tally[FRAMES], tally[MALFORMED], tally[ERRORS] = row, malformed, errors
+
+
+@njit(cache=True)
+def age_rows(stamp_ns: Ints, n: int, real_ns: int, now_ns: int, bound_ns: int) -> None:
+    """`transport.monotonic_stamp` of n stamps, in place; now where there is none."""
+    for k in range(n):
+        if stamp_ns[k] == 0:
+            stamp_ns[k] = now_ns
+        else:
+            stamp_ns[k] = now_ns - min(max(real_ns - stamp_ns[k], 0), bound_ns)

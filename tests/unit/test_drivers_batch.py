@@ -1,0 +1,124 @@
+"""Batched reading against the reading of one frame, and over a real socket of the kernel."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbc.frame import SECOND
+from gateway.drivers.batch import Batch
+from gateway.drivers.transport import monotonic_stamp
+from gateway.drivers.wire import unpack
+
+REAL, NOW = 1_790_000_000 * SECOND, 50 * SECOND
+
+
+def stamp(ns: int) -> tuple[int, int, bytes]:
+    return (socket.SOL_SOCKET, 35, struct.pack("@ll", *divmod(ns, SECOND)))
+
+
+def drops(count: int) -> tuple[int, int, bytes]:
+    return (socket.SOL_SOCKET, 40, struct.pack("=I", count))
+
+
+classic = st.builds(
+    lambda word, length, pad, raw, data: struct.pack("=IBBBB", word, length, pad, 0, raw) + data,
+    st.integers(0, 0xFFFF_FFFF), st.integers(0, 8), st.integers(0, 255), st.integers(0, 255),
+    st.binary(min_size=8, max_size=8),
+)  # fmt: skip
+fd = st.builds(
+    lambda word, length, flags, data: struct.pack("=IBBBB", word, length, flags, 0, 0) + data,
+    st.integers(0, 0xFFFF_FFFF), st.integers(0, 64), st.integers(0, 255),
+    st.binary(min_size=64, max_size=64),
+)  # fmt: skip
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.one_of(classic, fd, st.binary(max_size=90)), st.integers(0, 10**9))))
+def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, int]]) -> None:
+    batch = Batch(64)
+    items = items[:64]
+    for payload, age in items:
+        batch.put(payload, [stamp(REAL - age)])
+    block, malformed, errors, dropped = batch.take(REAL, NOW, SECOND // 2, "vcan0")
+    wanted = [
+        unpack(payload, monotonic_stamp(REAL - age, REAL, NOW, SECOND // 2), "vcan0")
+        for payload, age in items
+    ]
+    frames = [frame for frame in wanted if frame is not None]
+    assert list(block.frames()) == frames
+    assert malformed == len(items) - len(frames)
+    assert errors == sum(frame.flags & 4 > 0 for frame in frames)
+    assert dropped == 0
+    for data, length in zip(block.data, block.length.tolist(), strict=True):
+        assert not data[length:].any()
+
+
+def test_stamps_drops_and_unknown_control_in_any_order() -> None:
+    batch = Batch(8)
+    frame = struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + bytes(8)
+    other = (socket.SOL_SOCKET, 99, b"abc")
+    batch.put(frame, [drops(3), other, stamp(REAL - 5)])
+    batch.put(frame, [other])
+    batch.put(frame, [(1234, 35, struct.pack("@ll", 1, 1)), drops(7)])
+    block, _, _, dropped = batch.take(REAL, NOW, SECOND, "vcan0")
+    assert block.t_ns.tolist() == [NOW - 5, NOW, NOW]
+    assert dropped == 7
+    batch.put(frame, [drops(9)])
+    assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 2
+    batch.begin()
+    batch.put(frame, [drops(4)])
+    assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 4
+
+
+def test_what_was_taken_stays_when_the_room_is_filled_again() -> None:
+    batch = Batch(2)
+    batch.put(struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + b"\x01" * 8, [])
+    first, *_ = batch.take(REAL, NOW, SECOND, "vcan0")
+    batch.put(struct.pack("=IBBBB", 0x182, 1, 0, 0, 0) + b"\x02" * 8, [])
+    batch.take(REAL, NOW, SECOND, "vcan0")
+    assert (first.can_id.item(0), first.data.item(0, 0)) == (0x181, 1)
+
+
+def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    batch = Batch(4)
+    with ours, theirs:
+        with pytest.raises(BlockingIOError):
+            batch.read(ours.fileno())
+        for k in range(6):
+            theirs.send(struct.pack("=IBBBB", 0x180 + k, 2, 0, 0, 0) + bytes([k] * 8))
+        batch.read(ours.fileno())
+        assert batch.full
+        block, *_ = batch.take(REAL, NOW, SECOND, "x")
+        assert [frame.can_id for frame in block.frames()] == [0x180, 0x181, 0x182, 0x183]
+        theirs.send(bytes(100))
+        theirs.send(bytes(72))
+        batch.read(ours.fileno())
+        block, malformed, _, _ = batch.take(REAL, NOW, SECOND, "x")
+        assert [frame.can_id for frame in block.frames()] == [0x184, 0x185, 0]
+        assert [frame.data for frame in block.frames()] == [b"\4\4", b"\5\5", b""]
+        assert malformed == 1
+    with pytest.raises(OSError, match="descriptor") as closed:
+        batch.read(ours.fileno())
+    assert closed.value.errno == errno.EBADF
+
+
+def test_the_kernels_own_stamp_is_read() -> None:
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    batch = Batch(2)
+    with receiver, sender:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setsockopt(socket.SOL_SOCKET, 35, 1)
+        sender.sendto(bytes(16), receiver.getsockname())
+        receiver.recv(16, socket.MSG_PEEK)
+        batch.read(receiver.fileno())
+    # Of a clock that is past 2020, and before the year 2200.
+    block, *_ = batch.take(7_000_000_000 * SECOND, 8_000_000_000 * SECOND, 1 << 62, "x")
+    assert 1_577_836_800 < block.t_ns.item(0) / SECOND - 1_000_000_000 < 7_000_000_000
