@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dbc._kernels import decode_block
 from dbc._receive_kernels import cycle, judge
+from gateway.slow import RPM, STEADY_NM, STEADY_SHARE
 
 if TYPE_CHECKING:
     from dbc.codec import Tables
@@ -22,13 +23,15 @@ if TYPE_CHECKING:
     from gateway.channel import ChannelState
     from gateway.pairing import PairState, Samples, Wiring
     from gateway.receiving import Routes, Scratch
+    from gateway.slow import Readings, SlowState
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 _NOT_AVAILABLE, _ABSENT = 1, 4  # dbc.spec
-_CURRENTS, _VOLTAGES, _BLOCK, _TEMPERATURES = 0, 1, 2, 4  # pairing.Kind
+_CURRENTS, _VOLTAGES, _BLOCK, _MOTION, _TEMPERATURES, _STATUS = range(6)  # pairing.Kind
+_READINGS, _CHANGED = range(2)  # slow.Count
 _GOOD, _MISSING, _OUTSIDE = 0, 1, 2  # pairing.Row
 _UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
@@ -249,11 +252,37 @@ def settle(now: int, guard: Guard, memory: Window, state: ChannelState) -> None:
 
 
 @njit(cache=True, forceinline=True)
-def _note(row: int, c: int, wiring: Wiring, state: ChannelState, scratch: Scratch) -> bool:
-    """Keep whether the values of a decoded row could be used; true if Python must see the row."""
+def _keep(
+    row: int, c: int, wiring: Wiring, scratch: Scratch, slow: SlowState, readings: Readings
+) -> None:
+    """Keep the values of a good `Motion` or `Status` row."""
+    d, t = wiring.drive[c], scratch.t_ns[row]
+    first = scratch.value[row, wiring.columns[c, 0]]
+    second = scratch.value[row, wiring.columns[c, 1]]
+    slow.came[_CHANGED] += 1
+    if wiring.kind[c] == _MOTION:
+        n = slow.came[_READINGS]
+        slow.came[_READINGS] += 1
+        slow.speed[d], slow.torque[d] = first * RPM, second
+        readings.drive[n], readings.t_ns[n] = d, t
+        readings.speed[n], readings.torque[n] = slow.speed[d], second
+        return
+    before = first if math.isnan(slow.command[d]) else slow.command[d]
+    slow.steady[d] = abs(first - before) <= STEADY_NM + STEADY_SHARE * abs(first)
+    slow.command[d], slow.before[d], slow.irms[d] = first, before, second
+    slow.command_ns[d] = t
+
+
+@njit(cache=True, forceinline=True)
+def _note(
+    row: int, c: int, wiring: Wiring, state: ChannelState, scratch: Scratch, slow: SlowState,
+    readings: Readings,
+) -> bool:  # fmt: skip
+    """Keep what a decoded row says, and whether it could be used; true if Python must see it."""
     verdict = scratch.verdict[row]
     t = scratch.t_ns[row]
-    if wiring.kind[c] == _TEMPERATURES:
+    kind = wiring.kind[c]
+    if kind == _TEMPERATURES:
         # Each point by itself: one dead sensor must not silence the other three.
         quality = wiring.quality[c]
         usable = quality < 0 or scratch.value[row, quality] in (1.0, 2.0)
@@ -264,12 +293,13 @@ def _note(row: int, c: int, wiring: Wiring, state: ChannelState, scratch: Scratc
     elif verdict == _GOOD:
         state.cause[c] = _FINE
         state.good_ns[c] = t
+        if kind > _BLOCK:
+            _keep(row, c, wiring, scratch, slow, readings)
     else:
         state.cause[c] = _MISSING_VALUE if verdict == _MISSING else _RANGE
     tally = (_T_DECODED, _T_NOT_AVAILABLE, _T_RANGE)[verdict]
     scratch.tally[tally] += 1
-    slow = wiring.kind[c] > _BLOCK
-    return bool(slow and (verdict == _GOOD or wiring.kind[c] == _TEMPERATURES))
+    return bool(kind == _TEMPERATURES)
 
 
 @njit(cache=True)
@@ -288,7 +318,9 @@ def take_block(
     wiring: Wiring,
     hole_ns: int,
     pairs: PairState,
+    slow: SlowState,
     scratch: Scratch,
+    readings: Readings,
     out: Samples,
 ) -> tuple[int, int, int]:
     """A tick's frames, in order: route, verify, decode, pair. Every frame ends in one tally.
@@ -340,7 +372,7 @@ def take_block(
             scratch.verdict[:m], out,
         )  # fmt: skip
         for row in range(m):
-            if _note(row, channel[row], wiring, state, scratch):
+            if _note(row, channel[row], wiring, state, scratch, slow, readings):
                 scratch.seen[seen] = row
                 seen += 1
     settle(now, guard, memory, state)

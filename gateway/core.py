@@ -37,9 +37,10 @@ from gateway.health import (
     summary,
     worst,
 )
-from gateway.inbox import ELECTRICAL, RPM, SAMPLES, DriveInput, Inbox
+from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.motion import MotionSide, Timebase
 from gateway.outbox import DriveView, GatewayView, Outbox
+from gateway.slow import RPM
 from gateway.supervision import Life, Supervision
 from gateway.thermal import Report, ThermalSide
 

@@ -18,11 +18,12 @@ from dbc import receive
 from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
-from gateway import pairing, receiving
+from gateway import pairing, receiving, slow
 from gateway._kernels import in_order, settle, take_block
 from gateway.channel import Channel, channel_state, tell
 from gateway.pairing import Trouble
 from gateway.receiving import NAMES
+from gateway.slow import Count
 from gateway.supervision import Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
@@ -30,13 +31,8 @@ SAMPLES = "Samples"
 SLOW = ("Motion", "Status", "Temperatures")
 MAX_GAP_NS: Final[Nanos] = 200_000_000
 """Longer without a sample: the filter starts anew instead of coasting."""
-RPM: Final = 2.0 * math.pi / 60.0
-"""rad/s in one revolution per minute."""
 USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
-STEADY_NM: Final = 0.5
-STEADY_SHARE: Final = 0.05
-"""A command that moved less between two Status frames is steady: 5 % and the wire's noise."""
 OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
 """Heartbeat and emergency of node 32, the gateway."""
 
@@ -136,11 +132,13 @@ class Inbox:
         self.routes = receiving.routes(keys, own)
         self._wiring = pairing.wiring(self.channels)
         self._pairs = pairing.start(len(self.drives))
+        self._slow = slow.start(len(self.drives))
         self._make_room(64)
 
     def _make_room(self, rows: int) -> None:
         self._room = pairing.room(rows)
         self._scratch = receiving.scratch(rows, self.codec.width)
+        self._readings = slow.readings(rows)
 
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
         """Accept the frames of one tick, in the order of their time stamps, then ids.
@@ -163,7 +161,8 @@ class Inbox:
         samples, seen, foreign = take_block(
             block.t_ns, block.can_id, block.flags, block.length, block.data,
             now, self.routes, self._guard, self._memory, self._state, self.codec.tables,
-            self._wiring, MAX_GAP_NS, self._pairs, self._scratch, self._room,
+            self._wiring, MAX_GAP_NS, self._pairs, self._slow, self._scratch, self._readings,
+            self._room,
         )  # fmt: skip
         self.samples = self._room.first(samples)
         self._count(block.size)
@@ -171,8 +170,10 @@ class Inbox:
             known = self.supervision.observe(block.frame(k))
             self.counts["canopen" if known else "unknown_id"] += 1
         self._electrical()
+        if self._slow.came.item(Count.CHANGED):
+            self._slowly()
         for row in self._scratch.seen[:seen].tolist():
-            self._slow(row)
+            self._temperature(self.channels[self._scratch.channel.item(row)], row)
         tell(self.channels, self._state)
         return block
 
@@ -199,25 +200,23 @@ class Inbox:
             drive.sample_ns = t_ns if t_ns >= 0 else None
             drive.sum_error = error
 
-    def _slow(self, row: int) -> None:
-        """Keep the last measured speed and torque, command and current, or temperatures."""
-        scratch = self._scratch
-        channel = self.channels[scratch.channel.item(row)]
-        drive = self.drives[channel.drive]
-        if channel.kind == "Temperatures":
-            self._temperature(channel, row)
-            return
-        first, second = (scratch.value.item(row, column) for column in channel.picked)
-        if channel.kind == "Motion":
-            drive.speed, drive.torque = first * RPM, second
-            t_ns = scratch.t_ns.item(row)
-            self.motions.append(Motion(channel.drive, t_ns, drive.speed, drive.torque))
-        else:
-            before = first if drive.torque_command is None else drive.torque_command
-            near = STEADY_NM + STEADY_SHARE * abs(first)
-            drive.command_steady = abs(first - before) <= near
-            drive.torque_command, drive.command_before, drive.irms = first, before, second
-            drive.command_ns = scratch.t_ns.item(row)
+    def _slowly(self) -> None:
+        """Take over measured speed and torque, command and current."""
+        state, count = self._slow, self._slow.came.item(Count.READINGS)
+        rows = zip(
+            self.drives, state.speed.tolist(), state.torque.tolist(), state.command.tolist(),
+            state.before.tolist(), state.irms.tolist(), state.command_ns.tolist(),
+            state.steady.tolist(), strict=True,
+        )  # fmt: skip
+        for drive, speed, torque, command, before, irms, command_ns, steady in rows:
+            if not math.isnan(speed):
+                drive.speed, drive.torque = speed, torque
+            if not math.isnan(command):
+                drive.torque_command, drive.command_before, drive.irms = command, before, irms
+                drive.command_ns, drive.command_steady = command_ns, steady
+        readings = (column[:count].tolist() for column in self._readings)
+        self.motions.extend(map(Motion, *readings))
+        state.came[:] = 0
 
     def _temperature(self, channel: Channel, row: int) -> None:
         """Each point by itself: one dead sensor must not silence the other three."""

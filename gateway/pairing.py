@@ -27,8 +27,9 @@ class Kind(IntEnum):
     CURRENTS = 0
     VOLTAGES = 1
     BLOCK = 2
-    SLOW = 3
+    MOTION = 3
     TEMPERATURES = 4
+    STATUS = 5
 
 
 class Row(IntEnum):
@@ -52,7 +53,9 @@ _KINDS = {
     "PhaseCurrents": Kind.CURRENTS,
     "StatorVoltages": Kind.VOLTAGES,
     "Samples": Kind.BLOCK,
+    "Motion": Kind.MOTION,
     "Temperatures": Kind.TEMPERATURES,
+    "Status": Kind.STATUS,
 }
 _MOST_COLUMNS = 33
 
@@ -123,7 +126,7 @@ def wiring(channels: Sequence[Channel]) -> Wiring:
         return np.array(values, dtype=np.int64).reshape(n)
 
     return Wiring(
-        each([_KINDS.get(c.kind, Kind.SLOW) for c in channels]),
+        each([_KINDS[c.kind] for c in channels]),
         each([c.drive for c in channels]),
         each([c.index for c in channels]),
         columns,

@@ -8,8 +8,9 @@ import pytest
 from gateway.bank import DriveEstimate
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Flag, Health, Reason
-from gateway.inbox import RPM, Motion
+from gateway.inbox import Motion
 from gateway.motion import MotionSide, Timebase
+from gateway.slow import RPM
 from tests.sender import MS, Sender, SteadyDrive, codec_for
 from tests.unit.test_core import Bench, gateway
 

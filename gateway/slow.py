@@ -1,0 +1,69 @@
+"""What a drive sends slowly, `Motion` and `Status`, as arrays for the compiled receive loop."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+RPM: Final = 2.0 * math.pi / 60.0
+"""rad/s in one revolution per minute."""
+STEADY_NM: Final = 0.5
+STEADY_SHARE: Final = 0.05
+"""A command that moved less between two Status frames is steady: 5 % and the wire's noise."""
+
+
+class Count(IntEnum):
+    """Index into `SlowState.came`."""
+
+    READINGS = 0
+    CHANGED = 1
+
+
+class SlowState(NamedTuple):
+    """Last good values, a row per drive; NaN until the first.
+
+    speed rad/s and torque Nm at the rotor; command and before (the one before that) Nm; irms A;
+    command_ns: stamp of the last; steady: it has hardly changed since the one before. came (2,):
+    how many readings in this tick, and how much of anything.
+    """
+
+    speed: Array
+    torque: Array
+    command: Array
+    before: Array
+    irms: Array
+    command_ns: Ints
+    steady: NDArray[np.bool_]
+    came: Ints
+
+
+class Readings(NamedTuple):
+    """Measurements of one tick, in order of time: drive, stamp, speed rad/s, torque Nm; (R,)."""
+
+    drive: Ints
+    t_ns: Ints
+    speed: Array
+    torque: Array
+
+
+def start(drives: int) -> SlowState:
+    """Nothing received yet."""
+    speed, torque, command, before, irms = (np.full(drives, np.nan) for _ in range(5))
+    return SlowState(
+        speed, torque, command, before, irms, np.zeros(drives, dtype=np.int64),
+        np.ones(drives, dtype=np.bool_), np.zeros(len(Count), dtype=np.int64),
+    )  # fmt: skip
+
+
+def readings(rows: int) -> Readings:
+    """Room for so many."""
+    drive, t_ns = (np.zeros(rows, dtype=np.int64) for _ in range(2))
+    return Readings(drive, t_ns, np.zeros(rows), np.zeros(rows))
