@@ -1,0 +1,128 @@
+"""Sending the logs of a fleet to Dask: local processes, or a scheduler that is there already."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, Final
+
+import dask
+from distributed import Client, LocalCluster, as_completed
+from distributed.scheduler import KilledWorker
+
+from gateway.config import ConfigError
+from gateway.drivers.fleet import Work, bad
+from gateway.drivers.fleet_logs import Job, Settings
+from gateway.results.fleet_table import Row
+
+ALLOWED_DEATHS: Final = 1
+"""Workers that may die at a log before it is suspected; then it gets its turn alone."""
+RETRIES: Final = 2
+"""Of a task that raises: ours give a bad row, so it was Dask that failed."""
+PATIENCE_S: Final = 30
+"""To reach a scheduler and see a worker of it."""
+_THREADS: Final = (
+    "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS",
+)  # fmt: skip
+
+After = Callable[[Job, Row], None]
+
+
+@contextmanager
+def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
+    """A client of local processes with a thread each, or of the named scheduler."""
+    with ExitStack() as stack:
+        if scheduler is None:
+            environ = dict.fromkeys(_THREADS, 1)
+            stack.enter_context(
+                dask.config.set(
+                    {
+                        "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
+                        "distributed.nanny.pre-spawn-environ": environ,
+                    }
+                )
+            )
+            # No limit of memory: a replay's does not grow with its log.
+            cluster = LocalCluster(
+                n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
+                dashboard_address=None, silence_logs=logging.CRITICAL,
+            )  # fmt: skip
+            yield stack.enter_context(Client(stack.enter_context(cluster)))
+            return
+        try:
+            client = stack.enter_context(Client(scheduler, timeout=PATIENCE_S))
+        except ValueError as error:
+            raise ConfigError("--scheduler", [f"{scheduler!r}: {error}"]) from None
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError:
+            msg = f"{scheduler}: no worker within {PATIENCE_S} s"
+            raise OSError(msg) from None
+        yield client
+
+
+def send(
+    todo: Sequence[Job],
+    settings: Settings,
+    jobs: int,
+    scheduler: str | None,
+    work: Work,
+    after: After,
+) -> None:
+    """Do all of `todo`, a task each; see `gateway.drivers.fleet.run`.
+
+    A worker takes one log at a time, so that one that dies takes no other log with it. Where
+    workers kept dying, the logs they were at are tried once more, one by one, after all others: a
+    log whose worker dies then is a bad one.
+    """
+    with _client(jobs, scheduler) as client:
+        suspects: list[Job] = []
+
+        def ended(one: Job, outcome: Row | BaseException) -> None:
+            if isinstance(outcome, KilledWorker):
+                suspects.append(one)
+            else:
+                after(one, bad(one, outcome) if isinstance(outcome, BaseException) else outcome)
+
+        def killed(one: Job, outcome: Row | BaseException) -> None:
+            if isinstance(outcome, KilledWorker):
+                outcome = bad(one, "every worker that tried this log died")
+            after(one, bad(one, outcome) if isinstance(outcome, BaseException) else outcome)
+
+        _flow(client, todo, settings, work, None, ended)
+        _flow(client, suspects, settings, work, 1, killed)
+
+
+def _flow(
+    client: Client,
+    todo: Sequence[Job],
+    settings: Settings,
+    work: Work,
+    width: int | None,
+    ended: Callable[[Job, Row | BaseException], None],
+) -> None:
+    """Keep `width` tasks going (None: as many as there are threads) until all have ended."""
+    waiting = deque(todo)
+    going: dict[str, Job] = {}
+    tasks = as_completed([])
+
+    def fill() -> None:
+        most = width or max(1, sum(client.nthreads().values()))
+        while waiting and len(going) < most:
+            one = waiting.popleft()
+            key = f"log-{one.name}-{width}"
+            going[key] = one
+            tasks.add(client.submit(work, one, settings, key=key, pure=False, retries=RETRIES))
+
+    fill()
+    for task in tasks:
+        one = going.pop(task.key)
+        if task.cancelled():
+            msg = "the scheduler is gone; what is finished stays, run again to go on"
+            raise OSError(msg)
+        outcome: Any = task.exception() or task.result()
+        task.release()
+        ended(one, outcome)
+        fill()
