@@ -26,7 +26,15 @@ PATIENCE_S: Final = 30
 _THREADS: Final = (
     "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS",
 )  # fmt: skip
+_LOCAL: Final = {
+    "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys(_THREADS, 1),
+}
+"""For local processes: one thread each, and no pages to look at."""
 
+log = logging.getLogger(__name__)
 After = Callable[[Job, Row], None]
 
 
@@ -35,19 +43,15 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     """A client of local processes with a thread each, or of the named scheduler."""
     with ExitStack() as stack:
         if scheduler is None:
-            environ = dict.fromkeys(_THREADS, 1)
-            stack.enter_context(
-                dask.config.set(
-                    {
-                        "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
-                        "distributed.nanny.pre-spawn-environ": environ,
-                    }
-                )
-            )
+            stack.enter_context(dask.config.set(_LOCAL))
+            # Said by us: which log lost its worker. `-v` shows what Dask says itself.
+            level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
+            logging.getLogger("distributed").setLevel(level)
             # No limit of memory: a replay's does not grow with its log.
             cluster = LocalCluster(
                 n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
-                dashboard_address=None, silence_logs=logging.CRITICAL,
+                dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                silence_logs=level,
             )  # fmt: skip
             yield stack.enter_context(Client(stack.enter_context(cluster)))
             return

@@ -72,10 +72,8 @@ def find(patterns: Sequence[str], folder: Path) -> list[Path]:
 
 
 def _matches(pattern: str) -> list[Path]:
-    if os.path.lexists(pattern) or not glob.has_magic(pattern):
-        names = [pattern]
-    else:
-        names = _glob(pattern)
+    literal = os.path.lexists(pattern) or not glob.has_magic(pattern)
+    names = [pattern] if literal else _glob(pattern)
     if Path(pattern).name != "**":
         folders = [name for name in names if Path(name).is_dir()]
         names += [name for folder in folders for name in _glob(f"{glob.escape(folder)}/**")]

@@ -81,23 +81,26 @@ def per_drive(
 
     end_ns: the last tick; a state holds until the next change or until then.
     """
-    none = {**dict.fromkeys(STATES.values(), 0.0), **dict.fromkeys(RAISED.values(), 0)}
-    tables: dict[int, dict[str, float | int]] = {node: {"drive": node, **none} for node in nodes}
+    spent = {node: dict.fromkeys(STATES.values(), 0) for node in nodes}
+    raised = {node: dict.fromkeys(RAISED.values(), 0) for node in nodes}
     since: dict[tuple[int, str], tuple[int, str]] = {}
 
     def ended(node: int, what: str, now_ns: int) -> None:
         if (node, what) in since:
             begun_ns, word = since[node, what]
-            tables[node][STATES[what, word]] += (now_ns - begun_ns) / 1e9
+            spent[node][STATES[what, word]] += now_ns - begun_ns
 
     for t_ns, node, what, word in changes:
         ended(node, what, t_ns)
         since[node, what] = t_ns, word
         if (what, word) in RAISED:
-            tables[node][RAISED[what, word]] += 1
+            raised[node][RAISED[what, word]] += 1
     for node, what in since:
         ended(node, what, end_ns)
-    return list(tables.values())
+    return [
+        {"drive": n, **{name: ns / 1e9 for name, ns in spent[n].items()}, **raised[n]}
+        for n in nodes
+    ]
 
 
 def flat(row: Row) -> dict[str, Any]:
@@ -113,7 +116,7 @@ def flat(row: Row) -> dict[str, Any]:
         "rejected": None if counts is None else sum(v or 0 for v in causes.values()),
         **causes,
         "lost": _count(counts, "lost"), "unknown_id": _count(counts, "unknown_id"),
-        **{name: row.total(name) if done else None for name in _SUMS},
+        **{name: round(row.total(name), 9) if done else None for name in _SUMS},
         "took_s": row.took_s,
     }  # fmt: skip
 
