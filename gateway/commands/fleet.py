@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import FAILED, GOOD, add_config, console, prepare
+from gateway.commands.common import FAILED, GOOD, add_config, console
 
 if TYPE_CHECKING:
     from gateway.drivers.fleet_logs import Job
@@ -54,14 +54,13 @@ def need(*modules: str) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do the logs, write the tables, say what came out. Exit 1 if any log is bad or left over."""
     need("distributed", "pyarrow")
-    from gateway.core import Gateway
+    from gateway.config import load
     from gateway.drivers import fleet
     from gateway.drivers.fleet_logs import find, settings_for
     from gateway.results.fleet_table import BAD, write
 
     paths = find(options.log, options.output)
-    config, codec = prepare(options.config)
-    Gateway(config, codec, 0)  # whatever is wrong with the calibration is said once, and now
+    config = load(options.config)
     settings = settings_for(config, options.log_channel, options.output)
     planned = fleet.plan(paths, settings, force=options.force)
     rows = dict(planned.before)

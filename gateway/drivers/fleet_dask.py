@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster, as_completed
 from distributed.scheduler import KilledWorker
 
 from gateway.config import ConfigError
-from gateway.drivers.fleet import Work, bad
+from gateway.drivers.fleet import Work, bad, ready
 from gateway.drivers.fleet_logs import Job, Settings
 from gateway.results.fleet_table import Row
 
@@ -95,8 +95,17 @@ def send(
                 outcome = bad(one, "every worker that tried this log died")
             after(one, bad(one, outcome) if isinstance(outcome, BaseException) else outcome)
 
+        _prepare(client, settings)
         _flow(client, todo, settings, work, None, ended)
         _flow(client, suspects, settings, work, 1, killed)
+
+
+def _prepare(client: Client, settings: Settings) -> None:
+    """Get all workers ready at once; ConfigError with what is wrong with any of them."""
+    said: dict[str, str] = client.run(ready, settings)
+    problems = [text for text in said.values() if text]
+    if problems:
+        raise ConfigError("fleet", list(dict.fromkeys(problems)))
 
 
 def _flow(

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.config import Config, ConfigError
-from gateway.results.fleet_log import PART, metadata_of
-from gateway.results.fleet_table import TABLE, TEXT, Row
+from gateway.results.fleet_table import PART, TABLE, TEXT, Row, metadata_of
 
 FOLDER: Final = "estimates"
 """Of the logs' files, below the one that was named."""
@@ -42,10 +41,10 @@ class Job(NamedTuple):
 
 
 def settings_for(config: Config, log_channel: str | None, folder: Path) -> Settings:
-    """Raises OSError where DBC or calibration cannot be read."""
+    """Files that are not there are found out by who needs them: `gateway.drivers.fleet.ready`."""
     digest = hashlib.sha256(config.model_dump_json().encode())
     for path in (config.dbc_path, config.calibration_path):
-        digest.update(b"\0" + (path.read_bytes() if path else b""))
+        digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b""))
     digest.update(b"\0" + (log_channel or "").encode())
     # The working folder of another process may be another one.
     absolute = config.model_copy(update={"base": config.base.absolute()})

@@ -18,12 +18,12 @@ import pyarrow.parquet as pq
 from dbc.frame import MS, Nanos
 from gateway.health import FaultClass, FaultSensor, Flag, Health, Reason
 from gateway.outbox import DriveView, GatewayView
+from gateway.results.fleet_table import PART
 from gateway.results.record import ADHESION, FAULT, camel
 
 EVERY_NS: Final[Nanos] = 100 * MS
 GROUP: Final = 30_000
 """Rows that are kept in memory before they are written."""
-PART: Final = ".part"
 
 Flags = tuple[Flag, Flag, Flag, Flag, Flag]
 
@@ -152,12 +152,3 @@ class Estimates:
         self._writer.add_key_value_metadata(metadata)
         self._writer.close()
         self._part.replace(self.path)
-
-
-def metadata_of(path: Path) -> dict[str, str]:
-    """What a log's file says about it; empty where there is none or none that can be read."""
-    try:
-        found = pq.read_metadata(path).metadata or {}
-    except (OSError, pa.ArrowException):
-        return {}
-    return {k.decode(): v.decode() for k, v in found.items()}

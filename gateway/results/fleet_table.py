@@ -9,10 +9,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gateway.core import REJECTED
+from gateway.health import REJECTED
 
 TABLE, TEXT = "fleet.parquet", "fleet.csv"
 DONE, BAD = "done", "bad"
+PART: Final = ".part"
+"""End of the name of a file that is not whole."""
 STATES: Final = {
     ("adhesion", "Unknown"): "adhesion_unknown_s",
     ("adhesion", "Adhering"): "adhering_s",
@@ -146,7 +148,7 @@ def write(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> list[P
     columns["drives"] = [list(row.drives) if row.status == DONE else None for row in rows]
     arrow = pa.table(columns, schema=pa.schema(fields, metadata=metadata))
     paths = [folder / TABLE, folder / TEXT]
-    parts = [path.with_name(f".{path.name}.{os.getpid()}.part") for path in paths]
+    parts = [path.with_name(f".{path.name}.{os.getpid()}{PART}") for path in paths]
     pq.write_table(arrow, parts[0], compression="zstd")
     with parts[1].open("w", newline="", encoding="utf-8") as file:
         lines = csv.DictWriter(file, names, lineterminator="\n")
@@ -155,3 +157,15 @@ def write(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> list[P
     for part, path in zip(parts, paths, strict=True):
         part.replace(path)
     return paths
+
+
+def metadata_of(path: Path) -> dict[str, str]:
+    """What a log's file says about it; empty where there is none or none that can be read."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        found = pq.read_metadata(path).metadata or {}
+    except (OSError, pa.ArrowException):
+        return {}
+    return {k.decode(): v.decode() for k, v in found.items()}
