@@ -36,10 +36,16 @@ class Plan(NamedTuple):
 
 
 def plan(paths: Sequence[Path], settings: Settings, *, force: bool) -> Plan:
-    """Which logs are to be done; `force`: all of them. Makes the folder. Raises OSError."""
+    """Which logs are to be done; `force`: all of them, what they have left is taken away.
+
+    Makes the folder. Raises OSError.
+    """
     (settings.folder / FOLDER).mkdir(parents=True, exist_ok=True)
     jobs = [job(path) for path in paths]
-    rows = {} if force else {one: done_before(one, settings) for one in jobs}
+    if force:
+        for one in jobs:
+            (settings.folder / FOLDER / one.name).unlink(missing_ok=True)
+    rows = {one: done_before(one, settings) for one in jobs}
     before = {one: row for one, row in rows.items() if row is not None}
     return Plan(jobs, before, [one for one in jobs if one not in before])
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
-from typing import Any, Final
+from typing import Final
 
 import dask
 from distributed import Client, LocalCluster, as_completed
@@ -14,13 +15,14 @@ from distributed.scheduler import KilledWorker
 
 from gateway.config import ConfigError
 from gateway.drivers.fleet import Work, bad, ready
-from gateway.drivers.fleet_logs import Job, Settings
+from gateway.drivers.fleet_logs import Job, Settings, done_before
 from gateway.results.fleet_table import Row
 
 ALLOWED_DEATHS: Final = 1
 """Workers that may die at a log before it is suspected; then it gets its turn alone."""
 RETRIES: Final = 2
 """Of a task that raises: ours give a bad row, so it was Dask that failed."""
+DIED: Final = "every worker that tried this log died"
 PATIENCE_S: Final = 30
 """To reach a scheduler and see a worker of it."""
 _THREADS: Final = (
@@ -46,7 +48,8 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
             stack.enter_context(dask.config.set(_LOCAL))
             # Said by us: which log lost its worker. `-v` shows what Dask says itself.
             level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
-            logging.getLogger("distributed").setLevel(level)
+            for name in ("distributed", "distributed.client"):
+                logging.getLogger(name).setLevel(level)
             # No limit of memory: a replay's does not grow with its log.
             cluster = LocalCluster(
                 n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
@@ -81,23 +84,30 @@ def send(
     workers kept dying, the logs they were at are tried once more, one by one, after all others: a
     log whose worker dies then is a bad one.
     """
-    with _client(jobs, scheduler) as client:
-        suspects: list[Job] = []
+    suspects: list[Job] = []
 
-        def ended(one: Job, outcome: Row | BaseException) -> None:
-            if isinstance(outcome, KilledWorker):
-                suspects.append(one)
-            else:
-                after(one, bad(one, outcome) if isinstance(outcome, BaseException) else outcome)
-
-        def killed(one: Job, outcome: Row | BaseException) -> None:
-            if isinstance(outcome, KilledWorker):
-                outcome = bad(one, "every worker that tried this log died")
+    def ended(one: Job, outcome: Row | BaseException) -> None:
+        if isinstance(outcome, KilledWorker):
+            suspects.append(one)
+        else:
             after(one, bad(one, outcome) if isinstance(outcome, BaseException) else outcome)
 
+    def ended_alone(one: Job, outcome: Row | BaseException) -> None:
+        if isinstance(outcome, KilledWorker):
+            after(one, bad(one, DIED))
+        else:
+            ended(one, outcome)
+
+    with _client(jobs, scheduler) as client:
         _prepare(client, settings)
         _flow(client, todo, settings, work, None, ended)
-        _flow(client, suspects, settings, work, 1, killed)
+        # A row is lost with the worker that has it, although the log's file may be there.
+        found = {one: done_before(one, settings) for one in suspects}
+        for one, row in found.items():
+            if row is not None:
+                after(one, row)
+        left = [one for one, row in found.items() if row is None]
+        _flow(client, left, settings, work, 1, ended_alone)
 
 
 def _prepare(client: Client, settings: Settings) -> None:
@@ -132,10 +142,14 @@ def _flow(
     fill()
     for task in tasks:
         one = going.pop(task.key)
-        if task.cancelled():
+        outcome: Row | BaseException
+        try:
+            outcome = task.result()
+        except CancelledError:
             msg = "the scheduler is gone; what is finished stays, run again to go on"
-            raise OSError(msg)
-        outcome: Any = task.exception() or task.result()
+            raise OSError(msg) from None
+        except Exception as error:  # ours give a bad row: whatever is raised is Dask's
+            outcome = error
         task.release()
         ended(one, outcome)
         fill()
