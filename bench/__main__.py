@@ -8,11 +8,18 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import adhesion, kernels, speed, thermal
+from bench import adhesion, fleet, kernels, speed, thermal
 
-PARTS = {"speed": speed, "kernels": kernels, "adhesion": adhesion, "thermal": thermal}
+PARTS = {
+    "speed": speed,
+    "fleet": fleet,
+    "kernels": kernels,
+    "adhesion": adhesion,
+    "thermal": thermal,
+}
 TITLES = {
     "speed": "Speed",
+    "fleet": "A fleet of logs",
     "kernels": "What a step of the filters costs",
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",

@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     settings = settings_for(config, options.log_channel, options.output)
     planned = fleet.plan(paths, settings, force=options.force)
     rows = dict(planned.before)
-    stopped = False
+    ended: KeyboardInterrupt | OSError | None = None
     with _progress(planned.jobs, planned.before) as shown:
 
         def after(one: Job, row: Row) -> None:
@@ -73,15 +73,19 @@ def run(options: argparse.Namespace) -> int:
 
         try:
             fleet.run(planned, settings, options.jobs, options.scheduler, after)
-        except KeyboardInterrupt:
-            stopped = True
-    ended = [rows[one] for one in planned.jobs if one in rows]
+        except (KeyboardInterrupt, OSError) as error:
+            if isinstance(error, OSError) and len(rows) == len(planned.before):
+                raise
+            ended = error
+    table = [rows[one] for one in planned.jobs if one in rows]
     said = {"settings": settings.key, "version": settings.version}
-    files = write(settings.folder, ended, {**said, "config": config.model_dump_json()})
-    _summary(ended, len(planned.before), len(planned.jobs), files)
-    if stopped:
+    files = write(settings.folder, table, {**said, "config": config.model_dump_json()})
+    _summary(table, len(planned.before), len(planned.jobs), files)
+    if isinstance(ended, OSError):
+        raise ended
+    if ended is not None:
         console().print("stopped; the same command goes on where this ended")
-    return FAILED if stopped or any(row.status == BAD for row in ended) else GOOD
+    return FAILED if ended or any(row.status == BAD for row in table) else GOOD
 
 
 def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path]) -> None:

@@ -43,13 +43,13 @@ After = Callable[[Job, Row], None]
 @contextmanager
 def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     """A client of local processes with a thread each, or of the named scheduler."""
+    # What becomes of each log is said by us; `-v` shows what Dask says itself.
+    level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(level)
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_LOCAL))
-            # Said by us: which log lost its worker. `-v` shows what Dask says itself.
-            level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
-            for name in ("distributed", "distributed.client"):
-                logging.getLogger(name).setLevel(level)
             # No limit of memory: a replay's does not grow with its log.
             cluster = LocalCluster(
                 n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
@@ -98,16 +98,30 @@ def send(
         else:
             ended(one, outcome)
 
-    with _client(jobs, scheduler) as client:
-        _prepare(client, settings)
-        _flow(client, todo, settings, work, None, ended)
-        # A row is lost with the worker that has it, although the log's file may be there.
-        found = {one: done_before(one, settings) for one in suspects}
-        for one, row in found.items():
-            if row is not None:
-                after(one, row)
-        left = [one for one, row in found.items() if row is None]
-        _flow(client, left, settings, work, 1, ended_alone)
+    try:
+        with _client(jobs, scheduler) as client:
+            _prepare(client, settings)
+            _flow(client, todo, settings, work, None, ended)
+            # A row is lost with the worker that has it, although the log's file may be there.
+            found = {one: done_before(one, settings) for one in suspects}
+            for one, row in found.items():
+                if row is not None:
+                    after(one, row)
+            left = [one for one, row in found.items() if row is None]
+            _flow(client, left, settings, work, 1, ended_alone)
+    except Exception as error:
+        if _interrupted(error):
+            raise KeyboardInterrupt from None
+        raise
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """True for what Dask says when it is interrupted while it starts or ends."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__context__
+    return False
 
 
 def _prepare(client: Client, settings: Settings) -> None:
