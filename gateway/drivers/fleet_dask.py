@@ -32,9 +32,10 @@ _LOCAL: Final = {
     "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False,
     "distributed.nanny.pre-spawn-environ": dict.fromkeys(_THREADS, 1),
 }
-"""For local processes: one thread each, and no pages to look at."""
+"""For local processes: one thread each, no pages to look at, nobody who samples the stack."""
 
 log = logging.getLogger(__name__)
 After = Callable[[Job, Row], None]
