@@ -10,13 +10,15 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import adhesion, kernels, replay, speed, stages, thermal, wire
+from bench import adhesion, fleet, kernels, live, replay, speed, stages, thermal, wire
 
 PARTS = {
     "speed": speed,
     "stages": stages,
     "wire": wire,
     "replay": replay,
+    "live": live,
+    "fleet": fleet,
     "kernels": kernels,
     "adhesion": adhesion,
     "thermal": thermal,
@@ -26,6 +28,8 @@ TITLES = {
     "stages": "Where a tick's time goes",
     "wire": "Reading and decoding",
     "replay": "Replay against the libraries",
+    "live": "Live: frames, ticks, punctuality",
+    "fleet": "A fleet of logs",
     "kernels": "What a step of the filters costs",
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",

@@ -8,6 +8,7 @@ import logging
 import sys
 import time
 from collections.abc import Sequence
+from typing import Any
 
 BEGAN_S = time.monotonic()
 """When this program started, for what is measured from there."""
@@ -20,9 +21,15 @@ VERBS = {
     "check": "configuration against DBC, bus load and timing budget, before deployment",
     "calibrate": "thermal limits from fault-free logs",
     "reproduce": "a paper's experiment: its tables and figures beside ours, and a report",
+    "fleet": "many logs in many processes, or on a Dask cluster, into Parquet",
+    "fleet-thresholds": "thresholds from a healthy fleet's results",
     "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
 }
-"""Verb -> one line of help; each is the module of that name in `gateway.commands`."""
+"""Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
+
+
+def _module(verb: str) -> Any:
+    return importlib.import_module(f"gateway.commands.{verb.replace('-', '_')}")
 
 
 def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
@@ -37,7 +44,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
         sub = verbs.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
         sub.add_argument("-v", "--verbose", action="count", default=0, help="more on stderr")
         if verb in words:
-            importlib.import_module(f"gateway.commands.{verb}").arguments(sub)
+            _module(verb).arguments(sub)
     return parser
 
 
@@ -58,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(
         level=level, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
     )
-    command = importlib.import_module(f"gateway.commands.{options.verb}")
+    command = _module(options.verb)
     options.began_s = BEGAN_S
     try:
         return int(command.run(options))

@@ -28,6 +28,7 @@ from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
 from gateway.health import (
+    REJECTED,
     FaultClass,
     FaultSensor,
     Flag,
@@ -346,19 +347,6 @@ class Gateway:
             latency_p99_us=self.latency_p99_us,
             lateness_p99_us=self.lateness_p99_us,
         )
-
-
-REJECTED: Final = (
-    "error",
-    "repeated",
-    "wrong_sequence",
-    "wrong_length",
-    "not_yet_valid",
-    "not_available",
-    "range",
-    "time_back",
-)
-"""Counters of frames with one of our ids whose content was not used."""
 
 
 def _current_step_a(codec: Codec) -> float:

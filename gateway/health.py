@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Final
 
 
 class Flag(IntEnum):
@@ -96,3 +97,16 @@ def summary(flags: Sequence[Flag]) -> Flag:
     if Flag.BAD in flags:
         return Flag.BAD
     return Flag.GOOD if flags and Flag.UNKNOWN not in flags else Flag.UNKNOWN
+
+
+REJECTED: Final = (
+    "error",
+    "repeated",
+    "wrong_sequence",
+    "wrong_length",
+    "not_yet_valid",
+    "not_available",
+    "range",
+    "time_back",
+)
+"""Counters of frames with one of our ids whose content was not used."""

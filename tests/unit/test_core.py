@@ -5,8 +5,8 @@ import pytest
 
 from dbc.frame import ERROR, EXTENDED, REMOTE, Frame
 from gateway.config import Config, Drive
-from gateway.core import REJECTED, Gateway
-from gateway.health import Flag, Health, Reason
+from gateway.core import Gateway
+from gateway.health import REJECTED, Flag, Health, Reason
 from tests.sender import CLASSIC, MS, Sender, SteadyDrive, codec_for
 
 CODEC = codec_for()

@@ -1,0 +1,61 @@
+"""A fleet of logs in two processes against one, in the same run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from bench.speed import child, quiet
+
+SIZES = {8: 1, 24: 1}
+"""Logs -> rounds, of which the best counts. Start and end of the command take two seconds."""
+SECONDS = 60.0
+
+
+def fleet(logs: Path, jobs: int, *words: str) -> float:
+    """The whole command over all logs, start and end included, s."""
+    return child("fleet", str(logs), "-o", str(logs.with_suffix(".out")), "-j", str(jobs), *words)
+
+
+def alone(logs: Path, count: int) -> float:
+    """So many processes of `replay` at the same time, a log each: what the machine can give, s."""
+    began = time.perf_counter()
+    words = [sys.executable, "-m", "gateway", "replay"]
+    children = [
+        subprocess.Popen([*words, str(log)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for log in sorted(logs.iterdir())[:count]
+    ]
+    assert not any(one.wait() for one in children)
+    return time.perf_counter() - began
+
+
+def rows() -> list[tuple[str, ...]]:
+    """One row per figure: what, one process, two processes, ratio; measured in turns."""
+    table = []
+    with tempfile.TemporaryDirectory() as name:
+        minute = Path(name) / "minute.log"
+        quiet("sim", "healthy", "--duration", str(SECONDS), "-o", str(minute))
+        for count, rounds in SIZES.items():
+            logs = Path(name) / f"logs{count}"
+            logs.mkdir()
+            for k in range(count):
+                os.link(minute, logs / f"{k}.log")
+            turns = [[fleet(logs, jobs, "--force") for jobs in (1, 2)] for _ in range(rounds)]
+            one, two = (min(times) for times in zip(*turns, strict=True))
+            what = f"fleet of {count} logs of {SECONDS:.0f} s, whole command"
+            table.append((what, f"{one:.2f} s", f"{two:.2f} s", f"{one / two:.2f} x"))
+        turns = [[alone(logs, count) for count in (1, 2)] for _ in range(3)]
+        single, pair = (min(times) for times in zip(*turns, strict=True))
+        again = fleet(logs, 2)
+    what = "plain `replay`, a log per process: what the machine gives"
+    ratio = f"{2 * single / pair:.2f} x"
+    table.append((what, f"{single:.2f} s for 1", f"{pair:.2f} s for 2", ratio))
+    table.append((f"the fleet of {count} logs again, nothing to do", "", f"{again:.2f} s", ""))
+    return table
+
+
+HEADER = ("figure", "one process", "two processes", "ratio")

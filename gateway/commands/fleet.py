@@ -1,0 +1,137 @@
+"""`fleet`: many logs, in many processes, into Parquet."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.commands.common import FAILED, GOOD, add_config, console
+
+if TYPE_CHECKING:
+    from gateway.drivers.fleet_logs import Job
+    from gateway.results.fleet_table import Row
+
+BAD_SHOWN = 20
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("log", nargs="+", metavar="PATTERN",
+                        help="files, folders (all below), patterns: 'logs/**/*.log'")  # fmt: skip
+    add_config(parser)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR",
+                        help="fleet.parquet, fleet.csv and estimates/, a file per log")  # fmt: skip
+    parser.add_argument("-j", "--jobs", type=_jobs, default=os.cpu_count() or 1, metavar="N",
+                        help="local processes (default: one per CPU)")  # fmt: skip
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="Dask scheduler instead, tcp://HOST:PORT")  # fmt: skip
+    parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
+    parser.add_argument("--force", action="store_true", help="do again what is done")
+
+
+def _jobs(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 256:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of processes")
+    return int(text)
+
+
+def need(*modules: str) -> None:
+    """Raises ConfigError that says what to install where any of them is not there."""
+    from gateway.config import ConfigError
+
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        cure = "pip install 'traction-gateway[fleet]'"
+        raise ConfigError(f"needs {', '.join(missing)}", [cure])
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do the logs, write the tables, say what came out. Exit 1 if any log is bad or left over."""
+    need("distributed", "pyarrow")
+    from gateway.config import load
+    from gateway.drivers import fleet
+    from gateway.drivers.fleet_logs import find, settings_for
+    from gateway.results.fleet_table import BAD, write
+
+    paths = find(options.log, options.output)
+    config = load(options.config)
+    settings = settings_for(config, options.log_channel, options.output)
+    planned = fleet.plan(paths, settings, force=options.force)
+    rows = dict(planned.before)
+    ended: KeyboardInterrupt | OSError | None = None
+    with _progress(planned.jobs, planned.before) as shown:
+
+        def after(one: Job, row: Row) -> None:
+            rows[one] = row
+            shown(one, row)
+
+        try:
+            fleet.run(planned, settings, options.jobs, options.scheduler, after)
+        except (KeyboardInterrupt, OSError) as error:
+            if isinstance(error, OSError) and len(rows) == len(planned.before):
+                raise
+            ended = error
+    table = [rows[one] for one in planned.jobs if one in rows]
+    said = {"settings": settings.key, "version": settings.version}
+    files = write(settings.folder, table, {**said, "config": config.model_dump_json()})
+    _summary(table, len(planned.before), len(planned.jobs), files)
+    if isinstance(ended, OSError):
+        raise ended
+    if ended is not None:
+        console().print("stopped; the same command goes on where this ended")
+    return FAILED if ended or any(row.status == BAD for row in table) else GOOD
+
+
+def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path]) -> None:
+    """What came out, on stdout."""
+    from gateway.results.fleet_table import BAD
+
+    bad = [row for row in rows if row.status == BAD]
+    left = logs - len(rows)
+    parts = [f"{len(rows) - len(bad) - before} done", f"{before} done before", f"{len(bad)} bad"]
+    print(f"{logs} logs: " + ", ".join(parts + ([f"{left} left"] if left else [])))
+    hours = sum(row.duration_s or 0.0 for row in rows) / 3600.0
+    losses = sum(row.total("adhesion_losses") for row in rows)
+    faults = sum(row.total("thermal_faults") for row in rows)
+    print(f"{hours:.3f} h of logs: {losses} adhesion losses, {faults} thermal faults")
+    for row in bad[:BAD_SHOWN]:
+        print(f"bad: {row.path}: {row.error}")
+    if len(bad) > BAD_SHOWN:
+        print(f"bad: {len(bad) - BAD_SHOWN} more, see {files[1]}")
+    print(f"written: {', '.join(str(path) for path in files)}")
+
+
+@contextmanager
+def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[[Job, Row], None]]:
+    """A bar over the bytes if a person is watching; a line for a bad log in any case."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from gateway.results.fleet_table import BAD
+
+    sizes = {one: one.path.stat().st_size if one.path.is_file() else 0 for one in jobs}
+    count = TextColumn("{task.fields[ended]}/{task.fields[logs]} logs")
+    columns = (BarColumn(), count, TimeRemainingColumn())
+    shown = sys.stderr.isatty()
+    ended = len(before)
+    with Progress(*columns, console=console(), transient=True, disable=not shown) as progress:
+        task = progress.add_task(
+            "logs", total=sum(sizes.values()), completed=sum(sizes[one] for one in before),
+            ended=ended, logs=len(jobs),
+        )  # fmt: skip
+
+        def after(one: Job, row: Row) -> None:
+            nonlocal ended
+            ended += 1
+            progress.update(task, advance=sizes[one], ended=ended)
+            if row.status == BAD:
+                progress.console.print(
+                    f"bad: {row.path}: {row.error}", markup=False, soft_wrap=True
+                )
+
+        yield after

@@ -1,0 +1,31 @@
+"""`fleet-thresholds DIR`: thresholds from a healthy fleet's results."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from gateway.commands.common import GOOD, console, out_file
+from gateway.commands.fleet import need
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("results", type=Path, metavar="DIR", help="what `fleet -o DIR` has left")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml")
+    parser.add_argument("--force", action="store_true",
+                        help="although flags were raised: they were false")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
+    need("pyarrow")
+    from gateway.results.fleet_thresholds import measure, to_toml
+
+    measured = measure(options.results, force=options.force)
+    if measured.bad:
+        console().print(f"{measured.bad} bad logs left out")
+    text = to_toml(measured)
+    out_file(options.output).write_text(text, encoding="utf-8")
+    print(text, end="")
+    return GOOD

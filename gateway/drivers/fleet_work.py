@@ -1,0 +1,82 @@
+"""What a worker of a fleet does: one log through the core of `replay`, its file, its row."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+
+from dbc.codec import Codec, DbcMismatch, bind
+from dbc.frame import Frame
+from gateway.config import ConfigError
+from gateway.core import Gateway
+from gateway.drivers.fleet_logs import FOLDER, Job, Settings, fingerprint, shown
+from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
+from gateway.drivers.warm import warm_up
+from gateway.outbox import GatewayView
+from gateway.results.fleet_log import Estimates
+from gateway.results.fleet_table import Row, per_drive
+from gateway.results.record import Recorder
+
+
+@lru_cache(maxsize=4)
+def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
+    return bind(path, nodes)
+
+
+def prepare(settings: Settings) -> str:
+    """Load and compile whatever a replay needs; says what is wrong, or nothing.
+
+    A text, because an error would have to survive its journey to another process.
+    """
+    config, here = settings.config, version("traction-gateway")
+    if settings.version != here:
+        return f"a worker has traction-gateway {here}, not {settings.version}"
+    try:
+        warm_up(config, _codec(config.dbc_path, config.nodes))
+    except (ConfigError, DbcMismatch, OSError) as error:
+        return " ".join(str(error).split())
+    return ""
+
+
+def replayed(one: Job, settings: Settings, began: float) -> Row:
+    """Replay a log, leave its file, give its row. Raises whatever a log can make it raise.
+
+    began: of `time.perf_counter`, from where the row's time counts.
+    """
+    if one.path.exists() and not one.path.is_file():
+        msg = "not a file"
+        raise BadLogError(msg)
+    config = settings.config
+    log = open_log(one.path, strict=False)
+    # Before it is read: a log that is still being written has changed by the next run.
+    mark = fingerprint(one.path, settings)
+    codec = _codec(config.dbc_path, config.nodes)
+    blocks = OneChannel(log.blocks, settings.log_channel)
+    recorder = Recorder(None, config.nodes, series=False)
+    ended_ns = 0
+    with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
+
+        def sink(now: int, _out: list[Frame], view: GatewayView) -> None:
+            nonlocal ended_ns
+            ended_ns = now
+            recorder.add(view)
+            estimates.add(view)
+
+        done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
+        reader = log.reader
+        counts = reader.counts if reader else {}
+        row = Row(
+            path=shown(one.path), warning=(reader.truncated or None) if reader else None,
+            file=f"{FOLDER}/{one.name}", size_bytes=int(mark["size_bytes"]),
+            channel=done.channel.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
+            first_ns=done.first_ns, last_ns=done.last_ns, frames=done.frames,
+            faulty_lines=sum(n for verdict, n in counts.items() if verdict.is_fault),
+            counts=dict(done.gateway.inbox.counts),
+            drives=per_drive(recorder.changes, config.nodes, ended_ns),
+            took_s=round(time.perf_counter() - began, 3),
+        )  # fmt: skip
+        said = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}
+        estimates.finish({**said, **mark})
+    return row

@@ -1,0 +1,19 @@
+"""What a worker of a fleet does in tests: as it should, but for logs that kill it."""
+
+from __future__ import annotations
+
+import os
+
+from gateway.drivers.fleet import one_log
+from gateway.drivers.fleet_logs import Job, Settings
+from gateway.results.fleet_table import Row
+
+
+def kill_or_work(one: Job, settings: Settings) -> Row:
+    """`poison.log` kills every worker, `once.log` the first that meets it, half-way."""
+    met = settings.folder / f"{one.path.name}.met"
+    if one.path.name == "poison.log" or (one.path.name == "once.log" and not met.exists()):
+        met.touch()
+        (settings.folder / "estimates" / f".{one.name}.0badf00d.part").touch()
+        os._exit(9)
+    return one_log(one, settings)
