@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from dbc._lean import inlined
 
 if TYPE_CHECKING:
     from dbc.receive import Guard, Window
@@ -22,7 +23,7 @@ _NO_DATA, _INIT, _VALID, _INVALID = range(4)  # SmState
 _MAX_DELTA, _WINDOW = 3, 5
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def crc_fits(data: Bytes, c: int, guard: Guard) -> bool:
     """Whether the checksum of a frame of message c fits; false for one shorter than its header."""
     n = guard.length[c]
@@ -43,7 +44,7 @@ def crc_fits(data: Bytes, c: int, guard: Guard) -> bool:
     return bool(wide == np.uint16(data[0]) | np.uint16(np.uint16(data[1]) << 8))
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def judge(data: Bytes, c: int, guard: Guard, memory: Window) -> int:
     """`Receiver.check`: the verdict on one frame of the right length; the counter is kept."""
     memory.missed[c] = 0
@@ -67,7 +68,7 @@ def judge(data: Bytes, c: int, guard: Guard, memory: Window) -> int:
     return _WRONG_SEQUENCE
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def cycle(c: int, check: int, memory: Window) -> int:
     """`Receiver.cycle`: feed one verdict to the window of message c; returns the new state."""
     at = memory.at[c]

@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators import adapt
+from estimators._lean import lean
 from estimators.lock import LockState
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Drives = NDArray[np.int32] | NDArray[np.int64]
 
-_scale = njit(cache=True)(adapt.scale)
-_lean = njit(cache=True)(adapt.lean)
-_most_lean = njit(cache=True)(adapt.most_lean)
+_scale = lean(adapt.scale)
+_lean = lean(adapt.lean)
+_most_lean = lean(adapt.most_lean)
 
 
-@njit(cache=True)
+@lean
 def absorb(
     drive: Drives,
     nis: Array,

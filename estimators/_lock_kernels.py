@@ -8,15 +8,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from numba import njit
-
 from estimators._kernels import Array, Drives, Flags, Ints, wrap
+from estimators._lean import lean
 
 if TYPE_CHECKING:
     from estimators.lock import LockState, LockTuning
 
 
-@njit(cache=True)
+@lean
 def lock_sweep(
     par: Array,
     state: LockState,
@@ -81,7 +80,7 @@ def lock_sweep(
                 state.stride[d] = 2 * steps if longest <= tuning.turn_short else steps
 
 
-@njit(cache=True)
+@lean
 def _resize(state: LockState, d: int, ratio: float) -> None:
     """The means as chords of `ratio` (2 or 1/2) times the length would have made them."""
     S1, S2 = state.S1[d], state.S2[d]
@@ -96,7 +95,7 @@ def _resize(state: LockState, d: int, ratio: float) -> None:
     state.span[d] *= ratio
 
 
-@njit(cache=True)
+@lean
 def _add_pair(
     psi_f: float,
     state: LockState,
@@ -179,7 +178,7 @@ def _add_pair(
         state.ready[d] = True
 
 
-@njit(cache=True)
+@lean
 def agreement(
     w: Array,
     theta: Array,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators import unbalance
+from estimators._lean import lean
 from estimators.unbalance import Unbalance
 
 Array = NDArray[np.float64]
@@ -25,9 +25,11 @@ _MOST_OFFSET = unbalance.MOST_OFFSET
 _MOST_IMAGE = unbalance.MOST_IMAGE
 _LINE_S = unbalance.LINE_S
 _LINE_LEAST = unbalance.LINE_LEAST
+_SUMS = 3
+"""Kept over a revolution, of a current as a complex number: it, its square, its size squared."""
 
 
-@njit(cache=True)
+@lean
 def balance(
     state: Unbalance,
     drive: Drives,
@@ -67,12 +69,13 @@ def balance(
         _add(state, d, z, min(step, left))
         if step >= left:
             _finish(state, d, rated[d])
-            state.before[d] = state.rising[d]
+            for j in range(_SUMS):
+                state.before[d, j] = state.rising[d, j]
             _begin(state, d)
             _add(state, d, z, step - left)
 
 
-@njit(cache=True)
+@lean
 def _swing(state: Unbalance, d: int, z: complex, passed: float, least: float) -> None:
     near = min(passed / _LINE_S, 1.0)
     whole = max(z.real * z.real + z.imag * z.imag, least * least)
@@ -81,14 +84,15 @@ def _swing(state: Unbalance, d: int, z: complex, passed: float, least: float) ->
     state.step_s[d] = passed
 
 
-@njit(cache=True)
+@lean
 def _begin(state: Unbalance, d: int) -> None:
     state.turned[d] = 0.0
-    state.flat[d] = 0.0
-    state.rising[d] = 0.0
+    for j in range(_SUMS):
+        state.flat[d, j] = 0.0
+        state.rising[d, j] = 0.0
 
 
-@njit(cache=True)
+@lean
 def _add(state: Unbalance, d: int, z: complex, angle: float) -> None:
     weight = angle * (state.turned[d] + 0.5 * angle) / _TURN
     state.turned[d] += angle
@@ -102,7 +106,7 @@ def _add(state: Unbalance, d: int, z: complex, angle: float) -> None:
     rising[2] += weight * square
 
 
-@njit(cache=True)
+@lean
 def _finish(state: Unbalance, d: int, rated: float) -> None:
     """Learn from this revolution and the one before, if both are whole and alike."""
     now = state.flat[d, 2].real / _TURN
@@ -110,9 +114,10 @@ def _finish(state: Unbalance, d: int, rated: float) -> None:
     if not (now >= (_LEAST * rated) ** 2 and abs(now - last) <= _STEADY * last):
         return
     # Up over the revolution before, down over this one: a triangle of area 2 pi.
-    mean = (state.before[d] + state.flat[d] - state.rising[d]) / _TURN
-    offset = mean[0]
-    image = 0.5 * (mean[1] - offset * offset) / (mean[2].real - abs(offset) ** 2)
+    offset = (state.before[d, 0] + state.flat[d, 0] - state.rising[d, 0]) / _TURN
+    second = (state.before[d, 1] + state.flat[d, 1] - state.rising[d, 1]) / _TURN
+    square = (state.before[d, 2] + state.flat[d, 2] - state.rising[d, 2]) / _TURN
+    image = 0.5 * (second - offset * offset) / (square.real - abs(offset) ** 2)
     if not (abs(offset) <= _MOST_OFFSET * rated and abs(image) <= _MOST_IMAGE):
         return
     state.turns[d] = min(state.turns[d] + 1, _REVOLUTIONS)

@@ -10,10 +10,10 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from dbc._kernels import decode_block
+from dbc._lean import inlined, lean
 from dbc._receive_kernels import cycle, judge
 from gateway.slow import RPM, STEADY_NM, STEADY_SHARE
 
@@ -47,7 +47,7 @@ _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(
 _NO_ROUTE, _OWN = -1, -2  # receiving.Routes
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _verdict(row: int, c: int, wiring: Wiring, value: Array, validity: Bytes) -> int:
     """Whether every signal of a row may be used, and if not why."""
     quality = wiring.quality[c]
@@ -64,7 +64,7 @@ def _verdict(row: int, c: int, wiring: Wiring, value: Array, validity: Bytes) ->
     return _OUTSIDE if outside else _GOOD
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _gap(
     state: PairState, d: int, counter: int, modulus: int, t: int, period: int, hole: int
 ) -> int:
@@ -81,7 +81,7 @@ def _gap(
     return cycles - 1 if cycles > 0 else -1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def take_rows(
     channel: Ints,
     t_ns: Ints,
@@ -158,8 +158,9 @@ def take_rows(
         steps = wiring.steps[c]
         if kind != _BLOCK:
             out.drive[m] = d
-            out.u[m] = state.half[d, _VOLTAGES, counter]
-            out.y[m] = state.half[d, _CURRENTS, counter]
+            for k in range(2):
+                out.u[m, k] = state.half[d, _VOLTAGES, counter, k]
+                out.y[m, k] = state.half[d, _CURRENTS, counter, k]
             out.steps[m] = steps
             out.gap[m] = missing * steps
             m += 1
@@ -177,7 +178,7 @@ def take_rows(
     return m
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _route(can_id: int, flags: int, routes: Routes) -> int:
     """Channel of an identifier; _OWN for the gateway's own, _NO_ROUTE for any other."""
     key = np.int64(can_id) | (np.int64(flags & _EXTENDED) << 31)
@@ -193,7 +194,7 @@ def _route(can_id: int, flags: int, routes: Routes) -> int:
     return _NO_ROUTE
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _admit(
     data: Bytes, c: int, t: int, guard: Guard, memory: Window, state: ChannelState, tally: Ints
 ) -> bool:
@@ -224,7 +225,7 @@ def _admit(
     return False
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _unbelieved(c: int, now: int, guard: Guard, memory: Window, state: ChannelState) -> int:
     """Why channel c is not believed at `now`; 0 if it is."""
     heard, last, cause = state.heard_ns[c], state.last_ns[c], state.cause[c]
@@ -242,7 +243,7 @@ def _unbelieved(c: int, now: int, guard: Guard, memory: Window, state: ChannelSt
     return int(cause) if cause in (_RANGE, _MISSING_VALUE) else _FINE
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def settle(now: int, guard: Guard, memory: Window, state: ChannelState) -> None:
     """End of a tick: notice silence, and say why each channel is not believed (`reason`)."""
     for c in range(state.reason.shape[0]):
@@ -251,7 +252,7 @@ def settle(now: int, guard: Guard, memory: Window, state: ChannelState) -> None:
         state.reason[c] = _unbelieved(c, now, guard, memory, state)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _keep(
     row: int, c: int, wiring: Wiring, scratch: Scratch, slow: SlowState, readings: Readings
 ) -> None:
@@ -273,7 +274,7 @@ def _keep(
     slow.command_ns[d] = t
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _note(
     row: int, c: int, wiring: Wiring, state: ChannelState, scratch: Scratch, slow: SlowState,
     readings: Readings,
@@ -302,7 +303,7 @@ def _note(
     return bool(kind == _TEMPERATURES)
 
 
-@njit(cache=True)
+@lean
 def take_block(
     t_ns: Ints,
     can_id: NDArray[np.uint32],
@@ -357,7 +358,8 @@ def take_block(
             scratch.channel[m] = c
             scratch.message[m] = wiring.message[c]
             scratch.t_ns[m] = t
-            scratch.payload[m] = data[r]
+            for k in range(data.shape[1]):
+                scratch.payload[m, k] = data[r, k]
             m += 1
     samples = seen = 0
     if m:
@@ -379,7 +381,7 @@ def take_block(
     return samples, seen, foreign
 
 
-@njit(cache=True)
+@lean
 def in_order(t_ns: Ints, can_id: NDArray[np.uint32]) -> bool:
     """Whether `dbc.block.Block.ordered` has nothing to do."""
     for k in range(1, t_ns.shape[0]):
@@ -388,7 +390,7 @@ def in_order(t_ns: Ints, can_id: NDArray[np.uint32]) -> bool:
     return True
 
 
-@njit(cache=True)
+@lean
 def busy_s(
     busy: float,
     can_id: NDArray[np.uint32],

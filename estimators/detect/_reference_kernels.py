@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from estimators._lean import lean
 from estimators.detect import reference, response
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ _VETOED = response.VETOED
 _SQRT_HALF = 1.0 / math.sqrt(2.0)
 
 
-@njit(cache=True)
+@lean
 def refer(
     memory: reference.Reference, load: Array, share: Array, passing: float, out: Array,
     spread: Array,
@@ -57,7 +58,7 @@ def refer(
         spread[i] = math.sqrt(square) / share[i]
 
 
-@njit(cache=True)
+@lean
 def severely(
     common: float, heard: response.Heard, referred: Array, spread: Array, known: Flags,
     part: float, spreads: float, out: Flags,
@@ -74,7 +75,7 @@ def severely(
         out[i] = known[i] and wanted != 0.0 and missing > least
 
 
-@njit(cache=True)
+@lean
 def watch(
     memory: reference.Reference, load: Array, common: Array, known: Flags, relative: bool
 ) -> float:
@@ -102,7 +103,7 @@ def watch(
     return min(max(math.sqrt(square), _SPREAD_FLOOR * configured), _SPREAD_MOST * configured)
 
 
-@njit(cache=True)
+@lean
 def _taught_by(load: float, m: float, ratio: float, variance: float, noise: float) -> bool:
     """Whether the observation of a healthy drive says something about its ratio."""
     beside = load - ratio * m
@@ -141,7 +142,7 @@ def learn(
         ratio[i] = min(max(ratio[i], _LOW), _HIGH)
 
 
-@njit(cache=True)
+@lean
 def respond(
     memory: response.Memory, heard: response.Heard, dt: float, lost: Array, meant: Flags
 ) -> None:
@@ -172,7 +173,7 @@ def respond(
         lost[i] = p if meant[i] else _OPEN
 
 
-@njit(cache=True)
+@lean
 def steady(heard: response.Heard, dt: float, out: Flags) -> bool:
     """Fills out (N,) with the drives whose load answers an unchanged command; any of them."""
     found = False
@@ -203,7 +204,7 @@ def learn_response(
     return spread
 
 
-@njit(cache=True)
+@lean
 def fuse(
     lost: Array, known: Flags, alone: Array, heard: Flags, meant: Flags, out: Array, told: Flags
 ) -> None:
