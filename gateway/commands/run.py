@@ -28,6 +28,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=positive_seconds, metavar="S", help="stop after this long"
     )
     parser.add_argument("--quiet", action="store_true", help="no live table")
+    parser.add_argument(
+        "--realtime", type=int, metavar="PRIORITY",
+        help="SCHED_FIFO with this priority (1 to 99) and locked memory; needs the right to it",
+    )  # fmt: skip
     add_bus(parser)
 
 
@@ -38,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.drivers.canopen_node import CanopenNode
     from gateway.drivers.live import LiveSnapshot, Stop, run_live
     from gateway.drivers.realtime import Ticker
+    from gateway.drivers.scheduling import be_realtime
     from gateway.drivers.transport import Allow
     from gateway.drivers.warm import warm_up
 
@@ -45,6 +50,8 @@ def run(options: argparse.Namespace) -> int:
     master = config.canopen.nmt_master
     with patience():
         warm_up(config, codec)
+    if options.realtime is not None:
+        be_realtime(options.realtime)
     transport = open_transport(
         bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
     )
