@@ -26,7 +26,7 @@ STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("filters", core.Bank, "advance"),
     ("  currents made even, compiled", bank, "balance"),
     ("  flux chords, compiled", bank, "lock_sweep"),
-    ("  EKF, compiled", bank, "ekf_sweep"),
+    ("  EKF, compiled", bank, "ekf_lanes"),
     ("  innovations, compiled", bank, "absorb"),
     ("measured motion", core.MotionSide, "take"),
     ("detector and commands", core.AdhesionSide, "judge"),

@@ -40,9 +40,9 @@ def absorb(
 ) -> None:
     """M innovations in order, of N drives: counts steps, smooths the NIS, scales R, leans.
 
-    drive, nis, n_sub (M,): as in `ekf_sweep`, NaN where a row was skipped; dt: sub-step, s;
+    drive, nis, n_sub (M,): as in `ekf_lanes`, NaN where a row was skipped; dt: sub-step, s;
     settled: sub-steps from which on the speed says something about the motor; par: as in
-    `ekf_sweep`; rated: (N,) A; w_e (N,): the filters' speeds. Changes steps (N,) in sub-steps since
+    `ekf_lanes`; rated: (N,) A; w_e (N,): the filters' speeds. Changes steps (N,) in sub-steps since
     the start, mean, scale and lean (N,) of the `active` drives.
     """
     for k in range(drive.shape[0]):

@@ -1,9 +1,9 @@
-"""Compiled loops of the filters: many samples of several drives in one call.
+"""Compiled parts of the filters, and the UKF: many samples of several drives in one call.
 
-Twins in plain form: `ekf.sweep`, `ukf.sweep`. Row layout, also that of `_lock_kernels`: M samples
-in order of time, any mix of drives; drive (M,) int32, u (M, 2) V mean over the sample's own
-interval, y (M, 2) A at its end, n_sub (M,) int64 sub-steps of dt in that interval, n_gap (M,)
-int64 sub-steps missing before it.
+The EKF's own loop is in `_lanes_kernels`. Twins in plain form: `ekf.sweep`, `ukf.sweep`. Row
+layout, also that of `_lock_kernels`: M samples in order of time, any mix of drives; drive (M,)
+int32, u (M, 2) V mean over the sample's own interval, y (M, 2) A at its end, n_sub (M,) int64
+sub-steps of dt in that interval, n_gap (M,) int64 sub-steps missing before it.
 
 The Jacobian has 14 entries other than 0 and 1 and the covariance 15 different ones: the EKF
 writes both out, which is what makes a sub-step cheap, and this file long. P is taken from its
@@ -263,54 +263,6 @@ def _leaned(u: Array, lean: float, half: float, x: Array, v: Array) -> None:
 
 
 @njit(cache=True)
-def ekf_sweep(
-    par: Array,
-    Q: Array,
-    R: Array,
-    coast: Array,
-    x: Array,
-    P: Array,
-    drive: Drives,
-    u: Array,
-    y: Array,
-    n_sub: Ints,
-    n_gap: Ints,
-    dt: float,
-    nis_out: Array,
-    ok_out: Flags,
-    lean: Array,
-) -> None:
-    """Run the EKF over M samples; x (N, 5) and P (N, 5, 5) in place. Twin: `ekf.sweep`.
-
-    par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`; lean (N,), V, as
-    in `ekf.leaned`. nis_out (M,) and ok_out (N,) are filled. A drive whose result is
-    not finite, or has a negative variance, gets ok False, keeps its last good x and P, and its
-    later rows are skipped with nis NaN: start it anew.
-    """
-    x_d = np.empty(5)
-    P_d = np.empty((5, 5))
-    K = np.empty((5, 2))
-    W = np.empty((5, 5))
-    v = np.empty(2)
-    nis_out[:] = np.nan
-    ok_out[:] = True
-    for k in range(drive.shape[0]):
-        d = drive[k]
-        if not ok_out[d]:
-            continue
-        _load(x[d], P[d], x_d, P_d)
-        if n_gap[k] > 0:
-            _coast(par[d], Q[d], coast[d], n_gap[k] * dt, n_gap[k], x_d, P_d)
-        _leaned(u[k], lean[d], 0.5 * n_sub[k] * dt, x_d, v)
-        _ekf_predict(par[d], Q[d], v, n_sub[k], dt, x_d, P_d)
-        nis = _update(R[d], y[k], x_d, P_d, K, W)
-        if _store(x_d, P_d, x[d], P[d]):
-            nis_out[k] = nis
-        else:
-            ok_out[d] = False
-
-
-@njit(cache=True)
 def _cholesky(P: Array, relative: float, absolute: float, L: Array) -> bool:
     """Lower factor of P with its variances raised by relative and absolute; False if none."""
     for j in range(5):
@@ -435,7 +387,7 @@ def ukf_sweep(
     ok_out: Flags,
     lean: Array,
 ) -> None:
-    """Run the UKF over M samples: everything as in `ekf_sweep`. Twin: `ukf.sweep`.
+    """Run the UKF over M samples: everything as in `_lanes_kernels.ekf_lanes`. Twin: `ukf.sweep`.
 
     A covariance without a Cholesky factor is repaired once as `ukf.factor` says; if that
     fails too, the drive gets ok False.

@@ -1,10 +1,10 @@
-"""The EKF of several drives at once: `_kernels.ekf_sweep`, in vectors of `LANES` drives.
+"""The EKF of several drives at once, in vectors of `LANES` drives. Plain twin: `ekf.sweep`.
 
 Drives are independent and do the same arithmetic, so one instruction can serve four of them. What
 a compiler needs for that: a loop over lanes without calls or branches, and memory that cannot
 overlap, so everything of a block of drives lies in one flat array, row by row, a lane each. Sines
 are polynomials (fdlibm's, 1e-16 of their own), products are fused with sums: results differ from
-`_kernels` by rounding only. Written out for the same reason, and as long, as `_kernels`.
+the twin by rounding only. Written out for the same reason, and as long, as `_kernels`.
 """
 
 from __future__ import annotations
@@ -277,7 +277,7 @@ def _alone(
     par: Array, Q: Array, R: Array, var: float, lean: float, u: Array, y: Array, n_sub: int,
     n_gap: int, dt: float, x: Array, P: Array,
 ) -> float:  # fmt: skip
-    """A sample behind a gap, as in `_kernels.ekf_sweep`."""
+    """A sample behind a gap: not worth a vector."""
     K, W, v = np.empty((5, 2)), np.empty((5, 5)), np.empty(2)
     _coast(par, Q, var, n_gap * dt, n_gap, x, P)
     _leaned(u, lean, 0.5 * n_sub * dt, x, v)
@@ -319,7 +319,12 @@ def ekf_lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
     y: Array, n_sub: Ints, n_gap: Ints, dt: float, nis_out: Array, ok_out: Flags, lean: Array,
 ) -> None:  # fmt: skip
-    """Run the EKF over M samples of N drives; everything as `_kernels.ekf_sweep` has it.
+    """Run the EKF over M samples; x (N, 5) and P (N, 5, 5) in place. Twin: `ekf.sweep`.
+
+    par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`; lean (N,), V, as
+    in `ekf.leaned`. nis_out (M,) and ok_out (N,) are filled. A drive whose result is
+    not finite, or has a negative variance, gets ok False, keeps its last good x and P, and its
+    later rows are skipped with nis NaN: start it anew.
 
     Rows that follow one another are done together while they are of different drives, without a
     gap and of one length; a drive's own rows keep their order. P comes out symmetric.

@@ -44,7 +44,7 @@ def balance(
 ) -> None:
     """Correct M samples by what is known so far, and learn from them.
 
-    drive, y (M, 2), n_sub, n_gap, dt: as in `ekf_sweep`; w_e (N,): electrical speed, rad/s, where
+    drive, y (M, 2), n_sub, n_gap, dt: as in `ekf_lanes`; w_e (N,): electrical speed, rad/s, where
     it is known (`ready`, (N,)); rated (N,) A; out (M, 2) is filled. Never raises on numbers: a
     sample that is not finite stays what it is and begins the revolution anew.
     """

@@ -1,6 +1,6 @@
 """Extended Kalman filter of N drives: paper `adhesion`, eq. (3)-(15), with `models.pmsm`.
 
-Readable form over stacked arrays. The gateway runs `_kernels.ekf_sweep`; `sweep` is its plain
+Readable form over stacked arrays. The gateway runs `_lanes_kernels.ekf_lanes`; `sweep` is its plain
 twin. Drives are independent, so the paper's block-diagonal matrices (16)-(17) are never built.
 
 Between two samples the model takes n_sub Euler steps of dt with the mean voltage of the
@@ -125,7 +125,7 @@ def sweep(
     dt: float,
     lean: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
-    """M samples in order, x and P in place: the twin of `_kernels.ekf_sweep`.
+    """M samples in order, x and P in place: the twin of `_lanes_kernels.ekf_lanes`.
 
     lean: see `leaned`, none without. Returns (nis (M,), ok (N,)). A drive whose result is not
     `healthy` gets ok False and nis NaN, keeps its last good x and P, and its later rows are

@@ -16,7 +16,8 @@ import numpy as np
 from dbc.frame import MS, SECOND, Nanos
 from estimators import adapt, lock, unbalance
 from estimators._adapt_kernels import absorb
-from estimators._kernels import ekf_sweep, ukf_sweep
+from estimators._kernels import ukf_sweep
+from estimators._lanes_kernels import ekf_lanes
 from estimators._lock_kernels import agreement, lock_sweep
 from estimators._unbalance_kernels import balance
 from estimators.models import pmsm
@@ -191,7 +192,7 @@ class Bank:
         if self.ukf:
             ukf_sweep(*arguments, UKF_KAPPA, nis, ok, self.lean)
         else:
-            ekf_sweep(*arguments, nis, ok, self.lean)
+            ekf_lanes(*arguments, nis, ok, self.lean)
         absorb(
             drive, nis, n_sub, dt, NIS_SMOOTHING, SETTLE_STEPS, self.table, self.rated.I,
             self.x[:, pmsm.W_E], self.chords, self.active, self.steps, self.nis, self.scale,

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators._kernels import ekf_sweep
+from estimators._lanes_kernels import ekf_lanes
 from estimators.models import pmsm
 from gateway.config import Estimator
 
@@ -90,7 +90,7 @@ def estimate(samples: Record, belief: Filter, x_0: Array, P_0: Array) -> Estimat
     u, y = np.ascontiguousarray(samples.u), np.ascontiguousarray(samples.y)
     load, speed = np.empty((count, n)), np.empty((count, n))
     for k in range(count):
-        ekf_sweep(
+        ekf_lanes(
             motor, Q, R, np.zeros(n), x, P, drive, u[k], y[k], n_sub, n_gap, pmsm.SUB_STEP_S,
             nis, ok, np.zeros(n),
         )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators import _kernels, _lock_kernels, ekf, lock, ukf
+from estimators import _kernels, _lanes_kernels, _lock_kernels, ekf, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
 from tests.strategies import filter_states, motor_rows, sample_rows
@@ -37,7 +37,7 @@ def run(kind, par, x, P, rows):
     body = (drive, table[:, 1:3].copy(), table[:, 3:5].copy(), n_sub, n_gap, SUB_STEP_S)
     straight = np.zeros(len(x))
     if kind == "ekf":
-        _kernels.ekf_sweep(*head, *body, nis, ok, straight)
+        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, straight)
     else:
         _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, straight)
     return x, P, nis, ok

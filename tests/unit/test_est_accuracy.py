@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from estimators import _kernels, _lock_kernels, lock, ukf
+from estimators import _kernels, _lanes_kernels, _lock_kernels, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
 from tests.unit.test_est_ekf import bench
@@ -72,7 +72,7 @@ def load_errors(
             nis = np.empty(now.stop - now.start)
             args = (table, noise.Q, noise.R, noise.coast, x, P, *(c[now] for c in rows[:5]), TICK_S)
             if kind == "ekf":
-                _kernels.ekf_sweep(*args, nis, ok, np.zeros(DRIVES))
+                _lanes_kernels.ekf_lanes(*args, nis, ok, np.zeros(DRIVES))
             else:
                 _kernels.ukf_sweep(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES))
             assert ok.all()

@@ -45,8 +45,6 @@ def sweep(kind: str, c: Case, rows: Rows | None = None):
     head = (pmsm.table(c.par), c.noise.Q, c.noise.R, c.noise.coast, x, P)
     body = (rows.drive, rows.u, rows.y, rows.n_sub, rows.n_gap, SUB_STEP_S)
     if kind == "ekf":
-        _kernels.ekf_sweep(*head, *body, nis, ok, c.lean)
-    elif kind == "lanes":
         _lanes_kernels.ekf_lanes(*head, *body, nis, ok, c.lean)
     else:
         _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, c.lean)
@@ -62,7 +60,7 @@ def twin(kind: str, c: Case):
     return x, P, nis, ok
 
 
-both = pytest.mark.parametrize("kind", ["ekf", "lanes", "ukf"])
+both = pytest.mark.parametrize("kind", ["ekf", "ukf"])
 
 
 @both

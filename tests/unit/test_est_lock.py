@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from estimators import _kernels, _lock_kernels, lock
+from estimators import _lanes_kernels, _lock_kernels, lock
 from estimators.lock import Agreement
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
@@ -199,7 +199,7 @@ def test_agreement_tells_right_from_wrong_filters(final, every):
     P = np.tile(np.diag([1.0, 1.0, 1e4, 4.0, 900.0]), (36, 1, 1))
     nis, ok = np.empty(len(rows.drive)), np.empty(36, dtype=np.bool_)
     head = (pmsm.table(par), paper.Q, paper.R, paper.coast)
-    _kernels.ekf_sweep(*head, x, P, *rows[:5], TICK_S, nis, ok, np.zeros(36))
+    _lanes_kernels.ekf_lanes(*head, x, P, *rows[:5], TICK_S, nis, ok, np.zeros(36))
     state = lock.start(36)
     feed(state, par, rows, np.ones(len(rows.drive), dtype=np.bool_))
     error = np.abs(pmsm.wrap(x[:, 3] - truth.theta[-1]))
@@ -228,7 +228,7 @@ def test_start_state_starts_the_filter_right():
     late = rows.tick >= middle
     nis, ok = np.empty(np.count_nonzero(late)), np.empty(36, dtype=np.bool_)
     head = (pmsm.table(par), noise.Q, noise.R, noise.coast)
-    _kernels.ekf_sweep(
+    _lanes_kernels.ekf_lanes(
         *head,
         x,
         P,
