@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from gateway.drivers.fleet import one_log
 from gateway.drivers.fleet_logs import Job, Settings
+from gateway.drivers.fleet_task import one_log
 from gateway.results.fleet_table import Row
 
 

@@ -14,8 +14,8 @@ from distributed import Client, LocalCluster, as_completed
 from distributed.scheduler import KilledWorker
 
 from gateway.config import ConfigError
-from gateway.drivers.fleet import Work, bad, ready
 from gateway.drivers.fleet_logs import Job, Settings, done_before
+from gateway.drivers.fleet_task import Work, bad, ready
 from gateway.results.fleet_table import Row
 
 ALLOWED_DEATHS: Final = 1

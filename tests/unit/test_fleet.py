@@ -13,7 +13,7 @@ import pytest
 
 from gateway.cli import main
 from gateway.config import ConfigError, load
-from gateway.drivers import fleet
+from gateway.drivers import fleet, fleet_task
 from gateway.drivers.fleet_logs import FOLDER, find, job, settings_for
 from gateway.results.fleet_table import BAD, DONE, Row, flat, metadata_of, per_drive, write
 from tests.poison import kill_or_work
@@ -54,7 +54,7 @@ def here(paths, folder, *, force=False, config=None, channel=None):
     """A fleet in this process: rows by name of the log, and how many were done before."""
     asked = settings(folder, config, channel)
     planned = fleet.plan(paths, asked, force=force)
-    done = {one: fleet.one_log(one, asked) for one in planned.todo}
+    done = {one: fleet_task.one_log(one, asked) for one in planned.todo}
     table = {**planned.before, **done}
     return {one.path.name: table[one] for one in planned.jobs}, len(planned.before)
 
@@ -303,7 +303,7 @@ def test_names_of_files_tell_logs_apart(tmp_path):
     assert job(odd).name.endswith(".parquet")
     assert job(odd).name.isascii()
     assert job(tmp_path / "a" / "x.log").name != job(tmp_path / "b" / "x.log").name
-    row = fleet.bad(job(odd), "why")
+    row = fleet_task.bad(job(odd), "why")
     write(tmp_path, [row], {"settings": "s"})
     assert rows(tmp_path)[0]["path"].endswith("é \\xff:x.log.gz")
     assert metadata_of(tmp_path / "fleet.parquet")["settings"] == "s"
