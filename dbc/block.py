@@ -77,6 +77,20 @@ class Block(NamedTuple):
         return self.pick(np.lexsort((i, t)))
 
 
+def blank(rows: int, names: Sequence[str]) -> Block:
+    """Space for so many frames of the first channel, to be filled in; `dlc` is -1 already."""
+    return Block(
+        np.empty(rows, dtype=np.int64),
+        np.empty(rows, dtype=np.uint32),
+        np.empty(rows, dtype=np.uint8),
+        np.empty(rows, dtype=np.uint8),
+        np.empty((rows, ROOM), dtype=np.uint8),
+        np.full(rows, -1, dtype=np.int8),
+        np.zeros(rows, dtype=np.uint16),
+        names,
+    )
+
+
 def block_of(frames: Iterable[Frame]) -> Block:
     """Frames as a block, in their order. Data beyond 64 bytes are cut; `length` tells (255)."""
     rows = list(frames)

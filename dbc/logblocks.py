@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc._candump_kernels import FD_LENGTH, HEX, OTHER, scan
-from dbc.block import ROOM, Block
+from dbc.block import ROOM, Block, blank
 from dbc.frame import EXTENDED, FD, Frame
 from dbc.logline import tail_of
 
@@ -53,16 +53,7 @@ class Scanner:
         if len(self.names) > _NAMES_KEPT:
             self.names = []
             self._sizes[:] = 0
-        rows = Block(
-            np.empty(ROWS, dtype=np.int64),
-            np.empty(ROWS, dtype=np.uint32),
-            np.empty(ROWS, dtype=np.uint8),
-            np.empty(ROWS, dtype=np.uint8),
-            np.empty((ROWS, ROOM), dtype=np.uint8),
-            np.full(ROWS, -1, dtype=np.int8),
-            np.empty(ROWS, dtype=np.uint16),
-            self.names,
-        )
+        rows = blank(ROWS, self.names)
         what = np.empty(ROWS, dtype=np.uint8)
         n, place = scan(
             text, start, rows.t_ns, rows.can_id, rows.flags, rows.length, rows.data,

@@ -1,9 +1,4 @@
-"""How the loops are compiled that get many arrays at once.
-
-numba counts references to every array of every tuple that is handed on, atomically, although
-whoever called keeps them all alive: three quarters of the receive loop's time. Without that a
-function can make no array: rows are written number by number, not as slices.
-"""
+"""How loops over many arrays are compiled; `dbc._lean`, which nobody here may import, says why."""
 
 from __future__ import annotations
 
@@ -16,10 +11,5 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def lean(function: F) -> F:
-    """Compiled, cached, without reference counts."""
+    """Compiled, cached, without reference counts: it can make no array."""
     return njit(cache=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
-
-
-def inlined(function: F) -> F:
-    """The same, put in where it is called."""
-    return njit(cache=True, forceinline=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dbc._kernels import decode_block
 from dbc._lean import inlined, lean
 from dbc._receive_kernels import cycle, judge
-from gateway.slow import RPM, STEADY_NM, STEADY_SHARE
+from gateway._slow_kernels import keep
 
 if TYPE_CHECKING:
     from dbc.codec import Tables
@@ -31,7 +31,6 @@ Bytes = NDArray[np.uint8]
 
 _NOT_AVAILABLE, _ABSENT = 1, 4  # dbc.spec
 _CURRENTS, _VOLTAGES, _BLOCK, _MOTION, _TEMPERATURES, _STATUS = range(6)  # pairing.Kind
-_READINGS, _CHANGED = range(2)  # slow.Count
 _GOOD, _MISSING, _OUTSIDE = 0, 1, 2  # pairing.Row
 _UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
@@ -253,28 +252,6 @@ def settle(now: int, guard: Guard, memory: Window, state: ChannelState) -> None:
 
 
 @inlined
-def _keep(
-    row: int, c: int, wiring: Wiring, scratch: Scratch, slow: SlowState, readings: Readings
-) -> None:
-    """Keep the values of a good `Motion` or `Status` row."""
-    d, t = wiring.drive[c], scratch.t_ns[row]
-    first = scratch.value[row, wiring.columns[c, 0]]
-    second = scratch.value[row, wiring.columns[c, 1]]
-    slow.came[_CHANGED] += 1
-    if wiring.kind[c] == _MOTION:
-        n = slow.came[_READINGS]
-        slow.came[_READINGS] += 1
-        slow.speed[d], slow.torque[d] = first * RPM, second
-        readings.drive[n], readings.t_ns[n] = d, t
-        readings.speed[n], readings.torque[n] = slow.speed[d], second
-        return
-    before = first if math.isnan(slow.command[d]) else slow.command[d]
-    slow.steady[d] = abs(first - before) <= STEADY_NM + STEADY_SHARE * abs(first)
-    slow.command[d], slow.before[d], slow.irms[d] = first, before, second
-    slow.command_ns[d] = t
-
-
-@inlined
 def _note(
     row: int, c: int, wiring: Wiring, state: ChannelState, scratch: Scratch, slow: SlowState,
     readings: Readings,
@@ -295,7 +272,7 @@ def _note(
         state.cause[c] = _FINE
         state.good_ns[c] = t
         if kind > _BLOCK:
-            _keep(row, c, wiring, scratch, slow, readings)
+            keep(row, c, wiring, scratch, slow, readings)
     else:
         state.cause[c] = _MISSING_VALUE if verdict == _MISSING else _RANGE
     tally = (_T_DECODED, _T_NOT_AVAILABLE, _T_RANGE)[verdict]

@@ -8,22 +8,21 @@ from __future__ import annotations
 import ctypes
 import os
 import struct
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import ROOM, Block
+from dbc.block import Block, blank
 from dbc.frame import Nanos
 from gateway.drivers import _batch_kernels as compiled
 from gateway.drivers.wire import FD_SIZE
 
 CONTROL_SIZE: Final = 128
 """Stamp and drop counter take 56 bytes with 64-bit words."""
-_NATIVE: Final = struct.calcsize("@l")
+NATIVE: Final = struct.calcsize("@l")
 _DONTWAIT: Final = 0x40
-_TRUNCATED: Final = 0x20
+TRUNCATED: Final = 0x20
 """Of a message's flags: it was longer than a frame is."""
 
 
@@ -45,28 +44,31 @@ _MESSAGE: Final = np.dtype([("head", _HEAD), ("size", np.uint32)], align=True)
 
 
 class Batch:
-    """Room for so many messages; `read` fills on, `take` empties."""
+    """Room for so many messages; `read` fills on, `take` empties.
+
+    data, control and the views of the headers (control_sizes, sizes, flags) are what the kernel fills.
+    """
 
     def __init__(self, room: int) -> None:
         """room: messages."""
         self.room = room
         self.filled = 0
         self._tally = np.zeros(5, dtype=np.int64)
-        self._data = np.zeros((room, FD_SIZE), dtype=np.uint8)
-        self._control = np.zeros((room, CONTROL_SIZE), dtype=np.uint8)
+        self.data = np.zeros((room, FD_SIZE), dtype=np.uint8)
+        self.control = np.zeros((room, CONTROL_SIZE), dtype=np.uint8)
         steps = np.arange(room, dtype=np.uint64)
         self._vectors = np.zeros(room, dtype=_IOVEC)
-        self._vectors["base"] = self._data.ctypes.data + FD_SIZE * steps
+        self._vectors["base"] = self.data.ctypes.data + FD_SIZE * steps
         self._vectors["size"] = FD_SIZE
         self._messages = np.zeros(room, dtype=_MESSAGE)
         head = self._messages["head"]
         head["vector"] = self._vectors.ctypes.data + _IOVEC.itemsize * steps
         head["vectors"] = 1
-        head["control"] = self._control.ctypes.data + CONTROL_SIZE * steps
+        head["control"] = self.control.ctypes.data + CONTROL_SIZE * steps
         head["control_size"] = CONTROL_SIZE
-        self._sizes: NDArray[np.uint32] = self._messages["size"]
-        self._control_sizes: NDArray[np.uint64] = head["control_size"]
-        self._flags: NDArray[np.int32] = head["flags"]
+        self.sizes: NDArray[np.uint32] = self._messages["size"]
+        self.control_sizes: NDArray[np.uint64] = head["control_size"]
+        self.flags: NDArray[np.int32] = head["flags"]
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
         # Compiled, or loaded, now and not in the first tick.
         self.take(0, 0, 0, "")
@@ -91,22 +93,6 @@ class Batch:
             raise OSError(code, os.strerror(code))
         self.filled += count
 
-    def put(self, payload: bytes, control: Sequence[tuple[int, int, bytes]]) -> None:
-        """Enter a message as the kernel would."""
-        k = self.filled
-        entries = b"".join(
-            (struct.pack("@Nii", _NATIVE + 8 + len(data), level, kind) + data).ljust(
-                _NATIVE + 8 + -(-len(data) // _NATIVE) * _NATIVE, b"\0"
-            )
-            for level, kind, data in control
-        )
-        kept = payload[:FD_SIZE]
-        self._data[k, : len(kept)] = np.frombuffer(kept, dtype=np.uint8)
-        self._control[k, : len(entries)] = np.frombuffer(entries, dtype=np.uint8)
-        self._control_sizes[k], self._sizes[k] = len(entries), len(kept)
-        self._flags[k] = 0 if len(kept) == len(payload) else _TRUNCATED
-        self.filled += 1
-
     def take(
         self, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos, name: str
     ) -> tuple[Block, int, int, int]:
@@ -117,26 +103,17 @@ class Batch:
         dropped meanwhile.
         """
         n = self.filled
-        sizes = np.where(self._flags[:n] & _TRUNCATED, 0, self._sizes[:n]).astype(np.uint32)
-        block = Block(
-            np.empty(n, dtype=np.int64),
-            np.empty(n, dtype=np.uint32),
-            np.empty(n, dtype=np.uint8),
-            np.empty(n, dtype=np.uint8),
-            np.empty((n, ROOM), dtype=np.uint8),
-            np.empty(n, dtype=np.int8),
-            np.zeros(n, dtype=np.uint16),
-            [name],
-        )
+        sizes = np.where(self.flags[:n] & TRUNCATED, 0, self.sizes[:n]).astype(np.uint32)
+        block = blank(n, [name])
         tally = self._tally
         tally[compiled.DROPPED] = 0
         compiled.unpack_rows(
-            self._data, sizes, self._control, self._control_sizes[:n].astype(np.int64), n,
-            _NATIVE, block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
+            self.data, sizes, self.control, self.control_sizes[:n].astype(np.int64), n,
+            NATIVE, block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
             tally,
         )  # fmt: skip
         frames, malformed, errors, dropped, _ = tally.tolist()
         compiled.age_rows(block.t_ns, frames, real_ns, now_ns, bound_ns)
-        self._control_sizes[:n] = CONTROL_SIZE
+        self.control_sizes[:n] = CONTROL_SIZE
         self.filled = 0
         return block.part(0, frames) if malformed else block, malformed, errors, dropped

@@ -14,6 +14,7 @@ from dbc.frame import SECOND
 from gateway.drivers.batch import Batch
 from gateway.drivers.transport import monotonic_stamp
 from gateway.drivers.wire import unpack
+from tests.messages import put
 
 REAL, NOW = 1_790_000_000 * SECOND, 50 * SECOND
 
@@ -44,7 +45,7 @@ def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, i
     batch = Batch(64)
     items = items[:64]
     for payload, age in items:
-        batch.put(payload, [stamp(REAL - age)])
+        put(batch, payload, [stamp(REAL - age)])
     block, malformed, errors, dropped = batch.take(REAL, NOW, SECOND // 2, "vcan0")
     wanted = [
         unpack(payload, monotonic_stamp(REAL - age, REAL, NOW, SECOND // 2), "vcan0")
@@ -63,24 +64,24 @@ def test_stamps_drops_and_unknown_control_in_any_order() -> None:
     batch = Batch(8)
     frame = struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + bytes(8)
     other = (socket.SOL_SOCKET, 99, b"abc")
-    batch.put(frame, [drops(3), other, stamp(REAL - 5)])
-    batch.put(frame, [other])
-    batch.put(frame, [(1234, 35, struct.pack("@ll", 1, 1)), drops(7)])
+    put(batch, frame, [drops(3), other, stamp(REAL - 5)])
+    put(batch, frame, [other])
+    put(batch, frame, [(1234, 35, struct.pack("@ll", 1, 1)), drops(7)])
     block, _, _, dropped = batch.take(REAL, NOW, SECOND, "vcan0")
     assert block.t_ns.tolist() == [NOW - 5, NOW, NOW]
     assert dropped == 7
-    batch.put(frame, [drops(9)])
+    put(batch, frame, [drops(9)])
     assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 2
     batch.begin()
-    batch.put(frame, [drops(4)])
+    put(batch, frame, [drops(4)])
     assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 4
 
 
 def test_what_was_taken_stays_when_the_room_is_filled_again() -> None:
     batch = Batch(2)
-    batch.put(struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + b"\x01" * 8, [])
+    put(batch, struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + b"\x01" * 8, [])
     first, *_ = batch.take(REAL, NOW, SECOND, "vcan0")
-    batch.put(struct.pack("=IBBBB", 0x182, 1, 0, 0, 0) + b"\x02" * 8, [])
+    put(batch, struct.pack("=IBBBB", 0x182, 1, 0, 0, 0) + b"\x02" * 8, [])
     batch.take(REAL, NOW, SECOND, "vcan0")
     assert (first.can_id.item(0), first.data.item(0, 0)) == (0x181, 1)
 

@@ -16,6 +16,7 @@ from gateway.drivers.batch import Batch
 from gateway.drivers.socketcan import BATCH, Kernel, Link, RawSocket, SocketCan
 from gateway.drivers.transport import LinkState, SendResult
 from gateway.drivers.wire import BusState, pack
+from tests.messages import put
 
 HOUR = 3600 * SECOND
 DATA = Frame(0, 0x181, b"\x01\x02")
@@ -45,7 +46,7 @@ class FakeSocket:
         if isinstance(self.to_read[0], OSError):
             raise self.to_read.popleft()
         while self.to_read and not batch.full and not isinstance(self.to_read[0], OSError):
-            batch.put(*self.to_read.popleft())
+            put(batch, *self.to_read.popleft())
 
     def send(self, data: bytes) -> int:
         if self.send_errors:

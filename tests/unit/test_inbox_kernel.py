@@ -15,7 +15,7 @@ CODEC = codec_for()
 
 
 HELPERS = (
-    "_verdict", "_gap", "_route", "_admit", "_unbelieved", "_keep", "_note", "settle", "take_rows",
+    "_verdict", "_gap", "_route", "_admit", "_unbelieved", "keep", "_note", "settle", "take_rows",
     "judge", "cycle",
 )  # fmt: skip
 
