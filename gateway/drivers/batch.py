@@ -46,7 +46,7 @@ _MESSAGE: Final = np.dtype([("head", _HEAD), ("size", np.uint32)], align=True)
 class Batch:
     """Room for so many messages; `read` fills on, `take` empties.
 
-    data, control and the views of the headers (control_sizes, sizes, flags) are what the kernel fills.
+    data, control and what is seen of the headers (control_sizes, sizes, flags) the kernel fills.
     """
 
     def __init__(self, room: int) -> None:
