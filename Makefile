@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test lint format bench calibration lock clean-kernels clean
+.PHONY: demo test fuzz lint format bench calibration lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -14,6 +14,11 @@ demo: $(VENV)/.ready
 test: $(VENV)/.ready
 	$(BIN)/pytest -n auto --ignore=tests/hil $(ARGS)
 	$(BIN)/pytest tests/hil $(ARGS)
+
+# Random examples, many more of them than the gate looks at: `make fuzz FACTOR=100`.
+FACTOR ?= 20
+fuzz: $(VENV)/.ready
+	$(BIN)/pytest -n auto tests/unit tests/property -m "not slow" --fuzz $(FACTOR) $(ARGS)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check .

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import settings
 
-# The first example pays for compiling; a deadline would judge the compiler.
-settings.register_profile("project", deadline=None)
-settings.load_profile("project")
+from tests.fuzz import load_fuzz, load_gate
+
+load_gate()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -22,6 +21,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="FILE",
         help="used by the tests themselves: SocketCAN is real here; write the reports to FILE",
     )
+    parser.getgroup("fuzz").addoption(
+        "--fuzz",
+        type=int,
+        metavar="FACTOR",
+        help="FACTOR times as many examples in the property tests, and random ones",
+    )
     parser.getgroup("golden").addoption(
         "--update-golden", action="store_true", help="write the expected golden logs anew"
     )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--fuzz"):
+        load_fuzz(config.getoption("--fuzz"))

@@ -84,7 +84,7 @@ def unpack_rows(
                 kind |= _REMOTE
                 count = 0
                 if dlc[row] < 0 and said > 0:
-                    dlc[row] = said
+                    dlc[row] = min(said, 8)  # a length byte says up to 255
         flags[row] = kind
         length[row] = count
         for b in range(count):

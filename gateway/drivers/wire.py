@@ -81,7 +81,8 @@ def unpack(buffer: bytes, t_ns: int, channel: str) -> Frame | None:
         return Frame(t_ns, can_id, buffer[8 : 8 + length], flags, channel)
     dlc = raw if length == 8 and 9 <= raw <= 15 else -1
     if word & _RTR:
-        return Frame(t_ns, can_id, b"", flags | REMOTE, channel, dlc if dlc > 0 else length or -1)
+        asked = dlc if dlc > 0 else min(length, 8) or -1  # a length byte says up to 255
+        return Frame(t_ns, can_id, b"", flags | REMOTE, channel, asked)
     return Frame(t_ns, can_id, buffer[8 : 8 + length], flags, channel, dlc)
 
 

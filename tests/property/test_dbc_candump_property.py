@@ -12,11 +12,12 @@ from dbc import candump
 from dbc.candump import LogError, Reader, format_frame, parse_line
 from dbc.frame import Frame
 from dbc.logline import Verdict
+from tests.fuzz import examples
 from tests.strategies import frames, log_lines
 
 
 @given(frames())
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500))
 def test_parse_of_format_is_the_frame(frame: Frame) -> None:
     line = format_frame(frame)
     verdict, back = parse_line(line)
@@ -26,7 +27,7 @@ def test_parse_of_format_is_the_frame(frame: Frame) -> None:
 
 
 @given(log_lines() | st.binary(max_size=80))
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=examples(1000))
 def test_any_bytes_get_a_verdict(line: bytes) -> None:
     verdict, frame = parse_line(line)
     assert (frame is not None) == (verdict <= Verdict.ERROR_FRAME)
@@ -35,7 +36,7 @@ def test_any_bytes_get_a_verdict(line: bytes) -> None:
 
 
 @given(st.lists(frames().map(format_frame) | log_lines(), max_size=20), st.booleans())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300))
 def test_counts_add_up_to_the_lines(lines: list[bytes], terminated: bool) -> None:
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
     reader = Reader(io.BytesIO(data))
@@ -70,7 +71,7 @@ PLAIN_LINES = st.builds(
     st.booleans(),
     st.integers(1, 200),
 )
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=examples(1000))
 def test_blocks_say_the_same(
     lines: list[bytes], terminated: bool, strict: bool, chunk: int
 ) -> None:
@@ -110,7 +111,7 @@ def test_strict_stops_at_the_first_fault(lines: list[bytes]) -> None:
 
 
 @given(frames(), st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300))
 def test_a_cut_last_line_is_never_another_frame(frame: Frame, data: st.DataObject) -> None:
     line = format_frame(frame)
     size = data.draw(st.integers(0, len(line) - 1))

@@ -18,6 +18,7 @@ from dbc.codec import ABSENT, VALID, Codec, MessageSpec, bind, load
 from dbc.contract import ANY
 from dbc.spec import EXTENDED_KEY
 from tests.dbc_text import of_layout
+from tests.fuzz import examples
 from tests.strategies import Layout, layouts
 
 SHIPPED = Path(codec_module.__file__).parent
@@ -112,7 +113,7 @@ def test_raw_extremes_and_codes_of_every_signal(name: str) -> None:
 
 
 @given(data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150))
 def test_any_payload_of_any_shipped_message(data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(["traction", "traction_fd", "multiplex"]))
     spec = data.draw(st.sampled_from(bound(name).messages))
@@ -121,7 +122,7 @@ def test_any_payload_of_any_shipped_message(data: st.DataObject) -> None:
 
 
 @given(layout=layouts(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150))
 def test_any_layout_equals_cantools_both_ways(layout: Layout, seed: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = of_layout(Path(folder) / "one.dbc", layout)
@@ -139,7 +140,7 @@ def test_any_layout_equals_cantools_both_ways(layout: Layout, seed: int) -> None
 
 
 @given(data=st.data())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200))
 def test_encode_round_trip(data: st.DataObject) -> None:
     """Every valid raw value comes back, and cantools encodes the same bytes."""
     name = data.draw(st.sampled_from(["traction", "traction_fd"]))
@@ -155,7 +156,7 @@ def test_encode_round_trip(data: st.DataObject) -> None:
 
 
 @given(value=st.floats(allow_nan=True, allow_infinity=True) | st.none(), data=st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300))
 def test_encode_takes_any_number(value: float | None, data: st.DataObject) -> None:
     """What cannot be said becomes "not available", the end value or the start value."""
     codec = bound("traction")

@@ -25,6 +25,7 @@ from estimators.detect import (
 )
 from estimators.detect.network import graph
 from estimators.detect.paper import Observe
+from tests.fuzz import examples
 
 # The first example loads scipy.special: no deadline is meaningful.
 UNTIMED = settings(deadline=None)
@@ -198,7 +199,7 @@ def test_braking_mirrors_traction(load, name):
     assert method(-x) == pytest.approx(-method(x), abs=1e-6)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=examples(30))
 @given(problems(max_ticks=1), st.integers(0, 2**32 - 1))
 def test_distributed_equals_central_on_any_connected_graph(problem, seed):
     rng = np.random.default_rng(seed)

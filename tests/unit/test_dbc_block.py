@@ -6,13 +6,14 @@ from hypothesis import strategies as st
 
 from dbc.block import EMPTY, block_of, in_blocks, join
 from dbc.frame import Frame
+from tests.fuzz import examples
 from tests.strategies import frames
 
 LISTS = st.lists(frames(), max_size=12)
 
 
 @given(LISTS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200))
 def test_there_and_back(wanted):
     block = block_of(wanted)
     assert list(block.frames()) == wanted
@@ -20,13 +21,13 @@ def test_there_and_back(wanted):
 
 
 @given(LISTS, LISTS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200))
 def test_join_is_one_after_the_other(first, second):
     assert list(join(block_of(first), block_of(second)).frames()) == first + second
 
 
 @given(LISTS, st.integers(1, 5))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100))
 def test_blocks_of_a_size(wanted, size):
     blocks = list(in_blocks(iter(wanted), size))
     assert [f for block in blocks for f in block.frames()] == wanted
@@ -34,7 +35,7 @@ def test_blocks_of_a_size(wanted, size):
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=12))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200))
 def test_order_is_by_time_then_id_and_stable(keys):
     rows = [Frame(t, i, bytes([n])) for n, (t, i) in enumerate(keys)]
     wanted = sorted(rows, key=lambda f: (f.t_ns, f.can_id))

@@ -7,13 +7,14 @@ import socket
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dbc.frame import SECOND
 from gateway.drivers.batch import Batch
 from gateway.drivers.transport import monotonic_stamp
 from gateway.drivers.wire import unpack
+from tests.fuzz import examples
 from tests.messages import put
 
 REAL, NOW = 1_790_000_000 * SECOND, 50 * SECOND
@@ -29,17 +30,20 @@ def drops(count: int) -> tuple[int, int, bytes]:
 
 classic = st.builds(
     lambda word, length, pad, raw, data: struct.pack("=IBBBB", word, length, pad, 0, raw) + data,
-    st.integers(0, 0xFFFF_FFFF), st.integers(0, 8), st.integers(0, 255), st.integers(0, 255),
+    st.integers(0, 0xFFFF_FFFF), st.integers(0, 255), st.integers(0, 255), st.integers(0, 255),
     st.binary(min_size=8, max_size=8),
 )  # fmt: skip
 fd = st.builds(
     lambda word, length, flags, data: struct.pack("=IBBBB", word, length, flags, 0, 0) + data,
-    st.integers(0, 0xFFFF_FFFF), st.integers(0, 64), st.integers(0, 255),
+    st.integers(0, 0xFFFF_FFFF), st.integers(0, 255), st.integers(0, 255),
     st.binary(min_size=64, max_size=64),
 )  # fmt: skip
+# A remote request whose length byte is far above 8.
+_LONG_REQUEST = struct.pack("=IBBBB", 0x4000_0000, 128, 0, 0, 0) + bytes(8)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(500))
+@example([(_LONG_REQUEST, 0)])
 @given(st.lists(st.tuples(st.one_of(classic, fd, st.binary(max_size=90)), st.integers(0, 10**9))))
 def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, int]]) -> None:
     batch = Batch(64)
