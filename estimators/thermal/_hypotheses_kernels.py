@@ -218,9 +218,9 @@ def compare(residual: Array, rate: float, out: Array) -> None:
 @njit(cache=True)
 def sweep(
     z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
-    benign: Array, rates: Array, kind: Array, size: Array,
+    benign: Array, rates: Array, kind: Array, size: Array, rise: Array,
 ) -> None:  # fmt: skip
-    """All samples of all motors; fills kind (K, M, 11) and size (K, M).
+    """All samples of all motors; fills kind (K, M, 11), size and rise (K, M): see `_mean_sizes`.
 
     z (K, M, 3) K, less the centre; sigma, white, share: as in `hypotheses.Spread`; shapes
     (K, 5, 3); sizes (S,); benign (8,): of heat and sensors, the least size that is a fault; rates:
@@ -241,7 +241,7 @@ def sweep(
                 p[m], off, sigma[m], white[m], share[m], shapes[k], sizes, benign,
                 rates, held[m], kind[k, m],
             )  # fmt: skip
-            size[k, m] = _mean_size(p[m], sizes)
+            size[k, m], rise[k, m] = _mean_sizes(p[m], sizes)
             likeliest = int(kind[k, m].argmax())
             held[m] = likeliest if kind[k, m, likeliest] > 0.5 else -1
             healthy = 1.0 - kind[k, m].sum()
@@ -299,14 +299,21 @@ def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None
 
 
 @njit(cache=True)
-def _mean_size(p: Array, sizes: Array) -> float:
-    """Mean size of the faults that have one, of either sign for sensors; 0 without."""
+def _mean_sizes(p: Array, sizes: Array) -> tuple[float, float]:
+    """K: of the faults that have a size, without sign; of sensors alone, + where they read high.
+
+    0 without any.
+    """
     count = sizes.shape[0]
-    weight = 0.0
-    total = 0.0
+    weight, total, sensors, rise = 0.0, 0.0, 0.0, 0.0
     for g in range(_HEAT + 2 * _POINTS):
+        sign = 1.0 if (g - _HEAT) % 2 == 0 else -1.0
         for s in range(count):
             q = p[1 + g * count + s]
             weight += q
             total += q * (sizes[s] if g < _HEAT else abs(sizes[s]))
-    return total / weight if weight > 1e-12 else 0.0
+            if g >= _HEAT:
+                sensors += q
+                rise += q * sign * sizes[s]
+    size = total / weight if weight > 1e-12 else 0.0
+    return size, rise / sensors if sensors > 1e-12 else 0.0

@@ -43,6 +43,9 @@ TAIL: Final = 5.0
 """Degrees of freedom of the readings' Student t."""
 NAMED: Final = 0.99
 """Of what is wrong: so sure has one to be that it is heat, or a sensor, before either is named."""
+APART_NAMED, APART_LASTS, APART_HIDDEN_K = 0.999, 3, 2.5
+"""The same for samples hours apart, where nobody sees a sensor step: how sure, for how many samples
+in a row (a burst of a loose connector is one), and what dirt or wear may hide at another point."""
 LOOSE_SHARE, LOOSE_K = 0.1, 60.0
 """Of the readings of a loose connector, and how far off they may be."""
 
@@ -82,10 +85,14 @@ class Spread(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """kind (K, M, len(KINDS)): probability of each; size_k (K, M): mean size if any."""
+    """kind (K, M, len(KINDS)): probability of each; size_k (K, M): mean size if any.
+
+    side (K, M): heat 1, a sensor -1, not sure 0.
+    """
 
     kind: Array
     size_k: Array
+    side: NDArray[np.int64]
 
     @property
     def fault(self) -> Array:
@@ -101,8 +108,8 @@ class Belief(NamedTuple):
         return out
 
 
-def side(kind: Array) -> NDArray[np.int64]:
-    """1 where it is heat, -1 where it is a sensor, 0 where neither is sure.
+def side(kind: Array, named: float = NAMED) -> NDArray[np.int64]:
+    """1 where it is heat, -1 where it is a sensor, 0 where neither is `named` sure.
 
     kind (..., 11): probabilities; gives (...,).
 
@@ -112,8 +119,32 @@ def side(kind: Array) -> NDArray[np.int64]:
     off = kind[..., len(HEAT) : len(HEAT) + len(SENSORS)].sum(axis=-1)
     loose = kind[..., len(HEAT) + len(SENSORS) :].sum(axis=-1)
     share = hot / np.maximum(hot + off, 1e-300)
-    told = np.where(share >= NAMED, 1, np.where(share <= 1.0 - NAMED, -1, 0))
+    told = np.where(share >= named, 1, np.where(share <= 1.0 - named, -1, 0))
     return np.where(loose > hot + off, -1, told)
+
+
+def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
+    """`side` of samples hours apart, each of a motor that has settled anew; causal.
+
+    kind (K, M, 11), rise_k (K, M) of the sensors' errors, shapes (K, 5, 3): see `signatures`. A
+    sensor that reads high is named only where heat of that size would have shown at another point.
+    """
+    first, then = len(HEAT), len(HEAT) + len(SENSORS)
+    loose = kind[..., then:].sum(axis=-1)
+    clear = loose / np.maximum(kind.sum(axis=-1), 1e-300)
+    told = side(kind, APART_NAMED)
+    told = np.where((loose > 0.5) & (clear < NAMED), 0, told)
+    which = kind[..., first:then].argmax(axis=-1)
+    hot = [HEAT.index(name) for name in ("overheating", "bearing_de", "bearing_nde")]
+    beside = [np.delete(shapes[:, hot[q]], q, axis=1).max(axis=1) for q in range(3)]
+    shown_k = rise_k * np.take_along_axis(np.stack(beside, axis=1), which, axis=1)
+    hidden = (rise_k > 0.0) & (shown_k < APART_HIDDEN_K) & (loose < 0.5)
+    told = np.where((told < 0) & hidden, 0, told)
+    lasts = np.zeros_like(told, dtype=np.bool_)
+    lasts[APART_LASTS - 1 :] = True
+    for back in range(1, APART_LASTS):
+        lasts[back:] &= told[back:] == told[:-back]
+    return np.where(lasts, told, 0)
 
 
 def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
@@ -174,13 +205,13 @@ def signatures(parameters: Array, inputs: Drive, start: Array | None) -> Array:
 def believe(residual: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
     """Filter K samples of M motors, residual (K, M, 3) K; shapes (K, 5, 3): see `signatures`."""
     k, m, _ = residual.shape
-    kind, size = np.empty((k, m, len(KINDS))), np.empty((k, m))
+    kind, size, rise = np.empty((k, m, len(KINDS))), np.empty((k, m)), np.empty((k, m))
     rates = np.array([
         1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows, TAIL, LOOSE_SHARE, LOOSE_K,
         1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose,
     ])  # fmt: skip
     sweep(
         residual - known.centre, known.sigma, known.white, known.share, shapes,
-        SIZES_K, BENIGN_K, rates, kind, size,
+        SIZES_K, BENIGN_K, rates, kind, size, rise,
     )  # fmt: skip
-    return Belief(kind, size)
+    return Belief(kind, size, side_apart(kind, rise, shapes))

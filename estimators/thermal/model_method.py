@@ -65,7 +65,7 @@ class Watching:
             if judged or k == 0 or steps != stepped or watch.lost.any():
                 told, stepped = watch.told(), steps
             kind[k], size[k] = told
-        return Belief(kind, size)
+        return Belief(kind, size, hypotheses.side(kind))
 
     def __call__(self, record: Record) -> Array:
         """(K,) log odds of a fault, 0 where none is as probable; the train's largest."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.thermal.hypotheses import KINDS as BELIEFS
-from estimators.thermal.hypotheses import side
 from estimators.thermal.maisd_method import Learnt, PaperMethod
 from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
@@ -161,7 +160,8 @@ def _one(
         motor = belief.statistic.argmax(axis=1)
         statistic = belief.statistic.max(axis=1)
         kinds = belief.kind[np.arange(len(motor)), motor]
-        kind, sure = kinds.argmax(axis=1), side(kinds) != 0
+        kind = kinds.argmax(axis=1)
+        sure = belief.side[np.arange(len(motor)), motor] != 0
         wanted = SHOWS[run.fault.kind] if run.fault is not None else ()
         named = sure & np.isin(kind, [BELIEFS.index(name) for name in wanted])
         told = Told(motor, named)

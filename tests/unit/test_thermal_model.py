@@ -7,7 +7,7 @@ from estimators.thermal import heat, hypotheses
 from estimators.thermal._heat_kernels import step
 from estimators.thermal._hypotheses_kernels import compare, references
 from estimators.thermal.heat import TYPICAL, Drive, drive, predict, settled
-from estimators.thermal.hypotheses import KINDS, SIZES_K, Belief, side
+from estimators.thermal.hypotheses import APART_HIDDEN_K, KINDS, SIZES_K, Belief, side, side_apart
 from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.model_method import ModelMethod
 from estimators.thermal.record import Record, fading, features, join, split
@@ -180,6 +180,37 @@ def test_heat_or_sensor_is_named_only_when_sure():
         row = np.zeros(len(KINDS))
         row[3], row[7] = 0.8 * share, 0.8 * (1.0 - share)
         assert int(side(row)) == (share > 0.99)
+
+
+def _apart(rows: list[tuple[dict[str, float], float]]) -> list[int]:
+    """`side_apart` of samples of one motor, each of kinds' probabilities and a sensor's error."""
+    kind = np.zeros((len(rows), 1, len(KINDS)))
+    for k, (said, _) in enumerate(rows):
+        for name, p in said.items():
+            kind[k, 0, KINDS.index(name)] = p
+    rise = np.array([[rise_k] for _, rise_k in rows])
+    return side_apart(kind, rise, shapes(len(rows)))[:, 0].tolist()
+
+
+def test_hours_apart_a_side_has_to_last_and_to_be_surer():
+    hot, off = {"bearing_de": 0.9}, {"bias_de": 0.9}
+    assert _apart([(hot, 0.0)] * 5) == [0, 0, 1, 1, 1]
+    assert _apart([(hot, 0.0), (hot, 0.0), (off, -6.0), (hot, 0.0), (hot, 0.0)]) == [0] * 5
+    assert _apart([({"bearing_de": 0.9, "bias_de": 0.002}, 0.0)] * 4) == [0] * 4
+    assert _apart([({"loose_de": 0.9}, 0.0)] * 4) == [0, 0, -1, -1]
+    assert _apart([({"loose_de": 0.6, "overheating": 0.3}, 0.0)] * 4) == [0] * 4, "a likely burst"
+
+
+@pytest.mark.parametrize("sensor", ["bias_stator", "bias_de", "bias_nde"])
+def test_hours_apart_a_sensor_reads_high_only_where_heat_would_have_shown_elsewhere(sensor):
+    said = {sensor: 0.9}
+    hot = {"bias_stator": "overheating", "bias_de": "bearing_de", "bias_nde": "bearing_nde"}
+    point = list(hot).index(sensor)
+    shape = shapes(3)[-1, KINDS.index(hot[sensor])]
+    least = APART_HIDDEN_K / np.delete(shape, point).max()
+    assert _apart([(said, 1.01 * least)] * 3)[-1] == -1
+    assert _apart([(said, 0.99 * least)] * 3)[-1] == 0
+    assert _apart([(said, -2.0)] * 3)[-1] == -1, "heat does not cool"
 
 
 def test_a_loose_connector_is_told(known):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.cli import main
-from gateway.drivers.thermal_trials import FIT_RUNS, REPORTING, trials
+from gateway.drivers.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
 from gateway.results.thermal_scores import Told, Truth, cells, mean, score, spread, table
 from sim.labelled import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
 
@@ -105,7 +105,10 @@ def test_the_model_beats_the_papers_method():
     assert by["model"].accuracy > 0.95
     assert by["model"].accuracy > by["paper_causal"].accuracy + 0.05
     assert by["model"].motor_right > 0.95
-    assert by["model"].kind_right > 0.9
+    assert by["model"].kind_right > 0.5, "hours apart a sensor that reads high is seldom named"
+    told = [(t.kind, name) for t in found for name, n in t.named.items() if n]
+    assert ("overheating", "overheating") in told
+    assert not [pair for pair in told if pair[1] not in (pair[0], UNDECIDED)]
     assert FIT_RUNS["days"] == 1
 
 

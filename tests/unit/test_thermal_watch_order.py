@@ -97,10 +97,11 @@ def test_later_samples_change_nothing(known):
     wild.temperature[cut:] = 500.0
     wild.current_square[cut:] = np.nan
     watching = method.Watching(known)
-    kinds, sizes = watching.believe(record)
-    for kind, size in (watching.believe(wild), watching.believe(_first(record, cut))):
+    kinds, sizes, sides = watching.believe(record)
+    for kind, size, side in (watching.believe(wild), watching.believe(_first(record, cut))):
         np.testing.assert_array_equal(kind[:cut], kinds[:cut])
         np.testing.assert_array_equal(size[:cut], sizes[:cut])
+        np.testing.assert_array_equal(side[:cut], sides[:cut])
 
 
 def _first(record, k):
