@@ -43,7 +43,7 @@ TAIL: Final = 5.0
 """Degrees of freedom of the readings' Student t."""
 NAMED: Final = 0.99
 """Of what is wrong: so sure has one to be that it is heat, or a sensor, before either is named."""
-APART_NAMED, APART_LASTS, APART_HIDDEN_K = 0.999, 3, 2.5
+APART_NAMED, APART_LASTS, APART_HIDDEN_K = 0.999, 3, 3.0
 """The same for samples hours apart, where nobody sees a sensor step: how sure, for how many samples
 in a row (a burst of a loose connector is one), and what dirt or wear may hide at another point."""
 LOOSE_SHARE, LOOSE_K = 0.1, 60.0
