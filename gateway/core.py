@@ -162,6 +162,12 @@ class Gateway:
         self.load.add(out)
         return out
 
+    @property
+    def decided_ns(self) -> Nanos | None:
+        """Stamp of the newest sample that the last step's flags rest on; None before any."""
+        stamps = [d.sample_ns for d in self.inbox.drives if d.sample_ns is not None]
+        return max(stamps, default=None)
+
     def _overrun(self, now: Nanos) -> None:
         self.deadline_misses += self.missed
         self.late_in_a_row = self.late_in_a_row + 1 if self.missed else 0

@@ -31,6 +31,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", type=Path, metavar="FILE", help="verdicts as JUnit XML")
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
                         help="record all frames of the (last) scenario")  # fmt: skip
+    parser.add_argument("--results", type=Path, metavar="DIR",
+                        help="report of the timing on a bus, a folder per scenario")  # fmt: skip
     add_bus(parser)
 
 
@@ -64,9 +66,14 @@ def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
     if hasattr(options, "interface") or hasattr(options, "channel"):
         from gateway.drivers.hilbus import run_on_real_bus
 
-        return run_on_real_bus(options, name, scenario, config, codec).verdicts
+        folder = options.results / Path(name).stem if options.results else None
+        return run_on_real_bus(options, name, scenario, config, codec, folder).verdicts
     from gateway.drivers.bench import run_virtual
 
+    if options.results:
+        from gateway.config import ConfigError
+
+        raise ConfigError("--results", ["the virtual clock is never late; name a bus (-i, -c)"])
     if options.output is None:
         with _progress(scenario) as watch:
             return run_virtual(scenario, config, codec, watch).verdicts

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import Any
 
 from gateway.commands.common import (
@@ -27,6 +28,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--duration", type=positive_seconds, metavar="S", help="stop after this long"
     )
+    parser.add_argument("--results", type=Path, metavar="DIR",
+                        help="report of the timing: lateness, latency by stage")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="no live table")
     parser.add_argument(
         "--realtime", type=int, metavar="PRIORITY",
@@ -78,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
             seen = run_live(gateway, transport, node, ticker, stop=stop,
                             errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
     summary(gateway, seen)
+    if options.results:
+        leave_timing(options.results, seen, f"Timing on {options_name(options)}", ticker)
     return GOOD
 
 
@@ -131,7 +136,17 @@ def summary(gateway: Any, seen: Any) -> None:
         f"link down {status.tx_down}; kernel drops {status.kernel_drops}; "
         f"reopened {status.reopened}"
     )
+    late, latency = seen.timing.lateness, seen.timing.latency
     print(
-        f"ticks missed {seen.missed}; lateness p50 {seen.lateness.quantile(0.5) / 1e6:.3f} ms, "
-        f"p99 {seen.lateness.quantile(0.99) / 1e6:.3f} ms"
+        f"ticks missed {seen.missed}; lateness p50 {late.quantile(0.5) / 1e6:.3f} ms, "
+        f"p99 {late.quantile(0.99) / 1e6:.3f} ms; frame to flag p50 "
+        f"{latency.quantile(0.5) / 1e6:.3f} ms, p99 {latency.quantile(0.99) / 1e6:.3f} ms"
     )
+
+
+def leave_timing(folder: Path, seen: Any, title: str, ticker: Any) -> None:
+    """The report of a live run's timing."""
+    from gateway.results.timing import leave
+
+    leave(folder, seen.timing.table(), title, ticker.period_ns, seen.tick + 1, seen.missed)
+    print(f"report: {folder / 'report.html'}")

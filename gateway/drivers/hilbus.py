@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from argparse import Namespace
+from pathlib import Path
 
 from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
@@ -18,6 +19,7 @@ from gateway.drivers.realtime import Ticker
 from gateway.drivers.transport import Allow
 from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
+from gateway.results.timing import leave
 from sim.scenario import Scenario
 
 
@@ -32,12 +34,17 @@ def bus_arguments(options: Namespace) -> list[str]:
 
 
 def run_on_real_bus(
-    options: Namespace, name: str, scenario: Scenario, config: Config, codec: Codec
+    options: Namespace,
+    name: str,
+    scenario: Scenario,
+    config: Config,
+    codec: Codec,
+    results: Path | None = None,
 ) -> Outcome:
     """Run in real time, until the drives have left.
 
     Scenario time starts with the first frame heard from a drive; what is said after its end, when
-    the drives are leaving, is not judged.
+    the drives are leaving, is not judged. results: folder for a report of the timing.
     """
     config = for_scenario(config)
     ticker = Ticker(config.loop.period_ns)
@@ -63,11 +70,14 @@ def run_on_real_bus(
 
     try:
         node = CanopenNode(config.nodes, nmt_master=True)
-        run_live(gateway, transport, node, ticker, stop=stop, on_tick=watch)
+        seen = run_live(gateway, transport, node, ticker, stop=stop, on_tick=watch)
     finally:
         if child.poll() is None:
             child.terminate()
         child.wait(timeout=10)
+    if results is not None:
+        title = f"Timing of {scenario.title}"
+        leave(results, seen.timing.table(), title, ticker.period_ns, seen.tick + 1, seen.missed)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
     return Outcome(scenario, verdicts, gateway)

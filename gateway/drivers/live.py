@@ -12,14 +12,15 @@ import signal
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol
 
 from dbc.block import Block
 from dbc.frame import Frame, Nanos
 from gateway.drivers.canopen_node import CanopenNode, meant
-from gateway.drivers.realtime import Histogram, Ticker
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.timing import Timing
 from gateway.drivers.transport import LinkState, Status, Transport
 
 log = logging.getLogger(__name__)
@@ -33,6 +34,10 @@ TIMING_TICKS = 100
 class Core(Protocol):
     """The part of `gateway.core.Gateway` that the loop uses."""
 
+    @property
+    def decided_ns(self) -> Nanos | None:
+        """Reception of the newest sample that the last step's flags rest on."""
+
     def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
         """One tick."""
 
@@ -40,7 +45,7 @@ class Core(Protocol):
         """Say before a step that ticks were missed."""
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
-        """Say how long ticks take and how late they start."""
+        """Say how long it is from frame to flag, and how late ticks start."""
 
     def unknown_frames(self, now_ns: Nanos, /) -> list[Frame]:
         """Flag frames that say unknown for everything."""
@@ -51,10 +56,7 @@ class LiveSnapshot:
     """What a display needs of the loop; one object, updated in place every tick."""
 
     status: Status
-    lateness: Histogram
-    """Time from deadline to wake, ns."""
-    latency: Histogram = field(default_factory=Histogram)
-    """Time from wake to the last frame of the tick handed over, ns."""
+    timing: Timing
     now_ns: Nanos = 0
     tick: int = 0
     missed: int = 0
@@ -133,7 +135,8 @@ def _loop(
     on_tick: Callable[[LiveSnapshot], None] | None,
 ) -> LiveSnapshot:
     clock = ticker.clock
-    seen = LiveSnapshot(transport.status, ticker.lateness)
+    timing = Timing(ticker.lateness)
+    seen = LiveSnapshot(transport.status, timing)
     state: LinkState | None = None
     report = TIMING_TICKS
     while not stop.requested:
@@ -143,16 +146,17 @@ def _loop(
         if tick.number >= report:
             report = tick.number + TIMING_TICKS
             gateway.note_timing(
-                seen.latency.quantile(0.99) // 1000, seen.lateness.quantile(0.99) // 1000
+                timing.latency.quantile(0.99) // 1000, timing.lateness.quantile(0.99) // 1000
             )
         block = transport.take(0.0)
         now = clock()
         out = gateway.step(block, now)
+        stepped = clock()
         node.set_errors(errors())
         out += node.step(meant(block), now)
         for frame in out:
             transport.send(frame)
-        seen.latency.add(clock() - tick.now_ns)
+        timing.add(gateway.decided_ns, tick.now_ns, now, stepped, clock())
         seen.now_ns = now
         seen.tick = tick.number
         seen.missed = ticker.missed

@@ -48,6 +48,16 @@ class Histogram:
                 return min(_bucket_end(bucket), self.largest)
         return 0
 
+    def octaves(self) -> list[tuple[int, int, int]]:
+        """(from, below, count) in powers of two, from the first that holds a value to the last."""
+        sums: dict[int, int] = {}
+        for bucket, count in enumerate(self.counts):
+            if count:
+                octave = _bucket_end(bucket).bit_length()
+                sums[octave] = sums.get(octave, 0) + count
+        span = range(min(sums, default=0), max(sums, default=-1) + 1)
+        return [((1 << k) >> 1, 1 << k, sums.get(k, 0)) for k in span]
+
 
 def _bucket(value: int) -> int:
     shift = max(value.bit_length() - 1 - _SUB_BITS, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import signal
 import subprocess
@@ -64,6 +65,8 @@ class Run(NamedTuple):
     truth: Path
     sent: int
     """Frames the gateway says it has sent."""
+    timing: Path
+    """Its report of the timing."""
 
 
 @pytest.fixture
@@ -78,7 +81,8 @@ def run_chain(vcan: Vcan, folder: Path, used: Setting, seconds: float) -> Run:
     scenario.write_text(SCENARIO.format(seconds=seconds, drives=len(used.nodes)))
     recording = Recording(vcan, folder / "record")
     flags = FlagSocket(vcan, used.codec)
-    words = ("run", *used.bus, "--quiet", "--config", str(used.config))
+    timing = folder / "timing"
+    words = ("run", *used.bus, "--quiet", "--config", str(used.config), "--results", str(timing))
     gateway = vcan.start(*program(vcan, *words), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     flags.until(used.nodes, UNKNOWN)
     flags.close()
@@ -91,7 +95,7 @@ def run_chain(vcan: Vcan, folder: Path, used: Setting, seconds: float) -> Run:
     assert gateway.returncode == 0, errors.decode()
     sent = re.search(rb"sent (\d+), refused 0, queue full 0, link down 0; kernel drops 0", output)
     assert sent is not None, output.decode()
-    return Run(used, recording.end(), truth, int(sent[1]))
+    return Run(used, recording.end(), truth, int(sent[1]), timing)
 
 
 def checked_run(vcan: Vcan, folder: Path, drives: int, seconds: float, fd: bool) -> Run:
@@ -157,6 +161,13 @@ def test_main_job_and_its_replay(vcan: Vcan, folder: Path) -> None:
     assert "Adhesion2: Adhering" in decoded
     assert "Adhesion2: AdhesionLost" not in decoded
     assert "Detector: VariationalBayes" in decoded
+    # Every tick with new samples was measured, from the kernel's stamp to the flag on the bus.
+    with (run.timing / "timing.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["stage"] == "frame to flag"]
+    assert sum(int(row["count"]) for row in rows) > 500
+    on_bus = [float(us) for us in re.findall(r"LatencyP99: (\d+)", decoded)]
+    assert on_bus
+    assert 0.0 < on_bus[-1] <= float(rows[-1]["below_us"])
 
 
 def test_main_job_on_can_fd(vcan: Vcan, folder: Path) -> None:

@@ -40,6 +40,7 @@ class Core:
     def __init__(self, journal: list[str]) -> None:
         self.journal = journal
         self.timing: list[tuple[int, int]] = []
+        self.decided: int | None = None
         self.fails_at = -1
         self.ticks = 0
 
@@ -47,8 +48,14 @@ class Core:
         if self.ticks == self.fails_at:
             raise ZeroDivisionError
         self.ticks += 1
+        if frames.size:
+            self.decided = int(frames.t_ns.max())
         self.journal.append(f"step {frames.size}")
         return [Frame(now_ns, FLAGS, b"verdict!")]
+
+    @property
+    def decided_ns(self) -> int | None:
+        return self.decided
 
     def note_overrun(self, missed: int) -> None:
         self.journal.append(f"overrun {missed}")
@@ -76,9 +83,10 @@ class Bus:
     def receive(self, timeout_s: float) -> list[Frame]:
         assert timeout_s == 0.0
         self.journal.append("receive")
+        stamp = self._clock.now
         self._clock.now += self.stall.get(self._reads, 0)
         self._reads += 1
-        return [Frame(self._clock.now, 0x181, b""), Frame(self._clock.now, 0x182, b"")]
+        return [Frame(stamp, 0x181, b""), Frame(stamp, 0x182, b"")]
 
     def take(self, timeout_s: float) -> Block:
         return block_of(self.receive(timeout_s))
@@ -145,13 +153,16 @@ def test_missed_ticks_are_told_before_the_step() -> None:
     assert setup.journal[told : told + 3] == ["overrun 3", "receive", "step 2"]
     assert setup.snapshots == [(0, 0, 3), (4, 3, 1), (5, 3, 1)]
     assert seen.missed == 3
-    assert seen.latency.largest == 47 * MS
+    stages = {stage.name: stage.largest for stage in seen.timing.table()}
+    assert stages["reading"] == stages["frame to flag"] == 47 * MS
+    assert stages["waiting"] == stages["deciding"] == stages["sending"] == 0
 
 
 def test_timing_is_told_once_a_second() -> None:
     setup = Setup(ticks=301)
+    setup.bus.stall = dict.fromkeys(range(150, 190), 3 * MS)
     setup.run()
-    assert setup.core.timing == [(0, 0)] * 3
+    assert setup.core.timing == [(0, 0), (3000, 0), (3000, 0)]
 
 
 def test_errors_become_emergencies() -> None:
