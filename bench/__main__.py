@@ -10,7 +10,19 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from bench import adhesion, fleet, kernels, live, replay, speed, stages, thermal, wire
+from bench import (
+    adhesion,
+    fleet,
+    growth,
+    judges,
+    kernels,
+    live,
+    replay,
+    speed,
+    stages,
+    thermal,
+    wire,
+)
 
 PARTS = {
     "speed": speed,
@@ -20,6 +32,8 @@ PARTS = {
     "live": live,
     "fleet": fleet,
     "kernels": kernels,
+    "judges": judges,
+    "growth": growth,
     "adhesion": adhesion,
     "thermal": thermal,
 }
@@ -31,6 +45,8 @@ TITLES = {
     "live": "Live: frames, ticks, punctuality",
     "fleet": "A fleet of logs",
     "kernels": "What a step of the filters costs",
+    "judges": "What the detectors' kernels cost",
+    "growth": "Growth, and what a fleet costs",
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",
 }
@@ -65,6 +81,8 @@ def main() -> None:
         rows = PARTS[name].rows()
         results[name] = [dict(zip(PARTS[name].HEADER, row, strict=True)) for row in rows]
         text += [f"\n## {TITLES[name]}\n", table(PARTS[name].HEADER, rows)]
+        if hasattr(PARTS[name], "SEE"):
+            text[-1] += f"\n\n{PARTS[name].SEE}"
         print("\n".join(text[-2:]), flush=True)
     if options.output:
         body = (

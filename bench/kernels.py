@@ -51,20 +51,20 @@ def _state(n: int) -> tuple[np.ndarray, np.ndarray]:
     return x, np.tile(np.diag([1.0, 1.0, 25.0, 0.04, 400.0]), (n, 1, 1))
 
 
-def compiled(kernel: Any, n: int, steps: int, *more: float) -> float:
-    """s of one call with `steps` samples of each of n drives."""
+def compiled(kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1) -> float:
+    """s of one call with `steps` samples of each of n drives, so many sub-steps apart."""
     par, noise = _motors(n)
     x, P = _state(n)
     rng, rows = np.random.default_rng(0), n * steps
     drive = np.tile(np.arange(n, dtype=np.int32), steps)
     u, y = rng.normal(0.0, 10.0, (rows, 2)), rng.normal(0.0, 1.0, (rows, 2))
-    one, none = np.ones(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64)
+    n_sub, none = np.full(rows, sub_steps), np.zeros(rows, dtype=np.int64)
     nis, ok, lean = np.empty(rows), np.empty(n, dtype=np.bool_), np.zeros(n)
     table = pmsm.table(par)
 
     def call() -> None:
         kernel(
-            table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, one, none, SUB_STEP_S,
+            table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, n_sub, none, SUB_STEP_S,
             *more, nis, ok, lean,
         )  # fmt: skip
 

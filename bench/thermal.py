@@ -24,28 +24,33 @@ def _watch(motors: int) -> Watch:
     return Watch(known, 1.0)
 
 
+def cost(motors: int) -> tuple[float, float, float]:
+    """s: mean per tick over two minutes of samples; a second's samples; a motor's block."""
+    watch, rng = _watch(motors), np.random.default_rng(0)
+    square, speed, air = (np.full(motors, value) for value in (1e4, 200.0, 20.0))
+    samples, judged, blocks = 0.0, 0.0, 0
+    for second in range(180):
+        reading = 50.0 + 0.25 * rng.standard_normal((motors, 3))
+        begun = time.perf_counter()
+        watch.take(reading, square, speed, air)
+        taken = time.perf_counter()
+        waiting = watch.waiting
+        watch.work(waiting)
+        done = time.perf_counter()
+        if second >= 60:
+            samples += taken - begun
+            judged += done - taken
+            blocks += waiting
+    return (samples + judged) / 120 / TICKS, samples / 120, judged / max(blocks, 1)
+
+
 def rows() -> list[tuple[str, ...]]:
-    """One line a fleet: mean over two minutes of samples, and what comes at once."""
+    """One line a fleet, and what comes at once."""
     out = []
     for motors, goal in FLEETS.items():
-        watch, rng = _watch(motors), np.random.default_rng(0)
-        square, speed, air = (np.full(motors, value) for value in (1e4, 200.0, 20.0))
-        samples, judged, blocks = 0.0, 0.0, 0
-        for second in range(180):
-            reading = 50.0 + 0.25 * rng.standard_normal((motors, 3))
-            begun = time.perf_counter()
-            watch.take(reading, square, speed, air)
-            taken = time.perf_counter()
-            waiting = watch.waiting
-            watch.work(waiting)
-            done = time.perf_counter()
-            if second >= 60:
-                samples += taken - begun
-                judged += done - taken
-                blocks += waiting
-        tick_us = 1e6 * (samples + judged) / 120 / TICKS
+        tick, second, block = (1e6 * spent for spent in cost(motors))
         out.append((
-            f"thermal watch, {motors} motors", f"{tick_us:.1f} us", goal,
-            f"{1e6 * samples / 120:.0f} us", f"{1e6 * judged / max(blocks, 1):.0f} us",
+            f"thermal watch, {motors} motors", f"{tick:.1f} us", goal,
+            f"{second:.0f} us", f"{block:.0f} us",
         ))  # fmt: skip
     return out

@@ -38,13 +38,14 @@ def take(ring: Array, seen: int, values: Array, present: Flags, mean: Array, kno
 def compare(mean: Array, known: Flags, spread: Array, deviation: Array) -> None:
     """`maisd.maisd` and `maisd.deviation`: fills spread (P,) and deviation (M, P)."""
     m, points = mean.shape
-    others = np.empty(m)
+    ranked = np.empty(m)
     for p in range(points):
         n = 0
         total = 0.0
         for j in range(m):
             deviation[j, p] = math.nan
             if known[j, p]:
+                ranked[n] = mean[j, p]
                 n += 1
                 total += mean[j, p]
         spread[p] = math.nan
@@ -52,17 +53,15 @@ def compare(mean: Array, known: Flags, spread: Array, deviation: Array) -> None:
             continue
         centre = total / n
         square = 0.0
+        # Ranked once: the others' middle ones are found beside the motor's own place.
+        ranked[:n] = np.sort(ranked[:n])
+        low, high = (n - 2) // 2, (n - 1) // 2
         for j in range(m):
             if not known[j, p]:
                 continue
-            square += (mean[j, p] - centre) ** 2
-            found = 0
-            for i in range(m):
-                if i != j and known[i, p]:
-                    others[found] = mean[i, p]
-                    found += 1
-            ranked = np.sort(others[:found])
-            middle = found // 2
-            low = ranked[middle - 1] if found % 2 == 0 else ranked[middle]
-            deviation[j, p] = mean[j, p] - 0.5 * (low + ranked[middle])
+            own = mean[j, p]
+            square += (own - centre) ** 2
+            place = np.searchsorted(ranked[:n], own)
+            middle = ranked[low + (low >= place)] + ranked[high + (high >= place)]
+            deviation[j, p] = own - 0.5 * middle
         spread[p] = math.sqrt(square / n)

@@ -21,7 +21,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.detect._kernels import judge
+from estimators.detect._kernels import MOST_STARTS, judge
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ class VariationalDetector:
         object.__setattr__(self, "_table", np.array(self.priors))
 
     def __call__(self, evidence: Evidence) -> Opinion:
-        """See Detector. Two to N usable drives; each is tried as the adhering one."""
+        """See Detector. Two to N usable drives; each of up to 16 is tried as the adhering one."""
         n = len(evidence.load)
         if np.count_nonzero(evidence.usable) < 2:
             return nobody(n)
@@ -142,10 +142,13 @@ class VariationalDetector:
 
 
 def starts(x: Array, variance: float) -> tuple[Array, Array]:
-    """Prior means (N, 2) and variances (N, 2) of N starts, one at each load.
+    """Prior means (S, 2) and variances (S, 2) of S starts, one at each load.
 
-    A lost load lies anywhere in [0, m]: mean m/2, variance m^2/12.
+    Of more than `MOST_STARTS` loads so many, evenly by rank. A lost load lies anywhere in [0, m]:
+    mean m/2, variance m^2/12.
     """
+    if len(x) > MOST_STARTS:
+        x = np.sort(x)[(2 * np.arange(MOST_STARTS) + 1) * len(x) // (2 * MOST_STARTS)]
     means = np.stack([x, 0.5 * x], axis=1)
     scatter = np.stack([np.full(x.shape, variance), variance + x * x / 12.0], axis=1)
     return means, scatter

@@ -10,7 +10,7 @@ from estimators.detect import DETECTORS, Evidence, MedianDetector, VariationalDe
 from estimators.detect._kernels import best_start, digamma
 from estimators.detect.variational import DEFAULT_PRIORS, infer, starts
 
-loads = st.lists(st.floats(-60, 60), min_size=2, max_size=16).map(np.array)
+loads = st.lists(st.floats(-60, 60), min_size=2, max_size=40).map(np.array)
 
 
 def evidence(*load, spread=0.7, usable=None):
@@ -86,6 +86,17 @@ def test_majority_slipping_does_not_accuse_the_healthy_one():
     assert (opinion.lost > 0.9).tolist() == [False, True, True]
     # The median's known weakness, stated in its docstring.
     assert MedianDetector()(evidence(20, 9, 8)).lost.max() < 0.5
+
+
+@pytest.mark.parametrize("n", [17, 100, 1024])
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.6])
+def test_a_large_fleet_needs_no_start_at_every_drive(n, share):
+    rng = np.random.default_rng(n)
+    lost = np.arange(n) < max(round(share * n), 1)
+    load = np.where(lost, 8.0, 20.0) + rng.normal(0.0, 0.5, n)
+    opinion = VariationalDetector()(evidence(*load))
+    np.testing.assert_array_equal(opinion.lost > 0.5, lost)
+    assert opinion.common == pytest.approx(20.0, abs=0.3)
 
 
 def test_more_load_than_the_others_is_not_a_lost_wheel():
