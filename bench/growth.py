@@ -22,8 +22,7 @@ from bench.thermal import cost
 from bench.wire import log_of
 from dbc.candump import Reader
 from estimators import ukf
-from estimators._kernels import ukf_sweep
-from estimators._lanes_kernels import ekf_lanes
+from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators.models.pmsm import SUB_STEP_S
 
 HEADER = ("what grows", "to", "cost", "per", "memory")
@@ -57,7 +56,7 @@ def drives() -> list[Curve]:
         Curve("EKF, 5 samples", sizes, [5 / BLOCK * compiled(ekf_lanes, n, BLOCK) for n in FLEETS]),
         Curve(
             "UKF, 5 samples", sizes,
-            [5 / BLOCK * compiled(ukf_sweep, n, BLOCK, ukf.KAPPA) for n in FLEETS],
+            [5 / BLOCK * compiled(ukf_lanes, n, BLOCK, ukf.KAPPA) for n in FLEETS],
         ),
         Curve("VB verdict", sizes[1:], [variational(n) for n in FLEETS[1:]]),
         Curve("thermal watch, a tick's share", sizes, [cost(n)[0] for n in FLEETS]),

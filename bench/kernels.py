@@ -16,8 +16,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from estimators import ekf, ukf
-from estimators._kernels import ukf_sweep
-from estimators._lanes_kernels import ekf_lanes
+from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
 
@@ -177,7 +176,7 @@ def rows() -> list[tuple[str, ...]]:
     out = [("filterpy EKF", "1", _us(filterpy_s), _us(filterpy_s), "")]
     forms: tuple[tuple[str, Any, tuple[float, ...]], ...] = (
         ("EKF", ekf_lanes, ()),
-        ("UKF", ukf_sweep, (ukf.KAPPA,)),
+        ("UKF", ukf_lanes, (ukf.KAPPA,)),
     )
     for name, kernel, more in forms:
         for n in FLEETS:

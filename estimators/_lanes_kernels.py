@@ -1,90 +1,46 @@
-"""The EKF of several drives at once, in vectors of `LANES` drives. Plain twin: `ekf.sweep`.
+"""EKF and UKF of several drives at once, in vectors of drives: see `_lanes` for how.
 
-Drives are independent and do the same arithmetic, so one instruction can serve four of them. What
-a compiler needs for that: a loop over lanes without calls or branches, and memory that cannot
-overlap, so everything of a block of drives lies in one flat array, row by row, a lane each. Sines
-are polynomials (fdlibm's, 1e-16 of their own), products are fused with sums: results differ from
-the twin by rounding only. Written out for the same reason, and as long, as `_kernels`.
+Plain twins: `ekf.sweep`, `ukf.sweep`. Written out for the same reason, and as long, as `_kernels`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from estimators._kernels import _FLOOR, _TURN_MAX, _coast, _ekf_predict, _leaned, _update
+from estimators._kernels import _FLOOR, _coast, _ekf_predict, _leaned, _ukf_predict, _update
+from estimators._lanes import (
+    _GOOD,
+    _KEPT,
+    _L,
+    _NIS,
+    _PAR,
+    _Q,
+    _R,
+    _ROOT,
+    _TURN,
+    _TURNS,
+    _TWO_PI,
+    _U,
+    _V,
+    _Y,
+    ROWS,
+    STATE,
+    _enter,
+    _load,
+    _sincos,
+    _store,
+    _turning,
+)  # fmt: skip
+from estimators._lanes_unscented import _predict_unscented
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Drives = NDArray[np.int32]
 Flags = NDArray[np.bool_]
-
-LANES: Final = 4
-"""Numbers of a vector register of AVX2."""
-_L = LANES
-STATE: Final = 20
-"""Rows of x (5) and of P's upper triangle (15)."""
-_PAR, _Q, _R, _U, _LEAN, _V, _TURN, _Y = 20, 26, 31, 33, 35, 36, 38, 40
-_NIS, _GOOD, _KEPT = 42, 43, 44
-ROWS: Final = _KEPT + STATE
-"""Rows of a block: state, coefficients, noise, voltage as it is and as it turns, what comes out,
-and the state before the sample."""
-_TWO_OVER_PI, _PI_2, _PI_2_REST = 2.0 / math.pi, 1.5707963267948966, 6.123233995736766e-17
-_TURNS = 1.0 / (2.0 * math.pi)
-_TWO_PI = 2.0 * math.pi
-
-
-@njit(inline="always", fastmath={"contract"}, error_model="numpy")
-def _sincos(t: float) -> tuple[float, float]:
-    """Of |t| < 1e6 to 2e-16; of numbers beyond any angle no number, or a wrong one."""
-    q = np.floor(t * _TWO_OVER_PI + 0.5)
-    r = (t - q * _PI_2) - q * _PI_2_REST
-    z = r * r
-    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-    s = 2.75573137070700676789e-06 + z * s
-    s = -1.98412698298579493134e-04 + z * s
-    s = 8.33333333332248946124e-03 + z * s
-    s = r + r * z * (-1.66666666666666324348e-01 + z * s)
-    c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
-    c = -2.75573143513906633035e-07 + z * c
-    c = 2.48015872894767294178e-05 + z * c
-    c = -1.38888888888741095749e-03 + z * c
-    c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c)
-    quadrant = q - 4.0 * np.floor(q * 0.25)
-    odd = (quadrant == 1.0) | (quadrant == 3.0)
-    sin = c if odd else s
-    cos = s if odd else c
-    sin = -sin if quadrant >= 2.0 else sin
-    cos = -cos if (quadrant == 1.0) | (quadrant == 2.0) else cos
-    return sin, cos
-
-
-@njit(inline="always", fastmath={"contract"}, error_model="numpy")
-def _turning(s: Array, n_sub: int, dt: float) -> None:
-    """`_kernels._leaned` and `_turning`: the first sub-step's voltage, and how it turns."""
-    n, half = float(n_sub), 0.5 * n_sub * dt
-    for k in range(_L):
-        w, theta, lean = s[2 * _L + k], s[3 * _L + k], s[_LEAN * _L + k]
-        sin, cos = _sincos(theta + half * w)
-        u0 = s[_U * _L + k] + lean * sin
-        u1 = s[(_U + 1) * _L + k] - lean * cos
-        h = 0.5 * dt * w
-        sin_h, cos_h = _sincos(h)
-        sin_n, _ = _sincos(n * h)
-        sin_b, cos_b = _sincos(-h * (n - 1.0))
-        turns = (n > 1.5) & (h != 0.0) & (abs(n * h) <= _TURN_MAX)
-        gain = n * sin_h / sin_n
-        v0 = gain * (cos_b * u0 - sin_b * u1) if turns else u0
-        v1 = gain * (sin_b * u0 + cos_b * u1) if turns else u1
-        scale = s[(_PAR + 5) * _L + k]
-        s[_V * _L + k] = scale * v0
-        s[(_V + 1) * _L + k] = scale * v1
-        s[_TURN * _L + k] = 1.0 - 2.0 * sin_h * sin_h if turns else 1.0
-        s[(_TURN + 1) * _L + k] = 2.0 * sin_h * cos_h if turns else 0.0
 
 
 @njit(inline="always", fastmath={"contract"}, error_model="numpy")
@@ -222,45 +178,6 @@ def _correct(s: Array) -> None:
         s[15 * _L + k], s[16 * _L + k], s[18 * _L + k] = t23, t24, t34
 
 
-@njit(cache=True)
-def _enter(s: Array, k: int, par: Array, Q: Array, R: Array, lean: float, dt: float) -> None:
-    """What does not change of one drive, in lane k."""
-    R_s, L_s, psi_f = par[0], par[1], par[2]
-    p, J, B, k_p = par[3], par[4], par[5], par[6]
-    s[_PAR * _L + k] = 1.0 - R_s / L_s * dt
-    s[(_PAR + 1) * _L + k] = psi_f / L_s * dt
-    s[(_PAR + 2) * _L + k] = 1.0 - B / J * dt
-    s[(_PAR + 3) * _L + k] = k_p * p * p * psi_f / J * dt
-    s[(_PAR + 4) * _L + k] = -p * dt / J
-    s[(_PAR + 5) * _L + k] = dt / L_s
-    for i in range(5):
-        s[(_Q + i) * _L + k] = Q[i]
-    s[_R * _L + k], s[(_R + 1) * _L + k] = R[0], R[1]
-    s[_LEAN * _L + k] = lean
-
-
-@njit(cache=True)
-def _load(s: Array, k: int, x: Array, P: Array) -> None:
-    """A drive's state into lane k."""
-    row = 5
-    for i in range(5):
-        s[i * _L + k] = x[i]
-        for j in range(i, 5):
-            s[row * _L + k] = P[i, j]
-            row += 1
-
-
-@njit(cache=True)
-def _store(s: Array, k: int, x: Array, P: Array) -> None:
-    """And out of it."""
-    row = 5
-    for i in range(5):
-        x[i] = s[i * _L + k]
-        for j in range(i, 5):
-            P[i, j] = P[j, i] = s[row * _L + k]
-            row += 1
-
-
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def _block(s: Array, n_sub: int, dt: float) -> None:
     """One sample of all lanes."""
@@ -272,16 +189,38 @@ def _block(s: Array, n_sub: int, dt: float) -> None:
     _correct(s)
 
 
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float) -> None:
+    """The same by the UKF. Lanes whose covariance had no factor are told in row `_ROOT`."""
+    for k in range(STATE * _L):
+        s[_KEPT * _L + k] = s[k]
+    for k in range(_L):
+        s[_ROOT * _L + k] = 1.0
+    _turning(s, n_sub, dt)
+    reach, weight = math.sqrt(5.0 + kappa), 0.5 / (5.0 + kappa)
+    for _ in range(n_sub):
+        _predict_unscented(s, dt, reach, weight, kappa / (5.0 + kappa))
+    _correct(s)
+
+
 @njit(cache=True)
 def _alone(
     par: Array, Q: Array, R: Array, var: float, lean: float, u: Array, y: Array, n_sub: int,
-    n_gap: int, dt: float, x: Array, P: Array,
+    n_gap: int, dt: float, kappa: float, x: Array, P: Array,
 ) -> float:  # fmt: skip
-    """A sample behind a gap: not worth a vector."""
+    """A sample behind a gap, or of a covariance to be repaired: not worth a vector.
+
+    By the UKF where kappa is a number; NaN for no factor.
+    """
     K, W, v = np.empty((5, 2)), np.empty((5, 5)), np.empty(2)
-    _coast(par, Q, var, n_gap * dt, n_gap, x, P)
+    if n_gap > 0:
+        _coast(par, Q, var, n_gap * dt, n_gap, x, P)
     _leaned(u, lean, 0.5 * n_sub * dt, x, v)
-    _ekf_predict(par, Q, v, n_sub, dt, x, P)
+    if math.isnan(kappa):
+        _ekf_predict(par, Q, v, n_sub, dt, x, P)
+    elif not _ukf_predict(par, Q, v, n_sub, dt, kappa, x, P, np.zeros((5, 5)), np.empty((10, 5))):
+        x[0] = math.nan
+        return math.nan
     return _update(R, y, x, P, K, W)
 
 
@@ -315,20 +254,13 @@ def _settle(s: Array, b: int, row_of: Ints, nis_out: Array, ok_out: Flags) -> No
 
 
 @njit(cache=True)
-def ekf_lanes(
+def _lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
-    y: Array, n_sub: Ints, n_gap: Ints, dt: float, nis_out: Array, ok_out: Flags, lean: Array,
+    y: Array, n_sub: Ints, n_gap: Ints, dt: float, kappa: float, nis_out: Array, ok_out: Flags,
+    lean: Array,
 ) -> None:  # fmt: skip
-    """Run the EKF over M samples; x (N, 5) and P (N, 5, 5) in place. Twin: `ekf.sweep`.
-
-    par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`; lean (N,), V, as
-    in `ekf.leaned`. nis_out (M,) and ok_out (N,) are filled. A drive whose result is
-    not finite, or has a negative variance, gets ok False, keeps its last good x and P, and its
-    later rows are skipped with nis NaN: start it anew.
-
-    Rows that follow one another are done together while they are of different drives, without a
-    gap and of one length; a drive's own rows keep their order. P comes out symmetric.
-    """
+    """Both filters' loop; the EKF where kappa is NaN."""
+    unscented = not math.isnan(kappa)
     drives, rows = x.shape[0], drive.shape[0]
     blocks = (drives + _L - 1) // _L
     work = np.empty((blocks, ROWS * _L))
@@ -354,7 +286,7 @@ def ekf_lanes(
             _store(s, k, x_d, P_d)
             nis = _alone(
                 par[d], Q[d], R[d], coast[d], lean[d], u[first], y[first], n_sub[first],
-                n_gap[first], dt, x_d, P_d,
+                n_gap[first], dt, kappa, x_d, P_d,
             )  # fmt: skip
             ok_out[d] = _healthy(x_d, P_d)
             if ok_out[d]:
@@ -369,8 +301,59 @@ def ekf_lanes(
             s[_Y * _L + k], s[(_Y + 1) * _L + k] = y[i, 0], y[i, 1]
             i += 1
         for b in range(blocks):
-            if row_of[b * _L : (b + 1) * _L].max() >= 0:
+            if row_of[b * _L : (b + 1) * _L].max() < 0:
+                continue
+            if not unscented:
                 _block(work[b], n_sub[first], dt)
                 _settle(work[b], b, row_of, nis_out, ok_out)
+                continue
+            s = work[b]
+            _block_unscented(s, n_sub[first], dt, kappa)
+            for k in range(_L):
+                row = row_of[b * _L + k]
+                if s[_ROOT * _L + k] != 0.0 or row < 0:
+                    continue
+                # Once more, with the covariance repaired.
+                d = drive[row]
+                _store(s[_KEPT * _L :], k, x_d, P_d)
+                s[_NIS * _L + k] = _alone(
+                    par[d], Q[d], R[d], coast[d], lean[d], u[row], y[row], n_sub[row], 0, dt,
+                    kappa, x_d, P_d,
+                )  # fmt: skip
+                s[_GOOD * _L + k] = 1.0 if _healthy(x_d, P_d) else 0.0
+                _load(s, k, x_d, P_d)
+            _settle(s, b, row_of, nis_out, ok_out)
     for d in range(drives):
         _store(work[d // _L], d % _L, x[d], P[d])
+
+
+@njit(cache=True)
+def ekf_lanes(
+    par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
+    y: Array, n_sub: Ints, n_gap: Ints, dt: float, nis_out: Array, ok_out: Flags, lean: Array,
+) -> None:  # fmt: skip
+    """Run the EKF over M samples; x (N, 5) and P (N, 5, 5) in place. Twin: `ekf.sweep`.
+
+    par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`; lean (N,), V, as
+    in `ekf.leaned`. nis_out (M,) and ok_out (N,) are filled. A drive whose result is
+    not finite, or has a negative variance, gets ok False, keeps its last good x and P, and its
+    later rows are skipped with nis NaN: start it anew.
+
+    Rows that follow one another are done together while they are of different drives, without a
+    gap and of one length; a drive's own rows keep their order. P comes out symmetric.
+    """
+    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, math.nan, nis_out, ok_out, lean)
+
+
+@njit(cache=True)
+def ukf_lanes(
+    par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
+    y: Array, n_sub: Ints, n_gap: Ints, dt: float, kappa: float, nis_out: Array, ok_out: Flags,
+    lean: Array,
+) -> None:  # fmt: skip
+    """Run the UKF over M samples: everything as in `ekf_lanes`. Twin: `ukf.sweep`.
+
+    A covariance without a Cholesky factor is repaired once as `ukf.factor` says; if that fails too,
+    the drive gets ok False.
+    """
+    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, kappa, nis_out, ok_out, lean)

@@ -117,7 +117,7 @@ def sweep(
     kappa: float = KAPPA,
     lean: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
-    """M samples in order, x and P in place: the twin of `_kernels.ukf_sweep`.
+    """M samples in order, x and P in place: the twin of `_lanes_kernels.ukf_lanes`.
 
     lean and the returned (nis (M,), ok (N,)) as in `ekf.sweep`.
     """

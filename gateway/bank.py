@@ -16,8 +16,7 @@ import numpy as np
 from dbc.frame import MS, SECOND, Nanos
 from estimators import adapt, lock, unbalance
 from estimators._adapt_kernels import absorb
-from estimators._kernels import ukf_sweep
-from estimators._lanes_kernels import ekf_lanes
+from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators._lock_kernels import agreement, lock_sweep
 from estimators._unbalance_kernels import balance
 from estimators.models import pmsm
@@ -190,7 +189,7 @@ class Bank:
             self.x, self.P, drive, u, y, n_sub, n_gap, dt,
         )  # fmt: skip
         if self.ukf:
-            ukf_sweep(*arguments, UKF_KAPPA, nis, ok, self.lean)
+            ukf_lanes(*arguments, UKF_KAPPA, nis, ok, self.lean)
         else:
             ekf_lanes(*arguments, nis, ok, self.lean)
         absorb(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators import _kernels, _lanes_kernels, _lock_kernels, ekf, lock, ukf
+from estimators import _lanes_kernels, _lock_kernels, ekf, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
 from tests.strategies import filter_states, motor_rows, sample_rows
@@ -39,7 +39,7 @@ def run(kind, par, x, P, rows):
     if kind == "ekf":
         _lanes_kernels.ekf_lanes(*head, *body, nis, ok, straight)
     else:
-        _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, straight)
+        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, straight)
     return x, P, nis, ok
 
 

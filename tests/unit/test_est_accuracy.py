@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from estimators import _kernels, _lanes_kernels, _lock_kernels, lock, ukf
+from estimators import _lanes_kernels, _lock_kernels, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
 from tests.unit.test_est_ekf import bench
@@ -74,7 +74,7 @@ def load_errors(
             if kind == "ekf":
                 _lanes_kernels.ekf_lanes(*args, nis, ok, np.zeros(DRIVES))
             else:
-                _kernels.ukf_sweep(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES))
+                _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES))
             assert ok.all()
             if end > 2000:
                 errors.append(x[:, 4] - truth.load[end - 1])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimators import _kernels, _lanes_kernels, _lock_kernels, ekf, lock, ukf
+from estimators import _lanes_kernels, _lock_kernels, ekf, lock, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
 from tests.unit.test_est_ekf import bench
@@ -47,7 +47,7 @@ def sweep(kind: str, c: Case, rows: Rows | None = None):
     if kind == "ekf":
         _lanes_kernels.ekf_lanes(*head, *body, nis, ok, c.lean)
     else:
-        _kernels.ukf_sweep(*head, *body, ukf.KAPPA, nis, ok, c.lean)
+        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, c.lean)
     return x, P, nis, ok
 
 
