@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from estimators._kernels import _TURN_MAX
+from estimators._lean import lean
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,17 @@ def _sincos(t: float) -> tuple[float, float]:
 def _turning(s: Array, n_sub: int, dt: float) -> None:
     """`_kernels._leaned` and `_turning`: the first sub-step's voltage, and how it turns."""
     n, half = float(n_sub), 0.5 * n_sub * dt
+    if n_sub == 1:
+        # Within one sub-step it does not: three sines less.
+        for k in range(_L):
+            w, theta, lean = s[2 * _L + k], s[3 * _L + k], s[_LEAN * _L + k]
+            sin, cos = _sincos(theta + half * w)
+            scale = s[(_PAR + 5) * _L + k]
+            s[_V * _L + k] = scale * (s[_U * _L + k] + lean * sin)
+            s[(_V + 1) * _L + k] = scale * (s[(_U + 1) * _L + k] - lean * cos)
+            s[_TURN * _L + k] = 1.0
+            s[(_TURN + 1) * _L + k] = 0.0
+        return
     for k in range(_L):
         w, theta, lean = s[2 * _L + k], s[3 * _L + k], s[_LEAN * _L + k]
         sin, cos = _sincos(theta + half * w)
@@ -84,7 +96,7 @@ def _turning(s: Array, n_sub: int, dt: float) -> None:
         s[(_TURN + 1) * _L + k] = 2.0 * sin_h * cos_h if turns else 0.0
 
 
-@njit(cache=True)
+@lean
 def _enter(s: Array, k: int, par: Array, Q: Array, R: Array, lean: float, dt: float) -> None:
     """What does not change of one drive, in lane k."""
     R_s, L_s, psi_f = par[0], par[1], par[2]
@@ -101,7 +113,7 @@ def _enter(s: Array, k: int, par: Array, Q: Array, R: Array, lean: float, dt: fl
     s[_LEAN * _L + k] = lean
 
 
-@njit(cache=True)
+@lean
 def _load(s: Array, k: int, x: Array, P: Array) -> None:
     """A drive's state into lane k."""
     row = 5
@@ -112,7 +124,7 @@ def _load(s: Array, k: int, x: Array, P: Array) -> None:
             row += 1
 
 
-@njit(cache=True)
+@lean
 def _store(s: Array, k: int, x: Array, P: Array) -> None:
     """And out of it."""
     row = 5

@@ -36,6 +36,7 @@ from estimators._lanes import (
     _turning,
 )  # fmt: skip
 from estimators._lanes_unscented import _predict_unscented
+from estimators._lean import fused, lean
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -178,7 +179,7 @@ def _correct(s: Array) -> None:
         s[15 * _L + k], s[16 * _L + k], s[18 * _L + k] = t23, t24, t34
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@fused
 def _block(s: Array, n_sub: int, dt: float) -> None:
     """One sample of all lanes."""
     for k in range(STATE * _L):
@@ -189,7 +190,7 @@ def _block(s: Array, n_sub: int, dt: float) -> None:
     _correct(s)
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@fused
 def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float) -> None:
     """The same by the UKF. Lanes whose covariance had no factor are told in row `_ROOT`."""
     for k in range(STATE * _L):
@@ -224,7 +225,7 @@ def _alone(
     return _update(R, y, x, P, K, W)
 
 
-@njit(cache=True)
+@lean
 def _healthy(x: Array, P: Array) -> bool:
     """Finite, and no variance negative."""
     total = 0.0
@@ -237,7 +238,7 @@ def _healthy(x: Array, P: Array) -> bool:
     return math.isfinite(total)
 
 
-@njit(cache=True)
+@lean
 def _settle(s: Array, b: int, row_of: Ints, nis_out: Array, ok_out: Flags) -> None:
     """After a round of block b: what became of its rows; lanes without one are as before."""
     for k in range(_L):
@@ -253,6 +254,47 @@ def _settle(s: Array, b: int, row_of: Ints, nis_out: Array, ok_out: Flags) -> No
             ok_out[d] = False
 
 
+@lean
+def _gather(
+    work: Array, row_of: Ints, i: int, drive: Drives, u: Array, y: Array, n_sub: Ints, n_gap: Ints
+) -> int:
+    """Rows from i on into their lanes, as many as can be done together; gives the next one."""
+    steps = n_sub[i]
+    while i < drive.shape[0] and n_gap[i] == 0 and n_sub[i] == steps and row_of[drive[i]] < 0:
+        d = drive[i]
+        b, k = d // _L, d % _L
+        row_of[d] = i
+        work[b, _U * _L + k], work[b, (_U + 1) * _L + k] = u[i, 0], u[i, 1]
+        work[b, _Y * _L + k], work[b, (_Y + 1) * _L + k] = y[i, 0], y[i, 1]
+        i += 1
+    return i
+
+
+@lean
+def _round(
+    work: Array, row_of: Ints, b: int, n_sub: int, dt: float, kappa: float, nis_out: Array,
+    ok_out: Flags,
+) -> int:  # fmt: skip
+    """One sample of every block from b on; gives the first that wants a repair, not settled yet."""
+    unscented = not math.isnan(kappa)
+    while b < work.shape[0]:
+        wanted, broken = False, False
+        for k in range(_L):
+            wanted |= row_of[b * _L + k] >= 0
+        if wanted and unscented:
+            _block_unscented(work[b], n_sub, dt, kappa)
+            for k in range(_L):
+                broken |= row_of[b * _L + k] >= 0 and work[b, _ROOT * _L + k] == 0.0
+            if broken:
+                return b
+        elif wanted:
+            _block(work[b], n_sub, dt)
+        if wanted:
+            _settle(work[b], b, row_of, nis_out, ok_out)
+        b += 1
+    return b
+
+
 @njit(cache=True)
 def _lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
@@ -260,7 +302,6 @@ def _lanes(
     lean: Array,
 ) -> None:  # fmt: skip
     """Both filters' loop; the EKF where kappa is NaN."""
-    unscented = not math.isnan(kappa)
     drives, rows = x.shape[0], drive.shape[0]
     blocks = (drives + _L - 1) // _L
     work = np.empty((blocks, ROWS * _L))
@@ -293,22 +334,10 @@ def _lanes(
                 nis_out[first] = nis
                 _load(s, k, x_d, P_d)
             continue
-        while i < rows and n_gap[i] == 0 and n_sub[i] == n_sub[first] and row_of[drive[i]] < 0:
-            d = drive[i]
-            s, k = work[d // _L], d % _L
-            row_of[d] = i
-            s[_U * _L + k], s[(_U + 1) * _L + k] = u[i, 0], u[i, 1]
-            s[_Y * _L + k], s[(_Y + 1) * _L + k] = y[i, 0], y[i, 1]
-            i += 1
-        for b in range(blocks):
-            if row_of[b * _L : (b + 1) * _L].max() < 0:
-                continue
-            if not unscented:
-                _block(work[b], n_sub[first], dt)
-                _settle(work[b], b, row_of, nis_out, ok_out)
-                continue
+        i = _gather(work, row_of, i, drive, u, y, n_sub, n_gap)
+        b = _round(work, row_of, 0, n_sub[first], dt, kappa, nis_out, ok_out)
+        while b < blocks:
             s = work[b]
-            _block_unscented(s, n_sub[first], dt, kappa)
             for k in range(_L):
                 row = row_of[b * _L + k]
                 if s[_ROOT * _L + k] != 0.0 or row < 0:
@@ -323,6 +352,7 @@ def _lanes(
                 s[_GOOD * _L + k] = 1.0 if _healthy(x_d, P_d) else 0.0
                 _load(s, k, x_d, P_d)
             _settle(s, b, row_of, nis_out, ok_out)
+            b = _round(work, row_of, b + 1, n_sub[first], dt, kappa, nis_out, ok_out)
     for d in range(drives):
         _store(work[d // _L], d % _L, x[d], P[d])
 

@@ -13,3 +13,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 def lean(function: F) -> F:
     """Compiled, cached, without reference counts: it can make no array."""
     return njit(cache=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
+
+
+def fused(function: F) -> F:
+    """The same, products fused with sums, and nothing raised on a division by zero."""
+    return njit(cache=True, _nrt=False, fastmath={"contract"}, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
