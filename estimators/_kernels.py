@@ -1,6 +1,6 @@
-"""Compiled parts of the filters, and the UKF: many samples of several drives in one call.
+"""Compiled parts of the filters, one drive at a time: what `_lanes_kernels` leaves over.
 
-The EKF's own loop is in `_lanes_kernels`. Twins in plain form: `ekf.sweep`, `ukf.sweep`. Row
+The loops over many samples of several drives are there. Twins in plain form: `ekf`, `ukf`. Row
 layout, also that of `_lock_kernels`: M samples in order of time, any mix of drives; drive (M,)
 int32, u (M, 2) V mean over the sample's own interval, y (M, 2) A at its end, n_sub (M,) int64
 sub-steps of dt in that interval, n_gap (M,) int64 sub-steps missing before it.

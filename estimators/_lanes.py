@@ -1,7 +1,7 @@
 """Where a block of `LANES` drives keeps its numbers, and what the kernels of both filters share.
 
-Drives are independent and do the same arithmetic, so one instruction can serve four of them. What
-a compiler needs for that: a loop over lanes without calls or branches, and memory that cannot
+Drives are independent and do the same arithmetic, so one instruction can serve several of them.
+What a compiler needs for that: a loop over lanes without calls or branches, and memory that cannot
 overlap, so everything of a block of drives lies in one flat array, row by row, a lane each. Sines
 are polynomials (fdlibm's, 1e-16 of their own), products are fused with sums: results differ from
 the plain twins' by rounding only.
@@ -21,8 +21,8 @@ from estimators._lean import lean
 
 Array = NDArray[np.float64]
 
-LANES: Final = 4
-"""Numbers of a vector register of AVX2."""
+LANES: Final = 8
+"""Two vector registers of AVX2: one alone waits for its own results."""
 _L = LANES
 STATE: Final = 20
 """Rows of x (5) and of P's upper triangle (15)."""

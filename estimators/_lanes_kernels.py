@@ -207,17 +207,17 @@ def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float) -> None:
 @njit(cache=True)
 def _alone(
     par: Array, Q: Array, R: Array, var: float, lean: float, u: Array, y: Array, n_sub: int,
-    n_gap: int, dt: float, kappa: float, x: Array, P: Array,
+    n_gap: int, dt: float, kappa: float | None, x: Array, P: Array,
 ) -> float:  # fmt: skip
     """A sample behind a gap, or of a covariance to be repaired: not worth a vector.
 
-    By the UKF where kappa is a number; NaN for no factor.
+    By the EKF where kappa is None; NaN for no factor.
     """
     K, W, v = np.empty((5, 2)), np.empty((5, 5)), np.empty(2)
     if n_gap > 0:
         _coast(par, Q, var, n_gap * dt, n_gap, x, P)
     _leaned(u, lean, 0.5 * n_sub * dt, x, v)
-    if math.isnan(kappa):
+    if kappa is None:
         _ekf_predict(par, Q, v, n_sub, dt, x, P)
     elif not _ukf_predict(par, Q, v, n_sub, dt, kappa, x, P, np.zeros((5, 5)), np.empty((10, 5))):
         x[0] = math.nan
@@ -272,24 +272,23 @@ def _gather(
 
 @lean
 def _round(
-    work: Array, row_of: Ints, b: int, n_sub: int, dt: float, kappa: float, nis_out: Array,
+    work: Array, row_of: Ints, b: int, n_sub: int, dt: float, kappa: float | None, nis_out: Array,
     ok_out: Flags,
 ) -> int:  # fmt: skip
     """One sample of every block from b on; gives the first that wants a repair, not settled yet."""
-    unscented = not math.isnan(kappa)
     while b < work.shape[0]:
         wanted, broken = False, False
         for k in range(_L):
             wanted |= row_of[b * _L + k] >= 0
-        if wanted and unscented:
-            _block_unscented(work[b], n_sub, dt, kappa)
-            for k in range(_L):
-                broken |= row_of[b * _L + k] >= 0 and work[b, _ROOT * _L + k] == 0.0
-            if broken:
-                return b
-        elif wanted:
-            _block(work[b], n_sub, dt)
         if wanted:
+            if kappa is None:
+                _block(work[b], n_sub, dt)
+            else:
+                _block_unscented(work[b], n_sub, dt, kappa)
+                for k in range(_L):
+                    broken |= row_of[b * _L + k] >= 0 and work[b, _ROOT * _L + k] == 0.0
+                if broken:
+                    return b
             _settle(work[b], b, row_of, nis_out, ok_out)
         b += 1
     return b
@@ -298,10 +297,10 @@ def _round(
 @njit(cache=True)
 def _lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
-    y: Array, n_sub: Ints, n_gap: Ints, dt: float, kappa: float, nis_out: Array, ok_out: Flags,
-    lean: Array,
+    y: Array, n_sub: Ints, n_gap: Ints, dt: float, kappa: float | None, nis_out: Array,
+    ok_out: Flags, lean: Array,
 ) -> None:  # fmt: skip
-    """Both filters' loop; the EKF where kappa is NaN."""
+    """Both filters' loop; the EKF where kappa is None: the other's code is then left out."""
     drives, rows = x.shape[0], drive.shape[0]
     blocks = (drives + _L - 1) // _L
     work = np.empty((blocks, ROWS * _L))
@@ -372,7 +371,7 @@ def ekf_lanes(
     Rows that follow one another are done together while they are of different drives, without a
     gap and of one length; a drive's own rows keep their order. P comes out symmetric.
     """
-    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, math.nan, nis_out, ok_out, lean)
+    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, None, nis_out, ok_out, lean)
 
 
 @njit(cache=True)

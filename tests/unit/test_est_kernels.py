@@ -152,6 +152,27 @@ def test_a_broken_start_is_told_not_raised(kind):
     assert not ok[2]
 
 
+def test_a_covariance_that_rounding_broke_is_repaired_among_sound_ones():
+    """One lane of a vector is done again by itself; the others do not notice."""
+    c = case(n=11, ticks=320)
+    x_sound, P_sound, _, _ = sweep("ukf", c)
+    P = c.P.copy()
+    P[4, 0, 1] = P[4, 1, 0] = np.sqrt(P[4, 0, 0] * P[4, 1, 1]) * (1.0 + 1e-8)
+    broken = c._replace(P=P)
+    x, P, nis, ok = sweep("ukf", broken)
+    x_twin, P_twin, nis_twin, _ = twin("ukf", broken)
+    assert ok.all()
+    others = np.arange(11) != 4
+    assert (x[others] == x_sound[others]).all()
+    assert (P[others] == P_sound[others]).all()
+    assert (x[4] != x_sound[4]).any()
+    # What is nearly singular is as ill conditioned in both.
+    assert x == pytest.approx(x_twin, rel=1e-6, abs=1e-6)
+    assert pytest.approx(P_twin, rel=1e-5, abs=1e-6) == P
+    assert np.isfinite(nis).all()
+    assert np.isfinite(nis_twin).all()
+
+
 @both
 def test_no_rows_is_no_change(kind):
     c = case()
