@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -38,12 +39,15 @@ def loads(n: int) -> np.ndarray:
     return np.where(np.arange(n) % 8 == 1, 8.0, 20.0) + rng.normal(0.0, SPREAD_NM, n)
 
 
+def verdict_of(n: int) -> Callable[[], object]:
+    """One verdict over n drives."""
+    evidence = Evidence(loads(n), np.full(n, SPREAD_NM), np.ones(n, dtype=np.bool_))
+    return partial(VariationalDetector(), evidence)
+
+
 def variational(n: int) -> float:
     """s a verdict."""
-    judge, evidence = VariationalDetector(), Evidence(
-        loads(n), np.full(n, SPREAD_NM), np.ones(n, dtype=np.bool_)
-    )  # fmt: skip
-    return best(lambda: judge(evidence))
+    return best(verdict_of(n))
 
 
 def twin(n: int) -> float:

@@ -50,8 +50,10 @@ def _state(n: int) -> tuple[np.ndarray, np.ndarray]:
     return x, np.tile(np.diag([1.0, 1.0, 25.0, 0.04, 400.0]), (n, 1, 1))
 
 
-def compiled(kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1) -> float:
-    """s of one call with `steps` samples of each of n drives, so many sub-steps apart."""
+def call_of(
+    kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1
+) -> Callable[[], None]:
+    """One call with `steps` samples of each of n drives, so many sub-steps apart."""
     par, noise = _motors(n)
     x, P = _state(n)
     rng, rows = np.random.default_rng(0), n * steps
@@ -67,7 +69,12 @@ def compiled(kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1) 
             *more, nis, ok, lean,
         )  # fmt: skip
 
-    return best(call)
+    return call
+
+
+def compiled(kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1) -> float:
+    """s of it."""
+    return best(call_of(kernel, n, steps, *more, sub_steps=sub_steps))
 
 
 def stacked(n: int) -> float:

@@ -20,10 +20,13 @@ import cantools
 import numpy as np
 from can.interfaces.socketcan.socketcan import capture_message
 
+from bench.judges import verdict_of
+from bench.kernels import call_of
 from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
 from dbc.frame import MS, SECOND, Frame
 from dbc.protection import protect
+from estimators._lanes_kernels import ekf_lanes
 from gateway.config import Config, ConfigError, shipped_dbc
 from gateway.core import Gateway
 from gateway.drivers.live import frozen_garbage
@@ -38,6 +41,8 @@ from gateway.supervision import Supervision
 HEADER = ("figure", "p50", "p99", "p99.9", "of the period", "reference in the same run")
 SECONDS: Final = 12
 LATE_S: Final = 4.0
+SAMPLES, SUB_STEPS = 5, 16
+"""Of a tick: one every 2 ms."""
 QUEUE: Final = 1 << 20
 _SO_TIMESTAMPNS: Final = 35
 
@@ -164,6 +169,25 @@ def whole_tick(
     )  # fmt: skip
 
 
+def alone(drives: int) -> tuple[str, ...]:
+    """Estimator and detector without a bus: more drives than a message set has."""
+    filters = call_of(ekf_lanes, drives, SAMPLES, sub_steps=SUB_STEPS)
+    judge = verdict_of(drives)
+    filters(), judge()
+    spent = []
+    with frozen_garbage():
+        for _ in range(SECONDS * 100):
+            began = time.perf_counter()
+            filters()
+            judge()
+            spent.append(time.perf_counter() - began)
+    p50, p99, p999 = np.quantile(spent, (0.5, 0.99, 0.999)).tolist()
+    return (
+        f"EKF and VB alone, {drives} drives, a tick of 100 Hz", _us(p50), _us(p99), _us(p999),
+        f"p99 {100.0 * p99 * 100:.1f} %", "",
+    )  # fmt: skip
+
+
 def bare(period_s: float) -> list[float]:
     """Lateness, s, of the simplest loop on absolute deadlines."""
     late = []
@@ -238,4 +262,4 @@ def rows() -> list[tuple[str, ...]]:
             out += per_frame(slow, codec, drives)
             out.append(whole_tick(slow, codec, drives, 100))
             out.append(whole_tick(fast, codec, drives, 1000))
-    return [*out, *lateness()]
+    return [*out, alone(64), *lateness()]

@@ -22,6 +22,7 @@ from bench.speed import best, quiet
 from dbc.block import EMPTY, Block, join
 from dbc.candump import Reader
 from dbc.codec import Codec, bind
+from dbc.contract import ANY
 from dbc.frame import MS
 from gateway.config import shipped_dbc
 from gateway.inbox import Inbox
@@ -35,6 +36,30 @@ FEW: Final = 20_000
 """Frames that cantools decodes: it takes microseconds for each."""
 LARGE: Final = 20
 """Times the log, for what memory does."""
+
+MIXED: Final = """VERSION ""
+BS_:
+BU_: A
+BO_ 1 Motorola: 8 A
+ SG_ Speed : 7|16@0- (0.01,0) [0|0] "" A
+ SG_ Torque : 23|12@0- (0.1,0) [0|0] "" A
+ SG_ Level : 27|10@0+ (1,-40) [0|0] "" A
+ SG_ Flag : 33|1@0+ (1,0) [0|0] "" A
+BO_ 2 Intel: 8 A
+ SG_ Count : 0|11@1+ (1,0) [0|0] "" A
+ SG_ Offset : 11|13@1- (0.5,0) [0|0] "" A
+ SG_ Power : 24|20@1- (0.02,0) [0|0] "" A
+BO_ 3 Switched: 8 A
+ SG_ Which M : 0|2@1+ (1,0) [0|0] "" A
+ SG_ A0 m0 : 8|16@1- (0.1,0) [0|0] "" A
+ SG_ B0 m0 : 31|12@0- (1,0) [0|0] "" A
+ SG_ A1 m1 : 8|12@1+ (0.1,0) [0|0] "" A
+ SG_ B1 m1 : 39|16@0+ (1,0) [0|0] "" A
+ SG_ A2 m2 : 8|8@1+ (1,0) [0|0] "" A
+ SG_ A3 m3 : 8|24@1- (1e-3,0) [0|0] "" A
+"""
+"""Both byte orders, signs, and a multiplexer."""
+MIXED_FRAMES: Final = 200_000
 
 
 def log_of(folder: Path, dbc: str) -> Path:
@@ -129,6 +154,36 @@ def decoded(log: Path, dbc: str) -> list[tuple[str, ...]]:
     ]  # fmt: skip
 
 
+def mixed(folder: Path) -> tuple[str, ...]:
+    """Decoding of what our own message set has none of."""
+    path = folder / "mixed.dbc"
+    path.write_text(MIXED)
+    codec = bind(path, (), ANY)
+    rng = np.random.default_rng(0)
+    index = rng.integers(0, len(codec.messages), MIXED_FRAMES).astype(np.int32)
+    payload = np.zeros((MIXED_FRAMES, 64), dtype=np.uint8)
+    payload[:, :8] = rng.integers(0, 256, (MIXED_FRAMES, 8))
+
+    def ours() -> None:
+        for k in range(0, MIXED_FRAMES, PIECE):
+            codec.decode_rows(index[k : k + PIECE], payload[k : k + PIECE])
+
+    database = cantools.database.load_file(path)
+    by_name = [database.get_message_by_name(spec.name) for spec in codec.messages]
+    some = [(by_name[i], payload[k, :8].tobytes()) for k, i in enumerate(index[:FEW].tolist())]
+    # A switched message has only the signals of its switch.
+    each = sum(len(message.decode(data)) for message, data in some) / FEW
+
+    def theirs() -> None:
+        for message, data in some:
+            message.decode(data)
+
+    return _against(
+        "decode, both byte orders, multiplexed", each * MIXED_FRAMES / best(ours, 7),
+        each * FEW / best(theirs, 3), "signals/s", "cantools",
+    )  # fmt: skip
+
+
 def _taken(codec: Codec, frames: Block) -> None:
     """Through the inbox, tick by tick."""
     inbox = Inbox(codec, (1, 2, 3), 10 * MS, Supervision((1, 2, 3), 300 * MS))
@@ -180,4 +235,7 @@ def rows() -> list[tuple[str, ...]]:
         folder = Path(name)
         classic = log_of(folder, "traction.dbc")
         fd = log_of(folder, "traction_fd.dbc")
-        return [*lines(classic), *decoded(classic, "traction.dbc"), *decoded(fd, "traction_fd.dbc")]
+        return [
+            *lines(classic), *decoded(classic, "traction.dbc"), *decoded(fd, "traction_fd.dbc"),
+            mixed(folder),
+        ]  # fmt: skip
