@@ -67,6 +67,8 @@ def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
         from gateway.drivers.hilbus import run_on_real_bus
 
         folder = options.results / Path(name).stem if options.results else None
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
         return run_on_real_bus(options, name, scenario, config, codec, folder).verdicts
     from gateway.drivers.bench import run_virtual
 

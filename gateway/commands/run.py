@@ -50,6 +50,9 @@ def run(options: argparse.Namespace) -> int:
     from gateway.drivers.warm import warm_up
 
     config, codec = prepare(options.config)
+    if options.results:
+        # Where nothing can be left is said now, not after the run.
+        options.results.mkdir(parents=True, exist_ok=True)
     master = config.canopen.nmt_master
     with patience():
         warm_up(config, codec)
