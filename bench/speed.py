@@ -16,6 +16,8 @@ from gateway.cli import main
 from gateway.config import shipped_dbc
 
 SECONDS = 60.0
+FLAGS_ID = 0x1A0
+"""`Gateway_Adhesion`."""
 
 
 def best(task: Callable[[], object], times: int = 3) -> float:
@@ -56,6 +58,29 @@ def child(*words: str) -> float:
     return time.perf_counter() - began
 
 
+def first_flag() -> float | None:
+    """s from the start of the process `run` to its first flag on a bus; None without one.
+
+    The bus is python-can's over UDP: every machine has it.
+    """
+    channel = "239.74.163.9"
+    words = ("run", "-i", "udp_multicast", "-c", channel, "--quiet", "--duration", "0.3")
+    try:
+        bus = can.Bus(interface="udp_multicast", channel=channel)
+    except (can.CanError, OSError):
+        return None
+    with bus:
+        while bus.recv(0.3):
+            pass
+        began = time.perf_counter()
+        command = [sys.executable, "-m", "gateway", *words]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL):
+            while (message := bus.recv(5.0)) is not None:
+                if message.arbitration_id == FLAGS_ID:
+                    return time.perf_counter() - began
+    return None
+
+
 def rows() -> list[tuple[str, ...]]:
     """One row per figure: what, measured, reference, ratio."""
     with tempfile.TemporaryDirectory() as folder:
@@ -70,6 +95,13 @@ def rows() -> list[tuple[str, ...]]:
     bare = best(lambda: subprocess.run([sys.executable, "-c", "pass"], check=True), 5)
     usage = best(lambda: child("--help"), 5)
     verb = best(lambda: child("replay", "--help"), 3)
+    flags = [seconds for _ in range(3) if (seconds := first_flag()) is not None]
+    flag_row = (
+        "`run`, from its start to its first flag, kernels cached",
+        f"{min(flags):.2f} s" if flags else "no multicast here",
+        f"bare Python {bare * 1e3:.0f} ms",
+        f"{min(flags) / bare:.0f}" if flags else "",
+    )
     return [
         (f"replay of {SECONDS:.0f} s, 3 drives, estimation and detection included",
          f"{ours:.2f} s", f"real time {SECONDS:.0f} s", f"{SECONDS / ours:.1f} x"),
@@ -81,6 +113,7 @@ def rows() -> list[tuple[str, ...]]:
         ("`--help`, whole process", f"{usage * 1e3:.0f} ms", f"bare Python {bare * 1e3:.0f} ms",
          f"{usage / bare:.1f}"),
         ("`replay --help`, whole process", f"{verb * 1e3:.0f} ms", "", ""),
+        flag_row,
     ]  # fmt: skip
 
 
