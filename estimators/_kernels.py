@@ -35,36 +35,6 @@ def wrap(theta: float) -> float:
 
 
 @njit(cache=True)
-def _load(x: Array, P: Array, x_d: Array, P_d: Array) -> None:
-    """Copy one drive's state to the work arrays, mirroring the upper triangle of P."""
-    for i in range(5):
-        x_d[i] = x[i]
-        for j in range(i, 5):
-            P_d[i, j] = P[i, j]
-            P_d[j, i] = P[i, j]
-
-
-@njit(cache=True)
-def _store(x_d: Array, P_d: Array, x: Array, P: Array) -> bool:
-    """Copy back a healthy state; leave x and P as they are and return False otherwise."""
-    total = 0.0
-    for i in range(5):
-        total += x_d[i]
-        if not P_d[i, i] >= 0.0:
-            return False
-        for j in range(i, 5):
-            total += P_d[i, j]
-    # NaN and infinity survive any sum.
-    if not math.isfinite(total):
-        return False
-    for i in range(5):
-        x[i] = x_d[i]
-        for j in range(5):
-            P[i, j] = P_d[i, j]
-    return True
-
-
-@njit(cache=True)
 def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P: Array) -> None:
     """`ekf.coast` on work arrays."""
     psi_f, p, J, B, k_p = par[2], par[3], par[4], par[5], par[6]

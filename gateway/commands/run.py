@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
     from gateway.drivers.canopen_node import CanopenNode
-    from gateway.drivers.live import LiveSnapshot, Stop, run_live
+    from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
     from gateway.drivers.realtime import Ticker
     from gateway.drivers.scheduling import be_realtime
     from gateway.drivers.transport import Allow
@@ -85,7 +85,9 @@ def run(options: argparse.Namespace) -> int:
                             errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
     summary(gateway, seen)
     if options.results:
-        leave_timing(options.results, seen, f"Timing on {options_name(options)}", ticker)
+        title = f"Timing on {options_name(options)}"
+        leave_timing(options.results, seen, title, config.loop.period_ns)
+        print(f"report: {options.results / 'report.html'}")
     return GOOD
 
 
@@ -145,11 +147,3 @@ def summary(gateway: Any, seen: Any) -> None:
         f"p99 {late.quantile(0.99) / 1e6:.3f} ms; frame to flag p50 "
         f"{latency.quantile(0.5) / 1e6:.3f} ms, p99 {latency.quantile(0.99) / 1e6:.3f} ms"
     )
-
-
-def leave_timing(folder: Path, seen: Any, title: str, ticker: Any) -> None:
-    """The report of a live run's timing."""
-    from gateway.results.timing import leave
-
-    leave(folder, seen.timing.table(), title, ticker.period_ns, seen.tick + 1, seen.missed)
-    print(f"report: {folder / 'report.html'}")

@@ -14,12 +14,11 @@ from gateway.core import Gateway
 from gateway.drivers.bench import Outcome, for_scenario, touched_drives
 from gateway.drivers.bus import open_transport
 from gateway.drivers.canopen_node import CanopenNode
-from gateway.drivers.live import LiveSnapshot, Stop, run_live
+from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.transport import Allow
 from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
-from gateway.results.timing import leave
 from sim.scenario import Scenario
 
 
@@ -76,8 +75,7 @@ def run_on_real_bus(
             child.terminate()
         child.wait(timeout=10)
     if results is not None:
-        title = f"Timing of {scenario.title}"
-        leave(results, seen.timing.table(), title, ticker.period_ns, seen.tick + 1, seen.missed)
+        leave_timing(results, seen, f"Timing of {scenario.title}", ticker.period_ns)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
     return Outcome(scenario, verdicts, gateway)

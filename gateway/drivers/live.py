@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
@@ -22,6 +23,7 @@ from gateway.drivers.canopen_node import CanopenNode, meant
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.timing import Timing
 from gateway.drivers.transport import LinkState, Status, Transport
+from gateway.results.timing import leave
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +65,11 @@ class LiveSnapshot:
     """Ticks missed so far."""
     sent: Sequence[Frame] = ()
     """Frames of the last tick."""
+
+
+def leave_timing(folder: Path, seen: LiveSnapshot, title: str, period_ns: Nanos) -> None:
+    """Report of a run's timing: see `gateway.results.timing`. Raises OSError."""
+    leave(folder, seen.timing.table(), title, period_ns, seen.tick + 1, seen.missed)
 
 
 class Stop:
