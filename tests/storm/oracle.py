@@ -1,0 +1,185 @@
+"""Who watches the gateway in the storm: bytes on the wire against what really arrived.
+
+Keeps its own books (stamps of genuine frames, flags as last read from the wire) and uses neither
+the gateway's codec nor its counters. Rules, by name:
+
+- stale: no flag says good when the newest genuine frame it rests on is older than its limit
+- untracked: `Adhering` only from a drive whose filter says tracking and is near the true speed
+- cleared: unknown never clears bad, and good needs its time of good frames
+- hasty: the first good after a start needs its time of good frames
+- form: every frame sent is whole: counter, states 0 to 2, nothing but our identifiers; flags have
+  their checksum
+- masquerade: nothing is good from a drive that two senders speak for
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from crccheck.crc import Crc8Autosar
+
+from dbc.codec import Codec
+from dbc.dataids import p02_data_ids
+from dbc.frame import MS, Frame
+from gateway.config import Config
+from gateway.health import Flag, Health
+from gateway.outbox import GatewayView
+from sim.hostile import Arrived, Fault
+from tests.storm.train import TICK
+
+KINDS = ("PhaseCurrents", "StatorVoltages", "Motion", "Status", "Temperatures")
+ADHESION, FAULTS, ESTIMATE = 0x1A0, 0x2A0, 0x500
+UNKNOWN, GOOD, BAD = 0, 1, 2
+SECOND_SENDER_TICKS = 10
+"""A second sender has to be noticed in so many."""
+APART_TICKS = 20
+"""A filter that follows a slip may be off the true speed for so long."""
+SPEED_SHARE, SPEED_RAD_S = 0.2, 6.0
+
+
+class Violation(NamedTuple):
+    """A rule that was broken. drive from 1, 0 for the set."""
+
+    tick: int
+    rule: str
+    drive: int
+    what: str
+
+
+class Oracle:
+    """Looks at every tick of one gateway from its start on."""
+
+    def __init__(self, codec: Codec, config: Config, tick: int) -> None:
+        """tick: the gateway's first."""
+        self.nodes = config.nodes
+        self.n = len(self.nodes)
+        self.slot = np.full(0x800, -1)
+        self.limit = np.zeros(self.n * len(KINDS), dtype=np.int64)
+        for d, node in enumerate(self.nodes):
+            for k, kind in enumerate(KINDS):
+                spec = codec.by_name[f"Drive{node}_{kind}"]
+                self.slot[spec.can_id] = d * len(KINDS) + k
+                self.limit[d * len(KINDS) + k] = 3 * spec.cycle_ns + TICK
+        self.last = np.full(len(self.limit), -(1 << 60), dtype=np.int64)
+        self.heard = np.zeros(len(self.limit), dtype=bool)
+        self.ids = {
+            spec.can_id: p02_data_ids(spec.can_id) for spec in codec.messages if spec.is_gateway
+        }
+        self.counters: dict[int, int] = {}
+        self.adhesion = [UNKNOWN] * self.n
+        self.thermal = [UNKNOWN] * self.n
+        self.since = [tick] * self.n
+        """First tick of the run of ticks with fresh currents and voltages, up to now."""
+        self.good = -(-config.adhesion.good_ms * MS // TICK)
+        self.clear = -(-config.adhesion.clear_ms * MS // TICK)
+        self.apart = [0] * self.n
+        self.doubled = [0] * self.n
+        self.found: list[Violation] = []
+        self.said: Counter[tuple[str, int]] = Counter()
+        """Ticks by flag and state, over all drives."""
+
+    def look(
+        self, tick: int, arrived: Arrived, out: list[Frame], view: GatewayView,
+        speed: np.ndarray, faults: list[Fault],
+    ) -> None:  # fmt: skip
+        """One tick. speed (N,): true, rad/s."""
+        now = tick * TICK
+        mine = arrived.genuine
+        slots = self.slot[arrived.block.can_id[mine]]
+        self.last[slots] = arrived.block.t_ns[mine]
+        self.heard[slots] = True
+        fresh = (now - self.last <= self.limit).reshape(self.n, len(KINDS))
+        sampled = (fresh[:, 0] & fresh[:, 1]).tolist()
+        for d in range(self.n):
+            if not sampled[d]:
+                self.since[d] = tick + 1
+        for frame in out:
+            self._form(tick, frame)
+            if frame.can_id == ADHESION:
+                self._adhesion(tick, frame.data, sampled)
+            elif frame.can_id == FAULTS:
+                self._faults(tick, frame.data, fresh, view)
+        self._tracking(tick, view, speed.tolist())
+        self._second_senders(tick, faults)
+        for name, states in (("adhesion", self.adhesion), ("thermal", self.thermal)):
+            for state in states:
+                self.said[name, state] += 1
+
+    def _broken(self, tick: int, rule: str, drive: int, what: str) -> None:
+        self.found.append(Violation(tick, rule, drive, what))
+
+    def _form(self, tick: int, frame: Frame) -> None:
+        data, ids = frame.data, self.ids.get(frame.can_id)
+        if ids is None or len(data) != 8 or frame.flags or frame.t_ns != tick * TICK:
+            self._broken(tick, "form", 0, f"strange frame {frame}")
+            return
+        counter = data[1] & 0x0F
+        before = self.counters.get(frame.can_id)
+        if counter != (0 if before is None else (before + 1) % 16):
+            self._broken(tick, "form", 0, f"{frame.can_id:X}: counter {counter} after {before}")
+        self.counters[frame.can_id] = counter
+        if (
+            frame.can_id in (ADHESION, FAULTS)
+            and Crc8Autosar.calc(data[1:] + bytes([ids[counter]])) != data[0]
+        ):
+            self._broken(tick, "form", 0, f"{frame.can_id:X}: checksum")
+
+    def _states(self, tick: int, data: bytes) -> list[int]:
+        word = int.from_bytes(data, "little") >> 16
+        states = [(word >> 2 * k) & 3 for k in range(16)]
+        mine = [states[node - 1] for node in self.nodes]
+        if 3 in states or sum(states) != sum(mine):
+            self._broken(tick, "form", 0, f"states {states}")
+        return mine
+
+    def _adhesion(self, tick: int, data: bytes, sampled: list[bool]) -> None:
+        for d, state in enumerate(self._states(tick, data)):
+            before = self.adhesion[d]
+            fine = tick - self.since[d]  # ticks since the first of the fresh ones
+            if state == GOOD and not sampled[d]:
+                self._broken(tick, "stale", d + 1, "Adhering without fresh samples")
+            if before == BAD and state == UNKNOWN:
+                self._broken(tick, "cleared", d + 1, "AdhesionLost went to Unknown")
+            if before == BAD and state == GOOD and fine < self.clear:
+                self._broken(tick, "cleared", d + 1, f"after {fine} ticks of fresh samples")
+            if before == UNKNOWN and state == GOOD and fine < self.good:
+                self._broken(tick, "hasty", d + 1, f"after {fine} ticks of fresh samples")
+            self.adhesion[d] = state
+
+    def _faults(self, tick: int, data: bytes, fresh: np.ndarray, view: GatewayView) -> None:
+        for d, state in enumerate(self._states(tick, data)):
+            if state == GOOD and not fresh[d, KINDS.index("Temperatures")]:
+                self._broken(tick, "stale", d + 1, "NoFault without fresh temperatures")
+            if self.thermal[d] == BAD and state == UNKNOWN:
+                self._broken(tick, "cleared", d + 1, "thermal Fault went to Unknown")
+            self.thermal[d] = state
+        comm, estimator = (data[6] >> 2) & 3, (data[6] >> 4) & 3
+        if comm == GOOD and not (fresh.ravel() | ~self.heard).all():
+            self._broken(tick, "stale", 0, "CommFault says good")
+        if estimator == GOOD and any(d.health is not Health.TRACKING for d in view.drives):
+            self._broken(tick, "untracked", 0, "EstimatorFault says good")
+
+    def _tracking(self, tick: int, view: GatewayView, speed: list[float]) -> None:
+        for d, drive in enumerate(view.drives):
+            if self.adhesion[d] != GOOD:
+                self.apart[d] = 0
+                continue
+            if drive.adhesion is not Flag.GOOD or drive.health is not Health.TRACKING:
+                self._broken(tick, "untracked", d + 1, f"Adhering while {drive.health.name}")
+            off = abs((drive.speed_rad_s or 0.0) - speed[d])
+            far = off > max(SPEED_RAD_S, SPEED_SHARE * abs(speed[d]))
+            self.apart[d] = self.apart[d] + 1 if far else 0
+            if self.apart[d] > APART_TICKS:
+                self._broken(tick, "untracked", d + 1, f"Adhering, {off:.1f} rad/s off the truth")
+
+    def _second_senders(self, tick: int, faults: list[Fault]) -> None:
+        both = [f.drive for f in faults if f.kind == "second_sender"]
+        held = ("bus_off", "link_loss", "drop", "delay")
+        silent = any(f.kind in held for f in faults)
+        for d in range(self.n):
+            twice = (d in both or None in both) and not silent
+            self.doubled[d] = self.doubled[d] + 1 if twice else 0
+            if self.doubled[d] > SECOND_SENDER_TICKS and self.adhesion[d] == GOOD:
+                self._broken(tick, "masquerade", d + 1, "Adhering while two senders speak")

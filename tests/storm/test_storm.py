@@ -1,0 +1,204 @@
+"""The core under a simulated bus that does everything a bus may do, watched by an oracle.
+
+What is run here: 20 seeds of 1e5 ticks; `make soak` runs 100 of 1e6. A failure prints the command
+that repeats it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from gateway import core
+from gateway.bank import DriveEstimate
+from gateway.decide import TABLE
+from gateway.health import Flag
+from gateway.outbox import Outbox
+from sim.hostile import KINDS, WHOLE_BUS, Fault, HostileBus, plan
+from tests.storm import campaign
+from tests.storm.campaign import QUEUE, weather
+from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
+
+SEEDS, TICKS = range(20), 100_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_seed_breaks_a_rule(seed):
+    result = weather(seed, TICKS)
+    assert not result.found, result.text()
+    assert result.ticks == TICKS
+    # A gateway that never says anything would break no rule either.
+    assert result.said["adhesion", Flag.GOOD] > TICKS / 2
+    assert result.said["adhesion", Flag.BAD] > TICKS / 100
+    assert result.said["thermal", Flag.GOOD] > TICKS / 2
+
+
+def test_the_seeds_bring_every_fault_to_every_phase_and_drive():
+    train_phase = train().phase
+    met = Counter()
+    for seed in SEEDS:
+        for fault in plan(seed, TICKS, len(NODES)):
+            for tick in range(fault.first, min(fault.last, TICKS)):
+                met[fault.kind, PHASES[train_phase[(tick - 1) % LOOP_TICKS]], fault.drive] += 1
+    drives = {kind: (None,) if kind in WHOLE_BUS else (None, 0, 1, 2) for kind in KINDS}
+    wanted = {(kind, phase, d) for kind in KINDS for phase in PHASES for d in drives[kind]}
+    assert wanted == set(met)
+
+
+def test_a_seed_is_the_same_every_time():
+    assert weather(5, 3000) == weather(5, 3000)
+    assert weather(5, 3000) != weather(6, 3000)
+
+
+DENSE = (5, 16_000, 60.0)
+
+
+def test_a_denser_storm_breaks_no_rule_either():
+    assert not weather(*DENSE).found
+
+
+def stale_is_believed(monkeypatch):
+    monkeypatch.setattr(core.Gateway, "_input_reason", lambda *_: core.Reason.NONE)
+    monkeypatch.setattr("gateway.inbox.DriveInput.fresh", lambda *_: True)
+
+
+def unknown_clears(monkeypatch):
+    monkeypatch.setitem(TABLE, (Flag.BAD, Flag.UNKNOWN), (Flag.UNKNOWN, ""))
+
+
+def health_is_ignored(monkeypatch):
+    """And no flag waits for anything."""
+    real = core.Gateway._adhesion_evidence
+
+    def evidence(self, estimate, lost, cause):
+        lost_one = real(self, estimate, lost, cause)
+        if cause is core.Reason.NONE and lost_one[0] is not Flag.BAD:
+            return Flag.GOOD, cause
+        return lost_one
+
+    monkeypatch.setattr(core.Gateway, "_adhesion_evidence", evidence)
+    monkeypatch.setitem(TABLE, (Flag.UNKNOWN, Flag.GOOD), (Flag.GOOD, ""))
+    monkeypatch.setitem(TABLE, (Flag.BAD, Flag.GOOD), (Flag.GOOD, ""))
+
+
+def wrong_speed(monkeypatch):
+    real = core.Bank.advance
+
+    def advance(self, *words):
+        return [
+            DriveEstimate(e.health, e.speed_rad_s + 30.0, *e[2:]) if e.speed_rad_s else e
+            for e in real(self, *words)
+        ]
+
+    monkeypatch.setattr(core.Bank, "advance", advance)
+    monkeypatch.setattr(core.Gateway, "_contradicts", lambda *_: False)
+
+
+def counter_stands_still(monkeypatch):
+    real = Outbox._frame
+
+    def frame(self, spec, values, t_ns):
+        self.counters.pop(spec.name, None)
+        return real(self, spec, values, t_ns)
+
+    monkeypatch.setattr(Outbox, "_frame", frame)
+
+
+def frames_are_forgotten(monkeypatch):
+    monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * 13)
+
+
+@pytest.mark.parametrize(
+    ("broken", "rule"),
+    [
+        (stale_is_believed, "stale"),
+        (unknown_clears, "cleared"),
+        (health_is_ignored, "hasty"),
+        (health_is_ignored, "untracked"),
+        (wrong_speed, "untracked"),
+        (counter_stands_still, "form"),
+        (frames_are_forgotten, "counted"),
+    ],
+)
+def test_the_oracle_finds_a_gateway_that_breaks_its_rule(broken, rule, monkeypatch):
+    monkeypatch.setattr(campaign, "MOST_FOUND", 10_000)
+    broken(monkeypatch)
+    assert rule in {v.rule for v in weather(*DENSE).found}
+
+
+ONE = [spec.can_id for spec in train().codec.messages if spec.name.startswith("Drive2_")]
+
+
+def carried(kind, amount=1.0, ticks=40, drive=1):
+    """Ticks of a running train under one fault from tick 11 to 30; (arrived, sent) per tick."""
+    honest = train()
+    ids = [[0x181], ONE, [0x183]]
+    bus = HostileBus([Fault(kind, 11, 31, drive, amount)], ids, 1)
+    out = []
+    for k in range(1, ticks + 1):
+        tick = k + 2000
+        sent = honest.sent(tick)
+        shifted = sent._replace(t_ns=sent.t_ns - 2000 * TICK)
+        other = honest.elsewhere(tick)
+        came = bus.carry(
+            shifted, lambda o=other: o._replace(t_ns=o.t_ns - 2000 * TICK), k, k * TICK
+        )
+        out.append((came, shifted))
+    return out
+
+
+def count(came, ids):
+    return int(np.isin(came.block.can_id, ids).sum())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_outside_its_time_a_fault_changes_nothing(kind):
+    for k, (came, sent) in enumerate(carried(kind), start=1):
+        if k < 11:
+            assert came.genuine.all()
+            assert np.array_equal(came.block.data, sent.data)
+        late = came.block.t_ns[1:] - came.block.t_ns[:-1]
+        assert (late >= 0).all()
+
+
+def test_what_each_fault_does():
+    dropped = carried("drop")[15][0]
+    assert count(dropped, ONE) == 0
+    assert count(dropped, [0x181]) == 5
+    twice = carried("duplicate")[15]
+    assert count(twice[0], ONE) == 2 * count(Sent(twice[1]), ONE)
+    assert twice[0].genuine.sum() == twice[1].size
+    late = carried("delay", 0.1)
+    assert count(late[11][0], ONE) == 0
+    assert sum(count(came, ONE) for came, _ in late) == sum(count(Sent(s), ONE) for _, s in late)
+    damaged, sent = carried("corrupt")[15]
+    bad = damaged.block.pick(~damaged.genuine)
+    assert bad.size == count(Sent(sent), ONE)
+    assert count(carried("flood", drive=None)[15][0], [0]) > 50
+    assert carried("bus_off", drive=None)[15][0].block.size == 0
+    assert (carried("link_loss", drive=None)[10][0].block.flags == 4).all()
+    stepped = carried("clock_step", drive=None)[15][0]
+    assert (stepped.block.t_ns > 3600 * 10**9).all()
+    assert not stepped.genuine.any()
+    both = carried("second_sender")[15]
+    assert count(both[0], [0x182]) == 10
+    assert count(both[0], [0x181]) == 5
+
+
+class Sent:
+    """A block as if it had arrived."""
+
+    def __init__(self, block):
+        self.block = block
+
+
+def test_the_queue_of_a_stopped_process_is_bounded():
+    waiting = campaign.NOTHING
+    for tick in range(1, 30):
+        block = train().sent(tick)
+        arrived = campaign.Arrived(block, np.ones(block.size, dtype=bool))
+        waiting = campaign._queued(waiting, arrived)
+    assert waiting.block.size == len(waiting.genuine) == QUEUE

@@ -1,0 +1,110 @@
+"""The honest train of the storm: recorded once from the simulator, played in a loop.
+
+A loop holds every phase of a run. Its length is a multiple of every message's counter period, so
+counters go on where one round ends and the next begins.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from dbc.block import Block, block_of
+from dbc.codec import Codec
+from dbc.frame import MS, SECOND
+from sim.scenario import parse
+from sim.simulation import Simulation
+from tests.simrun import codec
+
+TICK = 10 * MS
+LOOP_S = 80
+LOOP_TICKS = LOOP_S * 100
+LOOP_NS = LOOP_S * SECOND
+NODES = (1, 2, 3)
+PHASES = ("start", "standstill", "traction", "braking", "slip")
+SHIFT = 1337
+"""Ticks from which a second sender's frames are taken."""
+
+
+def _scenario():
+    """Two rounds: the first brings motors and stamps into their stride."""
+    speed = [(0.0, 0.0), (6.0, 0.0), (20.0, 110.0), (40.0, 110.0), (62.0, 0.0)]
+    # The first load is what the motors are warm from, about as warm as the rounds keep them.
+    pull = [
+        (0.0, 13.0), (0.1, 0.5), (5.0, 0.5), (6.0, 20.0), (36.0, 16.0), (42.0, -14.0),
+        (61.0, -14.0), (63.0, 0.5),
+    ]  # fmt: skip
+    losses = [
+        (14.0, 1.0, 1, 1.0), (24.0, 1.0, 2, 1.0), (29.0, 0.8, 1, 0.6), (33.0, 0.8, "all", 0.8),
+        (48.0, 1.0, 3, 1.0), (54.0, 0.6, 2, 0.7),
+    ]  # fmt: skip
+    rounds = (0.0, float(LOOP_S))
+    return parse({
+        "title": "storm",
+        "seed": 7,
+        "duration_s": 2 * LOOP_S,
+        "drives": len(NODES),
+        "motion": {
+            "start": "standstill",
+            "profile": [(t + r, w) for r in rounds for t, w in speed],
+        },
+        "load": {"profile": [(t + r, nm) for r in rounds for t, nm in pull]},
+        "event": [
+            {"at_s": at + r, "for_s": span, "drive": who, "kind": "adhesion_loss", "depth": depth}
+            for r in rounds
+            for at, span, who, depth in losses
+        ],
+    })  # fmt: skip
+
+
+class Train(NamedTuple):
+    """A round of the train: frames of its ticks, and what is so.
+
+    speed rad/s, lost: (LOOP_TICKS, N); phase (LOOP_TICKS,) index into PHASES.
+    """
+
+    codec: Codec
+    frames: list[Block]
+    speed: np.ndarray
+    lost: np.ndarray
+    phase: np.ndarray
+
+    def sent(self, tick: int) -> Block:
+        """What the drives send in the 10 ms that end with this tick (from 1)."""
+        turn, k = divmod(tick - 1, LOOP_TICKS)
+        block = self.frames[k]
+        return block._replace(t_ns=block.t_ns + turn * LOOP_NS)
+
+    def elsewhere(self, tick: int) -> Block:
+        """Frames of the same drives from another time, stamped with this one."""
+        at = (tick - 1 + SHIFT) % LOOP_TICKS
+        block = self.frames[at]
+        return block._replace(t_ns=block.t_ns + (tick - 1 - at) * TICK)
+
+
+@cache
+def train() -> Train:
+    """Recorded once per process."""
+    simulation = Simulation(_scenario(), codec(NODES), nodes=NODES)
+    frames = []
+    for k in range(1, 2 * LOOP_TICKS + 1):
+        block = block_of(simulation.step((), k * TICK))
+        frames.append(block._replace(t_ns=block.t_ns - LOOP_NS))
+    rows = simulation.truth_rows()[-LOOP_TICKS * len(NODES) :]
+    speed = np.array([row.speed_rad_s for row in rows]).reshape(LOOP_TICKS, len(NODES))
+    lost = np.array([row.lost for row in rows], dtype=bool).reshape(LOOP_TICKS, len(NODES))
+    return Train(codec(NODES), frames[LOOP_TICKS:], speed, lost, _phases(speed, lost))
+
+
+def _phases(speed: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    mean = speed.mean(axis=1)
+    rising = np.gradient(mean)
+    out = np.full(LOOP_TICKS, PHASES.index("traction"))
+    out[rising < -1e-3] = PHASES.index("braking")
+    out[np.abs(mean) < 1.0] = PHASES.index("standstill")
+    began = int(np.argmax(mean > 1.0))
+    out[began : began + 300] = PHASES.index("start")
+    out[lost.any(axis=1)] = PHASES.index("slip")
+    return out
