@@ -50,6 +50,15 @@ class Bus(Strict):
     bitrate: int = Field(1_000_000, gt=0)
     fd: bool = False
     data_bitrate: int = Field(5_000_000, gt=0)
+    on_intruder: Literal["stop", "go_on"] = Field(
+        "stop", description="when somebody else sends with the gateway's identifiers"
+    )
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those of them that are python-can's and were given."""
+        given = self.model_dump(exclude={"on_intruder"})
+        return {key: value for key, value in given.items() if value is not None}
 
 
 class Loop(Strict):

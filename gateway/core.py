@@ -27,6 +27,7 @@ from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
+from gateway.doubt import Doubt
 from gateway.health import (
     REJECTED,
     FaultClass,
@@ -51,7 +52,6 @@ COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
 COMM_CAUSES: Final = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
-OVERRUN_HOLD_NS: Final = SECOND
 SPEED_TOLERANCE: Final = 0.15
 SPEED_TOLERANCE_RAD_S: Final = 5.0
 """At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
@@ -106,10 +106,7 @@ class Gateway:
         self.reports = [Report() for _ in nodes]
         self.outbox = Outbox(codec, nodes, config.hash24(cells.checksum() if cells else ""))
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
-        self.deadline_misses = 0
-        self.overrun_ns: Nanos | None = None
-        self.late_in_a_row = 0
-        self.missed = 0
+        self.doubt = Doubt(config.loop.period_ns)
         self.contradictions = [0] * len(nodes)
         self.unlocked_ns = [0] * len(nodes)
         """How long each has turned, by its own word, with no lock to it."""
@@ -117,12 +114,11 @@ class Gateway:
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
+        self.stops = config.bus.on_intruder == "stop"
+        self.silent = False
+        """Nothing is sent any more."""
         self.start_ns = start_ns
         self.view: GatewayView | None = None
-
-    def note_overrun(self, missed: int) -> None:
-        """The driver skipped `missed` ticks before the step that follows."""
-        self.missed = missed
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
         """The driver's own measurements, for `Gateway_Info`."""
@@ -131,9 +127,10 @@ class Gateway:
 
     def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
         """Take the frames of one tick, give the frames to send. Never raises on wire data."""
-        self._overrun(now)
         inbox = self.inbox
+        own = inbox.counts["own"]
         block = inbox.take(frames, now)
+        self.doubt.tick(now, inbox.counts["own"] - own)
         # Our own frames are counted as they go out; in a log they stand a second time.
         self.load.add_block(block, inbox.routes, now)
         self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
@@ -157,8 +154,10 @@ class Gateway:
         drives = tuple(
             self._drive(k, estimates[k], opinion, inputs[k], now) for k in range(len(self.nodes))
         )
+        silent, self.silent = self.silent, self.stops and self.doubt.intruder
         self.view = self._view(drives, opinion, now)
-        out = self.outbox.due(self.view)
+        # The tick that finds an intruder still says so.
+        out = [] if silent else self.outbox.due(self.view)
         self.load.add(out)
         return out
 
@@ -168,15 +167,10 @@ class Gateway:
         stamps = [d.sample_ns for d in self.inbox.drives if d.sample_ns is not None]
         return max(stamps, default=None)
 
-    def _overrun(self, now: Nanos) -> None:
-        self.deadline_misses += self.missed
-        self.late_in_a_row = self.late_in_a_row + 1 if self.missed else 0
-        if self.missed:
-            self.overrun_ns = now
-        self.missed = 0
-
     def unknown_frames(self, now: Nanos) -> list[Frame]:
         """Flag frames that say unknown: sent thrice before an orderly stop."""
+        if self.silent:
+            return []
         drives = tuple(DriveView(node) for node in self.nodes)
         self.outbox.restart(now)
         view = self._view(drives, None, now)._replace(state=GatewayState.SILENT)
@@ -235,6 +229,8 @@ class Gateway:
         lost = opinion.lost.item(k) if opinion.known.item(k) else None
         adhesion, reason = self._adhesion_evidence(estimate, lost, cause)
         report = self.thermal.report(k, now, self.temperature_limit_ns[k])
+        if self.doubt.intruder:
+            report = report._replace(thermal=Flag.UNKNOWN, reason=Reason.INTRUDER)
         if drive.sum_error > self.sum_limit_a[k] and report.sensor is not Flag.BAD:
             report = report._replace(
                 sensor=Flag.BAD,
@@ -294,8 +290,8 @@ class Gateway:
         self, estimate: DriveEstimate, lost: float | None, cause: Reason
     ) -> tuple[Flag | None, Reason]:
         """Evidence for one drive's adhesion flag (None: nothing changes) and, if unknown, why."""
-        if self.late_in_a_row > 3:
-            return Flag.UNKNOWN, Reason.OVERRUN
+        if (doubt := self.doubt.reason) is not Reason.NONE:
+            return Flag.UNKNOWN, doubt
         if cause is not Reason.NONE:
             return Flag.UNKNOWN, cause
         if estimate.health is Health.DIVERGED:
@@ -309,9 +305,9 @@ class Gateway:
         return seen, Reason.STARTING
 
     def _comm(self, k: int) -> Flag:
-        """Bad once anything that was valid is stale, silent or corrupted."""
+        """Bad once anything that was valid is stale, silent or corrupted, or we are not alone."""
         drive = self.inbox.drives[k]
-        if self.lost[k]:
+        if self.lost[k] or self.doubt.intruder:
             return Flag.BAD
         for channel in drive.channels.values():
             if channel.seen_valid and channel.state in COMM_CAUSES:
@@ -319,16 +315,20 @@ class Gateway:
         known = drive.electrical and all(channel.seen_valid for channel in drive.electrical)
         return Flag.GOOD if known else Flag.UNKNOWN
 
+    def _state(self, drives: tuple[DriveView, ...], overrun: bool) -> GatewayState:
+        if self.silent:
+            return GatewayState.SILENT
+        if overrun or any(d.adhesion is Flag.UNKNOWN for d in drives):
+            idle = (Health.UNKNOWN, Health.CONVERGING)
+            starting = all(d.health in idle for d in drives)
+            return GatewayState.STARTING if starting else GatewayState.DEGRADED
+        return GatewayState.RUNNING
+
     def _view(
         self, drives: tuple[DriveView, ...], opinion: Opinion | None, now: Nanos
     ) -> GatewayView:
         counts = self.inbox.counts
-        recent = self.overrun_ns is not None and now - self.overrun_ns <= OVERRUN_HOLD_NS
-        state = GatewayState.RUNNING
-        if recent or any(d.adhesion is Flag.UNKNOWN for d in drives):
-            idle = (Health.UNKNOWN, Health.CONVERGING)
-            starting = all(d.health in idle for d in drives)
-            state = GatewayState.STARTING if starting else GatewayState.DEGRADED
+        recent = self.doubt.overrun
         return GatewayView(
             t_ns=now,
             drives=drives,
@@ -345,8 +345,8 @@ class Gateway:
             comm=summary([d.comm for d in drives]),
             estimator=summary([d.estimator for d in drives]),
             overrun=Flag.BAD if recent else Flag.GOOD,
-            state=state,
-            deadline_misses=self.deadline_misses,
+            state=self._state(drives, recent),
+            deadline_misses=self.doubt.deadline_misses,
             rejected=sum([counts[c] for c in REJECTED]),
             lost=counts["lost"],
             bus_load_percent=self.load.percent(now),

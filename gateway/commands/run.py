@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
 def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
     """Command line over `[bus]` over python-can's own configuration."""
-    given = {k: v for k, v in config.bus.model_dump().items() if v is not None}
+    given = config.bus.options
     if given.get("interface") is None:
         given = {k: v for k, v in given.items() if k == "channel"}
     elif given["interface"] in ("socketcan", "virtual"):
@@ -116,13 +116,14 @@ def active_errors(gateway: Any) -> tuple[int, ...]:
     view = gateway.view
     if view is None:
         return ()
+    intruder = (GatewayError.INTRUDER,) if gateway.doubt.intruder else ()
     pairs = (
         (view.overrun, GatewayError.OVERRUN),
         (view.comm, GatewayError.COMMUNICATION),
         (view.sensor, GatewayError.SENSOR),
         (view.estimator, GatewayError.ESTIMATOR),
     )
-    return tuple(error for flag, error in pairs if flag is Flag.BAD)
+    return (*intruder, *(error for flag, error in pairs if flag is Flag.BAD))
 
 
 def _display() -> Any:

@@ -42,6 +42,7 @@ class GatewayError(IntEnum):
     OVERRUN = 0x6100  # internal software: a tick of the loop was missed
     CONFIGURATION = 0x6320  # parameter error
     COMMUNICATION = 0x8130  # heartbeat, protection or silence of a drive
+    INTRUDER = 0x8150  # somebody else transmits with our identifiers
     SENSOR = 0x5030  # sensor hardware
     ESTIMATOR = 0xFF01  # maker specific: an estimator diverged
 

@@ -19,6 +19,7 @@ from typing import Protocol
 
 from dbc.block import Block
 from dbc.frame import Frame, Nanos
+from gateway.doubt import Doubt
 from gateway.drivers.canopen_node import CanopenNode, meant
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.timing import Timing
@@ -43,8 +44,9 @@ class Core(Protocol):
     def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
         """One tick."""
 
-    def note_overrun(self, missed: int, /) -> None:
-        """Say before a step that ticks were missed."""
+    @property
+    def doubt(self) -> Doubt:
+        """Takes notes before a step: ticks that were missed, frames that were lost."""
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
         """Say how long it is from frame to flag, and how late ticks start."""
@@ -141,7 +143,9 @@ def _loop(
     errors: Callable[[], Collection[int]],
     on_tick: Callable[[LiveSnapshot], None] | None,
 ) -> LiveSnapshot:
-    clock = ticker.clock
+    clock, doubt, status = ticker.clock, gateway.doubt, transport.status
+    doubt.watching = not status.hears_itself
+    drops = status.kernel_drops
     timing = Timing(ticker.lateness)
     seen = LiveSnapshot(transport.status, timing)
     state: LinkState | None = None
@@ -149,13 +153,16 @@ def _loop(
     while not stop.requested:
         tick = ticker.wait()
         if tick.missed:
-            gateway.note_overrun(tick.missed)
+            doubt.note_overrun(tick.missed)
         if tick.number >= report:
             report = tick.number + TIMING_TICKS
             gateway.note_timing(
                 timing.latency.quantile(0.99) // 1000, timing.lateness.quantile(0.99) // 1000
             )
         block = transport.take(0.0)
+        if status.kernel_drops != drops:
+            doubt.note_lost(status.kernel_drops - drops)
+            drops = status.kernel_drops
         now = clock()
         out = gateway.step(block, now)
         stepped = clock()

@@ -28,6 +28,8 @@ from gateway.drivers.wire import pack
 BATCH = 4096
 """Most frames read in one go."""
 _PAUSE_S = 0.001
+_ECHOING = ("udp_multicast",)
+"""Interfaces that give back what they send without being asked."""
 
 
 def complete(chosen: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,7 +81,8 @@ class PythonCan:
     ) -> None:
         """Keep the options of `can.Bus`; the clocks are for tests."""
         self.channel = str(options.get("channel", ""))
-        self.status = Status()
+        echo = options.get("interface") in _ECHOING or bool(options.get("receive_own_messages"))
+        self.status = Status(hears_itself=echo)
         self._options = dict(options)
         self._monotonic_ns = monotonic_ns
         self._real_ns = real_ns

@@ -17,6 +17,7 @@ import select
 import socket
 import struct
 import time
+from collections import deque
 from typing import NamedTuple, Protocol
 
 from dbc.block import EMPTY, Block
@@ -36,6 +37,9 @@ LOOK_NS: Nanos = 100 * MS
 BATCH = 4096
 """Most frames read in one go, so that a flood cannot hold the loop."""
 RECEIVE_BUFFER = 8 << 20
+MOST_BUS_OFFS, BUS_OFF_WINDOW_NS = 3, 60 * SECOND
+"""More of them in so long: nothing is sent until they are past. A controller that restarts and
+goes off again takes the bus from everybody else."""
 
 _SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 33, 35, 40
 _CAN_RAW_ERR_FILTER = 2
@@ -140,6 +144,7 @@ class SocketCan:
         self._retry_ns: Nanos = 0
         self._look_ns: Nanos = 0
         self._empty_ns: Nanos = 0  # when the queue was last found empty
+        self._bus_offs: deque[Nanos] = deque(maxlen=MOST_BUS_OFFS + 1)
 
     def open(self) -> None:
         """See Transport. ConfigError if the kernel has no CAN at all or forbids it."""
@@ -181,7 +186,7 @@ class SocketCan:
         if payload is None or (len(payload) == FD_SIZE and not self._fd):
             return count(SendResult.FAILED)
         raw = self._raw
-        if raw is None or self.status.bus_state is BusState.BUS_OFF:
+        if raw is None or self.status.bus_state is BusState.BUS_OFF or self._too_often_off():
             return count(SendResult.DOWN)
         try:
             try:
@@ -194,6 +199,15 @@ class SocketCan:
         except OSError as error:
             return count(self._send_failed(error))
         return count(SendResult.SENT)
+
+    def _too_often_off(self) -> bool:
+        offs = self._bus_offs
+        if len(offs) <= MOST_BUS_OFFS:
+            return False
+        if self._kernel.monotonic_ns() - offs[0] > BUS_OFF_WINDOW_NS:
+            return False
+        self.status.note = f"{self.channel}: {len(offs)} bus-offs in a minute, silent until past"
+        return True
 
     def _send_failed(self, error: OSError) -> SendResult:
         if error.errno in _QUEUE_FULL:
@@ -309,7 +323,11 @@ class SocketCan:
         status.kernel_drops += dropped
         if errors or status.bus_state is BusState.BUS_OFF:
             for frame in block.frames():
+                before = status.bus_state
                 status.saw(frame)
+                if status.bus_state is BusState.BUS_OFF is not before:
+                    status.bus_offs += 1
+                    self._bus_offs.append(now)
         else:
             status.received += block.size
         return block

@@ -62,12 +62,15 @@ class Status:
     malformed: int = 0
     """Reads that are neither classic CAN nor CAN FD."""
     error_frames: int = 0
+    bus_offs: int = 0
     tx_refused: int = 0
     tx_full: int = 0
     tx_down: int = 0
     tx_failed: int = 0
     reopened: int = 0
     """Times the interface was opened again after the first success."""
+    hears_itself: bool = False
+    """Whether frames that are sent come back as received ones."""
     note: str = ""
     """The last problem in one line, for a person."""
 

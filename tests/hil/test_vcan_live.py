@@ -25,7 +25,7 @@ pytestmark = pytest.mark.vcan
 
 PATIENCE_S = 60.0
 """Loading the program takes seconds in user-mode-linux."""
-ADHESION, STATUS, HEARTBEAT, NMT = 0x1A0, 0x4A0, 0x720, 0x000
+ADHESION, STATUS, HEARTBEAT, EMERGENCY, NMT = 0x1A0, 0x4A0, 0x720, 0x0A0, 0x000
 
 
 class Watcher:
@@ -85,6 +85,27 @@ def test_a_hung_gateway_is_silent_and_an_ended_one_says_unknown(
     assert {reading[f"Adhesion{n}"].raw for reading in last for n in (1, 2, 3)} == {0}
     final = codec.decode(codec.by_id[STATUS], watcher.of(STATUS)[-1].data)
     assert codec.by_id[STATUS].signals[2].labels[int(final["State"].raw)] == "Silent"
+
+
+def test_a_second_sender_of_our_identifiers_silences_the_gateway(
+    vcan: Vcan, watcher: Watcher
+) -> None:
+    process = run(vcan)
+    watcher.until(lambda: len(watcher.of(ADHESION)) > 50)
+    vcan.send("1A0#0000000000000000")
+    watcher.until(lambda: any(f.data[:2] == b"\x50\x81" for f in watcher.of(EMERGENCY)))
+    time.sleep(0.3)  # whatever was on its way has arrived
+    found = time.monotonic_ns()
+    time.sleep(1.0)
+    assert watcher.of(ADHESION, found) == []
+    assert len(watcher.of(HEARTBEAT, found)) > 5
+    codec = bind(shipped_dbc("traction.dbc"), (1, 2, 3))
+    ours = codec.decode(codec.by_id[ADHESION], watcher.of(ADHESION)[-1].data)
+    assert ours["Reason"].raw == 10
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors.decode()
+    assert watcher.of(ADHESION, found) == []
 
 
 def test_the_gateway_outlives_its_interface(vcan: Vcan) -> None:

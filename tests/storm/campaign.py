@@ -98,12 +98,13 @@ def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
                 fault.kind, PHASES[honest.phase[k]], 0 if fault.drive is None else fault.drive + 1
             ] += 1
         if stopped or any(f.kind == "process_stop" for f in faults):
+            core.doubt.note_lost(max(waiting.block.size + came.block.size - QUEUE, 0))
             waiting = _queued(waiting, came)
             if any(f.kind == "process_stop" for f in faults):
                 stopped += 1
                 continue
             came, waiting = waiting, NOTHING
-            core.note_overrun(stopped)
+            core.doubt.note_overrun(stopped)
             stopped = 0
         if any(f.kind == "restart" and f.first == tick for f in faults):
             end()

@@ -10,6 +10,9 @@ the gateway's codec nor its counters. Rules, by name:
 - form: every frame sent is whole: counter, states 0 to 2, nothing but our identifiers; flags have
   their checksum
 - masquerade: nothing is good from a drive that two senders speak for
+
+A second sender that is heard where the drive itself has just been silent is believed, until the
+drive speaks again: counters and checksums cannot know who it is (see docs/reliability.md, R09).
 """
 
 from __future__ import annotations
@@ -92,6 +95,7 @@ class Oracle:
         self.heard[slots] = True
         fresh = (now - self.last <= self.limit).reshape(self.n, len(KINDS))
         sampled = (fresh[:, 0] & fresh[:, 1]).tolist()
+        self._second_senders(faults)
         for d in range(self.n):
             if not sampled[d]:
                 self.since[d] = tick + 1
@@ -102,7 +106,6 @@ class Oracle:
             elif frame.can_id == FAULTS:
                 self._faults(tick, frame.data, fresh, view)
         self._tracking(tick, view, speed.tolist())
-        self._second_senders(tick, faults)
         for name, states in (("adhesion", self.adhesion), ("thermal", self.thermal)):
             for state in states:
                 self.said[name, state] += 1
@@ -138,7 +141,9 @@ class Oracle:
         for d, state in enumerate(self._states(tick, data)):
             before = self.adhesion[d]
             fine = tick - self.since[d]  # ticks since the first of the fresh ones
-            if state == GOOD and not sampled[d]:
+            if state == GOOD and self.doubled[d] > SECOND_SENDER_TICKS:
+                self._broken(tick, "masquerade", d + 1, "Adhering while two senders speak")
+            if state == GOOD and not sampled[d] and not self.doubled[d]:
                 self._broken(tick, "stale", d + 1, "Adhering without fresh samples")
             if before == BAD and state == UNKNOWN:
                 self._broken(tick, "cleared", d + 1, "AdhesionLost went to Unknown")
@@ -150,7 +155,8 @@ class Oracle:
 
     def _faults(self, tick: int, data: bytes, fresh: np.ndarray, view: GatewayView) -> None:
         for d, state in enumerate(self._states(tick, data)):
-            if state == GOOD and not fresh[d, KINDS.index("Temperatures")]:
+            aged = not fresh[d, KINDS.index("Temperatures")] and not self.doubled[d]
+            if state == GOOD and aged:
                 self._broken(tick, "stale", d + 1, "NoFault without fresh temperatures")
             if self.thermal[d] == BAD and state == UNKNOWN:
                 self._broken(tick, "cleared", d + 1, "thermal Fault went to Unknown")
@@ -174,12 +180,10 @@ class Oracle:
             if self.apart[d] > APART_TICKS:
                 self._broken(tick, "untracked", d + 1, f"Adhering, {off:.1f} rad/s off the truth")
 
-    def _second_senders(self, tick: int, faults: list[Fault]) -> None:
+    def _second_senders(self, faults: list[Fault]) -> None:
+        """Ticks that each drive has shared its identifiers, both of them heard."""
         both = [f.drive for f in faults if f.kind == "second_sender"]
-        held = ("bus_off", "link_loss", "drop", "delay")
-        silent = any(f.kind in held for f in faults)
+        held = any(f.kind in ("bus_off", "link_loss", "drop", "delay") for f in faults)
         for d in range(self.n):
-            twice = (d in both or None in both) and not silent
-            self.doubled[d] = self.doubled[d] + 1 if twice else 0
-            if self.doubled[d] > SECOND_SENDER_TICKS and self.adhesion[d] == GOOD:
-                self._broken(tick, "masquerade", d + 1, "Adhering while two senders speak")
+            twice = d in both or None in both
+            self.doubled[d] = twice * (1 if held else self.doubled[d] + 1)

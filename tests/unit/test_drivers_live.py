@@ -41,6 +41,7 @@ class Core:
         self.journal = journal
         self.timing: list[tuple[int, int]] = []
         self.decided: int | None = None
+        self.watching: bool | None = None
         self.fails_at = -1
         self.ticks = 0
 
@@ -57,8 +58,15 @@ class Core:
     def decided_ns(self) -> int | None:
         return self.decided
 
+    @property
+    def doubt(self) -> Core:
+        return self
+
     def note_overrun(self, missed: int) -> None:
         self.journal.append(f"overrun {missed}")
+
+    def note_lost(self, frames: int) -> None:
+        self.journal.append(f"lost {frames}")
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
         self.timing.append((latency_p99_us, lateness_p99_us))
@@ -156,6 +164,29 @@ def test_missed_ticks_are_told_before_the_step() -> None:
     stages = {stage.name: stage.largest for stage in seen.timing.table()}
     assert stages["reading"] == stages["frame to flag"] == 47 * MS
     assert stages["waiting"] == stages["deciding"] == stages["sending"] == 0
+
+
+def test_frames_that_nobody_read_in_time_are_told_before_the_step() -> None:
+    setup = Setup(ticks=3)
+    setup.bus.status.kernel_drops = 100  # of a time before this loop
+    read = setup.bus.receive
+
+    def receive(timeout_s: float) -> list[Frame]:
+        setup.bus.status.kernel_drops += 7 if setup.core.ticks == 1 else 0
+        return read(timeout_s)
+
+    setup.bus.receive = receive  # type: ignore[method-assign]
+    setup.run()
+    told = [line for line in setup.journal if line.startswith(("step", "lost"))]
+    assert told == ["step 2", "lost 7", "step 2", "step 2"]
+
+
+@pytest.mark.parametrize("echo", [False, True])
+def test_intruders_are_looked_for_where_own_frames_do_not_come_back(echo: bool) -> None:
+    setup = Setup()
+    setup.bus.status.hears_itself = echo
+    setup.run()
+    assert setup.core.watching is not echo
 
 
 def test_timing_is_told_once_a_second() -> None:

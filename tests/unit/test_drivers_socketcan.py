@@ -224,6 +224,32 @@ def test_error_frames_set_the_bus_state_and_data_ends_bus_off(
     assert bus.status.error_frames == 2
 
 
+def test_who_is_off_too_often_stays_silent_until_it_is_past(
+    kernel: FakeKernel, bus: SocketCan
+) -> None:
+    def off() -> None:
+        payload = struct.pack("=IBBBB", 0x2000_0040, 8, 0, 0, 0)
+        kernel.sockets[-1].to_read.append((payload + bytes(8), []))
+        bus.receive(0.0)
+        kernel.pass_time(10 * SECOND)
+        kernel.arrive()
+        bus.receive(0.0)
+
+    for _ in range(3):
+        off()
+        assert bus.send(DATA) is SendResult.SENT
+    off()
+    assert bus.status.bus_state is BusState.ACTIVE
+    assert bus.send(DATA) is SendResult.DOWN
+    assert "4 bus-offs in a minute" in bus.status.note
+    kernel.pass_time(20 * SECOND)
+    assert bus.send(DATA) is SendResult.DOWN
+    kernel.pass_time(SECOND)
+    assert bus.send(DATA) is SendResult.SENT
+    off()
+    assert bus.status.bus_offs == 5
+
+
 @pytest.mark.parametrize(
     ("code", "result"),
     [

@@ -1,0 +1,75 @@
+"""What the driver knows against all flags at once: missed ticks, lost frames, a second gateway.
+
+May know: reasons and `now`. May not know: frames, clocks. An intruder is never forgotten: which of
+the two gateways a receiver believes is chance, so somebody has to look.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dbc.frame import SECOND, Nanos
+from gateway.health import Reason
+
+OVERRUN_HOLD_NS: Final[Nanos] = SECOND
+"""An overrun is said for so long."""
+LATE_IN_A_ROW: Final = 3
+"""Late ticks in a row after which nothing is believed."""
+LOST_TICKS: Final = 5
+"""After frames that nobody read in time: what was lost may be of any drive."""
+
+
+class Doubt:
+    """Notes of the driver before a step, and what they come to; `tick` once per step."""
+
+    def __init__(self, tick_ns: Nanos) -> None:
+        """tick_ns: period of the loop."""
+        self.deadline_misses = 0
+        self.intruder = False
+        """Somebody else sends with our identifiers. Latched."""
+        self.watching = False
+        """Whether frames with our identifiers can only be somebody else's."""
+        self._tick_ns = tick_ns
+        self._missed = 0
+        self._late_in_a_row = 0
+        self._overrun_ns: Nanos | None = None
+        self._lost = 0
+        self._lost_ns: Nanos | None = None
+        self._now: Nanos = 0
+
+    def note_overrun(self, missed: int) -> None:
+        """So many ticks were skipped before the one that follows."""
+        self._missed = missed
+
+    def note_lost(self, frames: int) -> None:
+        """So many frames were dropped unread since the last step."""
+        self._lost += frames
+
+    def tick(self, now: Nanos, own: int) -> None:
+        """own: frames with our own identifiers received in this tick."""
+        self._now = now
+        self.deadline_misses += self._missed
+        self._late_in_a_row = self._late_in_a_row + 1 if self._missed else 0
+        if self._missed:
+            self._overrun_ns = now
+        if self._lost:
+            self._lost_ns = now
+        self._missed = self._lost = 0
+        self.intruder |= self.watching and own > 0
+
+    @property
+    def overrun(self) -> bool:
+        """Whether ticks were missed of late."""
+        return self._overrun_ns is not None and self._now - self._overrun_ns <= OVERRUN_HOLD_NS
+
+    @property
+    def reason(self) -> Reason:
+        """Why no flag can be believed in this tick; NONE if nothing is known against them."""
+        if self.intruder:
+            return Reason.INTRUDER
+        if self._late_in_a_row > LATE_IN_A_ROW:
+            return Reason.OVERRUN
+        lost = self._lost_ns
+        if lost is not None and self._now - lost < LOST_TICKS * self._tick_ns:
+            return Reason.SEQUENCE
+        return Reason.NONE

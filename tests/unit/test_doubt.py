@@ -1,0 +1,143 @@
+"""What is known against all flags at once: how long it is held, and which reason goes first."""
+
+from __future__ import annotations
+
+import pytest
+
+from dbc.frame import SECOND, Frame
+from gateway.commands.run import active_errors
+from gateway.doubt import Doubt
+from gateway.drivers.canopen_node import GatewayError
+from gateway.drivers.pythoncan import PythonCan
+from gateway.health import Flag, GatewayState, Reason
+from tests.sender import codec_for
+from tests.unit.test_core import TICK, Bench, drives, gateway, named
+
+OWN = codec_for().by_name["Gateway_Adhesion"].can_id
+
+
+def told(*notes, ticks=1):
+    doubt = Doubt(TICK)
+    for k in range(ticks):
+        for note in notes:
+            note(doubt)
+        doubt.tick(k * TICK, 0)
+    return doubt
+
+
+def test_nothing_is_known_at_the_start():
+    assert told().reason is Reason.NONE
+    assert not told().overrun
+
+
+def test_late_ticks_count_when_they_come_in_a_row():
+    late = lambda doubt: doubt.note_overrun(2)  # noqa: E731
+    assert told(late, ticks=3).reason is Reason.NONE
+    assert told(late, ticks=4).reason is Reason.OVERRUN
+    assert told(late, ticks=4).deadline_misses == 8
+    doubt = told(late, ticks=4)
+    doubt.tick(4 * TICK, 0)
+    assert doubt.reason is Reason.NONE
+    assert doubt.overrun
+    doubt.tick(3 * TICK + SECOND, 0)
+    assert doubt.overrun
+    doubt.tick(4 * TICK + SECOND, 0)
+    assert not doubt.overrun
+
+
+def test_lost_frames_are_held_against_every_flag_for_five_ticks():
+    doubt = told(lambda doubt: doubt.note_lost(1))
+    for k in range(1, 5):
+        doubt.tick(k * TICK, 0)
+        assert doubt.reason is Reason.SEQUENCE
+    doubt.tick(5 * TICK, 0)
+    assert doubt.reason is Reason.NONE
+
+
+def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
+    doubt = Doubt(TICK)
+    doubt.tick(0, 3)
+    assert not doubt.intruder
+    doubt.watching = True
+    doubt.tick(TICK, 0)
+    assert not doubt.intruder
+    doubt.tick(2 * TICK, 1)
+    doubt.note_lost(1)
+    for k in range(3, 1000):
+        doubt.note_overrun(1)
+        doubt.tick(k * TICK, 0)
+    assert doubt.reason is Reason.INTRUDER
+
+
+@pytest.mark.parametrize(("options", "echo"), [
+    ({"interface": "virtual"}, False),
+    ({"interface": "virtual", "receive_own_messages": True}, True),
+    ({"interface": "udp_multicast"}, True),
+])  # fmt: skip
+def test_a_bus_that_gives_back_what_is_sent_says_so(options, echo):
+    assert PythonCan(options).status.hears_itself is echo
+
+
+def with_own(frames, now):
+    return [*frames, Frame(now, OWN, bytes(8))]
+
+
+def running(**sections):
+    bench = Bench(gateway(**sections), drives((20.0, 8.0, 20.0)))
+    bench.core.doubt.watching = True
+    view = bench.run(60)
+    assert [d.adhesion for d in view.drives] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
+    return bench
+
+
+def test_one_foreign_frame_with_our_identifier_silences_us_for_good():
+    bench = running()
+    view = bench.run(1, with_own)
+    assert view.comm is Flag.BAD
+    assert view.adhesion_reason is Reason.INTRUDER
+    frames = named(bench.sent)
+    assert frames["Gateway_Adhesion"]["Reason"] == 10
+    said = [frames["Gateway_Adhesion"][f"Adhesion{n}"] for n in (1, 2, 3)]
+    assert said == [0, 2, 0]  # unknown does not clear bad
+    for _ in range(500):
+        view = bench.run(1)
+        assert bench.sent == []
+    assert view.state is GatewayState.SILENT
+    assert bench.core.unknown_frames(bench.tick * TICK) == []
+    assert GatewayError.INTRUDER in active_errors(bench.core)
+
+
+def test_who_goes_on_says_intruder_and_nothing_good():
+    bench = running(bus={"on_intruder": "go_on"})
+    bench.run(1, with_own)
+    for _ in range(500):
+        view = bench.run(1)
+        assert [d.adhesion for d in view.drives] == [Flag.UNKNOWN, Flag.BAD, Flag.UNKNOWN]
+        assert named(bench.sent)["Gateway_Adhesion"]["Reason"] == 10
+    assert {d.thermal for d in view.drives} == {Flag.UNKNOWN}
+    assert view.faults_reason is Reason.INTRUDER
+    assert view.comm is Flag.BAD
+
+
+def test_in_a_log_our_own_frames_are_no_intruders():
+    bench = Bench(gateway(), drives())
+    view = bench.run(60, with_own)
+    assert {d.adhesion for d in view.drives} == {Flag.GOOD}
+    assert bench.core.inbox.counts["own"] == 60
+
+
+def test_lost_frames_make_good_unknown_for_five_ticks():
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    bench.core.doubt.note_lost(40)
+    for _ in range(5):
+        view = bench.run(1)
+        assert {d.adhesion for d in view.drives} == {Flag.UNKNOWN}
+        assert view.adhesion_reason is Reason.SEQUENCE
+    view = bench.run(10)
+    assert {d.adhesion for d in view.drives} == {Flag.GOOD}
+
+
+def test_an_allowed_word_is_asked_for():
+    with pytest.raises(ValueError, match="on_intruder"):
+        gateway(bus={"on_intruder": "fight"})
