@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz soak lint format bench calibration lock clean-kernels clean
+.PHONY: demo test fuzz soak mutation lint format bench calibration lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -24,6 +24,17 @@ fuzz: $(VENV)/.ready
 # where it was stopped; what is in the repository is its last result.
 soak: $(VENV)/.ready
 	$(BIN)/python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o out/soak.jsonl
+
+# Are the tests of what decides a flag tested? Half an hour; works in a copy. What survives is listed.
+# cosmic-ray has an environment of its own: it is no dependency.
+MUTANTS := out/mutants
+mutation: $(VENV)/.ready
+	rm -rf $(MUTANTS) && git clone -q . $(MUTANTS) && ln -s $(abspath $(VENV)) $(MUTANTS)/.venv
+	$(PYTHON) -m venv $(MUTANTS)/own && $(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0
+	cd $(MUTANTS) && for part in flags doubt protection; do \
+		own/bin/cosmic-ray init tests/mutation/$$part.toml $$part.sqlite && \
+		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite; done; \
+		.venv/bin/python -m tests.mutation.survivors *.sqlite
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check .

@@ -8,11 +8,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from estimators import lock
 from estimators._kernels import Array, Drives, Flags, Ints, wrap
 from estimators._lean import lean
 
 if TYPE_CHECKING:
     from estimators.lock import LockState, LockTuning
+
+_WILD = lock.WILD
 
 
 @lean
@@ -29,14 +32,16 @@ def lock_sweep(
 ) -> None:
     """Feed M samples to the chord sums of `lock`; `state` in place. Never raises on numbers.
 
-    par (N, 7) as `pmsm.table`. A sample that is not finite breaks the chord it falls into.
+    par (N, 7) as `pmsm.table`. A sample that is not finite, or
+    that no motor has (`lock.WILD`), breaks the chord it falls into.
     """
     for k in range(drive.shape[0]):
         d = drive[k]
         i_k = complex(y[k, 0], y[k, 1])
         u_k = complex(u[k, 0], u[k, 1])
         tau = n_sub[k] * dt
-        finite = math.isfinite(y[k, 0] + y[k, 1] + u[k, 0] + u[k, 1])
+        # Written so that NaN is none.
+        finite = abs(y[k, 0]) + abs(y[k, 1]) + abs(u[k, 0]) + abs(u[k, 1]) < _WILD
         gap = n_gap[k] * dt
         state.age[d] += gap + tau
         if not finite or state.steps[d] < 0 or gap > 0.0:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators import unbalance
+from estimators import lock, unbalance
 from estimators._lean import lean
 from estimators.unbalance import Unbalance
 
@@ -23,6 +23,7 @@ _STEADY = unbalance.STEADY
 _LEAST = unbalance.LEAST
 _MOST_OFFSET = unbalance.MOST_OFFSET
 _MOST_IMAGE = unbalance.MOST_IMAGE
+_WILD = lock.WILD
 _LINE_S = unbalance.LINE_S
 _LINE_LEAST = unbalance.LINE_LEAST
 _SUMS = 3
@@ -46,7 +47,8 @@ def balance(
 
     drive, y (M, 2), n_sub, n_gap, dt: as in `ekf_lanes`; w_e (N,): electrical speed, rad/s, where
     it is known (`ready`, (N,)); rated (N,) A; out (M, 2) is filled. Never raises on numbers: a
-    sample that is not finite stays what it is and begins the revolution anew.
+    sample that is not finite, or that no motor has (`lock.WILD`), stays what it is and begins the
+    revolution anew.
     """
     for k in range(drive.shape[0]):
         d = drive[k]
@@ -58,10 +60,11 @@ def balance(
         centred = z - state.offset_now[d]
         i = (centred - n * centred.conjugate()) / (1.0 - abs(n) ** 2)
         out[k, 0], out[k, 1] = i.real, i.imag
-        if math.isfinite(z.real + z.imag):
+        fine = abs(z.real) + abs(z.imag) < _WILD  # written so that NaN is not
+        if fine:
             _swing(state, d, z, (n_sub[k] + n_gap[k]) * dt, _LINE_LEAST * rated[d])
         step = abs(w_e[d]) * n_sub[k] * dt if ready[d] else 0.0
-        if not (0.0 < step <= _MOST_STEP and n_gap[k] == 0 and math.isfinite(z.real + z.imag)):
+        if not (0.0 < step <= _MOST_STEP and n_gap[k] == 0 and fine):
             _begin(state, d)
             state.square[d] = 0.0
             continue

@@ -29,7 +29,7 @@ than two samples per revolution; `turn_max` keeps a margin.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,9 @@ class Agreement(IntEnum):
     DISAGREES = 2
 
 
+WILD: Final = 1e5
+"""A current or voltage, A or V, that no motor has: no sample. Sums over a value of 1e80 would take
+seconds to forget it, its square would be none."""
 W_TOL = 20.0
 """rad/s. With noise of 1e-2 A^2 the chords' own speed is up to 17 off around 30 rad/s; the wrong
 sign differs by 40 or more wherever the lock is ready."""

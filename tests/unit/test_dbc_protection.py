@@ -15,6 +15,7 @@ from dbc.codec import MessageSpec, bind
 from dbc.dataids import p02_data_ids
 from dbc.protection import (
     COUNTERS,
+    HEADER_BYTES,
     TABLE,
     WINDOW,
     Check,
@@ -252,6 +253,12 @@ def test_short_frames_are_errors_not_exceptions(spec: Own) -> None:
         protect(spec, bytearray(1), 0)
 
 
+@pytest.mark.parametrize(("spec", "most"), [(P02, 16), (P05, 256)])
+def test_a_counter_can_be_read_back(spec: Own, most: int) -> None:
+    for counter in (0, 1, most - 1, most, most + 7):
+        assert counter_of(spec, frame(spec, counter)) == counter % most
+
+
 def test_without_protection_everything_is_ok() -> None:
     receiver = Receiver(NONE)
     payload = bytearray(b"abc")
@@ -260,6 +267,42 @@ def test_without_protection_everything_is_ok() -> None:
     assert receiver.check(b"") is Check.OK
     assert crc_ok(NONE, b"")
     assert counter_of(NONE, b"abc") is None
+
+
+def test_the_profiles_are_those_of_the_standard() -> None:
+    assert [p.value for p in Profile] == [0, 1, 2]
+    assert HEADER_BYTES == {Profile.NONE: 0, Profile.P02: 2, Profile.P05: 3}
+    assert COUNTERS == {Profile.NONE: 1, Profile.P02: 16, Profile.P05: 256}
+    receiver = Receiver(P02)
+    assert (receiver.missed, receiver.ok, receiver.error) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("spec", [P02, P05])
+def test_every_verdict_is_counted_once(spec: Own) -> None:
+    receiver = Receiver(spec)
+
+    def counts() -> tuple[int, int, int, int, int]:
+        r = receiver
+        return r.ok, r.error, r.repeated, r.wrong_sequence, r.lost
+
+    wanted = {
+        0: (1, 0, 0, 0, 0), 1: (2, 0, 0, 0, 0), 3: (3, 0, 0, 0, 1), 9: (3, 0, 0, 1, 1),
+    }  # fmt: skip
+    for counter, seen in wanted.items():
+        receiver.check(frame(spec, counter))
+        assert counts() == seen
+    receiver.check(frame(spec, 9))
+    assert counts() == (3, 0, 1, 1, 1)
+    receiver.check(bytes(8 if spec is P02 else 64))
+    receiver.check(b"")
+    assert counts() == (3, 2, 1, 1, 1)
+
+
+def test_without_protection_every_frame_counts_as_good() -> None:
+    receiver = Receiver(NONE)
+    for k in range(1, 4):
+        receiver.check(b"")
+        assert receiver.ok == k
 
 
 # ---- state machine -----------------------------------------------------------------------------

@@ -33,6 +33,21 @@ def test_bad_needs_its_time_and_unknown_never_clears_it():
     assert run([B] * 4 + [U] * 50) == [U, U, B, B] + [B] * 50
 
 
+def test_times_between_ticks_are_waited_for_and_late_ticks_are_late_enough():
+    timing = Timing(good_ns=15, raise_ns=15, clear_ns=15)
+    assert run([G] * 4, timing) == [U, U, G, G]
+    assert run([B] * 4 + [G] * 4, timing) == [U, U, B, B, B, B, G, G]
+    state = advance(FlagState(), G, 1000, timing)
+    assert advance(state, G, 99_000, timing).flag is G
+    # An evidence that needs no time is taken in the tick that it is there.
+    at_once = Timing(0, 0, 0)
+    assert [advance(FlagState(), seen, 0, at_once).flag for seen in (U, G, B)] == [U, G, B]
+
+
+def test_a_flag_starts_unknown_at_its_time():
+    assert FlagState() == (U, U, 0)
+
+
 def test_clearing_needs_uninterrupted_good():
     flags = run([B] * 3 + [G, G, U, G, G, G, G])
     assert flags[3:] == [B, B, B, B, B, B, G]

@@ -45,6 +45,25 @@ def test_late_ticks_count_when_they_come_in_a_row():
     assert not doubt.overrun
 
 
+def test_a_tick_in_time_ends_the_row():
+    doubt = told()
+    for k, wanted in enumerate([Reason.NONE] * 3 + [Reason.OVERRUN] * 2, start=1):
+        doubt.note_overrun(1)
+        doubt.tick(k * TICK, 0)
+        assert doubt.reason is wanted
+
+
+@pytest.mark.parametrize("begin", [0, 7 * TICK, 12_345_678_901])
+def test_how_long_lost_frames_count_depends_on_no_clock(begin):
+    doubt = Doubt(TICK)
+    doubt.note_lost(3)
+    said = []
+    for k in range(8):
+        doubt.tick(begin + k * TICK, 0)
+        said.append(doubt.reason)
+    assert said == [Reason.SEQUENCE] * 5 + [Reason.NONE] * 3
+
+
 def test_lost_frames_are_held_against_every_flag_for_five_ticks():
     doubt = told(lambda doubt: doubt.note_lost(1))
     for k in range(1, 5):
