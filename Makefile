@@ -12,7 +12,7 @@ demo: $(VENV)/.ready
 # where the kernel has none; where neither is possible they are skipped and say why. They run by
 # themselves: real time and a busy second core do not go together.
 test: $(VENV)/.ready
-	$(BIN)/pytest -n auto --ignore=tests/hil $(ARGS)
+	$(BIN)/pytest -n auto --dist worksteal --ignore=tests/hil $(ARGS)
 	$(BIN)/pytest tests/hil $(ARGS)
 
 # Random examples, many more of them than the gate looks at: `make fuzz FACTOR=100`.
