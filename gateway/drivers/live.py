@@ -30,6 +30,10 @@ log = logging.getLogger(__name__)
 
 FAREWELL = 3
 """Ticks with unknown flags before the gateway goes silent on purpose."""
+INTRUDER = (
+    "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
+    "the frames of one): flags have stopped, or say unknown; see [bus] on_intruder"
+)
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
 
@@ -164,8 +168,11 @@ def _loop(
             doubt.note_lost(status.kernel_drops - drops)
             drops = status.kernel_drops
         now = clock()
+        alone = not doubt.intruder
         out = gateway.step(block, now)
         stepped = clock()
+        if alone and doubt.intruder:
+            log.error("%s", INTRUDER)
         node.set_errors(errors())
         out += node.step(meant(block), now)
         for frame in out:

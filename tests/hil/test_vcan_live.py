@@ -105,6 +105,7 @@ def test_a_second_sender_of_our_identifiers_silences_the_gateway(
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors.decode()
+    assert b"on_intruder" in errors
     assert watcher.of(ADHESION, found) == []
 
 

@@ -24,6 +24,7 @@ CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
 QUEUE = 278
 """Frames that the kernel keeps for a process that does not read; the newest are lost."""
 MOST_FOUND = 20
+FD_SEEDS = 1000
 ENDS = ("decoded", "error_frame", "remote", "own", "canopen", "unknown_id", *REJECTED)
 """Every frame ends in exactly one of these counters."""
 
@@ -51,8 +52,9 @@ class Result(NamedTuple):
 
 
 def config_of(seed: int):
-    """EKF and UKF, all detectors: by seed."""
+    """EKF and UKF, all detectors, classic CAN and, from seed 1000 on, CAN FD: by seed."""
     return parse({
+        "dbc": {"file": "traction_fd.dbc" if seed >= FD_SEEDS else "traction.dbc"},
         "estimator": {"kind": ("ekf", "ekf", "ukf")[seed % 3]},
         "adhesion": {"detector": ("vb", "median", "kmeans", "vmp")[seed // 3 % 4]},
         "thermal": {"calibration": str(CALIBRATION)},
@@ -61,7 +63,8 @@ def config_of(seed: int):
 
 def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
     """Run one seed. between: mean ticks from one fault to the next."""
-    honest, config = train(), config_of(seed)
+    config = config_of(seed)
+    honest = train(config.dbc_path)
     ids = [
         [spec.can_id for spec in honest.codec.messages if spec.name.startswith(f"Drive{n}_")
          and not spec.is_gateway]

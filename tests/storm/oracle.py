@@ -32,7 +32,7 @@ from gateway.outbox import GatewayView
 from sim.hostile import Arrived, Fault
 from tests.storm.train import TICK
 
-KINDS = ("PhaseCurrents", "StatorVoltages", "Motion", "Status", "Temperatures")
+SLOW = ("Motion", "Status", "Temperatures")
 ADHESION, FAULTS, ESTIMATE = 0x1A0, 0x2A0, 0x500
 UNKNOWN, GOOD, BAD = 0, 1, 2
 SECOND_SENDER_TICKS = 10
@@ -58,13 +58,17 @@ class Oracle:
         """tick: the gateway's first."""
         self.nodes = config.nodes
         self.n = len(self.nodes)
+        fd = f"Drive{self.nodes[0]}_Samples" in codec.by_name
+        self.electrical = ("Samples",) if fd else ("PhaseCurrents", "StatorVoltages")
+        kinds = (*self.electrical, *SLOW)
+        self.kinds = len(kinds)
         self.slot = np.full(0x800, -1)
-        self.limit = np.zeros(self.n * len(KINDS), dtype=np.int64)
+        self.limit = np.zeros(self.n * len(kinds), dtype=np.int64)
         for d, node in enumerate(self.nodes):
-            for k, kind in enumerate(KINDS):
+            for k, kind in enumerate(kinds):
                 spec = codec.by_name[f"Drive{node}_{kind}"]
-                self.slot[spec.can_id] = d * len(KINDS) + k
-                self.limit[d * len(KINDS) + k] = 3 * spec.cycle_ns + TICK
+                self.slot[spec.can_id] = d * len(kinds) + k
+                self.limit[d * len(kinds) + k] = 3 * spec.cycle_ns + TICK
         self.last = np.full(len(self.limit), -(1 << 60), dtype=np.int64)
         self.heard = np.zeros(len(self.limit), dtype=bool)
         self.ids = {
@@ -93,8 +97,8 @@ class Oracle:
         slots = self.slot[arrived.block.can_id[mine]]
         self.last[slots] = arrived.block.t_ns[mine]
         self.heard[slots] = True
-        fresh = (now - self.last <= self.limit).reshape(self.n, len(KINDS))
-        sampled = (fresh[:, 0] & fresh[:, 1]).tolist()
+        fresh = (now - self.last <= self.limit).reshape(self.n, self.kinds)
+        sampled = fresh[:, : len(self.electrical)].all(axis=1).tolist()
         self._second_senders(faults)
         for d in range(self.n):
             if not sampled[d]:
@@ -155,7 +159,7 @@ class Oracle:
 
     def _faults(self, tick: int, data: bytes, fresh: np.ndarray, view: GatewayView) -> None:
         for d, state in enumerate(self._states(tick, data)):
-            aged = not fresh[d, KINDS.index("Temperatures")] and not self.doubled[d]
+            aged = not fresh[d, -1] and not self.doubled[d]
             if state == GOOD and aged:
                 self._broken(tick, "stale", d + 1, "NoFault without fresh temperatures")
             if self.thermal[d] == BAD and state == UNKNOWN:

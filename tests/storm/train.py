@@ -1,12 +1,14 @@
 """The honest train of the storm: recorded once from the simulator, played in a loop.
 
-A loop holds every phase of a run. Its length is a multiple of every message's counter period, so
-counters go on where one round ends and the next begins.
+A loop holds every phase of a run. Its length is a multiple of every classic message's counter
+period, so counters go on where one round ends and the next begins; on CAN FD they jump there, once
+in 80 s, while the train stands.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +18,7 @@ from dbc.codec import Codec
 from dbc.frame import MS, SECOND
 from sim.scenario import parse
 from sim.simulation import Simulation
-from tests.simrun import codec
+from tests.simrun import CLASSIC, codec
 
 TICK = 10 * MS
 LOOP_S = 80
@@ -85,9 +87,10 @@ class Train(NamedTuple):
 
 
 @cache
-def train() -> Train:
+def train(dbc: Path = CLASSIC) -> Train:
     """Recorded once per process."""
-    simulation = Simulation(_scenario(), codec(NODES), nodes=NODES)
+    bound = codec(NODES, dbc)
+    simulation = Simulation(_scenario(), bound, nodes=NODES)
     frames = []
     for k in range(1, 2 * LOOP_TICKS + 1):
         block = block_of(simulation.step((), k * TICK))
@@ -95,7 +98,7 @@ def train() -> Train:
     rows = simulation.truth_rows()[-LOOP_TICKS * len(NODES) :]
     speed = np.array([row.speed_rad_s for row in rows]).reshape(LOOP_TICKS, len(NODES))
     lost = np.array([row.lost for row in rows], dtype=bool).reshape(LOOP_TICKS, len(NODES))
-    return Train(codec(NODES), frames[LOOP_TICKS:], speed, lost, _phases(speed, lost))
+    return Train(bound, frames[LOOP_TICKS:], speed, lost, _phases(speed, lost))
 
 
 def _phases(speed: np.ndarray, lost: np.ndarray) -> np.ndarray:

@@ -42,6 +42,8 @@ class Core:
         self.timing: list[tuple[int, int]] = []
         self.decided: int | None = None
         self.watching: bool | None = None
+        self.intruder = False
+        self.intruder_at = -1
         self.fails_at = -1
         self.ticks = 0
 
@@ -49,6 +51,7 @@ class Core:
         if self.ticks == self.fails_at:
             raise ZeroDivisionError
         self.ticks += 1
+        self.intruder |= self.ticks == self.intruder_at
         if frames.size:
             self.decided = int(frames.t_ns.max())
         self.journal.append(f"step {frames.size}")
@@ -179,6 +182,14 @@ def test_frames_that_nobody_read_in_time_are_told_before_the_step() -> None:
     setup.run()
     told = [line for line in setup.journal if line.startswith(("step", "lost"))]
     assert told == ["step 2", "lost 7", "step 2", "step 2"]
+
+
+def test_an_intruder_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    setup = Setup(ticks=5)
+    setup.core.intruder_at = 2
+    setup.run()
+    said = [record.message for record in caplog.records if "on_intruder" in record.message]
+    assert len(said) == 1
 
 
 @pytest.mark.parametrize("echo", [False, True])
