@@ -32,8 +32,8 @@ def lock_sweep(
 ) -> None:
     """Feed M samples to the chord sums of `lock`; `state` in place. Never raises on numbers.
 
-    par (N, 7) as `pmsm.table`. A sample that is not finite, or
-    that no motor has (`lock.WILD`), breaks the chord it falls into.
+    par (N, 7) as `pmsm.table`. A sample that is not finite, or that no motor has (`lock.WILD`),
+    breaks the chord it falls into.
     """
     for k in range(drive.shape[0]):
         d = drive[k]

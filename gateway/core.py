@@ -315,6 +315,11 @@ class Gateway:
         known = drive.electrical and all(channel.seen_valid for channel in drive.electrical)
         return Flag.GOOD if known else Flag.UNKNOWN
 
+    def _common_mode(self) -> Flag:
+        flag = self.adhesion.common.flag
+        doubted = flag is Flag.GOOD and self.doubt.reason is not Reason.NONE
+        return Flag.UNKNOWN if doubted else flag
+
     def _state(self, drives: tuple[DriveView, ...], overrun: bool) -> GatewayState:
         if self.silent:
             return GatewayState.SILENT
@@ -333,7 +338,7 @@ class Gateway:
             t_ns=now,
             drives=drives,
             detector=self.adhesion.detector.code,
-            common_mode=Flag.UNKNOWN if opinion is None else self.adhesion.common.flag,
+            common_mode=Flag.UNKNOWN if opinion is None else self._common_mode(),
             common_load_nm=(
                 opinion.common * self.adhesion.rated[0]
                 if opinion is not None and opinion.known.any()

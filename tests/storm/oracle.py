@@ -142,6 +142,8 @@ class Oracle:
         return mine
 
     def _adhesion(self, tick: int, data: bytes, sampled: list[bool]) -> None:
+        if (data[6] >> 4) & 3 == GOOD and not any(sampled) and not any(self.doubled):
+            self._broken(tick, "stale", 0, "CommonMode says good without fresh samples")
         for d, state in enumerate(self._states(tick, data)):
             before = self.adhesion[d]
             fine = tick - self.since[d]  # ticks since the first of the fresh ones

@@ -135,6 +135,7 @@ def test_who_goes_on_says_intruder_and_nothing_good():
         assert named(bench.sent)["Gateway_Adhesion"]["Reason"] == 10
     assert {d.thermal for d in view.drives} == {Flag.UNKNOWN}
     assert view.faults_reason is Reason.INTRUDER
+    assert view.common_mode is Flag.UNKNOWN
     assert view.comm is Flag.BAD
 
 
@@ -153,8 +154,10 @@ def test_lost_frames_make_good_unknown_for_five_ticks():
         view = bench.run(1)
         assert {d.adhesion for d in view.drives} == {Flag.UNKNOWN}
         assert view.adhesion_reason is Reason.SEQUENCE
+        assert view.common_mode is Flag.UNKNOWN
     view = bench.run(10)
     assert {d.adhesion for d in view.drives} == {Flag.GOOD}
+    assert view.common_mode is Flag.GOOD
 
 
 def test_an_allowed_word_is_asked_for():
