@@ -253,6 +253,26 @@ def test_short_frames_are_errors_not_exceptions(spec: Own) -> None:
         protect(spec, bytearray(1), 0)
 
 
+@pytest.mark.parametrize("spec", [P02, P05])
+def test_protection_touches_nothing_but_its_header(spec: Own) -> None:
+    header = {Profile.P02: "ff0f", Profile.P05: "ffffff"}[spec.profile]
+    mask = bytes.fromhex(header).ljust(8 if spec is P02 else 64, b"\0")
+    payload = bytearray(b"\x5a\xa5\xc3".ljust(len(mask), b"\x3c"))
+    before = bytes(payload)
+    protect(spec, payload, 7)
+    assert all((a ^ b) & ~m == 0 for a, b, m in zip(before, payload, mask, strict=True))
+    assert crc_ok(spec, payload)
+
+
+@pytest.mark.parametrize("spec", [P02, P05])
+def test_a_frame_that_is_all_header_is_a_frame(spec: Own) -> None:
+    payload = bytearray(HEADER_BYTES[spec.profile])
+    protect(spec, payload, 3)
+    assert crc_ok(spec, payload)
+    assert counter_of(spec, payload) == 3
+    assert Receiver(spec).check(bytes(payload)) is Check.OK
+
+
 @pytest.mark.parametrize(("spec", "most"), [(P02, 16), (P05, 256)])
 def test_a_counter_can_be_read_back(spec: Own, most: int) -> None:
     for counter in (0, 1, most - 1, most, most + 7):
