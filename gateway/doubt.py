@@ -1,4 +1,4 @@
-"""What the driver knows against all flags at once: missed ticks, lost frames, a second gateway.
+"""What the driver knows against all drives at once: missed ticks, lost frames, a second gateway.
 
 May know: reasons and `now`. May not know: frames, clocks. An intruder is never forgotten: which of
 the two gateways a receiver believes is chance, so somebody has to look.
@@ -64,7 +64,10 @@ class Doubt:
 
     @property
     def reason(self) -> Reason:
-        """Why no flag can be believed in this tick; NONE if nothing is known against them."""
+        """Why no adhesion flag can be believed in this tick; NONE if nothing is known against them.
+
+        Of the reasons only an intruder counts against thermal flags, which change slowly.
+        """
         if self.intruder:
             return Reason.INTRUDER
         if self._late_in_a_row > LATE_IN_A_ROW:
