@@ -23,7 +23,7 @@ fuzz: $(VENV)/.ready
 # Four hours of the bus at its worst for each of 100 seeds; some seven hours on two cores. It goes on
 # where it was stopped; what is in the repository is its last result.
 soak: $(VENV)/.ready
-	$(BIN)/python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o out/soak.jsonl
+	$(BIN)/python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o tests/storm/soak.jsonl
 
 # Are the tests of what decides a flag tested? Half an hour; works in a copy. What survives is listed.
 # cosmic-ray has an environment of its own: it is no dependency.

@@ -1,6 +1,6 @@
 """Storms by seed, in several processes; a seed that stands in the file is not run again.
 
-    python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o out/soak.jsonl
+    python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o tests/storm/soak.jsonl
 
 Writes a line per seed and prints what all of them came to. Exit code 1 where a rule was broken.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -25,14 +26,30 @@ STATES = ("unknown", "good", "bad")
 def _line(result: Result, seconds: float) -> dict:
     return {
         "seed": result.seed,
+        "commit": _commit(),
         "ticks": result.ticks,
         "frames": result.frames,
         "seconds": round(seconds, 1),
         "violations": [list(v) for v in result.found],
         "said": {f"{flag} {STATES[state]}": n for (flag, state), n in sorted(result.said.items())},
-        "met": {" ".join(map(str, key)): n for key, n in sorted(result.met.items())},
+        "met": _by_phase(result.met),
         "counts": dict(sorted(result.rejected.items())),
     }
+
+
+def _by_phase(met: Counter) -> dict[str, int]:
+    """Ticks by fault and phase: the drives are summed up, a file of 100 seeds is kept."""
+    out: Counter = Counter()
+    for (kind, phase, *_), n in sorted(met.items()):
+        out[f"{kind} {phase}"] += n
+    return dict(out)
+
+
+def _commit() -> str:
+    said = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    return said.stdout.strip() or "unknown"
 
 
 def _run(seed: int, ticks: int) -> tuple[Result, float]:

@@ -125,7 +125,7 @@ def _queued(waiting: Arrived, came: Arrived) -> Arrived:
     return Arrived(block, np.concatenate([waiting.genuine, came.genuine])[:QUEUE])
 
 
-def uncovered(met: Counter[tuple[str, str, int]]) -> list[tuple[str, str]]:
+def uncovered(met: Counter[tuple]) -> list[tuple[str, str]]:
     """Pairs of fault and phase that were never met."""
-    seen = {(kind, phase) for kind, phase, _ in met}
+    seen = {(kind, phase) for kind, phase, *_ in met}
     return [(kind, phase) for kind in KINDS for phase in PHASES if (kind, phase) not in seen]
