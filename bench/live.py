@@ -65,6 +65,11 @@ class Pair(Kernel):
         """Always up."""
         return Link(1, up=True, mtu=72)
 
+    def close(self) -> None:
+        """Both ends."""
+        self.ours.close()
+        self.theirs.close()
+
     def swallow(self) -> None:
         """What the gateway has sent."""
         try:
