@@ -121,7 +121,7 @@ class Outbox:
                 continue
             spec = self.specs[name]
             # The grid stays, however late a tick is; what was missed is not sent later.
-            behind = (now + self.slack_ns - start) // spec.cycle_ns
+            behind = max(now - start, 0) // spec.cycle_ns
             self.next_ns[name] = start + spec.cycle_ns * (1 + behind)
             frames.append(self._frame(spec, self._values(name, view), now))
         self.last_faults = faults
