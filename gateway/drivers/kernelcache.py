@@ -41,9 +41,9 @@ class Kernels:
             log.warning("compiled code cannot be kept, so every start compiles: see %s", CURE)
             return
         try:
-            shutil.copytree(prepared, self._own, dirs_exist_ok=True)
-        except (OSError, shutil.Error) as error:
-            log.warning("compiled code in %s cannot be used: %s", prepared, error)
+            _copy(prepared, self._own)
+        except OSError as error:
+            log.warning("compiled code cannot be used: %s", error)
         self._before = count(self._own)
 
     def tell(self) -> None:
@@ -62,6 +62,14 @@ def make(folder: Path) -> None:
     """Have everything that is compiled from now on kept in `folder`. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     os.environ[VARIABLE] = str(folder.resolve())
+
+
+def _copy(prepared: Path, own: Path) -> None:
+    """Contents only: what was prepared may be read-only, and numba writes beside what is new."""
+    for folder in sorted(prepared.iterdir()):
+        (own / folder.name).mkdir()
+        for file in sorted(folder.iterdir()):
+            shutil.copyfile(file, own / folder.name / file.name)
 
 
 def count(folder: Path) -> int:

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, Self
-
-from sdnotify import SystemdNotifier
 
 from dbc.frame import SECOND, Nanos
 from gateway.drivers.live import INTRUDER, LiveSnapshot
@@ -31,13 +30,17 @@ STATUS_NS: Final[Nanos] = SECOND
 
 
 class Manager:
-    """The service manager's socket; never blocks, never raises."""
+    """The service manager's socket; never blocks, never raises.
 
-    def __init__(self, *, listens: bool = False, watchdog_ns: Nanos = 0) -> None:
-        """`listens`: `NOTIFY_SOCKET` is set. `watchdog_ns`: its time, 0 without one."""
-        self.listens = listens
+    Own lines and not the package `sdnotify`: that blocks on a full socket, sends Latin-1 where
+    UTF-8 is wanted, and stays connected to a socket that has been made again.
+    """
+
+    def __init__(self, address: str = "", watchdog_ns: Nanos = 0) -> None:
+        """`address` as in `NOTIFY_SOCKET`, empty for none; `watchdog_ns`: 0 without one."""
+        # systemd writes the zero byte that begins an abstract address as @.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
         self.watchdog_ns = watchdog_ns
-        self._notifier: SystemdNotifier | None = None
 
     @classmethod
     def from_environment(cls, given: Mapping[str, str] | None = None) -> Self:
@@ -46,24 +49,19 @@ class Manager:
         ours = given.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         usec = given.get("WATCHDOG_USEC", "")
         watchdog_ns = 1000 * int(usec) if ours and usec.isascii() and usec.isdigit() else 0
-        return cls(listens=bool(given.get("NOTIFY_SOCKET")), watchdog_ns=watchdog_ns)
+        return cls(given.get("NOTIFY_SOCKET", ""), watchdog_ns)
 
     def say(self, *lines: str) -> bool:
         """Send one message; True if it was taken. A full socket loses it: say it again later."""
-        if not self.listens:
+        if not self._address:
             return True
         try:
-            if self._notifier is None:
-                # In its quiet mode the library hides whether a message was taken.
-                self._notifier = SystemdNotifier(debug=True)
-                self._notifier.socket.setblocking(False)
-            # It encodes as Latin-1; systemd wants UTF-8.
-            self._notifier.notify("\n".join(lines).encode().decode("latin-1"))
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as way:
+                way.sendto("\n".join(lines).encode(errors="replace"), self._address)
         except BlockingIOError:
             return False
         except OSError as error:
             log.warning("the service manager cannot be told: %s", error)
-            self._notifier = None  # its socket may have been made again
             return False
         return True
 
