@@ -84,6 +84,13 @@ class Manager:
         raise AssertionError(f"{line}: not within {PATIENCE_S} s\n{errors.decode()}")
 
 
+@pytest.fixture
+def manager(shared: Path) -> Iterator[Manager]:
+    manager = Manager(shared)
+    yield manager
+    manager.socket.close()
+
+
 def open_to_all(*wanted: Path) -> str:
     """Shell lines that make paths reachable for everybody, in a mount namespace of one's own.
 
@@ -130,12 +137,11 @@ def flags(bus: SocketCan, count: int) -> list[Frame]:
     return found
 
 
-def test_nobody_without_rights_sends_flags(vcan: Vcan, shared: Path, kernels: Path) -> None:
+def test_nobody_without_rights_sends_flags(vcan: Vcan, manager: Manager, kernels: Path) -> None:
     mapped = Path("/proc/self/uid_map").read_text(encoding="ascii").split()
     if int(mapped[2]) <= NOBODY:
         pytest.skip("only one user exists in this user namespace: run the tests as root")
     before = set(Path("/dev/shm").iterdir())
-    manager = Manager(shared)
     bus = SocketCan(vcan.name)
     bus.open()
     process = nobodys(vcan, manager, "--kernels", str(kernels))
