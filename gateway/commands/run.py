@@ -70,7 +70,6 @@ def run(options: argparse.Namespace) -> int:
     master = config.canopen.nmt_master
     with patience():
         warm_up(config, codec)
-    kernels.tell()
     if options.realtime is not None:
         be_realtime(options.realtime)
     else:
@@ -79,6 +78,7 @@ def run(options: argparse.Namespace) -> int:
     transport = open_transport(
         bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
     )
+    kernels.tell()  # the transport has some as well
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock())
     node = CanopenNode(config.nodes, nmt_master=master)
