@@ -8,14 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.commands.common import BAD_INPUT, GOOD, console, prepare
+from gateway.stuffing import bits_of
 
 if TYPE_CHECKING:
     from dbc.codec import Codec, MessageSpec
+    from dbc.frame import Frame
     from gateway.config import Config
 
 HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
-MEASURE_S = 1.0
+MEASURE_S = 2.0
+SETTLE_S = 1.0
+"""Before it: filters start, drives come to life."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,13 +36,10 @@ def run(options: argparse.Namespace) -> int:
     percent = bus_load(codec, config)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")
-    period_us = config.loop.period_ns / 1e3
     if not options.no_timing:
-        tick_us = measure_tick(config, codec)
-        print(
-            f"timing         a tick takes {tick_us:.0f} us of {period_us:.0f} us "
-            f"({100 * tick_us / period_us:.0f} %) on this machine"
-        )
+        frames, times_us = measure(config, codec)
+        _tell_loads(codec, config, frames)
+        _tell_timing(times_us, config.loop.period_ns / 1e3)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
@@ -88,22 +89,67 @@ def bus_load(codec: Codec, config: Config) -> float:
     return 100.0 * (busy + heartbeats)
 
 
-def measure_tick(config: Config, codec: Codec) -> float:
-    """Median time of a full tick with simulated drives at the bus's own rates, us."""
+def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
+    """A line per kind of message: its share of the bus by the frames' own stuff bits."""
+    bus = config.bus
+    kinds: dict[str, list[float]] = {}
+    bits: dict[str, list[int]] = {}
+    for frame in frames:
+        spec = codec.by_id.get(frame.can_id)
+        name = "CANopen" if spec is None else _kind(spec)
+        exact = bits_of(frame)
+        kinds.setdefault(name, []).append(exact.seconds(bus.bitrate, bus.data_bitrate))
+        bits.setdefault(name, []).append(exact.nominal + exact.data)
+    total = 0.0
+    for name in sorted(kinds, key=lambda name: -sum(kinds[name])):
+        share = 100.0 * sum(kinds[name]) / MEASURE_S
+        total += share
+        each = bits[name]
+        print(
+            f"  {name:<24} {len(each) / MEASURE_S:7.0f} frames/s of {sum(each) / len(each):5.1f} bits "
+            f"({min(each)} to {max(each)}): {share:5.1f} %"
+        )
+    print(
+        f"  {'together':<24} {total:5.1f} % by every stuff bit of {MEASURE_S:g} s, simulated drives"
+    )
+
+
+def _kind(spec: MessageSpec) -> str:
+    return f"Drive{{n}}_{spec.kind}" if spec.node else spec.name
+
+
+def _tell_timing(times_us: list[float], period_us: float) -> None:
+    ordered = sorted(times_us)
+    p50, p99 = (ordered[int(len(ordered) * q)] for q in (0.5, 0.99))
+    print(
+        f"timing         a tick takes {p50:.0f} us of {period_us:.0f} us "
+        f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us, here"
+    )
+
+
+def measure(config: Config, codec: Codec) -> tuple[list[Frame], list[float]]:
+    """Two seconds with simulated drives: all frames of the bus, and each tick's time, us."""
     from gateway.core import Gateway
+    from gateway.drivers.canopen_node import CanopenNode
     from sim.scenario import parse
     from sim.simulation import Simulation
 
-    scenario = parse({"title": "timing", "seed": 1, "duration_s": 2.0,
+    scenario = parse({"title": "timing", "seed": 1, "duration_s": 3.0,
                       "drives": len(config.nodes)}, "timing")  # fmt: skip
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
-    gateway = Gateway(config, codec, 0)
-    ticks = round(MEASURE_S * config.loop.rate_hz)
-    batches = [simulation.step((), k * config.loop.period_ns) for k in range(ticks)]
+    gateway, node = Gateway(config, codec, 0), CanopenNode(config.nodes)
+    period = config.loop.period_ns
+    settling = round(SETTLE_S * config.loop.rate_hz)
+    ticks = settling + round(MEASURE_S * config.loop.rate_hz)
+    batches = [simulation.step((), k * period) for k in range(ticks)]
+    frames: list[Frame] = []
     times = []
-    for k, frames in enumerate(batches):
+    for k, came in enumerate(batches):
         began = time.perf_counter_ns()
-        gateway.step(frames, k * config.loop.period_ns)
-        times.append(time.perf_counter_ns() - began)
-    times.sort()
-    return times[len(times) // 2] / 1e3
+        out = gateway.step(came, k * period)
+        took = time.perf_counter_ns() - began
+        out += node.step(came, k * period)
+        if k >= settling:
+            frames += [*came, *out]
+            times.append(took / 1e3)
+    return frames, times
