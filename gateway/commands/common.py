@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from gateway.config import Config, load
+from gateway.config import Config, ConfigError, load
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,6 +45,18 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
+    """`--public-key`, `--signature`."""
+    parser.add_argument(
+        "--public-key", type=Path, metavar="PUBLIC.pem", required=required,
+        help="take no configuration that this ed25519 key has not signed",
+    )  # fmt: skip
+    parser.add_argument(
+        "--signature", type=Path, metavar="FILE.sig",
+        help="default: beside the configuration, its name and .sig",
+    )  # fmt: skip
+
+
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
     import can.cli
@@ -52,9 +64,12 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     can.cli.add_bus_arguments(parser)
 
 
-def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
+def prepare(
+    path: Path | None, *, signature: argparse.Namespace | None = None, **changes: Any
+) -> tuple[Config, Codec]:
     """Configuration and codec. Raises ConfigError or DbcMismatch with every problem.
 
+    signature: options of `add_signature`; with a public key nothing unsigned is even parsed.
     changes: fields of `[section]`s to override, as `section={"key": value}`.
     """
     from dbc.codec import bind
@@ -63,8 +78,21 @@ def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
         section: {k: v for k, v in values.items() if v is not None}
         for section, values in changes.items()
     }
-    config = load(path, **given)
-    return config, bind(config.dbc_path, config.nodes)
+    if signature is None or signature.public_key is None:
+        if signature is not None and signature.signature is not None:
+            raise ConfigError("--signature", ["says nothing without --public-key"])
+        config = load(path, **given)
+        return config, bind(config.dbc_path, config.nodes)
+    from gateway.drivers.signing import check_dbc, default_signature, verified
+
+    if path is None:
+        raise ConfigError("--public-key", ["the built-in configuration has no signature"])
+    seals = verified(signature.signature or default_signature(path), signature.public_key)
+    config = load(path, seals, **given)
+    check_dbc(config)
+    codec = bind(config.dbc_path, config.nodes)
+    check_dbc(config, codec.digest)
+    return config, codec
 
 
 def console() -> Console:

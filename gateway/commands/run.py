@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ from gateway.commands.common import (
     GOOD,
     add_bus,
     add_config,
+    add_signature,
     console,
     patience,
     positive_seconds,
     prepare,
 )
 
+log = logging.getLogger(__name__)
 HELP = "the gateway on a bus"
 DISPLAY_EVERY = 20
 """Ticks between two pictures of the table: the display must never disturb the loop."""
@@ -25,6 +28,9 @@ DISPLAY_EVERY = 20
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     add_config(parser)
+    add_signature(parser)
+    parser.add_argument("--listen-only", action="store_true",
+                        help="send nothing at all: look at a bus that others work on")  # fmt: skip
     parser.add_argument(
         "--duration", type=positive_seconds, metavar="S", help="stop after this long"
     )
@@ -43,13 +49,15 @@ def run(options: argparse.Namespace) -> int:
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
     from gateway.drivers.canopen_node import CanopenNode
+    from gateway.drivers.credentials import flag_authenticator
     from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
+    from gateway.drivers.permission import Mode, allowed
     from gateway.drivers.realtime import Ticker
     from gateway.drivers.scheduling import be_realtime
-    from gateway.drivers.transport import Allow
     from gateway.drivers.warm import warm_up
 
-    config, codec = prepare(options.config)
+    config, codec = prepare(options.config, signature=options)
+    mode = Mode.LISTEN if options.listen_only else Mode.RUN
     if options.results:
         # Where nothing can be left is said now, not after the run.
         options.results.mkdir(parents=True, exist_ok=True)
@@ -58,11 +66,12 @@ def run(options: argparse.Namespace) -> int:
         warm_up(config, codec)
     if options.realtime is not None:
         be_realtime(options.realtime)
-    transport = open_transport(
-        bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
-    )
+    transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
+    # Who sends nothing needs no key and uses up no start number.
+    authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     ticker = Ticker(config.loop.period_ns)
-    gateway = Gateway(config, codec, ticker.clock())
+    gateway = Gateway(config, codec, ticker.clock(), authenticator)
+    log.info("configuration %06x", gateway.outbox.config_hash)
     node = CanopenNode(config.nodes, nmt_master=master)
     stop = Stop()
     limit = None if options.duration is None else round(options.duration * config.loop.rate_hz)
@@ -85,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
                             errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
     summary(gateway, seen)
     if options.results:
-        title = f"Timing on {options_name(options)}"
+        title = f"Timing on {options_name(options)}, configuration {gateway.outbox.config_hash:06x}"
         leave_timing(options.results, seen, title, config.loop.period_ns)
         print(f"report: {options.results / 'report.html'}")
     return GOOD
