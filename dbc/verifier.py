@@ -28,6 +28,8 @@ SURE: Final = 3
 """Frames in a row that fit a guess before one is believed."""
 TRIPS: Final = 64
 """Starts of the sender that may have gone unheard."""
+AT_ONCE: Final = 4
+"""Of these as many are looked for with every frame; more take a sweep, which a flood delays."""
 TURNS: Final = 256
 """Times 65,536 frames of one start that may have gone unheard: 42 hours at 110 a second."""
 QUIET_NS: Final[Nanos] = 200 * MS
@@ -166,8 +168,8 @@ class Verifier:
     def _likely(self) -> tuple[int, ...]:
         """Upper bits tried for every frame, whatever a flood has used up: a gap, a new start."""
         upper = self.freshness >> SENT_BITS
-        start = (upper >> _TURN_BITS) + 1 << _TURN_BITS
-        return (upper, upper + 1, start, start + 1)
+        trip = upper >> _TURN_BITS
+        return (upper, upper + 1, *(trip + k << _TURN_BITS for k in range(1, AT_ONCE + 1)))
 
     def _sweep(self, now: Nanos) -> Iterator[int]:
         """The next upper bits of all, the fewest turns first; as many as may be tried now."""
