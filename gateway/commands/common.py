@@ -83,15 +83,15 @@ def prepare(
             raise ConfigError("--signature", ["says nothing without --public-key"])
         config = load(path, **given)
         return config, bind(config.dbc_path, config.nodes)
-    from gateway.drivers.signing import check_dbc, default_signature, verified
+    from gateway.drivers.signing import check_digest, check_files, default_signature, verified
 
     if path is None:
         raise ConfigError("--public-key", ["the built-in configuration has no signature"])
     seals = verified(signature.signature or default_signature(path), signature.public_key)
     config = load(path, seals, **given)
-    check_dbc(config)
+    check_files(config)
     codec = bind(config.dbc_path, config.nodes)
-    check_dbc(config, codec.digest)
+    check_digest(config, codec.digest)
     return config, codec
 
 

@@ -84,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
     if options.results:
         from gateway.results.pictures import loads
 
+        word = f"ConfigHash {done.gateway.outbox.config_hash:06x}\n"
+        (options.results / "configuration.txt").write_text(word, encoding="ascii")
         for suffix in ("png", "svg"):
             loads(options.results / f"loads.{suffix}", recorder.series, options.log.name)
     _summary(log.reader, done, recorder)

@@ -66,9 +66,9 @@ def run(options: argparse.Namespace) -> int:
         warm_up(config, codec)
     if options.realtime is not None:
         be_realtime(options.realtime)
-    transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
     # Who sends nothing needs no key and uses up no start number.
     authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
+    transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)

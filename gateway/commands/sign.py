@@ -20,12 +20,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Check what is signed, then write the signature. Raises ConfigError."""
     from gateway import calibration
-    from gateway.drivers.signing import check_dbc, default_signature, sign
+    from gateway.drivers.signing import check_digest, default_signature, sign
 
     config, codec = prepare(options.config)
     cells = calibration.of(config)
     text, seals = sign(options.config, config, options.key)
-    check_dbc(config.model_copy(update={"sealed": seals}), codec.digest)
+    check_digest(config.model_copy(update={"sealed": seals}), codec.digest)
     path = out_file(options.output or default_signature(options.config))
     path.write_text(text, encoding="ascii")
     word = calibration.config_hash(config, codec.digest, cells)

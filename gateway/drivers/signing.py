@@ -90,21 +90,27 @@ def verified(signature: Path, public_key: Path) -> dict[str, str]:
     return seals
 
 
-def check_dbc(config: Config, digest: str | None = None) -> None:
-    """Raises ConfigError unless the DBC is the one that was signed; nothing if unsigned.
+def check_files(config: Config) -> None:
+    """Raises ConfigError unless DBC and calibration are those that were signed, if any were.
 
-    digest: of what has been read; None reads the file, so that no other is even parsed.
+    Before anything of them is parsed; whoever parses them compares once more what it has read.
     """
     if not config.sealed:
         return
-    path, sealed = config.dbc_path, config.sealed["dbc"]
-    if digest is None:
+    for role, path in (("dbc", config.dbc_path), ("calibration", config.calibration_path)):
+        if path is None:
+            continue
         try:
-            check_seal(path, path.read_bytes(), sealed)
+            check_seal(path, path.read_bytes(), config.sealed[role])
         except OSError as error:
             raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
-    elif digest != sealed:
-        raise ConfigError(str(path), ["was changed while the gateway started; start again"])
+
+
+def check_digest(config: Config, digest: str) -> None:
+    """Raises ConfigError unless this is the digest of the DBC that was signed."""
+    if digest != config.sealed["dbc"]:
+        problem = "was changed while it was read; start again"
+        raise ConfigError(str(config.dbc_path), [problem])
 
 
 def make_keys(private: Path, public: Path) -> None:
