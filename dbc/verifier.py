@@ -17,6 +17,7 @@ switched off has to keep `freshness`, or recordings of what it never heard are n
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from typing import Final, NamedTuple
 
 from dbc.authentication import COUNT_BITS, FRESHNESS_BITS, SENT_BITS, Macs
@@ -145,25 +146,20 @@ class Verifier:
         return None
 
     def _guesses(self, low: int, mac: int, now: Nanos) -> bool:
-        """Whether a new guess was found. What is genuine now is newer than any recording of it."""
-        for upper in self._likely():
-            if self._try(upper << SENT_BITS | low, mac, now, self._waiting):
-                return True
+        """Whether a new guess was found, for the newest flag frame that waits.
+
+        It must be newer than the guess before: what is genuine now is newer than any recording.
+        """
         newest = self._waiting[-1:]
-        for upper in self._sweep(now):
-            if self._try(upper << SENT_BITS | low, mac, now, newest):
+        for upper in chain(self._likely(), self._sweep(now)):
+            value = upper << SENT_BITS | low
+            if value <= max(self.freshness, self._guess):
+                continue
+            if self._fitting(value, mac, newest) is not None:
+                self._guess, self._guess_ns, self._fits = value, now, 1
+                self._waiting.pop()
                 return True
         return False
-
-    def _try(self, value: int, mac: int, now: Nanos, waiting: list[Genuine]) -> bool:
-        if value <= max(self.freshness, self._guess):
-            return False
-        found = self._fitting(value, mac, waiting)
-        if found is None:
-            return False
-        self._guess, self._guess_ns, self._fits = value, now, 1
-        self._waiting.remove(found)
-        return True
 
     def _likely(self) -> tuple[int, ...]:
         """Upper bits tried for every frame, whatever a flood has used up: a gap, a new start."""

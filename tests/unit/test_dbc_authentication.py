@@ -273,7 +273,7 @@ def test_the_search_is_rate_limited_and_a_heard_sender_is_not_searched_for(monke
         line.now += SECOND // 9000
         line.receiver.flag(ADHESION, bytes(8), line.now)
         line.receiver.auth(rng.getrandbits(16), rng.getrandbits(32), line.now)
-    assert SWEEP_RATE * 0.9 < len(tried) < SWEEP_RATE + SWEEP + 9000 * 7 * WAITING
+    assert SWEEP_RATE * 0.9 < len(tried) < SWEEP_RATE + SWEEP + 9000 * (AT_ONCE + 2 + WAITING)
 
 
 def test_failures_are_told_once_a_second() -> None:

@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 RUN = """
 import sys
 from gateway.cli import main
@@ -35,16 +33,15 @@ def test_run_loads_no_cryptography_unless_something_is_authenticated(tmp_path: P
     assert (tmp_path / "trip").read_text() == "00000001\n"
 
 
-@pytest.mark.parametrize("word", ["a", "zz"])
-def test_a_missing_key_is_one_clear_line(tmp_path: Path, word: str) -> None:
+def test_a_missing_key_is_one_clear_line(tmp_path: Path) -> None:
     config = tmp_path / "train.toml"
-    config.write_text(f'[authentication]\nkey = "{word}.key"\n')
+    config.write_text("[authentication]\n")
     done = subprocess.run(
         [sys.executable, "-m", "gateway", "run", "-i", "virtual", "-c", "x", "--quiet",
          "--config", str(config)], capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr.startswith("traction-gateway: ")
-    assert f"{word}.key" in done.stderr
+    assert "auth.key" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "trip").exists(), "no start is counted that did not happen"
