@@ -115,11 +115,7 @@ class Verifier:
         )
 
     def _accept(self, found: Genuine, value: int, now: Nanos) -> Genuine:
-        """Older frames of the same identifier are worth nothing any more."""
-        place = self._waiting.index(found)
-        self._waiting = [
-            w for k, w in enumerate(self._waiting) if k > place or w.key != found.key
-        ]  # fmt: skip
+        self._waiting.remove(found)
         self.freshness = value
         self.accepted += 1
         self._heard_ns = now

@@ -102,6 +102,8 @@ def test_genuine_frames_are_accepted_from_the_first_where_the_start_is_known() -
     assert all(line.tick(key) for key in (ADHESION, FAULTS) * 50)
     assert line.receiver.accepted == 100
     assert line.receiver.failed == 0
+    assert line.receiver.auth(0, 0, line.now) is None
+    assert line.receiver.alone == 1, "nothing waits once its tag has come"
 
 
 @pytest.mark.parametrize("byte", range(8))
@@ -209,6 +211,39 @@ def test_a_receiver_that_starts_late_finds_the_place(freshness: int, turns: int)
     heard = [line.tick() for _ in range(frames)]
     assert True in heard
     assert all(heard[heard.index(True) :])
+
+
+def test_turns_are_counted_from_the_last_that_was_heard() -> None:
+    line = Line(trip=2, freshness=(2 << COUNT_BITS) + (TURNS << 16))
+    line.sender.freshness += TURNS + 50 << 16
+    assert any(line.tick() for _ in range((TRIPS + 1) * TURNS // SWEEP + SURE))
+
+
+def test_a_held_pair_that_is_repeated_does_not_confirm_itself() -> None:
+    line = Line(freshness=1 << COUNT_BITS)
+    line.sender = Authenticator(KEY, 2)
+    for _ in range(SURE - 1):
+        line.now += 10 * MS
+        held = line.made()
+        assert line.hear(held) is None
+    assert line.receiver.held == SURE - 1
+    for _ in range(3 * SURE):
+        line.now += 10 * MS
+        assert line.hear(held) is None
+    assert line.tick()
+
+
+def test_only_so_many_flag_frames_wait() -> None:
+    """Each is one more chance for a guessed tag; who pushes a flag out has cost it its tag."""
+    line = Line(freshness=1 << COUNT_BITS)
+    for others, counts in ((WAITING - 1, True), (WAITING, False)):
+        key, data, low, mac = line.made()
+        line.receiver.flag(key, data, line.now)
+        for k in range(others):
+            line.receiver.flag(ADHESION, bytes((255, k)), line.now)
+            line.receiver.flag(FAULTS, bytes((255, k)), line.now)
+        assert (line.receiver.auth(low, mac, line.now) is not None) == counts
+    assert line.tick()
 
 
 @pytest.mark.parametrize(
