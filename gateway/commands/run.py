@@ -58,6 +58,8 @@ def run(options: argparse.Namespace) -> int:
 
     config, codec = prepare(options.config, signature=options)
     mode = Mode.LISTEN if options.listen_only else Mode.RUN
+    # Who sends nothing needs no key and uses up no start number.
+    authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     if options.results:
         # Where nothing can be left is said now, not after the run.
         options.results.mkdir(parents=True, exist_ok=True)
@@ -66,8 +68,6 @@ def run(options: argparse.Namespace) -> int:
         warm_up(config, codec)
     if options.realtime is not None:
         be_realtime(options.realtime)
-    # Who sends nothing needs no key and uses up no start number.
-    authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)

@@ -11,7 +11,7 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.config import Config
 from gateway.core import Gateway
-from gateway.drivers.bench import Outcome, for_scenario, touched_drives
+from gateway.drivers.bench import Outcome, touched_drives
 from gateway.drivers.bus import open_transport
 from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.credentials import flag_authenticator, private_file
@@ -55,7 +55,6 @@ def run_on_real_bus(
     Scenario time starts with the first frame heard from a drive; what is said after its end, when
     the drives are leaving, is not judged. results: folder for a report of the timing.
     """
-    config = for_scenario(config)
     ticker = Ticker(config.loop.period_ns)
     warm_up(config, codec)
     authenticator = flag_authenticator(config)

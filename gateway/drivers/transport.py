@@ -72,6 +72,8 @@ class Status:
     """Times the interface was opened again after the first success."""
     hears_itself: bool = False
     """Whether frames that are sent come back as received ones."""
+    silent: bool = False
+    """Whether nothing at all may be sent."""
     note: str = ""
     """The last problem in one line, for a person."""
 
@@ -220,6 +222,7 @@ class Guarded:
         self._inner = inner
         self._allow = allow
         self.status = inner.status
+        self.status.silent = allow.silent
 
     def open(self) -> None:
         """See Transport."""

@@ -112,6 +112,7 @@ def test_on_a_channel_that_is_not_named_nothing_is_opened(codec: Codec) -> None:
     transport = open_transport({"interface": "virtual", "channel": "x"}, listening)
     assert transport.send(Frame(0, 0x1A0, bytes(8))) is SendResult.REFUSED
     assert transport.status.note == "", "who only listens has nothing to complain of"
+    assert transport.status.silent
     transport.close()
     nowhere = allowed(Mode.RUN, config(bus={"send_on": []}), codec)
     with pytest.raises(ConfigError, match="allows none"):
@@ -121,6 +122,7 @@ def test_on_a_channel_that_is_not_named_nothing_is_opened(codec: Codec) -> None:
 def test_a_frame_of_another_channel_is_refused(codec: Codec) -> None:
     sink = Sink()
     guarded = Guarded(sink, allowed(Mode.RUN, config(), codec), "can0")
+    assert not guarded.status.silent
     flag = Frame(0, 0x1A0, bytes(8))
     assert guarded.send(flag._replace(channel="can1")) is SendResult.REFUSED
     assert guarded.send(flag._replace(channel="can0")) is SendResult.SENT
