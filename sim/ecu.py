@@ -116,16 +116,19 @@ class Ecu:
                 self.canopen.deliver(frame.can_id, frame.data, now_ns)
 
     def _verify(self, verifier: Verifier, spec: MessageSpec, frame: Frame, now_ns: Nanos) -> None:
-        """Hold a flag frame back until `Gateway_Auth` vouches for it."""
+        """Hold a flag frame back until `Gateway_Auth` vouches for it.
+
+        By the stamps of reception: a program that stalls between the two has lost neither.
+        """
         if len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
             return
         if spec.kind != "Auth":
-            verifier.flag(spec.key, frame.data, now_ns)
+            verifier.flag(spec.key, frame.data, frame.t_ns)
             return
         if not crc_ok(spec, frame.data):
             return
         said = self.codec.decode(spec, frame.data)
-        genuine = verifier.auth(int(said["Freshness"].raw), int(said["Mac"].raw), now_ns)
+        genuine = verifier.auth(int(said["Freshness"].raw), int(said["Mac"].raw), frame.t_ns)
         if genuine is not None and self._adhesion and genuine.key == self._adhesion.key:
             self._take_flags(frame._replace(can_id=genuine.key, data=genuine.data), now_ns)
 
