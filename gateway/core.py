@@ -115,11 +115,11 @@ class Gateway:
         self.adhesion = AdhesionSide(a, motors, self.timing["adhesion"], config.loop.period_ns)
         self.flags = [{name: FlagState(since_ns=start_ns) for name in FLAGS} for _ in nodes]
         self.reports = [Report() for _ in nodes]
-        self.outbox = Outbox(
-            codec, nodes, calibration.config_hash(config, codec.digest, cells), authenticator
-        )
+        own_hash = calibration.config_hash(config, codec.digest, cells)
+        self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
-        self.doubt = Doubt(config.loop.period_ns, told_apart=config.on_intruder == "tell")
+        told_apart = config.on_intruder == "tell" and authenticator is not None
+        self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
         self.contradictions = [0] * len(nodes)
         self.unlocked_ns = [0] * len(nodes)
         """How long each has turned, by its own word, with no lock to it."""
@@ -127,7 +127,7 @@ class Gateway:
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
-        self.stops = config.on_intruder == "stop"
+        self.stops = config.on_intruder != "go_on" and not told_apart
         self.silent = False
         """Nothing is sent any more."""
         self.start_ns = start_ns

@@ -95,7 +95,7 @@ def bus_load(codec: Codec, config: Config) -> float:
     """Percent of the bus that the configured drives and the gateway take."""
     from gateway.outbox import VOUCHED, Outbox
 
-    outbox = Outbox(codec, config.nodes, 0)
+    outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
     ours = set(outbox.specs)
     bus = config.bus
     busy = 0.0

@@ -18,8 +18,8 @@ from gateway.commands.common import (
     add_config,
     add_signature,
     console,
+    fitting,
     out_file,
-    prepare,
 )
 
 if TYPE_CHECKING:
@@ -73,8 +73,7 @@ def _one(options: argparse.Namespace, name: str, scenario: Any) -> tuple[list[An
 
 
 def _outcome(options: argparse.Namespace, name: str, scenario: Any) -> Outcome:
-    changes: dict[str, Any] = {} if options.config else {"thermal": scenario_thermal()}
-    config, codec = _fitting(options, scenario, changes)
+    config, codec = fitting(options.config, scenario, options)
     if hasattr(options, "interface") or hasattr(options, "channel"):
         from gateway.drivers.hilbus import run_on_real_bus
 
@@ -129,33 +128,6 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
                 progress.update(task, completed=now / 1e9)
 
         yield [look]
-
-
-def scenario_thermal() -> dict[str, str]:
-    """The calibration of the simulated bench motors that ships with the package."""
-    import gateway
-
-    return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
-
-
-def _fitting(options: argparse.Namespace, scenario: Any, changes: dict[str, Any]) -> Any:
-    """Configuration for the scenario's number of drives, unless a file says otherwise."""
-    from dbc.codec import bind
-    from gateway.config import Drive
-
-    config, codec = prepare(options.config, signature=options, **changes)
-    if options.config is None:
-        name = scenario.motor.name
-        motor = name if name in config.motors else "bench"
-        drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
-        config = config.model_copy(update={"drive": drives})
-        codec = bind(config.dbc_path, config.nodes)
-    elif len(config.nodes) != scenario.drives:
-        console().print(
-            f"note: the scenario has {scenario.drives} drives, the configuration "
-            f"{len(config.nodes)}", markup=False,
-        )  # fmt: skip
-    return config, codec
 
 
 def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float, word: int) -> None:

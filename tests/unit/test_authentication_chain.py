@@ -207,6 +207,13 @@ def test_who_wants_to_stop_stops() -> None:
     assert out == []
 
 
+def test_who_has_no_key_has_nothing_to_go_on_with() -> None:
+    """Such as a bench that reads the train's configuration."""
+    gateway, out = intruded(authenticated(), None)
+    assert gateway.silent
+    assert out == []
+
+
 def test_going_on_untouched_needs_authentication() -> None:
     with pytest.raises(ConfigError, match=r"'tell' needs \[authentication\]"):
         parse({"bus": {"on_intruder": "tell"}})

@@ -12,6 +12,7 @@ from gateway.config import Config, ConfigError, parse, shipped_dbc
 from gateway.core import Gateway
 from gateway.drivers.bus import open_transport
 from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.outputs import Outputs
 from gateway.drivers.permission import Mode, allowed, drives_only
 from gateway.drivers.transport import Guarded, SendResult, Status
 
@@ -128,6 +129,19 @@ def test_a_frame_of_another_channel_is_refused(codec: Codec) -> None:
     assert guarded.send(flag._replace(channel="can0")) is SendResult.SENT
     assert guarded.send(flag) is SendResult.SENT
     assert len(sink.sent) == 2
+
+
+def test_for_who_only_listens_a_refusal_is_no_fault(codec: Codec) -> None:
+    """A service that listens is ready, and alive, all the same."""
+    gateway = Gateway(config(), codec, 0)
+    heartbeat = CanopenNode((1, 3))
+    out = gateway.step([], 0) + heartbeat.step([], 0)
+    refused = [SendResult.REFUSED] * len(out)
+    specs = gateway.outbox.specs.values()
+    assert Outputs(specs, listening=True).judge(out, refused, 0) == ""
+    assert "was refused" in Outputs(specs).judge(out, refused, 0)
+    failed = [SendResult.FAILED] * len(out)
+    assert "was failed" in Outputs(specs, listening=True).judge(out, failed, 0)
 
 
 def test_there_is_no_sdo_server_on_the_gateway(codec: Codec) -> None:

@@ -14,8 +14,7 @@ import pytest
 from dbc.codec import bind
 from gateway import calibration
 from gateway.cli import main
-from gateway.commands.common import prepare
-from gateway.commands.hil import scenario_thermal
+from gateway.commands.common import prepare, scenario_thermal
 from gateway.config import ConfigError, load, shipped_dbc
 from gateway.core import Gateway
 from gateway.drivers.signing import NONE, ROLES, digests, make_keys, sign, verified
