@@ -7,7 +7,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import BAD_INPUT, GOOD, console, prepare
+from gateway.commands.common import BAD_INPUT, GOOD, add_signature, console, prepare
+from gateway.config import ConfigError
 from gateway.stuffing import bits_of
 
 if TYPE_CHECKING:
@@ -25,13 +26,17 @@ SETTLE_S = 1.0
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("config", type=Path, help="the configuration to check")
+    add_signature(parser)
     parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work."""
-    config, codec = prepare(options.config)
-    print(f"configuration  good, hash {config.hash24():06x}")
+    from gateway import calibration
+
+    config, codec = prepare(options.config, signature=options)
+    word = calibration.config_hash(config, codec.digest, calibration.of(config))
+    print(f"configuration  good, hash {word:06x}")
     print(f"message set    {codec.path.name}: {len(codec.messages)} messages fit the contract")
     percent = bus_load(codec, config)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
@@ -46,10 +51,9 @@ def run(options: argparse.Namespace) -> int:
         else "not calibrated: flags stay unknown"
     )
     print(f"thermal        {calibrated}")
-    if config.calibration_path:
-        from gateway import calibration
-
-        calibration.load(config.calibration_path, config.nodes, config.thermal.window_s)
+    signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
+    print(f"signature      {signed}")
+    print(f"flags          {_authentication(config)}")
     if percent > LOAD_LIMIT_PERCENT:
         console().print(
             f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
@@ -57,6 +61,19 @@ def run(options: argparse.Namespace) -> int:
         )  # fmt: skip
         return BAD_INPUT
     return GOOD
+
+
+def _authentication(config: Config) -> str:
+    if config.authentication is None:
+        return "not authenticated"
+    from gateway.drivers.credentials import flag_key
+
+    try:
+        flag_key(config.authentication.key, config.base)
+    except ConfigError as error:
+        # Keys are where the gateway runs; a configuration is checked anywhere.
+        return f"authenticated; no key here: {error.problems[0]}"
+    return "authenticated, the key can be used"
 
 
 def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
@@ -77,11 +94,15 @@ def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
 
 def bus_load(codec: Codec, config: Config) -> float:
     """Percent of the bus that the configured drives and the gateway take."""
-    from gateway.outbox import Outbox
+    from gateway.outbox import VOUCHED, Outbox
 
-    ours = set(Outbox(codec, config.nodes, 0, config.loop.period_ns).specs)
+    outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
+    ours = set(outbox.specs)
     bus = config.bus
     busy = 0.0
+    if config.authentication is not None:
+        follows = sum(1e9 / outbox.specs[name].cycle_ns for name in VOUCHED)
+        busy += frame_seconds(outbox.auth, bus.bitrate, bus.data_bitrate) * follows
     for spec in codec.messages:
         if spec.cycle_ns and (spec.node in config.nodes or spec.name in ours):
             busy += frame_seconds(spec, bus.bitrate, bus.data_bitrate) * 1e9 / spec.cycle_ns
@@ -105,13 +126,13 @@ def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
         share = 100.0 * sum(kinds[name]) / MEASURE_S
         total += share
         each = bits[name]
+        rate, mean = len(each) / MEASURE_S, sum(each) / len(each)
         print(
-            f"  {name:<24} {len(each) / MEASURE_S:7.0f} frames/s of {sum(each) / len(each):5.1f} bits "
+            f"  {name:<24} {rate:7.0f} frames/s of {mean:5.1f} bits "
             f"({min(each)} to {max(each)}): {share:5.1f} %"
         )
-    print(
-        f"  {'together':<24} {total:5.1f} % by every stuff bit of {MEASURE_S:g} s, simulated drives"
-    )
+    what = f"by every stuff bit of {MEASURE_S:g} s of simulated drives"
+    print(f"  {'together':<24} {total:5.1f} % {what}")
 
 
 def _kind(spec: MessageSpec) -> str:
