@@ -25,6 +25,8 @@ SILENCE_S = 450.0
 """Longest time without any report before the inner run is given up."""
 INNER_TIMEOUT_S = 400
 """Limit of one test inside."""
+LONG = 10
+"""Both are so many times longer where the campaign runs in full."""
 WARM_UP = """
 from dbc.codec import bind
 from gateway.config import parse
@@ -88,11 +90,14 @@ class Outside:
                 return [self._not_here(item, self._told(directory, "did not start"))]
             if ended:
                 return [_verdict(item, "failed", self._told(directory, "ended without a result"))]
-            if time.monotonic() - heard > SILENCE_S:
+            if time.monotonic() - heard > SILENCE_S * self._patience():
                 if self._job is not None:
                     self._give_up()
                 return [_verdict(item, "failed", self._told(directory, "fell silent"))]
             time.sleep(0.05)
+
+    def _patience(self) -> int:
+        return LONG if self._config.getoption("--counts") == "full" else 1
 
     def _not_here(self, item: pytest.Item, reason: str) -> pytest.TestReport:
         outcome = "failed" if self._config.getoption("--require-vcan") else "skipped"
@@ -123,7 +128,9 @@ class Outside:
         assert self._directory is not None
         return [
             *(sys.executable, "-m", "pytest", "-v", "--color=no", "-p", "no:cacheprovider"),
-            *("-p", "no:xdist", "-p", "no:randomly", "-o", f"timeout={INNER_TIMEOUT_S}"),
+            *("-p", "no:xdist", "-p", "no:randomly", "-o", f"timeout={INNER_TIMEOUT_S * self._patience()}"),
+            *("--counts", self._config.getoption("--counts")),
+            *("--campaign-seed", str(self._config.getoption("--campaign-seed"))),
             *("--rootdir", str(self._config.rootpath), "--basetemp", f"{self._directory}/tmp"),
             *("-c", str(self._config.inipath)),
             *("--vcan-inside", f"{self._directory}/reports"),

@@ -1,0 +1,114 @@
+"""A stable of programs that are warm: one process that has imported everything, and forks.
+
+Starting `traction-gateway` costs seconds of imports in user-mode-linux; two hundred starts would be
+half an hour of nothing else. A child runs the same `main` with the same words as a user's command;
+only the imports and the loading of compiled code have been done before. It is killed and ends like
+any other process.
+
+`python tests/hil/stable.py CONFIG DBC` reads a line of JSON per request from its input and answers
+each with a line: `{"start": [words], "log": path, "priority": n}` -> pid;
+`{"wait": pid, "block": bool}` -> how it ended (a negative signal or the exit code), null if not yet.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+
+class Stable:
+    """The asking end."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        """process: this file, with pipes for input and output."""
+        self._process = process
+
+    def start(self, words: Sequence[str], log: Path, priority: int = 0) -> int:
+        """Fork a program; its outputs go to `log`. Returns its pid."""
+        return int(self._ask(start=list(words), log=str(log), priority=priority))
+
+    def ended(self, pid: int, *, block: bool = False) -> int | None:
+        """How a program ended: exit code, or minus the signal; None while it runs."""
+        answer = self._ask(wait=pid, block=block)
+        return None if answer is None else int(answer)
+
+    def _ask(self, **request: Any) -> Any:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(request).encode() + b"\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        assert answer, "the stable has gone"
+        return json.loads(answer)
+
+
+def _child(request: dict[str, Any]) -> None:
+    """What a fork does instead of going on; never returns."""
+    code = 70
+    try:
+        descriptor = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        for standard in (1, 2):
+            os.dup2(descriptor, standard)
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        if request["priority"]:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(request["priority"]))
+        from gateway.cli import main
+
+        code = main(request["start"])
+    except SystemExit as ending:
+        code = int(ending.code or 0)
+    except BaseException:  # noqa: BLE001 - told in the log, whatever it was
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _warm(config_path: str, dbc: str) -> None:
+    """Import what `run` and `sim` import and load what they compile, by the commands themselves."""
+    import can.interfaces.socketcan  # noqa: F401
+    from dbc.codec import bind
+    from gateway.cli import main
+    from gateway.commands import run, sim  # noqa: F401
+    from gateway.config import load
+    from gateway.drivers import bus, canopen_node, live, realtime, scheduling  # noqa: F401
+    from gateway.drivers.warm import warm_up
+
+    config = load(Path(config_path))
+    warm_up(config, bind(config.dbc_path, config.nodes))
+    words = ("sim", "healthy", "--duration", "0.05", "--dbc", dbc, "-o", os.devnull)
+    assert main(words) == 0
+
+
+def _serve() -> None:
+    answers = os.fdopen(os.dup(1), "w", encoding="ascii")
+    os.dup2(2, 1)  # nothing that a library prints is an answer
+
+    def say(answer: object) -> None:
+        answers.write(json.dumps(answer) + "\n")
+        answers.flush()
+
+    say("warm")
+    for line in sys.stdin:
+        request = json.loads(line)
+        if "start" in request:
+            pid = os.fork()
+            if pid == 0:
+                _child(request)
+            say(pid)
+        else:
+            found, status = os.waitpid(request["wait"], 0 if request["block"] else os.WNOHANG)
+            say(os.waitstatus_to_exitcode(status) if found else None)
+
+
+if __name__ == "__main__":
+    _warm(sys.argv[1], sys.argv[2])
+    _serve()

@@ -1,0 +1,236 @@
+"""A gateway on a real bus through what happens in years: links that go, programs that die or hang.
+
+The drives run in another process, and somebody else reads the flags (`observer.py`). A tenth of
+each count by default, all of it with `--counts full` (`make campaign`). Times are random by
+`--campaign-seed`, which every failure names.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.hil.chain import Setting, memory_folder, setting
+from tests.hil.observer import GOOD, PATIENCE_S, Observer, end_process, stop_process
+from tests.hil.stable import Stable
+
+if TYPE_CHECKING:
+    from conftest import Vcan
+
+pytestmark = [pytest.mark.vcan, pytest.mark.slow]
+
+DOWNS, DELETIONS, KILLS, STOPS = 500, 200, 200, 200
+CI_SHARE = 10
+LONGEST_AGE_S = 0.1
+"""Every electrical message is stale after it: three cycles of 20 ms and a tick, and some room."""
+FIRST_FRAMES = 5
+SCENARIO = 'title = "nothing happens"\nseed = 1\nduration_s = 100000\ndrives = 2\n'
+STABLE = Path(__file__).parent / "stable.py"
+
+
+@dataclass
+class Site:
+    """The bus, the programs on it, and the observer."""
+
+    vcan: Vcan
+    used: Setting
+    folder: Path
+    stable: Stable
+    rng: random.Random
+    share: int
+    gateway: int = 0
+    drives: int = 0
+
+    def count(self, full: int) -> int:
+        """How often, in this run."""
+        return full // self.share
+
+    def run(self) -> int:
+        """Start the gateway; its pid."""
+        words = ("run", *self.used.bus, "--quiet", "--config", str(self.used.config))
+        priority = 20 if self.vcan.own_kernel else 0
+        self.gateway = self.stable.start(words, self.folder / "gateway.txt", priority)
+        return self.gateway
+
+    def drive(self) -> int:
+        """Start the drives; their pid."""
+        scenario = self.folder / "s.toml"
+        scenario.write_text(SCENARIO)
+        words = ("sim", str(scenario), *self.used.bus, "--dbc", str(self.used.codec.path))
+        priority = 10 if self.vcan.own_kernel else 0
+        self.drives = self.stable.start(words, self.folder / "drives.txt", priority)
+        return self.drives
+
+    def observer(self) -> Observer:
+        """Somebody else at the bus."""
+        return Observer(self.vcan.name, self.used.codec.path, self.used.nodes)
+
+    def check_alive(self) -> None:
+        """Neither program has ended by itself."""
+        for name, pid in (("gateway", self.gateway), ("drives", self.drives)):
+            text = (self.folder / f"{name}.txt").read_text()
+            assert self.stable.ended(pid) is None, f"{name} ended: {text[-2000:]}"
+
+    def end(self) -> None:
+        for pid in (self.gateway, self.drives):
+            if pid and self.stable.ended(pid) is None:
+                end_process(pid, signal.SIGKILL)
+                self.stable.ended(pid, block=True)
+
+
+@pytest.fixture
+def site(vcan: Vcan, request: pytest.FixtureRequest) -> Iterator[Site]:
+    seed = request.config.getoption("--campaign-seed")
+    share = 1 if request.config.getoption("--counts") == "full" else CI_SHARE
+    with memory_folder() as folder:
+        used = setting(vcan, folder, drives=2, slower=vcan.own_kernel)
+        process = vcan.start(
+            *(sys.executable, str(STABLE), str(used.config), str(used.codec.path)),
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == b'"warm"\n'
+        site = Site(vcan, used, folder, Stable(process), random.Random(seed), share)
+        try:
+            yield site
+        finally:
+            site.end()
+
+
+@contextmanager
+def round_of(site: Site, what: str, number: int) -> Iterator[None]:
+    """Says which round failed, and that the gateway is as it was."""
+    try:
+        yield
+        site.check_alive()
+    except AssertionError as failure:
+        said = (site.folder / "gateway.txt").read_text()[-2000:]
+        pytest.fail(f"{what} {number} (see --campaign-seed): {failure}\nthe gateway said: {said}")
+
+
+def told(what: str, seconds: list[float]) -> None:
+    """A line for the report of the campaign: how long it took until flags were back."""
+    ordered = sorted(seconds)
+    print(
+        f"{what}: {len(ordered)} times; first flag frame after {statistics.median(ordered):.3f} s "
+        f"(median), {ordered[int(0.99 * (len(ordered) - 1))]:.3f} s (p99), {ordered[-1]:.3f} s"
+    )
+
+
+def away_s(rng: random.Random) -> float:
+    """How long something is away: often just a blink, else longer than anything stays fresh."""
+    return rng.uniform(0.0, 0.05) if rng.random() < 0.25 else rng.uniform(LONGEST_AGE_S, 0.6)
+
+
+def test_the_link_goes_down_and_up(site: Site) -> None:
+    site.run()
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(DOWNS)):
+        with round_of(site, "down", k):
+            seen.until(seen.all_good, "every drive adheres")  # so it is not deaf either
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            away = away_s(site.rng)
+            site.vcan.link("down")
+            seen.forget()
+            time.sleep(away)
+            site.vcan.link("up")
+            back.append(seen.until(lambda: seen.flags, "a flag frame"))
+            if away >= LONGEST_AGE_S:
+                assert GOOD not in seen.flags[0].flags, f"good on stale data: {seen.flags[0]}"
+    seen.close()
+    told("link down and up", back)
+
+
+def test_the_interface_is_deleted_and_made_again(site: Site) -> None:
+    site.run()
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(DELETIONS)):
+        with round_of(site, "deletion", k):
+            seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            seen.close()
+            away = away_s(site.rng)
+            name = site.vcan.name
+            site.vcan.link("delete")
+            time.sleep(away)
+            subprocess.run(["ip", "link", "add", name, "mtu", "72", "type", "vcan"], check=True)
+            seen = site.observer()  # is there before the first frame
+            site.vcan.link("up")
+            back.append(seen.until(lambda: seen.flags, "a flag frame"))
+            if away >= LONGEST_AGE_S:
+                assert GOOD not in seen.flags[0].flags, f"good on stale data: {seen.flags[0]}"
+    seen.close()
+    told("interface deleted and made again", back)
+
+
+def test_the_gateway_is_killed(site: Site) -> None:
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(KILLS)):
+        seen.forget()
+        pid = site.run()
+        with round_of(site, "kill", k):
+            back.append(seen.until(lambda: len(seen.flags) >= FIRST_FRAMES, "flag frames"))
+            first = seen.flags[:FIRST_FRAMES]
+            assert {flag for said in first for flag in said.flags} == {0}, first
+            assert 0 not in {said.reason for said in first}, first
+            assert [said.counter for said in first] == list(range(FIRST_FRAMES)), first
+            if site.rng.random() < 0.5:
+                seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.3))
+        end_process(pid, signal.SIGKILL)
+        assert site.stable.ended(pid, block=True) == -signal.SIGKILL
+        seen.forget()
+        seen.watch(0.03)
+        assert seen.heard == 0, "something sends for a gateway that is dead"
+    site.gateway = 0
+    seen.close()
+    told("gateway killed and started (its fifth flag frame)", back)
+
+
+def test_the_gateway_is_stopped(site: Site) -> None:
+    """What was decided before a stop must not be said after it.
+
+    In half of the rounds the drives are stopped with it, so that a flag that says good afterwards
+    can only be an old one.
+    """
+    site.run()
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(STOPS)):
+        with round_of(site, "stop", k):
+            seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            silent = site.rng.random() < 0.5
+            stop_process(site.gateway, signal.SIGSTOP)
+            if silent:
+                stop_process(site.drives, signal.SIGSTOP)
+            seen.forget()
+            seen.watch(site.rng.uniform(LONGEST_AGE_S + 0.05, 0.8))
+            assert seen.heard == 0, f"{seen.heard} frames of a gateway that stands still"
+            end_process(site.gateway, signal.SIGCONT)
+            back.append(seen.until(lambda: len(seen.flags) >= FIRST_FRAMES, "flag frames"))
+            if silent:
+                old = [said for said in seen.flags if GOOD in said.flags]
+                assert not old, f"good, said long after it was decided: {old}"
+                end_process(site.drives, signal.SIGCONT)
+    seen.close()
+    assert max(back) < PATIENCE_S
+    told("gateway stopped and continued (its fifth flag frame)", back)
