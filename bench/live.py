@@ -57,7 +57,7 @@ class Pair(Kernel):
         self.ours.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE)
 
-    def connect(self, channel: str, fd: bool) -> RawSocket:  # noqa: ARG002
+    def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:  # noqa: ARG002
         """Our end."""
         return self.ours
 

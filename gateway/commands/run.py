@@ -97,8 +97,10 @@ def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
     if given.get("interface") is None:
         given = {k: v for k, v in given.items() if k == "channel"}
     elif given["interface"] in ("socketcan", "virtual"):
-        # SocketCAN's bit rates are set by `ip link`, a virtual bus has none.
-        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd")}
+        # SocketCAN's bit rates are set by `ip link`, and compared with what was said here. A
+        # virtual bus has none.
+        said = config.bus.model_fields_set if given["interface"] == "socketcan" else ()
+        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd", *said)}
     return {**given, **vars(options)}
 
 

@@ -34,6 +34,9 @@ INTRUDER = (
     "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
     "the frames of one): flags have stopped, or say unknown; see [bus] on_intruder"
 )
+OLDEST = 2
+"""Ticks after which what a step has decided is not said any more: this process stood still between
+deciding and sending, and the next step knows better. A tick that is merely late still speaks."""
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
 
@@ -174,9 +177,16 @@ def _loop(
         if alone and doubt.intruder:
             log.error("%s", INTRUDER)
         node.set_errors(errors())
-        out += node.step(meant(block), now)
+        oldest = now + OLDEST * ticker.period_ns
         for frame in out:
+            if clock() <= oldest:
+                transport.send(frame)
+            else:
+                status.tx_late += 1
+        said = node.step(meant(block), now)
+        for frame in said:
             transport.send(frame)
+        out += said
         timing.add(gateway.decided_ns, tick.now_ns, now, stepped, clock())
         seen.now_ns = now
         seen.tick = tick.number

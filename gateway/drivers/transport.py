@@ -67,6 +67,8 @@ class Status:
     tx_full: int = 0
     tx_down: int = 0
     tx_failed: int = 0
+    tx_late: int = 0
+    """Decided too long before they could be sent, and so never handed over."""
     reopened: int = 0
     """Times the interface was opened again after the first success."""
     hears_itself: bool = False
@@ -89,13 +91,16 @@ class Status:
                 self.tx_failed += 1
         return result
 
-    def saw(self, frame: Frame) -> None:
-        """Count a received frame; error frames move `bus_state`, data proves we are not off."""
+    def saw(self, frame: Frame, *, heard: bool = True) -> None:
+        """Count a received frame; error frames move `bus_state`.
+
+        heard: data proves that we are not off, where nothing else would tell.
+        """
         self.received += 1
         if frame.flags & ERROR:
             self.error_frames += 1
             self.bus_state = bus_state(frame, self.bus_state)
-        elif self.bus_state is BusState.BUS_OFF:
+        elif heard and self.bus_state is BusState.BUS_OFF:
             self.bus_state = BusState.ACTIVE
 
 

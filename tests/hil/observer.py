@@ -82,6 +82,10 @@ class Observer:
             assert time.monotonic() - began < PATIENCE_S, f"{what}: not within {PATIENCE_S} s"
             time.sleep(0.005)
 
+    def until_flags(self, count: int) -> float:
+        """Read until there are so many flag frames; returns after how many seconds."""
+        return self.until(lambda: len(self.flags) >= count, f"{count} flag frames")
+
     def watch(self, seconds: float) -> None:
         """Read for so long."""
         end = time.monotonic() + seconds
@@ -97,9 +101,8 @@ class Observer:
         self._bus.shutdown()
 
 
-def stop_process(pid: int, number: int) -> None:
-    """Send SIGSTOP and wait until the kernel says that the process stands."""
-    os.kill(pid, number)
+def await_stop(pid: int) -> None:
+    """Wait until the kernel says that a process stands still."""
     deadline = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{pid}/stat").read_text("ascii").rsplit(")", 1)[1].split()[0] != "T":
         assert time.monotonic() < deadline, f"process {pid} does not stop"

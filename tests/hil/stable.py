@@ -6,14 +6,19 @@ only the imports and the loading of compiled code have been done before. It is k
 any other process.
 
 `python tests/hil/stable.py CONFIG DBC` reads a line of JSON per request from its input and answers
-each with a line: `{"start": [words], "log": path, "priority": n}` -> pid;
-`{"wait": pid, "block": bool}` -> how it ended (a negative signal or the exit code), null if not yet.
+each with a line:
+`{"start": [words], "log": path, "priority": n, "trap": path}` -> pid;
+`{"wait": pid, "block": bool}` -> how it ended (exit code or minus the signal), null if not yet.
+
+A gateway stops itself (SIGSTOP) between deciding and sending as soon as the file `trap` is there,
+which it takes away: a signal from outside would hardly ever come just there.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import traceback
@@ -29,9 +34,12 @@ class Stable:
         """process: this file, with pipes for input and output."""
         self._process = process
 
-    def start(self, words: Sequence[str], log: Path, priority: int = 0) -> int:
+    def start(
+        self, words: Sequence[str], log: Path, priority: int = 0, trap: Path | None = None
+    ) -> int:
         """Fork a program; its outputs go to `log`. Returns its pid."""
-        return int(self._ask(start=list(words), log=str(log), priority=priority))
+        request = {"start": list(words), "log": str(log), "priority": priority}
+        return int(self._ask(**request, trap=str(trap or "")))
 
     def ended(self, pid: int, *, block: bool = False) -> int | None:
         """How a program ended: exit code, or minus the signal; None while it runs."""
@@ -61,10 +69,12 @@ def _child(request: dict[str, Any]) -> None:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(request["priority"]))
         from gateway.cli import main
 
+        if request["trap"]:
+            _set_trap(request["trap"])
         code = main(request["start"])
     except SystemExit as ending:
         code = int(ending.code or 0)
-    except BaseException:  # noqa: BLE001 - told in the log, whatever it was
+    except BaseException:  # told in the log, whatever it was
         traceback.print_exc()
     finally:
         sys.stdout.flush()
@@ -72,9 +82,26 @@ def _child(request: dict[str, Any]) -> None:
         os._exit(code)
 
 
+def _set_trap(path: str) -> None:
+    """See above. Nothing but the moment of the stop is different."""
+    from gateway.core import Gateway
+
+    step = Gateway.step
+
+    def trapped(self: Gateway, *given: Any) -> Any:
+        decided = step(self, *given)
+        if os.path.exists(path):  # noqa: PTH110 - in every tick
+            os.unlink(path)  # noqa: PTH108
+            os.kill(os.getpid(), signal.SIGSTOP)
+        return decided
+
+    Gateway.step = trapped  # type: ignore[method-assign]
+
+
 def _warm(config_path: str, dbc: str) -> None:
     """Import what `run` and `sim` import and load what they compile, by the commands themselves."""
     import can.interfaces.socketcan  # noqa: F401
+
     from dbc.codec import bind
     from gateway.cli import main
     from gateway.commands import run, sim  # noqa: F401

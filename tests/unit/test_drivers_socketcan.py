@@ -68,6 +68,7 @@ class FakeKernel(Kernel):
         self.sockets: list[FakeSocket] = []
         self.refuse: OSError | None = None
         self.slept = 0.0
+        self.waiting = 0
 
     def monotonic_ns(self) -> int:
         return self.mono
@@ -75,13 +76,16 @@ class FakeKernel(Kernel):
     def real_ns(self) -> int:
         return self.real
 
-    def connect(self, channel: str, fd: bool) -> RawSocket:
+    def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:
         if self.refuse is not None:
             raise self.refuse
         if self.link is None:
             raise problem(errno.ENODEV)
         self.sockets.append(FakeSocket())
         return self.sockets[-1]
+
+    def queued(self, raw: RawSocket) -> int:
+        return self.waiting
 
     def look(self, raw: RawSocket, channel: str) -> Link | None:
         return self.link
