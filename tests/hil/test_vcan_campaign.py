@@ -11,19 +11,15 @@ import random
 import signal
 import statistics
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.hil.chain import Setting, memory_folder, setting
-from tests.hil.observer import GOOD, Observer, await_stop, end_process
-from tests.hil.stable import Stable
+from tests.hil.observer import GOOD, await_stop, end_process
+from tests.hil.site import Site, open_site
 
 if TYPE_CHECKING:
     from conftest import Vcan
@@ -31,87 +27,15 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 DOWNS, DELETIONS, KILLS, STOPS = 500, 200, 200, 200
-CI_SHARE = 10
 LONGEST_AGE_S = 0.1
 """Every electrical message is stale after it: three cycles of 20 ms and a tick, and some room."""
 FIRST_FRAMES = 5
-SCENARIO = 'title = "nothing happens"\nseed = 1\nduration_s = 100000\ndrives = 2\n'
-STABLE = Path(__file__).parent / "stable.py"
-
-
-@dataclass
-class Site:
-    """The bus, the programs on it, and the observer."""
-
-    vcan: Vcan
-    used: Setting
-    folder: Path
-    stable: Stable
-    rng: random.Random
-    share: int
-    gateway: int = 0
-    drives: int = 0
-
-    def count(self, full: int) -> int:
-        """How often, in this run."""
-        return full // self.share
-
-    @property
-    def trap(self) -> Path:
-        """A file that stops the gateway between deciding and sending."""
-        return self.folder / "trap"
-
-    def run(self) -> int:
-        """Start the gateway; its pid."""
-        words = ("run", *self.used.bus, "--quiet", "--config", str(self.used.config))
-        priority = 20 if self.vcan.own_kernel else 0
-        log = self.folder / "gateway.txt"
-        self.gateway = self.stable.start(words, log, priority, self.trap)
-        return self.gateway
-
-    def drive(self) -> int:
-        """Start the drives; their pid."""
-        scenario = self.folder / "s.toml"
-        scenario.write_text(SCENARIO)
-        words = ("sim", str(scenario), *self.used.bus, "--dbc", str(self.used.codec.path))
-        priority = 10 if self.vcan.own_kernel else 0
-        self.drives = self.stable.start(words, self.folder / "drives.txt", priority)
-        return self.drives
-
-    def observer(self) -> Observer:
-        """Somebody else at the bus."""
-        return Observer(self.vcan.name, self.used.codec.path, self.used.nodes)
-
-    def check_alive(self) -> None:
-        """Neither program has ended by itself."""
-        for name, pid in (("gateway", self.gateway), ("drives", self.drives)):
-            text = (self.folder / f"{name}.txt").read_text()
-            assert self.stable.ended(pid) is None, f"{name} ended: {text[-2000:]}"
-
-    def end(self) -> None:
-        for pid in (self.gateway, self.drives):
-            if pid and self.stable.ended(pid) is None:
-                end_process(pid, signal.SIGKILL)
-                self.stable.ended(pid, block=True)
 
 
 @pytest.fixture
 def site(vcan: Vcan, request: pytest.FixtureRequest) -> Iterator[Site]:
-    seed = request.config.getoption("--campaign-seed")
-    share = 1 if request.config.getoption("--counts") == "full" else CI_SHARE
-    with memory_folder() as folder:
-        used = setting(vcan, folder, drives=2, slower=vcan.own_kernel)
-        process = vcan.start(
-            *(sys.executable, str(STABLE), str(used.config), str(used.codec.path)),
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
-        assert process.stdout is not None
-        assert process.stdout.readline() == b'"warm"\n'
-        site = Site(vcan, used, folder, Stable(process), random.Random(seed), share)
-        try:
-            yield site
-        finally:
-            site.end()
+    with open_site(vcan, request.config) as site:
+        yield site
 
 
 @contextmanager
@@ -200,8 +124,7 @@ def test_the_gateway_is_killed(site: Site) -> None:
             if site.rng.random() < 0.5:
                 seen.until(seen.all_good, "every drive adheres")
             seen.watch(site.rng.uniform(0.0, 0.3))
-        end_process(pid, signal.SIGKILL)
-        assert site.stable.ended(pid, block=True) == -signal.SIGKILL
+        assert site.kill(pid) == -signal.SIGKILL
         seen.forget()
         seen.watch(0.03)
         assert seen.heard == 0, "something sends for a gateway that is dead"
