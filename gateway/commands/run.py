@@ -142,7 +142,7 @@ def summary(gateway: Any, seen: Any) -> None:
     print(
         f"sent {status.sent}, refused {status.tx_refused}, queue full {status.tx_full}, "
         f"link down {status.tx_down}; kernel drops {status.kernel_drops}; "
-        f"reopened {status.reopened}"
+        f"reopened {status.reopened}; too late to be sent {status.tx_late}"
     )
     late, latency = seen.timing.lateness, seen.timing.latency
     print(
