@@ -71,8 +71,8 @@ class Site:
         scenario.write_text(f"{SCENARIO}drives = {count}\n")
         words = ["sim", str(scenario), *self.used.bus, "--dbc", str(self.used.codec.path)]
         words[words.index("-c") + 1] = channel or self.vcan.name
-        # Those that come later must not take the processor from those that are there.
-        priority = (9 if self.drives else 10) if self.vcan.own_kernel else 0
+        # Those that come later must not take the processor from those that are there, nor from us.
+        priority = 10 if self.vcan.own_kernel and not self.drives else 0
         return self._start(words, log, priority)
 
     def _start(

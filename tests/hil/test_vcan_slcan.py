@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import select
+import socket
 import subprocess
 import threading
 import time
@@ -17,17 +18,21 @@ from typing import NamedTuple
 import pytest
 
 from dbc.codec import bind
-from dbc.frame import ERROR, Frame
+from dbc.frame import ERROR, SECOND, Frame
 from dbc.protection import WINDOW, Check, Receiver, SmState, protect
 from gateway.config import shipped_dbc
+from gateway.drivers import socketcan
+from gateway.drivers.bus import open_transport
+from gateway.drivers.links import Links
 from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import LinkState, SendResult
+from gateway.drivers.transport import Allow, LinkState, SendResult
 from gateway.drivers.wire import BusState
 from tests.hil.adapter import Adapter
 
 pytestmark = pytest.mark.vcan
 
 PATIENCE_S = 20.0
+CAN_RAW_ERR_FILTER = 2
 DATA = Frame(0, 0x1A0, b"\x01\x02")
 
 
@@ -232,3 +237,71 @@ def test_our_frames_go_before_those_of_other_programs(adapter: Adapter) -> None:
     assert heard.index("t1A020102") <= 2  # one has left the kernel, one is on its way out
     other.close()
     ours.close()
+
+
+@pytest.fixture
+def watched(adapter: Adapter) -> Iterator[SocketCan]:
+    """A transport with netlink, on a socket that gets no error frames."""
+    bus = SocketCan(adapter.name, links=Links(adapter.name))
+    bus.open()
+    assert isinstance(bus._raw, socket.socket)
+    bus._raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
+    yield bus
+    bus.close()
+
+
+def test_bus_states_are_told_by_netlink_where_error_frames_are_not(
+    watched: SocketCan, adapter: Adapter
+) -> None:
+    for text, state in (
+        ("sw000100", BusState.WARNING),
+        ("sp000130", BusState.PASSIVE),
+        ("sa000000", BusState.ACTIVE),
+        ("sb000255", BusState.BUS_OFF),
+    ):
+        adapter.says(text)
+        until(watched, lambda wanted=state: watched.status.bus_state is wanted)
+    assert (watched.status.error_frames, watched.status.bus_offs) == (0, 1)
+    assert watched.send(DATA) is SendResult.DOWN
+
+
+def test_a_controller_that_is_off_already_is_seen_at_start(adapter: Adapter) -> None:
+    adapter.says("sb000255")
+    time.sleep(0.1)
+    bus = SocketCan(adapter.name, links=Links(adapter.name))
+    bus.open()
+    assert bus.status.bus_state is BusState.BUS_OFF
+    assert bus.send(DATA) is SendResult.DOWN
+    bus.close()
+
+
+def test_a_link_that_will_stay_off_is_said_at_start_with_the_cure(
+    adapter: Adapter, caplog: pytest.LogCaptureFixture
+) -> None:
+    subprocess.run(["ip", "link", "set", adapter.name, "txqueuelen", "500"], check=True)
+    bus = open_transport({"interface": "socketcan", "channel": adapter.name}, Allow({}))
+    said = [record.getMessage() for record in caplog.records]
+    assert [line.split(":")[1].split()[0] for line in said] == ["restart-ms", "500"]
+    assert f"ip link set {adapter.name} type can restart-ms 100" in said[0]
+    assert f"ip link set {adapter.name} txqueuelen 10" in said[1]
+    bus.close()
+
+
+def test_who_is_off_again_and_again_stays_silent_until_it_is_past(
+    adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socketcan, "BUS_OFF_WINDOW_NS", 5 * SECOND)
+    bus = SocketCan(adapter.name, links=Links(adapter.name))
+    bus.open()
+    for offs in range(1, 5):
+        assert bus.send(DATA) is SendResult.SENT
+        adapter.says("sb000255")
+        until(bus, lambda: bus.status.bus_state is BusState.BUS_OFF)
+        assert bus.status.bus_offs == offs
+        adapter.says("sa000000")
+        until(bus, lambda: bus.status.bus_state is BusState.ACTIVE)
+        adapter.heard()
+    assert bus.send(DATA) is SendResult.DOWN
+    assert "4 bus-offs in a minute" in bus.status.note
+    until(bus, lambda: bus.send(DATA) is SendResult.SENT)
+    bus.close()
