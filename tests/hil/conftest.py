@@ -21,6 +21,8 @@ from typing import Any
 
 import pytest
 
+from tests.hil.stable import Stable
+
 SILENCE_S = 450.0
 """Longest time without any report before the inner run is given up."""
 INNER_TIMEOUT_S = 400
@@ -295,3 +297,11 @@ def vcan(request: pytest.FixtureRequest) -> Iterator[Vcan]:
         bus.stop_all()
         for name in (bus.name, bus.second):
             subprocess.run(["ip", "link", "delete", name], check=False, capture_output=True)
+
+
+@pytest.fixture(scope="session")
+def stable() -> Iterator[Stable]:
+    """Where programs start without seconds of imports."""
+    stable = Stable()
+    yield stable
+    stable.close()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import random
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 CI_SHARE = 10
 SCENARIO = 'title = "nothing happens"\nseed = 1\nduration_s = 100000\n'
-STABLE = Path(__file__).parent / "stable.py"
+SEED = "--campaign-seed"
 
 
 @dataclass
@@ -104,20 +102,13 @@ class Site:
 
 
 @contextmanager
-def open_site(vcan: Vcan, config: pytest.Config, more: str = "") -> Iterator[Site]:
+def open_site(vcan: Vcan, stable: Stable, config: pytest.Config, more: str = "") -> Iterator[Site]:
     """A site without programs. more: lines at the end of the gateway's configuration."""
     share = 1 if config.getoption("--counts") == "full" else CI_SHARE
     with memory_folder() as folder:
         used = setting(vcan, folder, drives=2, slower=vcan.own_kernel)
         used.config.write_text(used.config.read_text() + more)
-        process = vcan.start(
-            *(sys.executable, str(STABLE), str(used.config), str(used.codec.path)),
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
-        assert process.stdout is not None
-        assert process.stdout.readline() == b'"warm"\n'
-        rng = random.Random(config.getoption("--campaign-seed"))
-        site = Site(vcan, used, folder, Stable(process), rng, share)
+        site = Site(vcan, used, folder, stable, random.Random(config.getoption(SEED)), share)
         try:
             yield site
         finally:

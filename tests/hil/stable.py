@@ -5,7 +5,7 @@ half an hour of nothing else. A child runs the same `main` with the same words a
 only the imports and the loading of compiled code have been done before. It is killed and ends like
 any other process.
 
-`python tests/hil/stable.py CONFIG DBC` reads a line of JSON per request from its input and answers
+`python tests/hil/stable.py` reads a line of JSON per request from its input and answers
 each with a line:
 `{"start": [words], "log": path, "priority": n, "trap": path}` -> pid;
 `{"wait": pid, "block": bool}` -> how it ended (exit code or minus the signal), null if not yet.
@@ -30,9 +30,16 @@ from typing import Any
 class Stable:
     """The asking end."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
-        """process: this file, with pipes for input and output."""
-        self._process = process
+    def __init__(self) -> None:
+        """Open it; takes seconds."""
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen([sys.executable, __file__], stdin=pipe, stdout=pipe)
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == b'"warm"\n'
+
+    def close(self) -> None:
+        """End it; its programs are the caller's to end."""
+        self._process.communicate(timeout=20)
 
     def start(
         self, words: Sequence[str], log: Path, priority: int = 0, trap: Path | None = None
@@ -98,7 +105,7 @@ def _set_trap(path: str) -> None:
     Gateway.step = trapped  # type: ignore[method-assign]
 
 
-def _warm(config_path: str, dbc: str) -> None:
+def _warm() -> None:
     """Import what `run` and `sim` import and load what they compile, by the commands themselves."""
     import can.interfaces.socketcan  # noqa: F401
 
@@ -109,9 +116,9 @@ def _warm(config_path: str, dbc: str) -> None:
     from gateway.drivers import bus, canopen_node, live, realtime, scheduling  # noqa: F401
     from gateway.drivers.warm import warm_up
 
-    config = load(Path(config_path))
+    config = load(None)
     warm_up(config, bind(config.dbc_path, config.nodes))
-    words = ("sim", "healthy", "--duration", "0.05", "--dbc", dbc, "-o", os.devnull)
+    words = ("sim", "healthy", "--duration", "0.05", "-o", os.devnull)
     assert main(words) == 0
 
 
@@ -137,5 +144,5 @@ def _serve() -> None:
 
 
 if __name__ == "__main__":
-    _warm(sys.argv[1], sys.argv[2])
+    _warm()
     _serve()

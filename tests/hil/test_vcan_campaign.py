@@ -20,6 +20,7 @@ import pytest
 
 from tests.hil.observer import GOOD, await_stop, end_process
 from tests.hil.site import Site, open_site
+from tests.hil.stable import Stable
 
 if TYPE_CHECKING:
     from conftest import Vcan
@@ -33,8 +34,8 @@ FIRST_FRAMES = 5
 
 
 @pytest.fixture
-def site(vcan: Vcan, request: pytest.FixtureRequest) -> Iterator[Site]:
-    with open_site(vcan, request.config) as site:
+def site(vcan: Vcan, stable: Stable, request: pytest.FixtureRequest) -> Iterator[Site]:
+    with open_site(vcan, stable, request.config) as site:
         yield site
 
 
