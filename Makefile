@@ -30,7 +30,7 @@ soak: $(VENV)/.ready
 SEED ?= 1
 campaign: $(VENV)/.ready
 	$(BIN)/pytest tests/hil/test_vcan_campaign.py tests/hil/test_vcan_faults.py --require-vcan \
-		--counts full --campaign-seed $(SEED) -rP $(ARGS)
+		--counts full --campaign-seed $(SEED) -o timeout=7200 -rP $(ARGS)
 
 # Are the tests of what decides a flag tested? Half an hour; works in a copy. What survives is listed.
 # cosmic-ray has an environment of its own: it is no dependency.

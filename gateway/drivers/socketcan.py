@@ -115,10 +115,16 @@ class Kernel:
         return raw
 
     def queued(self, raw: RawSocket) -> int:
-        """Bytes of memory of frames from this socket that the controller has not taken yet."""
+        """Memory of frames from this socket that no driver has taken yet, bytes.
+
+        0 where the kernel does not tell (before 4.12): frames then queue as they used to.
+        """
         assert isinstance(raw, socket.socket)
-        found = raw.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
-        return int(_MEMINFO.unpack(found)[_MEMINFO_WRITE])
+        try:
+            found = raw.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+            return int(_MEMINFO.unpack(found)[_MEMINFO_WRITE])
+        except (OSError, struct.error):
+            return 0
 
     def look(self, raw: RawSocket, channel: str) -> Link | None:
         """Index, flags and MTU of an interface by name; None if there is none."""
@@ -289,6 +295,7 @@ class SocketCan:
         self._batch.begin()
         self._empty_ns = self._look_ns = now
         self._held = 0
+        self._told_ns = now
         self.status.bus_state = BusState.ACTIVE
         self.status.reopened += self._opened
         self._opened = True
@@ -366,6 +373,7 @@ class SocketCan:
             self._links.hurry()
         self.status.state = LinkState.DOWN
         self.status.bus_state = BusState.ACTIVE  # down and up restarts the controller
+        self._told_ns = self._kernel.monotonic_ns()
         self.status.note = f"{self.channel} is down"
 
     def _lose(self, note: str) -> None:

@@ -128,16 +128,10 @@ class Outside:
 
     def _command(self, wanted: list[str]) -> list[str]:
         assert self._directory is not None
+        limit = INNER_TIMEOUT_S * self._patience()
         return [
             *(sys.executable, "-m", "pytest", "-v", "--color=no", "-p", "no:cacheprovider"),
-            *(
-                "-p",
-                "no:xdist",
-                "-p",
-                "no:randomly",
-                "-o",
-                f"timeout={INNER_TIMEOUT_S * self._patience()}",
-            ),
+            *("-p", "no:xdist", "-p", "no:randomly", "-o", f"timeout={limit}"),
             *("--counts", self._config.getoption("--counts")),
             *("--campaign-seed", str(self._config.getoption("--campaign-seed"))),
             *("--rootdir", str(self._config.rootpath), "--basetemp", f"{self._directory}/tmp"),

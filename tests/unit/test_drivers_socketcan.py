@@ -484,6 +484,18 @@ def test_an_answer_from_before_an_error_frame_does_not_count(
     assert look(kernel, watched) is BusState.ACTIVE
 
 
+def test_an_answer_from_before_a_down_is_no_second_bus_off(
+    kernel: FakeKernel, watched: SocketCan, asker: Asker
+) -> None:
+    asker.say(BusState.BUS_OFF)
+    look(kernel, watched)
+    assert kernel.link is not None
+    for up in (False, True):
+        kernel.link = kernel.link._replace(up=up)
+        assert look(kernel, watched) is BusState.ACTIVE
+    assert watched.status.bus_offs == 1
+
+
 def test_data_does_not_end_a_bus_off_that_netlink_can_deny(
     kernel: FakeKernel, watched: SocketCan, asker: Asker
 ) -> None:
