@@ -29,10 +29,11 @@ from dbc.protection import protect
 from estimators._lanes_kernels import ekf_lanes
 from gateway.config import Config, ConfigError, shipped_dbc
 from gateway.core import Gateway
+from gateway.drivers.kernel import Kernel, Link, RawSocket
 from gateway.drivers.live import frozen_garbage
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.scheduling import be_ordinary, be_realtime
-from gateway.drivers.socketcan import Kernel, Link, RawSocket, SocketCan
+from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.warm import warm_up
 from gateway.drivers.wire import pack
 from gateway.inbox import Inbox

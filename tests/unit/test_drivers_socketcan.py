@@ -13,8 +13,9 @@ import pytest
 from dbc.frame import ERROR, FD, MS, SECOND, Frame
 from gateway.config import ConfigError
 from gateway.drivers.batch import Batch
+from gateway.drivers.kernel import Kernel, Link, RawSocket
 from gateway.drivers.links import Facts, Links
-from gateway.drivers.socketcan import BATCH, Kernel, Link, RawSocket, SocketCan
+from gateway.drivers.socketcan import BATCH, SocketCan
 from gateway.drivers.transport import LinkState, SendResult
 from gateway.drivers.wire import BusState, pack
 from tests.messages import put
@@ -436,6 +437,7 @@ def asker(kernel: FakeKernel) -> Asker:
 def watched(kernel: FakeKernel, asker: Asker) -> SocketCan:
     bus = SocketCan("vcan0", links=asker, kernel=kernel)
     bus.open()
+    kernel.pass_time(MS)
     return bus
 
 
