@@ -164,6 +164,7 @@ class Links:
             self._ask(route)
         except OSError:
             return False
+        self.news()  # loads the library now and not in a tick, should the link be absent
         self._thread = threading.Thread(target=self._run, args=(route,), daemon=True, name="links")
         self._thread.start()
         return True

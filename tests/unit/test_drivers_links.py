@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 
@@ -132,3 +134,18 @@ def test_advice_is_said_once_and_again_when_it_changes(monkeypatch: pytest.Monke
     monkeypatch.setattr(asker, "_found", (3, answer(restart_ms=0)))
     asker.news()
     assert len(asker.advice()) == 1
+
+
+def test_the_library_is_loaded_at_start_and_not_before() -> None:
+    """It takes as long as ten ticks; and who opens no SocketCAN should not wait for it."""
+    program = """
+import sys
+from gateway.drivers import links
+from gateway.drivers.bus import open_transport
+assert not [name for name in sys.modules if name.startswith("pyroute2")]
+asker = links.Links("nosuchlink")
+assert asker.start()
+assert "pyroute2.netlink.rtnl.ifinfmsg" in sys.modules
+asker.close()
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
