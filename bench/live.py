@@ -66,14 +66,18 @@ class Pair(Kernel):
         """Always up."""
         return Link(1, up=True, mtu=72)
 
+    def close(self) -> None:
+        """Both ends."""
+        self.ours.close()
+        self.theirs.close()
+
     def swallow(self) -> None:
         """What the gateway has sent."""
-        self.theirs.setblocking(False)
         try:
-            while self.theirs.recv(72):
+            while self.theirs.recv(72, socket.MSG_DONTWAIT):
                 pass
         except BlockingIOError:
-            self.theirs.setblocking(True)
+            pass
 
 
 def ticks_of(log: Path, codec: Codec, drives: int, period_ns: int) -> list[list[Frame]]:
@@ -84,11 +88,11 @@ def ticks_of(log: Path, codec: Codec, drives: int, period_ns: int) -> list[list[
         spec = codec.by_id.get(frame.can_id)
         node = spec.node if spec is not None else frame.can_id & 0x7F
         for clone in range(node, drives + 1, 3):
-            out[frame.t_ns // period_ns].append(_as_node(frame, codec, clone - node))
+            out[frame.t_ns // period_ns].append(as_node(frame, codec, clone - node))
     return out
 
 
-def _as_node(frame: Frame, codec: Codec, further: int) -> Frame:
+def as_node(frame: Frame, codec: Codec, further: int) -> Frame:
     """The frame as the drive so many nodes further would have sent it."""
     spec = codec.by_id.get(frame.can_id)
     other = codec.by_id.get(frame.can_id + further)

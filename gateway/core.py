@@ -104,7 +104,8 @@ class Gateway:
         self.adhesion = AdhesionSide(a, motors, self.timing["adhesion"], config.loop.period_ns)
         self.flags = [{name: FlagState(since_ns=start_ns) for name in FLAGS} for _ in nodes]
         self.reports = [Report() for _ in nodes]
-        self.outbox = Outbox(codec, nodes, config.hash24(cells.checksum() if cells else ""))
+        own_hash = config.hash24(cells.checksum() if cells else "")
+        self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         self.doubt = Doubt(config.loop.period_ns)
         self.contradictions = [0] * len(nodes)

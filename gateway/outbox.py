@@ -81,8 +81,13 @@ def _oldest(ages: list[Nanos | None]) -> Nanos | None:
 class Outbox:
     """The gateway's own messages: schedule and counters. `due` is the only mutator."""
 
-    def __init__(self, codec: Codec, nodes: tuple[int, ...], config_hash: int) -> None:
+    def __init__(
+        self, codec: Codec, nodes: tuple[int, ...], config_hash: int, tick_ns: Nanos
+    ) -> None:
         """The set of messages is fixed here; nothing else can ever be sent."""
+        # A real tick wakes a little later than the one that the grid counts from, or a little
+        # less late: what is due within half a tick is due now.
+        self.slack_ns = tick_ns // 2
         self.config_hash = config_hash
         self.codec = codec
         self.counters: dict[str, int] = {}
@@ -112,11 +117,11 @@ class Outbox:
             self.next_ns["Gateway_Faults"] = now
         frames = []
         for name, start in self.next_ns.items():
-            if now < start:
+            if now + self.slack_ns < start:
                 continue
             spec = self.specs[name]
             # The grid stays, however late a tick is; what was missed is not sent later.
-            behind = (now - start) // spec.cycle_ns
+            behind = max(now - start, 0) // spec.cycle_ns
             self.next_ns[name] = start + spec.cycle_ns * (1 + behind)
             frames.append(self._frame(spec, self._values(name, view), now))
         self.last_faults = faults

@@ -78,7 +78,7 @@ def bus_load(codec: Codec, config: Config) -> float:
     """Percent of the bus that the configured drives and the gateway take."""
     from gateway.outbox import Outbox
 
-    ours = set(Outbox(codec, config.nodes, 0).specs)
+    ours = set(Outbox(codec, config.nodes, 0, config.loop.period_ns).specs)
     bus = config.bus
     busy = 0.0
     for spec in codec.messages:

@@ -120,7 +120,6 @@ class SocketCan:
         self._held = self._held + 1 if self._newest and self._kernel.queued(self._raw) else 0
         if self._held == STALLED_LOOKS:
             self.status.note = f"{self.channel}: what was sent is still waiting; nothing is added"
-            log.warning("%s", self.status.note)
         block = self._drain(self._raw, now)
         if not block.size and timeout_s > 0 and self._raw is not None:
             self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))

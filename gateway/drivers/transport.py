@@ -45,6 +45,8 @@ class SendResult(Enum):
     """Transmit queue full; the frame is dropped, the next one carries newer values."""
     DOWN = "down"
     """Interface down, absent or bus-off."""
+    LATE = "late"
+    """Decided too long before it could be sent; never handed over."""
     FAILED = "failed"
     """Refused by the kernel or device for another reason (such as FD on a classic link)."""
 
@@ -68,7 +70,6 @@ class Status:
     tx_down: int = 0
     tx_failed: int = 0
     tx_late: int = 0
-    """Decided too long before they could be sent, and so never handed over."""
     reopened: int = 0
     """Times the interface was opened again after the first success."""
     hears_itself: bool = False
@@ -87,6 +88,8 @@ class Status:
                 self.tx_full += 1
             case SendResult.DOWN:
                 self.tx_down += 1
+            case SendResult.LATE:
+                self.tx_late += 1
             case SendResult.FAILED:
                 self.tx_failed += 1
         return result

@@ -322,6 +322,21 @@ def test_messages_go_out_at_their_cycles():
     assert count["Gateway_Status"] == 20
 
 
+@pytest.mark.parametrize("most", [0.4, 0.95])
+def test_ticks_that_wake_at_odd_times_leave_no_cycle_out(most):
+    """A first tick that was late, and later ones that are less so, once cost a flag frame."""
+    core, late = gateway(), np.random.default_rng(3).uniform(0.0, most, 400)
+    late[0] = 0.49
+    count = {}
+    for k in range(400):
+        for name in named(core.step((), (k + 1) * TICK + int(late[k] * TICK))):
+            count[name] = count.get(name, 0) + 1
+    assert count["Gateway_Adhesion"] == 400
+    assert count["Drive2_Estimate"] == 200
+    assert count["Gateway_Status"] == 40
+    assert count["Gateway_Info"] == 4
+
+
 def test_farewell_says_unknown():
     bench = Bench(gateway(), drives((20.0, 8.0, 20.0)))
     bench.run(60)

@@ -1,0 +1,136 @@
+"""An hour of real time at twice the nominal load: the live loop on a socket.
+
+Six drives with everything they send (three are nominal) come from a process of its own, to the
+millisecond of their times. Where the kernel has no CAN the frames travel over a Unix socket pair
+as real `struct can_frame` bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from bench.live import Pair, as_node
+from dbc.codec import bind
+from dbc.frame import SECOND, Nanos
+from gateway.config import Config, parse
+from gateway.core import Gateway
+from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.live import LiveSnapshot, Stop, run_live
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.socketcan import SocketCan
+from gateway.drivers.warm import warm_up
+from gateway.drivers.wire import pack
+from tests.simrun import CLASSIC
+from tests.soak.books import Books, unaccounted
+from tests.storm.campaign import CALIBRATION
+from tests.storm.train import LOOP_TICKS, NODES, TICK, train
+
+DRIVES: Final = tuple(range(1, 2 * len(NODES) + 1))
+READ_S: Final = 60
+
+
+def payloads() -> list[list[bytes]]:
+    """What six drives send in each tick of a loop of the train; the last three mimic the first."""
+    codec, honest = bind(CLASSIC, DRIVES), train()
+    out = []
+    for tick in range(1, LOOP_TICKS + 1):
+        frames = list(honest.sent(tick).frames())
+        both = frames + [as_node(f, codec, len(NODES)) for f in frames]
+        out.append([pack(frame) or b"" for frame in sorted(both, key=lambda f: f.t_ns)])
+    return out
+
+
+def speak(theirs: socket.socket, loop: list[list[bytes]], ticks: int, told: Path) -> None:
+    """Send tick by tick on absolute deadlines, and say how many frames that were."""
+    theirs.setblocking(True)
+    start, frames = time.monotonic_ns(), 0
+    for tick in range(1, ticks + 1):
+        wait = start + tick * TICK - time.monotonic_ns()
+        if wait > 0:
+            time.sleep(wait / SECOND)
+        for payload in loop[(tick - 1) % len(loop)]:
+            theirs.send(payload)
+            frames += 1
+    told.write_text(json.dumps({"frames": frames, "ns": time.monotonic_ns() - start}))
+
+
+class Watch:
+    """Called by the loop after every tick: keeps the books, ends the run."""
+
+    def __init__(
+        self, books: Books, kernel: Pair, stop: Stop, told: Path, most_s: float, every_s: float
+    ) -> None:
+        self.books, self.stop, self.told = books, stop, told
+        self.kernel = kernel
+        self.every, self.most = round(every_s * SECOND), round(most_s * SECOND)
+        self.first: Nanos | None = None
+        self.due: Nanos = 0
+        self.ages: list[float] = []
+        """Age of the newest sample at each reading, ms: grows if the two clocks part."""
+        self.decided: Callable[[], Nanos | None] = lambda: None
+
+    def __call__(self, seen: LiveSnapshot) -> None:
+        self.books.count(list(seen.sent))
+        self.kernel.swallow()
+        now = seen.now_ns
+        if self.first is None:
+            self.first, self.due = now, now
+        if now >= self.due:
+            self.due += self.every
+            self.books.read((now - self.first) / SECOND / 3600.0)
+            decided = self.decided()
+            self.ages.append(float("nan") if decided is None else (now - decided) / 1e6)
+            if self.told.exists() or now - self.first > self.most:
+                self.stop()
+
+
+def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, object]:
+    """Run for so long, and what it came to. folder: for notes between the two processes."""
+    codec = bind(CLASSIC, DRIVES)
+    config: Config = parse({
+        "drive": [{"node": node} for node in DRIVES],
+        "thermal": {"calibration": str(CALIBRATION)},
+    })  # fmt: skip
+    warm_up(config, codec)
+    kernel, told, stop = Pair(), folder / "told.json", Stop()
+    told.unlink(missing_ok=True)
+    bus = SocketCan("pair", kernel=kernel)
+    bus.open()
+    ticker = Ticker(config.loop.period_ns)
+    core = Gateway(config, codec, ticker.clock())
+    books = Books(codec)
+    watch = Watch(books, kernel, stop, told, seconds + 10.0, every_s)
+    watch.decided = lambda: core.decided_ns
+    ticks = round(seconds * 100)
+    speaker = multiprocessing.get_context("fork").Process(
+        target=speak, args=(kernel.theirs, payloads(), ticks, told), daemon=True
+    )
+    speaker.start()
+    seen = run_live(core, bus, CanopenNode(DRIVES), ticker, stop=stop, on_tick=watch)
+    speaker.join()
+    kernel.close()
+    sent = json.loads(told.read_text())
+    counts = core.inbox.counts
+    timing = seen.timing
+    return {
+        **books.summary(),
+        "drives": len(DRIVES),
+        "ticks": seen.tick + 1 - seen.missed,
+        "missed": seen.missed,
+        "frames_sent_to_it": sent["frames"],
+        "frames_received": seen.status.received,
+        "kernel_drops": seen.status.kernel_drops,
+        "counts": dict(sorted((+counts).items())),
+        "unaccounted": unaccounted(counts),
+        "age_ms_first": round(watch.ages[1], 3),
+        "age_ms_last": round(watch.ages[-2], 3),
+        "age_ms_most": round(max(watch.ages[1:-1]), 3),
+        "lateness_p99_us": timing.lateness.quantile(0.99) // 1000,
+        "latency_p99_us": timing.latency.quantile(0.99) // 1000,
+    }

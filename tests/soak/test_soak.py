@@ -1,0 +1,56 @@
+"""The soaks, short: nothing that the gateway holds grows, and every frame is accounted for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.soak.books import Books
+from tests.soak.real import run
+from tests.soak.virtual import full_traffic, slow_dbc, slow_messages
+from tests.storm.train import LOOP_TICKS
+
+
+def test_full_traffic_holds_nothing_and_leaves_nothing_out():
+    rounds = 3
+    seconds = rounds * LOOP_TICKS // 100
+    soaked = full_traffic(seconds, every_s=LOOP_TICKS // 100)
+    summary, blocks = soaked.summary(), soaked.books.blocks
+    assert summary["unaccounted"] == 0
+    assert summary["counts"]["received"] > 200_000
+    # The same place in each round: one object held per tick would be 8000 more.
+    assert max(blocks[1:]) - min(blocks[1:]) < 200
+    sent = soaked.books.sent
+    assert sent["Gateway_Adhesion"] == 100 * seconds
+    assert sent["Gateway_Info"] == seconds
+    assert sent["Drive3_Estimate"] == 50 * seconds
+    assert soaked.said["adhesion GOOD"] > 15_000
+    assert soaked.said["thermal BAD"] == 0
+
+
+def test_slow_messages_keep_the_thermal_flags_good(tmp_path):
+    soaked = slow_messages(3, slow_dbc(tmp_path), span_s=320)
+    summary, blocks = soaked.summary(), soaked.books.blocks
+    assert summary["unaccounted"] == 0
+    assert max(blocks[1:]) - min(blocks[1:]) < 200
+    assert soaked.said["thermal BAD"] == 0
+    assert soaked.said["thermal UNKNOWN"] < 100
+    assert soaked.said["adhesion GOOD"] == 0
+
+
+def test_the_live_loop_on_a_socket_counts_every_frame(tmp_path):
+    result = run(4.0, tmp_path, every_s=0.5)
+    assert result["unaccounted"] == 0
+    assert result["frames_received"] == result["frames_sent_to_it"] == result["counts"]["received"]
+    assert result["kernel_drops"] == 0
+    assert result["sent"]["Gateway_Adhesion"] == result["ticks"]
+    assert result["descriptors_most"] == result["descriptors_first"]
+
+
+def test_the_books_see_a_leak():
+    books, held = Books(codec=None), []
+    for hour in range(20):
+        held += [object() for _ in range(1000)]
+        books.read(hour)
+    assert books.slope(books.blocks) == pytest.approx(1000.0, rel=0.1)
+    assert np.isfinite(books.slope(books.rss_mb))
