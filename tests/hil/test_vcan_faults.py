@@ -124,7 +124,7 @@ def test_frames_that_the_kernel_corrupts_are_never_used(site: Site) -> None:
 def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
     """In another process, right by itself, at any distance of the counters but the nearest.
 
-    A flag may say good where the second one has no processor for a while, and the first the word.
+    The guard time outlasts any moment in which one of the two has no processor.
     """
     imitator = Imitator(site)
     site.run()
@@ -143,7 +143,8 @@ def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
         good += sum(said.flags[0] == GOOD for said in seen.flags)
         assert SEQUENCE in {said.reason for said in seen.flags}, f"round {k}, {offset} ahead"
         site.check_alive()
-    assert good < heard / 10
+    assert heard > 0
+    assert good == 0
     print(f"{site.count(PHASES)} second senders; {good} of {heard} flags good while both spoke")
     seen.close()
     imitator.close()
