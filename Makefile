@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz soak mutation lint format bench calibration lock clean-kernels clean
+.PHONY: demo test fuzz soak campaign mutation lint format bench calibration lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -24,6 +24,13 @@ fuzz: $(VENV)/.ready
 # where it was stopped; what is in the repository is its last result.
 soak: $(VENV)/.ready
 	$(BIN)/python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o tests/storm/soak.jsonl
+
+# 500 link downs, 200 deletions, 200 kills, 200 stops and more on a real SocketCAN bus, at random times
+# by SEED; half an hour to an hour. The gate does a tenth of each.
+SEED ?= 1
+campaign: $(VENV)/.ready
+	$(BIN)/pytest tests/hil/test_vcan_campaign.py tests/hil/test_vcan_faults.py --require-vcan \
+		--counts full --campaign-seed $(SEED) -o timeout=7200 -rP $(ARGS)
 
 # Are the tests of what decides a flag tested? Half an hour; works in a copy. What survives is listed.
 # cosmic-ray has an environment of its own: it is no dependency.

@@ -29,10 +29,11 @@ from dbc.protection import protect
 from estimators._lanes_kernels import ekf_lanes
 from gateway.config import Config, ConfigError, shipped_dbc
 from gateway.core import Gateway
+from gateway.drivers.kernel import Kernel, Link, RawSocket
 from gateway.drivers.live import frozen_garbage
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.scheduling import be_ordinary, be_realtime
-from gateway.drivers.socketcan import Kernel, Link, RawSocket, SocketCan
+from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.warm import warm_up
 from gateway.drivers.wire import pack
 from gateway.inbox import Inbox
@@ -57,7 +58,7 @@ class Pair(Kernel):
         self.ours.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self.theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE)
 
-    def connect(self, channel: str, fd: bool) -> RawSocket:  # noqa: ARG002
+    def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:  # noqa: ARG002
         """Our end."""
         return self.ours
 

@@ -21,6 +21,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="FILE",
         help="used by the tests themselves: SocketCAN is real here; write the reports to FILE",
     )
+    group.addoption(
+        "--counts",
+        choices=("tenth", "full"),
+        default="tenth",
+        help="how often links and programs fail in tests/hil/test_vcan_campaign.py",
+    )
+    group.addoption(
+        "--campaign-seed", type=int, default=1, metavar="N", help="of the campaign's random times"
+    )
     parser.getgroup("fuzz").addoption(
         "--fuzz",
         type=int,

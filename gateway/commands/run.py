@@ -131,8 +131,10 @@ def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
     if given.get("interface") is None:
         given = {k: v for k, v in given.items() if k == "channel"}
     elif given["interface"] in ("socketcan", "virtual"):
-        # SocketCAN's bit rates are set by `ip link`, a virtual bus has none.
-        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd")}
+        # SocketCAN's bit rates are set by `ip link`, and compared with what was said here. A
+        # virtual bus has none.
+        said = config.bus.model_fields_set if given["interface"] == "socketcan" else ()
+        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd", *said)}
     return {**given, **vars(options)}
 
 
@@ -174,7 +176,7 @@ def summary(gateway: Any, seen: Any) -> None:
     print(
         f"sent {status.sent}, refused {status.tx_refused}, queue full {status.tx_full}, "
         f"link down {status.tx_down}; kernel drops {status.kernel_drops}; "
-        f"reopened {status.reopened}"
+        f"reopened {status.reopened}; too late to be sent {status.tx_late}"
     )
     late, latency = seen.timing.lateness, seen.timing.latency
     print(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from gateway.config import ConfigError
+from gateway.drivers.links import Links
 from gateway.drivers.pythoncan import PythonCan, complete
 from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.transport import Allow, Guarded, Transport
@@ -25,7 +26,7 @@ def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None =
     """Make and open the transport that the options name.
 
     Where interface or channel are missing, python-can's own sources decide (`CAN_INTERFACE`,
-    `can.conf` ..). Without `allow` anything may be sent (simulated drives).
+    `can.conf` ..). Without `allow` anything may be sent (simulated drives), late or not.
     Raises ConfigError if no interface is named or an option cannot be meant.
     """
     chosen = bus_options(options)
@@ -36,7 +37,13 @@ def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None =
         unknown = sorted(set(chosen) - set(_BUS_KEYS))
         if unknown:
             raise ConfigError("bus", [f"{key}: not an option of socketcan" for key in unknown])
-        inner = SocketCan(str(chosen["channel"]), fd=bool(chosen.get("fd", False)))
+        channel, fd = str(chosen["channel"]), bool(chosen.get("fd", False))
+        if allow is None:
+            inner = SocketCan(channel, fd=fd)
+        else:
+            bitrate, data_bitrate = (int(chosen.get(k) or 0) for k in ("bitrate", "data_bitrate"))
+            links = Links(channel, bitrate, data_bitrate)
+            inner = SocketCan(channel, fd=fd, newest=True, links=links)
     else:
         inner = PythonCan(chosen)
     transport = inner if allow is None else Guarded(inner, allow, str(chosen["channel"]))

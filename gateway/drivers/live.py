@@ -35,6 +35,9 @@ INTRUDER = (
     "the frames of one): flags have stopped, or say unknown, or go on if they are authenticated; "
     "see [bus] on_intruder"
 )
+OLDEST = 2
+"""Ticks after which what a step has decided is not said any more: this process stood still between
+deciding and sending, and the next step knows better. A tick that is merely late still speaks."""
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
 
@@ -182,8 +185,14 @@ def _loop(
         if alone and doubt.intruder:
             log.error("%s", INTRUDER)
         node.set_errors(errors())
-        out += node.step(meant(block), now)
-        results = [transport.send(frame) for frame in out]
+        oldest = now + OLDEST * ticker.period_ns
+        results = [
+            transport.send(frame) if clock() <= oldest else status.count(SendResult.LATE)
+            for frame in out
+        ]
+        events = node.step(meant(block), now)
+        results += [transport.send(frame) for frame in events]
+        out += events
         timing.add(gateway.decided_ns, tick.now_ns, now, stepped, clock())
         seen.now_ns = now
         seen.tick = tick.number

@@ -12,18 +12,15 @@ new one is opened every 0.5 s; a re-created interface shows as another index.
 from __future__ import annotations
 
 import errno
-import fcntl
-import select
-import socket
-import struct
-import time
+import logging
 from collections import deque
-from typing import NamedTuple, Protocol
 
 from dbc.block import EMPTY, Block
 from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.config import ConfigError
 from gateway.drivers.batch import Batch
+from gateway.drivers.kernel import Kernel, RawSocket
+from gateway.drivers.links import Links
 from gateway.drivers.transport import (
     RETRY_NS,
     LinkState,
@@ -32,110 +29,48 @@ from gateway.drivers.transport import (
 )
 from gateway.drivers.wire import FD_SIZE, BusState, pack
 
+log = logging.getLogger(__name__)
+
 LOOK_NS: Nanos = 100 * MS
 """Pause between two looks at the interface's index and flags: two system calls."""
 BATCH = 4096
 """Most frames read in one go, so that a flood cannot hold the loop."""
-RECEIVE_BUFFER = 8 << 20
 MOST_BUS_OFFS, BUS_OFF_WINDOW_NS = 3, 60 * SECOND
 """More of them in so long: nothing is sent until they are past. A controller that restarts and
 goes off again takes the bus from everybody else."""
 
-_SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 33, 35, 40
-_CAN_RAW_ERR_FILTER = 2
-_SIOCGIFFLAGS, _SIOCGIFMTU, _SIOCGIFINDEX = 0x8913, 0x8921, 0x8933
-_IFF_UP = 1
-_IFREQ = struct.Struct("16s24x")
+STALLED_LOOKS = 10
+"""After so many reads in a row with frames of ours still unsent it is told."""
+
 _GONE = frozenset((errno.ENODEV, errno.ENXIO, errno.EBADF))
 _QUEUE_FULL = frozenset((errno.ENOBUFS, errno.EAGAIN))
-
-
-class Link(NamedTuple):
-    """What the kernel says of an interface."""
-
-    ifindex: int
-    up: bool
-    mtu: int
-
-
-class RawSocket(Protocol):
-    """The part of `socket.socket` that is used."""
-
-    def fileno(self) -> int:
-        """Descriptor for poll."""
-
-    def send(self, data: bytes, /) -> int:
-        """Hand one frame to the kernel."""
-
-    def close(self) -> None:
-        """Close."""
-
-
-class Kernel:
-    """The system calls, in one place; tests pass a stand-in."""
-
-    def monotonic_ns(self) -> Nanos:
-        """CLOCK_MONOTONIC."""
-        return time.monotonic_ns()
-
-    def real_ns(self) -> Nanos:
-        """CLOCK_REALTIME, the clock of the kernel's stamps."""
-        return time.time_ns()
-
-    def connect(self, channel: str, fd: bool) -> RawSocket:
-        """A bound, non-blocking raw CAN socket. Raises OSError."""
-        raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        try:
-            raw.setblocking(False)
-            raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-            raw.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
-            raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, socket.CAN_ERR_MASK)
-            raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd))
-            try:
-                raw.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER)
-            except OSError:  # not root: as much as net.core.rmem_max lets
-                raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-            raw.bind((channel,))
-        except OSError:
-            raw.close()
-            raise
-        return raw
-
-    def look(self, raw: RawSocket, channel: str) -> Link | None:
-        """Index, flags and MTU of an interface by name; None if there is none."""
-        request = _IFREQ.pack(channel.encode()[:15])
-        try:
-            answers = [
-                struct.unpack_from("=i", fcntl.ioctl(raw.fileno(), code, request), 16)[0]
-                for code in (_SIOCGIFINDEX, _SIOCGIFFLAGS, _SIOCGIFMTU)
-            ]
-        except OSError:
-            return None
-        return Link(answers[0], bool(answers[1] & _IFF_UP), answers[2])
-
-    def read(self, raw: RawSocket, batch: Batch) -> None:
-        """Read what waits, as much as there is room for. OSError, BlockingIOError if nothing."""
-        batch.read(raw.fileno())
-
-    def wait(self, raw: RawSocket, timeout_ms: int) -> None:
-        """Wait until something can be read, at most so long."""
-        poll = select.poll()
-        poll.register(raw.fileno(), select.POLLIN)
-        poll.poll(timeout_ms)
-
-    def sleep(self, seconds: float) -> None:
-        """Wait without a socket."""
-        time.sleep(seconds)
 
 
 class SocketCan:
     """Transport over one SocketCAN interface."""
 
-    def __init__(self, channel: str, *, fd: bool = False, kernel: Kernel | None = None) -> None:
-        """Name the interface; `fd` also receives and allows CAN FD frames."""
+    def __init__(
+        self,
+        channel: str,
+        *,
+        fd: bool = False,
+        newest: bool = False,
+        links: Links | None = None,
+        kernel: Kernel | None = None,
+    ) -> None:
+        """Name the interface; `fd` also receives and allows CAN FD frames.
+
+        `newest`: nothing is queued behind frames that were handed over before the last read and
+        still wait, so that after a stall of the bus no more than those leave late.
+        `links`: asked for the bus state beside error frames, and for what is set up wrongly.
+        """
         self.channel = channel
         self.status = Status()
         self._fd = fd
+        self._newest = newest
+        self._links = links
+        self._held = 0  # reads in a row with frames of ours still waiting
+        self._told_ns: Nanos = 0  # when something last told the bus state
         self._kernel = kernel or Kernel()
         self._raw: RawSocket | None = None
         self._ifindex = 0
@@ -153,9 +88,18 @@ class SocketCan:
         except OSError as error:
             msg = f"no SocketCAN in this kernel: {error.strerror}; load can_raw, or use -i virtual"
             raise ConfigError("bus", [msg]) from None
+        if self._links is not None and not self._links.start():
+            log.warning("netlink is not allowed here: the bus state is told by error frames only")
+            self._links = None
+        self._ask()
 
     def close(self) -> None:
         """See Transport."""
+        self._drop()
+        if self._links is not None:
+            self._links.close()
+
+    def _drop(self) -> None:
         if self._raw is not None:
             self._raw.close()
             self._raw = None
@@ -173,6 +117,9 @@ class SocketCan:
             if timeout_s > 0:
                 self._kernel.sleep(min(timeout_s, RETRY_NS / SECOND))
             return EMPTY
+        self._held = self._held + 1 if self._newest and self._kernel.queued(self._raw) else 0
+        if self._held == STALLED_LOOKS:
+            self.status.note = f"{self.channel}: what was sent is still waiting; nothing is added"
         block = self._drain(self._raw, now)
         if not block.size and timeout_s > 0 and self._raw is not None:
             self._kernel.wait(self._raw, max(int(timeout_s * 1000), 1))
@@ -188,6 +135,9 @@ class SocketCan:
         raw = self._raw
         if raw is None or self.status.bus_state is BusState.BUS_OFF or self._too_often_off():
             return count(SendResult.DOWN)
+        if self._held and self._kernel.queued(raw):
+            return count(SendResult.FULL)
+        self._held = 0
         try:
             try:
                 raw.send(payload)
@@ -225,7 +175,7 @@ class SocketCan:
         """Open and bind. An absent interface is a state; OSError only where CAN is not there."""
         self._retry_ns = now + RETRY_NS
         try:
-            raw = self._kernel.connect(self.channel, self._fd)
+            raw = self._kernel.connect(self.channel, self._fd, self._newest)
         except OSError as error:
             if error.errno not in _GONE:
                 raise
@@ -236,6 +186,8 @@ class SocketCan:
         self._ifindex = 0
         self._batch.begin()
         self._empty_ns = self._look_ns = now
+        self._held = 0
+        self._told_ns = now
         self.status.bus_state = BusState.ACTIVE
         self.status.reopened += self._opened
         self._opened = True
@@ -252,6 +204,7 @@ class SocketCan:
                     self.status.note = f"{self.channel} cannot be opened: {error.strerror}"
         elif now >= self._look_ns:
             self._look(now)
+            self._ask()
 
     def _look(self, now: Nanos) -> None:
         """Compare index and flags of the interface with what the socket is bound to."""
@@ -277,13 +230,46 @@ class SocketCan:
                     f"ip link set {self.channel} mtu {FD_SIZE}"
                 )
 
+    def _ask(self) -> None:
+        """Compare with what netlink says, unless it was asked before we were told otherwise."""
+        if self._links is None or self._raw is None:
+            return
+        asked, found = self._links.news()
+        if found is None or found.ifindex != self._ifindex:
+            return
+        for line in self._links.advice():
+            log.warning("%s", line)
+        if (
+            found.state is not None
+            and asked > self._told_ns
+            and found.state is not (before := self.status.bus_state)
+        ):
+            self.status.bus_state = found.state
+            self._moved(before, asked)
+
+    def _moved(self, before: BusState, now: Nanos) -> None:
+        """The bus state may have changed."""
+        state = self.status.bus_state
+        if state is before:
+            return
+        log.log(
+            logging.INFO if state is BusState.ACTIVE else logging.WARNING,
+            "%s: the controller is %s", self.channel, state,
+        )  # fmt: skip
+        if state is BusState.BUS_OFF:
+            self.status.bus_offs += 1
+            self._bus_offs.append(now)
+
     def _down(self) -> None:
+        if self._links is not None:
+            self._links.hurry()
         self.status.state = LinkState.DOWN
         self.status.bus_state = BusState.ACTIVE  # down and up restarts the controller
+        self._told_ns = self._kernel.monotonic_ns()
         self.status.note = f"{self.channel} is down"
 
     def _lose(self, note: str) -> None:
-        self.close()
+        self._drop()
         self.status.note = note
         self._retry_ns = self._kernel.monotonic_ns() + RETRY_NS
 
@@ -322,12 +308,15 @@ class SocketCan:
         status.malformed += malformed
         status.kernel_drops += dropped
         if errors or status.bus_state is BusState.BUS_OFF:
+            before_all = status.bus_state
             for frame in block.frames():
                 before = status.bus_state
-                status.saw(frame)
-                if status.bus_state is BusState.BUS_OFF is not before:
-                    status.bus_offs += 1
-                    self._bus_offs.append(now)
+                status.saw(frame, heard=self._links is None)
+                self._moved(before, now)
+            if errors or status.bus_state is not before_all:
+                self._told_ns = now
+            if self._links is not None:
+                self._links.hurry()
         else:
             status.received += block.size
         return block

@@ -46,6 +46,8 @@ class SendResult(Enum):
     """Transmit queue full; the frame is dropped, the next one carries newer values."""
     DOWN = "down"
     """Interface down, absent or bus-off."""
+    LATE = "late"
+    """Decided too long before it could be sent; never handed over."""
     FAILED = "failed"
     """Refused by the kernel or device for another reason (such as FD on a classic link)."""
 
@@ -68,6 +70,7 @@ class Status:
     tx_full: int = 0
     tx_down: int = 0
     tx_failed: int = 0
+    tx_late: int = 0
     reopened: int = 0
     """Times the interface was opened again after the first success."""
     hears_itself: bool = False
@@ -88,17 +91,22 @@ class Status:
                 self.tx_full += 1
             case SendResult.DOWN:
                 self.tx_down += 1
+            case SendResult.LATE:
+                self.tx_late += 1
             case SendResult.FAILED:
                 self.tx_failed += 1
         return result
 
-    def saw(self, frame: Frame) -> None:
-        """Count a received frame; error frames move `bus_state`, data proves we are not off."""
+    def saw(self, frame: Frame, *, heard: bool = True) -> None:
+        """Count a received frame; error frames move `bus_state`.
+
+        heard: data proves that we are not off, where nothing else would tell.
+        """
         self.received += 1
         if frame.flags & ERROR:
             self.error_frames += 1
             self.bus_state = bus_state(frame, self.bus_state)
-        elif self.bus_state is BusState.BUS_OFF:
+        elif heard and self.bus_state is BusState.BUS_OFF:
             self.bus_state = BusState.ACTIVE
 
 

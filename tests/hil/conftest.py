@@ -21,10 +21,14 @@ from typing import Any
 
 import pytest
 
+from tests.hil.stable import Stable
+
 SILENCE_S = 450.0
 """Longest time without any report before the inner run is given up."""
 INNER_TIMEOUT_S = 400
 """Limit of one test inside."""
+LONG = 10
+"""Both are so many times longer where the campaign runs in full."""
 WARM_UP = """
 from dbc.codec import bind
 from gateway.config import parse
@@ -88,11 +92,14 @@ class Outside:
                 return [self._not_here(item, self._told(directory, "did not start"))]
             if ended:
                 return [_verdict(item, "failed", self._told(directory, "ended without a result"))]
-            if time.monotonic() - heard > SILENCE_S:
+            if time.monotonic() - heard > SILENCE_S * self._patience():
                 if self._job is not None:
                     self._give_up()
                 return [_verdict(item, "failed", self._told(directory, "fell silent"))]
             time.sleep(0.05)
+
+    def _patience(self) -> int:
+        return LONG if self._config.getoption("--counts") == "full" else 1
 
     def _not_here(self, item: pytest.Item, reason: str) -> pytest.TestReport:
         outcome = "failed" if self._config.getoption("--require-vcan") else "skipped"
@@ -121,9 +128,12 @@ class Outside:
 
     def _command(self, wanted: list[str]) -> list[str]:
         assert self._directory is not None
+        limit = INNER_TIMEOUT_S * self._patience()
         return [
             *(sys.executable, "-m", "pytest", "-v", "--color=no", "-p", "no:cacheprovider"),
-            *("-p", "no:xdist", "-p", "no:randomly", "-o", f"timeout={INNER_TIMEOUT_S}"),
+            *("-p", "no:xdist", "-p", "no:randomly", "-o", f"timeout={limit}"),
+            *("--counts", self._config.getoption("--counts")),
+            *("--campaign-seed", str(self._config.getoption("--campaign-seed"))),
             *("--rootdir", str(self._config.rootpath), "--basetemp", f"{self._directory}/tmp"),
             *("-c", str(self._config.inipath)),
             *("--vcan-inside", f"{self._directory}/reports"),
@@ -281,3 +291,11 @@ def vcan(request: pytest.FixtureRequest) -> Iterator[Vcan]:
         bus.stop_all()
         for name in (bus.name, bus.second):
             subprocess.run(["ip", "link", "delete", name], check=False, capture_output=True)
+
+
+@pytest.fixture(scope="session")
+def stable() -> Iterator[Stable]:
+    """Where programs start without seconds of imports."""
+    stable = Stable()
+    yield stable
+    stable.close()

@@ -6,65 +6,34 @@ three: the test plays the serial CAN adapter at the other end.
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
+import select
 import socket
-import struct
 import subprocess
+import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import pytest
 
-from dbc.frame import ERROR, Frame
+from dbc.codec import bind
+from dbc.frame import ERROR, SECOND, Frame
+from dbc.protection import WINDOW, Check, Receiver, SmState, protect
+from gateway.config import shipped_dbc
+from gateway.drivers import socketcan
+from gateway.drivers.bus import open_transport
+from gateway.drivers.links import Links
 from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import LinkState, SendResult
+from gateway.drivers.transport import Allow, LinkState, SendResult
 from gateway.drivers.wire import BusState
+from tests.hil.adapter import Adapter
 
 pytestmark = pytest.mark.vcan
 
 PATIENCE_S = 20.0
-TIOCSETD, N_SLCAN = 0x5423, 17
+CAN_RAW_ERR_FILTER = 2
 DATA = Frame(0, 0x1A0, b"\x01\x02")
-
-
-class Adapter:
-    """The far end of an slcan link."""
-
-    def __init__(self) -> None:
-        before = set(interfaces())
-        self.master, self._line = pty.openpty()
-        tty.setraw(self.master)
-        tty.setraw(self._line)
-        fcntl.ioctl(self._line, TIOCSETD, struct.pack("i", N_SLCAN))
-        new = set(interfaces()) - before
-        if not new:
-            msg = "slcan links appear outside of this network namespace"
-            raise OSError(msg)
-        (self.name,) = new
-        os.set_blocking(self.master, False)
-
-    def says(self, text: str) -> None:
-        os.write(self.master, text.encode() + b"\r")
-
-    def heard(self) -> list[str]:
-        """Complete commands that came down the line, such as `t1A020102`."""
-        try:
-            return os.read(self.master, 65536).decode().split("\r")[:-1]
-        except BlockingIOError:
-            return []
-
-    def unplug(self) -> None:
-        if self.master >= 0:
-            os.close(self.master)
-            os.close(self._line)
-            self.master = -1
-
-
-def interfaces() -> list[str]:
-    return [name for _, name in socket.if_nameindex()]
 
 
 @pytest.fixture
@@ -162,3 +131,177 @@ def test_unplugging_is_survived_and_the_next_adapter_is_used(
         until(bus, lambda: bus.status.received == 1)
     finally:
         again.unplug()
+
+
+class Arrival(NamedTuple):
+    """A frame as it came down the line."""
+
+    data: bytes
+    age_s: float
+    """Since it was handed over."""
+
+
+FLAGS = 0x1A0
+T_S = 0.01
+STALL_S = 2.0
+
+
+def stalled(bus: SocketCan, adapter: Adapter) -> list[Arrival]:
+    """Flag frames that come where nobody reads the line for two seconds, of a loop at 100 Hz.
+
+    Every tick sends a flag frame, protected as ours are, that says when.
+    """
+    spec = bind(shipped_dbc("traction.dbc"), (1, 2, 3)).by_id[FLAGS]
+    began, arrived = time.monotonic(), list[Arrival]()
+    stall, ending = (began + 0.5, began + 0.5 + STALL_S), began + 2.5 + STALL_S
+
+    def read() -> None:
+        rest = b""
+        while (now := time.monotonic()) < ending:
+            if stall[0] <= now < stall[1]:
+                time.sleep(stall[1] - now)
+            if not select.select([adapter.master], [], [], 0.05)[0]:
+                continue
+            *lines, rest = (rest + os.read(adapter.master, 4096)).split(b"\r")
+            for line in lines:
+                if line.startswith(b"t1A08"):
+                    data = bytes.fromhex(line[5:].decode())
+                    sent_s = began + int.from_bytes(data[2:], "little") / 1e6
+                    arrived.append(Arrival(data, time.monotonic() - sent_s))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    ticks = 0
+    while (now := time.monotonic()) < ending - 0.1:
+        bus.take(0.0)
+        said = bytearray(bytes(2) + round((now - began) * 1e6).to_bytes(6, "little"))
+        protect(spec, said, ticks)
+        bus.send(Frame(0, FLAGS, bytes(said)))
+        ticks += 1
+        time.sleep(max(began + ticks * T_S - time.monotonic(), 0.0))
+    reader.join()
+    return arrived
+
+
+def believed_late(arrived: list[Arrival]) -> bool:
+    """Whether a receiver of the standard takes a late flag for valid."""
+    receiver = Receiver(bind(shipped_dbc("traction.dbc"), (1, 2, 3)).by_id[FLAGS])
+    states = []
+    silent = True
+    for arrival in arrived:
+        late = arrival.age_s > STALL_S / 2
+        if late and silent:  # its cycles have passed meanwhile, with nothing
+            for _ in range(WINDOW):
+                receiver.cycle(Check.NO_NEW_DATA)
+            silent = False
+        states.append((late, receiver.cycle(receiver.check(arrival.data))))
+    assert states[0][1] is not SmState.VALID
+    assert states[-1] == (False, SmState.VALID)
+    return (True, SmState.VALID) in states
+
+
+@pytest.mark.parametrize("newest", [False, True])
+def test_after_a_stall_next_to_nothing_leaves_late_and_nothing_of_it_is_believed(
+    adapter: Adapter, newest: bool
+) -> None:
+    """Two frames are out of reach: one in the controller, and the one that waits for it.
+
+    Without `newest` the kernel's whole queue leaves, enough for a receiver to trust it.
+    """
+    bus = SocketCan(adapter.name, newest=newest)
+    bus.open()
+    adapter.heard()
+    arrived = stalled(bus, adapter)
+    bus.close()
+    late = [arrival.age_s for arrival in arrived if arrival.age_s > STALL_S / 2]
+    print(f"newest={newest}: {len(late)} of {len(arrived)} flag frames late, {bus.status.tx_full} "
+          f"refused; ages {', '.join(f'{age:.2f}' for age in late)} s")  # fmt: skip
+    assert bus.status.tx_full > 50  # it did stand still
+    if newest:
+        assert len(late) <= 2
+    else:
+        assert len(late) > 5
+    assert believed_late(arrived) is not newest
+
+
+def test_our_frames_go_before_those_of_other_programs(adapter: Adapter) -> None:
+    other, ours = SocketCan(adapter.name), SocketCan(adapter.name, newest=True)
+    other.open()
+    ours.open()
+    adapter.heard()
+    for k in range(8):  # nobody reads
+        assert other.send(Frame(0, 0x600 + k, b"")) is SendResult.SENT
+    assert ours.send(DATA) is SendResult.SENT
+    heard: list[str] = []
+    until(ours, lambda: bool(heard.extend(adapter.heard()) or len(heard) == 9))
+    assert heard.index("t1A020102") <= 2  # one has left the kernel, one is on its way out
+    other.close()
+    ours.close()
+
+
+@pytest.fixture
+def watched(adapter: Adapter) -> Iterator[SocketCan]:
+    """A transport with netlink, on a socket that gets no error frames."""
+    bus = SocketCan(adapter.name, links=Links(adapter.name))
+    bus.open()
+    assert isinstance(bus._raw, socket.socket)
+    bus._raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, 0)
+    yield bus
+    bus.close()
+
+
+def test_bus_states_are_told_by_netlink_where_error_frames_are_not(
+    watched: SocketCan, adapter: Adapter
+) -> None:
+    for text, state in (
+        ("sw000100", BusState.WARNING),
+        ("sp000130", BusState.PASSIVE),
+        ("sa000000", BusState.ACTIVE),
+        ("sb000255", BusState.BUS_OFF),
+    ):
+        adapter.says(text)
+        until(watched, lambda wanted=state: watched.status.bus_state is wanted)
+    assert (watched.status.error_frames, watched.status.bus_offs) == (0, 1)
+    assert watched.send(DATA) is SendResult.DOWN
+
+
+def test_a_controller_that_is_off_already_is_seen_at_start(adapter: Adapter) -> None:
+    adapter.says("sb000255")
+    time.sleep(0.1)
+    bus = SocketCan(adapter.name, links=Links(adapter.name))
+    bus.open()
+    assert bus.status.bus_state is BusState.BUS_OFF
+    assert bus.send(DATA) is SendResult.DOWN
+    bus.close()
+
+
+def test_a_link_that_will_stay_off_is_said_at_start_with_the_cure(
+    adapter: Adapter, caplog: pytest.LogCaptureFixture
+) -> None:
+    subprocess.run(["ip", "link", "set", adapter.name, "txqueuelen", "500"], check=True)
+    bus = open_transport({"interface": "socketcan", "channel": adapter.name}, Allow({}))
+    said = [record.getMessage() for record in caplog.records]
+    assert [line.split(":")[1].split()[0] for line in said] == ["restart-ms", "500"]
+    assert f"ip link set {adapter.name} type can restart-ms 100" in said[0]
+    assert f"ip link set {adapter.name} txqueuelen 10" in said[1]
+    bus.close()
+
+
+def test_who_is_off_again_and_again_stays_silent_until_it_is_past(
+    adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socketcan, "BUS_OFF_WINDOW_NS", 5 * SECOND)
+    bus = SocketCan(adapter.name, links=Links(adapter.name))
+    bus.open()
+    for offs in range(1, 5):
+        assert bus.send(DATA) is SendResult.SENT
+        adapter.says("sb000255")
+        until(bus, lambda: bus.status.bus_state is BusState.BUS_OFF)
+        assert bus.status.bus_offs == offs
+        adapter.says("sa000000")
+        until(bus, lambda: bus.status.bus_state is BusState.ACTIVE)
+        adapter.heard()
+    assert bus.send(DATA) is SendResult.DOWN
+    assert "4 bus-offs in a minute" in bus.status.note
+    until(bus, lambda: bus.send(DATA) is SendResult.SENT)
+    bus.close()

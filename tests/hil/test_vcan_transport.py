@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from gateway.drivers import socketcan
+from gateway.drivers import kernel
 from gateway.drivers.bus import open_transport
 from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.transport import LinkState, SendResult
@@ -220,7 +220,7 @@ def test_a_deleted_and_recreated_interface_is_heard_again(
 
 
 def test_lost_frames_are_counted_exactly(vcan: Vcan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(socketcan, "RECEIVE_BUFFER", 64 << 10)
+    monkeypatch.setattr(kernel, "RECEIVE_BUFFER", 64 << 10)
     bus = SocketCan(vcan.name)
     bus.open()
     sender = SocketCan(vcan.name)

@@ -156,6 +156,28 @@ def test_a_tick_drains_steps_and_sends_and_the_end_says_unknown_three_times() ->
     assert [(f.t_ns - flags[0].t_ns) // MS for f in flags] == [0, 10, 20, 30, 40]
 
 
+@pytest.mark.parametrize(("stood_ms", "said"), [(20, 1), (21, 0), (2000, 0)])
+def test_what_was_decided_before_a_stop_is_not_said_after_it(
+    monkeypatch: pytest.MonkeyPatch, stood_ms: int, said: int
+) -> None:
+    """Stopped between deciding and sending, by SIGSTOP or by other work. Events still leave."""
+    setup = Setup(ticks=2)
+    step = setup.core.step
+
+    def stopped(frames: Block, now_ns: int) -> list[Frame]:
+        decided = step(frames, now_ns)
+        if setup.core.ticks == 1:
+            setup.clock.now += stood_ms * MS
+        return decided
+
+    monkeypatch.setattr(setup.core, "step", stopped)
+    seen = setup.run()
+    verdicts = [f for f in setup.bus.sent if f.data == b"verdict!"]
+    assert len(verdicts) == 1 + said
+    assert seen.status.tx_late == 1 - said
+    assert next(f.data for f in setup.bus.sent if f.can_id == 0x720) == b"\x00"
+
+
 def test_missed_ticks_are_told_before_the_step() -> None:
     setup = Setup(ticks=3)
     setup.bus.stall = {0: 47 * MS}

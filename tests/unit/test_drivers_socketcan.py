@@ -13,7 +13,9 @@ import pytest
 from dbc.frame import ERROR, FD, MS, SECOND, Frame
 from gateway.config import ConfigError
 from gateway.drivers.batch import Batch
-from gateway.drivers.socketcan import BATCH, Kernel, Link, RawSocket, SocketCan
+from gateway.drivers.kernel import Kernel, Link, RawSocket
+from gateway.drivers.links import Facts, Links
+from gateway.drivers.socketcan import BATCH, SocketCan
 from gateway.drivers.transport import LinkState, SendResult
 from gateway.drivers.wire import BusState, pack
 from tests.messages import put
@@ -68,6 +70,7 @@ class FakeKernel(Kernel):
         self.sockets: list[FakeSocket] = []
         self.refuse: OSError | None = None
         self.slept = 0.0
+        self.waiting = 0
 
     def monotonic_ns(self) -> int:
         return self.mono
@@ -75,13 +78,16 @@ class FakeKernel(Kernel):
     def real_ns(self) -> int:
         return self.real
 
-    def connect(self, channel: str, fd: bool) -> RawSocket:
+    def connect(self, channel: str, fd: bool, first: bool = False) -> RawSocket:
         if self.refuse is not None:
             raise self.refuse
         if self.link is None:
             raise problem(errno.ENODEV)
         self.sockets.append(FakeSocket())
         return self.sockets[-1]
+
+    def queued(self, raw: RawSocket) -> int:
+        return self.waiting
 
     def look(self, raw: RawSocket, channel: str) -> Link | None:
         return self.link
@@ -388,3 +394,173 @@ def test_close_may_come_twice_and_sends_are_refused_after(
     bus.close()
     assert bus.send(DATA) is SendResult.DOWN
     assert kernel.sockets[-1].closed
+
+
+class Asker(Links):
+    """What netlink says, as the test wants it."""
+
+    def __init__(self, kernel: FakeKernel) -> None:
+        super().__init__("vcan0")
+        self.kernel = kernel
+        self.asked = 0
+        self.facts = Facts(7, True, True, "can", BusState.ACTIVE, 100, 0, 0, 10)
+        self.allowed = True
+        self.hurried = 0
+        self.closed = 0
+
+    def start(self) -> bool:
+        return self.allowed
+
+    def say(self, state: BusState | None, ifindex: int = 7) -> None:
+        self.asked = self.kernel.mono
+        self.facts = self.facts._replace(state=state, ifindex=ifindex)
+
+    def news(self) -> tuple[int, Facts | None]:
+        return self.asked, self.facts
+
+    def advice(self) -> list[str]:
+        return ["vcan0: do this"] if self.asked == 0 else []
+
+    def hurry(self) -> None:
+        self.hurried += 1
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def asker(kernel: FakeKernel) -> Asker:
+    return Asker(kernel)
+
+
+@pytest.fixture
+def watched(kernel: FakeKernel, asker: Asker) -> SocketCan:
+    bus = SocketCan("vcan0", links=asker, kernel=kernel)
+    bus.open()
+    kernel.pass_time(MS)
+    return bus
+
+
+OFF = Frame(0, 0x040, bytes(8), ERROR)
+RESTARTED = Frame(0, 0x100, bytes(8), ERROR)
+
+
+def error(kernel: FakeKernel, frame: Frame) -> None:
+    """`pack` does not make error frames: nobody sends them."""
+    word = struct.pack("=IB3x", frame.can_id | 0x2000_0000, 8) + frame.data
+    kernel.sockets[-1].to_read.append((word, []))
+
+
+def look(kernel: FakeKernel, bus: SocketCan) -> BusState:
+    kernel.pass_time(100 * MS)
+    bus.receive(0.0)
+    return bus.status.bus_state
+
+
+def test_netlink_tells_of_a_bus_off_whose_error_frame_was_lost(
+    kernel: FakeKernel, watched: SocketCan, asker: Asker
+) -> None:
+    asker.say(BusState.BUS_OFF)
+    assert look(kernel, watched) is BusState.BUS_OFF
+    assert look(kernel, watched) is BusState.BUS_OFF
+    assert watched.status.bus_offs == 1
+    assert watched.send(DATA) is SendResult.DOWN
+    asker.say(BusState.ACTIVE)
+    assert look(kernel, watched) is BusState.ACTIVE
+    assert watched.send(DATA) is SendResult.SENT
+
+
+def test_an_answer_from_before_an_error_frame_does_not_count(
+    kernel: FakeKernel, watched: SocketCan, asker: Asker
+) -> None:
+    asker.say(BusState.ACTIVE)
+    kernel.pass_time(10 * MS)
+    error(kernel, OFF)
+    watched.receive(0.0)
+    assert asker.hurried == 1
+    assert look(kernel, watched) is BusState.BUS_OFF
+    asker.say(BusState.BUS_OFF)
+    assert look(kernel, watched) is BusState.BUS_OFF
+    assert watched.status.bus_offs == 1
+    error(kernel, RESTARTED)
+    assert look(kernel, watched) is BusState.ACTIVE
+
+
+def test_an_answer_from_before_a_down_is_no_second_bus_off(
+    kernel: FakeKernel, watched: SocketCan, asker: Asker
+) -> None:
+    asker.say(BusState.BUS_OFF)
+    look(kernel, watched)
+    assert kernel.link is not None
+    for up in (False, True):
+        kernel.link = kernel.link._replace(up=up)
+        assert look(kernel, watched) is BusState.ACTIVE
+    assert watched.status.bus_offs == 1
+
+
+def test_data_does_not_end_a_bus_off_that_netlink_can_deny(
+    kernel: FakeKernel, watched: SocketCan, asker: Asker
+) -> None:
+    asker.say(BusState.BUS_OFF)
+    look(kernel, watched)
+    kernel.arrive()
+    assert look(kernel, watched) is BusState.BUS_OFF
+
+
+def test_a_link_without_a_controller_and_another_link_say_nothing(
+    kernel: FakeKernel, watched: SocketCan, asker: Asker
+) -> None:
+    asker.say(None)
+    assert look(kernel, watched) is BusState.ACTIVE
+    asker.say(BusState.BUS_OFF, ifindex=8)
+    assert look(kernel, watched) is BusState.ACTIVE
+
+
+def test_advice_is_logged_and_the_asker_ends_with_the_bus(
+    kernel: FakeKernel, asker: Asker, caplog: pytest.LogCaptureFixture
+) -> None:
+    bus = SocketCan("vcan0", links=asker, kernel=kernel)
+    bus.open()
+    assert "vcan0: do this" in caplog.text
+    kernel.link = None
+    look(kernel, bus)
+    assert (bus.status.state, asker.closed) == (LinkState.ABSENT, 0)
+    bus.close()
+    assert asker.closed == 1
+
+
+def test_where_netlink_is_forbidden_error_frames_do(
+    kernel: FakeKernel, asker: Asker, caplog: pytest.LogCaptureFixture
+) -> None:
+    asker.allowed = False
+    bus = SocketCan("vcan0", links=asker, kernel=kernel)
+    bus.open()
+    assert "netlink is not allowed" in caplog.text
+    error(kernel, OFF)
+    assert look(kernel, bus) is BusState.BUS_OFF
+    kernel.arrive()
+    assert look(kernel, bus) is BusState.ACTIVE
+
+
+def test_nothing_is_queued_behind_what_still_waits(kernel: FakeKernel) -> None:
+    bus = SocketCan("vcan0", newest=True, kernel=kernel)
+    bus.open()
+    assert bus.send(DATA) is SendResult.SENT
+    kernel.waiting = 768
+    assert bus.send(DATA) is SendResult.SENT  # the same tick: its frames belong together
+    for _ in range(12):
+        bus.receive(0.0)
+        assert bus.send(DATA) is SendResult.FULL
+    assert bus.status.tx_full == 12
+    assert "nothing is added" in bus.status.note
+    kernel.waiting = 0  # gone between the read and the send
+    assert bus.send(DATA) is SendResult.SENT
+    bus.receive(0.0)
+    assert bus.send(DATA) is SendResult.SENT
+    assert len(kernel.sockets[-1].sent) == 4
+
+
+def test_simulated_drives_may_queue(kernel: FakeKernel, bus: SocketCan) -> None:
+    kernel.waiting = 768
+    bus.receive(0.0)
+    assert bus.send(DATA) is SendResult.SENT

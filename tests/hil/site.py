@@ -1,0 +1,115 @@
+"""A bus with a gateway, drives and somebody else who reads the flags, for tests of many rounds."""
+
+from __future__ import annotations
+
+import random
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.hil.chain import Setting, memory_folder, setting
+from tests.hil.observer import Observer, end_process
+from tests.hil.stable import Stable
+
+if TYPE_CHECKING:
+    from conftest import Vcan
+
+CI_SHARE = 10
+SCENARIO = 'title = "nothing happens"\nseed = 1\nduration_s = 100000\n'
+SEED = "--campaign-seed"
+
+
+@dataclass
+class Site:
+    """The bus, the programs on it, and the observer."""
+
+    vcan: Vcan
+    used: Setting
+    folder: Path
+    stable: Stable
+    rng: random.Random
+    share: int
+    gateway: int = 0
+    drives: int = 0
+    _started: list[int] = field(default_factory=list)
+
+    def count(self, full: int) -> int:
+        """How often, in this run."""
+        return full // self.share
+
+    @property
+    def trap(self) -> Path:
+        """A file that stops the gateway between deciding and sending."""
+        return self.folder / "trap"
+
+    def run(self) -> int:
+        """Start the gateway; its pid."""
+        self.gateway = self.another_gateway("gateway.txt", self.trap)
+        return self.gateway
+
+    def another_gateway(self, log: str = "another.txt", trap: Path | None = None) -> int:
+        """Start a gateway that is not `self.gateway`; its pid."""
+        words = ("run", *self.used.bus, "--quiet", "--config", str(self.used.config))
+        priority = 20 if self.vcan.own_kernel else 0
+        return self._start(words, log, priority, trap)
+
+    def drive(self, channel: str = "") -> int:
+        """Start the drives, on another interface if one is named; their pid."""
+        self.drives = self.more_drives(len(self.used.nodes), channel, "drives.txt")
+        return self.drives
+
+    def more_drives(self, count: int, channel: str = "", log: str = "more.txt") -> int:
+        """Start drives 1 to `count` that are not `self.drives`; their pid."""
+        scenario = self.folder / f"{count}.toml"
+        scenario.write_text(f"{SCENARIO}drives = {count}\n")
+        words = ["sim", str(scenario), *self.used.bus, "--dbc", str(self.used.codec.path)]
+        words[words.index("-c") + 1] = channel or self.vcan.name
+        # Those that come later must not take the processor from those that are there, nor from us.
+        priority = 10 if self.vcan.own_kernel and not self.drives else 0
+        return self._start(words, log, priority)
+
+    def _start(
+        self, words: Sequence[str], log: str, priority: int, trap: Path | None = None
+    ) -> int:
+        self._started.append(self.stable.start(words, self.folder / log, priority, trap))
+        return self._started[-1]
+
+    def kill(self, pid: int, number: int = signal.SIGKILL) -> int | None:
+        """End a program and wait for it; how it ended."""
+        end_process(pid, number)
+        self._started.remove(pid)
+        return self.stable.ended(pid, block=True)
+
+    def observer(self) -> Observer:
+        """Somebody else at the bus."""
+        return Observer(self.vcan.name, self.used.codec.path, self.used.nodes)
+
+    def check_alive(self) -> None:
+        """Neither program has ended by itself."""
+        for name, pid in (("gateway", self.gateway), ("drives", self.drives)):
+            text = (self.folder / f"{name}.txt").read_text()
+            assert self.stable.ended(pid) is None, f"{name} ended: {text[-2000:]}"
+
+    def end(self) -> None:
+        """Kill what still runs."""
+        for pid in self._started:
+            end_process(pid, signal.SIGKILL)
+
+
+@contextmanager
+def open_site(vcan: Vcan, stable: Stable, config: pytest.Config, more: str = "") -> Iterator[Site]:
+    """A site without programs. more: lines at the end of the gateway's configuration."""
+    share = 1 if config.getoption("--counts") == "full" else CI_SHARE
+    with memory_folder() as folder:
+        used = setting(vcan, folder, drives=2, slower=vcan.own_kernel)
+        used.config.write_text(used.config.read_text() + more)
+        site = Site(vcan, used, folder, stable, random.Random(config.getoption(SEED)), share)
+        try:
+            yield site
+        finally:
+            site.end()

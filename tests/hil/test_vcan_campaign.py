@@ -1,0 +1,170 @@
+"""A gateway on a real bus through what happens in years: links that go, programs that die or hang.
+
+The drives run in another process, and somebody else reads the flags (`observer.py`). A tenth of
+each count by default, all of it with `--counts full` (`make campaign`). Times are random by
+`--campaign-seed`, which every failure names.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import statistics
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.hil.observer import GOOD, await_stop, end_process
+from tests.hil.site import Site, open_site
+from tests.hil.stable import Stable
+
+if TYPE_CHECKING:
+    from conftest import Vcan
+
+pytestmark = [pytest.mark.vcan, pytest.mark.slow]
+
+DOWNS, DELETIONS, KILLS, STOPS = 500, 200, 200, 200
+LONGEST_AGE_S = 0.1
+"""Every electrical message is stale after it: three cycles of 20 ms and a tick, and some room."""
+FIRST_FRAMES = 5
+
+
+@pytest.fixture
+def site(vcan: Vcan, stable: Stable, request: pytest.FixtureRequest) -> Iterator[Site]:
+    with open_site(vcan, stable, request.config) as site:
+        yield site
+
+
+@contextmanager
+def round_of(site: Site, what: str, number: int) -> Iterator[None]:
+    """Says which round failed, and that the gateway is as it was."""
+    try:
+        yield
+        site.check_alive()
+    except AssertionError as failure:
+        said = (site.folder / "gateway.txt").read_text()[-2000:]
+        pytest.fail(f"{what} {number} (see --campaign-seed): {failure}\nthe gateway said: {said}")
+
+
+def told(what: str, seconds: list[float]) -> None:
+    """A line for the report of the campaign: how long it took until flags were back."""
+    ordered = sorted(seconds)
+    print(
+        f"{what}: {len(ordered)} times; first flag frame after {statistics.median(ordered):.3f} s "
+        f"(median), {ordered[int(0.99 * (len(ordered) - 1))]:.3f} s (p99), {ordered[-1]:.3f} s"
+    )
+
+
+def away_s(rng: random.Random) -> float:
+    """How long something is away: often just a blink, else longer than anything stays fresh."""
+    return rng.uniform(0.0, 0.05) if rng.random() < 0.25 else rng.uniform(LONGEST_AGE_S, 0.6)
+
+
+def test_the_link_goes_down_and_up(site: Site) -> None:
+    site.run()
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(DOWNS)):
+        with round_of(site, "down", k):
+            seen.until(seen.all_good, "every drive adheres")  # so it is not deaf either
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            away = away_s(site.rng)
+            site.vcan.link("down")
+            seen.forget()
+            time.sleep(away)
+            site.vcan.link("up")
+            back.append(seen.until_flags(1))
+            if away >= LONGEST_AGE_S:
+                assert GOOD not in seen.flags[0].flags, f"good on stale data: {seen.flags[0]}"
+    seen.close()
+    told("link down and up", back)
+
+
+def test_the_interface_is_deleted_and_made_again(site: Site) -> None:
+    site.run()
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(DELETIONS)):
+        with round_of(site, "deletion", k):
+            seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            seen.close()
+            away = away_s(site.rng)
+            name = site.vcan.name
+            site.vcan.link("delete")
+            time.sleep(away)
+            subprocess.run(["ip", "link", "add", name, "mtu", "72", "type", "vcan"], check=True)
+            seen = site.observer()  # is there before the first frame
+            site.vcan.link("up")
+            back.append(seen.until_flags(1))
+            if away >= LONGEST_AGE_S:
+                assert GOOD not in seen.flags[0].flags, f"good on stale data: {seen.flags[0]}"
+    seen.close()
+    told("interface deleted and made again", back)
+
+
+def test_the_gateway_is_killed(site: Site) -> None:
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(KILLS)):
+        seen.forget()
+        pid = site.run()
+        with round_of(site, "kill", k):
+            back.append(seen.until_flags(FIRST_FRAMES))
+            first = seen.flags[:FIRST_FRAMES]
+            assert {flag for said in first for flag in said.flags} == {0}, first
+            assert 0 not in {said.reason for said in first}, first
+            assert [said.counter for said in first] == list(range(FIRST_FRAMES)), first
+            if site.rng.random() < 0.5:
+                seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.3))
+        assert site.kill(pid) == -signal.SIGKILL
+        seen.forget()
+        seen.watch(0.03)
+        assert seen.heard == 0, "something sends for a gateway that is dead"
+    site.gateway = 0
+    seen.close()
+    told("gateway killed and started (its fifth flag frame)", back)
+
+
+def test_the_gateway_is_stopped(site: Site) -> None:
+    """What was decided before a stop must not be said after it.
+
+    Half of the stops come at any time, half between deciding and sending. In half of the rounds
+    the drives are stopped, too, so that a flag that says good afterwards can only be an old one.
+    """
+    site.run()
+    site.drive()
+    seen = site.observer()
+    back = []
+    for k in range(site.count(STOPS)):
+        with round_of(site, "stop", k):
+            seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            silent, between = site.rng.random() < 0.5, site.rng.random() < 0.5
+            if between:
+                site.trap.touch()
+            else:
+                end_process(site.gateway, signal.SIGSTOP)
+            await_stop(site.gateway)
+            if silent:
+                end_process(site.drives, signal.SIGSTOP)
+                await_stop(site.drives)
+            seen.forget()
+            seen.watch(site.rng.uniform(LONGEST_AGE_S + 0.05, 0.8))
+            assert seen.heard == 0, f"{seen.heard} frames of a gateway that stands still"
+            end_process(site.gateway, signal.SIGCONT)
+            back.append(seen.until_flags(FIRST_FRAMES))
+            if silent:
+                old = [said for said in seen.flags if GOOD in said.flags]
+                assert not old, f"good, said long after it was decided: {old}"
+                end_process(site.drives, signal.SIGCONT)
+    seen.close()
+    told("gateway stopped and continued (its fifth flag frame)", back)

@@ -1,0 +1,224 @@
+"""What a bus does to a gateway that runs: corruption by the kernel, other senders, a clock that
+steps, frames of another kind. The counts are a tenth of what `--counts full` does.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import can
+import pytest
+
+from dbc.protection import protect
+from tests.hil.observer import ADHESION, GOOD, Observer, await_stop, end_process
+from tests.hil.site import Site, open_site
+from tests.hil.stable import Stable
+
+if TYPE_CHECKING:
+    from conftest import Vcan
+
+pytestmark = [pytest.mark.vcan, pytest.mark.slow]
+
+PATTERNS, PHASES = 60, 60
+CURRENTS = 0x181
+CORRUPTED, SEQUENCE, INTRUDER = 3, 4, 10
+ATTEMPTS = 3
+"""A machine that stands still changes flags, too; a fault of ours does so every time."""
+
+
+@pytest.fixture
+def site(vcan: Vcan, stable: Stable, request: pytest.FixtureRequest) -> Iterator[Site]:
+    with open_site(vcan, stable, request.config) as site:
+        yield site
+
+
+def cangw(rule: str) -> None:
+    subprocess.run(["cangw", *rule.split()], check=True, stdout=subprocess.DEVNULL)
+
+
+def handled() -> int:
+    """Frames that the rule with a modification has let pass."""
+    listed = subprocess.run(["cangw", "-L"], capture_output=True, text=True, check=False).stdout
+    (line,) = [line for line in listed.splitlines() if "-m XOR" in line]
+    found = re.search(r"# (\d+) handled (\d+) dropped", line)
+    assert found is not None, line
+    assert found[2] == "0", line
+    return int(found[1])
+
+
+class Imitator:
+    """Sends drive 1's currents as well: the same values, well protected, its counter elsewhere."""
+
+    def __init__(self, site: Site) -> None:
+        self._spec = site.used.drives[CURRENTS]
+        only = [{"can_id": CURRENTS, "can_mask": 0x7FF, "extended": False}]
+        self._bus = can.Bus(interface="socketcan", channel=site.vcan.name, can_filters=only)
+
+    def speak(self, seconds: float, offset: int) -> None:
+        """For so long, one frame for each of the drive's, as soon as it is heard."""
+        while self._bus.recv(0) is not None:
+            pass
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            message = self._bus.recv(0.05)
+            if message is not None:
+                data = bytearray(message.data)
+                protect(self._spec, data, (data[1] & 0x0F) + offset)
+                message.data = data
+                self._bus.send(message)
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+def first_of(seen: Observer) -> set[int]:
+    """What the frames since `forget` say of drive 1."""
+    seen.take()
+    return {said.flags[0] for said in seen.flags}
+
+
+def test_frames_that_the_kernel_corrupts_are_never_used(site: Site) -> None:
+    """One to three flipped bits anywhere in drive 1's currents, header included."""
+    way = f"-s {site.vcan.second} -d {site.vcan.name} -e"
+    clean = f"{way} -f {CURRENTS:X}:7FF"
+    cangw(f"-A {way} -f {CURRENTS:X}~7FF")
+    cangw(f"-A {clean}")
+    site.run()
+    site.drive(site.vcan.second)
+    seen = site.observer()
+    corrupted = 0
+    for _ in range(site.count(PATTERNS)):
+        seen.until(seen.all_good, "every drive adheres")
+        bits = sum(1 << bit for bit in site.rng.sample(range(64), site.rng.randint(1, 3)))
+        flip = f"{clean} -m XOR:D:0.0.{bits.to_bytes(8, 'big').hex().upper()}"
+        cangw(f"-A {flip}")
+        cangw(f"-D {clean}")
+        seen.forget()
+        seen.until(lambda: first_of(seen) - {GOOD}, f"doubt after XOR {bits:016x}")
+        seen.forget()
+        seen.watch(site.rng.uniform(0.2, 0.5))
+        assert GOOD not in first_of(seen), f"XOR {bits:016x}: good on corrupted currents"
+        assert {said.reason for said in seen.flags} == {CORRUPTED}, f"XOR {bits:016x}"
+        end_process(site.drives, signal.SIGSTOP)  # while it is counted
+        await_stop(site.drives)
+        corrupted += handled()
+        cangw(f"-D {flip}")
+        cangw(f"-A {clean}")
+        end_process(site.drives, signal.SIGCONT)
+        site.check_alive()
+    assert site.kill(site.drives, signal.SIGTERM) == 0
+    assert site.kill(site.gateway, signal.SIGTERM) == 0
+    summary = (site.folder / "gateway.txt").read_text()
+    counted = re.search(r"\berror (\d+)", summary)
+    assert counted is not None, summary
+    print(f"{corrupted} frames corrupted by the kernel, {counted[1]} counted")
+    assert corrupted == int(counted[1])
+    seen.close()
+
+
+def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
+    """In another process, right by itself, at any distance of the counters but the nearest.
+
+    The guard time outlasts any moment in which one of the two has no processor.
+    """
+    imitator = Imitator(site)
+    site.run()
+    site.drive()
+    seen = site.observer()
+    heard = good = 0
+    for k in range(site.count(PHASES)):
+        seen.until(seen.all_good, "every drive adheres")
+        seen.watch(site.rng.uniform(0.0, 0.02))
+        offset = site.rng.randint(3, 13)
+        imitator.speak(0.1, offset)
+        seen.forget()
+        imitator.speak(site.rng.uniform(0.3, 0.8), offset)
+        seen.take()
+        heard += len(seen.flags)
+        good += sum(said.flags[0] == GOOD for said in seen.flags)
+        assert SEQUENCE in {said.reason for said in seen.flags}, f"round {k}, {offset} ahead"
+        site.check_alive()
+    assert heard > 0
+    assert good == 0
+    print(f"{site.count(PHASES)} second senders; {good} of {heard} flags good while both spoke")
+    seen.close()
+    imitator.close()
+
+
+def test_a_step_of_the_clock_changes_no_flag(site: Site) -> None:
+    if not site.vcan.own_kernel:
+        pytest.skip("the wall clock is set only where it is not the machine's own")
+    site.run()
+    site.drive()
+    seen = site.observer()
+    changed: list[str] = []
+    for _ in range(ATTEMPTS):
+        seen.until(seen.all_good, "every drive adheres")
+        seen.watch(0.5)
+        seen.forget()
+        started, real = time.monotonic(), time.time()
+        try:
+            for step_s in (3600, -3600, 0):
+                passed = time.monotonic() - started
+                time.clock_settime(time.CLOCK_REALTIME, real + passed + step_s)
+                seen.watch(1.0)
+        finally:
+            time.clock_settime(time.CLOCK_REALTIME, real + time.monotonic() - started)
+        assert len(seen.flags) > 200
+        other = [said for said in seen.flags if set(said.flags) != {GOOD}]
+        if not other:
+            break
+        changed.append(str(other[0]))
+    else:
+        pytest.fail(f"flags changed each time: {changed}")
+    site.check_alive()
+    seen.close()
+
+
+def test_can_fd_frames_do_not_reach_a_gateway_on_classic_can(site: Site) -> None:
+    """Not as data of a drive, and not as another gateway either."""
+    site.run()
+    site.drive()
+    seen = site.observer()
+    other = can.Bus(interface="socketcan", channel=site.vcan.name, fd=True, can_filters=[])
+    for _ in range(ATTEMPTS):
+        seen.until(seen.all_good, "every drive adheres")
+        seen.forget()
+        for _ in range(10):
+            for can_id in (CURRENTS, ADHESION, 0):
+                other.send(can.Message(arbitration_id=can_id, is_extended_id=False, is_fd=True,
+                                       data=bytes(8)))  # fmt: skip
+        seen.watch(0.3)
+        assert INTRUDER not in {said.reason for said in seen.flags}
+        if {said.flags for said in seen.flags} == {(GOOD, GOOD)}:
+            break
+    else:
+        pytest.fail(f"flags changed each time: {seen.flags}")
+    other.shutdown()
+    site.check_alive()
+    seen.close()
+
+
+def test_an_intruder_is_told_for_good_where_flags_shall_go_on(
+    vcan: Vcan, stable: Stable, request: pytest.FixtureRequest
+) -> None:
+    with open_site(vcan, stable, request.config, '[bus]\non_intruder = "go_on"\n') as site:
+        site.run()
+        site.drive()
+        seen = site.observer()
+        seen.until(seen.all_good, "every drive adheres")
+        second = site.another_gateway()
+        seen.until(lambda: seen.flags[-1].reason == INTRUDER, "an intruder")
+        assert site.kill(second) == -signal.SIGKILL
+        seen.forget()
+        seen.watch(2.0)
+        assert {said.reason for said in seen.flags} == {INTRUDER}
+        assert not [said for said in seen.flags if GOOD in said.flags]
+        assert len(seen.flags) > 50
+        site.check_alive()
+        seen.close()
