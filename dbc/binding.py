@@ -51,8 +51,10 @@ def load(path: Path, *, strict: bool = True) -> Database:
         impossible = list(oversized(path.read_bytes()))
     except FileNotFoundError:
         raise DbcMismatch(path, ["no such file"]) from None
-    except OSError as error:
-        raise DbcMismatch(path, [f"cannot be read: {error.strerror}"]) from None
+    except (OSError, ValueError) as error:
+        # ValueError: a NUL in the name, which a TOML string may hold.
+        why = error.strerror if isinstance(error, OSError) else error
+        raise DbcMismatch(path, [f"cannot be read: {why}"]) from None
     if impossible:
         raise DbcMismatch(path, impossible)
     quiet = logging.getLogger("cantools.database.can.database")
@@ -83,7 +85,7 @@ def specs_of(
     problems: list[str] = []
     try:
         specs = prepared.recall(path.read_bytes())
-    except OSError:
+    except (OSError, ValueError):
         # `load` says what is wrong with it.
         specs = None
     if specs is None:

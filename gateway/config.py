@@ -6,7 +6,6 @@ May know: file names and numbers. May not know: buses, clocks, the DBC's content
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -19,6 +18,8 @@ from pydantic import (
     model_validator,
 )
 
+from dbc.text import TomlError, printable, read_toml
+
 BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
 
 
@@ -27,8 +28,8 @@ class ConfigError(Exception):
 
     def __init__(self, source: str, problems: list[str]) -> None:
         """Keep the list; the text is one line per problem."""
-        self.problems = problems
-        super().__init__(f"{source}: " + "; ".join(problems))
+        self.problems = [printable(problem) for problem in problems]
+        super().__init__(f"{source}: " + "; ".join(self.problems))
 
 
 class Strict(BaseModel):
@@ -291,10 +292,10 @@ def load(path: Path | None, **changes: dict[str, Any]) -> Config:
     if path is None:
         return parse(changes, "command line")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = read_toml(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, TomlError) as error:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     if "base" in raw:
         raise ConfigError(str(path), ["base: unknown key; remove it or correct its name"])

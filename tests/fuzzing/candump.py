@@ -1,0 +1,99 @@
+"""Fuzz target: the candump reader. Input: the text of a log, or a gzip file."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Callable
+from zlib import crc32
+
+from dbc import candump as module
+from dbc.candump import LogError, Reader
+from dbc.frame import Frame
+from dbc.logline import Verdict, format_frame, parse_line
+from tests.fuzzing.held import Held
+
+ZIPPED = b"\x1f\x8b"
+READERS = 32
+"""One input of so many goes through both readers, strict and not; the others line by line."""
+Told = tuple[list[Frame], Counter[Verdict], int, list, int, str]
+
+
+def candump(
+    data: bytes, parse: Callable = parse_line, reader: type[Reader] = Reader, every: int = READERS
+) -> int:
+    """Every line has one verdict; the readers say the same. Returns the lines looked at."""
+    if data.startswith(ZIPPED):
+        return _zipped(data, reader)
+    lines = data.split(b"\n")
+    verdicts = []
+    frames = []
+    for line in lines:
+        verdict, frame = parse(line)
+        assert (frame is not None) == (verdict <= Verdict.ERROR_FRAME), (line, verdict, frame)
+        if frame is not None:
+            assert parse(format_frame(frame)) == (verdict, frame), line
+            frames.append(frame)
+        verdicts.append(verdict)
+    mark = crc32(data)
+    if mark % every:
+        return len(lines)
+    terminated = not lines[-1]
+    told = [_read(reader, data, strict, mark) for strict in (False, True)]
+    found, counts, count, problems, _, fault = told[0]
+    assert count == counts.total() == len(lines) - terminated
+    assert fault == ""
+    assert found == frames or (not terminated and found == frames[:-1])
+    assert len(found) == sum(counts[v] for v in Verdict if v <= Verdict.ERROR_FRAME)
+    certain = Counter(verdicts[:-1])
+    last = counts - certain
+    assert certain <= counts, (counts, certain)
+    assert terminated or set(last) <= {Verdict.CUT, verdicts[-1]}, last
+    stopped, _, at, seen, _, fault = told[1]
+    if problems:
+        assert fault.startswith(f"log:{problems[0].line}: "), fault
+        assert at == problems[0].line
+        assert seen == problems[:1]
+        assert stopped == found[: len(stopped)]
+    else:
+        assert told[1] == told[0]
+    return len(lines)
+
+
+def _read(reader: type[Reader], data: bytes, strict: bool, mark: int) -> Told:
+    """What both ways of reading say; in small pieces, so that lines are cut everywhere."""
+    usual, module._CHUNK = module._CHUNK, 1 + mark // READERS % 200
+    try:
+        plain, fast = (reader(io.BytesIO(data), strict=strict) for _ in range(2))
+        first = _told(plain, iter(plain))
+        second = _told(fast, (f for block in fast.blocks() for f in block.frames()))
+    finally:
+        module._CHUNK = usual
+    assert first == second
+    return first
+
+
+def _told(reader: Reader, frames) -> Told:
+    found, fault = [], ""
+    try:
+        for frame in frames:
+            found.append(frame)  # noqa: PERF402 - what came before a fault counts
+    except LogError as error:
+        fault = str(error)
+        assert reader.strict
+        assert error.line == reader.lines
+        assert len(fault.splitlines()) == 1
+    return found, +reader.counts, reader.lines, reader.problems, reader.drops, fault
+
+
+def _zipped(data: bytes, reader: type[Reader]) -> int:
+    """Whatever can be unpacked is read; a damage is said once."""
+    plain, fast = reader(Held(data)), reader(Held(data))
+    first = _told(plain, iter(plain))
+    assert first == _told(fast, (f for block in fast.blocks() for f in block.frames()))
+    assert plain.lines == plain.counts.total()
+    assert plain.truncated == fast.truncated
+    strict = reader(Held(data), strict=True)
+    stopped = _told(strict, iter(strict))
+    assert bool(stopped[-1]) == bool(plain.truncated or plain.problems), (first, stopped)
+    return plain.lines
