@@ -91,8 +91,8 @@ def main() -> None:
     atheris.Setup(
         [
             sys.argv[0], str(found), str(CORPUS / name), f"-seed={seed}", "-timeout=60",
-            f"-max_len={int(longest) or target.longest}", f"-artifact_prefix={report}.", "-rss_limit_mb=4096",
-            "-reload=0", "-verbosity=0", f"-dict={_dictionary(target.tokens, report)}",
+            f"-max_len={int(longest) or target.longest}", f"-artifact_prefix={report}.",
+            "-rss_limit_mb=4096", "-reload=0", "-verbosity=0", f"-dict={_dictionary(target.tokens, report)}",
         ],
         once,
         **({"custom_mutator": other} if target.is_slow else {}),

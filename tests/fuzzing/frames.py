@@ -19,7 +19,7 @@ from gateway.config import parse
 from gateway.core import Gateway
 from gateway.inbox import OWN_CANOPEN, Inbox
 from gateway.supervision import Supervision
-from tests.sender import CLASSIC, FD_FILE, codec_for
+from tests.sender import FD_FILE, codec_for
 
 NODES = (1, 2)
 CODECS = (codec_for(NODES), codec_for(NODES, FD_FILE))

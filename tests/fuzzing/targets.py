@@ -69,8 +69,8 @@ _SCENARIO = _words(
 )
 _DBC = _words(
     'BO_ SG_ BU_: VAL_ BA_ BA_DEF_ BA_DEF_DEF_ CM_ VERSION "" ; : | @ 1+ 0- @1- M m0 m1 m0M '
-    "SIG_VALTYPE_ SG_MUL_VAL_ EV_ BO_TX_BU_ VAL_TABLE_ SIG_GROUP_ Vector__XXX ENUM INT FLOAT STRING "
-    'HEX "GenMsgCycleTime" "VFrameFormat" "E2EProfile" "P02" "E2EDataIdList" "CANFD_BRS" '
+    "SIG_VALTYPE_ SG_MUL_VAL_ EV_ BO_TX_BU_ VAL_TABLE_ SIG_GROUP_ Vector__XXX ENUM INT FLOAT "
+    'STRING HEX "GenMsgCycleTime" "VFrameFormat" "E2EProfile" "P02" "E2EDataIdList" "CANFD_BRS" '
     '"GenSigStartValue" Crc Counter Drive1_Motion Gateway_Faults (0,0) (1,0) [0|0] (1e-320,1e308) '
     '^ NS_: BS_: VECTOR__INDEPENDENT_SIG_MSG 2147483649 "NotAvailable" 0-0, 1-65535 \xff BA_REL_ '
     'DEFAULT_RANGE_ "SystemSignalLongSymbol" "SignalType" " BU_SG_REL_ @0+ (-1,0)'

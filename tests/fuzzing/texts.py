@@ -19,7 +19,8 @@ from dbc.contract import ANY, CLASSIC, FD
 from dbc.spec import DbcMismatch
 from gateway.config import BUILTIN_DBC, Config, ConfigError, load
 from gateway.core import Gateway
-from sim.scenario import Scenario, ScenarioError, load as load_scenario
+from sim.scenario import Scenario, ScenarioError
+from sim.scenario import load as load_scenario
 from tests.fuzzing.held import Held
 from tests.sender import FD_FILE, SteadyDrive, codec_for
 
@@ -77,8 +78,7 @@ def config(data: bytes, read: Callable[[Path], Config] = load, every: int = GATE
     try:
         found = read(Held(data, "train.toml"))
     except ConfigError as error:
-        _readable(error.problems)
-        assert len(str(error).splitlines()) == 1
+        _readable((*error.problems, str(error)[:LONGEST]))
         _placed(error.problems, data, Config, ".:")
         return 0
     assert 0 <= found.hash24() < 1 << 24
