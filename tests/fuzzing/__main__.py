@@ -31,7 +31,7 @@ def _commit() -> str:
 
 def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
     """One process of one target; what it came to."""
-    work: Path = options.work / name
+    commit, work = _commit(), options.work / name
     work.mkdir(parents=True, exist_ok=True)
     report = work / f"{seed}.json"
     report.unlink(missing_ok=True)
@@ -47,7 +47,7 @@ def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
         # Also what libFuzzer itself stops for: a hang, or memory.
         told["found"] = max(1, told["found"])
         print(f"{name}, seed {seed}: stopped, see {log} and {report}.*", flush=True)
-    return {"target": name, "seed": seed, "commit": _commit(), **told}
+    return {"target": name, "seed": seed, "commit": commit, **told}
 
 
 def summary(lines: Sequence[dict]) -> str:

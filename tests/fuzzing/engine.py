@@ -14,8 +14,6 @@ import sys
 import time
 from pathlib import Path
 
-import atheris  # in an environment of its own, see the Makefile
-
 PACKAGES = {
     "candump": ["dbc"],
     "frames": ["dbc", "gateway", "tests"],
@@ -50,13 +48,15 @@ def main() -> None:
     """Arguments: target, seconds, most executions, seed, longest input (0: the target's), output
     folder, report."""
     name, seconds, runs, seed, longest, out, report = sys.argv[1:]
+    import atheris  # in a folder of its own, see the Makefile
+
     with atheris.instrument_imports(PACKAGES[name], _compiled()):
         from tests.fuzzing.mutate import mutate
         from tests.fuzzing.targets import CORPUS, TARGETS
     target = TARGETS[name]
     kept = target.corpus()
     for data in kept:
-        target.run(data)
+        target.warm(data)
     state = {"executions": 0, "items": 0, "found": 0}
     began = time.monotonic()
     end, most = began + float(seconds), int(runs)
@@ -92,7 +92,8 @@ def main() -> None:
         [
             sys.argv[0], str(found), str(CORPUS / name), f"-seed={seed}", "-timeout=60",
             f"-max_len={int(longest) or target.longest}", f"-artifact_prefix={report}.",
-            "-rss_limit_mb=4096", "-reload=0", "-verbosity=0", f"-dict={_dictionary(target.tokens, report)}",
+            "-rss_limit_mb=4096", "-reload=0", "-verbosity=0",
+            f"-dict={_dictionary(target.tokens, report)}",
         ],
         once,
         **({"custom_mutator": other} if target.is_slow else {}),

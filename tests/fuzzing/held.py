@@ -20,13 +20,14 @@ class Held(type(Path())):  # type: ignore[misc]
         if type(Path()).__init__ is not object.__init__:
             super().__init__(name)
 
+    @property
+    def parent(self) -> Path:
+        """An ordinary path."""
+        return Path(*self.parts[:-1])
+
     def open(self, mode="r", buffering=-1, encoding=None, errors=None, newline=None) -> IO:
         """As `Path.open`, for reading."""
         stream = io.BytesIO(self.data)
         if "b" in mode:
             return stream
         return io.TextIOWrapper(stream, encoding=encoding, errors=errors, newline=newline)
-
-    def with_segments(self, *parts: str) -> Path:
-        """The parent is an ordinary path (from Python 3.12 on)."""
-        return Path(*parts)
