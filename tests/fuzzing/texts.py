@@ -123,7 +123,7 @@ def dbc(data: bytes, read: Callable[..., Codec] = bind) -> int:
     path = _file(data, "dbc")
     mark = crc32(data)
     try:
-        codec = read(path, (1, 2), CONTRACTS[0 if mark & 3 else mark >> 2 & 3])
+        codec = read(path, (1, 2), CONTRACTS[0 if mark & 7 else mark >> 3 & 3])
     except DbcMismatch as error:
         _readable(error.problems)
         return 0
