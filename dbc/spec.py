@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dbc.frame import Nanos
-from dbc.text import printable
 from dbc.protection import Profile
+from dbc.text import printable
 
 VALID: Final = 0
 NOT_AVAILABLE: Final = 1
