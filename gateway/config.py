@@ -92,7 +92,7 @@ class Motor(Strict):
     R_s: float = Field(gt=0)
     L_s: float = Field(gt=0)
     psi_pm: float = Field(gt=0)
-    pole_pairs: int = Field(gt=0)
+    pole_pairs: int = Field(gt=0, le=1000)
     J: float = Field(gt=0)
     B: float = Field(0.0, ge=0)
     k_p: float = Field(1.5, gt=0)

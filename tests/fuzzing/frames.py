@@ -92,7 +92,7 @@ class Twin:
             return "own"
         receiver = self.receivers.get(key)
         if receiver is None:
-            return "foreign"
+            return "foreign" if 0 <= frame.t_ns <= now else "time_back"
         if frame.t_ns > now or frame.t_ns < self.last.get(key, 0):
             return "time_back"
         match, _ = self.codec.match(frame)

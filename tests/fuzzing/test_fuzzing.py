@@ -25,7 +25,7 @@ from gateway import calibration
 from gateway.config import Config, ConfigError, load, parse
 from gateway.core import Gateway
 from gateway.inbox import Inbox
-from gateway.supervision import Supervision
+from gateway.supervision import Life, Supervision
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
 from tests.fuzzing import candump, frames, texts
@@ -206,18 +206,19 @@ def test_a_broken_configuration_is_found(broken) -> None:
     _fails(lambda data: texts.config(data, broken), "config")
 
 
-def _no_source(path: Path) -> scenarios.Scenario:
-    try:
-        return scenarios.load(path)
-    except ScenarioError:
-        raise ScenarioError("x", ["one\ntwo"]) from None
-
-
 def _bare_scenario(path: Path) -> scenarios.Scenario:
     return scenarios.parse(tomllib.loads(path.read_text()))
 
 
-@pytest.mark.parametrize("broken", [_bare_scenario])
+def _two_lines(path: Path) -> scenarios.Scenario:
+    try:
+        return scenarios.load(path)
+    except ScenarioError as error:
+        error.problems = ("\n".join(error.problems),)
+        raise
+
+
+@pytest.mark.parametrize("broken", [_bare_scenario, _two_lines])
 def test_a_broken_scenario_loader_is_found(broken) -> None:
     _fails(lambda data: texts.scenario(data, broken), "scenario")
 
@@ -372,3 +373,22 @@ def test_a_time_below_zero_is_no_time() -> None:
     box.take([Frame(-1, spec.can_id, bytes(payload))], 10 * MS)
     assert box.counts["time_back"] == 1
     assert box.counts["decoded"] == box.counts["not_available"] == 0
+
+
+def test_a_heartbeat_from_the_future_is_no_life() -> None:
+    """It kept its node alive until then: no silence was ever noticed."""
+    watch = Supervision(frames.NODES, 300 * MS)
+    box = Inbox(frames.CODECS[0], frames.NODES, 10 * MS, watch)
+    box.take([Frame(frames.LAST, 0x701, b"\x05"), Frame(-1, 0x702, b"\x05")], 10 * MS)
+    assert box.counts["time_back"] == 2
+    assert {watch.life(node, 10 * MS) for node in frames.NODES} == {Life.NEVER_SEEN}
+    box.take([Frame(10 * MS, 0x701, b"\x05")], 10 * MS)
+    assert watch.life(1, 10 * MS) is Life.ALIVE
+    assert watch.life(1, 311 * MS) is Life.LOST
+
+
+def test_more_poles_than_a_float_can_hold_are_refused() -> None:
+    """Accepted, and then an OverflowError at the start."""
+    text = "[motor.x]\nR_s = 1\nL_s = 1\npsi_pm = 1\nJ = 1\nI_rated = 1\nT_rated = 1\n"
+    with pytest.raises(ConfigError, match=r"motor\.x\.pole_pairs: "):
+        load(Held(f"{text}pole_pairs = 1{400 * '0'}\n".encode(), "train.toml"))
