@@ -41,7 +41,7 @@ MUTANTS := out/mutants
 mutation: $(VENV)/.ready
 	rm -rf $(MUTANTS) && git clone -q . $(MUTANTS) && ln -s $(abspath $(VENV)) $(MUTANTS)/.venv
 	$(PYTHON) -m venv $(MUTANTS)/own && $(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0
-	cd $(MUTANTS) && for part in flags doubt protection; do \
+	cd $(MUTANTS) && for part in flags doubt protection validity; do \
 		own/bin/cosmic-ray init tests/mutation/$$part.toml $$part.sqlite && \
 		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite; done; \
 		.venv/bin/python -m tests.mutation.survivors *.sqlite

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dbc._kernels import decode_block
 from dbc._lean import inlined, lean
 from dbc._receive_kernels import cycle, judge
+from gateway._guard_kernels import note_foul
 from gateway._slow_kernels import keep
 
 if TYPE_CHECKING:
@@ -195,11 +196,12 @@ def _route(can_id: int, flags: int, routes: Routes) -> int:
 
 @inlined
 def _admit(
-    data: Bytes, c: int, t: int, guard: Guard, memory: Window, state: ChannelState, tally: Ints
-) -> bool:
+    data: Bytes, c: int, t: int, before: int, guard: Guard, memory: Window, state: ChannelState,
+    tally: Ints,
+) -> bool:  # fmt: skip
     """Whether a frame of channel c may be used: checksum, counter, and a valid receiver.
 
-    A rejected frame updates nothing but counters and reasons.
+    A rejected frame updates nothing but counters and reasons. before: stamp of the last one.
     """
     check = judge(data, c, guard, memory)
     if guard.profile[c] == 0:
@@ -213,11 +215,13 @@ def _admit(
         state.last_ns[c] = t
         tally[_T_LOST] += memory.missed[c]
         # While it is invalid nothing gets in; at the start good frames do, and are not believed.
-        invalid = memory.state[c] == _SM_INVALID
+        invalid = memory.state[c] == _SM_INVALID or t < state.guarded_ns[c]
         tally[_T_NOT_YET_VALID] += invalid
         state.seen_valid[c] |= valid
         return not invalid
     blame = _CORRUPTED if check == _ERROR else _SEQUENCE
+    if blame == _SEQUENCE:
+        note_foul(c, t, before, state)
     state.cause[c] = blame
     state.blame[c] = blame
     tally[_T_CRC + check - _ERROR] += 1
@@ -232,6 +236,8 @@ def _unbelieved(c: int, now: int, guard: Guard, memory: Window, state: ChannelSt
         return _STARTING
     if now - heard > state.limit_ns[c]:
         return _STALE
+    if now < state.guarded_ns[c]:
+        return _SEQUENCE
     if guard.profile[c] != 0 and memory.state[c] != _SM_VALID:
         # Single good frames do not end it; the last thing that went wrong is why.
         if state.blame[c] != _FINE:
@@ -325,14 +331,14 @@ def take_block(
         if t < 0 or t > now or t < state.last_ns[c]:
             scratch.tally[_T_TIME_BACK] += 1
             continue
-        state.heard_ns[c] = t
+        before, state.heard_ns[c] = state.heard_ns[c], t
         if length[r] != guard.length[c] or flags[r] & _FD != guard.fd[c]:
             # One with our id that cannot be our message is as bad as a wrong checksum.
             scratch.tally[_T_WRONG_LENGTH] += 1
             cycle(c, _ERROR, memory)
             state.cause[c] = _CORRUPTED
             state.blame[c] = _CORRUPTED
-        elif _admit(data[r], c, t, guard, memory, state, scratch.tally):
+        elif _admit(data[r], c, t, before, guard, memory, state, scratch.tally):
             scratch.channel[m] = c
             scratch.message[m] = wiring.message[c]
             scratch.t_ns[m] = t

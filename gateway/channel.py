@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.frame import Nanos
+from dbc.frame import SECOND, Nanos
 from dbc.protection import Profile
 from dbc.spec import MessageSpec
 from gateway.health import Reason
@@ -21,6 +21,14 @@ Ints = NDArray[np.int64]
 
 SAMPLE_NS: Final[Nanos] = 125_000
 """Spacing of the eight samples in a FD frame, and the filters' sub-step."""
+
+GUARD_NS: Final[Nanos] = SECOND
+"""After the last sign of a second sender nothing of that message is believed for so long."""
+SECOND_SENDER: Final = 3
+"""Signs of it, each within `GUARD_NS` of the one before. A controller may repeat one frame."""
+TOO_SOON: Final = 0.75
+"""Of the period. Of two senders of one message one always speaks so soon after the other; what is
+out of sequence because frames were lost comes late."""
 
 # The signals the gateway uses of each kind, in the order in which the inbox takes them.
 USED: Final = {
@@ -42,6 +50,9 @@ class ChannelState(NamedTuple):
     heard_ns: any frame of ours; last_ns: one with good protection; good_ns: one whose values
     could be used; cause: why the last values could not be (Reason); blame: what last went wrong
     in the protection; reason: why the channel is not believed now; seen_valid: it once was.
+
+    Against a second sender: period_ns; fouls: frames out of sequence that came too soon after
+    another, foul_ns the last of them; guarded_ns: until then nothing is believed.
     """
 
     heard_ns: Ints
@@ -52,6 +63,10 @@ class ChannelState(NamedTuple):
     reason: Ints
     seen_valid: NDArray[np.bool_]
     limit_ns: Ints
+    period_ns: Ints
+    fouls: Ints
+    foul_ns: Ints
+    guarded_ns: Ints
 
 
 class Channel:
@@ -88,11 +103,15 @@ class Channel:
 def channel_state(channels: Sequence[Channel]) -> ChannelState:
     """Nothing received yet."""
     n = len(channels)
-    heard, last, good = (np.full(n, -1, dtype=np.int64) for _ in range(3))
+    heard, last, good, foul, guarded = (np.full(n, -1, dtype=np.int64) for _ in range(5))
     cause, blame = (np.full(n, Reason.NONE, dtype=np.int64) for _ in range(2))
     reason = np.full(n, Reason.STARTING, dtype=np.int64)
     limit = np.array([channel.limit_ns for channel in channels], dtype=np.int64).reshape(n)
-    return ChannelState(heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit)
+    period = np.array([channel.period_ns for channel in channels], dtype=np.int64).reshape(n)
+    return ChannelState(
+        heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit, period,
+        np.zeros(n, dtype=np.int64), foul, guarded,
+    )  # fmt: skip
 
 
 def tell(channels: Sequence[Channel], state: ChannelState) -> None:

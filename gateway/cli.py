@@ -21,6 +21,7 @@ VERBS = {
     "check": "configuration against DBC, bus load and timing budget, before deployment",
     "calibrate": "thermal limits from fault-free logs",
     "reproduce": "a paper's experiment: its tables and figures beside ours, and a report",
+    "warm": "compile ahead of time, for a service that must not",
     "fleet": "many logs in many processes, or on a Dask cluster, into Parquet",
     "fleet-thresholds": "thresholds from a healthy fleet's results",
     "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
@@ -50,7 +51,12 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input reach the user."""
+    from gateway.drivers import kernelcache, logs
+
     words = list(sys.argv[1:] if argv is None else argv)
+    limit = logs.begin(logging.WARNING)
+    if words[:1] not in (["run"], ["warm"]):  # these say themselves where compiled code is
+        kernelcache.Kernels()
     parser = _parser(words)
     options = parser.parse_args(words)
     if options.version:
@@ -61,10 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.verb is None:
         parser.print_help()
         return 2
-    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(options.verbose, 2)]
-    logging.basicConfig(
-        level=level, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
-    )
+    levels = (logging.WARNING, logging.INFO, logging.DEBUG)
+    logging.getLogger().setLevel(levels[min(options.verbose, 2)])
     command = _module(options.verb)
     options.began_s = BEGAN_S
     try:
@@ -81,6 +85,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = " ".join(str(error).split())
         print(f"traction-gateway: {text}", file=sys.stderr)
         return 2
+    finally:
+        if unsaid := limit.suppressed():
+            print(f"{unsaid} lines of the log were suppressed", file=sys.stderr)
 
 
 def _is_users(error: Exception) -> bool:

@@ -56,6 +56,16 @@ class Schedule:
             who = [d - 1 for d in scenario.drives_of(event.drive)]
             self._by_kind.setdefault(event.kind, []).append((event, who))
 
+    def add(self, event: Event) -> None:
+        """One more event, in its place. Raises ValueError for a drive that there is not."""
+        who = [d - 1 for d in self._scenario.drives_of(event.drive)]
+        if not all(0 <= d < self._n for d in who):
+            msg = f"drive {event.drive} is not one of the {self._n} drives"
+            raise ValueError(msg)
+        events = self._by_kind.setdefault(event.kind, [])
+        events.append((event, who))
+        events.sort(key=lambda item: item[0].at_s)
+
     def _active(self, kind: str, t_s: float) -> list[tuple[Event, list[int]]]:
         return [(e, d) for e, d in self._by_kind.get(kind, ()) if e.at_s <= t_s < e.end_s]
 
@@ -215,7 +225,11 @@ class WireFaults:
         """`drive` counts from 0."""
         self._schedule, self._seed, self._drive = schedule, seed, drive
         self._rngs: dict[tuple[int, int], np.random.Generator] = {}
-        self._quiet = not schedule.touches_wire(drive)
+        self.look_again()
+
+    def look_again(self) -> None:
+        """Whether this drive's frames are touched at all may have changed."""
+        self._quiet = not self._schedule.touches_wire(self._drive)
 
     def _rng(self, purpose: int, can_id: int) -> np.random.Generator:
         key = (purpose, can_id)

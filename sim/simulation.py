@@ -25,7 +25,7 @@ from sim.faults import Schedule, WireFaults
 from sim.plant import MOTORS, TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
 from sim.profile import Profile
 from sim.readings import SAMPLES_PER_FRAME, VALID, Readings, Values
-from sim.scenario import Scenario
+from sim.scenario import Event, Scenario
 from sim.thermal import ThermalTrain
 from sim.truth import Truth
 from sim.variety import Variety
@@ -69,9 +69,10 @@ class Simulation:
         motor = MOTORS[scenario.motor.name]
         self._schedule = Schedule(scenario, motor)
         self._profile = Profile(scenario, motor.pole_pairs)
+        self._wires = [WireFaults(self._schedule, scenario.seed, k) for k in range(n)]
         self._ecus = [
-            Ecu(node, k, codec, WireFaults(self._schedule, scenario.seed, k), self_start=self_start)
-            for k, node in enumerate(self.nodes)
+            Ecu(node, k, codec, wire, self_start=self_start)
+            for k, (node, wire) in enumerate(zip(self.nodes, self._wires, strict=True))
         ]
         self._cycles = _cycles(self._ecus, slow=scenario.traffic == "slow")
         self._variety = Variety(scenario, motor)
@@ -88,6 +89,22 @@ class Simulation:
         self._i2_status: list[Array] = []  # |i|^2 since the last Status
         self._ready: list[Frame] = []
         self._truth: list[Truth] = []
+
+    @property
+    def now_s(self) -> float:
+        """Seconds since the start."""
+        return self._now_ns * 1e-9
+
+    def inject(self, event: Event) -> None:
+        """Add an event while the world runs; what of it lies in the past did not happen.
+
+        Raises ValueError for a drive that there is not, or where the scenario's plant cannot.
+        """
+        if event.kind == "phase_open" and self._plant is None:
+            raise ValueError("traffic = 'slow' knows no phase_open")
+        self._schedule.add(event)
+        for wire in self._wires:
+            wire.look_again()
 
     @property
     def overwritten(self) -> int:

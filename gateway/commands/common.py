@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dbc.block import Block
     from dbc.codec import Codec
     from gateway.drivers.replay import Log
+    from sim.scenario import Scenario
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
@@ -64,6 +65,37 @@ def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
         for section, values in changes.items()
     }
     config = load(path, **given)
+    return config, bind(config.dbc_path, config.nodes)
+
+
+def scenario_thermal() -> dict[str, str]:
+    """The calibration of the simulated bench motors that ships with the package."""
+    import gateway
+
+    return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
+
+
+def fitting(path: Path | None, scenario: Scenario) -> tuple[Config, Codec]:
+    """Configuration for the scenario's drives and motors, unless a file says otherwise.
+
+    Raises ConfigError or DbcMismatch with every problem.
+    """
+    from dbc.codec import bind
+    from gateway.config import Drive
+
+    if path is not None:
+        config, codec = prepare(path)
+        if len(config.nodes) != scenario.drives:
+            console().print(
+                f"note: the scenario has {scenario.drives} drives, the configuration "
+                f"{len(config.nodes)}", markup=False,
+            )  # fmt: skip
+        return config, codec
+    config, _ = prepare(None, thermal=scenario_thermal())
+    name = scenario.motor.name
+    motor = name if name in config.motors else "bench"
+    drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
+    config = config.model_copy(update={"drive": drives})
     return config, bind(config.dbc_path, config.nodes)
 
 

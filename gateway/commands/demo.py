@@ -28,7 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Drives and gateway talk over a real python-can bus; one loop, in real time."""
-    from gateway.commands.hil import scenario_thermal
+    from gateway.commands.common import scenario_thermal
     from gateway.config import Drive
     from gateway.drivers.demo import rehearse, run_demo
     from gateway.results.delays import injected, score, summary_table

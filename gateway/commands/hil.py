@@ -17,8 +17,8 @@ from gateway.commands.common import (
     add_bus,
     add_config,
     console,
+    fitting,
     out_file,
-    prepare,
 )
 
 HELP = "run scenarios against the gateway and judge their expectations"
@@ -61,8 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
-    changes = {} if options.config else {"thermal": scenario_thermal()}
-    config, codec = _fitting(options, scenario, changes)
+    config, codec = fitting(options.config, scenario)
     if hasattr(options, "interface") or hasattr(options, "channel"):
         from gateway.drivers.hilbus import run_on_real_bus
 
@@ -110,33 +109,6 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
                 progress.update(task, completed=now / 1e9)
 
         yield [look]
-
-
-def scenario_thermal() -> dict[str, str]:
-    """The calibration of the simulated bench motors that ships with the package."""
-    import gateway
-
-    return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
-
-
-def _fitting(options: argparse.Namespace, scenario: Any, changes: dict[str, Any]) -> Any:
-    """Configuration for the scenario's number of drives, unless a file says otherwise."""
-    from dbc.codec import bind
-    from gateway.config import Drive
-
-    config, codec = prepare(options.config, **changes)
-    if options.config is None:
-        name = scenario.motor.name
-        motor = name if name in config.motors else "bench"
-        drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
-        config = config.model_copy(update={"drive": drives})
-        codec = bind(config.dbc_path, config.nodes)
-    elif len(config.nodes) != scenario.drives:
-        console().print(
-            f"note: the scenario has {scenario.drives} drives, the configuration "
-            f"{len(config.nodes)}", markup=False,
-        )  # fmt: skip
-    return config, codec
 
 
 def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import logging
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
+from dbc.frame import SECOND
 from gateway.commands.common import (
     GOOD,
     add_bus,
@@ -16,6 +19,8 @@ from gateway.commands.common import (
     positive_seconds,
     prepare,
 )
+
+log = logging.getLogger(__name__)
 
 HELP = "the gateway on a bus"
 DISPLAY_EVERY = 20
@@ -35,17 +40,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--realtime", type=int, metavar="PRIORITY",
         help="SCHED_FIFO with this priority (1 to 99) and locked memory; needs the right to it",
     )  # fmt: skip
+    parser.add_argument(
+        "--kernels", type=Path, metavar="DIR",
+        help="compiled code made by `warm`: only read; whoever may write there may run code here",
+    )  # fmt: skip
     add_bus(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
+    from gateway.drivers.kernelcache import Kernels
+
+    kernels = Kernels(options.kernels)
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
     from gateway.drivers.canopen_node import CanopenNode
     from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
+    from gateway.drivers.outputs import Outputs
     from gateway.drivers.realtime import Ticker
-    from gateway.drivers.scheduling import be_realtime
+    from gateway.drivers.scheduling import be_realtime, described, use_given
+    from gateway.drivers.service import Manager, Overseer
     from gateway.drivers.transport import Allow
     from gateway.drivers.warm import warm_up
 
@@ -58,17 +72,26 @@ def run(options: argparse.Namespace) -> int:
         warm_up(config, codec)
     if options.realtime is not None:
         be_realtime(options.realtime)
+    else:
+        use_given()
+    log.info("user %d, %s", os.geteuid(), described())
     transport = open_transport(
         bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
     )
+    kernels.tell()  # the transport has some as well
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock())
     node = CanopenNode(config.nodes, nmt_master=master)
+    outputs = Outputs(gateway.outbox.specs.values(), lambda: gateway.silent)
+    overseer = Overseer(
+        outputs, Manager.from_environment(), options_name(options), round(options.began_s * SECOND)
+    )
     stop = Stop()
     limit = None if options.duration is None else round(options.duration * config.loop.rate_hz)
     display = None if options.quiet or not sys.stderr.isatty() else _display()
 
     def watch(seen: LiveSnapshot) -> None:
+        overseer.completed(seen)
         if limit is not None and seen.tick >= limit:
             stop()
         if display is not None and seen.tick % DISPLAY_EVERY == 0 and gateway.view is not None:
@@ -78,11 +101,13 @@ def run(options: argparse.Namespace) -> int:
 
     if display is None:
         seen = run_live(gateway, transport, node, ticker, stop=stop,
-                        errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
+                        errors=lambda: active_errors(gateway), on_tick=watch,
+                        on_end=overseer.stopping)  # fmt: skip
     else:
         with display:
             seen = run_live(gateway, transport, node, ticker, stop=stop,
-                            errors=lambda: active_errors(gateway), on_tick=watch)  # fmt: skip
+                            errors=lambda: active_errors(gateway), on_tick=watch,
+                            on_end=overseer.stopping)  # fmt: skip
     summary(gateway, seen)
     if options.results:
         title = f"Timing on {options_name(options)}"

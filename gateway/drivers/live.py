@@ -23,7 +23,7 @@ from gateway.doubt import Doubt
 from gateway.drivers.canopen_node import CanopenNode, meant
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.timing import Timing
-from gateway.drivers.transport import LinkState, Status, Transport
+from gateway.drivers.transport import LinkState, SendResult, Status, Transport
 from gateway.results.timing import leave
 
 log = logging.getLogger(__name__)
@@ -71,6 +71,8 @@ class LiveSnapshot:
     """Ticks missed so far."""
     sent: Sequence[Frame] = ()
     """Frames of the last tick."""
+    results: Sequence[SendResult] = ()
+    """What became of each of them."""
 
 
 def leave_timing(folder: Path, seen: LiveSnapshot, title: str, period_ns: Nanos) -> None:
@@ -121,19 +123,22 @@ def run_live(
     stop: Stop | None = None,
     errors: Callable[[], Collection[int]] = tuple,
     on_tick: Callable[[LiveSnapshot], None] | None = None,
+    on_end: Callable[[], None] | None = None,
 ) -> LiveSnapshot:
     """Run until `stop` is requested (also by SIGTERM and SIGINT when in the main thread).
 
     `transport` is open; compiled code is warm. `errors` tells which `GatewayError` are active.
-    `on_tick` is called after the frames are sent and must return quickly. Ends with three ticks
-    of unknown flags and closes the transport, also when the core raises (a programming error,
-    which goes on to the caller).
+    `on_tick` is called after the frames are sent and must return quickly; `on_end` when the loop is
+    left. Ends with three ticks of unknown flags and closes the transport, also when the core
+    raises (a programming error, which goes on to the caller).
     """
     stop = stop or Stop()
     with _signals(stop), frozen_garbage():
         try:
             return _loop(gateway, transport, node, ticker, stop, errors, on_tick)
         finally:
+            if on_end is not None:
+                on_end()
             _farewell(gateway, transport, ticker)
             transport.close()
 
@@ -153,6 +158,7 @@ def _loop(
     timing = Timing(ticker.lateness)
     seen = LiveSnapshot(transport.status, timing)
     state: LinkState | None = None
+    note = ""
     report = TIMING_TICKS
     while not stop.requested:
         tick = ticker.wait()
@@ -175,16 +181,17 @@ def _loop(
             log.error("%s", INTRUDER)
         node.set_errors(errors())
         out += node.step(meant(block), now)
-        for frame in out:
-            transport.send(frame)
+        results = [transport.send(frame) for frame in out]
         timing.add(gateway.decided_ns, tick.now_ns, now, stepped, clock())
         seen.now_ns = now
         seen.tick = tick.number
         seen.missed = ticker.missed
         seen.sent = out
-        if transport.status.state is not state:
-            state = transport.status.state
-            _say_link(transport.status)
+        seen.results = results
+        if status.state is not state or (status.note and status.note != note):
+            state = status.state
+            _say_link(status)
+        note = status.note
         if on_tick is not None:
             on_tick(seen)
     return seen

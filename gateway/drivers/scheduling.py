@@ -8,12 +8,18 @@ running again; so reset-on-fork is always set. systemd can do both before the pr
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
+import resource
+from pathlib import Path
 from typing import Final
 
 from gateway.config import ConfigError
 
+log = logging.getLogger(__name__)
+
 _CURRENT, _FUTURE = 1, 2
+_POLICIES = ("OTHER", "FIFO", "RR", "BATCH", "", "IDLE", "DEADLINE")
 LEAST: Final = 1
 MOST: Final = 99
 
@@ -21,11 +27,15 @@ MOST: Final = 99
 def be_realtime(priority: int) -> None:
     """SCHED_FIFO with `priority` (1 to 99) for this thread, and all memory locked.
 
-    ConfigError, with what to do, where the kernel does not allow it.
+    A real-time priority that the thread has already stays what it is. ConfigError, with what to
+    do, where the kernel does not allow it.
     """
     problems = []
+    given = is_realtime()
     if not LEAST <= priority <= MOST:
         problems.append(f"priority {priority} is not {LEAST} to {MOST}")
+    elif given:
+        log.info("--realtime %d is not asked for: started with %s", priority, _policy())
     else:
         try:
             policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
@@ -35,12 +45,59 @@ def be_realtime(priority: int) -> None:
                 f"SCHED_FIFO {priority} refused ({error.strerror}): run with CAP_SYS_NICE, raise "
                 "`ulimit -r`, or let systemd set CPUSchedulingPolicy=fifo"
             )
-    if ctypes.CDLL(None, use_errno=True).mlockall(_CURRENT | _FUTURE) != 0:
-        why = os.strerror(ctypes.get_errno())
+    if why := _lock_memory():
         problems.append(f"memory cannot be locked ({why}): raise `ulimit -l`, or LimitMEMLOCK=")
     if problems:
-        be_ordinary()
+        if given:
+            ctypes.CDLL(None).munlockall()
+        else:
+            be_ordinary()
         raise ConfigError("--realtime", problems)
+
+
+def use_given() -> None:
+    """With a real-time priority from outside: lock memory, if the limit allows it for good."""
+    if not is_realtime():
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
+        why: str = f"the limit is {limit >> 10} KiB"
+    else:
+        why = _lock_memory()
+    if why:
+        log.warning("memory is not locked (%s): set LimitMEMLOCK=infinity", why)
+
+
+def described() -> str:
+    """What the kernel gives this thread, in one line for the log."""
+    processors = len(os.sched_getaffinity(0))
+    return (
+        f"{_policy()}, {processors} processor{'s' * (processors > 1)}, "
+        f"{_locked_kib() >> 10} MiB locked"
+    )
+
+
+def _policy() -> str:
+    number = os.sched_getscheduler(0)
+    name = "SCHED_" + _POLICIES[number & ~os.SCHED_RESET_ON_FORK]
+    reset = " reset on fork" if number & os.SCHED_RESET_ON_FORK else ""
+    return f"{name} {os.sched_getparam(0).sched_priority}{reset}"
+
+
+def _locked_kib() -> int:
+    """Memory that stays, KiB; 0 also where /proc does not tell."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("VmLck:")), 0)
+
+
+def _lock_memory() -> str:
+    """Lock what is there and what comes; why not, or nothing."""
+    if ctypes.CDLL(None, use_errno=True).mlockall(_CURRENT | _FUTURE) == 0:
+        return ""
+    return os.strerror(ctypes.get_errno())
 
 
 def be_ordinary() -> None:

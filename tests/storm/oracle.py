@@ -9,7 +9,7 @@ the gateway's codec nor its counters. Rules, by name:
 - hasty: the first good after a start needs its time of good frames
 - form: every frame sent is whole: counter, states 0 to 2, nothing but our identifiers; flags have
   their checksum
-- masquerade: nothing is good from a drive that two senders speak for
+- masquerade: `Adhering` from no drive that two senders speak for, nor in the second after
 
 A second sender that is heard where the drive itself has just been silent is believed, until the
 drive speaks again: counters and checksums cannot know who it is (see docs/reliability.md, R09).
@@ -39,6 +39,8 @@ SECOND_SENDER_TICKS = 10
 """A second sender has to be noticed in so many."""
 APART_TICKS = 20
 """A filter that follows a slip may be off the true speed for so long."""
+GUARD_TICKS = 95
+"""For so long after a second sender nothing is believed: a second, less what found it."""
 SPEED_SHARE, SPEED_RAD_S = 0.2, 6.0
 
 
@@ -83,6 +85,8 @@ class Oracle:
         self.clear = -(-config.adhesion.clear_ms * MS // TICK)
         self.apart = [0] * self.n
         self.doubled = [0] * self.n
+        self.shared = [tick - GUARD_TICKS - 1] * self.n
+        """Last tick in which a second sender had been there for long enough."""
         self.found: list[Violation] = []
         self.said: Counter[tuple[str, int]] = Counter()
         """Ticks by flag and state, over all drives."""
@@ -147,8 +151,10 @@ class Oracle:
         for d, state in enumerate(self._states(tick, data)):
             before = self.adhesion[d]
             fine = tick - self.since[d]  # ticks since the first of the fresh ones
-            if state == GOOD and self.doubled[d] > SECOND_SENDER_TICKS:
-                self._broken(tick, "masquerade", d + 1, "Adhering while two senders speak")
+            if self.doubled[d] > SECOND_SENDER_TICKS:
+                self.shared[d] = tick
+            if state == GOOD and tick - self.shared[d] <= GUARD_TICKS:
+                self._broken(tick, "masquerade", d + 1, "Adhering, and two senders speak or spoke")
             if state == GOOD and not sampled[d] and not self.doubled[d]:
                 self._broken(tick, "stale", d + 1, "Adhering without fresh samples")
             if before == BAD and state == UNKNOWN:
@@ -189,7 +195,8 @@ class Oracle:
     def _second_senders(self, faults: list[Fault]) -> None:
         """Ticks that each drive has shared its identifiers, both of them heard."""
         both = [f.drive for f in faults if f.kind == "second_sender"]
-        held = any(f.kind in ("bus_off", "link_loss", "drop", "delay") for f in faults)
+        hidden = ("bus_off", "link_loss", "drop", "delay", "clock_step")
+        held = any(f.kind in hidden for f in faults)
         for d in range(self.n):
             twice = d in both or None in both
             self.doubled[d] = twice * (1 if held else self.doubled[d] + 1)

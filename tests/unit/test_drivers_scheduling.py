@@ -30,6 +30,38 @@ else:
     print("ordinary", not is_realtime())
 """
 
+GIVEN = """
+import os
+from gateway.drivers import scheduling
+try:
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(10))
+except OSError as error:
+    print("refused", error)
+else:
+    def refuse(*given):
+        raise SystemExit("asked for a priority")
+    os.sched_setscheduler = refuse
+    scheduling.use_given()
+    print(scheduling.described())
+    scheduling.be_realtime(50)
+    print(scheduling.described())
+"""
+
+
+def test_what_was_given_from_outside_is_used_and_not_asked_for() -> None:
+    done = subprocess.run([sys.executable, "-c", GIVEN], capture_output=True, text=True, check=True)
+    if done.stdout.startswith("refused"):
+        assert os.geteuid() != 0
+        return
+    for line in done.stdout.splitlines():
+        assert line.startswith("SCHED_FIFO 10 reset on fork, ")
+        assert int(line.split()[-3]) > 0, "MiB locked"
+    assert len(done.stdout.splitlines()) == 2
+
+
+def test_an_ordinary_start_is_described() -> None:
+    assert scheduling.described().startswith("SCHED_OTHER 0, ")
+
 
 def test_a_thread_started_later_never_inherits_the_priority() -> None:
     done = subprocess.run([sys.executable, "-c", REAL], capture_output=True, text=True, check=True)

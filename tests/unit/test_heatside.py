@@ -10,7 +10,7 @@ from estimators.thermal import _watch_kernels, heat
 from estimators.thermal.heat import TYPICAL, Drive, predict
 from gateway import calibration
 from gateway.calibration import Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
-from gateway.commands.hil import scenario_thermal
+from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
 from gateway.drivers.warm import _warm_watch
 from gateway.health import FaultClass, FaultSensor, Flag, Reason

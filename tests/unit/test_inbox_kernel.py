@@ -15,8 +15,8 @@ CODEC = codec_for()
 
 
 HELPERS = (
-    "_verdict", "_gap", "_route", "_admit", "_unbelieved", "keep", "_note", "settle", "take_rows",
-    "judge", "cycle",
+    "_verdict", "_gap", "_route", "note_foul", "_admit", "_unbelieved", "keep", "_note", "settle",
+    "take_rows", "judge", "cycle",
 )  # fmt: skip
 
 
@@ -129,3 +129,49 @@ def test_hole_longer_than_the_limit_starts_anew():
 
 def test_wiring_has_room_for_every_kind():
     assert pairing._MOST_COLUMNS >= 33
+
+
+def second_sender(offset_ns, last, until=400, start=100):
+    """Tick by tick whether currents are believed while another sends them too, from `start` ms."""
+    real, other = (Sender(CODEC, "Drive1_PhaseCurrents") for _ in range(2))
+    other.counter = 7
+    values = {"Ia": 1.0, "Ib": -0.5, "Ic": -0.5}
+    box = Inbox(CODEC, (1,), 10 * MS, Supervision((1,), 300 * MS))
+    believed = []
+    for tick in range(until):
+        frames = []
+        for k in range(5):
+            t = tick * 10 * MS + 2 * k * MS + MS
+            frames.append(real.frame(t, **values))
+            if start <= tick * 10 < last:
+                frames.append(other.frame(t + offset_ns, **values))
+        now = (tick + 1) * 10 * MS
+        box.take([f for f in frames if f.t_ns <= now], now)
+        believed.append(box.drives[0].channels["PhaseCurrents"].fresh(now))
+    return believed
+
+
+@pytest.mark.parametrize("offset_ns", range(100_000, 1_000_000, 100_000))
+def test_a_second_sender_is_believed_no_more_nor_is_the_drive_for_a_second(offset_ns):
+    """Whatever its phase: found within six of its frames, guarded for a second after its last."""
+    believed = second_sender(offset_ns, last=500)
+    assert all(believed[2:10])
+    assert not any(believed[12:149])
+    assert all(believed[151:])
+
+
+def test_one_frame_twice_or_a_restart_of_the_sender_is_no_second_sender():
+    sender = Sender(CODEC, "Drive1_PhaseCurrents")
+    values = {"Ia": 1.0, "Ib": -0.5, "Ic": -0.5}
+    box = Inbox(CODEC, (1,), 10 * MS, Supervision((1,), 300 * MS))
+    for tick in range(200):
+        frames = [sender.frame((tick * 10 + 2 * k + 1) * MS, **values) for k in range(5)]
+        if tick in (50, 80):
+            frames.insert(3, frames[2]._replace(t_ns=frames[2].t_ns + MS // 5))
+        if tick == 120:
+            sender.counter += 9
+        now = (tick + 1) * 10 * MS
+        box.take(frames, now)
+        if tick > 2 and not 120 <= tick <= 122:
+            assert box.drives[0].channels["PhaseCurrents"].fresh(now), tick
+    assert box.counts["repeated"] == 2

@@ -2,8 +2,7 @@
 
 import pytest
 
-from gateway.commands.common import prepare
-from gateway.commands.hil import scenario_thermal
+from gateway.commands.common import prepare, scenario_thermal
 from gateway.drivers.bench import run_virtual
 from gateway.results.record import Recorder
 from sim.scenario import builtin, builtin_names, parse

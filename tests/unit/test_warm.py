@@ -12,7 +12,7 @@ PROGRAM = """
 import sys, time
 from numba.core.registry import CPUDispatcher
 from gateway.commands.common import prepare
-from gateway.commands.hil import scenario_thermal
+from gateway.commands.common import scenario_thermal
 from gateway.drivers import demo
 from sim.scenario import find
 

@@ -1,0 +1,45 @@
+"""`warm`: compile ahead, into a folder that `run --kernels` reads."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from gateway.commands.common import BAD_INPUT, GOOD, patience, prepare
+
+HELP = "compile ahead of time, for a service that must not"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument(
+        "config", type=Path, nargs="*", metavar="CONFIG",
+        help="configurations to be run; without any: both shipped message sets",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", type=Path, required=True, dest="kernels", metavar="DIR",
+                        help="folder of the compiled code; anew after every upgrade")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compile, or find compiled, what the configurations need."""
+    from gateway.drivers import kernelcache
+
+    kernelcache.make(options.kernels)
+    from gateway.drivers.batch import Batch
+    from gateway.drivers.warm import warm_up
+
+    began = time.monotonic()
+    shipped = [{"file": name} for name in ("traction.dbc", "traction_fd.dbc")]
+    with patience():
+        Batch(1)  # what reads SocketCAN loads its own when it is made
+        for path in options.config:
+            warm_up(*prepare(path))
+        for given in () if options.config else shipped:
+            warm_up(*prepare(None, dbc=given))
+    kernels = kernelcache.count(options.kernels)
+    if not kernels:
+        print(f"nothing was compiled into {options.kernels}: numba was loaded before")
+        return BAD_INPUT
+    print(f"{kernels} kernels in {options.kernels}, {time.monotonic() - began:.0f} s")
+    return GOOD

@@ -1,0 +1,83 @@
+"""Log lines on stderr: bounded by place in the code, and marked with their level for the journal.
+
+A storm on the bus must not become one in the log: every place that logs may do so ten times a
+minute; how many lines were left out is said with the next one. Places are lines of code, so the
+memory is bounded as well.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Final, TextIO
+
+MOST: Final = 10
+WINDOW_S: Final = 60.0
+_LEVELS: Final = {
+    logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2,
+}  # fmt: skip
+"""Levels of syslog(3), as sd-daemon(3) has them before a line."""
+
+
+class Limited(logging.Filter):
+    """At most `MOST` lines in `WINDOW_S` from one place in the code."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` in seconds, for tests."""
+        super().__init__()
+        self._clock = clock
+        self._seen: dict[tuple[str, int], list[float]] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the line goes out; the first after some that did not says how many."""
+        now = self._clock()
+        window = self._seen.setdefault((record.pathname, record.lineno), [now, 0, 0])
+        if now - window[0] >= WINDOW_S:
+            window[:2] = now, 0
+        if window[1] >= MOST:
+            window[2] += 1
+            return False
+        window[1] += 1
+        if window[2]:
+            record.msg = f"{record.getMessage()} ({window[2]:.0f} more suppressed)"
+            record.args = ()
+            window[2] = 0
+        return True
+
+    def suppressed(self) -> int:
+        """Lines left out that no later line has told of."""
+        return round(sum(window[2] for window in self._seen.values()))
+
+
+class Marked(logging.Formatter):
+    """One line with its level in front, as the journal wants it."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """`<4>name: message`; further lines, of a traceback, get the level too."""
+        mark = f"<{_LEVELS.get(record.levelno, 5)}>"
+        return "\n".join(mark + line for line in super().format(record).splitlines())
+
+
+def to_journal(stream: TextIO, given: Mapping[str, str]) -> bool:
+    """Whether a stream is systemd's journal: `JOURNAL_STREAM` names its device and inode."""
+    try:
+        there = os.fstat(stream.fileno())
+    except (OSError, ValueError):
+        return False
+    return given.get("JOURNAL_STREAM") == f"{there.st_dev}:{there.st_ino}"
+
+
+def begin(level: int) -> Limited:
+    """Log to stderr from `level` up. Returns the limit, to ask at the end what was left out."""
+    handler = logging.StreamHandler(sys.stderr)
+    if to_journal(sys.stderr, os.environ):
+        handler.setFormatter(Marked("%(name)s: %(message)s"))
+    else:
+        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    limit = Limited()
+    handler.addFilter(limit)
+    logging.basicConfig(level=level, handlers=[handler])
+    return limit

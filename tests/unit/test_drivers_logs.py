@@ -1,0 +1,171 @@
+"""The log is bounded, whatever the bus does."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from dbc.block import Block, block_of
+from dbc.codec import bind
+from dbc.frame import MS, SECOND, Frame
+from gateway.config import parse
+from gateway.core import Gateway
+from gateway.drivers import logs
+from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.live import LiveSnapshot, Stop, run_live
+from gateway.drivers.outputs import Outputs
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.service import Manager, Overseer
+from gateway.drivers.transport import LinkState, SendResult, Status
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 1000 * SECOND
+
+    def __call__(self) -> int:
+        return self.now
+
+    def seconds(self) -> float:
+        return self.now / SECOND
+
+    def sleep(self, seconds: float) -> None:
+        self.now += round(seconds * SECOND)
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def written(clock: Clock) -> Iterator[io.StringIO]:
+    """What a handler with the limit lets through of everything that is logged."""
+    stream = io.StringIO()
+    handler = logging.StreamHandler(stream)
+    handler.addFilter(logs.Limited(clock.seconds))
+    root = logging.getLogger()
+    level = root.level
+    root.addHandler(handler)
+    root.setLevel(logging.DEBUG)
+    yield stream
+    root.setLevel(level)
+    root.removeHandler(handler)
+
+
+def test_a_place_in_the_code_has_ten_lines_a_minute(clock: Clock, written: io.StringIO) -> None:
+    log = logging.getLogger("storm")
+    for k in range(1000):
+        log.warning("frame %d is bad", k)
+        clock.sleep(0.01)
+    log.warning("another place")
+    clock.sleep(60.0)
+    for _ in range(2):
+        for k in range(2):
+            log.warning("100 %% of %d", k) if k else log.warning("else")
+    lines = written.getvalue().splitlines()
+    assert lines[:11] == [f"frame {k} is bad" for k in range(10)] + ["another place"]
+    assert len(lines) == 15
+
+
+def test_what_was_left_out_is_said_with_the_next_line(clock: Clock, written: io.StringIO) -> None:
+    log = logging.getLogger("storm")
+    for k in range(25):
+        clock.sleep(60.0 if k == 24 else 0.0)
+        log.warning("100 %% of %d", k)
+    lines = written.getvalue().splitlines()
+    assert len(lines) == 11
+    assert lines[-1] == "100 % of 24 (14 more suppressed)"
+
+
+def test_what_nobody_has_told_of_is_counted() -> None:
+    limit = logs.Limited(lambda: 0.0)
+    record = logging.LogRecord("a", logging.INFO, "a.py", 1, "text", (), None)
+    assert [limit.filter(record) for _ in range(13)] == [True] * 10 + [False] * 3
+    assert limit.suppressed() == 3
+
+
+class Storm:
+    """A bus on which everything goes wrong in every tick, and never the same way twice."""
+
+    def __init__(self) -> None:
+        self.status = Status(state=LinkState.UP)
+        self.tick = 0
+
+    def take(self, timeout_s: float) -> Block:
+        self.tick += 1
+        k = self.tick
+        self.status.state = LinkState.DOWN if k % 2 else LinkState.UP
+        self.status.note = f"vcan0 is bad in way {k}"
+        bad = [Frame(k, 0x181, bytes((k % 256, *range(7)))), Frame(k, 0x1A0, b"\x00" * 8),
+               Frame(k, 0x000, b"\x80\x00"), Frame(k, 0x080 + 1, b"\x01" * 3),
+               *(Frame(k, 0x700 + n, b"\x7f") for n in (1, 2, 3))]  # fmt: skip
+        return block_of(bad)
+
+    def send(self, frame: Frame) -> SendResult:
+        kinds = (SendResult.FAILED, SendResult.FULL, SendResult.DOWN, SendResult.REFUSED)
+        return self.status.count(kinds[self.tick % 4])
+
+    def close(self) -> None: ...
+
+
+def test_a_storm_of_everything_is_a_few_lines_a_minute(clock: Clock, written: io.StringIO) -> None:
+    minutes = 3
+    storm, stop = Storm(), Stop()
+    config = parse({})
+    core = Gateway(config, bind(config.dbc_path, config.nodes), clock.now)
+    node = CanopenNode(config.nodes, nmt_master=True)
+    # Nobody listens there: being unable to tell is a line of the log as well.
+    manager = Manager("/nowhere/notify", SECOND)
+    overseer = Overseer(Outputs(core.outbox.specs.values()), manager, "vcan0", 0)
+
+    def on_tick(seen: LiveSnapshot) -> None:
+        overseer.completed(seen)
+        if seen.tick >= minutes * 6000:
+            stop()
+
+    ticker = Ticker(10 * MS, clock, clock.sleep)
+    run_live(core, storm, node, ticker, stop=stop, on_tick=on_tick)
+    lines = written.getvalue().splitlines()
+    causes = (
+        "bus is", "somebody else sends", "another NMT master", "is not started", "does not count",
+        "transmit queue is full", "cannot be told",
+    )  # fmt: skip
+    for cause in causes:
+        of = [line for line in lines if cause in line]
+        assert 1 <= len(of) <= logs.MOST * (minutes + 1), cause
+    assert storm.tick > 6000 * minutes
+    assert len(lines) <= len(causes) * logs.MOST * (minutes + 1)
+    assert any("more suppressed" in line for line in lines)
+
+
+def test_lines_for_the_journal_carry_their_level() -> None:
+    made = logs.Marked("%(name)s: %(message)s")
+
+    def line(level: int, text: str) -> str:
+        return made.format(logging.LogRecord("bus", level, "", 1, text, (), None))
+
+    assert line(logging.INFO, "up") == "<6>bus: up"
+    assert line(logging.WARNING, "down") == "<4>bus: down"
+    assert line(logging.ERROR, "a\nb") == "<3>bus: a\n<3>b"
+
+
+@pytest.mark.parametrize("journal", [True, False])
+def test_stderr_is_the_journal_only_where_systemd_says_so(journal: bool) -> None:
+    read, write = os.pipe()
+    there = os.fstat(write)
+    inode = there.st_ino if journal else there.st_ino + 1
+    program = "import logging\nfrom gateway.drivers import logs\nlogs.begin(20)\nlogging.info('hi')"
+    subprocess.run(
+        [sys.executable, "-c", program], stderr=write, check=True,
+        env={**os.environ, "JOURNAL_STREAM": f"{there.st_dev}:{inode}"},
+    )  # fmt: skip
+    os.close(write)
+    with os.fdopen(read) as pipe:
+        assert pipe.read() == ("<6>root: hi\n" if journal else "INFO root: hi\n")

@@ -1,0 +1,399 @@
+"""What the service manager is told: the real core on a bus that fails on demand, a real socket."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from dbc.block import EMPTY, Block
+from dbc.codec import bind
+from dbc.frame import MS, SECOND, Frame
+from gateway.config import parse
+from gateway.core import Gateway
+from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.live import LiveSnapshot, Stop, run_live
+from gateway.drivers.outputs import Outputs
+from gateway.drivers.realtime import Ticker
+from gateway.drivers.service import FEEDS, Manager, Overseer
+from gateway.drivers.transport import HEARTBEAT_ID, LinkState, SendResult, Status
+from gateway.drivers.wire import BusState
+
+WATCHDOG_NS = SECOND
+ADHESION, STATUS = 0x1A0, 0x4A0
+
+
+class Listener:
+    """The service manager's end of the socket."""
+
+    def __init__(self, name: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + name[1:] if name[0] == "@" else name)
+
+    def heard(self, wait_s: float = 0.0) -> list[str]:
+        """Everything that waits; waits for the first."""
+        found = []
+        while select.select([self.socket], [], [], 0.0 if found else wait_s)[0]:
+            found.append(self.socket.recv(4096).decode())
+        return found
+
+
+@pytest.fixture
+def listener(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Listener]:
+    listener = Listener(str(tmp_path / "notify"))
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    monkeypatch.setenv("WATCHDOG_USEC", str(WATCHDOG_NS // 1000))
+    monkeypatch.delenv("WATCHDOG_PID", raising=False)
+    yield listener
+    listener.socket.close()
+
+
+class Rig:
+    """The core, a bus and a virtual clock; `at` has what happens before which tick."""
+
+    def __init__(self, listener: Listener) -> None:
+        self.listener = listener
+        self.now = 5 * SECOND
+        self.status = Status(state=LinkState.UP)
+        self.result = SendResult.SENT
+        self.change: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+        self.at: dict[int, Callable[[], None]] = {}
+        self.told: list[tuple[int, str]] = []
+        self.sent: list[Frame] = []
+        config = parse({})
+        self.core = Gateway(config, bind(config.dbc_path, config.nodes), self.now)
+        self.node = CanopenNode(config.nodes)
+        self._tick = 0
+
+    # What the loop wants of a core, a transport and a clock.
+
+    def step(self, frames: Block, now_ns: int) -> list[Frame]:
+        return self.change(self.core.step(frames, now_ns))
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.core, name)
+
+    def take(self, timeout_s: float) -> Block:
+        return EMPTY
+
+    def send(self, frame: Frame) -> SendResult:
+        self.sent.append(frame)
+        return self.status.count(self.result)
+
+    def close(self) -> None: ...
+
+    def sleep(self, seconds: float) -> None:
+        self.now += round(seconds * SECOND)
+
+    def run(self, ticks: int) -> list[tuple[int, str]]:
+        """(tick, line) of everything that the service manager heard."""
+        stop = Stop()
+        outputs = Outputs(self.core.outbox.specs.values(), lambda: self.core.silent)
+        overseer = Overseer(outputs, Manager.from_environment(), "can7", 4 * SECOND)
+
+        def on_tick(seen: LiveSnapshot) -> None:
+            overseer.completed(seen)
+            self.told += [(seen.tick, s) for m in self.listener.heard() for s in m.splitlines()]
+            self._tick = seen.tick + 1
+            self.at.get(self._tick, lambda: None)()
+            if self._tick >= ticks:
+                stop()
+
+        self.at.get(0, lambda: None)()
+        ticker = Ticker(10 * MS, lambda: self.now, self.sleep)
+        try:
+            run_live(self, self, self.node, ticker, stop=stop, on_tick=on_tick,
+                     on_end=overseer.stopping)  # fmt: skip
+        finally:
+            for message in self.listener.heard():
+                self.told += [(self._tick, line) for line in message.splitlines()]
+        return self.told
+
+    def ticks_of(self, line: str) -> list[int]:
+        return [tick for tick, said in self.told if said == line]
+
+
+@pytest.fixture
+def rig(listener: Listener) -> Rig:
+    return Rig(listener)
+
+
+def test_ready_after_the_first_tick_fed_four_times_in_its_time_and_stopping_once(rig: Rig) -> None:
+    rig.run(301)
+    assert rig.told[:3] == [(0, "READY=1"), (0, "STATUS=runs on can7"), (0, "WATCHDOG=1")]
+    assert rig.ticks_of("READY=1") == [0]
+    fed = rig.ticks_of("WATCHDOG=1")
+    assert fed == list(range(0, 301, 100 // FEEDS))
+    assert [said for tick, said in rig.told if tick == 301] == [
+        "STOPPING=1", "STATUS=says unknown and stops",
+    ]  # fmt: skip
+
+
+def nothing(_: list[Frame]) -> list[Frame]:
+    return []
+
+
+def without(can_id: int) -> Callable[[list[Frame]], list[Frame]]:
+    return lambda frames: [f for f in frames if f.can_id != can_id]
+
+
+def flipped(frames: list[Frame]) -> list[Frame]:
+    return [f._replace(data=bytes((f.data[0], f.data[1], f.data[2] ^ 1, *f.data[3:])))
+            for f in frames]  # fmt: skip
+
+
+class Repeated:
+    """The same frame again and again, as a caching bug would send it."""
+
+    def __init__(self) -> None:
+        self.first: dict[int, Frame] = {}
+
+    def __call__(self, frames: list[Frame]) -> list[Frame]:
+        return [self.first.setdefault(f.can_id, f) for f in frames]
+
+
+FAULTS = {
+    "no frames": nothing, "no flags": without(ADHESION), "no status": without(STATUS),
+    "wrong checksum": flipped, "repeated": Repeated(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_loop_that_sends_no_good_frames_is_not_kept_alive(
+    rig: Rig, fault: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig.at[100] = lambda: setattr(rig, "change", FAULTS[fault])
+    rig.run(400)
+    fed = rig.ticks_of("WATCHDOG=1")
+    # Status is due every tenth tick only: between them a tick without it is in order.
+    assert 75 in fed
+    if fault == "no status":
+        assert max(fed) < 120
+    else:
+        assert max(fed) <= 100
+    assert any("STATUS=does not send as it should" in said for _, said in rig.told)
+    assert "this tick does not count" in caplog.text
+
+
+def test_frames_that_are_due_again_feed_it_again(rig: Rig) -> None:
+    rig.at[100] = lambda: setattr(rig, "change", nothing)
+    rig.at[150] = lambda: setattr(rig, "change", lambda frames: frames)
+    rig.run(400)
+    fed = rig.ticks_of("WATCHDOG=1")
+    assert not [tick for tick in fed if 100 < tick < 150]
+    # The counters went on while nothing left, so each message costs one tick at its return; those
+    # that were never late have gone on.
+    assert [tick for tick in fed if tick > 260]
+
+
+@pytest.mark.parametrize("result", [SendResult.FAILED, SendResult.REFUSED])
+def test_frames_that_nobody_takes_make_nobody_ready(rig: Rig, result: SendResult) -> None:
+    rig.result = result
+    rig.run(50)
+    assert not rig.ticks_of("READY=1")
+    assert not rig.ticks_of("WATCHDOG=1")
+
+
+def test_a_bus_that_is_not_there_is_a_state_of_a_service_that_runs(rig: Rig) -> None:
+    rig.status.state, rig.status.note = LinkState.ABSENT, "can7 is not there: No such device"
+    rig.result = SendResult.DOWN
+
+    def comes() -> None:
+        rig.status.state, rig.status.note, rig.result = LinkState.UP, "", SendResult.SENT
+
+    rig.at[200] = comes
+    rig.at[300] = lambda: setattr(rig.status, "bus_state", BusState.BUS_OFF)
+    rig.run(400)
+    assert rig.ticks_of("READY=1") == [0]
+    assert rig.ticks_of("WATCHDOG=1") == list(range(0, 400, 25))
+    said = [line for _, line in rig.told if line.startswith("STATUS=")]
+    assert said[:3] == [
+        "STATUS=waits: can7 is not there: No such device", "STATUS=runs on can7",
+        "STATUS=waits: can7 is bus-off",
+    ]  # fmt: skip
+
+
+def test_a_full_queue_is_said_and_survived(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.result = SendResult.FULL
+    rig.run(50)
+    assert rig.ticks_of("WATCHDOG=1") == [0, 25]
+    assert "transmit queue is full" in caplog.text
+
+
+def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig: Rig) -> None:
+    def intrude() -> None:
+        rig.core.doubt.intruder = True
+
+    rig.at[100] = intrude
+    rig.run(300)
+    assert rig.ticks_of("WATCHDOG=1") == list(range(0, 300, 25))
+    assert {f.can_id for f in rig.sent if f.t_ns > 5 * SECOND + 1020 * MS} == {HEARTBEAT_ID}
+    assert any("somebody else sends" in said for _, said in rig.told)
+
+
+def test_a_fault_of_the_program_says_stopping(rig: Rig) -> None:
+    def fail(_: list[Frame]) -> list[Frame]:
+        raise ZeroDivisionError
+
+    rig.at[10] = lambda: setattr(rig, "change", fail)
+    with pytest.raises(ZeroDivisionError):
+        rig.run(20)
+    assert rig.ticks_of("STOPPING=1") == [10]
+
+
+def test_a_flapping_link_is_a_line_of_status_a_second(rig: Rig) -> None:
+    for tick in range(1, 1000):
+        state = LinkState.DOWN if tick % 2 else LinkState.UP
+        rig.at[tick] = lambda state=state: setattr(rig.status, "state", state)
+    rig.run(1000)
+    assert len([said for _, said in rig.told if said.startswith("STATUS=")]) <= 12
+
+
+def test_a_full_socket_never_blocks_and_ready_comes_through_later(rig: Rig) -> None:
+    manager = Manager.from_environment()
+    taken = 0
+    while manager.say("STATUS=fills the queue"):
+        taken += 1
+    assert 0 < taken < 10_000
+    # The rig's listener reads after every tick only, so nothing was taken in the first one.
+    rig.run(3)
+    assert rig.ticks_of("READY=1") == [1]
+    assert rig.ticks_of("WATCHDOG=1") == [1]
+
+
+def test_the_manager_may_have_made_its_socket_again(
+    listener: Listener, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    manager = Manager.from_environment()
+    assert manager.say("STATUS=Zug fährt")
+    assert listener.heard() == ["STATUS=Zug fährt"]
+    listener.socket.close()
+    (tmp_path / "notify").unlink()
+    assert not manager.say("WATCHDOG=1")
+    assert "cannot be told" in caplog.text
+    assert not manager.say("WATCHDOG=1")
+    again = Listener(str(tmp_path / "notify"))
+    assert manager.say("WATCHDOG=1")
+    assert again.heard() == ["WATCHDOG=1"]
+    again.socket.close()
+
+
+def test_an_abstract_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = f"@traction-gateway-test-{os.getpid()}"
+    listener = Listener(name)
+    monkeypatch.setenv("NOTIFY_SOCKET", name)
+    assert Manager.from_environment().say("READY=1")
+    assert listener.heard() == ["READY=1"]
+    listener.socket.close()
+
+
+def test_without_a_manager_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    assert Manager.from_environment({}).say("READY=1")
+    with pytest.raises(AssertionError):
+        Manager.from_environment({"NOTIFY_SOCKET": "/nowhere"}).say("READY=1")
+
+
+@pytest.mark.parametrize(
+    ("given", "watchdog_ns"),
+    [
+        ({}, 0),
+        ({"WATCHDOG_USEC": "500000"}, SECOND // 2),
+        ({"WATCHDOG_USEC": "500000", "WATCHDOG_PID": "1"}, 0),
+        ({"WATCHDOG_USEC": "500000", "WATCHDOG_PID": str(os.getpid())}, SECOND // 2),
+        ({"WATCHDOG_USEC": "soon"}, 0),
+        ({"WATCHDOG_USEC": "-5"}, 0),
+        ({"WATCHDOG_USEC": "²"}, 0),
+    ],
+)
+def test_the_watchdog_is_for_the_process_that_it_names(
+    given: dict[str, str], watchdog_ns: int
+) -> None:
+    assert Manager.from_environment(given).watchdog_ns == watchdog_ns
+
+
+# A process of its own.
+
+HANGS = """
+import sys, time
+from gateway.core import Gateway
+step, began = Gateway.step, []
+def hang(self, frames, now):
+    began or began.append(now)
+    while now - began[0] > 1_000_000_000:
+        pass
+    return step(self, frames, now)
+from gateway.cli import main
+import gateway.drivers.live as live
+run = live.run_live
+def run_live(*given, **more):
+    Gateway.step = hang  # not in the warm-up, whose clock is made up
+    return run(*given, **more)
+live.run_live = run_live
+sys.exit(main(sys.argv[1:]))
+"""
+PATIENCE_S = 120.0
+
+
+def start(*program: str) -> subprocess.Popen[bytes]:
+    words = ("run", "--quiet", "-i", "virtual", "-c", "service")
+    return subprocess.Popen(
+        [sys.executable, *program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def until(listener: Listener, line: str, times: int = 1) -> None:
+    """Wait until a line was heard so often."""
+    deadline = time.monotonic() + PATIENCE_S
+    while times > 0:
+        assert time.monotonic() < deadline, f"{line}: not within {PATIENCE_S} s"
+        times -= sum(line in message.splitlines() for message in listener.heard(1.0))
+
+
+def test_a_stopped_process_is_silent_and_an_ended_one_says_so(listener: Listener) -> None:
+    process = start("-m", "gateway")
+    try:
+        until(listener, "READY=1")
+        until(listener, "WATCHDOG=1", 3)
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.5)
+        listener.heard()
+        assert listener.heard(1.5) == []
+        process.send_signal(signal.SIGCONT)
+        until(listener, "WATCHDOG=1", 3)
+        process.send_signal(signal.SIGTERM)
+        until(listener, "STOPPING=1")
+        _, errors = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 0, errors.decode()
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_tick_that_never_ends_lets_the_watchdog_starve(listener: Listener) -> None:
+    process = start("-c", HANGS)
+    try:
+        until(listener, "READY=1")
+        until(listener, "WATCHDOG=1")
+        deadline = time.monotonic() + PATIENCE_S
+        while listener.heard(1.5):
+            assert time.monotonic() < deadline, "it goes on"
+        assert process.poll() is None
+        # Nor does it end by itself when told to once: that is what SIGKILL and SIGABRT are for.
+        process.send_signal(signal.SIGTERM)
+        assert listener.heard(1.0) == []
+        assert process.poll() is None
+    finally:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,118 @@
+"""The pytest plugin as its user meets it, and the picture of a failure."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from dbc.frame import MS
+from gateway.health import Flag
+from gateway.testing import picture
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "regression"
+
+SUITE = """
+import pytest
+
+def test_too_fast(inverter, gateway_flags):
+    inverter.lose_adhesion(drive=2)
+    gateway_flags.expect_lost(drive=2, within_ms=10)
+
+def test_never(inverter, gateway_flags):
+    inverter.silence(drive=1)
+    gateway_flags.expect_never("adhesion", "unknown", drive=1, for_ms=800)
+
+@pytest.mark.hil(settle=False)
+def test_unknown_at_first(hil_bench, gateway_flags):
+    hil_bench.run(0.05)
+    assert gateway_flags.now("adhesion", 3).name == "UNKNOWN"
+    assert hil_bench.now_s == pytest.approx(0.05)
+
+@pytest.mark.hil(drives=2, speeed=3)
+def test_misspelt(hil_bench):
+    pass
+
+def test_no_such_drive(gateway_flags):
+    gateway_flags.expect_lost(drive=9, within_ms=10)
+
+def test_no_such_fault(inverter):
+    with pytest.raises(ValueError, match="drive 7"):
+        inverter.lose_adhesion(drive=7)
+"""
+
+
+def run_pytest(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def test_the_example_suite_passes(tmp_path):
+    """Python tests and a scenario file, with JUnit, from another folder."""
+    report = tmp_path / "report.xml"
+    done = run_pytest(tmp_path, str(EXAMPLE), "-c", "/dev/null", f"--junitxml={report}")
+    assert done.returncode == 0, done.stdout
+    names = {case.get("name") for case in ET.parse(report).iter("testcase")}
+    assert {"0-adhesion-3-bad", "1-adhesion-others-never-bad"} <= names
+    assert len(names) == 6
+
+
+@pytest.fixture(scope="module")
+def failures(tmp_path_factory) -> str:
+    folder = tmp_path_factory.mktemp("suite")
+    (folder / "test_suite.py").write_text(SUITE)
+    scenario = (EXAMPLE / "hil_wet_rail.toml").read_text()
+    (folder / "hil_hasty.toml").write_text(scenario.replace("within_ms = 100", "within_ms = 10"))
+    (folder / "hil_empty.toml").write_text('title = "nothing"\nduration_s = 1\n')
+    (folder / "other.toml").write_text("not = 'a scenario'")
+    done = run_pytest(folder, "--continue-on-collection-errors", "-rA")
+    assert done.returncode == 1, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_failure_says_what_was_seen(failures):
+    assert "adhesion of drive 2 was expected to be bad within 10 ms; it is good" in failures
+    assert "was never to be unknown for 800 ms; it was after" in failures
+    lines = failures[failures.index("_ test_too_fast _") :].splitlines()
+    truth = next(line for line in lines if "drive 2 truly" in line)
+    flag = next(line for line in lines if "drive 2 adhesion" in line)
+    assert truth.rstrip().endswith("#")
+    assert flag.rstrip().endswith("-")
+    assert "Gateway_Adhesion  Reason=0 Adhesion1=good" in failures
+    # Silence looks like what it is: the flag of drive 1 goes from good to unknown.
+    assert "Gateway_Adhesion  Reason=2 Adhesion2=good" in failures
+
+
+def test_a_scenario_that_fails_says_so(failures):
+    assert "adhesion of drive 3 bad after 3 s within 10 ms: after" in failures
+    assert "FAILED hil_hasty.toml::0-adhesion-3-bad" in failures
+    assert "PASSED hil_hasty.toml::1-adhesion-others-never-bad" in failures
+    assert "no [[expect]]: nothing would be tested" in failures
+    assert "other.toml" not in failures
+
+
+def test_mistakes_of_a_test_are_named(failures):
+    assert "speeed" in failures
+    assert "drive 9 is none of (1, 2, 3)" in failures
+    assert "PASSED test_suite.py::test_no_such_fault" in failures
+    assert "PASSED test_suite.py::test_unknown_at_first" in failures
+
+
+def test_options_that_do_not_go_together_are_refused(tmp_path):
+    for words in (["--can-channel", "vcan0"], ["--hil-gateway", "external"]):
+        done = run_pytest(tmp_path, *words)
+        assert done.returncode == 4
+        assert "--can-interface" in done.stderr
+
+
+def test_a_strip_of_time():
+    points = [(0, Flag.UNKNOWN), (320 * MS, Flag.GOOD), (480 * MS, Flag.BAD), (490 * MS, Flag.GOOD)]
+    text = picture.strip(points, 0, 640 * MS)
+    assert text == "?" * 31 + "-" * 16 + "#" + "-" * 16
+    assert picture.strip([], 0, 640 * MS) == " " * 64
+    assert picture.strip([(320 * MS, Flag.BAD)], 0, 640 * MS).startswith(" " * 31 + "#")
