@@ -15,6 +15,7 @@ import numpy as np
 from dbc.codec import Match
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from dbc.protection import Check, Receiver, SmState, protect
+from gateway.channel import GUARD_NS, SECOND_SENDER, TOO_SOON
 from gateway.config import parse
 from gateway.core import Gateway
 from gateway.inbox import OWN_CANOPEN, Inbox
@@ -73,6 +74,9 @@ class Twin:
         }
         self.own = {m.key for m in codec.messages if m.is_gateway} | OWN_CANOPEN
         self.last: dict[int, int] = {}
+        self.heard: dict[int, int] = {}
+        self.fouls: dict[int, list[int]] = {}
+        self.guarded: dict[int, int] = {}
         self.limit = {m.key: 3 * m.cycle_ns + tick_ns for m in codec.messages}
 
     def take(self, frames: list[Frame], now: int) -> Counter[str]:
@@ -95,7 +99,8 @@ class Twin:
             return "foreign" if 0 <= frame.t_ns <= now else "time_back"
         if frame.t_ns > now or frame.t_ns < self.last.get(key, 0):
             return "time_back"
-        match, _ = self.codec.match(frame)
+        before, self.heard[key] = self.heard.get(key, -1), frame.t_ns
+        match, spec = self.codec.match(frame)
         if match is not Match.OK:
             receiver.cycle(Check.ERROR)
             return "wrong_length"
@@ -105,12 +110,22 @@ class Twin:
         state = receiver.cycle(check)
         if check is Check.ERROR:
             return "error"
-        if check is Check.REPEATED:
-            return "repeated"
-        if check is Check.WRONG_SEQUENCE:
-            return "wrong_sequence"
+        if check in (Check.REPEATED, Check.WRONG_SEQUENCE):
+            if before >= 0 and frame.t_ns - before < TOO_SOON * spec.cycle_ns:
+                self._foul(key, frame.t_ns)
+            return check.name.lower()
         self.last[key] = frame.t_ns
-        return "not_yet_valid" if state is SmState.INVALID else "used"
+        doubted = state is SmState.INVALID or frame.t_ns < self.guarded.get(key, -1)
+        return "not_yet_valid" if doubted else "used"
+
+    def _foul(self, key: int, t_ns: int) -> None:
+        """A sign of a second sender; a run of them is doubted for a while."""
+        run = self.fouls.setdefault(key, [])
+        if run and t_ns - run[-1] > GUARD_NS:
+            run.clear()
+        run.append(t_ns)
+        if len(run) >= SECOND_SENDER:
+            self.guarded[key] = min(t_ns + GUARD_NS, LAST)
 
 
 def ticks_of(data: bytes) -> tuple[int, list[tuple[list[Frame], int]]]:

@@ -17,6 +17,7 @@ import pytest
 from dbc.block import blank
 from dbc.candump import LogError, Reader
 from dbc.codec import bind
+from dbc.contract import ANY
 from dbc.frame import BRS, FD, MS, Frame
 from dbc.logline import Verdict, parse_line
 from dbc.protection import protect
@@ -28,6 +29,7 @@ from gateway.inbox import Inbox
 from gateway.supervision import Life, Supervision
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
+from tests.dbc_text import write
 from tests.fuzzing import candump, frames, texts
 from tests.fuzzing.__main__ import NAMES, UNITS, summary
 from tests.fuzzing.engine import PACKAGES
@@ -392,3 +394,26 @@ def test_more_poles_than_a_float_can_hold_are_refused() -> None:
     text = "[motor.x]\nR_s = 1\nL_s = 1\npsi_pm = 1\nJ = 1\nI_rated = 1\nT_rated = 1\n"
     with pytest.raises(ConfigError, match=r"motor\.x\.pole_pairs: "):
         load(Held(f"{text}pole_pairs = 1{400 * '0'}\n".encode(), "train.toml"))
+
+
+@pytest.mark.parametrize(
+    ("by", "said"),
+    [
+        ("Z", "M.W: is multiplexed by Z, which the message does not have"),
+        ("W", "M.W: is multiplexed by itself"),
+        ("Y", "M.W: is multiplexed by itself"),
+    ],
+)
+def test_a_multiplexer_that_is_not_there_is_named(by: str, said: str, tmp_path: Path) -> None:
+    """A KeyError; and where signals select each other decoding would not end."""
+    path = write(
+        tmp_path / "mux.dbc",
+        "BO_ 1 M: 8 A",
+        ' SG_ Y m0M : 8|8@1+ (1,0) [0|0] "" A',
+        ' SG_ W m1M : 16|8@1+ (1,0) [0|0] "" A\n',
+        "SG_MUL_VAL_ 1 Y W 0-0;",
+        f"SG_MUL_VAL_ 1 W {by} 1-1;",
+    )
+    with pytest.raises(DbcMismatch) as refused:
+        bind(path, (), ANY)
+    assert said in refused.value.problems
