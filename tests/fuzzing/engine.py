@@ -10,6 +10,7 @@ import json
 import os
 import pkgutil
 import random
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -53,6 +54,7 @@ def main() -> None:
     with atheris.instrument_imports(PACKAGES[name], _compiled()):
         from tests.fuzzing.mutate import mutate
         from tests.fuzzing.targets import CORPUS, TARGETS
+        from tests.fuzzing.texts import FOLDER
     target = TARGETS[name]
     kept = target.corpus()
     for data in kept:
@@ -73,11 +75,13 @@ def main() -> None:
             # libFuzzer saves the input and ends the process.
             state["found"] += 1
             tell()
+            shutil.rmtree(FOLDER, ignore_errors=True)
             raise
         if state["executions"] % PART == 0 or state["executions"] >= most:
             tell()
             if state["executions"] >= most or time.monotonic() >= end:
                 # libFuzzer has no other way to be stopped from here without calling it a crash.
+                shutil.rmtree(FOLDER, ignore_errors=True)
                 sys.stderr.flush()
                 os._exit(0)
 

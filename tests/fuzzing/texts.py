@@ -35,13 +35,13 @@ _DRIVES = [SteadyDrive(CODECS["traction.dbc"], n, 80.0 * n, 15.0) for n in (1, 2
 _SENT = [frame for k in range(25) for drive in _DRIVES for frame in drive.frames(k)]
 CONTRACTS = (ANY, CLASSIC, FD, None)
 _SHARED = Path("/dev/shm")
-_FOLDER = Path(tempfile.mkdtemp(prefix="fuzzing", dir=_SHARED if _SHARED.is_dir() else None))
-atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)
+FOLDER = Path(tempfile.mkdtemp(prefix="fuzzing", dir=_SHARED if _SHARED.is_dir() else None))
+atexit.register(shutil.rmtree, FOLDER, ignore_errors=True)
 
 
 def _file(data: bytes, suffix: str) -> Path:
     """In memory where the system has such a folder; one per process, overwritten."""
-    path = _FOLDER / f"{os.getpid()}.{suffix}"
+    path = FOLDER / f"{os.getpid()}.{suffix}"
     path.write_bytes(data)
     return path
 
