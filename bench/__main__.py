@@ -12,6 +12,7 @@ from pathlib import Path
 
 from bench import (
     adhesion,
+    authentication,
     fleet,
     growth,
     judges,
@@ -30,6 +31,7 @@ PARTS = {
     "wire": wire,
     "replay": replay,
     "live": live,
+    "authentication": authentication,
     "fleet": fleet,
     "kernels": kernels,
     "judges": judges,
@@ -43,6 +45,7 @@ TITLES = {
     "wire": "Reading and decoding",
     "replay": "Replay against the libraries",
     "live": "Live: frames, ticks, punctuality",
+    "authentication": "Authenticated flags",
     "fleet": "A fleet of logs",
     "kernels": "What a step of the filters costs",
     "judges": "What the detectors' kernels cost",

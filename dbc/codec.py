@@ -6,6 +6,7 @@ cantools, and cantools is what the tests compare with.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 import sys
@@ -71,11 +72,15 @@ class _Writer(NamedTuple):
 class Codec:
     """A bound DBC: specs by name and id, decoding and encoding. Immutable after construction."""
 
-    def __init__(self, path: Path, messages: Iterable[MessageSpec]) -> None:
-        """`messages` are checked and numbered from 0 (by `bind`). Compiles the kernel."""
+    def __init__(self, path: Path, messages: Iterable[MessageSpec], digest: str = "") -> None:
+        """`messages` are checked and numbered from 0 (by `bind`). Compiles the kernel.
+
+        digest: SHA-256 of the file, hexadecimal.
+        """
         from dbc import _kernels
 
         self.path = path
+        self.digest = digest
         self.messages: tuple[MessageSpec, ...] = tuple(messages)
         self.by_name: Mapping[str, MessageSpec] = {m.name: m for m in self.messages}
         self.by_id: Mapping[int, MessageSpec] = {m.key: m for m in self.messages}
@@ -245,7 +250,19 @@ def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> 
     everything that is wrong.
     """
     path = Path(path)
-    return Codec(path, specs_of(path, nodes, contract))
+    before = _digest(path)
+    specs = specs_of(path, nodes, contract)
+    if _digest(path) != before:
+        raise DbcMismatch(path, ["changed while it was read; start again"])
+    return Codec(path, specs, before)
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file; empty where it cannot be read, which `specs_of` explains."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError):
+        return ""
 
 
 def _bits(writer: _Writer, value: float | None) -> int:

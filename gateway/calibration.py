@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 from dbc.text import read_toml
 from estimators.thermal import heat
 from estimators.thermal.watch import Known
-from gateway.config import ConfigError, Strict
+from gateway.config import Config, ConfigError, Strict, check_seal
 
 POINTS = ("stator", "drive_end", "non_drive_end")
 
@@ -102,10 +102,31 @@ class Calibration(Strict):
         return np.array([c.gain for c in cells]), np.array([c.offset_k for c in cells])
 
 
-def load(path: Path, nodes: tuple[int, ...], window_s: float) -> Calibration:
-    """Read and compare with the configured drives. Raises ConfigError with every problem."""
+def of(config: Config) -> Calibration | None:
+    """That of a configuration, None without one. Raises ConfigError with every problem."""
+    path = config.calibration_path
+    if path is None:
+        return None
+    return load(path, config.nodes, config.thermal.window_s, config.sealed.get("calibration"))
+
+
+def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
+    """24 bits that name configuration, DBC (its digest) and calibration: `ConfigHash`."""
+    return config.hash24(dbc, cells.checksum() if cells else "")
+
+
+def load(
+    path: Path, nodes: tuple[int, ...], window_s: float, sealed: str | None = None
+) -> Calibration:
+    """Read and compare with the configured drives. Raises ConfigError with every problem.
+
+    sealed: SHA-256 that a signature vouches for; a file with another one is not even parsed.
+    """
     try:
-        table = read_toml(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        if sealed is not None:
+            check_seal(path, content, sealed)
+        table = read_toml(content.decode("utf-8"))
         said = table.pop("checksum", None)
         calibration = Calibration.model_validate(table)
     except FileNotFoundError:

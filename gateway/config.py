@@ -51,14 +51,18 @@ class Bus(Strict):
     bitrate: int = Field(1_000_000, gt=0)
     fd: bool = False
     data_bitrate: int = Field(5_000_000, gt=0)
-    on_intruder: Literal["stop", "go_on"] = Field(
-        "stop", description="when somebody else sends with the gateway's identifiers"
+    send_on: tuple[str, ...] | None = Field(
+        None, description="channels on which the gateway may send; None: the one it is given"
     )
+    on_intruder: Literal["stop", "go_on", "tell"] | None = Field(
+        None, description="when somebody else sends with the gateway's identifiers"
+    )
+    """None: "stop"; "tell" where flags are authenticated."""
 
     @property
     def options(self) -> dict[str, Any]:
         """Those of them that are python-can's and were given."""
-        given = self.model_dump(exclude={"on_intruder"})
+        given = self.model_dump(exclude={"on_intruder", "send_on"})
         return {key: value for key, value in given.items() if value is not None}
 
 
@@ -184,6 +188,13 @@ class Canopen(Strict):
     nmt_master: bool = False
 
 
+class Authentication(Strict):
+    """`[authentication]`: flags are authenticated if the section is there. Files, never keys."""
+
+    key: str = Field("auth.key", min_length=1, description="credential, or file beside this one")
+    trip: str = Field("trip", min_length=1, description="file that counts the starts")
+
+
 class Config(Strict):
     """The whole configuration, immutable."""
 
@@ -196,7 +207,10 @@ class Config(Strict):
     adhesion: Adhesion = Adhesion()
     thermal: Thermal = Thermal()
     canopen: Canopen = Canopen()
+    authentication: Authentication | None = None
     base: Path = Field(Path(), exclude=True)
+    sealed: dict[str, str] = Field(default_factory=dict, exclude=True)
+    """SHA-256 of the files that a signature vouches for: dbc, calibration. Empty: unsigned."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -221,9 +235,23 @@ class Config(Strict):
                 f"adhesion.observe: detector {self.adhesion.detector!r} compares torque only; "
                 "'speed' and 'both' need detector = 'paper_vb' or 'paper_vb_reuse'"
             )
+        if self.bus.on_intruder == "tell" and self.authentication is None:
+            problems.append(
+                "bus.on_intruder: 'tell' needs [authentication]: without it no receiver can tell "
+                "the gateway's flags from an intruder's"
+            )
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    @property
+    def on_intruder(self) -> str:
+        """What follows when somebody else sends with our identifiers.
+
+        Where receivers can tell our frames from others', stopping would only let one forged
+        frame silence us.
+        """
+        return self.bus.on_intruder or ("tell" if self.authentication else "stop")
 
     @property
     def motors(self) -> dict[str, Motor]:
@@ -248,12 +276,12 @@ class Config(Strict):
         """The thermal calibration, relative to the configuration."""
         return self.base / self.thermal.calibration if self.thermal.calibration else None
 
-    def hash24(self, calibration: str = "") -> int:
+    def hash24(self, dbc: str = "", calibration: str = "") -> int:
         """24 bits that name this configuration on the bus (`Gateway_Info.ConfigHash`).
 
-        calibration: checksum of the thermal one, if there is any.
+        dbc: digest of the DBC file; calibration: checksum of the thermal one, if there is any.
         """
-        digest = hashlib.sha256((self.model_dump_json() + calibration).encode()).digest()
+        digest = hashlib.sha256((self.model_dump_json() + dbc + calibration).encode()).digest()
         return int.from_bytes(digest[:3], "little")
 
 
@@ -284,22 +312,40 @@ def parse(raw: dict[str, Any], source: str = "configuration", base: Path = Path(
         raise ConfigError(source, _lines(error)) from None
 
 
-def load(path: Path | None, **changes: dict[str, Any]) -> Config:
+def check_seal(path: Path, content: bytes, sealed: str) -> None:
+    """Raises ConfigError unless the content is what a signature vouches for (SHA-256)."""
+    if hashlib.sha256(content).hexdigest() != sealed:
+        raise ConfigError(
+            str(path),
+            ["is not the file that was signed; restore that one, or sign anew after a review"],
+        )
+
+
+def load(
+    path: Path | None, sealed: dict[str, str] | None = None, **changes: dict[str, Any]
+) -> Config:
     """Read and validate a file; None gives the default: three drives on nodes 1-3.
 
-    changes: keys that override the file's, as `section={"key": value}`.
+    sealed: SHA-256 of the files that a signature vouches for; this one, `config`, is not even
+    parsed if it is another. changes: keys that override the file's, as `section={"key": value}`.
     """
     if path is None:
         return parse(changes, "command line")
     try:
-        raw = read_toml(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        if sealed is not None:
+            check_seal(path, content, sealed["config"])
+        raw = read_toml(content.decode("utf-8"))
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
     except (OSError, UnicodeDecodeError, TomlError) as error:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
-    if "base" in raw:
-        raise ConfigError(str(path), ["base: unknown key; remove it or correct its name"])
+    inner = [key for key in ("base", "sealed") if key in raw]
+    if inner:
+        problems = [f"{key}: unknown key; remove it or correct its name" for key in inner]
+        raise ConfigError(str(path), problems)
     for section, keys in changes.items():
         if isinstance(raw.get(section, {}), dict):
             raw[section] = {**raw.get(section, {}), **keys}
-    return parse(raw, str(path), path.parent)
+    config = parse(raw, str(path), path.parent)
+    return config if sealed is None else config.model_copy(update={"sealed": sealed})

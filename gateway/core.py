@@ -14,7 +14,7 @@ Five laws:
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from dbc.block import Block
 from dbc.codec import Codec
@@ -46,6 +46,9 @@ from gateway.slow import RPM
 from gateway.supervision import Life, Supervision
 from gateway.thermal import Report, ThermalSide
 
+if TYPE_CHECKING:
+    from dbc.authentication import Authenticator
+
 FLAGS: Final = ("adhesion", "thermal", "comm", "estimator", "sensor")
 HEARTBEAT_LIMIT_NS: Final = 300 * MS
 COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
@@ -66,8 +69,17 @@ TURNS: Final = 2.0
 class Gateway:
     """All state of the gateway. One object per bus; `step` is called once per tick."""
 
-    def __init__(self, config: Config, codec: Codec, start_ns: Nanos) -> None:
-        """Raises ConfigError where configuration, calibration and DBC do not fit."""
+    def __init__(
+        self,
+        config: Config,
+        codec: Codec,
+        start_ns: Nanos,
+        authenticator: Authenticator | None = None,
+    ) -> None:
+        """Raises ConfigError where configuration, calibration and DBC do not fit.
+
+        authenticator: made by the driver, who has the key; None sends no `Gateway_Auth`.
+        """
         nodes = config.nodes
         motors = [config.motors[d.motor] for d in config.drive]
         self.config = config
@@ -82,8 +94,7 @@ class Gateway:
         self.motion = MotionSide(
             motors, config.estimator, _timing(self.inbox.drives), config.loop.period_ns
         )
-        path = config.calibration_path
-        cells = calibration.load(path, nodes, config.thermal.window_s) if path else None
+        cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
         self.temperature_limit_ns = [c.limit_ns if c else 0 for c in temperatures]
@@ -104,10 +115,11 @@ class Gateway:
         self.adhesion = AdhesionSide(a, motors, self.timing["adhesion"], config.loop.period_ns)
         self.flags = [{name: FlagState(since_ns=start_ns) for name in FLAGS} for _ in nodes]
         self.reports = [Report() for _ in nodes]
-        own_hash = config.hash24(cells.checksum() if cells else "")
-        self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns)
+        own_hash = calibration.config_hash(config, codec.digest, cells)
+        self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
-        self.doubt = Doubt(config.loop.period_ns)
+        told_apart = config.on_intruder == "tell" and authenticator is not None
+        self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
         self.contradictions = [0] * len(nodes)
         self.unlocked_ns = [0] * len(nodes)
         """How long each has turned, by its own word, with no lock to it."""
@@ -115,7 +127,7 @@ class Gateway:
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
-        self.stops = config.bus.on_intruder == "stop"
+        self.stops = config.on_intruder != "go_on" and not told_apart
         self.silent = False
         """Nothing is sent any more."""
         self.start_ns = start_ns
@@ -175,8 +187,9 @@ class Gateway:
         drives = tuple(DriveView(node) for node in self.nodes)
         self.outbox.restart(now)
         view = self._view(drives, None, now)._replace(state=GatewayState.SILENT)
-        flags = {self.outbox.specs[f"Gateway_{n}"].can_id for n in ("Adhesion", "Faults", "Status")}
-        return [f for f in self.outbox.due(view) if f.can_id in flags]
+        names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
+        wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
+        return [f for f in self.outbox.due(view) if f.can_id in wanted]
 
     def _input_reason(self, k: int) -> Reason:
         """Why this drive's currents and voltages cannot be believed; NONE if they can."""
@@ -230,7 +243,7 @@ class Gateway:
         lost = opinion.lost.item(k) if opinion.known.item(k) else None
         adhesion, reason = self._adhesion_evidence(estimate, lost, cause)
         report = self.thermal.report(k, now, self.temperature_limit_ns[k])
-        if self.doubt.intruder:
+        if self.doubt.reason is Reason.INTRUDER:
             report = report._replace(thermal=Flag.UNKNOWN, reason=Reason.INTRUDER)
         if drive.sum_error > self.sum_limit_a[k] and report.sensor is not Flag.BAD:
             report = report._replace(

@@ -22,8 +22,12 @@ LOST_TICKS: Final = 5
 class Doubt:
     """Notes of the driver before a step, and what they come to; `tick` once per step."""
 
-    def __init__(self, tick_ns: Nanos) -> None:
-        """tick_ns: period of the loop."""
+    def __init__(self, tick_ns: Nanos, *, told_apart: bool = False) -> None:
+        """tick_ns: period of the loop.
+
+        told_apart: receivers can tell our frames from an intruder's, so ours are still good.
+        """
+        self._told_apart = told_apart
         self.deadline_misses = 0
         self.intruder = False
         """Somebody else sends with our identifiers. Latched."""
@@ -68,7 +72,7 @@ class Doubt:
 
         Of the reasons only an intruder counts against thermal flags, which change slowly.
         """
-        if self.intruder:
+        if self.intruder and not self._told_apart:
             return Reason.INTRUDER
         if self._late_in_a_row > LATE_IN_A_ROW:
             return Reason.OVERRUN

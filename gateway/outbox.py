@@ -7,7 +7,7 @@ not-available code or as `Unknown`; nothing is ever repeated from an earlier tic
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dbc.codec import Codec, MessageSpec
 from dbc.frame import BRS, FD, MS, Frame, Nanos
@@ -15,6 +15,11 @@ from dbc.protection import protect
 from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.heatside import Wear
 
+if TYPE_CHECKING:
+    from dbc.authentication import Authenticator
+
+VOUCHED: Final = ("Gateway_Adhesion", "Gateway_Faults")
+"""What `Gateway_Auth` follows, where flags are authenticated."""
 MOST_JUMPS = 14
 """One below the code for not available."""
 Value = float | int | None
@@ -82,7 +87,12 @@ class Outbox:
     """The gateway's own messages: schedule and counters. `due` is the only mutator."""
 
     def __init__(
-        self, codec: Codec, nodes: tuple[int, ...], config_hash: int, tick_ns: Nanos
+        self,
+        codec: Codec,
+        nodes: tuple[int, ...],
+        config_hash: int,
+        tick_ns: Nanos,
+        authenticator: Authenticator | None = None,
     ) -> None:
         """The set of messages is fixed here; nothing else can ever be sent."""
         # A real tick wakes a little later than the one that the grid counts from, or a little
@@ -101,6 +111,9 @@ class Outbox:
         names += self.places
         self.specs: dict[str, MessageSpec] = {name: codec.by_name[name] for name in names}
         self.next_ns: dict[str, Nanos] = {}
+        self.authenticator = authenticator
+        self.auth = codec.by_name["Gateway_Auth"]
+        self.vouched = {self.specs[name].can_id: self.specs[name].key for name in VOUCHED}
 
     def restart(self, now: Nanos) -> None:
         """Everything is due now; the cycles count from here."""
@@ -108,7 +121,7 @@ class Outbox:
         self.last_faults = None
 
     def due(self, view: GatewayView) -> list[Frame]:
-        """Frames of this tick, in the order of their ids."""
+        """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
         now = view.t_ns
         if not self.next_ns:
             self.restart(now)
@@ -125,7 +138,19 @@ class Outbox:
             self.next_ns[name] = start + spec.cycle_ns * (1 + behind)
             frames.append(self._frame(spec, self._values(name, view), now))
         self.last_faults = faults
-        return sorted(frames, key=lambda frame: frame.can_id)
+        frames.sort(key=lambda frame: frame.can_id)
+        return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
+
+    def _vouch(self, authenticator: Authenticator, frames: list[Frame]) -> list[Frame]:
+        out = []
+        for frame in frames:
+            out.append(frame)
+            key = self.vouched.get(frame.can_id)
+            if key is not None:
+                freshness, mac = authenticator.sign(key, frame.data)
+                values = {"Freshness": freshness, "Mac": mac}
+                out.append(self._frame(self.auth, values, frame.t_ns))
+        return out
 
     def _frame(self, spec: MessageSpec, values: Mapping[str, Value], t_ns: Nanos) -> Frame:
         payload = self.codec.encode(spec, values)

@@ -6,24 +6,29 @@ It obeys the gateway's flag of its own drive (`Gateway_Adhesion`, protection che
 `AdhesionLost` its torque limiter falls to 30 % within 100 ms, on `Adhering` it returns to 100 %
 over 1 s. On unknown, on a bad frame, or when no good flag frame came for 40 ms, the limiter
 returns too and the drive's own slip limit, which is always there, is alone in charge.
+
+With a verifier it obeys no flag frame that `Gateway_Auth` does not vouch for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbc.codec import Codec
 from dbc.frame import BRS, FD, MS, Frame, Nanos
-from dbc.protection import Check, Receiver, SmState, protect
+from dbc.protection import Check, Receiver, SmState, crc_ok, protect
 from dbc.spec import MessageSpec
 from sim.canopen_ecu import CanopenNode
 from sim.faults import EMERGENCY, WireFaults
 from sim.packing import Packer
 from sim.readings import CURRENTS, SAMPLES, VOLTAGES, Values
+
+if TYPE_CHECKING:
+    from dbc.verifier import Verifier
 
 Array = NDArray[np.float64]
 
@@ -41,9 +46,16 @@ class Ecu:
     """One drive's ECU. `index` counts drives from 0, `node` is its CANopen number."""
 
     def __init__(
-        self, node: int, index: int, codec: Codec, wire: WireFaults, *, self_start: bool
+        self,
+        node: int,
+        index: int,
+        codec: Codec,
+        wire: WireFaults,
+        *,
+        self_start: bool,
+        verifier: Verifier | None = None,
     ) -> None:
-        """Boots at time 0."""
+        """Boots at time 0. verifier: tells which flag frames are genuine; None believes all."""
         self.node, self._wire = node, wire
         self.codec = codec
         prefix = f"Drive{node}_"
@@ -67,6 +79,12 @@ class Ecu:
             None,
         )
         self._shift = signal.start if signal else 0
+        self.verifier = verifier
+        self._vouched = {
+            spec.can_id: spec
+            for name in ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Auth")
+            if (spec := codec.by_name.get(name)) is not None
+        }
         self._flag_ns: Nanos | None = None
         self._flag = 0
         self._known_fault = 1
@@ -90,10 +108,29 @@ class Ecu:
         for frame in frames:
             if not frame.is_plain_data:
                 continue
-            if frame.can_id == flag_id:
+            if self.verifier is not None and frame.can_id in self._vouched:
+                self._verify(self.verifier, self._vouched[frame.can_id], frame, now_ns)
+            elif frame.can_id == flag_id:
                 self._take_flags(frame, now_ns)
             elif frame.can_id in (0, sdo_id) and not frame.is_fd:
                 self.canopen.deliver(frame.can_id, frame.data, now_ns)
+
+    def _verify(self, verifier: Verifier, spec: MessageSpec, frame: Frame, now_ns: Nanos) -> None:
+        """Hold a flag frame back until `Gateway_Auth` vouches for it.
+
+        By the stamps of reception: a program that stalls between the two has lost neither.
+        """
+        if len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
+            return
+        if spec.kind != "Auth":
+            verifier.flag(spec.key, frame.data, frame.t_ns)
+            return
+        if not crc_ok(spec, frame.data):
+            return
+        said = self.codec.decode(spec, frame.data)
+        genuine = verifier.auth(int(said["Freshness"].raw), int(said["Mac"].raw), frame.t_ns)
+        if genuine is not None and self._adhesion and genuine.key == self._adhesion.key:
+            self._take_flags(frame._replace(can_id=genuine.key, data=genuine.data), now_ns)
 
     def _take_flags(self, frame: Frame, now_ns: Nanos) -> None:
         spec, receiver = self._adhesion, self._receiver

@@ -11,8 +11,8 @@ time; voltages are the mean since the drive's previous sample, currents are thos
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from sim.thermal import ThermalTrain
 from sim.truth import Truth
 from sim.variety import Variety
 from sim.wire import Arbiter
+
+if TYPE_CHECKING:
+    from dbc.verifier import Verifier
 
 Array = NDArray[np.float64]
 PERIOD_NS: Final[Nanos] = 125_000
@@ -51,16 +54,19 @@ class Simulation:
         nodes: Sequence[int] | None = None,
         self_start: bool = True,
         start_ns: Nanos = 0,
+        verifier: Callable[[], Verifier] | None = None,
     ) -> None:
         """Build the world at rest in time `start_ns`.
 
         `nodes`: CANopen numbers of drives 1..n, default 1..n. With `self_start` the drives go
-        Operational by themselves, else an NMT master has to start them.
+        Operational by themselves, else an NMT master has to start them. `verifier` makes each
+        drive's receiver of authenticated flags; None: flags are believed without.
 
         Raises ValueError when there are fewer nodes than drives, when the DBC lacks messages of a
         drive, or when a cycle time is not a multiple of 125 us.
         """
         self.scenario = scenario
+        self.codec = codec
         n = scenario.drives
         self.nodes = tuple(range(1, n + 1) if nodes is None else nodes)[:n]
         if len(self.nodes) < n:
@@ -71,7 +77,14 @@ class Simulation:
         self._profile = Profile(scenario, motor.pole_pairs)
         self._wires = [WireFaults(self._schedule, scenario.seed, k) for k in range(n)]
         self._ecus = [
-            Ecu(node, k, codec, wire, self_start=self_start)
+            Ecu(
+                node,
+                k,
+                codec,
+                wire,
+                self_start=self_start,
+                verifier=verifier() if verifier else None,
+            )
             for k, (node, wire) in enumerate(zip(self.nodes, self._wires, strict=True))
         ]
         self._cycles = _cycles(self._ecus, slow=scenario.traffic == "slow")
@@ -110,6 +123,11 @@ class Simulation:
     def overwritten(self) -> int:
         """Frames that never got the bus because their successor came first."""
         return self._arbiter.overwritten
+
+    @property
+    def verifiers(self) -> dict[int, Verifier]:
+        """Each drive's receiver of authenticated flags, by node; empty without authentication."""
+        return {e.node: e.verifier for e in self._ecus if e.verifier is not None}
 
     def truth_rows(self) -> list[Truth]:
         """Rows since the last call."""

@@ -7,48 +7,53 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import BAD_INPUT, GOOD, console, prepare
+from gateway.commands.common import BAD_INPUT, GOOD, add_signature, console, prepare
+from gateway.config import ConfigError
+from gateway.stuffing import bits_of
 
 if TYPE_CHECKING:
     from dbc.codec import Codec, MessageSpec
+    from dbc.frame import Frame
     from gateway.config import Config
 
 HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
-MEASURE_S = 1.0
+MEASURE_S = 2.0
+SETTLE_S = 1.0
+"""Before it: filters start, drives come to life."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("config", type=Path, help="the configuration to check")
+    add_signature(parser)
     parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
 
 
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work."""
-    config, codec = prepare(options.config)
-    print(f"configuration  good, hash {config.hash24():06x}")
+    from gateway import calibration
+
+    config, codec = prepare(options.config, signature=options)
+    word = calibration.config_hash(config, codec.digest, calibration.of(config))
+    print(f"configuration  good, hash {word:06x}")
     print(f"message set    {codec.path.name}: {len(codec.messages)} messages fit the contract")
     percent = bus_load(codec, config)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")
-    period_us = config.loop.period_ns / 1e3
     if not options.no_timing:
-        tick_us = measure_tick(config, codec)
-        print(
-            f"timing         a tick takes {tick_us:.0f} us of {period_us:.0f} us "
-            f"({100 * tick_us / period_us:.0f} %) on this machine"
-        )
+        frames, times_us = measure(config, codec)
+        _tell_loads(codec, config, frames)
+        _tell_timing(times_us, config.loop.period_ns / 1e3)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
         else "not calibrated: flags stay unknown"
     )
     print(f"thermal        {calibrated}")
-    if config.calibration_path:
-        from gateway import calibration
-
-        calibration.load(config.calibration_path, config.nodes, config.thermal.window_s)
+    signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
+    print(f"signature      {signed}")
+    print(f"flags          {_authentication(config)}")
     if percent > LOAD_LIMIT_PERCENT:
         console().print(
             f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
@@ -56,6 +61,19 @@ def run(options: argparse.Namespace) -> int:
         )  # fmt: skip
         return BAD_INPUT
     return GOOD
+
+
+def _authentication(config: Config) -> str:
+    if config.authentication is None:
+        return "not authenticated"
+    from gateway.drivers.credentials import flag_key
+
+    try:
+        flag_key(config.authentication.key, config.base)
+    except ConfigError as error:
+        # Keys are where the gateway runs; a configuration is checked anywhere.
+        return f"authenticated; no key here: {error.problems[0]}"
+    return "authenticated, the key can be used"
 
 
 def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
@@ -76,11 +94,15 @@ def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
 
 def bus_load(codec: Codec, config: Config) -> float:
     """Percent of the bus that the configured drives and the gateway take."""
-    from gateway.outbox import Outbox
+    from gateway.outbox import VOUCHED, Outbox
 
-    ours = set(Outbox(codec, config.nodes, 0, config.loop.period_ns).specs)
+    outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
+    ours = set(outbox.specs)
     bus = config.bus
     busy = 0.0
+    if config.authentication is not None:
+        follows = sum(1e9 / outbox.specs[name].cycle_ns for name in VOUCHED)
+        busy += frame_seconds(outbox.auth, bus.bitrate, bus.data_bitrate) * follows
     for spec in codec.messages:
         if spec.cycle_ns and (spec.node in config.nodes or spec.name in ours):
             busy += frame_seconds(spec, bus.bitrate, bus.data_bitrate) * 1e9 / spec.cycle_ns
@@ -88,22 +110,67 @@ def bus_load(codec: Codec, config: Config) -> float:
     return 100.0 * (busy + heartbeats)
 
 
-def measure_tick(config: Config, codec: Codec) -> float:
-    """Median time of a full tick with simulated drives at the bus's own rates, us."""
+def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
+    """A line per kind of message: its share of the bus by the frames' own stuff bits."""
+    bus = config.bus
+    kinds: dict[str, list[float]] = {}
+    bits: dict[str, list[int]] = {}
+    for frame in frames:
+        spec = codec.by_id.get(frame.can_id)
+        name = "CANopen" if spec is None else _kind(spec)
+        exact = bits_of(frame)
+        kinds.setdefault(name, []).append(exact.seconds(bus.bitrate, bus.data_bitrate))
+        bits.setdefault(name, []).append(exact.nominal + exact.data)
+    total = 0.0
+    for name in sorted(kinds, key=lambda name: -sum(kinds[name])):
+        share = 100.0 * sum(kinds[name]) / MEASURE_S
+        total += share
+        each = bits[name]
+        rate, mean = len(each) / MEASURE_S, sum(each) / len(each)
+        print(
+            f"  {name:<24} {rate:7.0f} frames/s of {mean:5.1f} bits "
+            f"({min(each)} to {max(each)}): {share:5.1f} %"
+        )
+    what = f"by every stuff bit of {MEASURE_S:g} s of simulated drives"
+    print(f"  {'together':<24} {total:5.1f} % {what}")
+
+
+def _kind(spec: MessageSpec) -> str:
+    return f"Drive{{n}}_{spec.kind}" if spec.node else spec.name
+
+
+def _tell_timing(times_us: list[float], period_us: float) -> None:
+    ordered = sorted(times_us)
+    p50, p99 = (ordered[int(len(ordered) * q)] for q in (0.5, 0.99))
+    print(
+        f"timing         a tick takes {p50:.0f} us of {period_us:.0f} us "
+        f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us, here"
+    )
+
+
+def measure(config: Config, codec: Codec) -> tuple[list[Frame], list[float]]:
+    """Two seconds with simulated drives: all frames of the bus, and each tick's time, us."""
     from gateway.core import Gateway
+    from gateway.drivers.canopen_node import CanopenNode
     from sim.scenario import parse
     from sim.simulation import Simulation
 
-    scenario = parse({"title": "timing", "seed": 1, "duration_s": 2.0,
+    scenario = parse({"title": "timing", "seed": 1, "duration_s": 3.0,
                       "drives": len(config.nodes)}, "timing")  # fmt: skip
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
-    gateway = Gateway(config, codec, 0)
-    ticks = round(MEASURE_S * config.loop.rate_hz)
-    batches = [simulation.step((), k * config.loop.period_ns) for k in range(ticks)]
+    gateway, node = Gateway(config, codec, 0), CanopenNode(config.nodes)
+    period = config.loop.period_ns
+    settling = round(SETTLE_S * config.loop.rate_hz)
+    ticks = settling + round(MEASURE_S * config.loop.rate_hz)
+    batches = [simulation.step((), k * period) for k in range(ticks)]
+    frames: list[Frame] = []
     times = []
-    for k, frames in enumerate(batches):
+    for k, came in enumerate(batches):
         began = time.perf_counter_ns()
-        gateway.step(frames, k * config.loop.period_ns)
-        times.append(time.perf_counter_ns() - began)
-    times.sort()
-    return times[len(times) // 2] / 1e3
+        out = gateway.step(came, k * period)
+        took = time.perf_counter_ns() - began
+        out += node.step(came, k * period)
+        if k >= settling:
+            frames += [*came, *out]
+            times.append(took / 1e3)
+    return frames, times

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from gateway.config import Config, load
+from gateway.config import Config, ConfigError, load
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,6 +46,18 @@ def add_config(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) -> None:
+    """`--public-key`, `--signature`."""
+    parser.add_argument(
+        "--public-key", type=Path, metavar="PUBLIC.pem", required=required,
+        help="take no configuration that this ed25519 key has not signed",
+    )  # fmt: skip
+    parser.add_argument(
+        "--signature", type=Path, metavar="FILE.sig",
+        help="default: beside the configuration, its name and .sig",
+    )  # fmt: skip
+
+
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
     import can.cli
@@ -53,9 +65,12 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     can.cli.add_bus_arguments(parser)
 
 
-def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
+def prepare(
+    path: Path | None, *, signature: argparse.Namespace | None = None, **changes: Any
+) -> tuple[Config, Codec]:
     """Configuration and codec. Raises ConfigError or DbcMismatch with every problem.
 
+    signature: options of `add_signature`; with a public key nothing unsigned is even parsed.
     changes: fields of `[section]`s to override, as `section={"key": value}`.
     """
     from dbc.codec import bind
@@ -64,8 +79,21 @@ def prepare(path: Path | None, **changes: Any) -> tuple[Config, Codec]:
         section: {k: v for k, v in values.items() if v is not None}
         for section, values in changes.items()
     }
-    config = load(path, **given)
-    return config, bind(config.dbc_path, config.nodes)
+    if signature is None or signature.public_key is None:
+        if signature is not None and signature.signature is not None:
+            raise ConfigError("--signature", ["says nothing without --public-key"])
+        config = load(path, **given)
+        return config, bind(config.dbc_path, config.nodes)
+    from gateway.drivers.signing import check_digest, check_files, default_signature, verified
+
+    if path is None:
+        raise ConfigError("--public-key", ["the built-in configuration has no signature"])
+    seals = verified(signature.signature or default_signature(path), signature.public_key)
+    config = load(path, seals, **given)
+    check_files(config)
+    codec = bind(config.dbc_path, config.nodes)
+    check_digest(config, codec.digest)
+    return config, codec
 
 
 def scenario_thermal() -> dict[str, str]:
@@ -75,23 +103,25 @@ def scenario_thermal() -> dict[str, str]:
     return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
 
 
-def fitting(path: Path | None, scenario: Scenario) -> tuple[Config, Codec]:
+def fitting(
+    path: Path | None, scenario: Scenario, signature: argparse.Namespace | None = None
+) -> tuple[Config, Codec]:
     """Configuration for the scenario's drives and motors, unless a file says otherwise.
 
-    Raises ConfigError or DbcMismatch with every problem.
+    signature: as of `prepare`. Raises ConfigError or DbcMismatch with every problem.
     """
     from dbc.codec import bind
     from gateway.config import Drive
 
     if path is not None:
-        config, codec = prepare(path)
+        config, codec = prepare(path, signature=signature)
         if len(config.nodes) != scenario.drives:
             console().print(
                 f"note: the scenario has {scenario.drives} drives, the configuration "
                 f"{len(config.nodes)}", markup=False,
             )  # fmt: skip
         return config, codec
-    config, _ = prepare(None, thermal=scenario_thermal())
+    config, _ = prepare(None, signature=signature, thermal=scenario_thermal())
     name = scenario.motor.name
     motor = name if name in config.motors else "bench"
     drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 from gateway.commands.common import (
@@ -16,10 +16,14 @@ from gateway.commands.common import (
     GOOD,
     add_bus,
     add_config,
+    add_signature,
     console,
     fitting,
     out_file,
 )
+
+if TYPE_CHECKING:
+    from gateway.drivers.bench import Outcome
 
 HELP = "run scenarios against the gateway and judge their expectations"
 
@@ -28,6 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("scenario", nargs="+", help="scenario files, or names of shipped ones")
     add_config(parser)
+    add_signature(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="verdicts as JUnit XML")
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
                         help="record all frames of the (last) scenario")  # fmt: skip
@@ -45,14 +50,15 @@ def run(options: argparse.Namespace) -> int:
     failed = 0
     for name, scenario in scenarios:
         began = time.perf_counter()
-        verdicts = _one(options, name, scenario)
+        verdicts, word = _one(options, name, scenario)
         seconds = time.perf_counter() - began
         bad = [v for v in verdicts if not v.passed]
         failed += len(bad)
-        print(f"{'FAIL' if bad else 'ok  '} {scenario.title}  ({seconds:.1f} s)")
+        said = f"{seconds:.1f} s, configuration {word:06x}"
+        print(f"{'FAIL' if bad else 'ok  '} {scenario.title}  ({said})")
         for v in verdicts:
             print(f"     {'ok  ' if v.passed else 'FAIL'} {v.text}: {v.detail}")
-        _suite(suites, scenario.title, verdicts, seconds)
+        _suite(suites, scenario.title, verdicts, seconds, word)
     if options.junit:
         path = options.junit
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,35 +66,48 @@ def run(options: argparse.Namespace) -> int:
     return FAILED if failed else GOOD
 
 
-def _one(options: argparse.Namespace, name: str, scenario: Any) -> list[Any]:
-    config, codec = fitting(options.config, scenario)
+def _one(options: argparse.Namespace, name: str, scenario: Any) -> tuple[list[Any], int]:
+    """Verdicts, and what the configuration is called on the bus."""
+    outcome = _outcome(options, name, scenario)
+    return outcome.verdicts, outcome.gateway.outbox.config_hash
+
+
+def _outcome(options: argparse.Namespace, name: str, scenario: Any) -> Outcome:
+    config, codec = fitting(options.config, scenario, options)
     if hasattr(options, "interface") or hasattr(options, "channel"):
         from gateway.drivers.hilbus import run_on_real_bus
 
         folder = options.results / Path(name).stem if options.results else None
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        return run_on_real_bus(options, name, scenario, config, codec, folder).verdicts
+        return run_on_real_bus(options, name, scenario, config, codec, folder)
     from gateway.drivers.bench import run_virtual
 
     if options.results:
         from gateway.config import ConfigError
 
         raise ConfigError("--results", ["the virtual clock is never late; name a bus (-i, -c)"])
+    key = None
+    if config.authentication is not None:
+        from gateway.drivers.credentials import flag_key
+
+        key = flag_key(config.authentication.key, config.base)
     if options.output is None:
         with _progress(scenario) as watch:
-            return run_virtual(scenario, config, codec, watch).verdicts
+            return run_virtual(scenario, config, codec, watch, key=key)
     from dbc.candump import Writer
 
     writer = Writer(out_file(options.output))
 
     def record(_now: int, received: list[Any], sent: list[Any], _view: Any) -> None:
-        for frame in sorted([*received, *sent]):
+        # Each Auth frame stays behind its flag frame, which it would not by its identifier.
+        ours = sent if key else sorted(sent)
+        for frame in sorted([*received, *ours], key=lambda frame: frame.t_ns):
             writer.write(frame._replace(channel="vcan0"))
 
     try:
         with _progress(scenario) as watch:
-            return run_virtual(scenario, config, codec, [record, *watch]).verdicts
+            return run_virtual(scenario, config, codec, [record, *watch], key=key)
     finally:
         writer.close()
 
@@ -111,11 +130,13 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
         yield [look]
 
 
-def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float) -> None:
+def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float, word: int) -> None:
     suite = ET.SubElement(
         parent, "testsuite", name=title, tests=str(len(verdicts)),
         failures=str(sum(not v.passed for v in verdicts)), time=f"{seconds:.3f}",
     )  # fmt: skip
+    properties = ET.SubElement(suite, "properties")
+    ET.SubElement(properties, "property", name="config_hash", value=f"{word:06x}")
     for v in verdicts:
         case = ET.SubElement(suite, "testcase", classname=title, name=v.text)
         if v.passed:

@@ -7,7 +7,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gateway.commands.common import GOOD, add_config, console, out_file, prepare, track_file
+from gateway.commands.common import (
+    GOOD,
+    add_config,
+    add_signature,
+    console,
+    out_file,
+    prepare,
+    track_file,
+)
 
 if TYPE_CHECKING:
     from dbc.candump import Reader
@@ -21,6 +29,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("log", type=Path, help="candump log (.log, .gz), or any python-can format")
     add_config(parser)
+    add_signature(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.log",
                         help="the gateway's own frames, as candump -L writes them")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
@@ -41,8 +50,10 @@ def run(options: argparse.Namespace) -> int:
     from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
     from gateway.results.record import Recorder
 
-    changes = {"adhesion": {"detector": options.detector}} if options.detector else {}
-    config, codec = prepare(options.config, **changes)
+    changes: dict[str, Any] = (
+        {"adhesion": {"detector": options.detector}} if options.detector else {}
+    )
+    config, codec = prepare(options.config, signature=options, **changes)
     if options.output and options.output.exists() and options.output.samefile(options.log):
         raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
     log = open_log(options.log, options.strict)
@@ -73,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
     if options.results:
         from gateway.results.pictures import loads
 
+        word = f"ConfigHash {done.gateway.outbox.config_hash:06x}\n"
+        (options.results / "configuration.txt").write_text(word, encoding="ascii")
         for suffix in ("png", "svg"):
             loads(options.results / f"loads.{suffix}", recorder.series, options.log.name)
     _summary(log.reader, done, recorder)
@@ -90,6 +103,7 @@ def _summary(reader: Reader | None, done: Replayed, recorder: Recorder) -> None:
         print("lines: " + ", ".join(f"{name} {n}" for name, n in lines))
         for number, verdict, text in reader.problems[:5]:
             console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
+    print(f"configuration: {done.gateway.outbox.config_hash:06x}")
     counts = done.gateway.inbox.counts
     print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
     for t_ns, node, what, word in recorder.changes:

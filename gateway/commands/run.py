@@ -14,6 +14,7 @@ from gateway.commands.common import (
     GOOD,
     add_bus,
     add_config,
+    add_signature,
     console,
     patience,
     positive_seconds,
@@ -30,6 +31,9 @@ DISPLAY_EVERY = 20
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     add_config(parser)
+    add_signature(parser)
+    parser.add_argument("--listen-only", action="store_true",
+                        help="send nothing at all: look at a bus that others work on")  # fmt: skip
     parser.add_argument(
         "--duration", type=positive_seconds, metavar="S", help="stop after this long"
     )
@@ -55,15 +59,19 @@ def run(options: argparse.Namespace) -> int:
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
     from gateway.drivers.canopen_node import CanopenNode
+    from gateway.drivers.credentials import flag_authenticator
     from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
     from gateway.drivers.outputs import Outputs
+    from gateway.drivers.permission import Mode, allowed
     from gateway.drivers.realtime import Ticker
     from gateway.drivers.scheduling import be_realtime, described, use_given
     from gateway.drivers.service import Manager, Overseer
-    from gateway.drivers.transport import Allow
     from gateway.drivers.warm import warm_up
 
-    config, codec = prepare(options.config)
+    config, codec = prepare(options.config, signature=options)
+    mode = Mode.LISTEN if options.listen_only else Mode.RUN
+    # Who sends nothing needs no key and uses up no start number.
+    authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     if options.results:
         # Where nothing can be left is said now, not after the run.
         options.results.mkdir(parents=True, exist_ok=True)
@@ -75,14 +83,15 @@ def run(options: argparse.Namespace) -> int:
     else:
         use_given()
     log.info("user %d, %s", os.geteuid(), described())
-    transport = open_transport(
-        bus_options(options, config), Allow.from_codec(codec, config.nodes, nmt_master=master)
-    )
+    transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
     kernels.tell()  # the transport has some as well
     ticker = Ticker(config.loop.period_ns)
-    gateway = Gateway(config, codec, ticker.clock())
+    gateway = Gateway(config, codec, ticker.clock(), authenticator)
+    log.info("configuration %06x", gateway.outbox.config_hash)
     node = CanopenNode(config.nodes, nmt_master=master)
-    outputs = Outputs(gateway.outbox.specs.values(), lambda: gateway.silent)
+    outputs = Outputs(
+        gateway.outbox.specs.values(), lambda: gateway.silent, listening=mode is Mode.LISTEN
+    )
     overseer = Overseer(
         outputs, Manager.from_environment(), options_name(options), round(options.began_s * SECOND)
     )
@@ -110,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
                             on_end=overseer.stopping)  # fmt: skip
     summary(gateway, seen)
     if options.results:
-        title = f"Timing on {options_name(options)}"
+        title = f"Timing on {options_name(options)}, configuration {gateway.outbox.config_hash:06x}"
         leave_timing(options.results, seen, title, config.loop.period_ns)
         print(f"report: {options.results / 'report.html'}")
     return GOOD

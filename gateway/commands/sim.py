@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import csv
+import logging
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gateway.commands.common import (
     GOOD,
@@ -17,7 +20,12 @@ from gateway.commands.common import (
     patience,
     positive_seconds,
 )
+from gateway.config import ConfigError
 
+if TYPE_CHECKING:
+    from dbc.verifier import Verifier
+
+log = logging.getLogger(__name__)
 HELP = "simulated inverter ECUs: on a bus in real time, or into a candump log"
 TRUTH_HEADER = (
     "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
@@ -37,6 +45,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--wait-for-start", action="store_true",
                         help="stay pre-operational until an NMT master starts us")  # fmt: skip
+    parser.add_argument("--auth-key", type=Path, metavar="FILE",
+                        help="obey only flags authenticated with this key")  # fmt: skip
+    parser.add_argument(
+        "--auth-after", type=int, default=0, metavar="FRESHNESS",
+        help="of the last flag heard in an earlier run: nothing up to it is believed",
+    )  # fmt: skip
     add_bus(parser)
 
 
@@ -58,7 +72,10 @@ def run(options: argparse.Namespace) -> int:
         # Compile before the clock starts: real time does not wait for the first step.
         with patience():
             Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
-    simulation = Simulation(scenario, codec, nodes=nodes, self_start=not options.wait_for_start)
+    simulation = Simulation(
+        scenario, codec, nodes=nodes, self_start=not options.wait_for_start,
+        verifier=_verifier(options),
+    )  # fmt: skip
     seconds = scenario.duration_s if options.duration is None else options.duration
     truth = _Truth(options.truth and out_file(options.truth))
     try:
@@ -69,6 +86,18 @@ def run(options: argparse.Namespace) -> int:
     finally:
         truth.close()
     return GOOD
+
+
+def _verifier(options: argparse.Namespace) -> Callable[[], Verifier] | None:
+    """What makes a drive's receiver of authenticated flags. Raises ConfigError for the key."""
+    if options.auth_key is None:
+        return None
+    from dbc.verifier import Verifier
+    from gateway.drivers.credentials import flag_key
+
+    if not 0 <= options.auth_after < 1 << 64:
+        raise ConfigError("--auth-after", ["a freshness has 64 bits"])
+    return partial(Verifier, flag_key(str(options.auth_key), Path()), options.auth_after)
 
 
 class _Truth:
@@ -114,13 +143,31 @@ def _progress(total: int, what: str) -> Iterator[int]:
 
 def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
     from gateway.drivers.bus import open_transport
+    from gateway.drivers.permission import drives_only
     from gateway.drivers.simbus import run_on_bus
 
-    transport = open_transport(options)
+    transport = open_transport(options, drives_only(simulation.codec, simulation.nodes))
     console().print(
         f"{simulation.scenario.title}: {simulation.scenario.drives} drives for {seconds:g} s",
         markup=False,
     )
-    overwritten = run_on_bus(simulation, transport, seconds, lambda: truth.take(simulation))
+
+    def after_step() -> None:
+        truth.take(simulation)
+        _say_failures(simulation)
+
+    overwritten = run_on_bus(simulation, transport, seconds, after_step)
+    for node, verifier in simulation.verifiers.items():
+        print(
+            f"drive {node}: {verifier.accepted} flags genuine, {verifier.failed} failed, "
+            f"{verifier.alone} without a flag, last freshness {verifier.freshness}"
+        )
     if overwritten:
         console().print(f"{overwritten} frames were too old to be sent: this machine stalled")
+
+
+def _say_failures(simulation: Any) -> None:
+    """What a receiver could not verify; each at most once a second."""
+    for node, verifier in simulation.verifiers.items():
+        if said := verifier.notice(time.monotonic_ns()):
+            log.warning("drive %d: %s", node, said)

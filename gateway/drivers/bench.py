@@ -7,7 +7,8 @@ back to it, so that the loop is closed. Faster than real time and the same on ev
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
@@ -18,6 +19,10 @@ from gateway.outbox import GatewayView
 from gateway.results.expect import FlagTrack, Verdict, judge
 from sim.scenario import Scenario
 from sim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from dbc.authentication import Authenticator
+    from dbc.verifier import Verifier
 
 Watch = Callable[[Nanos, list[Frame], list[Frame], GatewayView], None]
 """(now, frames from the drives, frames from the gateway, what the gateway thinks)"""
@@ -45,11 +50,17 @@ def touched_drives(scenario: Scenario) -> set[int]:
     return touched
 
 
-def for_scenario(config: Config) -> Config:
-    """The configuration a scenario runs with: the gateway starts the drives itself."""
-    return config.model_copy(
-        update={"canopen": config.canopen.model_copy(update={"nmt_master": True})}
-    )
+def both_sides(
+    key: bytes | None, trip: int = 1
+) -> tuple[Authenticator | None, Callable[[], Verifier] | None]:
+    """Sender, and what makes a drive's receiver that has heard every start before this one."""
+    if key is None:
+        return None, None
+    from dbc.authentication import Authenticator
+    from dbc.verifier import Verifier
+
+    sender = Authenticator(key, trip)
+    return sender, partial(Verifier, key, sender.freshness)
 
 
 def run_virtual(
@@ -58,12 +69,19 @@ def run_virtual(
     codec: Codec,
     watch: Iterable[Watch] = (),
     duration_s: float | None = None,
+    key: bytes | None = None,
 ) -> Outcome:
-    """Run on the virtual clock, starting at 0. Raises ConfigError as `Gateway` does."""
-    config = for_scenario(config)
+    """Run on the virtual clock, starting at 0. Raises ConfigError as `Gateway` does.
+
+    The gateway starts the drives, whatever the configuration says, which is named as it is.
+    key: flags are authenticated with it, and the drives believe no others.
+    """
     watch = tuple(watch)
-    simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=False)
-    gateway = Gateway(config, codec, 0)
+    authenticator, verifier = both_sides(key)
+    simulation = Simulation(
+        scenario, codec, nodes=config.nodes, self_start=False, verifier=verifier
+    )
+    gateway = Gateway(config, codec, 0, authenticator)
     node = CanopenNode(config.nodes, nmt_master=True)
     track = FlagTrack(codec, config.nodes)
     period = config.loop.period_ns

@@ -39,6 +39,6 @@ def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None =
         inner = SocketCan(str(chosen["channel"]), fd=bool(chosen.get("fd", False)))
     else:
         inner = PythonCan(chosen)
-    transport = inner if allow is None else Guarded(inner, allow)
+    transport = inner if allow is None else Guarded(inner, allow, str(chosen["channel"]))
     transport.open()
     return transport

@@ -15,7 +15,6 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.config import Config
 from gateway.core import Gateway
-from gateway.drivers.bench import for_scenario
 from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.pythoncan import PythonCan
 from gateway.drivers.transport import Allow, Guarded
@@ -37,7 +36,7 @@ class Done(NamedTuple):
 
 def rehearse(scenario: Scenario, config: Config, codec: Codec) -> None:
     """Load the kernels of both sides, so that none is compiled while the clock runs."""
-    warm_up(for_scenario(config), codec)
+    warm_up(config, codec)
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
     for tick in range(3):
         simulation.step([], tick * config.loop.period_ns)
@@ -56,7 +55,6 @@ def run_demo(
 
     began_s: when the program started, on the monotonic clock.
     """
-    config = for_scenario(config)
     now: Nanos = 0
 
     def clock() -> Nanos:

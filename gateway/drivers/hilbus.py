@@ -11,12 +11,13 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.config import Config
 from gateway.core import Gateway
-from gateway.drivers.bench import Outcome, for_scenario, touched_drives
+from gateway.drivers.bench import Outcome, touched_drives
 from gateway.drivers.bus import open_transport
 from gateway.drivers.canopen_node import CanopenNode
+from gateway.drivers.credentials import flag_authenticator, private_file
 from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
+from gateway.drivers.permission import Mode, allowed
 from gateway.drivers.realtime import Ticker
-from gateway.drivers.transport import Allow
 from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
 from sim.scenario import Scenario
@@ -32,6 +33,15 @@ def bus_arguments(options: Namespace) -> list[str]:
     return [*words, "--fd"] if getattr(options, "fd", False) else words
 
 
+def _authentication(config: Config, gateway: Gateway) -> list[str]:
+    """What the drives have to know to believe the gateway's flags; the key by its file's name."""
+    sender = gateway.outbox.authenticator
+    if config.authentication is None or sender is None:
+        return []
+    path, _ = private_file(config.authentication.key, config.base)
+    return ["--auth-key", str(path), "--auth-after", str(sender.freshness)]
+
+
 def run_on_real_bus(
     options: Namespace,
     name: str,
@@ -45,16 +55,16 @@ def run_on_real_bus(
     Scenario time starts with the first frame heard from a drive; what is said after its end, when
     the drives are leaving, is not judged. results: folder for a report of the timing.
     """
-    config = for_scenario(config)
     ticker = Ticker(config.loop.period_ns)
     warm_up(config, codec)
-    gateway = Gateway(config, codec, ticker.clock())
-    transport = open_transport(options, Allow.from_codec(codec, config.nodes, nmt_master=True))
+    authenticator = flag_authenticator(config)
+    gateway = Gateway(config, codec, ticker.clock(), authenticator)
+    transport = open_transport(options, allowed(Mode.HIL, config, codec))
     track = FlagTrack(codec, config.nodes)
     stop = Stop()
     child = subprocess.Popen(
         [sys.executable, "-m", "gateway", "sim", name, "--wait-for-start",
-         "--dbc", str(codec.path), *bus_arguments(options)],
+         "--dbc", str(codec.path), *bus_arguments(options), *_authentication(config, gateway)],
     )  # fmt: skip
     first: list[Nanos] = []
     duration = round(scenario.duration_s * SECOND)
@@ -75,7 +85,8 @@ def run_on_real_bus(
             child.terminate()
         child.wait(timeout=10)
     if results is not None:
-        leave_timing(results, seen, f"Timing of {scenario.title}", ticker.period_ns)
+        title = f"Timing of {scenario.title}, configuration {gateway.outbox.config_hash:06x}"
+        leave_timing(results, seen, title, ticker.period_ns)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
     return Outcome(scenario, verdicts, gateway)

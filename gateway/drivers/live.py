@@ -32,7 +32,8 @@ FAREWELL = 3
 """Ticks with unknown flags before the gateway goes silent on purpose."""
 INTRUDER = (
     "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
-    "the frames of one): flags have stopped, or say unknown; see [bus] on_intruder"
+    "the frames of one): flags have stopped, or say unknown, or go on if they are authenticated; "
+    "see [bus] on_intruder"
 )
 TIMING_TICKS = 100
 """Ticks between two reports of timing to the core."""
@@ -153,7 +154,8 @@ def _loop(
     on_tick: Callable[[LiveSnapshot], None] | None,
 ) -> LiveSnapshot:
     clock, doubt, status = ticker.clock, gateway.doubt, transport.status
-    doubt.watching = not status.hears_itself
+    # Who only listens hears the gateway that it is not.
+    doubt.watching = not (status.hears_itself or status.silent)
     drops = status.kernel_drops
     timing = Timing(ticker.lateness)
     seen = LiveSnapshot(transport.status, timing)

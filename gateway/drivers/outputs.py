@@ -25,9 +25,17 @@ class Outputs:
     """Judge of what the loop sends, tick by tick."""
 
     def __init__(
-        self, specs: Iterable[MessageSpec], silent: Callable[[], bool] = lambda: False
+        self,
+        specs: Iterable[MessageSpec],
+        silent: Callable[[], bool] = lambda: False,
+        *,
+        listening: bool = False,
     ) -> None:
-        """Take the cyclic messages that the core sends; `silent`: it holds them back on purpose."""
+        """Take the cyclic messages that the core sends; `silent`: it holds them back on purpose.
+
+        `listening`: the allow-list holds everything back, so a refusal is as it should be.
+        """
+        self._faults = (SendResult.FAILED,) if listening else _OUR_FAULT
         specs = tuple(specs)
         self._receivers = {spec.can_id: Receiver(spec) for spec in specs}
         self._cycles = {spec.can_id: spec.cycle_ns for spec in specs} | {HEARTBEAT_ID: HEARTBEAT_NS}
@@ -45,7 +53,7 @@ class Outputs:
             receiver = self._receivers.get(frame.can_id)
             if receiver is not None and receiver.check(frame.data) is not Check.OK:
                 found.append(f"{frame.can_id:03X} has a wrong checksum or counter")
-            if result in _OUR_FAULT:
+            if result in self._faults:
                 found.append(f"{frame.can_id:03X} was {result.value}")
         wanted = (HEARTBEAT_ID,) if self.silent() else self._cycles
         for can_id in wanted:

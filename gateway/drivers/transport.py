@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 from dbc.block import Block
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
 from dbc.spec import EXTENDED_KEY
+from gateway.config import ConfigError
 from gateway.drivers.wire import BusState, bus_state
 
 if TYPE_CHECKING:
@@ -71,6 +72,8 @@ class Status:
     """Times the interface was opened again after the first success."""
     hears_itself: bool = False
     """Whether frames that are sent come back as received ones."""
+    silent: bool = False
+    """Whether nothing at all may be sent."""
     note: str = ""
     """The last problem in one line, for a person."""
 
@@ -137,15 +140,19 @@ def monotonic_stamp(stamp_ns: Nanos, real_ns: Nanos, now_ns: Nanos, bound_ns: Na
 
 
 class Allow:
-    """What may be sent: identifier, length and format; NMT only as node-addressed start."""
+    """What may be sent: identifier, length, format, channel; NMT only as node-addressed start."""
 
     def __init__(
-        self, lengths: Mapping[int, tuple[int, bool]], started: Iterable[int] = ()
+        self,
+        lengths: Mapping[int, tuple[int, bool]],
+        started: Iterable[int] = (),
+        channels: Iterable[str] | None = None,
     ) -> None:
         """Take `lengths` as id (bit 31: extended) -> (data length, is FD).
 
-        `started`: nodes that an NMT start may address.
+        `started`: nodes that an NMT start may address; `channels`: where, None for any one.
         """
+        self.channels = None if channels is None else tuple(channels)
         self._lengths = dict(lengths)
         self._starts = frozenset(bytes((1, node)) for node in started)
         if NMT_ID in self._lengths or bytes((1, 0)) in self._starts:
@@ -153,17 +160,44 @@ class Allow:
             raise ValueError(msg)
 
     @classmethod
-    def from_codec(cls, codec: Codec, nodes: Iterable[int], *, nmt_master: bool = False) -> Self:
-        """The gateway's own messages for the configured drives, its heartbeat and its EMCY."""
+    def from_codec(
+        cls,
+        codec: Codec,
+        nodes: Iterable[int],
+        *,
+        nmt_master: bool = False,
+        authenticated: bool = False,
+        channels: Iterable[str] | None = None,
+    ) -> Self:
+        """The gateway's own messages for the configured drives, its heartbeat and its EMCY.
+
+        `Gateway_Auth` only where flags are authenticated.
+        """
         nodes = frozenset(nodes)
         lengths = {
             spec.key: (spec.length, spec.is_fd)
             for spec in codec.messages
-            if spec.is_gateway and (spec.node == 0 or spec.node in nodes)
+            if spec.is_gateway
+            and (spec.node == 0 or spec.node in nodes)
+            and (authenticated or spec.kind != "Auth")
         }
         lengths[HEARTBEAT_ID] = (1, False)
         lengths[EMCY_ID] = (8, False)
-        return cls(lengths, nodes if nmt_master else ())
+        return cls(lengths, nodes if nmt_master else (), channels)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing at all may be sent: then a refusal is no news."""
+        return not self._lengths and not self._starts
+
+    def check_channel(self, channel: str) -> None:
+        """Raises ConfigError where something could be sent on a channel that is not listed."""
+        if not self.silent and self.channels is not None and channel not in self.channels:
+            named = ", ".join(self.channels) or "none"
+            raise ConfigError(
+                f"channel {channel}",
+                [f"[bus] send_on allows {named}; name that one, or run with --listen-only"],
+            )
 
     def permits(self, frame: Frame) -> bool:
         """Whether this very frame may leave."""
@@ -178,11 +212,17 @@ class Allow:
 class Guarded:
     """A transport behind an allow-list: anything else is refused and counted, never raised."""
 
-    def __init__(self, inner: Transport, allow: Allow) -> None:
-        """Wrap `inner`; its status is shared."""
+    def __init__(self, inner: Transport, allow: Allow, channel: str = "") -> None:
+        """Wrap `inner`, which is on `channel`; its status is shared.
+
+        Raises ConfigError for a channel on which nothing may be sent.
+        """
+        allow.check_channel(channel)
+        self._channels = ("", channel)
         self._inner = inner
         self._allow = allow
         self.status = inner.status
+        self.status.silent = allow.silent
 
     def open(self) -> None:
         """See Transport."""
@@ -198,8 +238,9 @@ class Guarded:
 
     def send(self, frame: Frame) -> SendResult:
         """Send if allowed, else REFUSED."""
-        if not self._allow.permits(frame):
-            self.status.note = f"refused to send {frame.can_id:03X}#{frame.data.hex().upper()}"
+        if not self._allow.permits(frame) or frame.channel not in self._channels:
+            if not self._allow.silent:
+                self.status.note = f"refused to send {frame.can_id:03X}#{frame.data.hex().upper()}"
             return self.status.count(SendResult.REFUSED)
         return self._inner.send(frame)
 

@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from dbc.codec import Codec
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.config import Config
-from gateway.drivers.bench import for_scenario
 from gateway.testing.flags import GatewayFlags
 from gateway.testing.inverter import Inverter
 from gateway.testing.world import BusWorld, Tick, VirtualWorld, World
@@ -40,7 +39,6 @@ class HilBench:
         own_gateway: bool = True,
     ) -> None:
         """bus: python-can's options; None: the virtual clock. Raises ConfigError."""
-        config = for_scenario(config)
         own = own_gateway or bus is None
         simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=not own)
         self._world: World

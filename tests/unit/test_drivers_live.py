@@ -193,11 +193,15 @@ def test_an_intruder_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
 
 
 @pytest.mark.parametrize("echo", [False, True])
-def test_intruders_are_looked_for_where_own_frames_do_not_come_back(echo: bool) -> None:
+@pytest.mark.parametrize("silent", [False, True])
+def test_intruders_are_looked_for_by_who_sends_and_does_not_hear_itself(
+    echo: bool, silent: bool
+) -> None:
     setup = Setup()
     setup.bus.status.hears_itself = echo
+    setup.bus.status.silent = silent
     setup.run()
-    assert setup.core.watching is not echo
+    assert setup.core.watching is not (echo or silent)
 
 
 def test_timing_is_told_once_a_second() -> None:

@@ -122,8 +122,9 @@ def test_the_list_of_a_dbc_is_the_gateways_own_messages_for_its_drives(file: str
         for flags in (0, FD)
         if allow.permits(Frame(0, can_id, bytes(length), flags))
     }
-    own = {0x1A0, 0x2A0, 0x3A0, 0x4A0, 0x320, 0x720, 0x0A0}
+    own = {0x1A0, 0x2A0, 0x3A0, 0x4A0, 0x720, 0x0A0}
     assert allowed == own | {0x501, 0x503, 0x401, 0x403}
+    assert Allow.from_codec(codec, (1, 3), authenticated=True).permits(Frame(0, 0x320, bytes(8)))
     master = Allow.from_codec(codec, (1, 3), nmt_master=True)
     assert [n for n in range(128) if master.permits(Frame(0, 0, bytes((1, n))))] == [1, 3]
 

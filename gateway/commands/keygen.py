@@ -1,0 +1,35 @@
+"""`keygen`: keys for signing configurations, or for authenticating flags."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+from pathlib import Path
+
+from gateway.commands.common import GOOD, out_file
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
+                        help="the private key; nothing that exists is overwritten")  # fmt: skip
+    parser.add_argument(
+        "--flags", action="store_true",
+        help="a key for [authentication]: the gateway and every receiver on one bus need this one",
+    )  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the keys. Raises OSError where a file of that name exists."""
+    from gateway.drivers.signing import make_keys, write_private
+
+    private = out_file(options.output)
+    if options.flags:
+        write_private(private, secrets.token_hex(16).encode("ascii") + b"\n")
+        print(f"{private}: key for the flags of one bus; give it to the gateway and its receivers")
+        return GOOD
+    public = private.with_name(private.stem + ".pub" + private.suffix)
+    make_keys(private, public)
+    print(f"{private}: signs configurations; keep it where no gateway is")
+    print(f"{public}: for 'run --public-key'; keep it where nobody who edits configurations writes")
+    return GOOD

@@ -1,0 +1,74 @@
+"""Bits on the wire against counts by hand and the standard's checksum."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dbc.frame import BRS, EXTENDED, FD, Frame
+from gateway import stuffing
+from gateway.commands.check import frame_seconds
+from gateway.stuffing import bits_of
+from tests.fuzz import examples
+from tests.sender import FD_FILE, codec_for
+
+
+def test_the_checksum_is_can_s():
+    """CRC-15/CAN of "123456789" is 0x059E in every catalogue."""
+    bits = [byte >> k & 1 for byte in b"123456789" for k in range(7, -1, -1)]
+    assert stuffing._crc15(bits) == 0x059E
+
+
+@pytest.mark.parametrize(
+    ("bits", "count"),
+    [
+        ([0] * 4, 0),
+        ([0] * 5, 1),
+        ([0] * 9, 1),
+        ([0] * 10, 2),
+        ([0] * 5 + [1] * 4, 2),
+        ([0, 1] * 20, 0),
+    ],
+)
+def test_a_stuff_bit_counts_for_the_next_run(bits, count):
+    """0 0 0 0 0 (1) 1 1 1 1 (0): the stuff bit is the first of the four."""
+    assert stuffing._stuffed(bits)[0] == count
+
+
+def test_lengths_without_stuffing():
+    """11 bits and 8 bytes: 108 bits and three of intermission; 29 bits: 20 more."""
+    frame = Frame(0, 0x555, bytes([0x55] * 8))
+    bare = 111
+    assert bits_of(frame).nominal == bare + 1  # one stuff bit, in the checksum
+    assert bits_of(frame._replace(data=b"")).nominal >= bare - 64
+    extended = frame._replace(can_id=0x15555555, flags=EXTENDED)
+    assert bare + 20 <= bits_of(extended).nominal <= bare + 20 + 4
+
+
+@settings(max_examples=examples(200))
+@given(st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_no_classic_frame_is_longer_than_the_worst_case(can_id, data):
+    bits = bits_of(Frame(0, can_id, data))
+    n = len(data)
+    assert 47 + 8 * n <= bits.nominal <= 47 + 8 * n + (33 + 8 * n) // 4
+    assert bits.data == 0
+
+
+@settings(max_examples=examples(50))
+@given(st.binary(min_size=64, max_size=64), st.booleans())
+def test_no_fd_frame_is_longer_than_the_worst_case(data, switch):
+    spec = codec_for((1, 2), FD_FILE).by_name["Drive1_Samples"]
+    frame = Frame(0, spec.can_id, data, FD | (BRS if switch else 0))
+    bits = bits_of(frame)
+    # 29 bits at the nominal rate; 1 + 4 + 512, 4 + 21 and seven fixed ones, delimiter at the other.
+    least = (29, 550) if switch else (579, 0)
+    assert bits.nominal >= least[0]
+    assert bits.data >= least[1]
+    if switch:
+        assert bits.seconds(1_000_000, 5_000_000) <= frame_seconds(spec, 1_000_000, 5_000_000)
+
+
+def test_a_length_that_can_fd_has_not_is_refused():
+    with pytest.raises(ValueError, match="9"):
+        bits_of(Frame(0, 1, bytes(9), FD))
