@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz soak campaign mutation lint format bench calibration lock clean-kernels clean
+.PHONY: demo test fuzz fuzz-deep soak campaign mutation lint format bench calibration lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -19,6 +19,16 @@ test: $(VENV)/.ready
 FACTOR ?= 20
 fuzz: $(VENV)/.ready
 	$(BIN)/pytest -n auto tests/unit tests/property -m "not slow" --fuzz $(FACTOR) $(ARGS)
+
+# The readers, loaders and the decoder under coverage-guided fuzzing, SECONDS for each of five targets
+# and each seed; tests/fuzzing/README.md. atheris has a folder of its own: it is no dependency.
+SECONDS ?= 120
+SEEDS ?= 1
+ATHERIS := out/fuzz/atheris
+fuzz-deep: $(VENV)/.ready
+	test -d $(ATHERIS) || $(BIN)/pip install -q --no-deps --target $(ATHERIS) atheris==3.0.0
+	PYTHONPATH=$(ATHERIS) nice -n 10 $(BIN)/python -m tests.fuzzing --seconds $(SECONDS) \
+		--seeds $(SEEDS) -o tests/fuzzing/executions.jsonl $(ARGS)
 
 # Four hours of the bus at its worst for each of 100 seeds; some seven hours on two cores. It goes on
 # where it was stopped; what is in the repository is its last result.

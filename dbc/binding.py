@@ -51,8 +51,10 @@ def load(path: Path, *, strict: bool = True) -> Database:
         impossible = list(oversized(path.read_bytes()))
     except FileNotFoundError:
         raise DbcMismatch(path, ["no such file"]) from None
-    except OSError as error:
-        raise DbcMismatch(path, [f"cannot be read: {error.strerror}"]) from None
+    except (OSError, ValueError) as error:
+        # ValueError: a NUL in the name, which a TOML string may hold.
+        why = error.strerror if isinstance(error, OSError) else error
+        raise DbcMismatch(path, [f"cannot be read: {why}"]) from None
     if impossible:
         raise DbcMismatch(path, impossible)
     quiet = logging.getLogger("cantools.database.can.database")
@@ -83,7 +85,7 @@ def specs_of(
     problems: list[str] = []
     try:
         specs = prepared.recall(path.read_bytes())
-    except OSError:
+    except (OSError, ValueError):
         # `load` says what is wrong with it.
         specs = None
     if specs is None:
@@ -159,6 +161,7 @@ def _message_spec(
     profile, ids, faults = _protection(database, message)
     problems += (f"{message.name}: {fault}" for fault in faults)
     problems += _header(message.name, profile, signals)
+    problems += _selectors(message.name, signals)
     match = _NAME.fullmatch(message.name)
     node = int(match[1] or 0) if match else 0
     kind = match[2] if match else message.name
@@ -184,6 +187,20 @@ def _message_spec(
         is_extended=message.is_extended_frame,
         is_gateway=match is not None and (kind, node > 0) in _PRODUCED,
     ), problems
+
+
+def _selectors(name: str, signals: Sequence[SignalSpec]) -> Iterator[str]:
+    """What a signal is multiplexed by must be there, and end somewhere."""
+    parents = {signal.name: signal.mux_parent for signal in signals}
+    for signal in signals:
+        at, seen = signal.mux_parent, {signal.name}
+        while at in parents and at not in seen:
+            seen.add(at)
+            at = parents[at]
+        if at in seen:
+            yield f"{name}.{signal.name}: is multiplexed by itself"
+        elif at is not None:
+            yield f"{name}.{signal.name}: is multiplexed by {at}, which the message does not have"
 
 
 def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str]]:

@@ -22,6 +22,7 @@ from dbc.block import Block, block_of
 from dbc.frame import FD, Frame
 from dbc.logblocks import Lines, Scanner
 from dbc.logline import DROPS, MAX_LINE, PLAIN, Verdict, format_frame, parse_line, tail_of
+from dbc.text import printable
 
 PROBLEMS_KEPT: Final = 100
 _CHUNK: Final = 1 << 20
@@ -278,7 +279,10 @@ class Reader:
     def _judge(self, line: bytes, tails: dict[bytes, int], *, last: bool = False) -> Frame | None:
         """Verdict, count and frame of a line off the fast path."""
         verdict, frame = parse_line(line)
-        if last and verdict not in (Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT):
+        if last and self.truncated:
+            # Whatever it looks like: more would have come, and strict reading must say so.
+            verdict, frame = Verdict.CUT, None
+        elif last and verdict not in (Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT):
             verdict, frame = _unterminated(line, verdict, frame, tails)
         self.lines += 1
         self.counts[verdict] += 1
@@ -290,7 +294,7 @@ class Reader:
         elif verdict is Verdict.DROPCOUNT and (match := DROPS.match(line)):
             self.drops += int(match[1])
         elif verdict.is_fault:
-            text = line[:120].decode("ascii", "backslashreplace").strip()
+            text = printable(line[:120].decode("ascii", "backslashreplace").strip())
             text = f"{self.truncated}: {text}" if last and self.truncated else text
             self._fault(Problem(self.lines, verdict, text))
         return frame

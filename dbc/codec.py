@@ -261,7 +261,7 @@ def _digest(path: Path) -> str:
     """SHA-256 of a file; empty where it cannot be read, which `specs_of` explains."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError:
+    except (OSError, ValueError):
         return ""
 
 

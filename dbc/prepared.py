@@ -24,13 +24,17 @@ _SIGNAL: Final = tuple(field.name for field in fields(SignalSpec))
 def recall(content: bytes, table: Path = TABLE) -> tuple[MessageSpec, ...] | None:
     """Specs of a DBC file with this content; None if it is none of the shipped ones."""
     try:
-        known = json.loads(table.read_text(encoding="ascii"))
+        text = table.read_text(encoding="ascii")
     except OSError:
         return None
+    name = hashlib.sha256(content).hexdigest()
+    if name not in text:
+        return None
+    known = json.loads(text)
     if (known["message"], known["signal"]) != (list(_MESSAGE), list(_SIGNAL)):
         # Of another version of this program.
         return None
-    rows = known["files"].get(hashlib.sha256(content).hexdigest())
+    rows = known["files"].get(name)
     return None if rows is None else tuple(_message(row) for row in rows)
 
 

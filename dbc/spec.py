@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 from dbc.frame import Nanos
 from dbc.protection import Profile
+from dbc.text import printable
 
 VALID: Final = 0
 NOT_AVAILABLE: Final = 1
@@ -55,8 +56,8 @@ class DbcMismatch(Exception):
     def __init__(self, path: Path, problems: list[str]) -> None:
         """`problems`: one line each, without the path."""
         self.path = path
-        self.problems = tuple(problems)
-        super().__init__("\n".join([f"{path}:", *(f"  {line}" for line in problems)]))
+        self.problems = tuple(map(printable, problems))
+        super().__init__("\n".join([f"{path}:", *(f"  {line}" for line in self.problems)]))
 
 
 class Reading(NamedTuple):

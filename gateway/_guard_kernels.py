@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from gateway.channel import ChannelState
 
 
+_LAST_NS = (1 << 63) - 1
+
+
 @inlined
 def note_foul(c: int, t: int, before: int, state: ChannelState) -> None:
     """A frame of channel c is repeated or out of sequence; one was heard at `before`, ns.
@@ -25,4 +28,4 @@ def note_foul(c: int, t: int, before: int, state: ChannelState) -> None:
     state.fouls[c] += 1
     state.foul_ns[c] = t
     if state.fouls[c] >= SECOND_SENDER:
-        state.guarded_ns[c] = t + GUARD_NS
+        state.guarded_ns[c] = min(t, _LAST_NS - GUARD_NS) + GUARD_NS

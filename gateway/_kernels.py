@@ -327,7 +327,8 @@ def take_block(
             foreign += 1
             continue
         t = t_ns[r]
-        if t > now or t < state.last_ns[c]:
+        # Below 0 there is no time: -1 stands for none.
+        if t < 0 or t > now or t < state.last_ns[c]:
             scratch.tally[_T_TIME_BACK] += 1
             continue
         before, state.heard_ns[c] = state.heard_ns[c], t

@@ -7,13 +7,13 @@ flags stay unknown: a limit that was not measured is a guess.
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
+from dbc.text import read_toml
 from estimators.thermal import heat
 from estimators.thermal.watch import Known
 from gateway.config import Config, ConfigError, Strict, check_seal
@@ -126,17 +126,18 @@ def load(
         content = path.read_bytes()
         if sealed is not None:
             check_seal(path, content, sealed)
-        table = tomllib.loads(content.decode("utf-8"))
+        table = read_toml(content.decode("utf-8"))
         said = table.pop("checksum", None)
         calibration = Calibration.model_validate(table)
     except FileNotFoundError:
         problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
         raise ConfigError(str(path), [problem]) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     except ValidationError as error:
         lines = [f"{'.'.join(str(p) for p in e['loc'])}: {e['msg']}" for e in error.errors()]
         raise ConfigError(str(path), lines) from None
+    except (OSError, ValueError) as error:
+        # ValueError: no UTF-8, no TOML, or a NUL in the name.
+        raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     known = {m.node for m in calibration.motor}
     problems = []
     if said != calibration.checksum():
@@ -191,7 +192,7 @@ def to_toml(calibration: Calibration) -> str:
             ]
     body = "\n".join(lines) + "\n"
     # Of the numbers as they will be read: rounded.
-    checksum = Calibration.model_validate(tomllib.loads(body)).checksum()
+    checksum = Calibration.model_validate(read_toml(body)).checksum()
     return (
         "# Thermal calibration from fault-free data; written by 'traction-gateway calibrate'.\n"
         "# Order of points: stator, drive end, non-drive end.\n"

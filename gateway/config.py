@@ -6,7 +6,6 @@ May know: file names and numbers. May not know: buses, clocks, the DBC's content
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -19,6 +18,8 @@ from pydantic import (
     model_validator,
 )
 
+from dbc.text import TomlError, printable, read_toml
+
 BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
 
 
@@ -27,8 +28,8 @@ class ConfigError(Exception):
 
     def __init__(self, source: str, problems: list[str]) -> None:
         """Keep the list; the text is one line per problem."""
-        self.problems = problems
-        super().__init__(f"{source}: " + "; ".join(problems))
+        self.problems = [printable(problem) for problem in problems]
+        super().__init__(f"{source}: " + "; ".join(self.problems))
 
 
 class Strict(BaseModel):
@@ -95,7 +96,7 @@ class Motor(Strict):
     R_s: float = Field(gt=0)
     L_s: float = Field(gt=0)
     psi_pm: float = Field(gt=0)
-    pole_pairs: int = Field(gt=0)
+    pole_pairs: int = Field(gt=0, le=1000)
     J: float = Field(gt=0)
     B: float = Field(0.0, ge=0)
     k_p: float = Field(1.5, gt=0)
@@ -334,10 +335,10 @@ def load(
         content = path.read_bytes()
         if sealed is not None:
             check_seal(path, content, sealed["config"])
-        raw = tomllib.loads(content.decode("utf-8"))
+        raw = read_toml(content.decode("utf-8"))
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, TomlError) as error:
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     inner = [key for key in ("base", "sealed") if key in raw]
     if inner:

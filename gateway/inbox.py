@@ -167,7 +167,12 @@ class Inbox:
         self.samples = self._room.first(samples)
         self._count(block.size)
         for k in self._scratch.foreign[:foreign].tolist():
-            known = self.supervision.observe(block.frame(k))
+            frame = block.frame(k)
+            if not 0 <= frame.t_ns <= now:
+                # A heartbeat from the future would keep its node alive until then.
+                self.counts["time_back"] += 1
+                continue
+            known = self.supervision.observe(frame)
             self.counts["canopen" if known else "unknown_id"] += 1
         self._electrical()
         if self._slow.came.item(Count.CHANGED):

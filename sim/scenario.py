@@ -9,7 +9,6 @@ May know: names and numbers of events. May not know: bits, buses, how anything i
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from dbc.text import TomlError, printable, read_toml
 from sim.adhesion import rail
 from sim.tables import (
     BusModel,
@@ -50,8 +50,8 @@ class ScenarioError(Exception):
 
     def __init__(self, source: str, problems: list[str]) -> None:
         """`source`: the file or name it came from."""
-        self.problems = tuple(problems)
-        super().__init__("\n".join([f"{source}:", *(f"  {p}" for p in problems)]))
+        self.problems = tuple(map(printable, problems))
+        super().__init__("\n".join([f"{source}:", *(f"  {p}" for p in self.problems)]))
 
 
 class Event(Strict):
@@ -219,8 +219,8 @@ def parse(table: Mapping[str, Any], source: str = "scenario") -> Scenario:
 def parse_text(text: str, source: str = "scenario") -> Scenario:
     """Scenario from TOML text. Raises ScenarioError listing all that is wrong."""
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        table = read_toml(text)
+    except TomlError as error:
         raise ScenarioError(source, [f"not TOML: {error}"]) from None
     return parse(table, source)
 

@@ -1,0 +1,39 @@
+"""Text that others wrote: quoted in a message of ours, or read as TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any, Final
+
+MOST: Final = 1000
+
+
+class TomlError(ValueError):
+    """Text that is no TOML, or TOML that cannot be held; one line says why."""
+
+
+def printable(text: str, most: int = MOST) -> str:
+    """The text with control characters and line ends escaped, its middle left out beyond `most`.
+
+    A file that is refused is quoted in the refusal: an escape sequence in it must not reach the
+    terminal or the journal, nor a line end make two messages of one.
+    """
+    if len(text) > most:
+        text = f"{text[: most // 2]} .. {text[-(most // 2) :]}"
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def read_toml(text: str) -> dict[str, Any]:
+    """Parse TOML. Raises TomlError only.
+
+    `tomllib` lets others escape: RecursionError where brackets are nested some hundred deep, and a
+    bare ValueError for whole numbers of more than 4,300 digits.
+    """
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise TomlError("nested too deeply") from None
+    except ValueError as error:
+        raise TomlError(str(error)) from None

@@ -1,0 +1,112 @@
+"""Fuzz the five targets with atheris: `make fuzz-deep SECONDS=600`.
+
+    python -m tests.fuzzing --seconds 600 -j 2 -o tests/fuzzing/executions.jsonl
+
+A process per target and run; a line of JSON per run in the file, which grows. An execution is one
+call with one input. What is found is saved below `--work` and printed; then that target stops.
+Exit code 1 where anything was found.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+NAMES = ("candump", "frames", "dbc", "config", "scenario")
+UNITS = dict(zip(NAMES, ("lines", "frames", "codecs", "configurations", "scenarios"), strict=True))
+
+
+def _commit() -> str:
+    said = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    return said.stdout.strip() or "unknown"
+
+
+def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
+    """One process of one target; what it came to."""
+    commit, work = _commit(), options.work / name
+    work.mkdir(parents=True, exist_ok=True)
+    report = work / f"{seed}.json"
+    report.unlink(missing_ok=True)
+    log = work / f"{seed}.txt"
+    with log.open("wb") as out:
+        code = subprocess.run(
+            [sys.executable, "-m", "tests.fuzzing.engine", name, str(options.seconds),
+             str(options.runs), str(seed), str(options.longest), str(work / "inputs"), str(report)],
+            stdout=out, stderr=out, check=False,
+        ).returncode  # fmt: skip
+    told = json.loads(report.read_text()) if report.exists() else {"executions": 0, "found": 0}
+    if code:
+        # Also what libFuzzer itself stops for: a hang, or memory.
+        told["found"] = max(1, told["found"])
+        print(f"{name}, seed {seed}: stopped, see {log} and {report}.*", flush=True)
+    return {"target": name, "seed": seed, "commit": commit, **told}
+
+
+def summary(lines: Sequence[dict]) -> str:
+    """Markdown: a row per target, over all runs."""
+    out = [
+        "| target | runs | executions | a second | inside the inputs | found |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in NAMES:
+        mine = [line for line in lines if line["target"] == name]
+        if not mine:
+            continue
+        runs, items, found = (
+            sum(line.get(key, 0) for line in mine) for key in ("executions", "items", "found")
+        )
+        seconds = sum(line.get("seconds", 0) for line in mine) or 1
+        out.append(
+            f"| {name} | {len(mine)} | {runs:,} | {runs / seconds:,.0f} | {items:,} {UNITS[name]} "
+            f"| {found} |"
+        )
+    total = sum(line["executions"] for line in lines)
+    return "\n".join([*out, "", f"{total:,} executions."])
+
+
+def main() -> int:
+    """Run what is asked for, and add it to the file."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzzing", description=__doc__)
+    parser.add_argument("--targets", nargs="+", choices=NAMES, default=list(NAMES))
+    parser.add_argument("--seconds", type=float, default=600, help="per target and seed")
+    parser.add_argument("--runs", type=int, default=1 << 60, help="most executions, the same")
+    parser.add_argument("--seeds", default="1", help="first-last, or one")
+    parser.add_argument("--longest", type=int, default=0, help="bytes of an input; 0: the target's")
+    parser.add_argument("-j", type=int, default=1, help="processes")
+    parser.add_argument("--work", type=Path, default=Path("out/fuzz"), help="inputs and finds")
+    parser.add_argument("-o", type=Path, help="a line of JSON per run is added to this file")
+    options = parser.parse_args()
+    first, _, last = options.seeds.partition("-")
+    seeds = range(int(first), int(last or first) + 1)
+    lock = threading.Lock()
+    lines: list[dict] = []
+
+    def one(job: tuple[int, str]) -> None:
+        line = _run(job[1], job[0], options)
+        with lock:
+            lines.append(line)
+            print(json.dumps(line), flush=True)
+            if options.o is not None:
+                with options.o.open("a") as file:
+                    file.write(json.dumps(line) + "\n")
+
+    with ThreadPoolExecutor(options.j) as pool:
+        list(pool.map(one, [(seed, name) for seed in seeds for name in options.targets]))
+    if options.o is not None:
+        lines_kept = [json.loads(line) for line in options.o.read_text().splitlines()]
+        print(summary(lines_kept))
+    else:
+        print(summary(lines))
+    return int(any(line["found"] for line in lines))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""Fuzz target: the candump reader. Input: the text of a log, or a gzip file."""
+
+from __future__ import annotations
+
+import io
+from collections import Counter
+from collections.abc import Callable
+from zlib import crc32
+
+from dbc import candump as module
+from dbc.candump import LogError, Reader
+from dbc.frame import Frame
+from dbc.logline import Verdict, format_frame, parse_line
+from tests.fuzzing.held import Held
+
+ZIPPED = b"\x1f\x8b"
+READERS = 128
+"""One input of so many goes through both readers, strict and not; the others line by line."""
+ZIPS = 8
+"""The same of gzip files."""
+WITH_FRAME = frozenset(v for v in Verdict if v <= Verdict.ERROR_FRAME)
+ROUNDS = 4
+"""In one input of so many every frame is written and read again."""
+Told = tuple[list[Frame], Counter[Verdict], int, list, int, str]
+
+
+def candump(
+    data: bytes, parse: Callable = parse_line, reader: type[Reader] = Reader, every: int = READERS
+) -> int:
+    """Every line has one verdict; the readers say the same. Returns the lines looked at."""
+    if data.startswith(ZIPPED):
+        return _zipped(data, reader, every)
+    lines = data.split(b"\n")
+    mark = crc32(data)
+    read = [parse(line) for line in lines]
+    for line, (verdict, frame) in zip(lines, read, strict=True):
+        assert (verdict in WITH_FRAME) == (frame is not None), (line, verdict, frame)
+        if frame is not None and not mark % ROUNDS:
+            assert parse(format_frame(frame)) == (verdict, frame), line
+    if mark % every:
+        return len(lines)
+    verdicts, frames = [verdict for verdict, _ in read], [f for _, f in read if f is not None]
+    terminated = not lines[-1]
+    told = [_read(reader, data, strict, mark) for strict in (False, True)]
+    found, counts, count, problems, _, fault = told[0]
+    assert count == counts.total() == len(lines) - terminated
+    assert fault == ""
+    assert found == frames or (not terminated and found == frames[:-1])
+    assert len(found) == sum(counts[v] for v in WITH_FRAME)
+    certain = Counter(verdicts[:-1])
+    last = counts - certain
+    assert certain <= counts, (counts, certain)
+    assert terminated or set(last) <= {Verdict.CUT, verdicts[-1]}, last
+    stopped, _, at, seen, _, fault = told[1]
+    if problems:
+        assert fault.startswith(f"log:{problems[0].line}: "), fault
+        assert at == problems[0].line
+        assert seen == problems[:1]
+        assert stopped == found[: len(stopped)]
+    else:
+        assert told[1] == told[0]
+    return len(lines)
+
+
+def _read(reader: type[Reader], data: bytes, strict: bool, mark: int) -> Told:
+    """What both ways of reading say; in small pieces, so that lines are cut everywhere."""
+    usual, module._CHUNK = module._CHUNK, 8 + mark // READERS % 200
+    try:
+        plain, fast = (reader(io.BytesIO(data), strict=strict) for _ in range(2))
+        first = _told(plain, iter(plain))
+        second = _told(fast, (f for block in fast.blocks() for f in block.frames()))
+    finally:
+        module._CHUNK = usual
+    assert first == second
+    return first
+
+
+def _told(reader: Reader, frames) -> Told:
+    found, fault, line = [], "", 0
+    try:
+        for frame in frames:
+            found.append(frame)  # noqa: PERF402 - what came before a fault counts
+    except LogError as error:
+        fault, line = str(error), error.line
+    assert not fault or (reader.strict and line == reader.lines)
+    assert len(fault.splitlines()) <= 1, fault
+    return found, +reader.counts, reader.lines, reader.problems, reader.drops, fault
+
+
+def _zipped(data: bytes, reader: type[Reader], every: int) -> int:
+    """Whatever can be unpacked is read, and strict reading says that it was damaged."""
+    plain = reader(Held(data))
+    first = _told(plain, iter(plain))
+    assert plain.lines == plain.counts.total()
+    if crc32(data) % min(every, ZIPS):
+        return plain.lines
+    fast = reader(Held(data))
+    assert first == _told(fast, (f for block in fast.blocks() for f in block.frames()))
+    assert plain.truncated == fast.truncated
+    strict = reader(Held(data), strict=True)
+    stopped = _told(strict, iter(strict))
+    assert bool(stopped[-1]) == bool(plain.truncated or plain.problems), (first, stopped)
+    return plain.lines

@@ -1,0 +1,419 @@
+"""The fuzz targets hold on their corpus and on a few hundred mutations of it, and can fail.
+
+`make fuzz-deep` runs them with coverage for as long as one likes; what that found has a name here.
+"""
+
+from __future__ import annotations
+
+import gzip
+import random
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbc.block import blank
+from dbc.candump import LogError, Reader
+from dbc.codec import bind
+from dbc.contract import ANY
+from dbc.frame import BRS, FD, MS, Frame
+from dbc.logline import Verdict, parse_line
+from dbc.protection import protect
+from dbc.spec import DbcMismatch
+from gateway import calibration
+from gateway.config import Config, ConfigError, load, parse
+from gateway.core import Gateway
+from gateway.inbox import Inbox
+from gateway.supervision import Life, Supervision
+from sim import scenario as scenarios
+from sim.scenario import ScenarioError, parse_text
+from tests.dbc_text import write
+from tests.fuzzing import candump, frames, texts
+from tests.fuzzing.__main__ import NAMES, UNITS, summary
+from tests.fuzzing.engine import PACKAGES
+from tests.fuzzing.held import Held
+from tests.fuzzing.mutate import mutate
+from tests.fuzzing.targets import CORPUS, TARGETS
+
+MUTATIONS = {"candump": 600, "frames": 150, "dbc": 60, "config": 250, "scenario": 250}
+MOST_BYTES = 100_000
+
+
+def mutations(name: str, count: int) -> list[bytes]:
+    """The same ones every time."""
+    target, rng = TARGETS[name], random.Random(name)
+    corpus = target.corpus()
+    return [
+        mutate(rng.choice(corpus), rng, target.tokens, corpus, target.longest) for _ in range(count)
+    ]
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_target_holds(name: str) -> None:
+    target = TARGETS[name]
+    inputs = [*target.corpus(), *mutations(name, MUTATIONS[name])]
+    items = sum(target.warm(data) for data in inputs)
+    # Inputs that get past the first check are among them.
+    assert items >= 5
+
+
+def test_the_corpus_is_small_and_complete() -> None:
+    assert sorted(p.name for p in CORPUS.iterdir()) == sorted(TARGETS) == sorted(NAMES)
+    assert set(UNITS) == set(PACKAGES) == set(TARGETS)
+    assert all(TARGETS[name].items == UNITS[name] for name in NAMES)
+    files = [path for path in CORPUS.rglob("*") if path.is_file()]
+    assert len(files) < 100
+    assert sum(path.stat().st_size for path in files) < MOST_BYTES
+
+
+def test_mutations_differ_and_stay_within_bounds() -> None:
+    made = mutations("candump", 300)
+    assert made == mutations("candump", 300)
+    assert len(set(made)) > 200
+    assert max(map(len, made)) <= TARGETS["candump"].longest
+
+
+def test_the_summary_adds_up() -> None:
+    run = {"target": "dbc", "executions": 1000, "items": 7, "seconds": 10.0, "found": 1}
+    said = summary([run, run, {"target": "frames", "executions": 5, "found": 0}])
+    assert "| dbc | 2 | 2,000 | 100 | 14 codecs | 2 |" in said
+    assert said.endswith("2,005 executions.")
+
+
+# ---- a broken product is found -----------------------------------------------------------------
+
+
+def _fails(run, name: str) -> None:
+    """Some input of the gate makes the target fail."""
+    for data in [*TARGETS[name].corpus(), *mutations(name, MUTATIONS[name])]:
+        try:
+            run(data)
+        except Exception:
+            return
+    pytest.fail("a broken product passed")
+
+
+class _Miscounts(Reader):
+    def _count(self, plain: int, verdict: Verdict = Verdict.OK) -> None:
+        super()._count(max(0, plain - 1), verdict)
+
+
+class _NeverStrict(Reader):
+    def __init__(self, source, *, strict: bool = False) -> None:
+        super().__init__(source)
+
+
+def _no_remote(line: bytes):
+    verdict, frame = parse_line(line)
+    return (Verdict.OK if verdict is Verdict.REMOTE else verdict), frame
+
+
+def _raises_on_high_bytes(line: bytes):
+    line.decode("ascii")
+    return parse_line(line)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"reader": _Miscounts},
+        {"reader": _NeverStrict},
+        {"parse": _raises_on_high_bytes},
+        {"parse": lambda line: (Verdict.OK, None)},
+        {"parse": _no_remote},
+    ],
+)
+def test_a_broken_reader_is_found(broken) -> None:
+    _fails(lambda data: candump.candump(data, every=1, **broken), "candump")
+
+
+class _TakesAnyLength(Inbox):
+    """Cuts frames to the length that is expected, as many receivers do."""
+
+    def take(self, came, now):
+        cut = [f._replace(data=f.data[:8], flags=f.flags & ~FD) for f in came]
+        return super().take(cut, now)
+
+
+class _LosesOne(Inbox):
+    def take(self, came, now):
+        return super().take(list(came)[1:], now)
+
+
+class _Raises(Inbox):
+    def take(self, came, now):
+        if any(f.t_ns < 0 for f in came):
+            raise ValueError
+        return super().take(came, now)
+
+
+class _Repeats(Gateway):
+    """The last frame of a tick goes out twice."""
+
+    def step(self, came, now):
+        out = super().step(came, now)
+        return [*out, *out[-1:]]
+
+
+class _Unprotected(Gateway):
+    def step(self, came, now):
+        return [f._replace(data=b"\0" + f.data[1:]) for f in super().step(came, now)]
+
+
+@pytest.mark.parametrize("broken", [_TakesAnyLength, _LosesOne, _Raises])
+def test_a_broken_decoder_is_found(broken) -> None:
+    _fails(lambda data: frames.frames(data, inbox=broken, every=1 << 40), "frames")
+
+
+@pytest.mark.parametrize("broken", [_Repeats, _Unprotected])
+def test_a_broken_core_is_found(broken) -> None:
+    _fails(lambda data: frames.frames(data, gateway=broken, every=1), "frames")
+
+
+def _bare_cantools(path: Path, nodes, contract):
+    """A loader that lets out whatever cantools raises."""
+    from cantools.database import load_file
+
+    load_file(path, database_format="dbc")
+    return bind(path, nodes, contract)
+
+
+def _silent(path: Path, nodes, contract):
+    try:
+        return bind(path, nodes, contract)
+    except DbcMismatch:
+        raise DbcMismatch(path, []) from None
+
+
+@pytest.mark.parametrize("broken", [_bare_cantools, _silent])
+def test_a_broken_dbc_loader_is_found(broken) -> None:
+    _fails(lambda data: texts.dbc(data, broken), "dbc")
+
+
+def _bare_toml(path: Path) -> Config:
+    return parse(tomllib.loads(path.read_text()), str(path))
+
+
+def _no_path(path: Path) -> Config:
+    try:
+        return load(path)
+    except ConfigError as error:
+        raise ConfigError("x", ["something is wrong"] * len(error.problems)) from None
+
+
+@pytest.mark.parametrize("broken", [_bare_toml, _no_path])
+def test_a_broken_configuration_is_found(broken) -> None:
+    _fails(lambda data: texts.config(data, broken), "config")
+
+
+def _bare_scenario(path: Path) -> scenarios.Scenario:
+    return scenarios.parse(tomllib.loads(path.read_text()))
+
+
+def _two_lines(path: Path) -> scenarios.Scenario:
+    try:
+        return scenarios.load(path)
+    except ScenarioError as error:
+        error.problems = ("\n".join(error.problems),)
+        raise
+
+
+@pytest.mark.parametrize("broken", [_bare_scenario, _two_lines])
+def test_a_broken_scenario_loader_is_found(broken) -> None:
+    _fails(lambda data: texts.scenario(data, broken), "scenario")
+
+
+# ---- every identifier, kind and length ---------------------------------------------------------
+
+
+def test_no_wrong_kind_or_length_is_decoded() -> None:
+    """Every 11-bit identifier, all 64 flags, lengths 0..64: only our messages are, as they are.
+
+    The bytes are right for the message, checksum and counter too, whatever kind and length the
+    frame has: nothing else than these can keep it out.
+    """
+    for codec in frames.CODECS:
+        specs = {m.can_id: m for m in codec.messages if m.node in frames.NODES and not m.is_gateway}
+        flags, length = (a.ravel() for a in np.meshgrid(np.arange(64), np.arange(65)))
+        room = len(flags)
+        ends: Counter[str] = Counter()
+        right = 0
+        for can_id, spec in specs.items():
+            box = Inbox(codec, frames.NODES, 10 * MS, Supervision(frames.NODES, 300 * MS))
+            payload = codec.encode(spec, {s.name: 0.0 for s in spec.signals} | {"Quality": 1})
+            kind = (FD | BRS) if spec.is_fd else 0
+            for k in range(6):
+                protect(spec, payload, k)
+                box.take([Frame(k * MS, can_id, bytes(payload), kind)], k * MS)
+            before = Counter(box.counts)
+            assert before["decoded"] + before["not_available"] > 1
+            protect(spec, payload, 6)
+            # Checksums by themselves: the state machine would keep out all but the first.
+            rows = blank(room, ["can0"])
+            rows.t_ns[:], rows.can_id[:], rows.flags[:], rows.length[:] = (
+                6 * MS,
+                can_id,
+                flags,
+                length,
+            )
+            rows.data[:] = 0
+            rows.data[:, : spec.length] = np.frombuffer(bytes(payload), np.uint8)
+            fits = (flags & (1 | 2 | 4) == 0) & (flags & FD == kind & FD) & (length == spec.length)
+            right += int(fits.sum())
+            box.take(rows.pick(~fits), 6 * MS)
+            after = Counter(box.counts)
+            after.subtract(before)
+            for name in ("decoded", "not_available", "range", "error", "repeated", "not_yet_valid"):
+                assert after[name] == 0, (spec.name, name)
+            plain = flags & (1 | 2 | 4) == 0
+            assert after["wrong_length"] == int((plain & ~fits).sum())
+            assert after["error_frame"] == int((flags & 4 != 0).sum())
+            assert after["remote"] == int((flags & 6 == 2).sum())
+            assert after["unknown_id"] == int((flags & 7 == 1).sum())
+            ends += after
+        # With or without BRS and ESI, and those bits mean nothing of a classic frame.
+        assert right == 4 * len(specs)
+        assert ends["received"] == len(specs) * room - right
+
+
+def test_no_other_identifier_is_decoded() -> None:
+    """All 2,048 identifiers but the drives', 16 random kinds and lengths each, are no messages."""
+    codec = frames.CODECS[0]
+    mine = {m.can_id for m in codec.messages if m.node in frames.NODES and not m.is_gateway}
+    box = Inbox(codec, frames.NODES, 10 * MS, Supervision(frames.NODES, 300 * MS))
+    ids = np.array([n for n in range(0x800) if n not in mine], np.uint32)
+    rng = np.random.default_rng(1)
+    for _ in range(16):
+        rows = blank(len(ids), ["can0"])
+        rows.t_ns[:], rows.can_id[:] = MS, ids
+        rows.flags[:], rows.length[:] = rng.integers(64, size=(len(ids))), rng.integers(65)
+        rows.data[:] = rng.integers(256, size=rows.data.shape)
+        box.take(rows, MS)
+    counts = box.counts
+    assert counts["received"] == 16 * len(ids)
+    foreign = ("error_frame", "remote", "own", "canopen", "unknown_id")
+    assert sum(counts[name] for name in foreign) == counts["received"]
+
+
+# ---- found ---------------------------------------------------------------------------------------
+
+
+DEEP = "[" * 5000
+LONG = "9" * 5000
+
+
+@pytest.mark.parametrize("text", [f"x = {DEEP}", f"x = {LONG}", f'x = """{LONG}'])
+def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text: str, tmp_path: Path) -> None:
+    """tomllib raises RecursionError and bare ValueErrors."""
+    with pytest.raises(ConfigError) as refused:
+        load(Held(text.encode(), "train.toml"))
+    assert len(refused.value.problems) == 1
+    assert refused.value.problems[0].startswith("cannot be read as TOML: ")
+    with pytest.raises(ScenarioError) as unfit:
+        parse_text(text)
+    assert unfit.value.problems[0].startswith("not TOML: ")
+    path = tmp_path / "calibration.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match="cannot be read as TOML"):
+        calibration.load(path, (1,), 5.0)
+
+
+def test_a_key_with_line_ends_makes_one_line() -> None:
+    with pytest.raises(ConfigError) as refused:
+        load(Held(b'"a\\nb\\u001b[31m" = 1\n', "train.toml"))
+    assert refused.value.problems == ["a\\nb\\x1b[31m: unknown key; remove it or correct its name"]
+    with pytest.raises(ScenarioError) as unfit:
+        parse_text('title = "t"\nduration_s = 1\n"a\\nb" = 1\n')
+    assert unfit.value.problems == ("a\\nb: unknown key",)
+
+
+def test_a_name_with_a_nul_is_refused() -> None:
+    config = load(Held(b'dbc.file = "a\\u0000b"\nthermal.calibration = "c\\u0000d"\n', "t.toml"))
+    with pytest.raises(DbcMismatch, match="cannot be read: embedded null byte"):
+        bind(config.dbc_path, (1,))
+    with pytest.raises(ConfigError, match="embedded null byte"):
+        calibration.load(config.calibration_path, (1,), 5.0)
+
+
+def test_control_characters_of_a_dbc_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    path = tmp_path / "odd.dbc"
+    path.write_bytes(b'VERSION ""\nBU_: A\nBO_ 1 M\x1b[2J: 8 A\n')
+    with pytest.raises(DbcMismatch) as refused:
+        bind(path, ())
+    assert all(line.isprintable() for line in refused.value.problems)
+    assert "\\x1b" in refused.value.problems[0]
+
+
+def test_control_characters_of_a_log_do_not_reach_the_terminal() -> None:
+    reader = Reader(Held(b"(1.0) \x1b[2J\x0b can0\n"))
+    assert list(reader) == []
+    assert reader.problems[0].text == "(1.0) \\x1b[2J\\x0b can0"
+
+
+def test_strict_says_that_a_zipped_log_is_cut() -> None:
+    """The last piece looked like a whole line of the same length: nothing was said."""
+    line = b"(1.000000) can0 123#1122\n"
+    whole = gzip.compress(2 * line, mtime=0) + gzip.compress(line[:-1], mtime=0)
+    cut = Reader(Held(whole[:-1]))
+    assert len(list(cut)) == 2
+    assert cut.counts[Verdict.CUT] == 1
+    with pytest.raises(LogError, match="log:3: cut: compressed data end early"):
+        list(Reader(Held(whole[:-1]), strict=True))
+    with pytest.raises(LogError, match="compressed data are damaged"):
+        list(Reader(Held(whole[:-4] + b"\1\0\0\0"), strict=True))
+
+
+def test_a_time_below_zero_is_no_time() -> None:
+    """-1 stands for "none": a frame with it was used, and its silence never noticed."""
+    codec = frames.CODECS[0]
+    spec = codec.by_name["Drive1_Motion"]
+    box = Inbox(codec, frames.NODES, 10 * MS, Supervision(frames.NODES, 300 * MS))
+    payload = codec.encode(spec, {"Quality": 1, "Speed": 100.0})
+    protect(spec, payload, 0)
+    box.take([Frame(-1, spec.can_id, bytes(payload))], 10 * MS)
+    assert box.counts["time_back"] == 1
+    assert box.counts["decoded"] == box.counts["not_available"] == 0
+
+
+def test_a_heartbeat_from_the_future_is_no_life() -> None:
+    """It kept its node alive until then: no silence was ever noticed."""
+    watch = Supervision(frames.NODES, 300 * MS)
+    box = Inbox(frames.CODECS[0], frames.NODES, 10 * MS, watch)
+    box.take([Frame(frames.LAST, 0x701, b"\x05"), Frame(-1, 0x702, b"\x05")], 10 * MS)
+    assert box.counts["time_back"] == 2
+    assert {watch.life(node, 10 * MS) for node in frames.NODES} == {Life.NEVER_SEEN}
+    box.take([Frame(10 * MS, 0x701, b"\x05")], 10 * MS)
+    assert watch.life(1, 10 * MS) is Life.ALIVE
+    assert watch.life(1, 311 * MS) is Life.LOST
+
+
+def test_more_poles_than_a_float_can_hold_are_refused() -> None:
+    """Accepted, and then an OverflowError at the start."""
+    text = "[motor.x]\nR_s = 1\nL_s = 1\npsi_pm = 1\nJ = 1\nI_rated = 1\nT_rated = 1\n"
+    with pytest.raises(ConfigError, match=r"motor\.x\.pole_pairs: "):
+        load(Held(f"{text}pole_pairs = 1{400 * '0'}\n".encode(), "train.toml"))
+
+
+@pytest.mark.parametrize(
+    ("by", "said"),
+    [
+        ("Z", "M.W: is multiplexed by Z, which the message does not have"),
+        ("W", "M.W: is multiplexed by itself"),
+        ("Y", "M.W: is multiplexed by itself"),
+    ],
+)
+def test_a_multiplexer_that_is_not_there_is_named(by: str, said: str, tmp_path: Path) -> None:
+    """A KeyError; and where signals select each other decoding would not end."""
+    path = write(
+        tmp_path / "mux.dbc",
+        "BO_ 1 M: 8 A",
+        ' SG_ Y m0M : 8|8@1+ (1,0) [0|0] "" A',
+        ' SG_ W m1M : 16|8@1+ (1,0) [0|0] "" A\n',
+        "SG_MUL_VAL_ 1 Y W 0-0;",
+        f"SG_MUL_VAL_ 1 W {by} 1-1;",
+    )
+    with pytest.raises(DbcMismatch) as refused:
+        bind(path, (), ANY)
+    assert said in refused.value.problems
