@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import BAD_INPUT, GOOD, add_signature, console, prepare
+from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, console, prepare
 from gateway.config import ConfigError
 from gateway.stuffing import bits_of
 
@@ -28,6 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", type=Path, help="the configuration to check")
     add_signature(parser)
     parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
+    add_bus(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
     print(f"signature      {signed}")
     print(f"flags          {_authentication(config)}")
+    _tell_machine(options, config)
     if percent > LOAD_LIMIT_PERCENT:
         console().print(
             f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
@@ -61,6 +63,24 @@ def run(options: argparse.Namespace) -> int:
         )  # fmt: skip
         return BAD_INPUT
     return GOOD
+
+
+def _tell_machine(options: argparse.Namespace, config: Config) -> None:
+    """Settings of the kernel and of the link, each with its cure; they refuse nothing."""
+    from gateway.commands.run import bus_options
+    from gateway.drivers import settings
+
+    bus = bus_options(options, config)
+    found = settings.machine()
+    if bus.get("interface") == "socketcan" and bus.get("channel"):
+        rates = (int(bus.get(key) or 0) for key in ("bitrate", "data_bitrate"))
+        found += settings.link(str(bus["channel"]), *rates)
+    else:
+        print("link           not looked at: name it with -i socketcan -c can0, or in [bus]")
+    for what, said, cure in found:
+        print(f"{what:<14} {said}{'' if cure else ', good'}")
+        if cure:
+            print(f"{'':<14} cure: {cure}")
 
 
 def _authentication(config: Config) -> str:

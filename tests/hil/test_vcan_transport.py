@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from gateway.drivers import kernel
+from gateway.drivers import kernel, settings
 from gateway.drivers.bus import open_transport
 from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.transport import LinkState, SendResult
@@ -53,6 +53,15 @@ def pair(vcan: Vcan) -> Iterator[tuple[SocketCan, SocketCan]]:
     yield a, b
     a.close()
     b.close()
+
+
+def test_check_sees_the_link_as_the_kernel_has_it(vcan: Vcan) -> None:
+    (found,) = settings.link(vcan.name)
+    assert found.found.startswith("vcan, up, queue ")
+    assert not found.cure
+    (absent,) = settings.link("nosuchcan0")
+    assert absent.found == "not there"
+    assert "ip link add nosuchcan0 type vcan" in absent.cure
 
 
 def test_every_kind_of_frame_arrives_as_sent(pair: tuple[SocketCan, SocketCan]) -> None:
