@@ -56,7 +56,7 @@ def test_a_seed_is_the_same_every_time():
     assert weather(5, 3000) != weather(6, 3000)
 
 
-DENSE = (5, 16_000, 60.0)
+DENSE = (3, 16_000, 100.0)
 
 
 def test_a_denser_storm_breaks_no_rule_either():
