@@ -50,5 +50,6 @@ def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: s
         raise AssertionError("this machine stalls")
     suite = ET.parse(report).getroot()[0]
     assert suite.get("name") == scenario.title
-    assert int(suite.get("tests", 0)) == len(suite) >= len(scenario.expect)
+    cases = suite.findall("testcase")
+    assert int(suite.get("tests", 0)) == len(cases) >= len(scenario.expect)
     assert suite.get("failures") == "0"
