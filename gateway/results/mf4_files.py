@@ -81,7 +81,7 @@ class Mf4Signals(_Mf4):
         frames = done.frames
         if frames.size:
             self._seconds(frames.t_ns)
-        pairs = frames.channel.astype(np.int64) << 32 | done.index
+        pairs = frames.channel.astype(np.int64) << 32 | done.message
         for pair in np.unique(pairs).tolist():
             message = self._decoder.codec.messages[pair & 0xFFFF_FFFF]
             channel = frames.names[pair >> 32]
@@ -128,9 +128,13 @@ class Mf4Signals(_Mf4):
 
 
 def _names(signal: SignalSpec) -> dict[str, Any] | None:
-    """Labels of a state as MF4's table of value and text; None for a measured number."""
+    """Labels of a state as MF4's table of value and text; None for a number.
+
+    A state has a label for every valid value: what the table lacks would be shown as nothing.
+    """
     labels = labels_of(signal)
-    if not labels or signal.unit or (signal.scale, signal.offset) != (1, 0):
+    named = sum(signal.raw_min <= raw <= signal.raw_max for raw in labels)
+    if named <= signal.raw_max - signal.raw_min or (signal.scale, signal.offset) != (1, 0):
         return None
     table: dict[str, Any] = {}
     for k, (raw, text) in enumerate(sorted(labels.items())):

@@ -12,7 +12,7 @@ import json
 from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, Final, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from dbc.block import Block
 from dbc.frame import SECOND
 from dbc.spec import MessageSpec, SignalSpec
-from gateway.results.frame_files import GROUP
 from gateway.results.signals import Decoded, Decoder, columns
 
+_CELLS: Final = 1 << 22
+"""Of a Parquet row group: what is kept in memory, some 40 MB."""
 Comments = dict[str, str]
 """`Message` and `Message.Signal` -> what the DBC says of it."""
 
@@ -63,10 +64,15 @@ class ParquetSignals:
         self._schema = pa.schema(fields)
         self._held: list[Any] = []
         self._rows = 0
+        self._group = max(_CELLS // len(fields), 1)
         self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
 
     def add(self, block: Block) -> None:
         """Append."""
+        for first in range(0, block.size, self._group):
+            self._add(block.part(first, min(first + self._group, block.size)))
+
+    def _add(self, block: Block) -> None:
         import pyarrow as pa
 
         done = self._decoder.decode(block)
@@ -76,7 +82,7 @@ class ParquetSignals:
             pa.array(frames.t_ns, pa.timestamp("ns", "UTC")),
             pa.DictionaryArray.from_arrays(channel, pa.array(frames.names, pa.string())),
             pa.DictionaryArray.from_arrays(
-                pa.array(done.index.astype(np.int16)), pa.array(self._names, pa.string())
+                pa.array(done.message.astype(np.int16)), pa.array(self._names, pa.string())
             ),
         ]
         for _, message, place in self._columns:
@@ -85,7 +91,7 @@ class ParquetSignals:
         self._held.append(pa.record_batch(arrays, schema=self._schema))
         self._rows += frames.size
         self.written += frames.size
-        if self._rows >= GROUP:
+        if self._rows >= self._group:
             self._flush()
 
     def _flush(self) -> None:
@@ -102,7 +108,7 @@ class ParquetSignals:
 
 
 def _column(done: Decoded, message: MessageSpec, place: int) -> NDArray[np.float64]:
-    return np.where(done.index == message.index, done.value[:, place], np.nan)
+    return np.where(done.message == message.index, done.value[:, place], np.nan)
 
 
 class CsvSignals:
@@ -134,7 +140,7 @@ class CsvSignals:
         frames, messages = done.frames, self._decoder.codec.messages
         stamps, channels = frames.t_ns.tolist(), frames.channel.tolist()
         for k, (number, values) in enumerate(
-            zip(done.index.tolist(), done.value.tolist(), strict=True)
+            zip(done.message.tolist(), done.value.tolist(), strict=True)
         ):
             message = messages[number]
             row = [""] * self._width

@@ -21,12 +21,12 @@ from dbc.spec import ABSENT, EXTENDED_KEY, VALID, Match, MessageSpec, Validity
 class Decoded(NamedTuple):
     """Frames of a DBC: n of them in their order.
 
-    frames: n frames; index (n,) int32 of the message; value (n, S) as `Codec.decode_rows`, NaN
-    where the frame has no valid value.
+    frames: n frames; message (n,) int32, its `MessageSpec.index`; value (n, S) as
+    `Codec.decode_rows`, NaN where the frame has no valid value.
     """
 
     frames: Block
-    index: NDArray[np.int32]
+    message: NDArray[np.int32]
     value: NDArray[np.float64]
 
 
