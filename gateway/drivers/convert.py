@@ -53,6 +53,8 @@ def out_ending(path: Path, frames: bool) -> str:
         )
     if frames and kind == ".csv.gz":
         raise ConfigError(f"{path}: no frames in .csv.gz", ["name it .csv, or leave --frames out"])
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder", ["name a file"])
     need(path)
     return kind
 
@@ -68,9 +70,25 @@ def need(path: Path) -> None:
 def open_input(path: Path, strict: bool) -> Log:
     """As `open_log`, and Parquet with a row per frame. Raises ConfigError, BadLogError."""
     need(path)
-    if ending(path) == ".parquet" and path.is_file():
+    kind = ending(path)
+    if kind == ".parquet" and path.is_file():
         return Log(in_blocks(frame_files.read_parquet(path)), None)
-    return open_log(path, strict)
+    log = open_log(path, strict)
+    return Log(_all_of_blf(path, log.blocks), None) if kind == ".blf" else log
+
+
+def _all_of_blf(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
+    """The same; raises LogError at the end of a file that was cut: python-can says nothing."""
+    read = 0
+    for block in blocks:
+        read += block.size
+        yield block
+    with path.open("rb") as stream:
+        # Vector's header: its own size of the file at byte 16.
+        promised = int.from_bytes(stream.read(24)[16:], "little")
+    if path.stat().st_size < promised:
+        what = f"ends early after {read} frames: {path.stat().st_size} of {promised} bytes"
+        raise LogError(str(path), 0, what)
 
 
 def of_channel(blocks: Iterable[Block], wanted: str | None) -> Iterator[Block]:

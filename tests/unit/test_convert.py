@@ -313,6 +313,7 @@ def test_one_channel(tmp_path: Path) -> None:
         ("in.log", "in.log", [], "is the log itself"),
         ("in.log", "out.xyz", [], "nothing is written with the ending"),
         ("in.log", "out", [], "(none)"),
+        ("in.log", "folder.csv", [], "is a folder"),
         ("none.log", "out.csv", [], "no such file"),
         ("none.parquet", "out.csv", [], "no such file"),
         ("in.log", "out.csv", ["--log-channel", "can9"], "no frame in the log"),
@@ -341,11 +342,13 @@ def test_what_is_refused(
         Path(junk).write_bytes(gzip.compress(b"junk"))
     assert run("in.log", "signals.parquet") == 0
     before = {p.name: p.read_bytes() for p in Path().iterdir()}
+    Path("folder.csv").mkdir()
     capsys.readouterr()
     assert run(log, out, *words) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert said in lines[0]
+    Path("folder.csv").rmdir()
     assert {p.name: p.read_bytes() for p in Path().iterdir()} == before
 
 
@@ -388,6 +391,21 @@ def test_a_log_that_ends_in_a_fault(tmp_path: Path, capsys: pytest.CaptureFixtur
     out.unlink()
     assert run(text, out, "--strict") == 2
     assert list(tmp_path.iterdir()) == [text]
+
+
+def test_a_blf_that_was_cut(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path, out = tmp_path / "in.blf", tmp_path / "out.log"
+    with can.BLFWriter(path, max_container_size=4096) as logger:
+        for k in range(1000):
+            logger.on_message_received(can.Message(1.0 + k, 0x181, is_extended_id=False))
+    assert run(path, out) == 0
+    path.write_bytes(path.read_bytes()[:-3000])
+    assert run(path, out) == 2
+    assert "ends early after" in capsys.readouterr().err
+    assert 0 < len(list(Reader(out))) < 1000
+    out.unlink()
+    assert run(path, out, "--strict") == 2
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_capitals_are_the_same_ending(tmp_path: Path) -> None:
