@@ -337,7 +337,7 @@ class Writer:
         if isinstance(target, (Path, str)):
             path = Path(target)
             plain = self._stack.enter_context(path.open("wb"))
-            if path.suffix == ".gz":
+            if path.suffix.lower() == ".gz":
                 # No name and time in the header: the same frames give the same bytes.
                 zipped = gzip.GzipFile("", "wb", fileobj=plain, mtime=0)
                 self._stack.callback(zipped.close)

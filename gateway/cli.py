@@ -16,6 +16,7 @@ VERBS = {
     "demo": "the whole system on an embedded bus: simulated drives, gateway, display, picture",
     "run": "the gateway on a bus",
     "replay": "the gateway over a recorded log, as fast as the machine can",
+    "convert": "a log into candump, ASC, BLF, TRC, or decoded signals in Parquet, MF4, CSV",
     "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",
     "hil": "run scenarios against the gateway and judge their expectations",
     "check": "configuration against DBC, bus load and timing budget, before deployment",
@@ -30,6 +31,8 @@ VERBS = {
     "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
 }
 """Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
+_NO_LOGS = {"run", "demo", "sim", "hil", "check", "warm"}
+"""Verbs that read no log: they are spared what python-can loads for MF4."""
 
 
 def _module(verb: str) -> Any:
@@ -54,9 +57,22 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input reach the user."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    # `import can` loads asammdf where it is installed, and that pandas, pyarrow, cryptography: a
+    # second of every start. None makes that import fail, which python-can is prepared for.
+    spared = bool(_NO_LOGS.intersection(words[:1])) and "asammdf" not in sys.modules
+    if spared:
+        sys.modules["asammdf"] = None  # type: ignore[assignment]
+    try:
+        return _main(words)
+    finally:
+        if spared:
+            sys.modules.pop("asammdf", None)
+
+
+def _main(words: list[str]) -> int:
     from gateway.drivers import kernelcache, logs
 
-    words = list(sys.argv[1:] if argv is None else argv)
     limit = logs.begin(logging.WARNING)
     if words[:1] not in (["run"], ["warm"]):  # these say themselves where compiled code is
         kernelcache.Kernels()

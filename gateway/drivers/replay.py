@@ -170,7 +170,8 @@ def open_log(path: Path, strict: bool) -> Log:
         raise BadLogError(msg)
     from can.io.player import MESSAGE_READERS
 
-    suffix = Path(path.name.removesuffix(".gz")).suffix
+    # Loggers on Windows like capitals.
+    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
     if suffix == ".log" or suffix not in MESSAGE_READERS:
         reader = Reader(path, strict=strict)
         return Log(reader.blocks(), reader)

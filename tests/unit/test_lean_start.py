@@ -1,4 +1,4 @@
-"""What a start does not load: cryptography costs time and is for those who have a key."""
+"""What a start does not load: cryptography is for those who have a key, MF4 for who reads logs."""
 
 from __future__ import annotations
 
@@ -31,6 +31,15 @@ def test_run_loads_no_cryptography_unless_something_is_authenticated(tmp_path: P
     key.chmod(0o600)
     assert loaded(tmp_path, "--config", str(config)) == "True 0"
     assert (tmp_path / "trip").read_text() == "00000001\n"
+
+
+def test_run_loads_nothing_for_mf4(tmp_path: Path) -> None:
+    heavy = "[m for m in ('asammdf', 'pandas', 'pyarrow') if m in sys.modules]"
+    code = RUN.replace('"cryptography" in sys.modules', f"'can' in sys.modules, {heavy}")
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.splitlines()[-1] == "True [] 0"
 
 
 def test_a_missing_key_is_one_clear_line(tmp_path: Path) -> None:

@@ -1,0 +1,125 @@
+"""`convert IN OUT`: a log into another format, or into decoded signals."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gateway.commands.common import (
+    BAD_INPUT,
+    GOOD,
+    add_config,
+    console,
+    patience,
+    prepare,
+    track_file,
+)
+
+if TYPE_CHECKING:
+    from dbc.codec import Codec
+    from gateway.drivers.convert import Done
+    from gateway.drivers.replay import Log
+    from gateway.results.signals import Decoder
+
+_EPILOG = """\
+OUT by its ending. Frames: .log and .log.gz (candump -L), .asc, .blf, .trc (python-can).
+Decoded signals by the DBC: .parquet and .csv (.csv.gz), a row per frame and a column per
+signal; .mf4, a channel group per message. With --frames these three hold frames instead:
+.csv as python-can's, .mf4 as bus logging. What each keeps is in docs/files.md.
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = _EPILOG
+    parser.add_argument("log", type=Path, metavar="IN",
+                        help="candump log (.log, .gz), any python-can format, or .parquet of "
+                        "frames")  # fmt: skip
+    parser.add_argument("output", type=Path, metavar="OUT", help="the file to write, see below")
+    add_config(parser)
+    parser.add_argument("--dbc", type=Path, metavar="FILE.dbc",
+                        help="decode by this DBC, not by the configuration's")  # fmt: skip
+    parser.add_argument("--frames", action="store_true",
+                        help="frames, not signals, into .parquet, .mf4, .csv")  # fmt: skip
+    parser.add_argument("--log-channel", metavar="NAME", help="this channel only (default: all)")
+    parser.add_argument("--strict", action="store_true",
+                        help="stop at the first fault in IN, and leave no file")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Convert; counts on stdout. Exit 2 too if the log ended in a fault and OUT is a part of it."""
+    from gateway.drivers import convert
+    from gateway.drivers.replay import BadLogError
+    from gateway.results.signals import Decoder
+
+    kind = convert.out_ending(options.output, options.frames)
+    log = convert.open_input(options.log, options.strict)
+    if options.output.exists() and options.output.samefile(options.log):
+        raise BadLogError(f"{options.output}: is the log itself; name another file")
+    decoder: Decoder | None = None
+    if kind in convert.SIGNALS and not options.frames:
+        with patience():
+            decoder = Decoder(_codec(options))
+
+    def blocks(log: Log, what: str) -> Iterable[Any]:
+        return convert.of_channel(track_file(log, options.log, what), options.log_channel)
+
+    def make(path: Path) -> Any:
+        if decoder is None:
+            return convert.frame_sink(path, kind)
+        first = convert.open_input(options.log, strict=False)
+        return convert.signal_sink(path, kind, decoder, blocks(first, "looking"))
+
+    began = time.perf_counter()
+    try:
+        done = convert.convert(
+            blocks(log, "converting"), options.output, make, strict=options.strict
+        )
+    except convert.NothingWrittenError as error:
+        left = [f"{k} {n}" for k, n in error.sink.left_out.items() if n]
+        advice = ""
+        if decoder is not None:
+            left += [f"{k.name.lower()} {n}" for k, n in decoder.counts.items()]
+            advice = f" by {decoder.codec.path.name}; name the DBC with --dbc, or use --frames"
+        raise BadLogError(f"{options.log}: {error}{advice} ({', '.join(left)})") from None
+    _summary(log, done, decoder)
+    seconds = time.perf_counter() - began
+    console().print(f"{options.output}: {done.read} frames in {seconds:.2f} s", markup=False)
+    if done.cut:
+        console().print(f"traction-gateway: {done.cut}; {options.output} ends there",
+                        markup=False, soft_wrap=True)  # fmt: skip
+        return BAD_INPUT
+    return GOOD
+
+
+def _codec(options: argparse.Namespace) -> Codec:
+    """Of the DBC that was named, as it is; else of the configuration."""
+    from dbc.codec import bind
+    from dbc.contract import ANY
+
+    if options.dbc is not None:
+        return bind(options.dbc, (), ANY)
+    return prepare(options.config)[1]
+
+
+def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
+    """What was read, written and left out, on stdout."""
+    if log.reader is not None:
+        lines = sorted((verdict.name.lower(), n) for verdict, n in log.reader.counts.items() if n)
+        print("lines: " + ", ".join(f"{name} {n}" for name, n in lines))
+        for number, verdict, text in log.reader.problems[:5]:
+            console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
+    print(f"frames: read {done.read}, written {done.sink.written}")
+    left = dict(done.sink.left_out)
+    if decoder is not None:
+        left |= {match.name.lower(): n for match, n in decoder.counts.items() if match}
+    if any(left.values()):
+        words = (f"{cause} {n}" for cause, n in sorted(left.items()) if n)
+        print("not written: " + ", ".join(words))
+    if decoder is not None:
+        words = (f"{how.name.lower()} {n}" for how, n in sorted(decoder.cells.items()))
+        print("values: " + ", ".join(words))

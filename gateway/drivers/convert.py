@@ -1,0 +1,200 @@
+"""From one file to another: what is at an ending, the frames of it, and a file that is whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from dbc.block import Block, in_blocks
+from dbc.codec import Codec
+from gateway.config import ConfigError
+from gateway.drivers.replay import BadLogError, Log, LogError, open_log
+from gateway.results import frame_files
+from gateway.results.frame_files import Sink
+
+if TYPE_CHECKING:
+    from gateway.results.signals import Decoder
+
+FRAMES: Final = (".log", ".log.gz", ".asc", ".blf", ".trc")
+"""Endings that hold frames and nothing else."""
+SIGNALS: Final = (".parquet", ".mf4", ".csv", ".csv.gz")
+"""Endings that hold decoded signals, or frames where asked for."""
+_EXTRA: Final = {".parquet": ("pyarrow", "parquet"), ".mf4": ("asammdf", "mf4")}
+
+
+class Done(NamedTuple):
+    """What became of a log. read: frames; cut: why reading ended early, else empty."""
+
+    read: int
+    sink: Sink
+    cut: str
+
+
+def ending(path: Path) -> str:
+    """The part of a name that says what is in the file, in small letters, with any `.gz`."""
+    name = path.name.lower()
+    plain = name.removesuffix(".gz")
+    return Path(plain).suffix + name[len(plain) :]
+
+
+def out_ending(path: Path, frames: bool) -> str:
+    """Of a file to be written. Raises ConfigError for one that nobody can write."""
+    kind = ending(path)
+    if kind not in FRAMES + SIGNALS:
+        raise ConfigError(
+            f"{path}: nothing is written with the ending {kind or '(none)'!r}",
+            [f"frames: {' '.join(FRAMES)}", f"signals: {' '.join(SIGNALS)}"],
+        )
+    if frames and kind == ".csv.gz":
+        raise ConfigError(f"{path}: no frames in .csv.gz", ["name it .csv, or leave --frames out"])
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder", ["name a file"])
+    need(path)
+    return kind
+
+
+def need(path: Path) -> None:
+    """Raises ConfigError that says what to install for a file with this ending."""
+    module, extra = _EXTRA.get(ending(path).removesuffix(".gz"), ("", ""))
+    if module and find_spec(module) is None:
+        cure = f"pip install 'traction-gateway[{extra}]'"
+        raise ConfigError(f"{path}: needs {module}", [cure])
+
+
+def open_input(path: Path, strict: bool) -> Log:
+    """As `open_log`, and Parquet with a row per frame. Raises ConfigError, BadLogError."""
+    need(path)
+    kind = ending(path)
+    if kind == ".parquet" and path.is_file():
+        return Log(in_blocks(frame_files.read_parquet(path)), None)
+    log = open_log(path, strict)
+    return Log(_all_of_blf(path, log.blocks), None) if kind == ".blf" else log
+
+
+def _all_of_blf(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
+    """The same; raises LogError at the end of a file that was cut: python-can says nothing."""
+    read = 0
+    for block in blocks:
+        read += block.size
+        yield block
+    with path.open("rb") as stream:
+        # Vector's header: its own size of the file at byte 16.
+        promised = int.from_bytes(stream.read(24)[16:], "little")
+    if path.stat().st_size < promised:
+        what = f"ends early after {read} frames: {path.stat().st_size} of {promised} bytes"
+        raise LogError(str(path), 0, what)
+
+
+def of_channel(blocks: Iterable[Block], wanted: str | None) -> Iterator[Block]:
+    """The frames of one channel; None: of all."""
+    for block in blocks:
+        if wanted is None:
+            yield block
+            continue
+        mine = np.array([name == wanted for name in block.names])[block.channel]
+        if mine.any():
+            yield block.pick(mine)
+
+
+def frame_sink(path: Path, kind: str) -> Sink:
+    """A writer of frames, for `out_ending`s."""
+    if kind in (".log", ".log.gz"):
+        return frame_files.Candump(path)
+    if kind == ".parquet":
+        return frame_files.ParquetFrames(path)
+    if kind == ".mf4":
+        from gateway.results.mf4_files import Mf4Frames
+
+        return Mf4Frames(path)
+    return frame_files.PythonCan(path)
+
+
+def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]) -> Sink:
+    """A writer of signals, for `out_ending`s. blocks: the log, read here for the columns."""
+    if kind == ".mf4":
+        from gateway.results.mf4_files import Mf4Signals
+
+        return Mf4Signals(path, decoder, comments_of(decoder.codec))
+    from gateway.results.signal_files import CsvSignals, ParquetSignals
+    from gateway.results.signals import seen
+
+    messages = seen(_readable(blocks), decoder.codec)
+    if kind == ".parquet":
+        return ParquetSignals(path, decoder, messages, comments_of(decoder.codec))
+    return CsvSignals(path, decoder, messages)
+
+
+def _readable(blocks: Iterable[Block]) -> Iterator[Block]:
+    """What can be read; the fault is met again, and said, when the file is converted."""
+    try:
+        yield from blocks
+    except LogError:
+        return
+
+
+def comments_of(codec: Codec) -> dict[str, str]:
+    """`Message` and `Message.Signal` -> comment, of those that have one."""
+    from dbc.binding import load
+
+    said = {}
+    for message in load(codec.path).messages:
+        said[message.name] = message.comment or ""
+        for signal in message.signals:
+            said[f"{message.name}.{signal.name}"] = signal.comment or ""
+    return {name: text for name, text in said.items() if text}
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A name to write to, which becomes `path` at the end; after an exception nothing is left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # The ending stays: writers go by it.
+    part = path.with_name(f".part-{os.getpid()}-{path.name}")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def convert(
+    blocks: Iterable[Block], path: Path, make: Callable[[Path], Sink], *, strict: bool
+) -> Done:
+    """Write a log to `path`. What was read before a fault in the log is kept, unless `strict`.
+
+    Raises LogError with `strict`, or if nothing was read; BadLogError if there is nothing to
+    write: then no file is left.
+    """
+    with whole(path) as part:
+        sink = make(part)
+        read, cut = 0, ""
+        try:
+            try:
+                for block in blocks:
+                    read += block.size
+                    sink.add(block)
+            except LogError as error:
+                if strict or not read:
+                    raise
+                cut = str(error)
+            if not read:
+                raise BadLogError("no frame in the log (or none on this channel)")
+        finally:
+            sink.close()
+        if not sink.written:
+            raise NothingWrittenError(read, sink)
+    return Done(read, sink, cut)
+
+
+class NothingWrittenError(BadLogError):
+    """Frames were read and none could be written."""
+
+    def __init__(self, read: int, sink: Sink) -> None:
+        self.sink = sink
+        super().__init__(f"none of {read} frames could be written")
