@@ -56,7 +56,7 @@ class HilBench:
         """What is true: who has lost adhesion, every 10 ms of late."""
         self.now_ns: Nanos = 0
         self.flags = GatewayFlags(self)
-        self.inverter = Inverter(self, simulation)
+        self.inverter = Inverter(simulation, lambda: self.now_s)
 
     @property
     def now_s(self) -> float:

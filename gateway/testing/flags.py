@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Protocol
 
-from dbc.frame import MS, Nanos
+from dbc.codec import Codec
+from dbc.frame import MS, Frame, Nanos
 from gateway.health import Flag
 from gateway.results.expect import WORDS, FlagTrack
 from gateway.testing import picture
-
-if TYPE_CHECKING:
-    from gateway.testing.bench import HilBench
 
 SHOWN_NS: Final[Nanos] = 300 * MS
 """A picture begins so long before the test began to wait."""
@@ -19,10 +18,29 @@ OF_THE_SET: Final = ("common_mode", "comm", "sensor")
 """Flags of the gateway; the others are a drive's."""
 
 
+class Stage(Protocol):
+    """The part of a bench that flags need: what is on it, its time, and that it goes on."""
+
+    codec: Codec
+    nodes: tuple[int, ...]
+    now_ns: Nanos
+
+    @property
+    def frames(self) -> Sequence[Frame]:
+        """The last frames on the bus, oldest first."""
+
+    @property
+    def lost(self) -> Mapping[int, Sequence[tuple[Nanos, bool]]]:
+        """What is true, by node: stamps, and whether adhesion was lost."""
+
+    def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
+        """Let time pass until `met()`, at most so long; whether it was."""
+
+
 class GatewayFlags:
     """Reads and expects. An `expect_..` lets time pass until it is met, or fails with a picture."""
 
-    def __init__(self, bench: HilBench) -> None:
+    def __init__(self, bench: Stage) -> None:
         """Made by the bench."""
         self._bench = bench
         self.track = FlagTrack(bench.codec, bench.nodes)

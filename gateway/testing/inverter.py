@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 from sim.scenario import Event
 from sim.simulation import Simulation
-
-if TYPE_CHECKING:
-    from gateway.testing.bench import HilBench
 
 
 class Inverter:
     """All drives of the bench; `drive` is a number from 1 or "all"."""
 
-    def __init__(self, bench: HilBench, simulation: Simulation) -> None:
-        """Made by the bench."""
-        self._bench, self._simulation = bench, simulation
+    def __init__(self, simulation: Simulation, now_s: Callable[[], float]) -> None:
+        """Made by the bench, whose time `now_s` tells."""
+        self._simulation, self._now_s = simulation, now_s
 
     def fault(
         self,
@@ -30,7 +28,7 @@ class Inverter:
 
         for_s: seconds; None: for good. Raises ValueError for an event that cannot be.
         """
-        fields = {"at_s": self._bench.now_s, "for_s": for_s, "drive": drive, "kind": kind, **more}
+        fields = {"at_s": self._now_s(), "for_s": for_s, "drive": drive, "kind": kind, **more}
         self._simulation.inject(Event.model_validate(fields))
 
     def lose_adhesion(

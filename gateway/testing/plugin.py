@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
+
+from gateway.testing.options import bus_of
 
 if TYPE_CHECKING:
     from gateway.testing.bench import HilBench
@@ -42,24 +44,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """The marker, and options that go together."""
     config.addinivalue_line("markers", MARK)
-    bus = _bus(config)
+    bus = bus_of(config)
     if bus is None and (config.getoption("--can-channel") or config.getoption("--can-fd")):
         raise pytest.UsageError("--can-channel and --can-fd need --can-interface")
     if bus is None and config.getoption("--hil-gateway") == "external":
         raise pytest.UsageError("--hil-gateway external needs a bus: --can-interface")
-
-
-def _bus(config: pytest.Config) -> dict[str, Any] | None:
-    interface = config.getoption("--can-interface")
-    if interface is None:
-        return None
-    given = {
-        "interface": interface,
-        "channel": config.getoption("--can-channel"),
-        "bitrate": config.getoption("--can-bitrate"),
-        "fd": config.getoption("--can-fd") or None,
-    }
-    return {key: value for key, value in given.items() if value is not None}
 
 
 @pytest.fixture
@@ -79,7 +68,7 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
         raise pytest.UsageError(str(error)) from None
     config, codec = fitting(Path(path) if path else None, scenario)
     bench = HilBench(
-        scenario, config, codec, _bus(request.config),
+        scenario, config, codec, bus_of(request.config),
         own_gateway=request.config.getoption("--hil-gateway") == "own",
     )  # fmt: skip
     try:

@@ -10,6 +10,7 @@ import pytest
 from gateway.commands.common import fitting
 from gateway.results.expect import Verdict
 from gateway.testing.bench import HilBench
+from gateway.testing.options import bus_of
 from sim.scenario import Scenario, ScenarioError, load
 
 
@@ -43,11 +44,10 @@ class ScenarioFile(pytest.File):
     def _run(self) -> list[list[tuple[Verdict, str]]]:
         from gateway.drivers.bench import touched_drives
         from gateway.results.expect import judge
-        from gateway.testing.plugin import _bus
 
         config, codec = fitting(None, self.scenario)
         own = self.config.getoption("--hil-gateway") == "own"
-        bench = HilBench(self.scenario, config, codec, _bus(self.config), own_gateway=own)
+        bench = HilBench(self.scenario, config, codec, bus_of(self.config), own_gateway=own)
         pictures: dict[int, str] = {}
         try:
             # The picture of an expectation is taken when its time is over, not at the end.

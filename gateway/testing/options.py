@@ -1,0 +1,21 @@
+"""What the command line of pytest says of the bus."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+
+def bus_of(config: pytest.Config) -> dict[str, Any] | None:
+    """python-can's options; None: no bus was named, so the virtual clock."""
+    interface = config.getoption("--can-interface")
+    if interface is None:
+        return None
+    given = {
+        "interface": interface,
+        "channel": config.getoption("--can-channel"),
+        "bitrate": config.getoption("--can-bitrate"),
+        "fd": config.getoption("--can-fd") or None,
+    }
+    return {key: value for key, value in given.items() if value is not None}
