@@ -1,0 +1,102 @@
+"""What a person wants told: changes, each once, the last 200 of them. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import IntEnum
+from typing import Final
+
+from dbc.frame import SECOND, Nanos
+from gateway.health import Flag, GatewayState, Health, Reason
+from gateway.monitor.snapshot import Event, GatewayRow, word
+from gateway.supervision import Emergency
+
+KEPT: Final = 200
+INFO, WARNING, ERROR = "info", "warning", "error"
+_LEVELS: Final[dict[type[IntEnum], dict[int, str]]] = {
+    Flag: {Flag.BAD: ERROR, Flag.UNKNOWN: WARNING},
+    Health: {
+        Health.UNKNOWN: WARNING,
+        Health.PREDICTING: WARNING,
+        Health.DIVERGED: ERROR,
+        Health.INPUT_INVALID: WARNING,
+    },
+    Reason: {Reason.INTRUDER: ERROR},
+    GatewayState: {GatewayState.DEGRADED: WARNING, GatewayState.SILENT: ERROR},
+}
+"""By type first: members of different enumerations are equal numbers."""
+_SET_FLAGS: Final = ("common_mode", "sensor_fault", "comm_fault", "estimator_fault", "overrun")
+
+
+def level_of(value: IntEnum) -> str:
+    """How grave a new state is."""
+    return _LEVELS.get(type(value), {}).get(value, INFO)
+
+
+class Happenings:
+    """Compares each moment with the one before and notes what is new."""
+
+    def __init__(self) -> None:
+        """Nothing has happened."""
+        self.events: deque[Event] = deque(maxlen=KEPT)
+        self._first_ns: Nanos = 0
+        self._last: dict[tuple[str, int], object] = {}
+
+    def begin(self, first_ns: Nanos) -> None:
+        """Time from here on is counted from this."""
+        self._first_ns = first_ns
+
+    def note(self, t_ns: Nanos, level: str, drive: int | None, text: str) -> None:
+        """Something that is told each time it happens."""
+        self.events.append(Event((t_ns - self._first_ns) / SECOND, level, drive, text))
+
+    def changed(self, name: str, drive: int, value: object) -> bool:
+        """Whether this differs from the last that was given. Keys are few: names times drives."""
+        before = self._last.get((name, drive), self)
+        self._last[name, drive] = value
+        return before is not self and before != value
+
+    def state(self, t_ns: Nanos, name: str, drive: int, value: IntEnum) -> None:
+        """A flag or state of a drive (0: of the set)."""
+        if self.changed(name, drive, value):
+            text = f"{name.replace('_', ' ')} {word(name, value)}"
+            self.note(t_ns, level_of(value), drive or None, text)
+
+    def gateway(self, t_ns: Nanos, row: GatewayRow) -> None:
+        """The set's own flags and states; nothing of them while no gateway is heard."""
+        if self.changed("alive", 0, row.alive):
+            text = "flags of the gateway are heard" if row.alive else "no flags of the gateway any more"
+            self.note(t_ns, INFO if row.alive else ERROR, None, text)
+        for name in _SET_FLAGS:
+            self.state(t_ns, name, 0, getattr(row, name))
+        if row.reason is not None:
+            self.state(t_ns, "reason", 0, row.reason)
+        if row.state is not None:
+            self.state(t_ns, "gateway", 0, row.state)
+        if row.deadline_misses is not None and self.changed("misses", 0, row.deadline_misses):
+            self.note(t_ns, WARNING, None, f"ticks missed so far: {row.deadline_misses}")
+
+    def heartbeat(self, t_ns: Nanos, node: int, drive: int | None, state: str | None) -> None:
+        """NMT state of a node, or Silent; drive: None for the gateway's own."""
+        if self.changed("heartbeat", node, state) and state is not None:
+            level = ERROR if state == "Silent" else INFO
+            what = "heartbeat lost" if state == "Silent" else f"heartbeat: {state}"
+            self.note(t_ns, level, drive, what if drive else f"gateway {what}")
+
+    def emergency(self, drive: int | None, seen: Emergency) -> None:
+        """One emergency message. Its code 0 says that all is well again."""
+        over = seen.code & 0xFF00 == 0
+        text = "emergency over" if over else f"emergency {seen.code:04X}"
+        text += "" if over else f", register {seen.register:02X}"
+        self.note(
+            seen.t_ns, INFO if over else ERROR, drive, text if drive else f"gateway {text}"
+        )  # fmt: skip
+
+    def drive_state(self, t_ns: Nanos, drive: int, state: str | None) -> None:
+        """`Drive_Status.State` by its name; None says nothing."""
+        if state is not None and self.changed("state", drive, state):
+            self.note(t_ns, ERROR if state == "Fault" else INFO, drive, f"drive {state}")
+
+    def link(self, t_ns: Nanos, state: str) -> None:
+        """State of the bus, where it has changed."""
+        self.note(t_ns, INFO if state == "active" else ERROR, None, f"bus {state}")
