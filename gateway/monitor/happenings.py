@@ -65,7 +65,11 @@ class Happenings:
     def gateway(self, t_ns: Nanos, row: GatewayRow) -> None:
         """The set's own flags and states; nothing of them while no gateway is heard."""
         if self.changed("alive", 0, row.alive):
-            text = "flags of the gateway are heard" if row.alive else "no flags of the gateway any more"
+            text = (
+                "flags of the gateway are heard"
+                if row.alive
+                else "no flags of the gateway any more"
+            )
             self.note(t_ns, INFO if row.alive else ERROR, None, text)
         for name in _SET_FLAGS:
             self.state(t_ns, name, 0, getattr(row, name))

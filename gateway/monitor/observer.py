@@ -13,6 +13,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Iterable
+from copy import deepcopy
 from typing import Final
 
 from dbc.block import EMPTY, Block, block_of, join
@@ -138,6 +139,11 @@ class Observer:
             self._tick(held.part(done, end), following)
             done = end
         self._held = held.part(done, held.size) if done < held.size else EMPTY
+
+    def copy(self) -> Observer:
+        """The same state once more; codec and configuration, which never change, are shared."""
+        shared = (self.codec, self.config, self.codec.messages, *self.codec.messages)
+        return deepcopy(self, {id(item): item for item in shared})
 
     def note_dropped(self, frames: int) -> None:
         """So many frames of a log were left out because their time goes back."""

@@ -21,6 +21,13 @@ class Recent:
         self._t_s: deque[float] = deque(maxlen=POINTS)
         self._rows: dict[int, deque[DriveRow]] = {n: deque(maxlen=POINTS) for n in nodes}
 
+    def __deepcopy__(self, _memo: dict[int, object]) -> Recent:
+        """A copy for which the rows, which never change, are not copied."""
+        other = Recent(self._rows)
+        other._t_s = self._t_s.copy()
+        other._rows = {node: rows.copy() for node, rows in self._rows.items()}
+        return other
+
     def add(self, t_s: float, drives: Iterable[DriveRow]) -> None:
         """One moment; a row of every drive."""
         self._t_s.append(t_s)

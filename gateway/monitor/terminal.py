@@ -1,0 +1,309 @@
+"""The terminal view: panels over a source, keys for everything. A screen of 80 x 24 is enough."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, ClassVar, Final
+
+from rich.text import Text
+from textual.app import App, ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from gateway.monitor import panels
+from gateway.monitor.plots import GREY, ORANGE, SCALE, SKY, VERMILION, bars, columns, curve, strip
+from gateway.monitor.snapshot import Snapshot, Trace
+from gateway.monitor.sources import Source
+
+REFRESH_S: Final = 0.1
+LONGEST_S: Final = 0.5
+"""Time that may pass between two looks: a stopped terminal does not make a log jump."""
+SPEEDS: Final = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
+SPANS_S: Final = (10.0, 30.0, 60.0)
+SECOND_DIGIT_S: Final = 0.8
+"""Within this a second digit makes a two-digit drive number."""
+HELP: Final = """\
+ 1..9, 1 2   drive by its number (two digits: quickly)
+ up, down    drive before, after
+ space       pause, and on again
+ left, right one second back, on      (of a log)
+ , .         ten seconds back, on     (of a log)
+ home, end   start, end               (of a log)
+ - +         slower, faster           (of a log)
+ z           plots of 10, 30 or 60 s
+ e           more room for events
+ ?           this page; q quits
+
+ ✓ good   ✗ bad   ? unknown: not heard, too old or not believed
+ ░ two standard deviations of the load torque; they are not on
+   the bus: a gateway that runs in the monitor says them, where
+   it agrees with the bus
+ strip: ─ adhering   █ lost   ? unknown   · nothing heard"""
+
+
+class Help(ModalScreen[None]):
+    """The keys, and what the signs mean. Any key closes it."""
+
+    CSS = """
+    Help { align: center middle; }
+    Help > Static { width: 68; height: auto; border: round $foreground; padding: 0 1;
+                    background: $surface; }
+    """
+
+    def compose(self) -> ComposeResult:
+        """One page."""
+        yield Static(Text(HELP))
+
+    def on_key(self) -> None:
+        """Close."""
+        self.dismiss()
+
+
+class MonitorApp(App[None]):
+    """A source on a terminal: looked at from this thread only, closed at the end."""
+
+    ENABLE_COMMAND_PALETTE = False
+    CSS = """
+    Screen { layout: vertical; }
+    #title { height: 1; background: $panel; }
+    #tops { height: 3; }
+    #gateway { width: 3fr; }
+    #link { width: 2fr; }
+    #drives { height: auto; max-height: 40%; }
+    #detail { height: 2; }
+    #plots { height: 2fr; min-height: 7; }
+    #load { width: 1fr; }
+    #late { width: 28; }
+    #events { height: 1fr; min-height: 3; }
+    .more #events { height: 4fr; }
+    #keys { height: 1; background: $panel; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("question_mark", "help", "help", show=False),
+        Binding("q", "quit", "quit", show=False),
+        Binding("space", "pause", "pause", show=False),
+        Binding("left", "seek(-1)", show=False, priority=True),
+        Binding("right", "seek(1)", show=False, priority=True),
+        Binding("comma", "seek(-10)", show=False),
+        Binding("full_stop", "seek(10)", show=False),
+        Binding("home", "ends(0)", show=False, priority=True),
+        Binding("end", "ends(1)", show=False, priority=True),
+        Binding("plus,equals_sign", "speed(1)", show=False),
+        Binding("minus", "speed(-1)", show=False),
+        Binding("up", "step(-1)", show=False, priority=True),
+        Binding("down", "step(1)", show=False, priority=True),
+        Binding("z", "zoom", show=False),
+        Binding("e", "more", show=False),
+        *(Binding(str(k), f"digit({k})", show=False) for k in range(10)),
+    ]
+
+    def __init__(
+        self,
+        source: Source,
+        *,
+        refresh_s: float | None = REFRESH_S,
+        clock: Callable[[], float] = time.monotonic,
+        **options: Any,
+    ) -> None:
+        """refresh_s: None looks only when a key asks for it, for tests."""
+        super().__init__(**options)
+        self._source = source
+        self._refresh_s = refresh_s
+        self._clock = clock
+        self._looked_s = clock()
+        self._shown: Snapshot | None = None
+        self._selected = 0
+        self._digits = ""
+        self._digit_s = 0.0
+        self._zoom = 1
+
+    def compose(self) -> ComposeResult:
+        """The panels; only the table can be longer than its place."""
+        yield Static(id="title")
+        with Horizontal(id="tops"):
+            yield Static(id="gateway")
+            yield Static(id="link")
+        with VerticalScroll(id="drives", can_focus=False):
+            yield Static(id="table")
+        yield Static(id="detail")
+        with Horizontal(id="plots"):
+            yield Static(id="load")
+            yield Static(id="late")
+        yield Static(id="events")
+        yield Static(id="keys")
+
+    def on_mount(self) -> None:
+        """Start looking."""
+        self._look(0.0)
+        # Sizes are known only after the first layout.
+        self.call_after_refresh(self._draw)
+        if self._refresh_s is not None:
+            self.set_interval(self._refresh_s, self.tick)
+
+    def on_resize(self) -> None:
+        """Draw for the new size."""
+        self.call_after_refresh(self._draw)
+
+    def on_unmount(self) -> None:
+        """Give the source back."""
+        self._source.close()
+
+    def tick(self) -> None:
+        """One look at the source, by the time that has passed."""
+        now = self._clock()
+        passed, self._looked_s = now - self._looked_s, now
+        self._look(min(max(passed, 0.0), LONGEST_S))
+        self._draw()
+
+    def _look(self, passed_s: float) -> None:
+        self._shown = self._source.advance(passed_s)
+        nodes = [row.node for row in self._shown.drives]
+        if self._selected not in nodes:
+            self._selected = nodes[0]
+
+    # ---- keys ----------------------------------------------------------------------------------
+
+    def action_help(self) -> None:
+        """The page of keys."""
+        self.push_screen(Help())
+
+    def action_pause(self) -> None:
+        """Stand still, or go on."""
+        self._source.paused = not self._source.paused
+        self._draw()
+
+    def action_seek(self, seconds: int) -> None:
+        """So much back or on; of a log only."""
+        if self._shown is not None and self._source.span_s is not None:
+            self._go(self._shown.t_s + seconds)
+
+    def action_ends(self, which: int) -> None:
+        """To the start or the end of a log."""
+        if (span := self._source.span_s) is not None:
+            self._go(span[which])
+
+    def _go(self, t_s: float) -> None:
+        self._shown = self._source.seek(t_s, REFRESH_S)
+        self._draw()
+
+    def action_speed(self, step: int) -> None:
+        """Slower or faster; of a log only."""
+        if self._source.span_s is None:
+            return
+        near = min(range(len(SPEEDS)), key=lambda k: abs(SPEEDS[k] - self._source.speed))
+        self._source.speed = SPEEDS[min(max(near + step, 0), len(SPEEDS) - 1)]
+        self._draw()
+
+    def action_step(self, step: int) -> None:
+        """The drive before or after."""
+        if self._shown is not None:
+            nodes = [row.node for row in self._shown.drives]
+            at = nodes.index(self._selected) + step
+            self._select(nodes[min(max(at, 0), len(nodes) - 1)])
+
+    def action_digit(self, digit: int) -> None:
+        """A drive by its number: a second digit soon after the first belongs to it."""
+        if self._shown is None:
+            return
+        now = self._clock()
+        soon = self._digits and now - self._digit_s <= SECOND_DIGIT_S
+        nodes = [row.node for row in self._shown.drives]
+        both = self._digits + str(digit) if soon else ""
+        self._digits, self._digit_s = str(digit), now
+        for text in (both, str(digit)):
+            if text and int(text) in nodes:
+                self._select(int(text))
+                return
+
+    def _select(self, node: int) -> None:
+        self._selected = node
+        self._draw()
+
+    def action_zoom(self) -> None:
+        """Plots of another span."""
+        self._zoom = (self._zoom + 1) % len(SPANS_S)
+        self._draw()
+
+    def action_more(self) -> None:
+        """More room for events, or as before."""
+        self.screen.toggle_class("more")
+        self.call_after_refresh(self._draw)
+
+    # ---- drawing -------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        shown = self._shown
+        if shown is None or not self.is_running or len(self.screen_stack) > 1:
+            return
+        width = self.size.width
+        self._put("title", self._title(shown))
+        self._put("gateway", panels.gateway(shown))
+        self._put("link", panels.link(shown))
+        self._put("table", panels.table(shown, self._selected, width))
+        self._put("detail", panels.detail(shown, self._selected))
+        self._put("load", self._plots(shown))
+        late = self.query_one("#late", Static).size
+        self._put("late", panels.lateness(shown.lateness, (late.width, late.height)))
+        lines = self.query_one("#events", Static).size.height
+        self._put("events", panels.events(shown.events, lines))
+        self._put("keys", self._keys())
+        row = [r.node for r in shown.drives].index(self._selected)
+        scroll = self.query_one("#drives", VerticalScroll)
+        if scroll.size.height and not 0 <= row + 1 - scroll.scroll_y < scroll.size.height:
+            scroll.scroll_to(y=max(row + 2 - scroll.size.height, 0), animate=False)
+
+    def _put(self, name: str, text: Text) -> None:
+        self.query_one(f"#{name}", Static).update(text)
+
+    def _title(self, shown: Snapshot) -> Text:
+        source = self._source
+        text = Text(" traction-gateway monitor ", style="bold", no_wrap=True)
+        text.append(f" {source.title} ", style=SKY)
+        text.append(f" {shown.t_s:.2f}")
+        if source.span_s is not None:
+            text.append(f" of {source.span_s[1]:.2f} s  x{source.speed:g}")
+        else:
+            text.append(" s")
+        if source.behind:
+            text.append("  reading ..", style=ORANGE)
+        if source.paused:
+            text.append("  PAUSED", style=f"bold {ORANGE}")
+        if not shown.link.received:
+            text.append("  nothing heard yet", style=ORANGE)
+        return text
+
+    def _keys(self) -> Text:
+        parts = [
+            ("?", "help"),
+            ("1-9", "drive"),
+            ("space", "pause"),
+            ("z", "zoom"),
+            ("e", "events"),
+        ]
+        if self._source.span_s is not None:
+            parts += [("← →", "1 s"), (", .", "10 s"), ("- +", "speed")]
+        text = Text(" ", no_wrap=True)
+        for key, what in (*parts, ("q", "quit")):
+            text.append(key, style="bold").append(f" {what}  ", style=GREY)
+        return text
+
+    def _plots(self, shown: Snapshot) -> Text:
+        """Load with its band, loss probability, and the strip of flags, of the selected drive."""
+        size = self.query_one("#load", Static).size
+        trace = next((t for t in shown.history if t.node == self._selected), Trace(self._selected))
+        seconds = SPANS_S[self._zoom]
+        span = (shown.t_s - seconds, shown.t_s)
+        width = max(size.width - 1, SCALE + 4)
+        inner = width - SCALE
+        text = Text(no_wrap=True)
+        text.append(f"LOAD Nm of drive {self._selected}", style=f"bold {SKY}")
+        text.append(f"  last {seconds:g} s, ░ 2 sigma\n", style=GREY)
+        height = max(size.height - 3, 2)
+        text.append(curve(trace.t_s, trace.load_nm, trace.load_sigma_nm, span, (width, height)))
+        lost = columns(trace.t_s, trace.loss_probability, *span, inner)
+        text.append("\nP(lost)").append(bars(lost, 1.0, VERMILION))
+        text.append("\nflag   ").append(strip(trace.t_s, trace.adhesion, span, inner))
+        return text
