@@ -20,6 +20,10 @@ _HEALTH: Final = {
 }  # fmt: skip
 _LEVEL: Final = {"error": ("✗", VERMILION), "warning": ("!", ORANGE), "info": ("·", GREY)}
 _FAULTY: Final = (FaultClass.UNKNOWN, FaultClass.NONE)
+_SET: Final = (
+    ("common_mode", "common"), ("sensor_fault", "sensors"), ("comm_fault", "comm"),
+    ("estimator_fault", "estimators"), ("overrun", "cycle"),
+)  # fmt: skip
 WIDE: Final = 118
 """Characters from which on the table has all columns."""
 
@@ -120,8 +124,8 @@ def detail(shown: Snapshot, selected: int) -> Text:
     text.append(f"drive {row.node} ", style=f"bold {SKY}")
     text.append(
         f"stator {number(row.stator_c)}  DE {number(row.drive_end_c)}  "
-        f"NDE {number(row.non_drive_end_c)}  ambient {number(row.ambient_c)}  "
-        f"mixed {number(row.mixed_c)} degC  MAISD {number(row.maisd_k, 2)} K\n"
+        f"NDE {number(row.non_drive_end_c)}  ambient {number(row.ambient_c)} "
+        f"degC  MAISD {number(row.maisd_k, 2)} K\n"
         f"{row.state or 'state ?'}, {row.heartbeat or 'heartbeat ?'}  "
         f"measured {number(row.measured_speed_rad_s)} rad/s  NIS {number(row.nis)}  "
         f"rejected {row.rejected}  heard {age(row.age_s)}"
@@ -145,21 +149,17 @@ def gateway(shown: Snapshot) -> Text:
         text.append(f"✗ no flags for {late}", style=f"bold {VERMILION}")
     else:
         text.append(word("", row.state) if row.state is not None else "state ?", style="bold")
-        text.append(f"  {row.detector or '?'}  set's age {number(row.age_ms, 0, 'ms')}")
-    text.append("\nreason ")
+        text.append(f"  {row.detector or '?'}  age {number(row.age_ms, 0, 'ms')}")
     grave = row.reason is not None and row.reason is not Reason.NONE
+    text.append("\nreason ")
     text.append("?" if row.reason is None else word("", row.reason), style=ORANGE if grave else "")
-    text.append(
-        f", thermal {'?' if row.thermal_reason is None else word('', row.thermal_reason)}"
-        "  common mode "
-    )
-    text.append(flag_text("common_mode", row.common_mode))
-    text.append("\n")
-    for name in ("sensor_fault", "comm_fault", "estimator_fault", "overrun"):
-        sign, style = _FLAG[getattr(row, name)]
-        label = {"sensor_fault": "sensors", "comm_fault": "comm", "estimator_fault": "estimators"}
-        text.append(f"{sign}{label.get(name, name)} ", style=style)
-    text.append(f" late p99 {number(row.lateness_p99_us, 0)} us")
+    text.append(f", thermal {'?' if row.thermal_reason is None else word('', row.thermal_reason)}")
+    text.append(f"  late p99 {number(row.lateness_p99_us, 0)} us\n")
+    for name, label in _SET:
+        flag = getattr(row, name)
+        sign, style = _FLAG[flag]
+        told = f"{label} {word(name, flag)}" if flag is Flag.BAD else label
+        text.append(f"{sign}{told} ", style=f"bold {style}" if flag is Flag.BAD else style)
     return text
 
 

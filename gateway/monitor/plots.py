@@ -134,14 +134,18 @@ def _empty(width: int, height: int) -> Text:
     return Text("\n".join(lines), style=GREY, no_wrap=True)
 
 
-def bars(bins: Sequence[Column], most: float, style: str) -> Text:
-    """A line of bars 0 .. most, the highest of each bin; a dot where nothing is known."""
+def bars(bins: Sequence[Column], grave: float) -> Text:
+    """A line of bars 0 .. 1, the highest of each bin; a dot where nothing is known.
+
+    grave: from here on in the colour of what is bad.
+    """
     text = Text(no_wrap=True)
     for column in bins:
         if not column:
             text.append(GAP, style=GREY)
             continue
-        level = min(max(max(column) / most, 0.0), 1.0)
+        level = min(max(*column, 0.0), 1.0)
+        style = VERMILION if level >= grave else SKY
         text.append(_EIGHTHS[max(1, math.ceil(level * 8))], style=style)
     return text
 

@@ -10,11 +10,12 @@ from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
-from textual.screen import ModalScreen
+from textual.screen import ModalScreen, Screen
+from textual.widget import Widget
 from textual.widgets import Static
 
 from gateway.monitor import panels
-from gateway.monitor.plots import GREY, ORANGE, SCALE, SKY, VERMILION, bars, columns, curve, strip
+from gateway.monitor.plots import GREY, ORANGE, SCALE, SKY, bars, columns, curve, strip
 from gateway.monitor.snapshot import Snapshot, Trace
 from gateway.monitor.sources import Source
 
@@ -62,12 +63,26 @@ class Help(ModalScreen[None]):
         self.dismiss()
 
 
+class Panel(Widget):
+    """Text that depends on the room there is; drawn again whenever that changes."""
+
+    def __init__(self, draw: Callable[[int, int], Text], name: str) -> None:
+        """draw: from width and height in characters."""
+        super().__init__(id=name)
+        self._draw_text = draw
+
+    def render(self) -> Text:
+        """As of now, for this size."""
+        return self._draw_text(self.size.width, self.size.height)
+
+
 class MonitorApp(App[None]):
     """A source on a terminal: looked at from this thread only, closed at the end."""
 
     ENABLE_COMMAND_PALETTE = False
     CSS = """
     Screen { layout: vertical; }
+    Static, Panel { text-wrap: nowrap; text-overflow: ellipsis; }
     #title { height: 1; background: $panel; }
     #tops { height: 3; }
     #gateway { width: 3fr; }
@@ -118,7 +133,7 @@ class MonitorApp(App[None]):
         self._selected = 0
         self._digits = ""
         self._digit_s = 0.0
-        self._zoom = 1
+        self._zoom = 0
 
     def compose(self) -> ComposeResult:
         """The panels; only the table can be longer than its place."""
@@ -130,22 +145,21 @@ class MonitorApp(App[None]):
             yield Static(id="table")
         yield Static(id="detail")
         with Horizontal(id="plots"):
-            yield Static(id="load")
-            yield Static(id="late")
-        yield Static(id="events")
+            yield Panel(self._plots, "load")
+            yield Panel(self._late, "late")
+        yield Panel(self._events, "events")
         yield Static(id="keys")
 
     def on_mount(self) -> None:
         """Start looking."""
         self._look(0.0)
-        # Sizes are known only after the first layout.
-        self.call_after_refresh(self._draw)
+        self._draw()
         if self._refresh_s is not None:
             self.set_interval(self._refresh_s, self.tick)
 
     def on_resize(self) -> None:
-        """Draw for the new size."""
-        self.call_after_refresh(self._draw)
+        """The table has more columns where there is room."""
+        self._draw()
 
     def on_unmount(self) -> None:
         """Give the source back."""
@@ -229,34 +243,35 @@ class MonitorApp(App[None]):
 
     def action_more(self) -> None:
         """More room for events, or as before."""
-        self.screen.toggle_class("more")
-        self.call_after_refresh(self._draw)
+        self._base.toggle_class("more")
+        self._draw()
 
     # ---- drawing -------------------------------------------------------------------------------
 
     def _draw(self) -> None:
         shown = self._shown
-        if shown is None or not self.is_running or len(self.screen_stack) > 1:
+        if shown is None or not self.is_running:
             return
-        width = self.size.width
         self._put("title", self._title(shown))
         self._put("gateway", panels.gateway(shown))
         self._put("link", panels.link(shown))
-        self._put("table", panels.table(shown, self._selected, width))
+        self._put("table", panels.table(shown, self._selected, self.size.width))
         self._put("detail", panels.detail(shown, self._selected))
-        self._put("load", self._plots(shown))
-        late = self.query_one("#late", Static).size
-        self._put("late", panels.lateness(shown.lateness, (late.width, late.height)))
-        lines = self.query_one("#events", Static).size.height
-        self._put("events", panels.events(shown.events, lines))
         self._put("keys", self._keys())
+        for panel in self._base.query(Panel):
+            panel.refresh()
         row = [r.node for r in shown.drives].index(self._selected)
-        scroll = self.query_one("#drives", VerticalScroll)
+        scroll = self._base.query_one("#drives", VerticalScroll)
         if scroll.size.height and not 0 <= row + 1 - scroll.scroll_y < scroll.size.height:
             scroll.scroll_to(y=max(row + 2 - scroll.size.height, 0), animate=False)
 
+    @property
+    def _base(self) -> Screen[Any]:
+        """The screen with the panels, whatever lies over it."""
+        return self.screen_stack[0]
+
     def _put(self, name: str, text: Text) -> None:
-        self.query_one(f"#{name}", Static).update(text)
+        self._base.query_one(f"#{name}", Static).update(text)
 
     def _title(self, shown: Snapshot) -> Text:
         source = self._source
@@ -276,34 +291,37 @@ class MonitorApp(App[None]):
         return text
 
     def _keys(self) -> Text:
-        parts = [
-            ("?", "help"),
-            ("1-9", "drive"),
-            ("space", "pause"),
-            ("z", "zoom"),
-            ("e", "events"),
-        ]
+        parts = [("?", "help"), ("q", "quit"), ("1-9", "drive"), ("space", "pause"), ("z", "zoom")]
+        parts.append(("e", "events"))
         if self._source.span_s is not None:
-            parts += [("← →", "1 s"), (", .", "10 s"), ("- +", "speed")]
+            parts += [("← →", "1 s"), (", .", "10 s")]
         text = Text(" ", no_wrap=True)
-        for key, what in (*parts, ("q", "quit")):
+        for key, what in parts:
             text.append(key, style="bold").append(f" {what}  ", style=GREY)
         return text
 
-    def _plots(self, shown: Snapshot) -> Text:
+    def _late(self, width: int, height: int) -> Text:
+        return panels.lateness(self._shown.lateness, (width, height)) if self._shown else Text()
+
+    def _events(self, _width: int, height: int) -> Text:
+        return panels.events(self._shown.events, height) if self._shown else Text()
+
+    def _plots(self, width: int, height: int) -> Text:
         """Load with its band, loss probability, and the strip of flags, of the selected drive."""
-        size = self.query_one("#load", Static).size
+        shown = self._shown
+        if shown is None:
+            return Text()
         trace = next((t for t in shown.history if t.node == self._selected), Trace(self._selected))
         seconds = SPANS_S[self._zoom]
         span = (shown.t_s - seconds, shown.t_s)
-        width = max(size.width - 1, SCALE + 4)
+        width = max(width - 1, SCALE + 4)
         inner = width - SCALE
         text = Text(no_wrap=True)
         text.append(f"LOAD Nm of drive {self._selected}", style=f"bold {SKY}")
         text.append(f"  last {seconds:g} s, ░ 2 sigma\n", style=GREY)
-        height = max(size.height - 3, 2)
-        text.append(curve(trace.t_s, trace.load_nm, trace.load_sigma_nm, span, (width, height)))
+        size = (width, max(height - 3, 2))
+        text.append(curve(trace.t_s, trace.load_nm, trace.load_sigma_nm, span, size))
         lost = columns(trace.t_s, trace.loss_probability, *span, inner)
-        text.append("\nP(lost)").append(bars(lost, 1.0, VERMILION))
+        text.append("\nP(lost)").append(bars(lost, 0.5))
         text.append("\nflag   ").append(strip(trace.t_s, trace.adhesion, span, inner))
         return text
