@@ -12,6 +12,9 @@ from gateway.monitor.snapshot import Event, GatewayRow, word
 from gateway.supervision import Emergency
 
 KEPT: Final = 200
+OFTEN: Final = 4
+"""Changes of one state told in a second: what flutters must not push everything else out."""
+MARK: Final = " (shadow)"
 INFO, WARNING, ERROR = "info", "warning", "error"
 _LEVELS: Final[dict[type[IntEnum], dict[int, str]]] = {
     Flag: {Flag.BAD: ERROR, Flag.UNKNOWN: WARNING},
@@ -41,6 +44,8 @@ class Happenings:
         self.events: deque[Event] = deque(maxlen=KEPT)
         self._first_ns: Nanos = 0
         self._last: dict[tuple[str, int], object] = {}
+        self._often: dict[tuple[str, int], list[int]] = {}
+        """Of each state: begin of a second, changes told in it, changes left out."""
 
     def begin(self, first_ns: Nanos) -> None:
         """Time from here on is counted from this."""
@@ -56,14 +61,26 @@ class Happenings:
         self._last[name, drive] = value
         return before is not self and before != value
 
-    def state(self, t_ns: Nanos, name: str, drive: int, value: IntEnum) -> None:
-        """A flag or state of a drive (0: of the set)."""
-        if self.changed(name, drive, value):
-            text = f"{name.replace('_', ' ')} {word(name, value)}"
-            self.note(t_ns, level_of(value), drive or None, text)
+    def state(self, t_ns: Nanos, name: str, drive: int, value: IntEnum, mark: str = "") -> None:
+        """A flag or state of a drive (0: of the set); mark: behind the words."""
+        if not self.changed(name, drive, value):
+            return
+        window = self._often.setdefault((name, drive), [t_ns, 0, 0])
+        if t_ns - window[0] >= SECOND:
+            window[:2] = t_ns, 0
+        if window[1] >= OFTEN:
+            window[2] += 1
+            return
+        window[1] += 1
+        text = f"{name.replace('_', ' ')} {word(name, value)}{mark}"
+        if window[2]:
+            text += f" ({window[2]} changes left out before)"
+            window[2] = 0
+        self.note(t_ns, level_of(value), drive or None, text)
 
     def gateway(self, t_ns: Nanos, row: GatewayRow) -> None:
-        """The set's own flags and states; nothing of them while no gateway is heard."""
+        """The set's own flags and states."""
+        mark = MARK if row.source == "shadow" else ""
         if self.changed("alive", 0, row.alive):
             text = (
                 "flags of the gateway are heard"
@@ -72,11 +89,11 @@ class Happenings:
             )
             self.note(t_ns, INFO if row.alive else ERROR, None, text)
         for name in _SET_FLAGS:
-            self.state(t_ns, name, 0, getattr(row, name))
+            self.state(t_ns, name, 0, getattr(row, name), mark)
         if row.reason is not None:
-            self.state(t_ns, "reason", 0, row.reason)
+            self.state(t_ns, "reason", 0, row.reason, mark)
         if row.state is not None:
-            self.state(t_ns, "gateway", 0, row.state)
+            self.state(t_ns, "gateway", 0, row.state, mark)
         if row.deadline_misses is not None and self.changed("misses", 0, row.deadline_misses):
             self.note(t_ns, WARNING, None, f"ticks missed so far: {row.deadline_misses}")
 

@@ -27,7 +27,7 @@ from gateway.core import HEARTBEAT_LIMIT_NS, Gateway
 from gateway.drivers.wire import BusState, bus_state
 from gateway.health import Health
 from gateway.monitor.happenings import ERROR as GRAVE
-from gateway.monitor.happenings import WARNING, Happenings
+from gateway.monitor.happenings import MARK, WARNING, Happenings
 from gateway.monitor.rows import (
     drive_row,
     gateway_row,
@@ -40,6 +40,7 @@ from gateway.monitor.schedule import Schedule
 from gateway.monitor.snapshot import DriveRow, GatewayRow, Lateness, LinkRow, Snapshot
 from gateway.monitor.traces import POINT_NS, Recent
 from gateway.monitor.tracks import Track
+from gateway.outbox import GatewayView
 from gateway.receiving import routes
 from gateway.supervision import Supervision
 
@@ -232,13 +233,21 @@ class Observer:
                 else:
                     self._said[d.node].clear()
         gateway = gateway_row(self.tracks, now)
+        shown = self._instead(gateway)
+        if shown is not None:
+            gateway = shadow_gateway(gateway, shown)
         if self._bus_state is not self._last_bus_state:
             self._last_bus_state = self._bus_state
             happenings.link(now, self._bus_state)
         happenings.gateway(now, gateway)
-        for node in self.nodes:
-            for name, value in zip(TOLD, told(self.tracks, node, now), strict=True):
-                happenings.state(now, name, node, value)
+        for k, node in enumerate(self.nodes):
+            if shown is None:
+                values, mark = told(self.tracks, node, now), ""
+            else:
+                drive = shown.drives[k]
+                values, mark = (drive.adhesion, drive.thermal, drive.health), MARK
+            for name, value in zip(TOLD, values, strict=True):
+                happenings.state(now, name, node, value, mark)
             status = self.tracks.get(f"Drive{node}_Status")
             if status is not None:
                 happenings.drive_state(now, node, status.seen(now).label("State"))
@@ -256,13 +265,17 @@ class Observer:
         if self.first_ns is not None and (now - self.first_ns) % POINT_NS < self._period_ns:
             self._recent.add((now - self.first_ns) / SECOND, self._rows(now)[1])
 
+    def _instead(self, gateway: GatewayRow) -> GatewayView | None:
+        """The shadow's view where that is what is to be shown."""
+        return self._shadow.view if self._show_shadow and not gateway.alive else None
+
     def _rows(self, now: Nanos) -> tuple[GatewayRow, tuple[DriveRow, ...]]:
         states = self._supervision.states(now)
         gateway = gateway_row(self.tracks, now)._replace(
             heartbeat=heartbeat(states.get(GATEWAY_NODE))
         )
         view = self._shadow.view
-        shown = view if self._show_shadow and not gateway.alive else None
+        shown = self._instead(gateway)
         if shown is not None:
             gateway = shadow_gateway(gateway, shown)
         rows = []

@@ -75,14 +75,23 @@ _MORE: Final[_Cells] = (
 )  # fmt: skip
 
 
-def table(shown: Snapshot, selected: int, width: int) -> Text:
-    """A row per drive, the selected one marked. width: characters there are."""
-    wide = width >= WIDE
-    cells = _NARROW + (_MORE if wide else ())
+def _cells(width: int) -> _Cells:
+    return _NARROW + (_MORE if width >= WIDE else ())
+
+
+def heading(width: int) -> Text:
+    """The names of the table's columns. width: characters there are."""
     text = Text(no_wrap=True)
-    for head, size, side in cells:
+    for head, size, side in _cells(width):
         text.append(_cell(Text(head), size, side))
     text.stylize("bold underline")
+    return text
+
+
+def table(shown: Snapshot, selected: int, width: int) -> Text:
+    """A row per drive, the selected one marked, in the columns of `heading`."""
+    cells = _cells(width)
+    text = Text(no_wrap=True)
     for row in shown.drives:
         health = Text(word("", row.health), style=_HEALTH.get(row.health, GREY))
         lost = "?" if row.loss_probability is None else f"{100 * row.loss_probability:.0f} %"
@@ -91,15 +100,16 @@ def table(shown: Snapshot, selected: int, width: int) -> Text:
             flag_text("adhesion", row.adhesion), Text(lost), Text(load(row)),
             Text(number(row.speed_rad_s)), health, thermal(row), Text(number(row.mixed_c)),
         ]  # fmt: skip
-        if wide:
+        if width >= WIDE:
             line += [
                 Text(number(row.maisd_k, 2)), Text(row.state or "?"),
                 Text(row.heartbeat or "?", style=VERMILION if row.heartbeat == "Silent" else ""),
                 Text(str(row.rejected)), Text(age(row.age_s)),
             ]  # fmt: skip
-        drawn = Text("\n")
+        drawn = Text("\n" if text else "")
         for value, (_, size, side) in zip(line, cells, strict=True):
             drawn.append(_cell(value, size, side))
+        drawn.right_crop()  # room for the scroll bar
         if row.node == selected:
             drawn.stylize("bold")
         text.append(drawn)
@@ -141,7 +151,7 @@ def gateway(shown: Snapshot) -> Text:
     text = Text(no_wrap=True)
     text.append("GATEWAY ", style=f"bold {SKY}")
     if row.source == "shadow":
-        text.append("none here: flags are this monitor's own (shadow)", style=f"bold {ORANGE}")
+        text.append("? none here, SHADOW: the monitor's own", style=f"bold {ORANGE}")
     elif not row.heard:
         text.append("? no gateway on this bus", style=f"bold {ORANGE}")
     elif not row.alive:

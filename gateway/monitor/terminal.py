@@ -24,6 +24,8 @@ LONGEST_S: Final = 0.5
 """Time that may pass between two looks: a stopped terminal does not make a log jump."""
 SPEEDS: Final = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 SPANS_S: Final = (10.0, 30.0, 60.0)
+OTHERS: Final = 19
+"""Lines that all other panels need at least."""
 SECOND_DIGIT_S: Final = 0.8
 """Within this a second digit makes a two-digit drive number."""
 HELP: Final = """\
@@ -79,6 +81,7 @@ class Panel(Widget):
 class MonitorApp(App[None]):
     """A source on a terminal: looked at from this thread only, closed at the end."""
 
+    TITLE = "traction-gateway monitor"
     ENABLE_COMMAND_PALETTE = False
     CSS = """
     Screen { layout: vertical; }
@@ -87,12 +90,14 @@ class MonitorApp(App[None]):
     #tops { height: 3; }
     #gateway { width: 3fr; }
     #link { width: 2fr; }
-    #drives { height: auto; max-height: 40%; }
+    #gateway { padding-right: 1; }
+    #head { height: 1; }
+    #drives { height: auto; scrollbar-size-vertical: 1; }
     #detail { height: 2; }
     #plots { height: 2fr; min-height: 7; }
     #load { width: 1fr; }
     #late { width: 28; }
-    #events { height: 1fr; min-height: 3; }
+    #events { height: 1fr; min-height: 4; }
     .more #events { height: 4fr; }
     #keys { height: 1; background: $panel; }
     """
@@ -141,6 +146,7 @@ class MonitorApp(App[None]):
         with Horizontal(id="tops"):
             yield Static(id="gateway")
             yield Static(id="link")
+        yield Static(id="head")
         with VerticalScroll(id="drives", can_focus=False):
             yield Static(id="table")
         yield Static(id="detail")
@@ -158,7 +164,9 @@ class MonitorApp(App[None]):
             self.set_interval(self._refresh_s, self.tick)
 
     def on_resize(self) -> None:
-        """The table has more columns where there is room."""
+        """The table has more columns, and more rows, where there is room."""
+        room = max(self.size.height - OTHERS, 3)
+        self._base.query_one("#drives").styles.max_height = room
         self._draw()
 
     def on_unmount(self) -> None:
@@ -255,15 +263,17 @@ class MonitorApp(App[None]):
         self._put("title", self._title(shown))
         self._put("gateway", panels.gateway(shown))
         self._put("link", panels.link(shown))
-        self._put("table", panels.table(shown, self._selected, self.size.width))
+        width = self.size.width
+        self._put("head", panels.heading(width))
+        self._put("table", panels.table(shown, self._selected, width))
         self._put("detail", panels.detail(shown, self._selected))
         self._put("keys", self._keys())
         for panel in self._base.query(Panel):
             panel.refresh()
         row = [r.node for r in shown.drives].index(self._selected)
         scroll = self._base.query_one("#drives", VerticalScroll)
-        if scroll.size.height and not 0 <= row + 1 - scroll.scroll_y < scroll.size.height:
-            scroll.scroll_to(y=max(row + 2 - scroll.size.height, 0), animate=False)
+        if scroll.size.height and not 0 <= row - scroll.scroll_y < scroll.size.height:
+            scroll.scroll_to(y=max(row + 1 - scroll.size.height, 0), animate=False)
 
     @property
     def _base(self) -> Screen[Any]:
