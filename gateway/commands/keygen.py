@@ -1,4 +1,4 @@
-"""`keygen`: keys for signing configurations, or for authenticating flags."""
+"""`keygen`: keys for signing configurations, for authenticating flags, tokens for the page."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
                         help="the private key; nothing that exists is overwritten")  # fmt: skip
-    parser.add_argument(
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument(
         "--flags", action="store_true",
         help="a key for [authentication]: the gateway and every receiver on one bus need this one",
+    )  # fmt: skip
+    kind.add_argument(
+        "--token", action="store_true",
+        help="a token for 'monitor --token-file': who shows it may look",
     )  # fmt: skip
 
 
@@ -27,6 +32,10 @@ def run(options: argparse.Namespace) -> int:
     if options.flags:
         write_private(private, secrets.token_hex(16).encode("ascii") + b"\n")
         print(f"{private}: key for the flags of one bus; give it to the gateway and its receivers")
+        return GOOD
+    if options.token:
+        write_private(private, secrets.token_urlsafe(32).encode("ascii") + b"\n")
+        print(f"{private}: token for the monitor's page and metrics")
         return GOOD
     public = private.with_name(private.stem + ".pub" + private.suffix)
     make_keys(private, public)

@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gateway.commands import monitor_web
 from gateway.commands.common import GOOD, add_bus, add_config, patience, positive_seconds, prepare
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--shadow", action="store_true",
         help="where no gateway is heard: show what one would say, marked as such",
     )  # fmt: skip
+    monitor_web.arguments(parser)
     add_bus(parser)
 
 
@@ -42,6 +44,16 @@ def _seconds(text: str) -> float:
 
 def run(options: argparse.Namespace) -> int:
     """Show it until the user leaves."""
+    if options.web is not None:
+        need(("starlette", "uvicorn", "websockets"), "web")
+    if options.metrics is not None:
+        need(("prometheus_client", "starlette", "uvicorn", "websockets"), "metrics")
+    if options.web is not None or options.metrics is not None:
+        return monitor_web.run(options, open_source)
+    if options.token_file is not None:
+        from gateway.config import ConfigError
+
+        raise ConfigError("--token-file", ["says nothing without --web or --metrics"])
     need(("textual",), "monitor")
     if not sys.stdout.isatty():
         from gateway.config import ConfigError

@@ -1,0 +1,105 @@
+"""`monitor --web`, `monitor --metrics`: where to listen, who may look."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.commands.common import GOOD
+
+if TYPE_CHECKING:
+    from gateway.monitor.access import Listen
+    from gateway.monitor.sources import Source
+
+WEB, METRICS = "127.0.0.1:8090", "127.0.0.1:8091"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of both."""
+    parser.add_argument(
+        "--web", nargs="?", const=WEB, metavar="HOST:PORT",
+        help=f"a page instead of the terminal (default: {WEB}); metrics are there at /metrics",
+    )  # fmt: skip
+    parser.add_argument(
+        "--metrics", nargs="?", const=METRICS, metavar="HOST:PORT",
+        help=f"metrics for Prometheus, beside the page or alone (default: {METRICS})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--token-file", metavar="FILE",
+        help="who shows this token may look; a must for addresses that others can reach",
+    )  # fmt: skip
+
+
+def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Source]) -> int:
+    """Serve until the user stops it. What is wrong with the addresses is said before all else.
+
+    source: opens the bus or log that the options name. Raises ConfigError.
+    """
+    from gateway.monitor.access import Access
+    from gateway.monitor.feed import Feed
+    from gateway.monitor.web import bind, serve
+
+    asked = {"web": _where(options.web, WEB), "metrics": _where(options.metrics, METRICS)}
+    wanted = {what: where for what, where in asked.items() if where is not None}
+    token = _token(options.token_file, wanted)
+    sockets = {where: bind(where) for where in dict.fromkeys(wanted.values())}
+    with ExitStack() as stack:
+        for made in sockets.values():
+            stack.enter_context(made)
+        opened = source(options)
+        stack.callback(opened.close)
+        # Port 0 lets the system choose.
+        ports = {where: made.getsockname()[1] for where, made in sockets.items()}
+        for what, where in wanted.items():
+            shown = where._replace(port=ports[where])
+            path = "metrics" if what == "metrics" else ""
+            print(f"{what}: http://{shown}/{path}", file=sys.stderr, flush=True)
+        names = [socket.gethostname(), *(where.host for where in wanted.values())]
+        page = "web" in wanted
+        alone = [ports[w] for what, w in wanted.items() if what == "metrics" and page]
+        if page and len(ports) == 1:
+            alone = []
+        serve(
+            Feed(opened, waits=page), Access(token, names if token else ()),
+            list(sockets.values()), page=page, metrics_only=alone,
+        )  # fmt: skip
+    return GOOD
+
+
+def _where(text: str | None, default: str) -> Listen | None:
+    from gateway.config import ConfigError
+    from gateway.monitor.access import Listen, listen
+
+    if text is None:
+        return None
+    host, _, port = default.rpartition(":")
+    try:
+        return listen(text, Listen(host, int(port)))
+    except ValueError as error:
+        cure = f"it is a file: put it before the option, 'monitor {text} --web'"
+        raise ConfigError("monitor", [cure if Path(text).is_file() else str(error)]) from None
+
+
+def _token(name: str | None, wanted: Mapping[str, Listen]) -> bytes | None:
+    """Read, if a file is named. Raises ConfigError for an address that needs one and has none."""
+    from gateway.config import ConfigError
+    from gateway.drivers.credentials import private_file
+    from gateway.monitor.access import token_of
+    from gateway.monitor.web import is_loopback
+
+    open_to_others = {str(where) for where in wanted.values() if not is_loopback(where)}
+    if name is not None:
+        path, content = private_file(name, Path())
+        return token_of(content, str(path))
+    if open_to_others:
+        cure = (
+            "others can reach that; name a token they have to show: "
+            "'traction-gateway keygen --token -o FILE', then --token-file FILE"
+        )
+        raise ConfigError(", ".join(sorted(open_to_others)), [cure])
+    return None

@@ -1,0 +1,124 @@
+"""What stands before every request: verbs, names, the token, and what answers tell a browser."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Final
+from urllib.parse import parse_qs
+
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from gateway.monitor.access import Access, Refusal
+
+log = logging.getLogger(__name__)
+
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS: Final = (
+    ("content-security-policy", POLICY),
+    ("x-content-type-options", "nosniff"),
+    ("x-frame-options", "DENY"),
+    ("referrer-policy", "no-referrer"),
+    ("cross-origin-opener-policy", "same-origin"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("cache-control", "no-store"),
+)
+_RAW: Final = tuple((name.encode(), value.encode()) for name, value in HEADERS)
+
+
+class Guard:
+    """ASGI middleware: lets through what `Access` lets through, and counts the rest by cause."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        access: Access,
+        counts: Counter[str],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """counts: of what was refused. clock: in seconds, for the limit of wrong tokens."""
+        self._app = app
+        self._access = access
+        self._counts = counts
+        self._clock = clock
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """See ASGI."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal, given = self._judge(scope)
+
+        async def tell(message: Message) -> None:
+            if message["type"] in ("http.response.start", "websocket.http.response.start"):
+                names = {name for name, _ in message.get("headers", ())}
+                extra = [(name, value) for name, value in _RAW if name not in names]
+                message = {**message, "headers": [*message.get("headers", ()), *extra]}
+            await send(message)
+
+        if refusal is not None:
+            self._counts[refusal.cause] += 1
+            log.info("refused %s: %s", _address(scope), refusal.cause)
+            await _refuse(refusal, scope, receive, tell)
+        elif given is not None:
+            # Out of the address line at once, so that it is neither kept nor shown there.
+            answer = RedirectResponse("/", status_code=303)
+            answer.set_cookie(
+                cookie_name(scope), self._access.session, httponly=True, samesite="strict", path="/"
+            )
+            await answer(scope, receive, tell)
+        else:
+            await self._app(scope, receive, tell)
+
+    def _judge(self, scope: Scope) -> tuple[Refusal | None, str | None]:
+        """(why not, the token that the address line had)."""
+        if scope["type"] == "http" and scope["method"] != "GET":
+            return Refusal(405, "method", "only GET", (("allow", "GET"),)), None
+        headers: dict[str, str] = {}
+        for raw, value in scope["headers"]:
+            name = raw.decode("latin-1").lower()
+            if name in headers and name in ("host", "origin"):
+                return Refusal(400, "host", f"more than one {name}"), None
+            headers[name] = value.decode("latin-1")
+        if (refusal := self._access.page(headers)) is not None:
+            return refusal, None
+        given = None
+        if scope["type"] == "http" and scope["path"] == "/" and self._access.wants_token:
+            tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token")
+            given = tokens[0] if tokens else None
+        refusal = self._access.person(
+            headers, given, cookie_name(scope), _address(scope), self._clock()
+        )
+        return refusal, given
+
+
+def cookie_name(scope: Scope) -> str:
+    """One by port: a browser sends cookies to all ports of a host."""
+    server = scope.get("server") or ("", 0)
+    return f"traction_gateway_{server[1]}"
+
+
+def _address(scope: Scope) -> str:
+    client = scope.get("client")
+    return str(client[0]) if client else "?"
+
+
+async def _refuse(refusal: Refusal, scope: Scope, receive: Receive, send: Send) -> None:
+    headers = {**dict(refusal.headers), "connection": "close"}
+    answer: Response = PlainTextResponse(refusal.text + "\n", refusal.status, headers)
+    if scope["type"] == "http":
+        await answer(scope, receive, send)
+        return
+    await receive()  # websocket.connect
+    if "websocket.http.response" not in (scope.get("extensions") or {}):
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    start: dict[str, Any] = {"status": answer.status_code, "headers": answer.raw_headers}
+    await send({"type": "websocket.http.response.start", **start})
+    await send({"type": "websocket.http.response.body", "body": bytes(answer.body)})

@@ -1,0 +1,284 @@
+"""The page's server: a page, its files, one websocket of pictures, metrics. A process of its own.
+
+It reads what any other node reads and has no way to send: `Feed.ask` is all that a viewer can do,
+and it knows seek, pause and speed of a log. Nothing here runs in the gateway's process.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gateway.config import ConfigError
+from gateway.monitor.access import Access, Listen
+from gateway.monitor.feed import Feed, Picture
+from gateway.monitor.guard import Guard
+
+if TYPE_CHECKING:
+    from prometheus_client import CollectorRegistry
+
+log = logging.getLogger(__name__)
+
+STATIC: Final = Path(__file__).parent / "static"
+VIEWERS: Final = 8
+CONNECTIONS: Final = 64
+READ_S: Final = 5.0
+"""Who has not read a picture after so long is dropped."""
+STUCK_MS: Final = 10_000
+"""The kernel gives up a connection whose other end takes nothing for so long."""
+SEND_BYTES: Final = 65_536
+"""Of the kernel for a connection: what a viewer has not read is bounded."""
+REQUEST_BYTES: Final = 256
+REQUESTS_S: Final = 50
+"""A viewer may ask this often in a second; a slider that is dragged asks ten times."""
+TOO_MANY, TOO_FAST, NOT_UNDERSTOOD, TOO_SLOW = 4013, 4008, 4007, 4009
+"""Codes with which a websocket is closed; the page has words for them."""
+
+
+class Viewers:
+    """The websocket: to each viewer its next picture when it has taken the last."""
+
+    def __init__(self, feed: Feed, *, most: int = VIEWERS, read_s: float = READ_S) -> None:
+        """most: viewers at a time. read_s: patience with one that does not read."""
+        self._feed = feed
+        self._most = most
+        self._read_s = read_s
+
+    async def serve(self, socket: WebSocket) -> None:
+        """One viewer, from first to last."""
+        feed = self._feed
+        await socket.accept()
+        if feed.viewers >= self._most:
+            feed.counts["too_many_viewers"] += 1
+            await self._close(socket, TOO_MANY)
+            return
+        feed.viewers += 1
+        jobs = [asyncio.create_task(self._show(socket)), asyncio.create_task(self._hear(socket))]
+        try:
+            done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
+            codes = [job.result() for job in done]
+        finally:
+            feed.viewers -= 1
+            for job in jobs:
+                job.cancel()
+            await asyncio.gather(*jobs, return_exceptions=True)
+        if code := next((code for code in codes if code), 0):
+            await self._close(socket, code)
+
+    async def _show(self, socket: WebSocket) -> int:
+        had: Picture | None = None
+        while True:
+            picture = await self._feed.after(had)
+            try:
+                # Waits where the connection's buffers are full.
+                await asyncio.wait_for(socket.send_text(picture.message(had)), self._read_s)
+            except TimeoutError:
+                self._feed.counts["slow"] += 1
+                log.warning("a viewer that did not read for %g s was dropped", self._read_s)
+                return TOO_SLOW
+            except (WebSocketDisconnect, RuntimeError):  # has left meanwhile
+                return 0
+            had = picture
+
+    async def _hear(self, socket: WebSocket) -> int:
+        loop = asyncio.get_running_loop()
+        begin, asked = loop.time(), 0
+        while True:
+            try:
+                text = await socket.receive_text()
+            except (WebSocketDisconnect, RuntimeError):
+                return 0
+            except KeyError:  # bytes
+                text = ""
+            if loop.time() - begin >= 1.0:
+                begin, asked = loop.time(), 0
+            asked += 1
+            if asked > REQUESTS_S:
+                self._feed.counts["too_fast"] += 1
+                return TOO_FAST
+            if not self._feed.ask(_parsed(text)):
+                self._feed.counts["bad_request"] += 1
+                return NOT_UNDERSTOOD
+
+    async def _close(self, socket: WebSocket, code: int) -> None:
+        # To one that does not read the word of farewell cannot be said either.
+        with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):
+            await asyncio.wait_for(socket.close(code), 0.2)
+
+
+def _parsed(text: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+
+
+class Files(StaticFiles):
+    """The page's files; a browser asks each time whether there are newer ones."""
+
+    def file_response(self, *given: Any, **named: Any) -> Response:
+        """See starlette."""
+        answer = super().file_response(*given, **named)
+        answer.headers["cache-control"] = "no-cache"
+        return answer
+
+
+def make_app(
+    feed: Feed,
+    access: Access,
+    *,
+    page: bool = True,
+    metrics_only: Sequence[int] = (),
+    ended: Callable[[BaseException], None] | None = None,
+    **limits: Any,
+) -> ASGIApp:
+    """The application. page: False has the metrics alone, as have the ports of metrics_only.
+
+    The feed plays as long as it lives; what stops it is given to `ended`. limits: of `Viewers`.
+    Metrics are there where prometheus-client is.
+    """
+    registry = _registry(feed)
+    viewers = Viewers(feed, **limits)
+
+    async def index(_: Request) -> Response:
+        return FileResponse(STATIC / "index.html", headers={"cache-control": "no-store"})
+
+    async def look(socket: WebSocket) -> None:
+        await viewers.serve(socket)
+
+    async def metrics(_: Request) -> Response:
+        from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
+
+        assert registry is not None
+        return Response(generate_latest(registry), headers={"content-type": CONTENT_TYPE_LATEST})
+
+    @asynccontextmanager
+    async def playing(_: Starlette) -> AsyncIterator[None]:
+        job = asyncio.create_task(feed.play())
+        job.add_done_callback(lambda done: _told(done, ended))
+        yield
+        job.cancel()
+        await asyncio.gather(job, return_exceptions=True)
+
+    routes: list[BaseRoute] = []
+    if registry is not None:
+        routes.append(Route("/metrics", metrics, methods=["GET"]))
+    few = Starlette(routes=routes, lifespan=playing)
+    if page:
+        routes += [Route("/", index, methods=["GET"]), WebSocketRoute("/look", look)]
+        whole = Starlette(routes=routes, lifespan=playing)
+        whole.mount("/static", Files(directory=STATIC))
+    else:
+        whole = few
+    return Guard(_by_port(whole, dict.fromkeys(metrics_only, few)), access, feed.counts)
+
+
+def _told(done: asyncio.Task[None], ended: Callable[[BaseException], None] | None) -> None:
+    if not done.cancelled() and (error := done.exception()) is not None and ended is not None:
+        ended(error)
+
+
+def _by_port(whole: ASGIApp, others: Mapping[int, ASGIApp]) -> ASGIApp:
+    async def chosen(scope: Any, receive: Any, send: Any) -> None:
+        server = scope.get("server")
+        app = others.get(server[1], whole) if server else whole
+        await app(scope, receive, send)
+
+    return chosen
+
+
+def _registry(feed: Feed) -> CollectorRegistry | None:
+    try:
+        from prometheus_client import CollectorRegistry
+    except ImportError:
+        return None
+    from gateway.monitor.metrics import FeedCollector
+
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(FeedCollector(feed))
+    return registry
+
+
+def bind(where: Listen) -> socket.socket:
+    """A listening socket whose connections have little room. Raises ConfigError if taken."""
+    try:
+        kind, address = _resolved(where)
+        made = socket.socket(kind, socket.SOCK_STREAM)
+    except OSError as error:
+        raise ConfigError(str(where), [f"cannot be listened at: {error.strerror}"]) from None
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # What is accepted inherits these.
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, STUCK_MS)
+        made.bind(address)
+    except OSError as error:
+        made.close()
+        cure = "; name another port" if error.errno == 98 else ""
+        raise ConfigError(str(where), [f"cannot be listened at: {error.strerror}{cure}"]) from None
+    return made
+
+
+def _resolved(where: Listen) -> tuple[int, Any]:
+    found = socket.getaddrinfo(where.host, where.port, type=socket.SOCK_STREAM)
+    return found[0][0], found[0][4]
+
+
+def is_loopback(where: Listen) -> bool:
+    """Whether nobody outside this machine can reach it. Raises ConfigError for unknown names."""
+    import ipaddress
+
+    try:
+        _, address = _resolved(where)
+    except OSError as error:
+        raise ConfigError(str(where), [f"is not known: {error.strerror}"]) from None
+    return ipaddress.ip_address(address[0].partition("%")[0]).is_loopback
+
+
+def serve(
+    feed: Feed,
+    access: Access,
+    sockets: Sequence[socket.socket],
+    *,
+    page: bool = True,
+    metrics_only: Sequence[int] = (),
+) -> None:
+    """Serve until SIGINT or SIGTERM. Raises what stopped the feed."""
+    errors: list[BaseException] = []
+
+    def ended(error: BaseException) -> None:
+        errors.append(error)
+        server.should_exit = True
+
+    app = make_app(feed, access, page=page, metrics_only=metrics_only, ended=ended)
+    # It logs requests with what is in the address line, tokens too.
+    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            app, http="h11", ws="websockets-sansio", lifespan="on", log_config=None,
+            access_log=False, server_header=False, proxy_headers=False,
+            limit_concurrency=CONNECTIONS, backlog=CONNECTIONS, ws_max_size=REQUEST_BYTES,
+            ws_per_message_deflate=False, ws_ping_interval=5.0, ws_ping_timeout=STUCK_MS / 1e3,
+            timeout_keep_alive=5, timeout_graceful_shutdown=2, h11_max_incomplete_event_size=8192,
+        )
+    )  # fmt: skip
+    server.run(sockets=list(sockets))
+    if errors:
+        raise errors[0]
