@@ -136,6 +136,8 @@ class MonitorApp(App[None]):
         self._looked_s = clock()
         self._shown: Snapshot | None = None
         self._selected = 0
+        self._aim_s = 0.0
+        """Where the last seek went, which may still be under way."""
         self._digits = ""
         self._digit_s = 0.0
         self._zoom = 0
@@ -200,7 +202,8 @@ class MonitorApp(App[None]):
     def action_seek(self, seconds: int) -> None:
         """So much back or on; of a log only."""
         if self._shown is not None and self._source.span_s is not None:
-            self._go(self._shown.t_s + seconds)
+            at = self._aim_s if self._source.behind else self._shown.t_s
+            self._go(at + seconds)
 
     def action_ends(self, which: int) -> None:
         """To the start or the end of a log."""
@@ -208,6 +211,7 @@ class MonitorApp(App[None]):
             self._go(span[which])
 
     def _go(self, t_s: float) -> None:
+        self._aim_s = t_s
         self._shown = self._source.seek(t_s, REFRESH_S)
         self._draw()
 
