@@ -242,7 +242,8 @@ class Observer:
             self._last_bus_state = self._bus_state
             happenings.link(now, self._bus_state)
         happenings.gateway(now, gateway)
-        for k, node in enumerate(self.nodes):
+        gone = gateway.heard and gateway.source == "none"
+        for k, node in enumerate(() if gone else self.nodes):
             if shown is None:
                 values, mark = told(self.tracks, node, now), ""
             else:
@@ -250,6 +251,7 @@ class Observer:
                 values, mark = (drive.adhesion, drive.thermal, drive.health), MARK
             for name, value in zip(TOLD, values, strict=True):
                 happenings.state(now, name, node, value, mark)
+        for node in self.nodes:
             status = self.tracks.get(f"Drive{node}_Status")
             if status is not None:
                 happenings.drive_state(now, node, status.seen(now).label("State"))

@@ -2,6 +2,8 @@
 
 import csv
 import random
+import threading
+import time
 
 import pytest
 
@@ -13,7 +15,7 @@ from gateway.drivers.replay import BadLogError
 from gateway.drivers.transport import Guarded, LinkState, SendResult, Status
 from gateway.drivers.wire import BusState
 from gateway.health import Flag
-from gateway.monitor import log_source
+from gateway.monitor import log_source, sources
 from gateway.monitor.log_source import LogSource
 from gateway.monitor.sources import LiveSource, silently
 from gateway.results.record import ADHESION, FAULT
@@ -157,19 +159,31 @@ def test_logs_that_cannot_be_watched_are_refused(tmp_path):
 
 
 class Fake:
-    """A transport that gives the frames of a list by the clock."""
+    """A transport that gives the frames of a list by the clock; reads are counted."""
 
     def __init__(self, frames) -> None:
         self.frames = sorted(frames, key=lambda f: f.t_ns)
         self.now = 0
         self.status = Status(state=LinkState.UP)
-        self.given = self.closed = 0
+        self.given = self.closed = self.reads = 0
+        self.hangs = threading.Event()
+        self.hangs.set()
 
     def take(self, _timeout_s):
-        first = self.given
-        while self.given < len(self.frames) and self.frames[self.given].t_ns <= self.now:
+        self.hangs.wait()
+        time.sleep(0.0005)
+        first, now = self.given, self.now
+        while self.given < len(self.frames) and self.frames[self.given].t_ns <= now:
             self.given += 1
+        self.reads += 1
         return block_of(self.frames[first : self.given])
+
+    def at(self, now: int) -> None:
+        """Let it be that late, and everything until then be read."""
+        self.now = now
+        before = self.reads
+        while self.reads < before + 3:
+            time.sleep(0.0005)
 
     def send(self, frame):
         raise AssertionError(frame)
@@ -178,40 +192,68 @@ class Fake:
         self.closed += 1
 
 
-def live() -> tuple[Fake, LiveSource]:
+@pytest.fixture
+def live():
     bus = Fake(recorded().frames)
-    return bus, LiveSource(bus, recorded().observer(), "fake", lambda: bus.now)
+    shown = LiveSource(bus, recorded().observer(), "fake", lambda: bus.now)
+    yield bus, shown
+    bus.hangs.set()
+    shown.close()
+    assert bus.closed == 1
 
 
-def test_a_bus_gives_what_the_observer_sees():
-    bus, shown = live()
+def test_a_bus_gives_what_the_observer_sees(live):
+    bus, shown = live
     while bus.now < 2_000 * MS:
-        bus.now += 93 * MS
+        bus.at(bus.now + 93 * MS)
         seen = shown.advance(0.0)
     frames = [f for f in recorded().frames if f.t_ns <= bus.now]
     assert seen == play(recorded().observer(), frames, bus.now)
     assert shown.span_s is None
     assert seen.span_s is None
     assert shown.seek(0.5).t_s == seen.t_s
-    shown.close()
-    assert bus.closed == 1
 
 
-def test_a_paused_picture_stands_still_while_the_bus_is_read():
-    bus, shown = live()
-    bus.now = 500 * MS
+def test_a_slow_picture_loses_nothing_and_a_bound_is_kept(live, monkeypatch):
+    bus, shown = live
+    for now in range(0, 2_000 * MS, 50 * MS):
+        bus.at(now)
+    seen = shown.advance(0.0)
+    assert seen.link.received == bus.given > 6000
+    assert seen.link.unread == 0
+    monkeypatch.setattr(sources, "MOST_WAITING", 100)
+    for now in range(2_000 * MS, 3_000 * MS, 10 * MS):
+        bus.at(now)
+    later = shown.advance(0.0)
+    assert later.link.unread > 1000
+    assert later.link.received + later.link.unread == bus.given
+
+
+def test_a_paused_picture_stands_still_while_the_bus_is_read(live):
+    bus, shown = live
+    bus.at(500 * MS)
     seen = shown.advance(0.1)
     shown.paused = True
-    bus.now = 2_900 * MS
+    bus.at(2_900 * MS)
     assert shown.advance(0.1) is seen
-    assert bus.given == sum(f.t_ns <= bus.now for f in bus.frames)
     shown.paused = False
     assert shown.advance(0.1).t_s == pytest.approx(2.9, abs=0.0101)
 
 
-def test_the_links_own_state_is_shown():
-    bus, shown = live()
-    bus.now = 500 * MS
+def test_what_was_heard_grows_old_though_reading_hangs(live):
+    bus, shown = live
+    bus.at(2_500 * MS)
+    assert shown.advance(0.1).gateway.alive
+    bus.hangs.clear()
+    bus.now = 5_000 * MS
+    gone = shown.advance(0.1)
+    assert not gone.gateway.alive
+    assert {row.adhesion for row in gone.drives} == {Flag.UNKNOWN}
+
+
+def test_the_links_own_state_is_shown(live):
+    bus, shown = live
+    bus.at(500 * MS)
     bus.status.bus_state, bus.status.kernel_drops = BusState.PASSIVE, 7
     link = shown.advance(0.1).link
     assert (link.state, link.unread) == ("passive", 7)
@@ -220,11 +262,11 @@ def test_the_links_own_state_is_shown():
 
 
 def test_nothing_can_be_sent_and_a_silent_bus_is_no_error():
-    inner = Fake([])
-    guarded = Guarded(inner, allowed(Mode.LISTEN, config_of(), codec()))
+    guarded = Guarded(Fake([]), allowed(Mode.LISTEN, config_of(), codec()))
     assert guarded.send(Frame(0, 0x1A0, bytes(8))) is SendResult.REFUSED
     shown = LiveSource(guarded, recorded().observer(), "quiet", lambda: 5 * TICK)
     seen = shown.advance(0.1)
+    shown.close()
     assert seen.link.received == 0
     assert not seen.gateway.heard
     assert seen.t_s == 0.0

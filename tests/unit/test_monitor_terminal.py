@@ -364,7 +364,8 @@ def test_the_verb_on_a_bus_sends_nothing(monkeypatch):
     def run(app):
         with can.Bus(interface="virtual", channel="monitored") as other:
             other.send(can.Message(arbitration_id=0x701, data=[5], is_extended_id=False))
-            shown = app._source.advance(0.1)
+            while not (shown := app._source.advance(0.1)).link.received:
+                pass
             frames.append((shown.link.received, other.recv(0.05)))
             app._source.close()
 
