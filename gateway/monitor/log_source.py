@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from dbc.block import EMPTY, Block
 from dbc.frame import SECOND, Nanos
+from dbc.text import printable
 from gateway.drivers.replay import BadLogError, OneChannel, forward, open_log
 from gateway.monitor.observer import Observer
 from gateway.monitor.snapshot import Snapshot
@@ -44,7 +45,7 @@ class LogSource:
 
         Raises BadLogError, LogError or OSError for what cannot be read or has several channels.
         """
-        self.title = path.name
+        self.title = printable(path.name)
         self.paused = False
         self.speed = 1.0
         self._path = path

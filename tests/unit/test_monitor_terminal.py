@@ -334,9 +334,38 @@ def test_what_cannot_be_shown_is_one_line(capsys, log, monkeypatch, tmp_path):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     assert "a log and a bus" in refused(capsys, log, "-i", "virtual", "-c", "x")
     assert "no such file" in refused(capsys, tmp_path / "none.log")
+    assert "for a log" in refused(capsys, "-i", "virtual", "-c", "x", "--at", "3")
+    assert "name one" in refused(capsys)
     monkeypatch.setitem(sys.modules, "textual", None)
     monkeypatch.setattr("gateway.commands.monitor.find_spec", lambda name: None)
     assert "traction-gateway[monitor]" in refused(capsys, log)
+
+
+def test_a_log_that_vanishes_ends_the_view_with_one_line(capsys, monkeypatch, tmp_path):
+    path = tmp_path / "vanishing.log"
+    write(path, recorded().frames)
+    real = MonitorApp.run
+
+    async def steps(app, pilot):
+        await pilot.press("end")
+        while app._source.behind:
+            app.tick()
+        path.unlink()
+        await pilot.press("home")
+
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    monkeypatch.setattr(
+        MonitorApp, "run",
+        lambda app: real(app, headless=True, size=(80, 24), auto_pilot=lambda p: steps(app, p)),
+    )  # fmt: skip
+    assert "no such file" in refused(capsys, path)
+
+
+def test_a_name_cannot_bring_control_characters_to_the_terminal(tmp_path):
+    path = tmp_path / "a\x1b[2Jb.log"
+    write(path, recorded().drives[:50])
+    source = opened(path)
+    assert "\x1b" not in source.title
 
 
 def test_the_verb_shows_the_log_where_it_is_told_to(monkeypatch, log):
