@@ -62,8 +62,11 @@ def run(options: argparse.Namespace) -> int:
     source = open_source(options)
     from gateway.monitor.terminal import MonitorApp
 
+    app = MonitorApp(source)
     with quiet():
-        MonitorApp(source).run()
+        app.run()
+    if app.problem is not None:
+        raise app.problem
     return GOOD
 
 
@@ -90,6 +93,8 @@ def open_source(options: argparse.Namespace) -> Source:
 
     if options.log is not None and named(options):
         raise ConfigError("monitor", ["a log and a bus were named; leave one of them out"])
+    if options.log is None and (options.at or options.speed != 1 or options.log_channel):
+        raise ConfigError("monitor", ["--at, --speed and --log-channel are for a log; name one"])
     config, codec = prepare(options.config)
     with patience():
         warm_up(config, codec)

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from dbc.block import EMPTY, Block
 from dbc.frame import SECOND, Nanos
+from dbc.text import printable
 from gateway.drivers.replay import BadLogError, OneChannel, forward, open_log
 from gateway.monitor.observer import Observer
 from gateway.monitor.snapshot import Snapshot
@@ -17,6 +18,8 @@ PATIENCE_S: Final = 0.1
 """Work of one `advance`."""
 PIECE_NS: Final[Nanos] = SECOND // 4
 """Read in one go, so that patience is kept."""
+HOLE_NS: Final[Nanos] = 15 * SECOND
+"""Playing through a longer hole goes on behind it, after so long, when all has become unknown."""
 CHECKPOINT_NS: Final[Nanos] = 5 * SECOND
 CHECKPOINTS: Final = 64
 """More of them: every second one goes, and they are made half as often."""
@@ -42,7 +45,7 @@ class LogSource:
 
         Raises BadLogError, LogError or OSError for what cannot be read or has several channels.
         """
-        self.title = path.name
+        self.title = printable(path.name)
         self.paused = False
         self.speed = 1.0
         self._path = path
@@ -80,7 +83,11 @@ class LogSource:
     def advance(self, wall_dt_s: float) -> Snapshot:
         """See Source. Who cannot keep up with the speed goes as fast as he can."""
         if not self.paused and not self.behind:
-            self._aim(self._target_ns + round(wall_dt_s * self.speed * SECOND))
+            following = self._following_ns()
+            if self._at_ns - self._latest_ns > HOLE_NS and following - self._at_ns > HOLE_NS:
+                self._aim(following)
+            else:
+                self._aim(self._target_ns + round(wall_dt_s * self.speed * SECOND))
         return self._work(PATIENCE_S)
 
     def seek(self, t_s: float, patience_s: float | None = None) -> Snapshot:
@@ -99,6 +106,10 @@ class LogSource:
 
     def _aim(self, t_ns: Nanos) -> None:
         self._target_ns = min(max(t_ns, self._first_ns), self._last_ns)
+
+    def _following_ns(self) -> Nanos:
+        """Stamp of the next frame, as far as it is known."""
+        return self._held.t_ns.item(0) if self._held.size else self._at_ns
 
     def _open(self) -> Iterator[Block]:
         return iter(OneChannel(open_log(self._path, strict=False).blocks, self._channel))
@@ -119,7 +130,8 @@ class LogSource:
     def _work(self, patience_s: float | None) -> Snapshot:
         until = None if patience_s is None else time.monotonic() + patience_s
         while True:
-            to = min(self._target_ns, self._at_ns + PIECE_NS)
+            # A night between two runs is one piece: the observer has little to do in silence.
+            to = min(self._target_ns, max(self._at_ns + PIECE_NS, self._following_ns()))
             self._read(to)
             self._at_ns = to
             newest = self._checkpoints[-1]

@@ -52,7 +52,8 @@ AGREES: Final = 5
 20 ms."""
 TOLD: Final = ("adhesion", "thermal", "health")
 SECOND_SENDERS: Final = ("repeated", "wrong_sequence")
-SIGMAS: Final = 3.0
+SIGMAS: Final = 0.5
+"""By how much of its own uncertainty the shadow's load may differ from the bus."""
 STEP_NM: Final = 0.1
 """Of `LoadTorque` on the bus."""
 
@@ -101,6 +102,7 @@ class Observer:
         self._held = EMPTY
         # Made at once, because it checks the configuration; used from the first frame on.
         self._shadow = Gateway(config, codec, 0)
+        self._own_hash = f"{self._shadow.outbox.config_hash:06x}"
         self._said: dict[int, deque[tuple[Health, float, float]]] = {
             n: deque(maxlen=AGREES) for n in config.nodes
         }
@@ -240,7 +242,8 @@ class Observer:
             self._last_bus_state = self._bus_state
             happenings.link(now, self._bus_state)
         happenings.gateway(now, gateway)
-        for k, node in enumerate(self.nodes):
+        gone = gateway.heard and gateway.source == "none"
+        for k, node in enumerate(() if gone else self.nodes):
             if shown is None:
                 values, mark = told(self.tracks, node, now), ""
             else:
@@ -248,6 +251,7 @@ class Observer:
                 values, mark = (drive.adhesion, drive.thermal, drive.health), MARK
             for name, value in zip(TOLD, values, strict=True):
                 happenings.state(now, name, node, value, mark)
+        for node in self.nodes:
             status = self.tracks.get(f"Drive{node}_Status")
             if status is not None:
                 happenings.drive_state(now, node, status.seen(now).label("State"))
@@ -257,8 +261,8 @@ class Observer:
             )
         if (word := gateway.config_hash) is not None and word != self._hash:
             self._hash = word
-            if word != (own := f"{self._shadow.outbox.config_hash:06x}"):
-                text = f"the gateway's configuration is {word}, the one given here {own}"
+            if word != self._own_hash:
+                text = f"the gateway's configuration is {word}, the one given here {self._own_hash}"
                 happenings.note(now, WARNING, None, text)
         for name in [name for name in self._doubled if not self.tracks[name].doubled(now)]:
             self._doubled.remove(name)
@@ -296,8 +300,11 @@ class Observer:
         return gateway, tuple(rows)
 
     def _sigma(self, row: DriveRow) -> float | None:
-        """The shadow's uncertainty, if it has said of late what the bus says now."""
-        if row.load_nm is None:
+        """The shadow's uncertainty, if it has said of late what the bus says now.
+
+        Never under another configuration: by chance it would agree now and then.
+        """
+        if row.load_nm is None or self._hash not in (None, self._own_hash):
             return None
         near = [
             (abs(load - row.load_nm), sigma)
@@ -310,11 +317,12 @@ class Observer:
         return sigma if off <= STEP_NM + SIGMAS * sigma else None
 
     def _link(self, now: Nanos) -> LinkRow:
+        silent = self.first_ns is not None and now - self._heard_ns > 2 * SECOND
         used = ("believed", "canopen", "unknown_id", "not_yet_valid")
         return LinkRow(
             state=self._bus_state,
-            bus_load_pct=self._load.percent(now),
-            frames_s=self._frames_s if now - self._window_ns <= 2 * SECOND else None,
+            bus_load_pct=0.0 if silent else self._load.percent(now),
+            frames_s=0.0 if silent else self._frames_s,
             received=self._received,
             error_frames=self.counts["error_frame"],
             rejected={k: n for k, n in sorted(self.counts.items()) if n and k not in used},

@@ -5,11 +5,15 @@ May know: sockets, files, clocks. What the frames mean is the observer's.
 
 from __future__ import annotations
 
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from functools import reduce
 from typing import Any, Final, Protocol
 
-from dbc.frame import Nanos
+from dbc.block import EMPTY, Block, join
+from dbc.frame import MS, Nanos
 from gateway.drivers.transport import LinkState, Transport
 from gateway.monitor.observer import Observer
 from gateway.monitor.snapshot import Snapshot
@@ -20,8 +24,11 @@ LISTEN_ONLY: Final[Mapping[str, Mapping[str, Any]]] = {
     "vector": {"listen_only": True},
 }
 """By python-can's interface: the option of its bus that keeps the controller from sending."""
-READS: Final = 8
-"""Reads of the queue in one go; each gives up to some thousand frames."""
+READ_S: Final = 0.02
+"""Longest wait of one read; as long closing may take."""
+HANGS_NS: Final[Nanos] = 100 * MS
+MOST_WAITING: Final = 200_000
+"""Frames that wait to be looked at: ten seconds of a full bus."""
 
 
 class Source(Protocol):
@@ -54,6 +61,53 @@ class Source(Protocol):
         """Give the bus or file back."""
 
 
+class Reader:
+    """Reads a bus in a thread of its own, so that a slow picture loses no frames. It only reads."""
+
+    def __init__(self, transport: Transport, clock: Callable[[], Nanos]) -> None:
+        """transport: open, and from now on nobody else's."""
+        self._transport = transport
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._waiting: deque[Block] = deque()
+        self._frames = 0
+        self.unread = 0
+        """Frames dropped because they were not fetched."""
+        self._stop = False
+        self._now = clock()
+        self._thread = threading.Thread(target=self._run, name="monitor-reader", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop:
+            block = self._transport.take(READ_S)
+            with self._lock:
+                self._now = self._clock()
+                if block.size:
+                    self._waiting.append(block)
+                    self._frames += block.size
+                while self._frames > MOST_WAITING and len(self._waiting) > 1:
+                    dropped = self._waiting.popleft().size
+                    self._frames -= dropped
+                    self.unread += dropped
+
+    def fetch(self) -> tuple[Block, Nanos]:
+        """Everything read so far, and until when that is everything."""
+        with self._lock:
+            blocks = list(self._waiting)
+            self._waiting.clear()
+            self._frames = 0
+            # Should reading hang, time goes on all the same: what was heard must grow old.
+            now = max(self._now, self._clock() - HANGS_NS)
+        return reduce(join, blocks, EMPTY), now
+
+    def close(self) -> None:
+        """End the thread, then the transport."""
+        self._stop = True
+        self._thread.join()
+        self._transport.close()
+
+
 class LiveSource:
     """A bus. Nothing is ever sent: the transport is made with an empty allow-list."""
 
@@ -68,9 +122,9 @@ class LiveSource:
         self.title = title
         self.paused = False
         self.speed = 1.0
-        self._transport = transport
+        self._status = transport.status
+        self._reader = Reader(transport, clock)
         self._observer = observer
-        self._clock = clock
         self._shown: Snapshot | None = None
 
     @property
@@ -85,12 +139,8 @@ class LiveSource:
 
     def advance(self, wall_dt_s: float) -> Snapshot:  # noqa: ARG002 - the bus has its own time
         """See Source. Also while paused everything is read; only the picture stands still."""
-        for _ in range(READS):
-            block = self._transport.take(0.0)
-            now = self._clock()
-            self._observer.take(block, now)
-            if not block.size:
-                break
+        block, now = self._reader.fetch()
+        self._observer.take(block, now)
         if self._shown is None or not self.paused:
             self._shown = self._look(now)
         return self._shown
@@ -101,11 +151,11 @@ class LiveSource:
 
     def close(self) -> None:
         """See Source."""
-        self._transport.close()
+        self._reader.close()
 
     def _look(self, now: Nanos) -> Snapshot:
-        shown, status = self._observer.snapshot(now), self._transport.status
-        link = shown.link._replace(unread=status.kernel_drops)
+        shown, status = self._observer.snapshot(now), self._status
+        link = shown.link._replace(unread=status.kernel_drops + self._reader.unread)
         if status.state is not LinkState.UP:
             link = link._replace(state=status.state)
         elif link.state == "active":

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, ClassVar, Final
 
 from rich.text import Text
@@ -14,6 +17,8 @@ from textual.screen import ModalScreen, Screen
 from textual.widget import Widget
 from textual.widgets import Static
 
+from dbc.candump import LogError
+from gateway.drivers.replay import BadLogError
 from gateway.monitor import panels
 from gateway.monitor.plots import GREY, ORANGE, SCALE, SKY, bars, columns, curve, strip
 from gateway.monitor.snapshot import Snapshot, Trace
@@ -103,18 +108,18 @@ class MonitorApp(App[None]):
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("question_mark", "help", "help", show=False),
-        Binding("q", "quit", "quit", show=False),
+        Binding("q,ctrl+c", "quit", "quit", show=False, priority=True),
         Binding("space", "pause", "pause", show=False),
-        Binding("left", "seek(-1)", show=False, priority=True),
-        Binding("right", "seek(1)", show=False, priority=True),
+        Binding("left", "seek(-1)", show=False),
+        Binding("right", "seek(1)", show=False),
         Binding("comma", "seek(-10)", show=False),
         Binding("full_stop", "seek(10)", show=False),
-        Binding("home", "ends(0)", show=False, priority=True),
-        Binding("end", "ends(1)", show=False, priority=True),
+        Binding("home", "ends(0)", show=False),
+        Binding("end", "ends(1)", show=False),
         Binding("plus,equals_sign", "speed(1)", show=False),
         Binding("minus", "speed(-1)", show=False),
-        Binding("up", "step(-1)", show=False, priority=True),
-        Binding("down", "step(1)", show=False, priority=True),
+        Binding("up", "step(-1)", show=False),
+        Binding("down", "step(1)", show=False),
         Binding("z", "zoom", show=False),
         Binding("e", "more", show=False),
         *(Binding(str(k), f"digit({k})", show=False) for k in range(10)),
@@ -136,9 +141,13 @@ class MonitorApp(App[None]):
         self._looked_s = clock()
         self._shown: Snapshot | None = None
         self._selected = 0
+        self._aim_s = 0.0
+        """Where the last seek went, which may still be under way."""
         self._digits = ""
         self._digit_s = 0.0
         self._zoom = 0
+        self.problem: Exception | None = None
+        """Why the view had to end, for whoever ran it."""
 
     def compose(self) -> ComposeResult:
         """The panels; only the table can be longer than its place."""
@@ -158,6 +167,8 @@ class MonitorApp(App[None]):
 
     def on_mount(self) -> None:
         """Start looking."""
+        with suppress(ValueError, RuntimeError, NotImplementedError):  # not in the main thread
+            asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self.exit)
         self._look(0.0)
         self._draw()
         if self._refresh_s is not None:
@@ -171,6 +182,8 @@ class MonitorApp(App[None]):
 
     def on_unmount(self) -> None:
         """Give the source back."""
+        with suppress(ValueError, RuntimeError, NotImplementedError):
+            asyncio.get_running_loop().remove_signal_handler(signal.SIGTERM)
         self._source.close()
 
     def tick(self) -> None:
@@ -181,10 +194,21 @@ class MonitorApp(App[None]):
         self._draw()
 
     def _look(self, passed_s: float) -> None:
-        self._shown = self._source.advance(passed_s)
+        if not self._ask(lambda: self._source.advance(passed_s)) or self._shown is None:
+            return
         nodes = [row.node for row in self._shown.drives]
         if self._selected not in nodes:
             self._selected = nodes[0]
+
+    def _ask(self, question: Callable[[], Snapshot]) -> bool:
+        """Ask the source. A log that cannot be read any more ends the view, with its reason."""
+        try:
+            self._shown = question()
+        except (BadLogError, LogError, OSError) as error:
+            self.problem = error
+            self.exit()
+            return False
+        return True
 
     # ---- keys ----------------------------------------------------------------------------------
 
@@ -200,7 +224,8 @@ class MonitorApp(App[None]):
     def action_seek(self, seconds: int) -> None:
         """So much back or on; of a log only."""
         if self._shown is not None and self._source.span_s is not None:
-            self._go(self._shown.t_s + seconds)
+            at = self._aim_s if self._source.behind else self._shown.t_s
+            self._go(at + seconds)
 
     def action_ends(self, which: int) -> None:
         """To the start or the end of a log."""
@@ -208,8 +233,9 @@ class MonitorApp(App[None]):
             self._go(span[which])
 
     def _go(self, t_s: float) -> None:
-        self._shown = self._source.seek(t_s, REFRESH_S)
-        self._draw()
+        self._aim_s = t_s
+        if self._ask(lambda: self._source.seek(t_s, REFRESH_S)):
+            self._draw()
 
     def action_speed(self, step: int) -> None:
         """Slower or faster; of a log only."""

@@ -14,6 +14,7 @@ from dbc.codec import VALID, Codec, Match, MessageSpec
 from dbc.frame import MS, Nanos
 from dbc.protection import WINDOW, Check, Profile, Receiver, SmState
 from dbc.spec import Reading
+from dbc.text import printable
 from gateway.channel import GUARD_NS, SECOND_SENDER, TOO_SOON
 
 LEAST_LIMIT_NS: Final[Nanos] = 100 * MS
@@ -58,7 +59,8 @@ class Seen:
         raw = self.raw(name)
         if raw is None or self._spec is None:
             return None
-        return self._spec.signals[self._spec.column(name)].labels.get(raw)
+        label = self._spec.signals[self._spec.column(name)].labels.get(raw)
+        return None if label is None else printable(label)
 
 
 NOTHING: Final = Seen(None, {})
