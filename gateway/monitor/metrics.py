@@ -88,7 +88,7 @@ def of_snapshot(shown: Snapshot) -> Iterator[Metric]:
 
 def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
     said = {"config_hash": row.config_hash, "detector": row.detector, "source": row.source}
-    about = InfoMetricFamily(PREFIX + "gateway", "What runs, by its own word, and who says so")
+    about = InfoMetricFamily(PREFIX.rstrip("_"), "What runs, by its own word, and who says so")
     about.add_metric([], {key: value for key, value in said.items() if value is not None})
     yield about
     flags: Samples = [((name,), int(getattr(row, name))) for name in SET_FLAGS]
