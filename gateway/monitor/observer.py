@@ -47,6 +47,8 @@ from gateway.supervision import Supervision
 GATEWAY_NODE: Final = 32
 QUIET_NS: Final[Nanos] = 10 * SECOND
 """So long after the last frame nothing is left that time could change."""
+MOST_HELD: Final = 20_000
+"""Frames of one period that wait for its end. No bus carries more; a log with odd stamps may."""
 AGREES: Final = 5
 """Ticks back in which the shadow may have said what the bus says now: an estimate is sent every
 20 ms."""
@@ -141,7 +143,9 @@ class Observer:
             self._now = following
             self._tick(held.part(done, end), following)
             done = end
-        self._held = held.part(done, held.size) if done < held.size else EMPTY
+        kept = min(held.size, done + MOST_HELD)
+        self.counts["flood"] += held.size - kept
+        self._held = held.part(done, kept) if done < kept else EMPTY
 
     def copy(self) -> Observer:
         """The same state once more; codec and configuration, which never change, are shared."""

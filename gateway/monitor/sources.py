@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from functools import reduce
+from itertools import zip_longest
 from typing import Any, Final, Protocol
 
 from dbc.block import EMPTY, Block, join
@@ -24,8 +24,8 @@ LISTEN_ONLY: Final[Mapping[str, Mapping[str, Any]]] = {
     "vector": {"listen_only": True},
 }
 """By python-can's interface: the option of its bus that keeps the controller from sending."""
-READ_S: Final = 0.02
-"""Longest wait of one read; as long closing may take."""
+READ_S: Final = 0.01
+"""Between two reads. The least that a kernel keeps for a socket is some hundred frames."""
 HANGS_NS: Final[Nanos] = 100 * MS
 MOST_WAITING: Final = 200_000
 """Frames that wait to be looked at: ten seconds of a full bus."""
@@ -73,14 +73,15 @@ class Reader:
         self._frames = 0
         self.unread = 0
         """Frames dropped because they were not fetched."""
-        self._stop = False
+        self._stop = threading.Event()
         self._now = clock()
         self._thread = threading.Thread(target=self._run, name="monitor-reader", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
-        while not self._stop:
-            block = self._transport.take(READ_S)
+        # Waiting for the next frame would wake it thousands of times a second.
+        while not self._stop.wait(READ_S):
+            block = self._transport.take(0.0)
             with self._lock:
                 self._now = self._clock()
                 if block.size:
@@ -99,11 +100,14 @@ class Reader:
             self._frames = 0
             # Should reading hang, time goes on all the same: what was heard must grow old.
             now = max(self._now, self._clock() - HANGS_NS)
-        return reduce(join, blocks, EMPTY), now
+        while len(blocks) > 1:
+            pairs = zip_longest(blocks[::2], blocks[1::2], fillvalue=EMPTY)
+            blocks = [join(one, other) for one, other in pairs]
+        return blocks[0] if blocks else EMPTY, now
 
     def close(self) -> None:
         """End the thread, then the transport."""
-        self._stop = True
+        self._stop.set()
         self._thread.join()
         self._transport.close()
 

@@ -222,6 +222,18 @@ def test_frames_from_the_future_and_before_time_are_counted_and_not_believed():
     assert observer.snapshot(END).link.rejected == {"time_back": 2}
 
 
+def test_a_flood_with_one_stamp_is_bounded_and_counted(monkeypatch):
+    monkeypatch.setattr("gateway.monitor.observer.MOST_HELD", 50)
+    run = recorded()
+    observer = run.observer()
+    play(observer, run.frames, END)
+    before = observer.counts["unknown_id"]
+    for _ in range(20):
+        observer.take([Frame(END, 0x555, b"")] * 10, END)
+    assert observer.snapshot(END + TICK).link.rejected == {"flood": 150}
+    assert observer.counts["unknown_id"] == before + 50
+
+
 def test_error_frames_move_the_bus_state():
     run = recorded()
     off = Frame(END, 0x40, bytes(8), ERROR)
