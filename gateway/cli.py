@@ -8,6 +8,7 @@ import logging
 import sys
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 BEGAN_S = time.monotonic()
@@ -51,6 +52,8 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
     for verb, text in VERBS.items():
         sub = verbs.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
         sub.add_argument("-v", "--verbose", action="count", default=0, help="more on stderr")
+        sub.add_argument("--log-format", choices=("text", "json"), default="text",
+                         help="of the log on stderr")  # fmt: skip
         if verb in words:
             _module(verb).arguments(sub)
     return parser
@@ -74,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _main(words: list[str]) -> int:
     from gateway.drivers import kernelcache, logs
 
-    limit = logs.begin(logging.WARNING)
+    form = _log_format(words)
+    limit = logs.begin(logging.WARNING, form)
     if words[:1] not in (["run"], ["warm"]):  # these say themselves where compiled code is
         kernelcache.Kernels()
     parser = _parser(words)
@@ -89,6 +93,9 @@ def _main(words: list[str]) -> int:
         return 2
     levels = (logging.WARNING, logging.INFO, logging.DEBUG)
     logging.getLogger().setLevel(levels[min(options.verbose, 2)])
+    if options.log_format != form:  # was abbreviated
+        form = options.log_format
+        logs.reshape(form)
     command = _module(options.verb)
     options.began_s = BEGAN_S
     try:
@@ -103,11 +110,18 @@ def _main(words: list[str]) -> int:
         if not _is_users(error):
             raise
         text = " ".join(str(error).split())
-        print(f"traction-gateway: {text}", file=sys.stderr)
+        logs.say(text if form == "json" else f"traction-gateway: {text}", form)
         return 2
     finally:
         if unsaid := limit.suppressed():
-            print(f"{unsaid} lines of the log were suppressed", file=sys.stderr)
+            logs.say(f"{unsaid} lines of the log were suppressed", form, logging.WARNING)
+
+
+def _log_format(words: Sequence[str]) -> str:
+    """What is asked for, before there is a parser: making that one may log already."""
+    pairs = pairwise(words)
+    asked = ("--log-format", "json") in pairs or "--log-format=json" in words
+    return "json" if asked else "text"
 
 
 def _is_users(error: Exception) -> bool:

@@ -30,6 +30,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--campaign-seed", type=int, default=1, metavar="N", help="of the campaign's random times"
     )
+    parser.getgroup("web", "tests of the monitor's page").addoption(
+        "--require-chromium",
+        action="store_true",
+        help="fail where the tests of the page would be skipped for want of a browser",
+    )
     parser.getgroup("fuzz").addoption(
         "--fuzz",
         type=int,

@@ -77,12 +77,14 @@ def _where(text: str | None, default: str) -> Listen | None:
 
     if text is None:
         return None
+    if Path(text).is_file():
+        cure = f"put the log before the option: 'monitor {text} --web'"
+        raise ConfigError(text, [f"is a file and no address; {cure}"])
     host, _, port = default.rpartition(":")
     try:
         return listen(text, Listen(host, int(port)))
     except ValueError as error:
-        cure = f"it is a file: put it before the option, 'monitor {text} --web'"
-        raise ConfigError("monitor", [cure if Path(text).is_file() else str(error)]) from None
+        raise ConfigError("monitor", [str(error)]) from None
 
 
 def _token(name: str | None, wanted: Mapping[str, Listen]) -> bytes | None:

@@ -10,11 +10,12 @@ import asyncio
 import json
 import logging
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import anyio
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
@@ -67,26 +68,31 @@ class Viewers:
             feed.counts["too_many_viewers"] += 1
             await self._close(socket, TOO_MANY)
             return
+        codes: list[int] = []
+
+        async def until_over(job: Callable[[WebSocket], Awaitable[int]]) -> None:
+            codes.append(await job(socket))
+            both.cancel_scope.cancel()
+
         feed.viewers += 1
-        jobs = [asyncio.create_task(self._show(socket)), asyncio.create_task(self._hear(socket))]
         try:
-            done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
-            codes = [job.result() for job in done]
+            async with anyio.create_task_group() as both:
+                both.start_soon(until_over, self._show)
+                both.start_soon(until_over, self._hear)
         finally:
             feed.viewers -= 1
-            for job in jobs:
-                job.cancel()
-            await asyncio.gather(*jobs, return_exceptions=True)
-        if code := next((code for code in codes if code), 0):
+        if code := max(codes, default=0):
             await self._close(socket, code)
 
     async def _show(self, socket: WebSocket) -> int:
         had: Picture | None = None
         while True:
             picture = await self._feed.after(had)
+            text = picture.message(had)
             try:
-                # Waits where the connection's buffers are full.
-                await asyncio.wait_for(socket.send_text(picture.message(had)), self._read_s)
+                with anyio.fail_after(self._read_s):
+                    # Waits where the connection's buffers are full.
+                    await socket.send_text(text)
             except TimeoutError:
                 self._feed.counts["slow"] += 1
                 log.warning("a viewer that did not read for %g s was dropped", self._read_s)
@@ -96,8 +102,7 @@ class Viewers:
             had = picture
 
     async def _hear(self, socket: WebSocket) -> int:
-        loop = asyncio.get_running_loop()
-        begin, asked = loop.time(), 0
+        begin, asked = anyio.current_time(), 0
         while True:
             try:
                 text = await socket.receive_text()
@@ -105,8 +110,8 @@ class Viewers:
                 return 0
             except KeyError:  # bytes
                 text = ""
-            if loop.time() - begin >= 1.0:
-                begin, asked = loop.time(), 0
+            if anyio.current_time() - begin >= 1.0:
+                begin, asked = anyio.current_time(), 0
             asked += 1
             if asked > REQUESTS_S:
                 self._feed.counts["too_fast"] += 1
@@ -117,8 +122,8 @@ class Viewers:
 
     async def _close(self, socket: WebSocket, code: int) -> None:
         # To one that does not read the word of farewell cannot be said either.
-        with suppress(TimeoutError, WebSocketDisconnect, RuntimeError):
-            await asyncio.wait_for(socket.close(code), 0.2)
+        with suppress(WebSocketDisconnect, RuntimeError), anyio.move_on_after(0.2):
+            await socket.close(code)
 
 
 def _parsed(text: str) -> object:
@@ -252,6 +257,21 @@ def is_loopback(where: Listen) -> bool:
     return ipaddress.ip_address(address[0].partition("%")[0]).is_loopback
 
 
+def make_server(app: ASGIApp) -> uvicorn.Server:
+    """Uvicorn with this server's limits; it is run with sockets of `bind`."""
+    # It logs requests with what is in the address line, tokens too.
+    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
+    return uvicorn.Server(
+        uvicorn.Config(
+            app, http="h11", ws="websockets-sansio", lifespan="on", log_config=None,
+            access_log=False, server_header=False, proxy_headers=False,
+            limit_concurrency=CONNECTIONS, backlog=CONNECTIONS, ws_max_size=REQUEST_BYTES,
+            ws_per_message_deflate=False, ws_ping_interval=5.0, ws_ping_timeout=STUCK_MS / 1e3,
+            timeout_keep_alive=5, timeout_graceful_shutdown=2, h11_max_incomplete_event_size=8192,
+        )
+    )  # fmt: skip
+
+
 def serve(
     feed: Feed,
     access: Access,
@@ -267,17 +287,8 @@ def serve(
         errors.append(error)
         server.should_exit = True
 
-    app = make_app(feed, access, page=page, metrics_only=metrics_only, ended=ended)
-    # It logs requests with what is in the address line, tokens too.
-    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
-    server = uvicorn.Server(
-        uvicorn.Config(
-            app, http="h11", ws="websockets-sansio", lifespan="on", log_config=None,
-            access_log=False, server_header=False, proxy_headers=False,
-            limit_concurrency=CONNECTIONS, backlog=CONNECTIONS, ws_max_size=REQUEST_BYTES,
-            ws_per_message_deflate=False, ws_ping_interval=5.0, ws_ping_timeout=STUCK_MS / 1e3,
-            timeout_keep_alive=5, timeout_graceful_shutdown=2, h11_max_incomplete_event_size=8192,
-        )
+    server = make_server(
+        make_app(feed, access, page=page, metrics_only=metrics_only, ended=ended)
     )  # fmt: skip
     server.run(sockets=list(sockets))
     if errors:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import pytest
 
@@ -146,7 +149,7 @@ def test_a_storm_of_everything_is_a_few_lines_a_minute(clock: Clock, written: io
 
 
 def test_lines_for_the_journal_carry_their_level() -> None:
-    made = logs.Marked("%(name)s: %(message)s")
+    made = logs.Marked(logging.Formatter("%(name)s: %(message)s"))
 
     def line(level: int, text: str) -> str:
         return made.format(logging.LogRecord("bus", level, "", 1, text, (), None))
@@ -154,6 +157,58 @@ def test_lines_for_the_journal_carry_their_level() -> None:
     assert line(logging.INFO, "up") == "<6>bus: up"
     assert line(logging.WARNING, "down") == "<4>bus: down"
     assert line(logging.ERROR, "a\nb") == "<3>bus: a\n<3>b"
+
+
+def test_a_line_of_json_has_everything() -> None:
+    def line(level: int, text: str, args: tuple[object, ...] = (), **more: object) -> dict:
+        record = logging.LogRecord("bus", level, "x.py", 1, text, args, more.pop("exc_info", None))
+        vars(record).update(more)
+        text = logs.Json().format(record)
+        assert "\n" not in text
+        return json.loads(text)
+
+    got = line(logging.WARNING, 'a "b"\n%s', ("ä",), drive=2, t_s=1.5, where=Path("/x"))
+    assert datetime.fromisoformat(got.pop("time")).utcoffset() == timedelta(0)
+    assert got == {
+        "level": "warning", "logger": "bus", "message": 'a "b"\nä', "drive": 2, "t_s": 1.5,
+        "where": "/x",
+    }  # fmt: skip
+    try:
+        raise ValueError("why")
+    except ValueError:
+        got = line(logging.ERROR, "broken", exc_info=sys.exc_info())
+    assert got["traceback"].endswith("ValueError: why")
+
+
+@pytest.mark.parametrize("form", ["--log-format=json", "--log-format json", "--log-f json"])
+def test_the_log_of_a_verb_as_json(form: str) -> None:
+    words = ["run", "-v", "-i", "virtual", "-c", "x", "--quiet", "--duration", "0.05"]
+    done = subprocess.run(
+        [sys.executable, "-m", "gateway", *words, *form.split()],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
+    assert "configuration " in " ".join(line["message"] for line in lines)
+    assert {line["level"] for line in lines} <= {"info", "warning"}
+    assert not [line for line in done.stderr.splitlines() if line.startswith(("INFO", "WARNING"))]
+
+
+def test_an_error_ends_a_log_of_json_with_a_line_of_json() -> None:
+    words = ["check", "no-such.toml", "--log-format", "json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    got = json.loads(done.stderr)
+    assert got["level"] == "error"
+    assert "no-such.toml" in got["message"]
+
+
+def test_json_for_the_journal_has_its_level_before_it() -> None:
+    made = logs.Marked(logs.Json())
+    line = made.format(logging.LogRecord("bus", logging.WARNING, "", 1, "down", (), None))
+    assert line.startswith("<4>{")
+    assert json.loads(line[3:])["message"] == "down"
 
 
 @pytest.mark.parametrize("journal", [True, False])
