@@ -25,6 +25,9 @@ from sim.scenario import Scenario
 if TYPE_CHECKING:
     from gateway.drivers.reporting import Reporting
 
+TRUTH = "truth.csv"
+"""What is really so, among the results."""
+
 
 def bus_arguments(options: Namespace) -> list[str]:
     """The bus options of this command line, for a child's."""
@@ -68,10 +71,11 @@ def run_on_real_bus(
     stop = Stop()
     if left is not None:
         left.begin(gateway)
+        (left.folder / TRUTH).unlink(missing_ok=True)
     child = subprocess.Popen(
         [sys.executable, "-m", "gateway", "sim", name, "--wait-for-start",
          "--dbc", str(codec.path), *bus_arguments(options), *_authentication(config, gateway),
-         *([] if left is None else ["--truth", str(left.folder / "truth.csv")])],
+         *([] if left is None else ["--truth", str(left.folder / TRUTH)])],
     )  # fmt: skip
     first: list[Nanos] = []
     duration = round(scenario.duration_s * SECOND)
@@ -79,10 +83,10 @@ def run_on_real_bus(
     def watch(seen: LiveSnapshot) -> None:
         if not first and seen.status.received:
             first.append(seen.now_ns)
-        if left is not None and first and gateway.view is not None:
-            left.add(gateway.view)
         if not first or seen.now_ns - first[0] <= duration:
             track.add(seen.sent)
+            if left is not None and first and gateway.view is not None:
+                left.add(gateway.view)
         if child.poll() is not None:
             stop()
 
@@ -95,7 +99,8 @@ def run_on_real_bus(
         child.wait(timeout=10)
     if left is not None:
         left.take_timing(seen, ticker.period_ns)
-        left.read_truth()
+        if child.returncode == 0:  # or its last row may be half of one
+            left.read_truth(left.folder / TRUTH)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
     return Outcome(scenario, verdicts, gateway)

@@ -74,15 +74,13 @@ class Reporting:
         tables(self.folder, stages, period_ns)
         self.timed = Timed(stages, period_ns, seen.tick + 1, seen.missed, "timing")
 
-    def read_truth(self) -> None:
-        """Take what the drives' process has left beside the tables, if it came to leave any.
+    def read_truth(self, path: Path) -> None:
+        """Take the rows that the drives' process has left, if it came to leave any.
 
         Its 0 is when the drives began to speak, which is the first tick but for a tick or two.
         """
-        path = self.folder / "truth.csv"
         if path.is_file():
-            self.truth = Truth()
-            self.truth.add(rows(path))
+            self.add_truth(rows(path))
 
     def close(self) -> None:
         """Finish the tables."""

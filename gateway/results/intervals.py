@@ -42,13 +42,12 @@ class Interval(NamedTuple):
 class _Running:
     """The interval that a flag is in."""
 
-    __slots__ = ("causes", "seen", "start_ns", "state")
+    __slots__ = ("causes", "start_ns", "state")
 
     def __init__(self, state: str, start_ns: int) -> None:
         self.state = state
         self.start_ns = start_ns
         self.causes: dict[str, None] = {}
-        self.seen: object = None
 
 
 class Intervals:
@@ -62,21 +61,25 @@ class Intervals:
         self.seconds: defaultdict[tuple[int, str, str], float] = defaultdict(float)
         self._kinds: Counter[tuple[str, str]] = Counter()
         self._running: dict[tuple[int, str], _Running] = {}
+        self._before: dict[int, tuple[object, ...]] = {}
+        """What each drive said a tick ago: mostly the same."""
         self._last_ns = 0
 
     def add(self, view: GatewayView) -> None:
         """Take one tick."""
         now = self._last_ns = view.t_ns
         for d in view.drives:
+            said = (
+                d.adhesion, d.adhesion_reason, d.thermal, d.thermal_reason, d.sensor, d.comm,
+                d.estimator, d.fault_class, d.fault_sensor,
+            )  # fmt: skip
+            if self._before.get(d.node) == said:
+                continue
+            self._before[d.node] = said
             adhesion = self._note(d.node, "adhesion", ADHESION[d.adhesion], now)
-            if adhesion.seen != d.adhesion_reason:
-                adhesion.seen = d.adhesion_reason
-                _because(adhesion, d.adhesion_reason)
+            _because(adhesion, d.adhesion_reason)
             thermal = self._note(d.node, "thermal", FAULT[d.thermal], now)
-            why = (d.thermal_reason, d.fault_class, d.fault_sensor)
-            if thermal.seen != why:
-                thermal.seen = why
-                _ill(thermal, d)
+            _ill(thermal, d)
             sensor = self._note(d.node, "sensor", FAULT[d.sensor], now)
             if d.sensor is Flag.BAD and d.fault_class in _SENSORS:
                 sensor.causes[_fault(d)] = None
