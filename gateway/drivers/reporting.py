@@ -136,8 +136,15 @@ def span_facts(trace: Trace, received: int) -> Facts:
     return [
         ("time", f"{trace.span_s:,.3f} s, {trace.ticks:,} ticks"),
         ("frames", f"{received:,}"),
-        ("drives", ", ".join(map(str, trace.nodes))),
+        ("drives", _numbers(trace.nodes)),
     ]
+
+
+def _numbers(nodes: tuple[int, ...]) -> str:
+    """Nodes as a person writes them."""
+    if len(nodes) > 3 and nodes == tuple(range(nodes[0], nodes[0] + len(nodes))):
+        return f"{nodes[0]} to {nodes[-1]}"
+    return ", ".join(map(str, nodes))
 
 
 def replay_facts(path: Path, done: Replayed, trace: Trace) -> Facts:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from dbc.text import printable
 from gateway.health import Flag
 from gateway.results.trace import RANK, Curve, Trace
 
@@ -287,7 +288,10 @@ def loads(
             shade = "rail below demand (a drive that cut its torque adheres)"
             handles.append(Patch(color=ORANGE, alpha=0.15, lw=0, label=shade))
         foot(figure, handles)
-        figure.text(_LEFT_IN / WIDTH_IN, 1 - 0.12 / figure.get_figheight(), title, va="top",
-                    fontweight="bold")  # fmt: skip
+        # A name is no formula, and no control character is XML.
+        figure.text(
+            _LEFT_IN / WIDTH_IN, 1 - 0.12 / figure.get_figheight(), printable(title),
+            va="top", fontweight="bold", parse_math=False,
+        )  # fmt: skip
         axes[0].set_xlim(0.0, max(end_s, 1e-3))
         save(figure, path)

@@ -45,6 +45,8 @@ _POINT_NAME: Final = dict(
     zip(POINTS, ("stator", "drive end", "non-drive end", "ambient"), strict=True)
 )
 
+EMPTY: Final = 0.42
+"""Height of a panel that only says that nothing was known."""
 LEAST_RAD_S: Final = 2.0
 LEAST_K: Final = 0.5
 """Axes are never finer than this: noise that fills a panel looks like news."""
@@ -87,7 +89,7 @@ def train(path: Path, trace: Trace, truth: Truth | None) -> None:
         strips(axis, [f"{flag} {node}" for node in nodes])
     if load.known:
         line(axes[-1], load, color=BLUE, label="bus load", bridge=True)
-        axes[-1].set_ylim(0.0, max(100.0, float(np.nanmax(load.high))))
+        axes[-1].set_ylim(0.0, max(100.0, 1.05 * float(np.nanmax(load.high))))
     foot(figure, key("good", "bad", truth=truth is not None and bool(truth.events)))
     axes[0].set_xlim(0.0, max(end_s, 1e-3))
     save(figure, path)
@@ -113,10 +115,14 @@ def drive(
     points = {name: trace.curve(node, name) for name in POINTS}
     mixed, maisd = trace.curve(node, "mixed_c"), trace.curve(node, "maisd_k")
     warm = mixed.known or any(curve.known for curve in points.values())
+    true = truth is not None and node in truth.nodes
+    loaded = true or trace.curve(node, "load_nm").known
+    moved = true or trace.curve(node, "speed_rad_s").known
     wanted = [
-        Panel(1.6, "load / Nm", names=True), Panel(0.7, "P(lost)\n%"),
+        Panel(1.6 if loaded else EMPTY, "load / Nm", names=loaded),
+        Panel(0.7 if trace.curve(node, "loss_probability").known else EMPTY, "P(lost)\n%"),
         Panel(0.12 + 0.24 * len(rows), ""),
-        Panel(0.95, "speed\nrad/s", names=True),
+        Panel(0.95 if moved else EMPTY, "speed\nrad/s", names=moved),
     ]  # fmt: skip
     wanted += [Panel(1.25, "temperature\ndegC", names=True)] if warm else []
     wanted += [Panel(0.7, "MAISD\nK")] if maisd.known else []

@@ -157,6 +157,9 @@ def _said(intervals: Intervals) -> str:
     lost = sum(n for (_, _, state), n in intervals.count.items() if state == "AdhesionLost")
     fault = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == ("thermal", "Fault"))
     other = sum(1 for _ in intervals.other_bad())
+    if not lost and not fault:
+        text = "No loss of adhesion and no thermal fault was flagged"
+        return f"{text}, but {_plural(other, 'other fault')}." if other else f"{text}."
     text = (
         f"{_plural(lost, 'loss', 'losses')} of adhesion and "
         f"{_plural(fault, 'thermal fault')} were flagged"
@@ -229,7 +232,8 @@ def _flags(run: Run) -> list[str]:
                       for kind in STATES))
         for node in run.trace.nodes
     ]  # fmt: skip
-    head = ("drive", *(f"{flag}: {state}:" for flag, state in STATES))
+    names = (f"{flag} {state}" if state == "Unknown" else state for flag, state in STATES)
+    head = ("drive:", *(f"{name}:" for name in names))
     return [*lines, "Seconds in each state, and how often:", *table(head, rows)]
 
 

@@ -186,14 +186,14 @@ def test_truth_says_what_was_found(tmp_path, capsys):
 
 
 def test_a_log_of_one_frame_has_a_report(tmp_path):
-    log = tmp_path / "a <i>b<i>_c_|`.log"
+    log = tmp_path / "a <i>b<i>_c_|`$x_$\x1b.log"
     log.write_text("(1700000000.000000) <b>&|`_x_ 181#0000000000000000\n")
     text = (replayed(log, tmp_path / "r") / "report.md").read_text()
     page = (tmp_path / "r" / "report.html").read_text()
     seen = References()
     seen.feed(page)
     assert not {"i", "b"} & seen.tags
-    assert "a &lt;i&gt;b&lt;i&gt;_c_|`.log" in page
+    assert "a &lt;i&gt;b&lt;i&gt;_c_|`$x_$\\x1b.log" in page
     assert "&lt;b&gt;&amp;|`_x_" in page
     assert "1 ticks" in text or "1 tick" in text
     assert "No loss of adhesion and no thermal fault was flagged." in text
