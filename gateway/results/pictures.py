@@ -146,7 +146,7 @@ def line(axis: Axes, curve: Curve, *, color: str, label: str, bridge: bool = Fal
         return
     t_s, low, high = broken(curve.t_s, curve.low, curve.high)
     axis.fill_between(t_s, low, high, color=color, lw=0, alpha=0.45)
-    axis.plot(t_s, 0.5 * (low + high), color=color, label=label, **{**style, "lw": 0.7})
+    axis.plot(t_s, 0.5 * (low + high), color=color, label=label, **{**style, "lw": 0.9})
 
 
 def true_line(axis: Axes, curve: Curve) -> None:

@@ -23,6 +23,9 @@ HEADER: Final = (
 )  # fmt: skip
 EDGE_S: Final = 0.03
 """A flag this soon after what was true is no false one: `scoring` has the same."""
+_CLASSES: Final = {str(ill.value): ill.value for ill in FaultClass}
+_LONGEST: Final = 1000
+"""Bytes, of a row."""
 _SENSORS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST)
 
 
@@ -84,6 +87,8 @@ class _Drive:
     def __init__(self) -> None:
         self.envelope = Envelope(2)
         self.last_s = 0.0
+        self.before: tuple[int, int] | None = None
+        """`lost` and `fault_class` of the last row: mostly the same."""
         self.running: dict[str, tuple[str, float]] = {}
 
 
@@ -104,6 +109,9 @@ class Truth:
                 drive = self._drives[row.drive] = _Drive()
             t_s = drive.last_s = row.t_s + self.offset_s
             drive.envelope.add((t_s, row.load_nm, row.speed_rad_s))
+            if drive.before == (row.lost, row.fault_class):
+                continue
+            drive.before = row.lost, row.fault_class
             self._follow(row.drive, drive, "adhesion", "loss" if row.lost else "", t_s)
             ill = row.fault_class > FaultClass.NONE
             kind = camel(FaultClass(row.fault_class).name) if ill else ""
@@ -176,12 +184,17 @@ def read(path: Path, first_s: float, last_s: float) -> tuple[Truth, bool]:
 
 
 def _range(path: Path) -> tuple[float, float]:
-    begin, end = math.inf, -math.inf
-    for row in rows(path):
-        begin, end = min(begin, row.t_s), max(end, row.t_s)
-    if begin > end:
+    """Times of the first row and, as they ascend, of the last."""
+    first = next(rows(path), None)
+    if first is None:
         raise ConfigError(str(path), ["no row of truth: was it written by `sim --truth`?"])
-    return begin, end
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _LONGEST))
+        last = file.read().decode("utf-8", "replace").splitlines()[-1]
+    try:
+        return first.t_s, _row(last.split(",")).t_s
+    except (ValueError, KeyError):
+        raise ConfigError(str(path), ["its last line is no row of truth"]) from None
 
 
 def rows(path: Path) -> Iterator[Row]:
@@ -193,19 +206,17 @@ def rows(path: Path) -> Iterator[Row]:
         try:
             for cells in lines:
                 yield _row(cells)
-        except (ValueError, csv.Error):
+        except (ValueError, KeyError, csv.Error):
             raise ConfigError(str(path), [f"line {lines.line_num} is no row of truth"]) from None
 
 
 def _row(cells: Sequence[str]) -> _Text:
-    t_s, drive, speed, _, load, lost, ill, _ = cells
-    numbers = float(t_s), float(speed), float(load)
-    if not all(map(math.isfinite, numbers)):
+    text, drive, speed, _, load, lost, ill, _ = cells
+    t_s, speed_rad_s, load_nm = float(text), float(speed), float(load)
+    if not (math.isfinite(t_s) and math.isfinite(speed_rad_s) and math.isfinite(load_nm)):
         msg = "not finite"
         raise ValueError(msg)
-    return _Text(
-        numbers[0], int(drive), numbers[1], numbers[2], int(lost), FaultClass(int(ill)).value
-    )
+    return _Text(t_s, int(drive), speed_rad_s, load_nm, int(lost), _CLASSES[ill])
 
 
 def judge(
