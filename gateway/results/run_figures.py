@@ -80,10 +80,8 @@ def train(path: Path, trace: Trace, truth: Truth | None) -> None:
         wanted.append(Panel(0.8, "bus load\n%"))
     figure, axes = panels(wanted)
     for axis, flag in zip(axes, ("adhesion", "thermal"), strict=False):
-        known = False
         for row, node in enumerate(nodes):
             spans = _spans(truth, node, flag)
-            known = known or bool(spans)
             _true_frame(axis, row, spans)
             strip(axis, row, trace.curve(node, flag), end_s)
         strips(axis, [f"{flag} {node}" for node in nodes])
