@@ -319,15 +319,19 @@ class Gateway:
         return seen, Reason.STARTING
 
     def _comm(self, k: int) -> Flag:
-        """Bad once anything that was valid is stale, silent or corrupted, or we are not alone."""
+        """Bad once anything that was valid is stale, silent or corrupted, or we are not alone.
+
+        Good once all that was heard, the electrical messages with it, has been valid.
+        """
         drive = self.inbox.drives[k]
         if self.lost[k] or self.doubt.intruder:
             return Flag.BAD
         for channel in drive.channels.values():
             if channel.seen_valid and channel.state in COMM_CAUSES:
                 return Flag.BAD
-        known = drive.electrical and all(channel.seen_valid for channel in drive.electrical)
-        return Flag.GOOD if known else Flag.UNKNOWN
+        unheard = [c for c in drive.channels.values() if not c.seen_valid]
+        known = not any(c.heard or c in drive.electrical for c in unheard)
+        return Flag.GOOD if drive.electrical and known else Flag.UNKNOWN
 
     def _common_mode(self) -> Flag:
         flag = self.adhesion.common.flag

@@ -241,6 +241,23 @@ def test_a_heartbeat_that_was_seen_and_stops_is_a_communication_fault():
     assert view.drives[1].adhesion is Flag.GOOD
 
 
+def test_a_message_that_was_heard_and_never_valid_is_not_known_to_be_good():
+    motion = Sender(CODEC, "Drive1_Motion")
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    assert bench.view.comm is Flag.GOOD
+
+    def once(frames, now):
+        return [*frames, motion.frame(now, Speed=955.0)]
+
+    bench.run(1, once)
+    assert bench.run(60).comm is Flag.UNKNOWN
+    bench.run(1, once)
+    assert bench.run(5).comm is Flag.UNKNOWN, "the one of long ago says nothing of this one"
+    bench.run(1, once)
+    assert bench.run(1).comm is Flag.GOOD
+
+
 def test_single_lost_frames_are_bridged_and_counted():
     bench = Bench(gateway(), drives())
     bench.run(60)
