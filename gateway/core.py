@@ -148,7 +148,9 @@ class Gateway:
         self.load.add_block(block, inbox.routes, now)
         self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
-        fresh = [d.fresh(now) for d in inbox.drives]
+        # The older of a pair's two frames is stale first, by up to what they were apart.
+        stale = [reason is Reason.STALE for reason in inputs]
+        fresh = [d.fresh(now) and not old for d, old in zip(inbox.drives, stale, strict=True)]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
         self.motion.take(inbox.motions, self.bank.flux)
         measured = [self._measured_speed(k, now) for k in range(len(self.nodes))]

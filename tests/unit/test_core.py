@@ -258,6 +258,28 @@ def test_a_message_that_was_heard_and_never_valid_is_not_known_to_be_good():
     assert bench.run(1).comm is Flag.GOOD
 
 
+def test_a_pair_is_as_stale_as_its_older_frame():
+    """CommonMode and Health would, else, outlive the flags by a tick."""
+
+    def early_currents(frames, now):
+        return [
+            f._replace(t_ns=f.t_ns - MS) if 0x181 <= f.can_id <= 0x183 else f
+            for f in frames
+        ]  # fmt: skip
+
+    said = set()
+    for later in range(13 * MS, 20 * MS, MS // 2):
+        bench = Bench(gateway(), drives())
+        bench.run(60, early_currents)
+        bench.core.step([], bench.tick * TICK + later)
+        view = bench.view
+        good = [d.adhesion is Flag.GOOD for d in view.drives]
+        said.add(tuple(good))
+        assert [d.health is Health.TRACKING for d in view.drives] == good, later
+        assert (view.common_mode is Flag.GOOD) is any(good), later
+    assert said == {(True,) * 3, (False,) * 3}
+
+
 def test_single_lost_frames_are_bridged_and_counted():
     bench = Bench(gateway(), drives())
     bench.run(60)
