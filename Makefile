@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz fuzz-deep soak campaign mutation lint format bench calibration changelog dist lock clean-kernels clean
+.PHONY: demo test fuzz fuzz-deep soak campaign mutation lint format docs bench calibration changelog dist lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -52,6 +52,10 @@ mutation: $(VENV)/.ready
 		own/bin/cosmic-ray init tests/mutation/$$part.toml $$part.sqlite && \
 		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite; done; \
 		.venv/bin/python -m tests.mutation.survivors *.sqlite
+
+# The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.
+docs: $(VENV)/.ready
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build $(ARGS)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff check .

@@ -103,7 +103,7 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) ->
 
     held = EMPTY
     while True:
-        block, dropped, latest = _forward(block, latest)
+        block, dropped, latest = forward(block, latest)
         dropped += held.size
         block = join(held, block)
         done, stamps = 0, block.t_ns.tolist()
@@ -132,8 +132,8 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) ->
     return Replayed(first.t_ns, latest, total, ticks, first.channel, gateway)
 
 
-def _forward(block: Block, latest: Nanos) -> tuple[Block, NDArray[np.int64], Nanos]:
-    """The frames whose time does not go back, and the latest time.
+def forward(block: Block, latest: Nanos) -> tuple[Block, NDArray[np.int64], Nanos]:
+    """The frames whose time does not go back behind `latest`, and the new latest time.
 
     Of every other one it gives how many good ones stand before it.
     """

@@ -1,0 +1,125 @@
+"""`monitor [LOG]`: what goes on, on a bus or in a log. Reads only.
+
+A form of it is a few lines in `run`: `need` for its extra, `open_source`, then whatever draws.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gateway.commands.common import GOOD, add_bus, add_config, patience, positive_seconds, prepare
+
+if TYPE_CHECKING:
+    from gateway.monitor.sources import Source
+
+HELP = "a live view of a bus or a log"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("log", type=Path, nargs="?", metavar="LOG",
+                        help="a log instead of a bus: any format that `replay` reads")  # fmt: skip
+    add_config(parser)
+    parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
+    parser.add_argument("--at", type=_seconds, default=0.0, metavar="S",
+                        help="where in the log to begin")  # fmt: skip
+    parser.add_argument("--speed", type=positive_seconds, default=1.0, metavar="X",
+                        help="of a log, times real time")  # fmt: skip
+    parser.add_argument(
+        "--shadow", action="store_true",
+        help="where no gateway is heard: show what one would say, marked as such",
+    )  # fmt: skip
+    add_bus(parser)
+
+
+def _seconds(text: str) -> float:
+    return 0.0 if text.strip() in ("0", "0.0") else positive_seconds(text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show it until the user leaves."""
+    need(("textual",), "monitor")
+    if not sys.stdout.isatty():
+        from gateway.config import ConfigError
+
+        raise ConfigError("monitor", ["the output is no terminal, and the view needs one"])
+    source = open_source(options)
+    from gateway.monitor.terminal import MonitorApp
+
+    app = MonitorApp(source)
+    with quiet():
+        app.run()
+    if app.problem is not None:
+        raise app.problem
+    return GOOD
+
+
+def need(modules: Sequence[str], extra: str) -> None:
+    """Raises ConfigError that says what to install where any of them is not there."""
+    from gateway.config import ConfigError
+
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        raise ConfigError(
+            f"needs {', '.join(missing)}", [f"pip install 'traction-gateway[{extra}]'"]
+        )  # fmt: skip
+
+
+def open_source(options: argparse.Namespace) -> Source:
+    """The bus or log that the options name; every form of the monitor begins with this.
+
+    Raises ConfigError, DbcMismatch, BadLogError or LogError for what cannot be used.
+    """
+    from gateway.config import ConfigError
+    from gateway.drivers.bus import bus_options as named
+    from gateway.drivers.warm import warm_up
+    from gateway.monitor.observer import Observer
+
+    if options.log is not None and named(options):
+        raise ConfigError("monitor", ["a log and a bus were named; leave one of them out"])
+    if options.log is None and (options.at or options.speed != 1 or options.log_channel):
+        raise ConfigError("monitor", ["--at, --speed and --log-channel are for a log; name one"])
+    config, codec = prepare(options.config)
+    with patience():
+        warm_up(config, codec)
+
+        def make() -> Observer:
+            return Observer(codec, config, show_shadow=options.shadow)
+
+        if options.log is not None:
+            from gateway.monitor.log_source import LogSource
+
+            source = LogSource(options.log, make, options.log_channel)
+            source.speed = options.speed
+            source.seek(options.at, 0.0)
+            return source
+    return _live(options, config, codec, make())
+
+
+def _live(options: argparse.Namespace, config: Any, codec: Any, observer: Any) -> Source:
+    from gateway.commands.run import bus_options, options_name
+    from gateway.drivers.bus import open_transport
+    from gateway.drivers.permission import Mode, allowed
+    from gateway.monitor.sources import LiveSource, silently
+
+    chosen = silently(bus_options(options, config))
+    transport = open_transport(chosen, allowed(Mode.LISTEN, config, codec))
+    return LiveSource(transport, observer, options_name(options))
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Nothing is logged into the picture; what matters of the bus is in the picture."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)

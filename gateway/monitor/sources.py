@@ -1,0 +1,178 @@
+"""Where a monitor's frames come from: a bus, read only, or a log, with its own time.
+
+May know: sockets, files, clocks. What the frames mean is the observer's.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from itertools import zip_longest
+from typing import Any, Final, Protocol
+
+from dbc.block import EMPTY, Block, join
+from dbc.frame import MS, Nanos
+from gateway.drivers.transport import LinkState, Transport
+from gateway.monitor.observer import Observer
+from gateway.monitor.snapshot import Snapshot
+
+LISTEN_ONLY: Final[Mapping[str, Mapping[str, Any]]] = {
+    "cantact": {"monitor": True},
+    "slcan": {"listen_only": True},
+    "vector": {"listen_only": True},
+}
+"""By python-can's interface: the option of its bus that keeps the controller from sending."""
+READ_S: Final = 0.01
+"""Between two reads. The least that a kernel keeps for a socket is some hundred frames."""
+HANGS_NS: Final[Nanos] = 100 * MS
+MOST_WAITING: Final = 200_000
+"""Frames that wait to be looked at: ten seconds of a full bus."""
+
+
+class Source(Protocol):
+    """Snapshots, and what a person may ask of time. One thread at a time."""
+
+    title: str
+    """The bus or the log, for a heading."""
+    paused: bool
+    speed: float
+    """Of a log, times real time; of a bus always 1."""
+
+    @property
+    def span_s(self) -> tuple[float, float] | None:
+        """From where to where one can seek; None on a bus."""
+
+    @property
+    def behind(self) -> bool:
+        """Whether a seek is still under way: `advance` goes on with it."""
+
+    def advance(self, wall_dt_s: float) -> Snapshot:
+        """Let so much time pass, and look. Never takes much longer than a tenth of a second."""
+
+    def seek(self, t_s: float, patience_s: float | None = None) -> Snapshot:
+        """Go to a time of the log, clipped to its span; on a bus nothing happens.
+
+        patience_s: how long to work on it now; None until it is done.
+        """
+
+    def close(self) -> None:
+        """Give the bus or file back."""
+
+
+class Reader:
+    """Reads a bus in a thread of its own, so that a slow picture loses no frames. It only reads."""
+
+    def __init__(self, transport: Transport, clock: Callable[[], Nanos]) -> None:
+        """transport: open, and from now on nobody else's."""
+        self._transport = transport
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._waiting: deque[Block] = deque()
+        self._frames = 0
+        self.unread = 0
+        """Frames dropped because they were not fetched."""
+        self._stop = threading.Event()
+        self._now = clock()
+        self._thread = threading.Thread(target=self._run, name="monitor-reader", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        # Waiting for the next frame would wake it thousands of times a second.
+        while not self._stop.wait(READ_S):
+            block = self._transport.take(0.0)
+            with self._lock:
+                self._now = self._clock()
+                if block.size:
+                    self._waiting.append(block)
+                    self._frames += block.size
+                while self._frames > MOST_WAITING and len(self._waiting) > 1:
+                    dropped = self._waiting.popleft().size
+                    self._frames -= dropped
+                    self.unread += dropped
+
+    def fetch(self) -> tuple[Block, Nanos]:
+        """Everything read so far, and until when that is everything."""
+        with self._lock:
+            blocks = list(self._waiting)
+            self._waiting.clear()
+            self._frames = 0
+            # Should reading hang, time goes on all the same: what was heard must grow old.
+            now = max(self._now, self._clock() - HANGS_NS)
+        while len(blocks) > 1:
+            pairs = zip_longest(blocks[::2], blocks[1::2], fillvalue=EMPTY)
+            blocks = [join(one, other) for one, other in pairs]
+        return blocks[0] if blocks else EMPTY, now
+
+    def close(self) -> None:
+        """End the thread, then the transport."""
+        self._stop.set()
+        self._thread.join()
+        self._transport.close()
+
+
+class LiveSource:
+    """A bus. Nothing is ever sent: the transport is made with an empty allow-list."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        observer: Observer,
+        title: str,
+        clock: Callable[[], Nanos] = time.monotonic_ns,
+    ) -> None:
+        """transport: open. clock: the one of its stamps."""
+        self.title = title
+        self.paused = False
+        self.speed = 1.0
+        self._status = transport.status
+        self._reader = Reader(transport, clock)
+        self._observer = observer
+        self._shown: Snapshot | None = None
+
+    @property
+    def span_s(self) -> None:
+        """One cannot seek on a bus."""
+        return
+
+    @property
+    def behind(self) -> bool:
+        """Never."""
+        return False
+
+    def advance(self, wall_dt_s: float) -> Snapshot:  # noqa: ARG002 - the bus has its own time
+        """See Source. Also while paused everything is read; only the picture stands still."""
+        block, now = self._reader.fetch()
+        self._observer.take(block, now)
+        if self._shown is None or not self.paused:
+            self._shown = self._look(now)
+        return self._shown
+
+    def seek(self, t_s: float, patience_s: float | None = None) -> Snapshot:  # noqa: ARG002
+        """See Source."""
+        return self.advance(0.0)
+
+    def close(self) -> None:
+        """See Source."""
+        self._reader.close()
+
+    def _look(self, now: Nanos) -> Snapshot:
+        shown, status = self._observer.snapshot(now), self._status
+        link = shown.link._replace(unread=status.kernel_drops + self._reader.unread)
+        if status.state is not LinkState.UP:
+            link = link._replace(state=status.state)
+        elif link.state == "active":
+            # The transport also asks the kernel, which knows of what came before this monitor.
+            link = link._replace(state=status.bus_state)
+        return shown._replace(link=link)
+
+
+def silently(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Bus options with the interface's own listen-only switched on, where python-can knows one.
+
+    Such a controller does not even acknowledge. Elsewhere the empty allow-list has to do.
+    """
+    switch = LISTEN_ONLY.get(str(options.get("interface")), {})
+    given = {**switch, **(options.get("bus_kwargs") or {})}
+    return {**options, "bus_kwargs": given} if given else dict(options)

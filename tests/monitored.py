@@ -1,0 +1,97 @@
+"""A bus with drives and a gateway on it, recorded, for the tests of the monitor."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+from dbc.candump import Writer
+from dbc.frame import Frame
+from gateway.config import Config, parse
+from gateway.core import Gateway
+from gateway.drivers.bench import run_virtual
+from gateway.monitor.observer import Observer
+from gateway.outbox import GatewayView
+from sim.scenario import parse as scenario
+from tests.simrun import codec
+
+TICK = 10_000_000
+SECONDS = 3.0
+
+
+class Run(NamedTuple):
+    """drives, gateway: who sent it; views: what the gateway thought at each tick."""
+
+    config: Config
+    drives: list[Frame]
+    gateway: list[Frame]
+    views: list[GatewayView]
+
+    @property
+    def frames(self) -> list[Frame]:
+        return sorted(self.drives + self.gateway, key=lambda f: f.t_ns)
+
+    def observer(self, **options) -> Observer:
+        return Observer(codec(), self.config, **options)
+
+
+def config_of(nodes=(1, 2, 3), **more) -> Config:
+    return parse({"drive": [{"node": n} for n in nodes], **more})
+
+
+@cache
+def recorded() -> Run:
+    """Three drives, of which the second loses adhesion from 1.2 s to 2.0 s; from 0 to 3 s."""
+    world = scenario(
+        {
+            "title": "one loss", "seed": 5, "duration_s": SECONDS, "drives": 3,
+            "event": [{"at_s": 1.2, "for_s": 0.8, "drive": 2, "kind": "adhesion_loss",
+                       "depth": 1.0}],
+        }
+    )  # fmt: skip
+    config = config_of()
+    drives, own, views = [], [], []
+
+    def watch(_now, received, sent, view):
+        drives.extend(received)
+        own.extend(sent)
+        views.append(view)
+
+    run_virtual(world, config, codec(), [watch])
+    return Run(config, drives, own, views)
+
+
+def play(observer: Observer, frames, until_ns: int | None = None, step_ns: int = 7_000_000):
+    """Give all frames in cuts of `step_ns`; the snapshot at the end."""
+    frames = sorted(frames, key=lambda f: f.t_ns)
+    end = frames[-1].t_ns if until_ns is None else until_ns
+    now = k = 0
+    while now < end:
+        now = min(now + step_ns, end)
+        first = k
+        while k < len(frames) and frames[k].t_ns <= now:
+            k += 1
+        observer.take(frames[first:k], now)
+    return observer.snapshot(end)
+
+
+def write(path, frames) -> None:
+    with Writer(path) as log:
+        for frame in sorted(frames, key=lambda f: f.t_ns):
+            log.write(frame, "vcan0")
+
+
+def shadow_views(run: Run) -> list[GatewayView]:
+    """What a gateway of its own makes of the drives' frames, tick by tick as replay does."""
+    frames = sorted(run.drives, key=lambda f: f.t_ns)
+    first = frames[0].t_ns
+    gateway, views, k = Gateway(run.config, codec(), first), [], 0
+    now = first
+    while k < len(frames):
+        start = k
+        while k < len(frames) and frames[k].t_ns <= now:
+            k += 1
+        gateway.step(frames[start:k], now)
+        views.append(gateway.view)
+        now += TICK
+    return views
