@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz fuzz-deep soak campaign mutation lint format bench calibration lock clean-kernels clean
+.PHONY: demo test fuzz fuzz-deep soak campaign mutation lint format docs bench calibration changelog dist lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -53,6 +53,10 @@ mutation: $(VENV)/.ready
 		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite; done; \
 		.venv/bin/python -m tests.mutation.survivors *.sqlite
 
+# The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.
+docs: $(VENV)/.ready
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build $(ARGS)
+
 lint: $(VENV)/.ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -73,6 +77,20 @@ calibration: $(VENV)/.ready
 		$(BIN)/traction-gateway sim calibration_$$duty -o out/calibration_$$duty.log; done
 	$(BIN)/traction-gateway calibrate out/calibration_*.log --config examples/train16.toml \
 		-o gateway/bench_calibration.toml
+
+# Wheel and sdist. What an earlier build left would otherwise be packed as well.
+dist: $(VENV)/.ready
+	rm -rf build dist
+	for what in sdist wheel; do $(BIN)/python -c "import sys; from setuptools import build_meta; \
+		getattr(build_meta, 'build_' + sys.argv[1])('dist')" $$what >/dev/null || exit 1; done
+	ls dist
+
+# What stands in changelog.d goes into CHANGELOG.md, under the version in pyproject.toml. towncrier has
+# an environment of its own: it is no dependency.
+changelog:
+	test -d out/towncrier || { $(PYTHON) -m venv out/towncrier && \
+		out/towncrier/bin/pip install -q towncrier==26.9.0; }
+	out/towncrier/bin/towncrier build --yes --version $$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 
 # Only with a new dependency: needs uv (pip install uv).
 lock:

@@ -73,8 +73,8 @@ class Channel:
     """Constants of one message, and its state as of the last tick."""
 
     __slots__ = (
-        "drive", "good_ns", "index", "kind", "limit_ns", "period_ns", "picked", "protected",
-        "quality", "seen_valid", "spec", "state", "steps",
+        "drive", "good_ns", "heard", "index", "kind", "limit_ns", "period_ns", "picked",
+        "protected", "quality", "seen_valid", "spec", "state", "steps",
     )  # fmt: skip
 
     def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
@@ -92,6 +92,7 @@ class Channel:
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
         self.good_ns: Nanos = -1
         self.state = Reason.STARTING
+        self.heard = False
         self.seen_valid = False
 
     def fresh(self, now: Nanos) -> bool:
@@ -118,11 +119,12 @@ def tell(channels: Sequence[Channel], state: ChannelState) -> None:
     """Give every channel its state as of this tick."""
     rows = zip(
         channels, state.reason.tolist(), state.good_ns.tolist(), state.seen_valid.tolist(),
-        strict=True,
+        state.heard_ns.tolist(), strict=True,
     )  # fmt: skip
-    for channel, reason, good_ns, seen_valid in rows:
+    for channel, reason, good_ns, seen_valid, heard_ns in rows:
         channel.state = _REASONS[reason]
         channel.good_ns = good_ns
+        channel.heard = heard_ns >= 0
         channel.seen_valid = seen_valid
 
 

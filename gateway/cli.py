@@ -30,6 +30,7 @@ VERBS = {
     "warm": "compile ahead of time, for a service that must not",
     "fleet": "many logs in many processes, or on a Dask cluster, into Parquet",
     "fleet-thresholds": "thresholds from a healthy fleet's results",
+    "completion": "a script that completes this program's words in a shell",
     "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
 }
 """Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
@@ -98,6 +99,7 @@ def _main(words: list[str]) -> int:
         logs.reshape(form)
     command = _module(options.verb)
     options.began_s = BEGAN_S
+    options.whole = lambda: _parser(tuple(VERBS))
     try:
         return int(command.run(options))
     except KeyboardInterrupt:

@@ -26,6 +26,7 @@ from gateway.bank import Bank, DriveEstimate
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
+from gateway.contradiction import Contradiction
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
 from gateway.doubt import Doubt
 from gateway.health import (
@@ -55,15 +56,6 @@ COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
 COMM_CAUSES: Final = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
-SPEED_TOLERANCE: Final = 0.15
-SPEED_TOLERANCE_RAD_S: Final = 5.0
-"""At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
-CONTRADICTION_TICKS: Final = 5
-LOCKED_NS: Final = SECOND
-"""A rotor that turns is locked to within this, or its currents and voltages are not what they seem:
-an open phase, a wrong motor."""
-TURNS: Final = 2.0
-"""Times the least speed that is observable."""
 
 
 class Gateway:
@@ -120,9 +112,9 @@ class Gateway:
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         told_apart = config.on_intruder == "tell" and authenticator is not None
         self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
-        self.contradictions = [0] * len(nodes)
-        self.unlocked_ns = [0] * len(nodes)
-        """How long each has turned, by its own word, with no lock to it."""
+        self.contradiction = Contradiction(
+            self.bank.pole_pairs, config.estimator.min_speed_rad_s, config.loop.period_ns
+        )
         self.lost = [False] * len(nodes)
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
@@ -148,7 +140,9 @@ class Gateway:
         self.load.add_block(block, inbox.routes, now)
         self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
-        fresh = [d.fresh(now) for d in inbox.drives]
+        # The older of a pair's two frames is stale first, by up to what they were apart.
+        stale = [reason is Reason.STALE for reason in inputs]
+        fresh = [d.fresh(now) and not old for d, old in zip(inbox.drives, stale, strict=True)]
         estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
         self.motion.take(inbox.motions, self.bank.flux)
         measured = [self._measured_speed(k, now) for k in range(len(self.nodes))]
@@ -157,7 +151,7 @@ class Gateway:
             on_line = speed is not None and self.bank.on_line(k, speed)
             believed = DriveEstimate(Health.INPUT_INVALID) if on_line else estimate
             estimates[k] = self.motion.merge(k, believed, speed)
-            apart = not self.motion.beyond(k) and self._contradicts(k, estimate, now)
+            apart = not self.motion.beyond(k) and self.contradiction.seen(k, estimate, speed)
             if on_line or apart:
                 inputs[k] = worst([inputs[k], Reason.RANGE])
                 estimates[k] = DriveEstimate(Health.INPUT_INVALID)
@@ -208,33 +202,6 @@ class Gateway:
         drive = self.inbox.drives[k]
         motion = drive.motion
         return drive.speed if motion is not None and motion.fresh(now) else None
-
-    def _contradicts(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
-        """True once the measured speed has contradicted the estimated one for long enough.
-
-        It sees what currents alone cannot: swapped phases, an aliased speed, a wrong sign, and that
-        a drive turns to which there is no lock.
-        """
-        drive = self.inbox.drives[k]
-        motion = drive.motion
-        if self._unlocked(k, estimate, now):
-            return True
-        if motion is None or drive.speed is None or estimate.health is not Health.TRACKING:
-            # Whatever was found stands until a tracked speed agrees again.
-            return self.contradictions[k] >= CONTRADICTION_TICKS
-        if motion.fresh(now):
-            limit = max(SPEED_TOLERANCE_RAD_S, SPEED_TOLERANCE * abs(drive.speed))
-            apart = abs((estimate.speed_rad_s or 0.0) - drive.speed) > limit
-            self.contradictions[k] = self.contradictions[k] + 1 if apart else 0
-        return self.contradictions[k] >= CONTRADICTION_TICKS
-
-    def _unlocked(self, k: int, estimate: DriveEstimate, now: Nanos) -> bool:
-        """True once fresh currents of a drive that turns have given no lock for `LOCKED_NS`."""
-        w_e = self.bank.pole_pairs[k] * (self._measured_speed(k, now) or 0.0)
-        turns = abs(w_e) > TURNS * self.config.estimator.min_speed_rad_s
-        lost = turns and estimate.health is Health.CONVERGING
-        self.unlocked_ns[k] = self.unlocked_ns[k] + self.config.loop.period_ns if lost else 0
-        return self.unlocked_ns[k] > LOCKED_NS
 
     def _drive(
         self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason, now: Nanos
@@ -319,15 +286,19 @@ class Gateway:
         return seen, Reason.STARTING
 
     def _comm(self, k: int) -> Flag:
-        """Bad once anything that was valid is stale, silent or corrupted, or we are not alone."""
+        """Bad once anything that was valid is stale, silent or corrupted, or we are not alone.
+
+        Good once all that was heard, the electrical messages with it, has been valid.
+        """
         drive = self.inbox.drives[k]
         if self.lost[k] or self.doubt.intruder:
             return Flag.BAD
         for channel in drive.channels.values():
             if channel.seen_valid and channel.state in COMM_CAUSES:
                 return Flag.BAD
-        known = drive.electrical and all(channel.seen_valid for channel in drive.electrical)
-        return Flag.GOOD if known else Flag.UNKNOWN
+        unheard = [c for c in drive.channels.values() if not c.seen_valid]
+        known = not any(c.heard or c in drive.electrical for c in unheard)
+        return Flag.GOOD if drive.electrical and known else Flag.UNKNOWN
 
     def _common_mode(self) -> Flag:
         flag = self.adhesion.common.flag

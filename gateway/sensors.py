@@ -33,6 +33,13 @@ one minute and two minutes in the next. What it held in health is no limit then.
 STEP_MARGIN: Final = 3.0
 SMALLEST_STEP_K: Final = 2.0
 STEP_READINGS: Final = 3
+SUDDEN: Final = 0.4
+"""Share of a step that has to come from one reading to the next. What comes in smaller portions is
+heat's: a small motor's winding may warm by kelvins within a second."""
+FULL_C: Final = 300.0
+"""The most that a reading can say: a motor that has warmed up to it is as hot or hotter."""
+FULL_STEPS: Final = 5.0
+"""A sensor that was further below it, in limits of a step, has jumped there."""
 FORGET_NS: Final = 10 * SECOND
 """After longer without a valid value the motor may have changed by more than a step's limit."""
 TOGETHER: Final = 2
@@ -46,13 +53,17 @@ class Point:
     __slots__ = (
         "bias_k",
         "changed_ns",
+        "full",
+        "jump",
         "jumped_at",
         "level",
         "raw",
         "seen",
+        "slope",
         "stepped",
         "valid_at",
         "valid_ns",
+        "value",
     )
 
     def __init__(self) -> None:
@@ -60,8 +71,15 @@ class Point:
         self.changed_ns: Nanos = 0
         self.valid_ns: Nanos | None = None
         self.seen = False
+        self.value = 0.0
         self.level = 0.0
         self.stepped = 0
+        self.jump = 0.0
+        """Largest change from one of these readings to the next, beside the slope until then."""
+        self.slope = 0.0
+        """K per reading, of the latest ones."""
+        self.full = False
+        """It has warmed up to `FULL_C`: that it stops there is the wire's doing."""
         self.bias_k = 0.0
         self.valid_at = 0
         """Which of the drive's readings was its last valid one, from 1; 0 if none."""
@@ -95,6 +113,7 @@ class SensorSide:
         self.heard_ns: list[Nanos | None] = [None] * drives
         self.first_ns: list[Nanos] = [0] * drives
         self.readings = [0] * drives
+        self.period_ns = period_ns
         self.limit_ns = 3 * period_ns
 
     def take(self, reading: Temperatures) -> None:
@@ -120,16 +139,30 @@ class SensorSide:
             point.level = value
         step = value - point.level - point.bias_k
         limit = self.step_limit(drive, k)
-        # Eight hundred kilograms do not jump: a step that stays is the sensor's, not heat's.
-        point.stepped = point.stepped + 1 if abs(step) > limit else 0
-        if point.stepped >= STEP_READINGS:
-            point.bias_k += step
-            point.stepped = 0
-            point.jumped_at = self.readings[drive]
-            if abs(point.bias_k) < limit:
-                point.bias_k = 0.0
-        elif not point.stepped:
+        point.full = value >= FULL_C and not back and abs(step) < FULL_STEPS * limit
+        change, passed = 0.0, 1
+        if not back and point.valid_ns is not None:
+            change = value - point.value
+            passed = max(round((reading.t_ns - point.valid_ns) / self.period_ns), 1)
+        beside = change - point.slope * passed
+        if abs(step) > limit and not point.full:
+            point.stepped += 1
+            point.jump = max(point.jump, min(abs(change), abs(beside)))
+        else:
+            point.stepped, point.jump = 0, 0.0
             point.level += 0.2 * step
+        if point.stepped >= STEP_READINGS:
+            # No motor jumps: what stays after a sudden step is the sensor's, not heat's.
+            if point.jump > SUDDEN * abs(step):
+                point.bias_k += step
+                point.jumped_at = self.readings[drive]
+                if abs(point.bias_k) < limit:
+                    point.bias_k = 0.0
+            else:
+                point.level += step
+            point.stepped, point.jump = 0, 0.0
+        point.value = value
+        point.slope += 0.2 * (change / passed - point.slope)
         point.seen = True
         point.valid_ns = reading.t_ns
         point.valid_at = self.readings[drive]
@@ -165,7 +198,8 @@ class SensorSide:
             return FaultClass.SENSOR_LOST
         if point.valid_ns is None:
             return FaultClass.UNKNOWN
-        if now - point.changed_ns > self.hold_ns(drive, k) and now - heard <= self.limit_ns:
+        held = now - point.changed_ns > self.hold_ns(drive, k) and not point.full
+        if held and now - heard <= self.limit_ns:
             return FaultClass.SENSOR_STUCK
         return FaultClass.SENSOR_BIAS if point.bias_k else FaultClass.NONE
 

@@ -235,6 +235,13 @@ def find(name: str) -> Scenario:
     return builtin(name)
 
 
+def path_of(name: str) -> Path:
+    """The file that `find` reads, for who wants to name it. Nothing is looked at."""
+    if Path(name).is_file() or name.endswith(".toml"):
+        return Path(name)
+    return Path(str(resources.files("sim").joinpath("scenarios", f"{name}.toml")))
+
+
 def load(path: Path | str) -> Scenario:
     """Scenario from a file. Raises ScenarioError (also when the file cannot be read)."""
     path = Path(path)

@@ -21,7 +21,8 @@ _HELD = 0.6
 _LEAST = 1.5
 """Hysteresis of the size that is a fault, and K below which it does not reach."""
 
-
+_TWO_APART_K = 3.0
+"""Half of it is as much as passes for dirt and wear of a sensor (`hypotheses.BENIGN_K`)."""
 _UNSURE = 0.15
 """Share by which a signature may be off: sizes are tried in steps of 1.4, and models err."""
 
@@ -161,6 +162,9 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
     Of those that are `trusted` (M,), of all where too few are (fewer than three, but of three
     motors fewer than two); 0 for a train of one motor, NaN where fewer than two others (of two
     motors, or beside one suspect of three: one) have a reading.
+
+    Three motors, all trusted, two of them far apart: one is ill, and the mean of the two would make
+    a healthy third ill the other way round. Believed is who is nearer to the model.
     """
     motors = u.shape[0]
     least = min(2, motors - 1)
@@ -194,7 +198,10 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
                 low, high = (others - 1) // 2, others // 2
                 low += low >= left_out
                 high += high >= left_out
-                out[m, q] = 0.5 * (ranked[low] + ranked[high])
+                below, above = ranked[low], ranked[high]
+                out[m, q] = 0.5 * (below + above)
+                if motors == 3 and others == 2 and above - below > _TWO_APART_K:
+                    out[m, q] = above if abs(above) < abs(below) else below
 
 
 @njit(cache=True)

@@ -20,6 +20,8 @@ SIZE, RATE = STATES - 2, STATES - 1
 MODES = 1 + HEATS + POINTS
 MEAN, SPREAD, CREEP, SHARE = range(4)
 """Of a fresh fault, in a mode's row of `sizes`: K, K, K/s, and of all faults that begin."""
+LOCAL = [1, 3, 4]
+"""Modes whose heat comes into one lump: winding, ends."""
 COOLING = 2
 """Mode whose heat grows with the frame's own excess over the air."""
 SEEN = np.array([0, 3, 4])

@@ -68,9 +68,11 @@ SIZES_K: Final = np.array(
 )
 """Mean and deviation of a fault's size when it begins, how fast it creeps, K/s, and its share.
 
-Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power; a
-small motor's would be its sensor's, else.
+Of heat: K at the mean duty when settled. What heats a winding or a bearing may be of any power.
 """
+ANY_POWER: Final = 100.0
+"""Times those deviations, of the winding and the bearings of a motor that steps are not looked for
+in: its sensor's is all that bends too fast for heat, else."""
 BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
 SHOWN_K: Final = 0.6
@@ -129,10 +131,14 @@ class Watch:
         self.loose_odds = np.array([1 / LOOSE_BEGIN_S, 1 / LOOSE_END_S, 1 / LEARNT_S])
         self.sigma = known.scale * DISTURBANCES
         self.counts = np.array([round(s / dt_s) for s in (steps.BEFORE_S, steps.AFTER_S)])
-        tested = dt_s <= steps.SLOWEST_S and quickest * STEADY_S < 1.0
+        steady = quickest * STEADY_S < 1.0
+        tested = dt_s <= steps.SLOWEST_S and steady
         self.sizes = SIZES_K.copy()
-        if tested:
+        if not steady:
+            self.sizes[models.LOCAL, models.SPREAD] *= ANY_POWER
+        if tested or not steady:
             self.sizes[1 + len(HEAT) :, models.SPREAD] = CAUGHT_K
+        if tested:
             self.sizes[1 + len(HEAT) :, models.SHARE] *= RARER
             self.sizes[:, models.SHARE] /= self.sizes[:, models.SHARE].sum()
         self.how = np.array([

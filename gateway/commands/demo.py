@@ -34,13 +34,15 @@ def run(options: argparse.Namespace) -> int:
     from gateway.results.delays import injected, score, summary_table
     from gateway.results.pictures import Span, loads
     from gateway.results.record import Recorder
+    from gateway.results.trace import Trace
+    from gateway.results.truth import Truth
     from sim.scenario import find
 
     scenario = find(options.scenario)
     drives = tuple({"node": n} for n in range(1, scenario.drives + 1))
     config, codec = prepare(None, thermal=scenario_thermal())
     config = config.model_copy(update={"drive": tuple(Drive(**d) for d in drives)})
-    recorder = Recorder(None, config.nodes)
+    recorder, trace = Recorder(None), Trace(config.nodes)
     seconds = scenario.duration_s if options.duration is None else options.duration
     say = console()
     say.print(f"{scenario.title}: {scenario.drives} drives, {seconds:g} s", markup=False)
@@ -52,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
 
     def watch(tick: int, view: Any) -> None:
         recorder.add(view)
+        trace.add(view)
         if live is not None and tick % 10 == 0:
             from gateway.results.live_table import render
 
@@ -72,10 +75,8 @@ def run(options: argparse.Namespace) -> int:
     )
     options.output.parent.mkdir(parents=True, exist_ok=True)
     spans = [Span(s.start_s, s.end_s, s.drive, "lost") for s in injected(truth)]
-    lines = {
-        n: ([r.t_s for r in truth if r.drive == n], [r.load_nm for r in truth if r.drive == n])
-        for n in config.nodes
-    }
-    loads(options.output, recorder.series, scenario.title, lines, spans)
+    known = Truth()
+    known.add(truth)
+    loads(options.output, trace, scenario.title, known, spans)
     print(f"picture: {options.output}")
     return GOOD

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -23,7 +23,11 @@ from gateway.commands.common import (
 )
 
 if TYPE_CHECKING:
+    from dbc.codec import Codec
+    from gateway.config import Config
     from gateway.drivers.bench import Outcome
+    from gateway.drivers.reporting import Reporting
+    from gateway.results.run_report import Run
 
 HELP = "run scenarios against the gateway and judge their expectations"
 
@@ -37,7 +41,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
                         help="record all frames of the (last) scenario")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
-                        help="report of the timing on a bus, a folder per scenario")  # fmt: skip
+                        help="folder for report.html; tables and pictures by scenario")  # fmt: skip
     add_bus(parser)
 
 
@@ -46,11 +50,13 @@ def run(options: argparse.Namespace) -> int:
     from sim.scenario import find
 
     scenarios = [(name, find(name)) for name in options.scenario]
+    folders = _folders(options.results, options.scenario)
+    runs: list[Run] = []
     suites = ET.Element("testsuites")
     failed = 0
-    for name, scenario in scenarios:
+    for (name, scenario), folder in zip(scenarios, folders, strict=True):
         began = time.perf_counter()
-        verdicts, word = _one(options, name, scenario)
+        verdicts, word = _one(options, name, scenario, folder, runs)
         seconds = time.perf_counter() - began
         bad = [v for v in verdicts if not v.passed]
         failed += len(bad)
@@ -63,51 +69,114 @@ def run(options: argparse.Namespace) -> int:
         path = options.junit
         path.parent.mkdir(parents=True, exist_ok=True)
         ET.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)
+    if runs:
+        from gateway.drivers.reporting import leave
+
+        title = runs[0].title if len(runs) == 1 else f"HIL: {len(runs)} scenarios"
+        print(f"report: {leave(options.results, title, runs, single=len(runs) == 1)}")
     return FAILED if failed else GOOD
 
 
-def _one(options: argparse.Namespace, name: str, scenario: Any) -> tuple[list[Any], int]:
-    """Verdicts, and what the configuration is called on the bus."""
-    outcome = _outcome(options, name, scenario)
+def _folders(results: Path | None, names: Sequence[str]) -> list[Path | None]:
+    """A folder for each scenario; what would have the same name is numbered."""
+    if results is None:
+        return [None] * len(names)
+    results.mkdir(parents=True, exist_ok=True)
+    given: list[str] = []
+    for name in names:
+        stem, count = Path(name).stem, 1
+        while (own := stem if count == 1 else f"{stem}-{count}") in given:
+            count += 1
+        given.append(own)
+    return [results / own for own in given]
+
+
+def _one(
+    options: argparse.Namespace, name: str, scenario: Any, folder: Path | None, runs: list[Run]
+) -> tuple[list[Any], int]:
+    """Verdicts, and what the configuration is called on the bus. A run for the report, if any."""
+    config, codec = fitting(options.config, scenario, options)
+    if folder is None:
+        outcome = _outcome(options, name, scenario, config, codec)
+    else:
+        from gateway.drivers.reporting import Reporting
+
+        left = Reporting(folder, config, codec)
+        try:
+            outcome = _outcome(options, name, scenario, config, codec, left)
+        finally:
+            left.close()
+        runs.append(_kept(options, name, scenario, left, outcome))
     return outcome.verdicts, outcome.gateway.outbox.config_hash
 
 
-def _outcome(options: argparse.Namespace, name: str, scenario: Any) -> Outcome:
-    config, codec = fitting(options.config, scenario, options)
-    if hasattr(options, "interface") or hasattr(options, "channel"):
+def _kept(
+    options: argparse.Namespace, name: str, scenario: Any, left: Reporting, outcome: Outcome
+) -> Run:
+    """What the report says of a scenario."""
+    from gateway.commands.run import options_name
+    from gateway.drivers.reporting import file_facts, span_facts
+    from sim.scenario import path_of
+
+    facts = [
+        *file_facts(path_of(name), "scenario"),
+        ("seed", str(scenario.seed)),
+        ("bus", options_name(options) if _on_bus(options) else "none: a virtual clock"),
+        *span_facts(left.trace, outcome.gateway.inbox.counts["received"]),
+    ]
+    inside = f"{left.folder.name}/"
+    return left.run(scenario.title, facts, inside=inside, verdicts=outcome.verdicts)
+
+
+def _on_bus(options: argparse.Namespace) -> bool:
+    return hasattr(options, "interface") or hasattr(options, "channel")
+
+
+def _outcome(
+    options: argparse.Namespace,
+    name: str,
+    scenario: Any,
+    config: Config,
+    codec: Codec,
+    left: Reporting | None = None,
+) -> Outcome:
+    if _on_bus(options):
         from gateway.drivers.hilbus import run_on_real_bus
 
-        folder = options.results / Path(name).stem if options.results else None
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-        return run_on_real_bus(options, name, scenario, config, codec, folder)
+        return run_on_real_bus(options, name, scenario, config, codec, left)
     from gateway.drivers.bench import run_virtual
 
-    if options.results:
-        from gateway.config import ConfigError
-
-        raise ConfigError("--results", ["the virtual clock is never late; name a bus (-i, -c)"])
     key = None
     if config.authentication is not None:
         from gateway.drivers.credentials import flag_key
 
         key = flag_key(config.authentication.key, config.base)
-    if options.output is None:
-        with _progress(scenario) as watch:
+    with ExitStack() as stack:
+        watch = stack.enter_context(_progress(scenario))
+        if options.output is not None:
+            watch.append(stack.enter_context(_recording(options.output, paired=key is not None)))
+        if left is None:
             return run_virtual(scenario, config, codec, watch, key=key)
+        watch.append(lambda _now, _received, _sent, view: left.add(view))
+        return run_virtual(
+            scenario, config, codec, watch, key=key, begin=left.begin, truth=left.add_truth
+        )
+
+
+@contextmanager
+def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
+    """Writes all frames. paired: each Auth frame stays behind its flag frame."""
     from dbc.candump import Writer
 
-    writer = Writer(out_file(options.output))
+    writer = Writer(out_file(path))
 
     def record(_now: int, received: list[Any], sent: list[Any], _view: Any) -> None:
-        # Each Auth frame stays behind its flag frame, which it would not by its identifier.
-        ours = sent if key else sorted(sent)
+        ours = sent if paired else sorted(sent)
         for frame in sorted([*received, *ours], key=lambda frame: frame.t_ns):
             writer.write(frame._replace(channel="vcan0"))
 
     try:
-        with _progress(scenario) as watch:
-            return run_virtual(scenario, config, codec, [record, *watch], key=key)
+        yield record
     finally:
         writer.close()
 

@@ -1,4 +1,7 @@
-"""`monitor [LOG]`: what goes on, on a bus or in a log. Reads only."""
+"""`monitor [LOG]`: what goes on, on a bus or in a log. Reads only.
+
+A form of it is a few lines in `run`: `need` for its extra, `open_source`, then whatever draws.
+"""
 
 from __future__ import annotations
 

@@ -16,10 +16,14 @@ from gateway.commands.common import (
     prepare,
     track_file,
 )
+from gateway.config import ConfigError
 
 if TYPE_CHECKING:
     from dbc.candump import Reader
+    from dbc.codec import Codec
+    from gateway.config import Config
     from gateway.drivers.replay import Replayed
+    from gateway.drivers.reporting import Reporting
     from gateway.results.record import Recorder
 
 HELP = "run the gateway over a recorded log, as fast as the machine can"
@@ -32,8 +36,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_signature(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.log",
                         help="the gateway's own frames, as candump -L writes them")  # fmt: skip
-    parser.add_argument("--results", type=Path, metavar="DIR",
-                        help="folder for flags.csv, estimates.csv and pictures")  # fmt: skip
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR",
+        help="folder for report.html, flags.csv, estimates.csv and pictures",
+    )  # fmt: skip
+    parser.add_argument(
+        "--truth", type=Path, metavar="CSV",
+        help="what was really so, as `sim --truth` writes it, for the report",
+    )  # fmt: skip
     parser.add_argument(
         "--detector",
         help="override [adhesion] detector (vb, median, kmeans, vmp, paper_vb, paper_vb_reuse)",
@@ -58,42 +68,77 @@ def run(options: argparse.Namespace) -> int:
         raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
     log = open_log(options.log, options.strict)
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
-    recorder = Recorder(options.results, config.nodes, series=options.results is not None)
+    left = _reporting(options, config, codec)
+    recorder = Recorder(None) if left is None else left.recorder
+    take = recorder.add if left is None else left.add
     writer = Writer(out_file(options.output)) if options.output else None
 
+    def make(start: int) -> Gateway:
+        gateway = Gateway(config, codec, start)
+        if left is not None:
+            left.begin(gateway)
+        return gateway
+
     def sink(_now: int, out: list[Any], view: Any) -> None:
-        recorder.add(view)
+        take(view)
         if writer is not None:
             for frame in out:
                 writer.write(frame, blocks.name or "")
 
     began = time.perf_counter()
     try:
-        done = replay(
-            blocks,
-            lambda start: Gateway(config, codec, start),
-            config.loop.period_ns,
-            sink,
-        )
+        done = replay(blocks, make, config.loop.period_ns, sink)
     finally:
         recorder.close()
         if writer is not None:
             writer.close()
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
-    if options.results:
-        from gateway.results.pictures import loads
-
-        word = f"ConfigHash {done.gateway.outbox.config_hash:06x}\n"
-        (options.results / "configuration.txt").write_text(word, encoding="ascii")
-        for suffix in ("png", "svg"):
-            loads(options.results / f"loads.{suffix}", recorder.series, options.log.name)
     _summary(log.reader, done, recorder)
     console().print(
         f"replayed {span:.2f} s of {done.channel or 'the log'} in {seconds:.2f} s "
         f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks"
     )
+    if left is not None:
+        print(f"report: {_report(options, left, done, log.reader)}")
     return GOOD
+
+
+def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Reporting | None:
+    """What keeps the run for a report, if one is wanted."""
+    if options.results is None:
+        if options.truth is not None:
+            raise ConfigError("--truth", ["is for the report; say where to with --results"])
+        return None
+    from gateway.drivers.reporting import Reporting
+    from gateway.results.truth import check
+
+    if options.truth is not None:
+        check(options.truth)
+    return Reporting(options.results, config, codec)
+
+
+def _report(
+    options: argparse.Namespace, left: Reporting, done: Replayed, reader: Reader | None
+) -> Path:
+    """Write it; its path."""
+    from gateway.drivers.reporting import leave, replay_facts
+    from gateway.results.page import literal
+    from gateway.results.truth import read
+
+    facts = replay_facts(options.log, done, left.trace)
+    notes = []
+    if reader is not None:
+        lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
+        facts.append(("lines of the log", ", ".join(f"{name} {n:,}" for name, n in lines)))
+    if options.truth is not None:
+        left.truth, same = read(options.truth, done.first_ns / 1e9, done.last_ns / 1e9)
+        facts.append(("truth", literal(options.truth.name)))
+        if not same:
+            notes.append("The truth is on another clock than the log: its 0 is taken for the "
+                         "log's first frame.")  # fmt: skip
+    run = left.run(options.log.name, facts, notes=notes)
+    return leave(options.results, f"Replay of {options.log.name}", [run], single=True)
 
 
 def _summary(reader: Reader | None, done: Replayed, recorder: Recorder) -> None:

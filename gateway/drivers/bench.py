@@ -19,6 +19,7 @@ from gateway.outbox import GatewayView
 from gateway.results.expect import FlagTrack, Verdict, judge
 from sim.scenario import Scenario
 from sim.simulation import Simulation
+from sim.truth import Truth
 
 if TYPE_CHECKING:
     from dbc.authentication import Authenticator
@@ -70,11 +71,14 @@ def run_virtual(
     watch: Iterable[Watch] = (),
     duration_s: float | None = None,
     key: bytes | None = None,
+    begin: Callable[[Gateway], None] | None = None,
+    truth: Callable[[list[Truth]], None] | None = None,
 ) -> Outcome:
     """Run on the virtual clock, starting at 0. Raises ConfigError as `Gateway` does.
 
     The gateway starts the drives, whatever the configuration says, which is named as it is.
-    key: flags are authenticated with it, and the drives believe no others.
+    key: flags are authenticated with it, and the drives believe no others. begin: is given the
+    gateway before its first tick; truth: takes what is really so, tick by tick.
     """
     watch = tuple(watch)
     authenticator, verifier = both_sides(key)
@@ -83,6 +87,8 @@ def run_virtual(
     )
     gateway = Gateway(config, codec, 0, authenticator)
     node = CanopenNode(config.nodes, nmt_master=True)
+    if begin is not None:
+        begin(gateway)
     track = FlagTrack(codec, config.nodes)
     period = config.loop.period_ns
     sent: list[Frame] = []
@@ -90,6 +96,9 @@ def run_virtual(
     for tick in range(round(seconds * config.loop.rate_hz) + 1):
         now = tick * period
         received = simulation.step(sent, now)
+        rows = simulation.truth_rows()
+        if truth is not None:
+            truth(rows)
         sent = gateway.step(received, now) + node.step(received, now)
         track.add(sent)
         assert gateway.view is not None

@@ -54,7 +54,7 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
     mark = fingerprint(one.path, settings)
     codec = _codec(config.dbc_path, config.nodes)
     blocks = OneChannel(log.blocks, settings.log_channel)
-    recorder = Recorder(None, config.nodes, series=False)
+    recorder = Recorder(None)
     ended_ns = 0
     with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from argparse import Namespace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
@@ -15,12 +15,18 @@ from gateway.drivers.bench import Outcome, touched_drives
 from gateway.drivers.bus import open_transport
 from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.credentials import flag_authenticator, private_file
-from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
+from gateway.drivers.live import LiveSnapshot, Stop, run_live
 from gateway.drivers.permission import Mode, allowed
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
 from sim.scenario import Scenario
+
+if TYPE_CHECKING:
+    from gateway.drivers.reporting import Reporting
+
+TRUTH = "truth.csv"
+"""What is really so, among the results."""
 
 
 def bus_arguments(options: Namespace) -> list[str]:
@@ -48,12 +54,13 @@ def run_on_real_bus(
     scenario: Scenario,
     config: Config,
     codec: Codec,
-    results: Path | None = None,
+    left: Reporting | None = None,
 ) -> Outcome:
     """Run in real time, until the drives have left.
 
     Scenario time starts with the first frame heard from a drive; what is said after its end, when
-    the drives are leaving, is not judged. results: folder for a report of the timing.
+    the drives are leaving, is not judged. left: what keeps the run for a report, and the truth
+    that the drives' process writes into its folder, on their clock.
     """
     ticker = Ticker(config.loop.period_ns)
     warm_up(config, codec)
@@ -62,9 +69,13 @@ def run_on_real_bus(
     transport = open_transport(options, allowed(Mode.HIL, config, codec))
     track = FlagTrack(codec, config.nodes)
     stop = Stop()
+    if left is not None:
+        left.begin(gateway)
+        (left.folder / TRUTH).unlink(missing_ok=True)
     child = subprocess.Popen(
         [sys.executable, "-m", "gateway", "sim", name, "--wait-for-start",
-         "--dbc", str(codec.path), *bus_arguments(options), *_authentication(config, gateway)],
+         "--dbc", str(codec.path), *bus_arguments(options), *_authentication(config, gateway),
+         *([] if left is None else ["--truth", str(left.folder / TRUTH)])],
     )  # fmt: skip
     first: list[Nanos] = []
     duration = round(scenario.duration_s * SECOND)
@@ -74,6 +85,8 @@ def run_on_real_bus(
             first.append(seen.now_ns)
         if not first or seen.now_ns - first[0] <= duration:
             track.add(seen.sent)
+            if left is not None and first and gateway.view is not None:
+                left.add(gateway.view)
         if child.poll() is not None:
             stop()
 
@@ -84,9 +97,10 @@ def run_on_real_bus(
         if child.poll() is None:
             child.terminate()
         child.wait(timeout=10)
-    if results is not None:
-        title = f"Timing of {scenario.title}, configuration {gateway.outbox.config_hash:06x}"
-        leave_timing(results, seen, title, ticker.period_ns)
+    if left is not None:
+        left.take_timing(seen, ticker.period_ns)
+        if child.returncode == 0:  # or its last row may be half of one
+            left.read_truth(left.folder / TRUTH)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
     return Outcome(scenario, verdicts, gateway)

@@ -266,7 +266,7 @@ class Observer:
         if (word := gateway.config_hash) is not None and word != self._hash:
             self._hash = word
             if word != self._own_hash:
-                text = f"the gateway's configuration is {word}, the one given here {self._own_hash}"
+                text = f"configuration {word}, not {self._own_hash} as here: no sigma"
                 happenings.note(now, WARNING, None, text)
         for name in [name for name in self._doubled if not self.tracks[name].doubled(now)]:
             self._doubled.remove(name)

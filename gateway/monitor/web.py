@@ -234,6 +234,8 @@ def bind(where: Listen) -> socket.socket:
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             made.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, STUCK_MS)
         made.bind(address)
+        # Whoever reads the address may ask at once: it waits until there is a server.
+        made.listen(CONNECTIONS)
     except OSError as error:
         made.close()
         cure = "; name another port" if error.errno == 98 else ""

@@ -50,11 +50,17 @@ class Expectation(Protocol):
 
 
 class Verdict(NamedTuple):
-    """One expectation, judged for one drive (0: the set)."""
+    """One expectation, judged for one drive (0: the set).
+
+    delay_ms: when the state was first seen, from `after_s`; limit_ms: by when it had to be; None
+    where it was not seen, or no time was set.
+    """
 
     text: str
     passed: bool
     detail: str
+    delay_ms: float | None = None
+    limit_ms: float | None = None
 
 
 class FlagTrack:
@@ -111,13 +117,15 @@ def _one(expect: Expectation, seen: list[tuple[int, Flag]], node: int, start_ns:
     first = next((t for t, state in seen if t >= after and state is wanted), None)
     if expect.never:
         detail = "held" if first is None else f"seen at {(first - start_ns) / 1e9:.3f} s"
-        return Verdict(text, first is None and bool(seen), detail if seen else "no flag frame")
+        delay_ms = None if first is None else (first - after) / 1e6
+        held = first is None and bool(seen)
+        return Verdict(text, held, detail if seen else "no flag frame", delay_ms)
     limit = None if expect.within_ms is None else expect.within_ms
     if limit is not None:
         text += f" within {limit:g} ms"
     if first is None:
         last = seen[-1][1].name.lower() if seen else "no flag frame"
-        return Verdict(text, False, f"not seen; last: {last}")
+        return Verdict(text, False, f"not seen; last: {last}", None, limit)
     delay_ms = (first - after) / 1e6
     passed = limit is None or delay_ms <= limit
-    return Verdict(text, passed, f"after {delay_ms:.0f} ms")
+    return Verdict(text, passed, f"after {delay_ms:.0f} ms", delay_ms, limit)

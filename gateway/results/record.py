@@ -1,9 +1,8 @@
-"""What a run leaves behind: `flags.csv`, `estimates.csv` and the series for the pictures."""
+"""What a run leaves behind: `flags.csv`, `estimates.csv`, and when flags changed."""
 
 from __future__ import annotations
 
 import csv
-from array import array
 from pathlib import Path
 from typing import TextIO
 
@@ -25,25 +24,11 @@ def camel(name: str) -> str:
     return "".join(part.capitalize() for part in name.split("_"))
 
 
-class Series:
-    """Columns of one drive for a picture, one entry per tick; flat memory per tick."""
-
-    def __init__(self) -> None:
-        self.t_s = array("d")
-        self.load_nm = array("d")
-        self.sigma_nm = array("d")
-        self.speed_rad_s = array("d")
-        self.adhesion = array("b")
-        self.mixed_c = array("d")
-
-
 class Recorder:
     """Collects views tick by tick; writes both tables while it goes."""
 
-    def __init__(self, folder: Path | None, nodes: tuple[int, ...], *, series: bool = True) -> None:
-        """folder: where the tables go, None for none; series: keep what pictures need."""
-        self._keep = series
-        self.series = {node: Series() for node in nodes}
+    def __init__(self, folder: Path | None) -> None:
+        """folder: where the tables go, None for none."""
         self.changes: list[tuple[int, int, str, str]] = []
         self._last: dict[int, tuple[Flag, Flag]] = {}
         self._files: list[TextIO] = []
@@ -58,29 +43,17 @@ class Recorder:
 
     def add(self, view: GatewayView) -> None:
         """Take one tick."""
-        seconds = view.t_ns / 1e9
-        nan = float("nan")
         for d in view.drives:
             flags = d.adhesion, d.thermal
             if self._last.get(d.node) != flags:
                 self._change(view.t_ns, d)
                 self._last[d.node] = flags
-            if not self._keep:
-                continue
-            words = (("adhesion", ADHESION[d.adhesion]), ("thermal", FAULT[d.thermal]))
-            series = self.series[d.node]
-            series.t_s.append(seconds)
-            series.load_nm.append(nan if d.load_nm is None else d.load_nm)
-            series.sigma_nm.append(nan if d.load_sigma_nm is None else d.load_sigma_nm)
-            series.speed_rad_s.append(nan if d.speed_rad_s is None else d.speed_rad_s)
-            series.adhesion.append(d.adhesion)
-            series.mixed_c.append(nan if d.mixed_c is None else d.mixed_c)
             if self._flags is None or self._estimates is None:
                 continue
             t_s = f"{view.t_ns // 1_000_000_000}.{view.t_ns % 1_000_000_000:09d}"
             reason = d.adhesion_reason or d.thermal_reason
             self._flags.writerow(
-                (t_s, d.node, words[0][1], words[1][1], camel(Reason(reason).name))
+                (t_s, d.node, ADHESION[d.adhesion], FAULT[d.thermal], camel(Reason(reason).name))
             )
             self._estimates.writerow(
                 (

@@ -53,3 +53,26 @@ def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: s
     cases = suite.findall("testcase")
     assert int(suite.get("tests", 0)) == len(cases) >= len(scenario.expect)
     assert suite.get("failures") == "0"
+
+
+def test_the_report_of_a_real_bus_has_timing_and_truth(vcan: Vcan, folder: Path) -> None:
+    """Verdicts are not asked for here: a machine that stalls has a report too."""
+    used = setting(vcan, folder, builtin("release").drives, slower=vcan.own_kernel)
+    results = folder / "results"
+    command = program(vcan, "hil", "release", *used.bus, "--config", str(used.config),
+                      "--results", str(results))  # fmt: skip
+    done = subprocess.run(command, check=False, capture_output=True)
+    said = done.stdout.decode()
+    assert done.returncode in (0, 1), said + done.stderr.decode()
+    assert f"report: {results / 'report.html'}" in said
+    text = (results / "report.md").read_text()
+    verdicts = [line for line in text.splitlines() if line.startswith(("| ok |", "| **FAILED** |"))]
+    assert len(verdicts) == sum(line.startswith("     ") for line in said.splitlines())
+    assert ("**FAILED:" in text) == (done.returncode == 1)
+    # The drives' process has left what was true, on a clock that begins as the report's does.
+    assert "| 1 | adhesion | loss |" in text
+    begin = next(line for line in text.splitlines() if line.startswith("| 1 | adhesion | loss |"))
+    assert abs(float(begin.split("|")[4]) - 2.0) < 0.1
+    assert "| frame to flag |" in text
+    for name in ("timing.csv", "truth.csv", "flags.csv", "drive3.svg"):
+        assert (results / "release" / name).stat().st_size > 100

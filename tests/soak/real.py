@@ -69,6 +69,8 @@ class Watch:
         self.books, self.stop, self.told = books, stop, told
         self.kernel = kernel
         self.every, self.most = round(every_s * SECOND), round(most_s * SECOND)
+        self.left: int | None = None
+        """Frames received when all had been sent: what is still in the socket comes after."""
         self.first: Nanos | None = None
         self.due: Nanos = 0
         self.ages: list[float] = []
@@ -86,8 +88,12 @@ class Watch:
             self.books.read((now - self.first) / SECOND / 3600.0)
             decided = self.decided()
             self.ages.append(float("nan") if decided is None else (now - decided) / 1e6)
-            if self.told.exists() or now - self.first > self.most:
+            if now - self.first > self.most:
                 self.stop()
+        if self.left == seen.status.received:
+            self.stop()
+        if self.told.exists():
+            self.left = seen.status.received
 
 
 def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, object]:

@@ -97,7 +97,7 @@ def wrong_speed(monkeypatch):
         ]
 
     monkeypatch.setattr(core.Bank, "advance", advance)
-    monkeypatch.setattr(core.Gateway, "_contradicts", lambda *_: False)
+    monkeypatch.setattr(core.Contradiction, "seen", lambda *_: False)
 
 
 def counter_stands_still(monkeypatch):

@@ -241,6 +241,45 @@ def test_a_heartbeat_that_was_seen_and_stops_is_a_communication_fault():
     assert view.drives[1].adhesion is Flag.GOOD
 
 
+def test_a_message_that_was_heard_and_never_valid_is_not_known_to_be_good():
+    motion = Sender(CODEC, "Drive1_Motion")
+    bench = Bench(gateway(), drives())
+    bench.run(60)
+    assert bench.view.comm is Flag.GOOD
+
+    def once(frames, now):
+        return [*frames, motion.frame(now, Speed=955.0)]
+
+    bench.run(1, once)
+    assert bench.run(60).comm is Flag.UNKNOWN
+    bench.run(1, once)
+    assert bench.run(5).comm is Flag.UNKNOWN, "the one of long ago says nothing of this one"
+    bench.run(1, once)
+    assert bench.run(1).comm is Flag.GOOD
+
+
+def test_a_pair_is_as_stale_as_its_older_frame():
+    """CommonMode and Health would, else, outlive the flags by a tick."""
+
+    def early_currents(frames, now):
+        return [
+            f._replace(t_ns=f.t_ns - MS) if 0x181 <= f.can_id <= 0x183 else f
+            for f in frames
+        ]  # fmt: skip
+
+    said = set()
+    for later in range(13 * MS, 20 * MS, MS // 2):
+        bench = Bench(gateway(), drives())
+        bench.run(60, early_currents)
+        bench.core.step([], bench.tick * TICK + later)
+        view = bench.view
+        good = [d.adhesion is Flag.GOOD for d in view.drives]
+        said.add(tuple(good))
+        assert [d.health is Health.TRACKING for d in view.drives] == good, later
+        assert (view.common_mode is Flag.GOOD) is any(good), later
+    assert said == {(True,) * 3, (False,) * 3}
+
+
 def test_single_lost_frames_are_bridged_and_counted():
     bench = Bench(gateway(), drives())
     bench.run(60)

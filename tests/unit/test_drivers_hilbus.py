@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,7 +17,9 @@ from gateway.drivers import hilbus
 from gateway.drivers.bench import Outcome
 from gateway.drivers.hilbus import bus_arguments, run_on_real_bus
 from gateway.drivers.realtime import Ticker
+from gateway.drivers.reporting import Reporting, leave
 from gateway.drivers.transport import SendResult, Status
+from gateway.results.truth import HEADER
 from sim.scenario import Scenario, parse_text
 from sim.simulation import Simulation
 
@@ -46,6 +50,8 @@ class World:
         self.status = Status()
         self.ended_ns = LATE_NS + round(scenario.duration_s * SECOND)
         self.terminated = False
+        self.returncode = 0
+        self.words: list[str] = []
         self._simulation = Simulation(scenario, codec, self_start=False)
         self._sent: list[Frame] = []
 
@@ -71,6 +77,14 @@ class World:
     def close(self) -> None:
         pass
 
+    def start(self, words: list[str]) -> World:
+        """The drives' process; of the truth it leaves one row."""
+        self.words = words
+        if "--truth" in words:
+            path = Path(words[words.index("--truth") + 1])
+            path.write_text(f"{','.join(HEADER)}\n0.010,1,2.5,0,9.5,0,1,0\n")
+        return self
+
     def poll(self) -> int | None:
         """The process is gone a while after its last frame."""
         return 0 if self.now_ns > self.ended_ns + 100 * MS else None
@@ -84,20 +98,23 @@ class World:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Callable[[World, Scenario, Config, Codec], Outcome]:
-    def run(world: World, scenario: Scenario, config: Config, codec: Codec) -> Outcome:
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+    def run(
+        world: World, scenario: Scenario, config: Config, codec: Codec,
+        left: Reporting | None = None,
+    ) -> Outcome:  # fmt: skip
         monkeypatch.setattr(
             hilbus, "Ticker", lambda period: Ticker(period, lambda: world.now_ns, world.sleep)
         )
         monkeypatch.setattr(hilbus, "open_transport", lambda *_: world)
-        monkeypatch.setattr(hilbus.subprocess, "Popen", lambda _: world)
-        return run_on_real_bus(Namespace(), "nothing", scenario, config, codec)
+        monkeypatch.setattr(hilbus, "subprocess", SimpleNamespace(Popen=world.start))
+        return run_on_real_bus(Namespace(), "nothing", scenario, config, codec, left)
 
     return run
 
 
 def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(
-    run: Callable[[World, Scenario, Config, Codec], Outcome],
+    run: Callable[..., Outcome],
 ) -> None:
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
@@ -109,6 +126,31 @@ def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(
     assert outcome.gateway.view.comm == 2  # it was said, after the end
     assert world.now_ns < world.ended_ns + 200 * MS
     assert not world.terminated
+
+
+def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(
+    run: Callable[..., Outcome], tmp_path: Path
+) -> None:
+    scenario = parse_text(SCENARIO, "nothing")
+    config = parse({"drive": [{"node": 1}, {"node": 2}]})
+    codec = bind(config.dbc_path, config.nodes)
+    left = Reporting(tmp_path / "s", config, codec)
+    (tmp_path / "s" / "truth.csv").write_text("of another run\n")
+    outcome = run(World(scenario, codec), scenario, config, codec, left)
+    left.close()
+    kept = left.run(scenario.title, [], inside="s/", verdicts=outcome.verdicts)
+    leave(tmp_path, scenario.title, [kept], single=True)
+    text = (tmp_path / "report.md").read_text()
+    assert "| frame to flag |" in text
+    assert "(s/timing.svg)" in text
+    assert "virtual clock" not in text
+    assert f"**Passed: {len(outcome.verdicts)} of {len(outcome.verdicts)} expectations" in text
+    assert left.trace.span_s == 1.0
+    assert left.truth is not None
+    assert left.truth.nodes == {1}
+    assert not list(left.intervals.other_bad()), "the drives' leaving is not the scenario's"
+    assert "lateness" in (tmp_path / "s" / "timing.csv").read_text()
+    assert (tmp_path / "report.html").read_text().count("data:image/svg+xml") == 4
 
 
 def test_bus_options_are_handed_on() -> None:

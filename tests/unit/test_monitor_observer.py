@@ -99,7 +99,7 @@ def test_the_uncertainty_is_the_shadows_where_it_agrees_and_nothing_where_not():
     shown = play(Observer(codec(), other), run.frames, END)
     assert [row.load_sigma_nm for row in shown.drives] == [None] * 3
     assert [row.load_nm is not None for row in shown.drives] == [True] * 3
-    assert any("configuration is" in text for text in texts(shown))
+    assert any("as here: no sigma" in text for text in texts(shown))
 
 
 def test_what_is_too_old_is_unknown():

@@ -4,9 +4,6 @@ import asyncio
 import sys
 
 import pytest
-
-pytest.importorskip("textual", reason="the extra `monitor` is not installed")
-
 from rich.text import Text
 
 from gateway.cli import main

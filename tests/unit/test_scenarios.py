@@ -55,7 +55,7 @@ def test_the_same_scenario_gives_the_same_bytes():
 def test_a_cut_drive_is_released_and_comes_back_to_full_torque():
     """The loop closed on the bus: lost, cut to 30 %, regained, released within a second, ramped."""
     commands = []
-    recorder = Recorder(None, (1, 2, 3))
+    recorder = Recorder(None)
 
     def watch(now, _rx, _tx, view):
         recorder.add(view)

@@ -165,3 +165,31 @@ def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_ha
     assert {r.thermal for r in well} == {Flag.GOOD}
     ill = play(ThermalSide(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.3)
     assert [r.fault_class for r in ill] == [FaultClass.NONE, FaultClass.BEARING, FaultClass.NONE]
+
+
+@pytest.mark.parametrize("per_reading", [0.1, 0.3, 0.8, 2.0])
+def test_what_warms_reading_by_reading_is_no_sensors_step(per_reading):
+    rig = Rig()
+    rig.run(50)
+    for k in range(60):
+        hole = (0,) if 40 <= k < 44 else ()
+        assert rig.run(1, (k * per_reading, 0, 0), hole) == HEALTHY, k
+    assert rig.run(50, (60 * per_reading, 0, 0)) == HEALTHY, "nor is it when it ends"
+    jumped = rig.run(20, (60 * per_reading + 9, 0, 0))[-1]
+    assert jumped == (FaultClass.SENSOR_BIAS, FaultSensor.STATOR)
+
+
+def test_a_motor_that_warms_beyond_what_a_reading_can_say_is_neither_offset_nor_stuck():
+    side = SensorSide(1, 100 * MS)
+    for k in range(6000):
+        celsius = (min(60.0 + 0.7 * k, 300.0), 50.0 + 0.1 * (k % 2), 48.0 + 0.1 * (k % 2), 20.0)
+        raw = tuple(round(10 * c) for c in celsius)
+        now = (k + 1) * 100 * MS
+        side.take(Temperatures(0, now, celsius, (True,) * 4, raw))
+        assert side.verdict(0, now) == HEALTHY[0]
+
+
+def test_a_reading_that_jumps_to_the_end_of_its_range_is_an_offset():
+    rig = Rig()
+    rig.run(50)
+    assert rig.run(20, (240.0, 0, 0))[-1] == (FaultClass.SENSOR_BIAS, FaultSensor.STATOR)

@@ -276,6 +276,17 @@ def test_the_peers_median_is_pulled_by_no_fault_and_by_no_suspect():
     np.testing.assert_array_equal(beside(np.array([[3.0, 4.0, 5.0]])), 0.0)
 
 
+def test_of_three_motors_the_ill_one_does_not_make_the_others_ill():
+    """The mean of two is half of what is wrong with one of them."""
+    u = np.repeat([[6.0], [6.5], [40.0]], 3, axis=1)
+    for sign in (1.0, -1.0):
+        np.testing.assert_array_equal(beside(sign * u)[0], sign * 6.5)
+        np.testing.assert_array_equal(beside(sign * u)[1], sign * 6.0)
+        np.testing.assert_array_equal(beside(sign * u)[2], sign * 6.25)
+    u[2] = 8.5
+    np.testing.assert_array_equal(beside(u)[0], 7.5, "what weather may do is taken out")
+
+
 def test_a_fault_leaves_the_baselines_of_the_others_alone(known):
     """Motors that have aged apart: a median over raw residuals would step when one falls ill."""
     z = healthy_beside(seed=3)

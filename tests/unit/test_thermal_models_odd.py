@@ -211,14 +211,14 @@ def test_a_sensor_that_begins_within_a_burst_is_not_believed_to_step_or_burst():
 
 def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     rng = np.random.default_rng(3)
-    motors, together = 5, 16
+    motors, together = 6, 16
     raw = 0.25 * rng.standard_normal((motors, 3, together))
     raw[rng.random(raw.shape) < 0.2] = np.nan
     raw[1, 0, 4:9] = 25.0
     raw[2, 1, 5:] = np.nan
     raw[2, 1, :5] = 0.0
     block, base = raw - 3.0, rng.standard_normal((motors, 3))
-    held = np.array([False, True, False, False, False])
+    held = np.arange(motors) == 1
     odds, middle, off = (np.empty((motors, 3)) for _ in range(3))
     before, shift = np.ones(motors, dtype=np.bool_), np.empty((motors, 3))
     kernels.close(

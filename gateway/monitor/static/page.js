@@ -27,7 +27,7 @@ let frozen = false; // a bus goes on; only the picture stands still
 
 const bar = new TimeBar((what) => {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(what));
-}, (still) => { frozen = still; });
+}, (still) => { frozen = still; draw(); });
 
 function known() {
   return socket?.readyState === WebSocket.OPEN && performance.now() - heardMs < OLD_MS;

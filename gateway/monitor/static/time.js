@@ -100,8 +100,8 @@ export class TimeBar {
 
   key(event) {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
-    if (event.target.closest("button, select, input, a, [tabindex='0']")
-        && event.key === " ") return;
+    // Those have a use of their own for it; the slider has none.
+    if (event.target.closest("button, select, a, [tabindex='0']") && event.key === " ") return;
     if (event.key === " ") {
       event.preventDefault();
       this.toggle();

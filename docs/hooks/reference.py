@@ -1,0 +1,238 @@
+"""Pages of the site that are made of the code: commands, keys, messages, the API.
+
+mkdocs calls `on_files`. Nothing of it is committed, so nothing of it can be out of date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import os
+import pkgutil
+import re
+import types
+import typing
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import cantools
+from annotated_types import Ge, Gt, Le, Lt
+from cantools.database import Signal
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+import dbc
+import estimators
+import gateway
+import sim
+from gateway import cli, config
+from sim import scenario, scenarios
+from sim.tables import Strict as SimStrict
+
+ROOT = Path(__file__).parents[2]
+SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}
+BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
+NUMBERED = "Drive1_"
+_NUMBERED = re.compile("(Adhesion|Thermal)([2-9]|1[0-6])")
+"""Of sixteen alike drives and flags the first stands for all."""
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add what is generated."""
+    for name, text in pages().items():
+        files.append(File.generated(config, f"reference/{name}.md", content=text))
+    return files
+
+
+def pages() -> dict[str, str]:
+    """Markdown of every generated page by name."""
+    os.environ["COLUMNS"] = "96"
+    return {
+        "commands": commands(),
+        "configuration": configuration(),
+        "scenarios": scenario_page(),
+        "messages": messages("traction.dbc"),
+        "messages_fd": messages("traction_fd.dbc"),
+        **{f"api_{package.__name__}": api(package) for package in (dbc, estimators, gateway, sim)},
+    }
+
+
+def commands() -> str:
+    """What `--help` says of every verb."""
+    out = [
+        "# Commands",
+        "",
+        "Exit codes: 0 good, 1 an expectation failed, 2 bad input or configuration.",
+        "",
+    ]
+    for verb in cli.VERBS:
+        out += [f"## {verb}", "", "```text", _help(verb).rstrip(), "```", ""]
+    return "\n".join(out)
+
+
+def _help(verb: str) -> str:
+    parser = cli._parser([verb])
+    verbs = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    return str(verbs.choices[verb].format_help())
+
+
+def configuration() -> str:
+    """Every key of the configuration, and the commented example."""
+    example = (ROOT / "examples" / "train.toml").read_text(encoding="utf-8")
+    out = [
+        "# Configuration", "",
+        "TOML, read once and validated as a whole: every problem is listed with its path, and "
+        "unknown keys are refused. All of it with comments, as it ships in `examples/train.toml`:",
+        "",
+        "```toml", example.rstrip(), "```", "",
+    ]  # fmt: skip
+    sections = {
+        "bus": config.Bus, "loop": config.Loop, "dbc": config.Dbc, "drive": config.Drive,
+        "motor.NAME": config.Motor, "estimator": config.Estimator, "adhesion": config.Adhesion,
+        "thermal": config.Thermal, "canopen": config.Canopen,
+        "authentication": config.Authentication,
+    }  # fmt: skip
+    for name, model in sections.items():
+        out += [f"## [{name}]", "", _about(model), "", *_table(model), ""]
+    return "\n".join(out)
+
+
+def scenario_page() -> str:
+    """Keys of scenario files, and the scenarios that ship."""
+    out = [
+        "# Scenarios",
+        "",
+        "One TOML file is a simulated run, a test on the virtual clock and a test on a real bus.",
+        "",
+    ]
+    out += ["## Top level", "", *_table(scenario.Scenario), ""]
+    for name, part in (("event", scenario.Event), ("expect", scenario.Expect)):
+        out += [f"## [[{name}]]", "", _about(part), "", *_table(part), ""]
+    for name, field in scenario.Scenario.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, SimStrict):
+            out += [f"## [{name}]", "", _about(kind), "", *_table(kind), ""]
+    out += ["## Shipped", "", "| name | title |", "|---|---|"]
+    for path in sorted(Path(scenarios.__path__[0]).glob("*.toml")):
+        title = scenario.load(str(path)).title
+        out.append(f"| `{path.stem}` | {title} |")
+    return "\n".join([*out, ""])
+
+
+def _about(model: type[BaseModel]) -> str:
+    return inspect.getdoc(model) or ""
+
+
+def _table(model: type[BaseModel]) -> list[str]:
+    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
+    for name, field in model.model_fields.items():
+        if field.exclude:
+            continue
+        cells = (f"`{field.alias or name}`", _type(field), _default(field), field.description or "")
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return rows
+
+
+def _type(field: FieldInfo) -> str:
+    return f"`{_words(field.annotation)}{_limits(field.metadata)}`"
+
+
+def _words(kind: typing.Any) -> str:
+    """A type as a person writes it."""
+    origin, args = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Annotated:
+        return _words(args[0]) + _limits(_rules(args[1:]))
+    if origin is typing.Literal:
+        return " | ".join(f'"{value}"' for value in args)
+    if origin in (typing.Union, types.UnionType):
+        return " | ".join(_words(part) for part in args if part is not types.NoneType)
+    if origin is tuple and len(set(args)) == 1:
+        return f"{len(args)} x {_words(args[0])}"
+    if origin in (list, tuple):
+        parts = " , ".join(_words(part) for part in args if part is not ...)
+        return f"list of {parts}" if origin is list or ... in args else f"({parts})"
+    return kind.__name__ if isinstance(kind, type) else str(kind)
+
+
+def _rules(metadata: Iterable[typing.Any]) -> Iterator[typing.Any]:
+    for rule in metadata:
+        yield from rule.metadata if isinstance(rule, FieldInfo) else (rule,)
+
+
+def _limits(metadata: Iterable[typing.Any]) -> str:
+    shown = [
+        f" {SIGNS[type(rule)]} {getattr(rule, BOUNDS[type(rule)])}"
+        for rule in metadata
+        if type(rule) in SIGNS
+    ]
+    return ",".join(shown)
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True)
+    return "defaults" if isinstance(value, BaseModel) else f"`{value!r}`"
+
+
+def messages(name: str) -> str:
+    """The message set as cantools reads it."""
+    bus = cantools.database.load_file(Path(dbc.__path__[0]) / name, strict=True)
+    out = [
+        f"# Message set: {name}",
+        "",
+        "Generated from the DBC. n is the drive, 1 to 16; little endian.",
+        "",
+    ]
+    for message in sorted(bus.messages, key=lambda m: (not m.name.startswith("Gateway"), m.name)):
+        if message.name.startswith("Drive") and not message.name.startswith(NUMBERED):
+            continue
+        title = message.name.replace(NUMBERED, "Drive{n}_")
+        base = message.frame_id - (1 if message.name.startswith(NUMBERED) else 0)
+        where = f"0x{base:03X} + n" if message.name.startswith(NUMBERED) else f"0x{base:03X}"
+        cycle = f", every {message.cycle_time} ms" if message.cycle_time else ""
+        by = ", ".join(message.senders).replace("Drive1", "Drive{n}")
+        out += [
+            f"## {title}",
+            "",
+            f"`{where}`, {message.length} bytes, from {by}{cycle}. {message.comment or ''}",
+            "",
+        ]
+        out += ["| signal | bits | value | unit | meaning |", "|---|---|---|---|---|"]
+        out += [_signal(s) for s in message.signals if not _NUMBERED.fullmatch(s.name)]
+        out.append("")
+    return "\n".join(out)
+
+
+def _signal(signal: Signal) -> str:
+    name = f"`{signal.name}`"
+    if signal.name in ("Adhesion1", "Thermal1"):
+        name += f" .. `{signal.name}6`, 2 bits each"
+    bits = f"{signal.start}\\|{signal.length}{' signed' if signal.is_signed else ''}"
+    value = "" if (signal.scale, signal.offset) == (1, 0) else f"x {signal.scale}"
+    value += f" {signal.offset:+}" if signal.offset else ""
+    if signal.minimum is not None:
+        value += f" ({signal.minimum} .. {signal.maximum})"
+    words = ", ".join(f"{int(k)} {v}" for k, v in sorted((signal.choices or {}).items()))
+    meaning = " ".join(part for part in (signal.comment, words) if part)
+    return f"| {name} | {bits} | {value.strip()} | {signal.unit or ''} | {meaning} |"
+
+
+def api(package: object) -> str:
+    """A heading per public module; mkdocstrings fills in what its docstrings say."""
+    name = getattr(package, "__name__")  # noqa: B009
+    out = [f"# {name}", ""]
+    for module in _modules(package):
+        out += [f"::: {module}", ""]
+    return "\n".join(out)
+
+
+def _modules(package: object) -> Iterator[str]:
+    name, path = getattr(package, "__name__"), getattr(package, "__path__")  # noqa: B009
+    for info in sorted(pkgutil.walk_packages(path, f"{name}."), key=lambda i: i.name):
+        parts = info.name.split(".")
+        hidden = any(part.startswith("_") for part in parts) or "scenarios" in parts
+        if not hidden and parts[-1] not in {"build", "plugin"} and parts[1:2] != ["commands"]:
+            yield info.name

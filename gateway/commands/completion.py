@@ -1,0 +1,42 @@
+"""`completion SHELL`: what a shell needs to complete verbs, options and files."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+from gateway.commands.common import GOOD
+from gateway.config import ConfigError
+
+HELP = "a script for bash, zsh or tcsh that completes this program's words"
+SHELLS = ("bash", "zsh", "tcsh")
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("shell", choices=SHELLS)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print it. Nothing of it is asked of the program again: completing costs no start."""
+    try:
+        import shtab
+    except ImportError:
+        raise ConfigError(
+            "completion", ["needs shtab: pip install 'traction-gateway[completion]'"]
+        ) from None
+    parser = options.whole()
+    _files(parser, shtab.FILE)
+    print(shtab.complete(parser, shell=options.shell))
+    return GOOD
+
+
+def _files(parser: argparse.ArgumentParser, how: Mapping[str, object]) -> None:
+    """Complete what is a path, or may be one, with the names of files."""
+    for action in parser._actions:  # noqa: SLF001 - argparse has no other way to ask
+        if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
+            for verb in action.choices.values():
+                _files(verb, how)
+        elif action.type is Path or action.dest in ("scenario", "config"):
+            action.complete = how  # type: ignore[attr-defined]

@@ -1,0 +1,101 @@
+"""The site builds without a warning, and no link of it leads nowhere."""
+
+import logging
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+
+from gateway import cli
+from gateway.config import Config
+from tests.docs.pages import ROOT
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning"),
+]
+
+
+class Page(HTMLParser):
+    """Anchors and references of one page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.anchors: set[str] = set()
+        self.links: list[str] = []
+        self.text: list[str] = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name == "id" and value:
+                self.anchors.add(value)
+            if value and ((tag == "a" and name == "href") or name == "src"):
+                self.links.append(value)
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    said = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: said.append(record.getMessage())
+    logging.getLogger("mkdocs").addHandler(handler)
+    try:
+        build(load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder)))
+    finally:
+        logging.getLogger("mkdocs").removeHandler(handler)
+    assert not said, "\n".join(said)
+    return {path: Page(path) for path in folder.rglob("*.html")}, folder
+
+
+def test_no_link_leads_nowhere(site):
+    pages, _ = site
+    broken = []
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc or path.name == "404.html":
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            target = target / "index.html" if target.is_dir() else target
+            if not target.exists():
+                broken.append(f"{path.name}: {link}")
+            elif target in pages and parts.fragment:
+                anchors = pages[target].anchors
+                if unquote(parts.fragment) not in anchors and parts.fragment != "__skip":
+                    broken.append(f"{path.name}: {link}")
+    assert len(pages) > 30
+    assert not broken
+
+
+def test_the_reference_names_every_verb_section_and_message(site):
+    pages, folder = site
+
+    def text(name):
+        return "".join(pages[folder / "reference" / name].text)
+
+    assert all(f"traction-gateway {verb}" in text("commands.html") for verb in cli.VERBS)
+    keys = text("configuration.html")
+    sections = [name for name in Config.model_fields if name not in ("base", "sealed", "motor")]
+    assert [name for name in sections if f"[{name}]" not in keys] == []
+    assert "[motor.NAME]" in keys
+    for name in ("messages.html", "messages_fd.html"):
+        assert "Gateway_Adhesion" in text(name)
+        assert "Drive{n}_Temperatures" in text(name)
+    assert "Drive{n}_Samples" in text("messages_fd.html")
+    assert "wet_one" in text("scenarios.html")
+
+
+def test_the_reference_has_the_docstrings(site):
+    pages, folder = site
+    core = "".join(pages[folder / "reference" / "api_gateway.html"].text)
+    assert "Take the frames of one tick, give the frames to send." in core
+    maths = pages[folder / "reference" / "api_estimators.html"].anchors
+    assert {"estimators.ekf", "estimators.ukf", "estimators.detect.median"} <= maths
