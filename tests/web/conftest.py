@@ -19,9 +19,12 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 DESK, PHONE = (1366, 900), (390, 844)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
-    """Debian's chromium, headless. Playwright's own is not downloaded: benches are offline."""
+    """Debian's chromium, headless. Playwright's own is not downloaded: benches are offline.
+
+    Of a module: while it is there, no other test in this process can run an event loop.
+    """
     path = next((found for name in NAMES if (found := shutil.which(name))), None)
     if path is None:
         reason = "no chromium here (apt-get install chromium)"
