@@ -253,10 +253,13 @@ def sweep(
             held[m] = likeliest if kind[k, m, likeliest] > 0.5 else -1
             healthy = 1.0 - kind[k, m].sum()
             trusted[m] = healthy > 0.5
+            # Between its bursts a loose connector reads as a good one does: not learnt meanwhile,
+            # wear and dirt would pass for heat afterwards.
+            calm = 1.0 - kind[k, m, : _HEAT + _POINTS].sum()
             for q in range(_POINTS):
                 if math.isfinite(off[q]):
                     most = 3.0 * sigma[m, q]
-                    baseline[m, q] += rates[7] * healthy * min(max(off[q], -most), most)
+                    baseline[m, q] += rates[7] * calm * min(max(off[q], -most), most)
 
 
 @njit(cache=True)

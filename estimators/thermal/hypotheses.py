@@ -144,6 +144,9 @@ def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
     lasts[APART_LASTS - 1 :] = True
     for back in range(1, APART_LASTS):
         lasts[back:] &= told[back:] == told[:-back]
+    # A burst in a motor that seems ill already is another kind of the same side, for one sample.
+    kinds = kind.argmax(axis=-1)
+    lasts[1:] &= kinds[1:] == kinds[:-1]
     return np.where(lasts, told, 0)
 
 

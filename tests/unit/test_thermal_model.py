@@ -199,6 +199,8 @@ def test_hours_apart_a_side_has_to_last_and_to_be_surer():
     assert _apart([({"bearing_de": 0.9, "bias_de": 0.002}, 0.0)] * 4) == [0] * 4
     assert _apart([({"loose_de": 0.9}, 0.0)] * 4) == [0, 0, -1, -1]
     assert _apart([({"loose_de": 0.6, "overheating": 0.3}, 0.0)] * 4) == [0] * 4, "a likely burst"
+    air, end = ({"cooling_loss": 0.9}, 0.0), ({"bearing_de": 0.99}, 0.0)
+    assert _apart([air, air, air, end, air, end, end]) == [0, 0, 1, 0, 0, 0, 1], "a burst, twice"
 
 
 @pytest.mark.parametrize("sensor", ["bias_stator", "bias_de", "bias_nde"])
@@ -221,6 +223,21 @@ def test_a_loose_connector_is_told(known):
     belief = believe(z, known, shapes(360))
     assert belief.kind[bursts[3] : 260, 1, KINDS.index("loose_stator")].mean() > 0.7
     assert belief.fault[:180].mean() < 0.05
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_wear_between_the_bursts_of_a_loose_connector_is_learnt(known, seed):
+    """Else it passes for lost cooling once the connector is forgotten."""
+    z = healthy_beside(seed=20 + seed)
+    wear = np.clip((np.arange(360) - 110) / 160.0, 0.0, 1.0)
+    z[:, 1] += 6.0 * wear[:, None] * shapes(360)[:, KINDS.index("cooling_loss")]
+    plain = believe(z, known, shapes(360))
+    rng = np.random.default_rng(seed)
+    z[100 + np.flatnonzero(rng.random(200) < 0.06), 1, 1] += 30.0
+    belief = believe(z, known, shapes(360))
+    hot = (belief.side[100:, 1] > 0).mean()
+    assert hot <= (plain.side[100:, 1] > 0).mean() + 0.01
+    assert belief.kind[120:300, 1, KINDS.index("loose_de")].max() > 0.9
 
 
 def test_missing_points_say_nothing_and_break_nothing(known):
