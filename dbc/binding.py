@@ -19,6 +19,7 @@ from dbc.contract import Contract, Direction, MessageNeed, SignalNeed
 from dbc.dataids import p02_data_ids
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
 from dbc.protection import HEADER_BYTES, Profile
+from dbc.refusal import explained
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 
 if TYPE_CHECKING:
@@ -48,13 +49,14 @@ def load(path: Path, *, strict: bool = True) -> Database:
     from cantools.database.errors import Error
 
     try:
-        impossible = list(oversized(path.read_bytes()))
+        text = path.read_bytes()
+        impossible = list(oversized(text))
     except FileNotFoundError:
         raise DbcMismatch(path, ["no such file"]) from None
     except (OSError, ValueError) as error:
         # ValueError: a NUL in the name, which a TOML string may hold.
-        why = error.strerror if isinstance(error, OSError) else error
-        raise DbcMismatch(path, [f"cannot be read: {why}"]) from None
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DbcMismatch(path, [f"cannot be read: {reason}"]) from None
     if impossible:
         raise DbcMismatch(path, impossible)
     quiet = logging.getLogger("cantools.database.can.database")
@@ -64,10 +66,10 @@ def load(path: Path, *, strict: bool = True) -> Database:
     try:
         database = load_file(path, database_format="dbc", strict=strict)
     except Error as error:
-        raise DbcMismatch(path, [_one_line(error)]) from None
+        raise DbcMismatch(path, explained(_one_line(error), text)) from None
     except Exception as error:  # cantools lets bare KeyErrors and others escape
-        text = f"cannot be read as a DBC: {type(error).__name__}: {_one_line(error)}"
-        raise DbcMismatch(path, [text]) from None
+        why = f"cannot be read as a DBC: {type(error).__name__}: {_one_line(error)}"
+        raise DbcMismatch(path, [why]) from None
     finally:
         quiet.setLevel(before)
     return database  # type: ignore[return-value]

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dbc import build
+from dbc.binding import load
 from dbc.codec import DbcMismatch, bind
 from dbc.contract import ANY, CLASSIC, FD
 from dbc.dataids import p02_data_ids
@@ -261,6 +262,47 @@ def test_real_files_that_are_refused(name: str, text: str) -> None:
     (problem,) = problems_of(FOREIGN / name, (), ANY)
     assert text in problem
     assert "\n" not in problem
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "cure", "broken", "mended"),
+    [
+        ("kona_pcan_head.dbc", 6, 'add a line "BU_: XXX"', r"^BO_ 127 ", "BU_: XXX\nBO_ 127 "),
+        ("opendbc_tesla_excerpt.dbc", 49, "delete the line", r"^VAL_ 568 UI_map.*\n", ""),
+    ],
+)
+def test_the_cure_of_a_refused_file_cures_it(
+    tmp_path: Path, name: str, line: int, cure: str, broken: str, mended: str
+) -> None:
+    (problem,) = problems_of(FOREIGN / name, (), ANY)
+    assert problem.startswith(f"line {line}: ")
+    assert cure in problem
+    text = (FOREIGN / name).read_text(encoding="cp1252")
+    path = tmp_path / "mended.dbc"
+    path.write_text(re.sub(broken, mended, text, count=1, flags=re.MULTILINE), encoding="cp1252")
+    assert load(path).messages
+
+
+def test_any_other_syntax_error_has_its_line_and_no_invented_cure(tmp_path: Path) -> None:
+    path = tmp_path / "bracket.dbc"
+    path.write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ x : 0|8@1+ (1,0) [0|1 "" A\n')
+    (problem,) = problems_of(path, (), ANY)
+    assert "line 4" in problem
+    assert "correct this line" in problem
+    assert "BU_" not in problem
+
+
+def test_every_unused_value_table_has_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "tables.dbc"
+    head = 'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ x : 0|8@1+ (1,0) [0|1] "" A\n'
+    path.write_text(head + 'VAL_ 1 y 0 "a" ;\nVAL_ 2 x 0 "a" ;\n')
+    first, second = problems_of(path, (), ANY)
+    assert first.startswith("line 5: VAL_ 1 y: ")
+    assert second.startswith("line 6: VAL_ 2 x: ")
+    path.write_text(head + 'VAL_ 1 y 0 "a" ;\nVAL_\n2 x 0 "a" ;\n')
+    first, second = problems_of(path, (), ANY)
+    assert first.startswith("line 5: VAL_ 1 y: ")
+    assert second.startswith("VAL_ 2 x: ")
 
 
 def test_cycle_time_that_is_no_time(tmp_path: Path) -> None:

@@ -1,0 +1,47 @@
+"""Why cantools refuses a DBC, in words: which line, what is wrong with it, what to do.
+
+cantools names the place where its grammar stopped, or names things without a place. Two causes
+are common in files of others and have a cure that is sure; any other syntax error gets its line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+_SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
+_UNUSED: Final = re.compile(r"VAL_ (\d+) (\w+)")
+_MESSAGE: Final = re.compile(rb"\s*BO_\s+\d+\s")
+_NODES: Final = re.compile(rb"^\s*BU_\s*:", re.MULTILINE)
+
+
+def explained(said: str, text: bytes) -> list[str]:
+    """Problems, one a line with its cure, of what cantools said (in one line) of this file."""
+    lines = text.splitlines()
+    if said.startswith("unused VAL_ entries"):
+        return list(_unused(said, lines)) or [said]
+    if match := _SYNTAX.match(said):
+        number = int(match[1])
+        if 1 <= number <= len(lines) and _MESSAGE.match(lines[number - 1]):
+            before = b"\n".join(lines[: number - 1])
+            if not _NODES.search(before):
+                return [
+                    f"line {number}: the first message (BO_) stands before any list of nodes; "
+                    f'add a line "BU_: XXX" above it ({said})'
+                ]
+        return [f"{said}; correct this line, or the one before it, or take both out"]
+    return [said]
+
+
+def _unused(said: str, lines: list[bytes]) -> Iterator[str]:
+    """The lines of value tables whose message or signal the file does not have."""
+    for can_id, signal in dict.fromkeys(_UNUSED.findall(said)):
+        table = re.compile(rf"\s*VAL_\s+{can_id}\s+{signal}\s".encode())
+        found = [k for k, line in enumerate(lines, 1) if table.match(line)]
+        # In another encoding, or over two lines: named, although without a place.
+        for where in [f"line {k}: " for k in found] or [""]:
+            yield (
+                f"{where}VAL_ {can_id} {signal}: a value table of a signal that the file does not "
+                f"have; delete the line, or define {signal} in message {can_id}"
+            )
