@@ -19,7 +19,7 @@ from dbc.contract import Contract, Direction, MessageNeed, SignalNeed
 from dbc.dataids import p02_data_ids
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
 from dbc.protection import HEADER_BYTES, Profile
-from dbc.refusal import explained
+from dbc.refusal import explained, placed
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 
 if TYPE_CHECKING:
@@ -115,7 +115,8 @@ def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
         except DbcMismatch:
             raise refused from None
         refusal = refused.problems
-        problems += layout_faults(database)
+        text = path.read_bytes()
+        problems += [placed(fault, text) for fault in layout_faults(database)]
     messages = [m for m in database.messages if hasattr(m, "frame_id")]
     problems += duplicates(messages)
     if not problems:

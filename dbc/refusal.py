@@ -13,6 +13,9 @@ from typing import Final
 _SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _UNUSED: Final = re.compile(r"VAL_ (\d+) (\w+)")
 _MESSAGE: Final = re.compile(rb"\s*BO_\s+\d+\s")
+_NAMED: Final = re.compile(rb"\s*BO_\s+\d+\s+(\w+)\s*:")
+_SIGNAL: Final = re.compile(rb"\s*SG_\s+(\w+)")
+_PLACE: Final = re.compile(r"(\w+)(?:\.(\w+))?: ")
 _NODES: Final = re.compile(rb"^\s*BU_\s*:", re.MULTILINE)
 
 
@@ -32,6 +35,21 @@ def explained(said: str, text: bytes) -> list[str]:
                 ]
         return [f"{said}; correct this line, or the one before it, or take both out"]
     return [said]
+
+
+def placed(fault: str, text: bytes) -> str:
+    """A fault of a message or signal, `Message.Signal: ..`, with the line where that stands."""
+    found = _PLACE.match(fault)
+    names = [name.encode() if name else None for name in found.groups()] if found else [None] * 2
+    inside = False
+    for number, line in enumerate(text.splitlines(), 1):
+        if message := _NAMED.match(line):
+            inside = message[1] == names[0]
+            if inside and names[1] is None:
+                return f"{fault} (line {number})"
+        elif inside and (signal := _SIGNAL.match(line)) and signal[1] == names[1]:
+            return f"{fault} (line {number})"
+    return fault
 
 
 def _unused(said: str, lines: list[bytes]) -> Iterator[str]:

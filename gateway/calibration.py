@@ -111,8 +111,13 @@ def of(config: Config) -> Calibration | None:
 
 
 def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
-    """24 bits that name configuration, DBC (its digest) and calibration: `ConfigHash`."""
-    return config.hash24(dbc, cells.checksum() if cells else "")
+    """24 bits that name configuration, DBC (its digest) and calibration: `ConfigHash`.
+
+    Foreign DBCs that drives' signals are mapped from are a part of it.
+    """
+    mapped = [config.base / d.signals.dbc for d in config.drive if d.signals is not None]
+    theirs = "".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in mapped)
+    return config.hash24(dbc + theirs, cells.checksum() if cells else "")
 
 
 def load(

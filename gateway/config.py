@@ -13,12 +13,15 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    SerializerFunctionWrapHandler,
     ValidationError,
     field_validator,
+    model_serializer,
     model_validator,
 )
 
 from dbc.text import TomlError, printable, read_toml
+from gateway.signals import Signals
 
 BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
 
@@ -121,6 +124,15 @@ class Drive(Strict):
     motor: str = "bench"
     sensors: tuple[SensorName, ...] = get_args(SensorName)
     """Temperature sensors that the motor has; the others' signals are never looked at."""
+    signals: Signals | None = Field(None, description="of an inverter with messages of its own")
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without signals a configuration has the hash that it had before there were any."""
+        out: dict[str, Any] = handler(self)
+        if self.signals is None:
+            out.pop("signals", None)
+        return out
 
     @field_validator("sensors")
     @classmethod
@@ -257,6 +269,13 @@ class Config(Strict):
     def motors(self) -> dict[str, Motor]:
         """All motors by name; the built-in ones are always there unless redefined."""
         return {"bench": BENCH_MOTOR, "traction_350kw": TRACTION_350KW, **self.motor}
+
+    def unmapped(self) -> Config:
+        """The same drives, as if they spoke our message set: those can be simulated."""
+        if all(drive.signals is None for drive in self.drive):
+            return self
+        drives = tuple(drive.model_copy(update={"signals": None}) for drive in self.drive)
+        return self.model_copy(update={"drive": drives})
 
     @property
     def nodes(self) -> tuple[int, ...]:

@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from dbc.block import Block
+from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
-from gateway import calibration
+from gateway import calibration, foreign
 from gateway.adhesion import AdhesionSide
 from gateway.bank import Bank, DriveEstimate
 from gateway.busload import BusLoad
@@ -46,6 +46,7 @@ from gateway.outbox import DriveView, GatewayView, Outbox
 from gateway.slow import RPM
 from gateway.supervision import Life, Supervision
 from gateway.thermal import Report, ThermalSide
+from gateway.translate import Translator
 
 if TYPE_CHECKING:
     from dbc.authentication import Authenticator
@@ -77,12 +78,15 @@ class Gateway:
         self.config = config
         self.nodes = nodes
         self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS)
-        self.inbox = Inbox(codec, nodes, config.loop.period_ns, self.supervision)
+        planned = foreign.plans(config)
+        taken = foreign.fitted(codec, planned)
+        self.translator = Translator(planned, taken) if planned else None
+        self.inbox = Inbox(taken, nodes, config.loop.period_ns, self.supervision)
         self.sum_limit_a = [0.1 * m.I_rated for m in motors]
         missing = [d.node for d in self.inbox.drives if not d.channels]
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
-        self.bank = Bank(motors, config.estimator, _current_step_a(codec), config.loop.period_ns)
+        self.bank = Bank(motors, config.estimator, _current_step_a(taken), config.loop.period_ns)
         self.motion = MotionSide(
             motors, config.estimator, _timing(self.inbox.drives), config.loop.period_ns
         )
@@ -134,10 +138,14 @@ class Gateway:
         """Take the frames of one tick, give the frames to send. Never raises on wire data."""
         inbox = self.inbox
         own = inbox.counts["own"]
-        block = inbox.take(frames, now)
+        if self.translator is None:
+            heard = inbox.take(frames, now)
+        else:
+            heard = (frames if isinstance(frames, Block) else block_of(frames)).ordered()
+            inbox.take(self.translator.take(heard, now, inbox.counts), now)
         self.doubt.tick(now, inbox.counts["own"] - own)
         # Our own frames are counted as they go out; in a log they stand a second time.
-        self.load.add_block(block, inbox.routes, now)
+        self.load.add_block(heard, inbox.routes, now)
         self.lost = [self.supervision.life(node, now) is Life.LOST for node in self.nodes]
         inputs = [self._input_reason(k) for k in range(len(self.nodes))]
         # The older of a pair's two frames is stale first, by up to what they were apart.
@@ -347,11 +355,13 @@ class Gateway:
 
 def _current_step_a(codec: Codec) -> float:
     """Resolution of the currents on the bus, A: its quantisation noise is part of R."""
-    for spec in codec.messages:
-        for signal in spec.signals:
-            if spec.kind in (ELECTRICAL[0], SAMPLES) and signal.name in ("Ia", "Ia_0"):
-                return float(abs(signal.scale))
-    return 0.0
+    steps = [
+        float(abs(signal.scale))
+        for spec in codec.messages
+        for signal in spec.signals
+        if spec.kind in (ELECTRICAL[0], SAMPLES) and signal.name in ("Ia", "Ia_0")
+    ]
+    return max(steps, default=0.0)
 
 
 def _timing(drives: Sequence[DriveInput]) -> Timebase:

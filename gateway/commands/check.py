@@ -12,9 +12,12 @@ from gateway.config import ConfigError
 from gateway.stuffing import bits_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from dbc.codec import Codec, MessageSpec
     from dbc.frame import Frame
     from gateway.config import Config
+    from gateway.foreign import Plan
 
 HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
@@ -33,17 +36,24 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work."""
-    from gateway import calibration
+    from gateway import calibration, foreign
+    from gateway.commands.check_signals import told
 
     config, codec = prepare(options.config, signature=options)
+    planned = foreign.plans(config)
+    foreign.fitted(codec, planned)
     word = calibration.config_hash(config, codec.digest, calibration.of(config))
     print(f"configuration  good, hash {word:06x}")
     print(f"message set    {codec.path.name}: {len(codec.messages)} messages fit the contract")
-    percent = bus_load(codec, config)
+    for plan in planned:
+        print("\n".join(told(plan)))
+    percent = bus_load(codec, config, planned)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")
     if not options.no_timing:
-        frames, times_us = measure(config, codec)
+        frames, times_us = measure(config.unmapped(), codec)
+        if planned:
+            print("timing         as if all drives spoke our message set: without translation")
         _tell_loads(codec, config, frames)
         _tell_timing(times_us, config.loop.period_ns / 1e3)
     calibrated = (
@@ -112,8 +122,11 @@ def frame_seconds(spec: MessageSpec, bitrate: int, data_bitrate: int) -> float:
     )
 
 
-def bus_load(codec: Codec, config: Config) -> float:
-    """Percent of the bus that the configured drives and the gateway take."""
+def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> float:
+    """Percent of the bus that the configured drives and the gateway take.
+
+    planned: drives of other makers, of which only the messages in use are known.
+    """
     from gateway.outbox import VOUCHED, Outbox
 
     outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
@@ -123,8 +136,12 @@ def bus_load(codec: Codec, config: Config) -> float:
     if config.authentication is not None:
         follows = sum(1e9 / outbox.specs[name].cycle_ns for name in VOUCHED)
         busy += frame_seconds(outbox.auth, bus.bitrate, bus.data_bitrate) * follows
-    for spec in codec.messages:
-        if spec.cycle_ns and (spec.node in config.nodes or spec.name in ours):
+    mapped = {plan.node for plan in planned}
+    native = [node for node in config.nodes if node not in mapped]
+    theirs = {spec.key: spec for plan in planned for spec in plan.codec.messages}
+    for spec in (*codec.messages, *theirs.values()):
+        used = spec.node in native or spec.name in ours or spec.key in theirs
+        if spec.cycle_ns and used:
             busy += frame_seconds(spec, bus.bitrate, bus.data_bitrate) * 1e9 / spec.cycle_ns
     heartbeats = (47 + 8 + (33 + 8) // 4) / bus.bitrate * 10 * (len(config.nodes) + 1)
     return 100.0 * (busy + heartbeats)

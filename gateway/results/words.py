@@ -7,7 +7,8 @@ from typing import Final
 from gateway.health import REJECTED, Reason
 
 COUNTS: Final = {
-    "received": "frames that came in, of any kind",
+    "received": "frames that came in, of any kind; of mapped inverters those made of theirs",
+    "translated": "frames of a mapped inverter, of whose signals ours are made",
     "decoded": "drives' frames whose content was used",
     "canopen": "heartbeats, emergencies and other CANopen frames that supervision reads",
     "own": "frames with the gateway's own identifiers: in a log its earlier words, left out",

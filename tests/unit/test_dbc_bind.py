@@ -141,10 +141,10 @@ def test_all_overlaps_and_misfits_not_only_the_first(tmp_path: Path) -> None:
         message(7, "C", 8, signal("R", 7, 12, order=0), signal("S", 12, 2)),
     )
     assert sorted(problems_of(path, (), ANY)) == [
-        "A.Z: does not fit in 2 bytes",
-        "A: X and Y overlap",
-        "A: Y and Z overlap",
-        "C: R and S overlap",
+        "A.Z: does not fit in 2 bytes (line 10)",
+        "A: X and Y overlap (line 7)",
+        "A: Y and Z overlap (line 7)",
+        "C: R and S overlap (line 17)",
     ]
 
 

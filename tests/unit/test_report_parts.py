@@ -195,7 +195,10 @@ def test_a_configuration_as_toml_is_the_same_configuration():
         "motor": {'a b\n"\\\x7f\u00e9': Config().motors["bench"].model_dump()},
         "authentication": {"key": "k"},
     }
-    for config in (Config(), parse(odd), load(GOLDEN.parents[1] / "examples/train16.toml")):
+    examples = GOLDEN.parents[1] / "examples"
+    files = [examples / "train16.toml", *sorted((examples / "inverters").glob("*.toml"))]
+    assert len(files) == 8
+    for config in (Config(), parse(odd), *map(load, files)):
         text = dump(config)
         again = parse(tomllib.loads(text), base=config.base)
         assert again == config
@@ -240,9 +243,9 @@ def test_headings_of_the_same_name_have_names_of_their_own():
 
 
 def test_every_counter_and_reason_has_words():
-    assert set(NAMES) | {"received", "canopen", "unknown_id", "unpaired", "late"} == set(
-        words.COUNTS
-    )
+    assert set(NAMES) | {
+        "received", "translated", "canopen", "unknown_id", "unpaired", "late",
+    } == set(words.COUNTS)  # fmt: skip
     assert set(REJECTED) <= set(words.NOT_USED) <= set(words.COUNTS)
     assert set(words.REASONS) == set(Reason) - {Reason.NONE}
 

@@ -1,0 +1,76 @@
+"""What `check` says of an inverter with messages of its own: what it can give, and what not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from gateway.foreign import given
+
+if TYPE_CHECKING:
+    from gateway.foreign import Plan
+
+TURN: Final = 8
+"""Samples in an electrical revolution that the filters follow by the currents alone."""
+
+
+def told(plan: Plan) -> list[str]:
+    """Lines, the first with the drive's name."""
+    first = f"drive {plan.node}"
+    lines = [*_sources(plan), *_limits(plan)]
+    return [f"{first if k == 0 else '':<14} {line}" for k, line in enumerate(lines)]
+
+
+def _sources(plan: Plan) -> Iterator[str]:
+    names = {
+        "PhaseCurrents": "currents", "StatorVoltages": "voltages", "Motion": "motion",
+        "Status": "torque, RMS current", "Temperatures": "temperatures",
+    }  # fmt: skip
+    yield f"{plan.signals.dbc}, identifiers moved by {plan.signals.id_offset:#x}"
+    for kind, parts in given(plan.signals).items():
+        cycle_ms = plan.spec[kind].cycle_ns / 1e6
+        yield f"{names[kind]} from {', '.join(parts)}, every {cycle_ms:g} ms"
+
+
+def _limits(plan: Plan) -> Iterator[str]:
+    kinds = given(plan.signals)
+    use = plan.signals.use
+    adhesion = [
+        text
+        for text, there in (
+            ("no phase currents", "PhaseCurrents" in kinds),
+            ("no voltages", "StatorVoltages" in kinds),
+            ("no torque or command", "Status" in kinds),
+        )
+        if not there
+    ]
+    if adhesion:
+        yield f"adhesion: always Unknown: {', '.join(adhesion)}"
+    else:
+        yield from _rate(plan, measured="Motion" in kinds)
+    thermal = [
+        text
+        for text, there in (
+            ("no temperature", "Temperatures" in kinds),
+            ("no RMS current", "Status" in kinds),
+            ("no measured speed with a torque", "Motion" in kinds),
+            ("no ambient temperature", "Tambient" in use),
+        )
+        if not there
+    ]
+    if thermal:
+        yield f"thermal by the model: always Unknown: {', '.join(thermal)}"
+    if "Torque" not in use and "Iq" in use and ("Motion" in kinds or "Status" in kinds):
+        yield "torque: of the magnets alone, 1.5 p psi_pm Iq"
+    if "TorqueCommand" not in use and "Status" in kinds:
+        yield "torque command: none; the torque stands for it"
+    if "Counter" not in use:
+        yield "no counter: a lost frame shows by the time only, a repeated one not at all"
+    yield "no checksum: a corrupted frame that a controller lets pass is believed"
+
+
+def _rate(plan: Plan, *, measured: bool) -> Iterator[str]:
+    cycle_s = plan.spec["PhaseCurrents"].cycle_ns / 1e9
+    rpm = 60.0 / (TURN * cycle_s * plan.motor.pole_pairs)
+    above = "by its measured speed" if measured else "perhaps not at all: no measured speed"
+    yield f"adhesion: {TURN} samples a turn up to {rpm:.0f} rpm; above that {above}"

@@ -1,0 +1,108 @@
+"""`[drive.signals]`: which signals of a foreign DBC stand for ours. Names and numbers only."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Quantity = Literal[
+    "Ia", "Ib", "Ic", "Ialpha", "Ibeta", "Id", "Iq", "ElectricalAngle", "Ualpha", "Ubeta", "Ud",
+    "Uq", "Counter", "Speed", "Torque", "TorqueCommand", "Irms", "Tstator", "Tde", "Tnde",
+    "Tambient",
+]  # fmt: skip
+UNITS: Final[dict[str, str]] = {
+    **dict.fromkeys(("Ia", "Ib", "Ic", "Ialpha", "Ibeta", "Id", "Iq", "Irms"), "A"),
+    **dict.fromkeys(("Ualpha", "Ubeta", "Ud", "Uq"), "V"),
+    **dict.fromkeys(("Torque", "TorqueCommand"), "Nm"),
+    **dict.fromkeys(("Tstator", "Tde", "Tnde", "Tambient"), "degC"),
+    "ElectricalAngle": "deg", "Speed": "rpm", "Counter": "",
+}  # fmt: skip
+"""What `value = scale * (the DBC's physical value) + offset` has to be in; speed is the rotor's."""
+
+
+CURRENTS: Final = (("Ia", "Ib"), ("Ialpha", "Ibeta"), ("Id", "Iq"))
+VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
+"""Forms of the same thing: one of them is mapped, whole."""
+
+
+class Source(BaseModel):
+    """Where a quantity comes from; a plain string in TOML is its `signal`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    signal: str = Field(pattern=r"^\w+\.\w+$", description='"Message.Signal" of that DBC')
+    scale: float = 1.0
+    offset: float = 0.0
+    not_available: tuple[int, ...] = Field((), description="raw values that mean no value")
+    settle_ms: float = Field(
+        0.0, ge=0, le=60_000, description="after power-up, or a silence, not believed for so long"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain(cls, given: Any) -> Any:
+        return {"signal": given} if isinstance(given, str) else given
+
+    @model_validator(mode="after")
+    def _some_scale(self) -> Source:
+        if self.scale == 0.0:
+            msg = "scale: 0 leaves nothing of the signal"
+            raise ValueError(msg)
+        return self
+
+    @property
+    def message(self) -> str:
+        """Name of the message."""
+        return self.signal.partition(".")[0]
+
+    @property
+    def name(self) -> str:
+        """Name of the signal in it."""
+        return self.signal.partition(".")[2]
+
+
+class Signals(BaseModel):
+    """`[drive.signals]`: a foreign message set, and what of it is what."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    dbc: str = Field(min_length=1, description="file, beside this one")
+    id_offset: int = Field(0, description="added to every identifier of that file")
+    cycle_ms: dict[str, Annotated[float, Field(gt=0, le=3_600_000)]] = Field(
+        default_factory=dict, description="by message, where that file has no GenMsgCycleTime"
+    )
+    use: dict[Quantity, Source] = Field(min_length=1, description="our names: that file's signals")
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Signals:
+        problems = []
+        for what, forms in (("currents", CURRENTS), ("voltages", VOLTAGES)):
+            begun = [form for form in forms if any(name in self.use for name in form)]
+            for form in begun:
+                missing = [name for name in form if name not in self.use]
+                if missing:
+                    problems.append(f"{what} as {', '.join(form)}: {', '.join(missing)} missing")
+            if len(begun) > 1:
+                problems.append(f"{what} in {len(begun)} forms; map one of them")
+        if "Ud" in self.use and "ElectricalAngle" not in self.use:
+            problems.append("Ud, Uq without ElectricalAngle cannot be turned into phases")
+        if "Ic" in self.use and "Ia" not in self.use:
+            problems.append("currents as Ia, Ib: Ia, Ib missing")
+        if problems:
+            raise ValueError("\n".join(problems))
+        return self
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """What phase currents are made of; empty where they cannot be."""
+        form = next((form for form in CURRENTS if form[0] in self.use), ())
+        if form == CURRENTS[2]:
+            return (*form, "ElectricalAngle") if "ElectricalAngle" in self.use else ()
+        return (*form, "Ic") if "Ic" in self.use else form
+
+    @property
+    def voltages(self) -> tuple[str, ...]:
+        """What the stator voltages are made of."""
+        form = next((form for form in VOLTAGES if form[0] in self.use), ())
+        return (*form, "ElectricalAngle") if form == VOLTAGES[1] else form
