@@ -305,8 +305,10 @@ class Gateway:
             if channel.seen_valid and channel.state in COMM_CAUSES:
                 return Flag.BAD
         unheard = [c for c in drive.channels.values() if not c.seen_valid]
+        if not drive.electrical:  # mapped, and its inverter sends none
+            return Flag.UNKNOWN if unheard else Flag.GOOD
         known = not any(c.heard or c in drive.electrical for c in unheard)
-        return Flag.GOOD if drive.electrical and known else Flag.UNKNOWN
+        return Flag.GOOD if known else Flag.UNKNOWN
 
     def _common_mode(self) -> Flag:
         flag = self.adhesion.common.flag
@@ -368,8 +370,8 @@ def _timing(drives: Sequence[DriveInput]) -> Timebase:
     """How often currents and `Motion` come, and how finely the latter tells speed."""
     electrical = [d.electrical[0] for d in drives if d.electrical]
     motion = [d.motion for d in drives if d.motion is not None]
-    blocks = any(channel.kind == SAMPLES for channel in electrical)
-    sample_ns = SAMPLE_NS if blocks else max((c.period_ns for c in electrical), default=SAMPLE_NS)
+    spacing = [SAMPLE_NS if c.kind == SAMPLES else c.period_ns for c in electrical]
+    sample_ns = max(spacing, default=SAMPLE_NS)
     steps = [c.spec.signals[c.picked[0]].scale for c in motion if c.picked]
     return Timebase(
         sample_ns / SECOND,

@@ -33,8 +33,8 @@ CARRIES: Final = {
     "Temperatures": ("Tstator", "Tde", "Tnde", "Tambient"),
 }  # fmt: skip
 OWN_CANOPEN: Final = {0x720: "the gateway's heartbeat", 0x0A0: "the gateway's emergencies"}
-STATUS_NS: Final[Nanos] = 100 * MS
-"""`Status` is made this often, or as often as what it is made of comes."""
+LEAST_NS: Final[dict[str, Nanos]] = {"Status": 100 * MS, "Motion": 10 * MS}
+"""No oftener than this, as in our message set: all drives' are compared with one another."""
 _LOWEST: Final = -(1 << 31)
 _FD_SIZES: Final = (12, 16, 20, 24)
 
@@ -178,8 +178,8 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
                          for name in sorted(without)]  # fmt: skip
             continue
         cycle = specs[first].cycle_ns
-        if kind == "Status":
-            cycle = max(STATUS_NS, *(specs[of[n]].cycle_ns for n in parts))
+        if kind in LEAST_NS:
+            cycle = max(LEAST_NS[kind], *(specs[of[n]].cycle_ns for n in parts))
         scales = {n: _scale(n, parts, resolution) for n in CARRIES[kind]}
         spec_of[kind] = _spec(kind, drive.node, cycle, scales)
         trigger[kind] = parts[0]

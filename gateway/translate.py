@@ -18,7 +18,7 @@ from dbc.codec import Codec
 from dbc.frame import ERROR, EXTENDED, FD, MS, Frame, Nanos
 from dbc.protection import protect
 from dbc.spec import EXTENDED_KEY, Match, MessageSpec, Validity
-from gateway.foreign import BASES, CARRIES, Plan
+from gateway.foreign import BASES, CARRIES, LEAST_NS, Plan
 from gateway.signals import Source
 
 JOINED_PERIODS: Final = 1.5
@@ -141,7 +141,7 @@ class _Drive:
         if trigger not in came:
             return False
         last = self._made.get(kind)
-        if kind != "Status" or last is None:
+        if kind not in LEAST_NS or last is None:
             return True
         own = self.plan.codec.messages[self._of[trigger]].cycle_ns
         return t_ns - last >= self._specs[kind].cycle_ns - own // 2

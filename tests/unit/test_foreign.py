@@ -231,6 +231,18 @@ def test_others_go_on_as_they_are(tmp_path, train):
     assert said[250][0] is Flag.BAD
 
 
+@pytest.mark.parametrize("motion_ms", [2, 3, 5, 20])
+@pytest.mark.parametrize("cycle", [2, 10])
+def test_drives_whose_speed_comes_at_another_pace(tmp_path, train, cycle, motion_ms):
+    config = mapped(tmp_path, "rotor", cycle, drives=1)
+    path = tmp_path / "1.dbc"
+    path.write_text(path.read_text().replace("BO_ 1554 10;", f"BO_ 1554 {motion_ms};"))
+    both = parse({"drive": [config.drive[0].model_dump(), {"node": 2}, {"node": 3}]}, base=tmp_path)
+    said = played(Gateway(both, codec(), 0), spoken(both, train))
+    assert all(flag is Flag.GOOD for flag in said[150])
+    assert {flags[0] for flags in said[206:299]} == {Flag.BAD}
+
+
 def problems(config: Config) -> str:
     with pytest.raises(ConfigError) as error:
         Gateway(config, codec(), 0)
@@ -312,6 +324,21 @@ def test_check_says_what_an_example_can_give(path, capsys):
 
 def test_there_is_an_example_for_every_layout():
     assert len(EXAMPLES) == 7
+
+
+def test_silence_of_a_drive_without_currents_is_told_and_ends(train):
+    config = load(ROOT / "examples" / "inverters" / "sevcon_gen4.toml")
+    theirs = [f for f in spoken(config, train) if not 1_000_000_000 < f.t_ns < 2_000_000_000]
+    gateway, comm, k = Gateway(config, codec(), 0), [], 0
+    theirs.sort(key=lambda f: f.t_ns)
+    for now in range(TICK, 3_500_000_000, TICK):
+        first = k
+        while k < len(theirs) and theirs[k].t_ns <= now:
+            k += 1
+        gateway.step(theirs[first:k], now)
+        comm.append(gateway.view.drives[0].comm)
+    assert comm[0] is Flag.UNKNOWN
+    assert [comm[t] for t in (90, 150, 340)] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
