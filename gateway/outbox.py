@@ -97,7 +97,7 @@ class Outbox:
         """The set of messages is fixed here; nothing else can ever be sent."""
         # A real tick wakes a little later than the one that the grid counts from, or a little
         # less late: what is due within half a tick is due now.
-        self.slack_ns = tick_ns // 2
+        self.tick_ns, self.slack_ns = tick_ns, tick_ns // 2
         self.config_hash = config_hash
         self.codec = codec
         self.counters: dict[str, int] = {}
@@ -130,9 +130,10 @@ class Outbox:
             self.next_ns["Gateway_Faults"] = now
         frames = []
         for name, start in self.next_ns.items():
-            if now + self.slack_ns < start:
-                continue
             spec = self.specs[name]
+            # What goes out with every tick does so however late the first one was.
+            if now + self.slack_ns < start and spec.cycle_ns > self.tick_ns:
+                continue
             # The grid stays, however late a tick is; what was missed is not sent later.
             behind = max(now - start, 0) // spec.cycle_ns
             self.next_ns[name] = start + spec.cycle_ns * (1 + behind)

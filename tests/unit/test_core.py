@@ -376,6 +376,13 @@ def test_ticks_that_wake_at_odd_times_leave_no_cycle_out(most):
     assert count["Gateway_Info"] == 4
 
 
+@pytest.mark.parametrize("late", [0.51, 0.99, 3.7])
+def test_flags_go_out_with_every_tick_however_late_the_first_one_was(late):
+    core = gateway()
+    ticks = [int((1 + late) * TICK)] + [(k + 5) * TICK for k in range(50)]
+    assert all("Gateway_Adhesion" in named(core.step((), now)) for now in ticks)
+
+
 def test_farewell_says_unknown():
     bench = Bench(gateway(), drives((20.0, 8.0, 20.0)))
     bench.run(60)
