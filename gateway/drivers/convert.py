@@ -9,12 +9,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-
 from dbc.block import Block, in_blocks
 from dbc.codec import Codec
 from gateway.config import ConfigError
-from gateway.drivers.replay import BadLogError, Log, LogError, open_log
+from gateway.drivers.replay import BadLogError, Log, LogError, OneChannel, open_log
 from gateway.results import frame_files
 from gateway.results.frame_files import Sink
 
@@ -92,14 +90,8 @@ def _all_of_blf(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
 
 
 def of_channel(blocks: Iterable[Block], wanted: str | None) -> Iterator[Block]:
-    """The frames of one channel; None: of all."""
-    for block in blocks:
-        if wanted is None:
-            yield block
-            continue
-        mine = np.array([name == wanted for name in block.names])[block.channel]
-        if mine.any():
-            yield block.pick(mine)
+    """The frames of one channel; None: of all. Raises BadLogError where there is no such one."""
+    return iter(blocks) if wanted is None else iter(OneChannel(blocks, wanted))
 
 
 def frame_sink(path: Path, kind: str) -> Sink:

@@ -24,6 +24,9 @@ from gateway.outbox import GatewayView
 HOLE_NS: Nanos = 10 * SECOND
 """A longer hole is skipped to the next frame once no flag says good."""
 
+TOLD = 60
+"""Characters of a line that is none."""
+
 Sink = Callable[[Nanos, list[Frame], GatewayView], None]
 Make = Callable[[Nanos], Gateway]
 
@@ -53,15 +56,19 @@ class OneChannel:
         self._wanted = wanted
 
     def __iter__(self) -> Iterator[Block]:
-        """Raises BadLogError if there are several channels and none is named."""
+        """Raises BadLogError for several channels and none named, or none of that name."""
+        others: set[str] = set()
+        found = False
         for block in self._blocks:
             if self.name is None:
                 self.name = block.names[block.channel[0]]
             names = np.array([name == self.name for name in block.names])
             mine = names[block.channel]
+            found = found or bool(mine.any())
             if mine.all():
                 yield block
                 continue
+            others.update(block.names)
             if self._wanted is None:
                 other = block.names[block.channel[np.argmin(mine)]]
                 msg = (
@@ -71,6 +78,9 @@ class OneChannel:
                 raise BadLogError(msg)
             if mine.any():
                 yield block.pick(mine)
+        if others and not found:
+            msg = f"no channel {self._wanted} in the log; it has {', '.join(sorted(others))}"
+            raise BadLogError(msg)
 
 
 def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) -> Replayed:
@@ -174,10 +184,25 @@ def open_log(path: Path, strict: bool) -> Log:
     suffix = Path(path.name.lower().removesuffix(".gz")).suffix
     if suffix == ".log" or suffix not in MESSAGE_READERS:
         reader = Reader(path, strict=strict)
-        return Log(reader.blocks(), reader)
+        return Log(_some(reader, path), reader)
     from dbc.otherlogs import read_any
 
     return Log(in_blocks(read_any(path)), None)
+
+
+def _some(reader: Reader, path: Path) -> Iterator[Block]:
+    """The log's blocks. Raises BadLogError where it has lines and none is a frame."""
+    found = False
+    for block in reader.blocks():
+        found = found or block.size > 0
+        yield block
+    if not found and reader.problems:
+        line, verdict, text = reader.problems[0]
+        msg = (
+            f"{path}: not one of its {reader.lines} lines is a frame as candump -L writes them; "
+            f"line {line}: {verdict.name.lower()}: {text[:TOLD]}"
+        )
+        raise BadLogError(msg)
 
 
 __all__ = ["BadLogError", "Log", "LogError", "OneChannel", "Replayed", "open_log", "replay"]

@@ -316,7 +316,7 @@ def test_one_channel(tmp_path: Path) -> None:
         ("in.log", "folder.csv", [], "is a folder"),
         ("none.log", "out.csv", [], "no such file"),
         ("none.parquet", "out.csv", [], "no such file"),
-        ("in.log", "out.csv", ["--log-channel", "can9"], "no frame in the log"),
+        ("in.log", "out.csv", ["--log-channel", "can9"], "no channel can9 in the log; it has"),
         ("in.log", "out.csv", ["--dbc", "none.dbc"], "no such file"),
         ("foreign.log", "out.mf4", [], "none of 1 frames could be written by traction.dbc"),
         ("foreign.log", "out.parquet", [], "unknown_id 1"),

@@ -8,7 +8,7 @@ from dbc.block import in_blocks
 from dbc.candump import Reader, format_frame
 from dbc.frame import MS, SECOND, Frame
 from gateway.core import Gateway
-from gateway.drivers.replay import BadLogError, OneChannel, replay
+from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
 from tests.sender import SteadyDrive, codec_for
 
 CODEC = codec_for()
@@ -86,8 +86,19 @@ def test_several_channels_must_be_named():
 def test_a_log_without_frames_is_refused():
     with pytest.raises(BadLogError, match="no frame"):
         run([], 10)
-    with pytest.raises(BadLogError, match="no frame"):
-        run([Frame(START, 1, channel="can0")], 10, "can9")
+    with pytest.raises(BadLogError, match="no channel can9 in the log; it has can0, can1"):
+        run([Frame(START, 1, channel=name) for name in ("can1", "can0")], 10, "can9")
+
+
+def test_a_file_that_is_no_log_is_told_by_its_first_line(tmp_path):
+    path = tmp_path / "plain.log"
+    path.write_text("  can0  181   [8]  00 01 02 03 04 05 06 07\n" * 3)
+    with pytest.raises(
+        BadLogError, match=r"not one of its 3 lines .* malformed: can0  181"
+    ):
+        list(open_log(path, strict=False).blocks)
+    path.write_text("")
+    assert list(open_log(path, strict=False).blocks) == []
 
 
 def test_text_and_frames_give_the_same():

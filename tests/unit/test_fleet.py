@@ -64,7 +64,7 @@ def test_two_good_logs_and_a_bad_one_are_three_rows(logs, ran):
     assert [(r["path"].rsplit("/", 1)[1], r["status"]) for r in table] == [
         ("lost.log", DONE), ("good.log", DONE), ("noise.bin", BAD),
     ]  # fmt: skip
-    assert "no frame" in table[2]["error"]
+    assert "is a frame as candump" in table[2]["error"]
     assert table[2]["frames"] is table[2]["drives"] is table[2]["adhering_s"] is None
     assert [r["adhesion_losses"] for r in table] == [1, 0, None]
     assert table[0]["size_bytes"] == (logs / "logs/deep/lost.log").stat().st_size
