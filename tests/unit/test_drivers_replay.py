@@ -93,9 +93,7 @@ def test_a_log_without_frames_is_refused():
 def test_a_file_that_is_no_log_is_told_by_its_first_line(tmp_path):
     path = tmp_path / "plain.log"
     path.write_text("  can0  181   [8]  00 01 02 03 04 05 06 07\n" * 3)
-    with pytest.raises(
-        BadLogError, match=r"not one of its 3 lines .* malformed: can0  181"
-    ):
+    with pytest.raises(BadLogError, match=r"not one of its 3 lines .* malformed: can0  181"):
         list(open_log(path, strict=False).blocks)
     path.write_text("")
     assert list(open_log(path, strict=False).blocks) == []
