@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dbc.frame import MS, SECOND, Nanos
 from estimators.detect import Evidence, Opinion, make, reference, response
 from estimators.detect import _reference_kernels as compiled
+from gateway._direct import Direct
 from gateway.bank import DriveEstimate
 from gateway.config import Adhesion, Motor
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
@@ -86,6 +87,10 @@ class AdhesionSide:
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(len(self.rated), spread)
         self.response = response.start(len(self.rated), spread)
+        self._refer, self._severely = Direct(compiled.refer), Direct(compiled.severely)
+        self._answer, self._fuse = Direct(compiled.respond), Direct(compiled.fuse)
+        self._watch, self._learn_loads = Direct(compiled.watch), Direct(compiled.learn)
+        self._learn_response = Direct(compiled.learn_response)
         self.severe: list[bool] = [False] * len(self.rated)
         """Drives that carry so much less than the others that noise cannot be the cause."""
         self.common = FlagState()
@@ -112,7 +117,7 @@ class AdhesionSide:
         known = at.known.tolist()
         heard = self._heard(drives, estimates, fresh, known, now)
         referred, spread = np.empty_like(at.load), np.empty_like(at.load)
-        compiled.refer(self.reference, at.load, at.share, PASSING, referred, spread)
+        self._refer(self.reference, at.load, at.share, PASSING, referred, spread)
         compared = self.detector(Evidence(referred, spread, at.known, self._speeds(estimates)))
         self._known = [
             (now if since is None else since) if sure else None
@@ -121,7 +126,7 @@ class AdhesionSide:
         opinion, alone = self._respond(compared, heard)
         # Of what the others carry, or with nobody to compare with, of the command.
         severe = np.empty_like(at.known)
-        compiled.severely(
+        self._severely(
             opinion.common, heard, referred, spread, at.known, SEVERE, SEVERE_SPREADS, severe
         )
         self.severe = severe.tolist()
@@ -134,8 +139,8 @@ class AdhesionSide:
         n = len(self.rated)
         alone, lost = np.empty(n), np.empty(n)
         meant, known = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_)
-        compiled.respond(self.response, heard, self.tick_s, alone, meant)
-        compiled.fuse(compared.lost, compared.known, alone, heard.usable, meant, lost, known)
+        self._answer(self.response, heard, self.tick_s, alone, meant)
+        self._fuse(compared.lost, compared.known, alone, heard.usable, meant, lost, known)
         return Opinion(lost, known, compared.common), alone
 
     def _learn(
@@ -154,14 +159,14 @@ class AdhesionSide:
         healthy = self._healthy(opinion, flags, now)
         if answered:
             own = self.response.reference
-            spread = compiled.learn_response(self.response, heard, healthy, self.tick_s)
+            spread = self._learn_response(self.response, heard, healthy, self.tick_s)
             self.response = self.response._replace(reference=own._replace(spread=spread))
         if due:
             self._learn_ns = now + LEARN_NS
             load, common = at.load / at.share, np.full(len(healthy), opinion.common)
-            spread = compiled.watch(self.reference, load, common, at.known, True)
+            spread = self._watch(self.reference, load, common, at.known, True)
             self.reference = self.reference._replace(spread=spread)
-            compiled.learn(self.reference, load, common, healthy, True)
+            self._learn_loads(self.reference, load, common, healthy, True)
 
     def _instant(
         self,

@@ -20,6 +20,7 @@ from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators._lock_kernels import agreement, lock_sweep
 from estimators._unbalance_kernels import balance
 from estimators.models import pmsm
+from gateway._direct import Direct
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
 from gateway.health import Health, Reason
@@ -120,6 +121,8 @@ class Bank:
         """Variance of the currents over the configured one, as the innovations show it."""
         self.lean = np.zeros(n)
         """Voltage along q that the motor lacks against its data, V."""
+        self._balance, self._lock_sweep = Direct(balance), Direct(lock_sweep)
+        self._absorb = Direct(absorb)
         self.pole_pairs = self.par.p.tolist()
         self.sheet = list(zip(self.par.R_s.tolist(), self.par.psi_f.tolist(), strict=True))
 
@@ -180,8 +183,8 @@ class Bank:
         drive, u, measured, n_sub, n_gap = samples
         dt, y = SAMPLE_NS * 1e-9, np.empty_like(measured)
         w_e, known = self.chords.w, self.chords.ready
-        balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, known, self.rated.I, y)
-        lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
+        self._balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, known, self.rated.I, y)
+        self._lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
         nis = np.empty(len(drive))
         ok = np.empty(len(self.tracks), dtype=np.bool_)
         arguments = (
@@ -192,7 +195,7 @@ class Bank:
             ukf_lanes(*arguments, UKF_KAPPA, nis, ok, self.lean)
         else:
             ekf_lanes(*arguments, nis, ok, self.lean)
-        absorb(
+        self._absorb(
             drive, nis, n_sub, dt, NIS_SMOOTHING, SETTLE_STEPS, self.table, self.rated.I,
             self.x[:, pmsm.W_E], self.chords, self.active, self.steps, self.nis, self.scale,
             self.lean,

@@ -8,6 +8,7 @@ import numpy as np
 
 from dbc.block import Block
 from dbc.frame import FD, SECOND, Frame, Nanos
+from gateway._direct import Direct
 from gateway._kernels import busy_s
 from gateway.receiving import Routes
 
@@ -22,6 +23,7 @@ class BusLoad:
             [34 / bitrate + (8 * n + 33 + 8 * n // 4) / data_bitrate for n in lengths]
         )
         """Seconds on the wire by number of data bytes."""
+        self._busy_s = Direct(busy_s)
         self.since_ns = start_ns
         self.busy_s = 0.0
         self.last: float | None = None
@@ -38,7 +40,7 @@ class BusLoad:
             self.last = min(126.0, 100.0 * self.busy_s * SECOND / (now - self.since_ns))
             self.since_ns = now
             self.busy_s = 0.0
-        self.busy_s = busy_s(
+        self.busy_s = self._busy_s(
             self.busy_s, block.can_id, block.flags, block.length, routes, self.classic_s, self.fd_s
         )
 

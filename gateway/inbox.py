@@ -19,6 +19,7 @@ from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
 from gateway import pairing, receiving, slow
+from gateway._direct import Direct
 from gateway._kernels import in_order, settle, take_block
 from gateway.channel import Channel, channel_state, tell
 from gateway.pairing import Trouble
@@ -133,6 +134,7 @@ class Inbox:
         self._wiring = pairing.wiring(self.channels)
         self._pairs = pairing.start(len(self.drives))
         self._slow = slow.start(len(self.drives))
+        self._take, self._settle = Direct(take_block), Direct(settle)
         self._make_room(64)
 
     def _make_room(self, rows: int) -> None:
@@ -153,12 +155,12 @@ class Inbox:
             block = block.ordered()
         if not block.size:
             self.samples = self._room.first(0)
-            settle(now, self._guard, self._memory, self._state)
+            self._settle(now, self._guard, self._memory, self._state)
             tell(self.channels, self._state)
             return block
         if block.size > len(self._scratch.t_ns):
             self._make_room(2 * block.size)
-        samples, seen, foreign = take_block(
+        samples, seen, foreign = self._take(
             block.t_ns, block.can_id, block.flags, block.length, block.data,
             now, self.routes, self._guard, self._memory, self._state, self.codec.tables,
             self._wiring, MAX_GAP_NS, self._pairs, self._slow, self._scratch, self._readings,
