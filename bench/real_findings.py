@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.real_temperatures import (
+from bench.real_recordings import (
     BRIDGES,
     HALF_BRIDGES,
     JOINTS,

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from bench.real_findings import judged, kona_runs
-from bench.real_temperatures import (
+from bench.real_recordings import (
     BRIDGES,
     JOINTS,
     LEG,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.real_findings import FROZEN_S, POWER_UP_S, frozen_bridge, hot_bridges, judged, kinds
-from bench.real_temperatures import (
+from bench.real_recordings import (
     BRIDGES,
     HALF_BRIDGES,
     JOINTS,
