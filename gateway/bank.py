@@ -12,14 +12,17 @@ from collections.abc import Collection, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from estimators import adapt, lock, unbalance
 from estimators._adapt_kernels import absorb
 from estimators._lanes_kernels import ekf_lanes, ukf_lanes
-from estimators._lock_kernels import agreement, lock_sweep
+from estimators._lock_kernels import lock_sweep
 from estimators._unbalance_kernels import balance
 from estimators.models import pmsm
+from gateway import tracks
+from gateway._bank_kernels import drop_over_holes, follow, forget, tell
 from gateway._direct import Direct
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
@@ -47,6 +50,8 @@ RESISTANCE_SURE: Final = 0.25
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
+_HEALTH: Final = tuple(Health)
+"""By number: the enumeration's own look-up takes longer."""
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
 NIS_SMOOTHING: Final = 0.2
@@ -62,25 +67,6 @@ class DriveEstimate(NamedTuple):
     nis: float | None = None
     reason: Reason = Reason.STARTING
     """Why, where it is not tracking."""
-
-
-class _Track:
-    """What the bank remembers of one drive beside the arrays."""
-
-    __slots__ = ("best", "diverged_ns", "doubts", "flux", "load", "moved", "silent")
-
-    def __init__(self) -> None:
-        self.doubts = 0
-        self.best = math.inf
-        """Standard deviation of the load when it was known best of late, Nm."""
-        self.diverged_ns: Nanos | None = None
-        self.flux: float | None = None
-        """Magnet flux over that of the data sheet; torque and load are larger by that."""
-        self.silent = False
-        """No samples in this tick."""
-        self.load = 0.0
-        self.moved = 0.0
-        """Load after the last tick with samples, and how far it had moved in that, Nm."""
 
 
 class Bank:
@@ -107,24 +93,21 @@ class Bank:
         )
         self.ukf = config.kind == "ukf"
         n = len(motors)
-        self.x = np.zeros((n, 5))
-        self.P = np.tile(np.eye(5), (n, 1, 1))
+        self.filters, self.tracks, self.told = tracks.filters(n), tracks.tracks(n), tracks.told(n)
+        self.x, self.P = self.filters.x, self.filters.P
         self.chords = lock.start(n)
         self.sensors = unbalance.start(n)
-        self.tracks = [_Track() for _ in range(n)]
-        self.active = np.zeros(n, dtype=np.bool_)
-        self.steps = np.zeros(n, dtype=np.int64)
-        """Sub-steps since the filter's start; negative once it has become a number that is none."""
-        self.nis = np.full(n, 2.0)
-        """Smoothed."""
-        self.scale = np.ones(n)
-        """Variance of the currents over the configured one, as the innovations show it."""
-        self.lean = np.zeros(n)
-        """Voltage along q that the motor lacks against its data, V."""
-        self._balance, self._lock_sweep = Direct(balance), Direct(lock_sweep)
-        self._absorb = Direct(absorb)
         self.pole_pairs = self.par.p.tolist()
-        self.sheet = list(zip(self.par.R_s.tolist(), self.par.psi_f.tolist(), strict=True))
+        self.limits = tracks.Limits(
+            self.par.R_s, self.par.psi_f, self.par.p, MOVING * self.rated.T, self.tuning.chords,
+            TOLERANCES, SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
+            self.tick_s / FLUX_TAU_S, FLUX_SURE, RESISTANCE_SURE,
+        )  # fmt: skip
+        self._fine = np.ones(n, dtype=np.bool_)
+        """Of a tick without samples: no number has become none."""
+        self._balance, self._lock_sweep = Direct(balance), Direct(lock_sweep)
+        self._absorb, self._over_holes = Direct(absorb), Direct(drop_over_holes)
+        self._follow, self._tell = Direct(follow), Direct(tell)
 
     def advance(
         self,
@@ -140,120 +123,64 @@ class Bank:
         believed (NONE if it can); fresh: whether its newest sample is within its age limit.
         """
         for k in restart:
-            self._drop(k)
+            forget(k, self.filters, self.tracks)
             lock.forget(self.chords, k)
             unbalance.forget(self.sensors, k)
-            self.tracks[k].flux = None
-        self._drop_over_holes(samples)
-        if len(samples.drive):
-            self._sweep(samples)
-        self._note_moves(samples)
-        self._note_flux()
-        active = self.active.tolist()
-        for k, pairs in enumerate(self.chords.pairs.tolist()):
-            if active[k] and pairs < self.tuning.chords:
-                # The chords have begun anew, and the filter with its only witness.
-                self._drop(k)
-                active[k] = False
-        first, P_first = (self.x, self.P) if all(active) else self.start_states()
-        agreement = self._agreement()
-        return [
-            self._judge(k, inputs[k], fresh[k], agreement[k], first[k], P_first[k], now)
-            for k in range(len(self.tracks))
-        ]
+            self.tracks.flux[k] = math.nan
+        self._over_holes(
+            samples.drive, samples.steps, samples.gap, LONGEST_COAST, self.filters, self.tracks
+        )
+        ok = self._sweep(samples) if len(samples.drive) else self._fine
+        causes, heard = np.array(inputs, dtype=np.int64), np.array(fresh, dtype=np.bool_)
+        if self._follow(
+            samples.drive, ok, now, causes, heard, self.chords, self.filters, self.tracks,
+            self.limits, self.told,
+        ):  # fmt: skip
+            self._begin()
+            self._tell(causes, heard, self.filters, self.tracks, self.limits, self.told)
+        return self._estimates()
 
-    def _drop_over_holes(self, samples: Samples) -> None:
-        """Filters that cannot bridge what is missing begin anew; one sample they always can."""
-        if not any(samples.gap.tolist()):
-            return
-        long = samples.gap > np.maximum(samples.steps, LONGEST_COAST)
-        for k in set(samples.drive[long].tolist()):
-            self._drop(k)
-
-    def _note_moves(self, samples: Samples) -> None:
-        """Whose load has been moving, and who has said nothing in this tick."""
-        heard = set(samples.drive.tolist())
-        for k, track in enumerate(self.tracks):
-            track.silent = k not in heard
-            if not track.silent:
-                load = self.x.item(k, pmsm.T_L)
-                track.load, track.moved = load, abs(load - track.load)
-
-    def _sweep(self, samples: Samples) -> None:
+    def _sweep(self, samples: Samples) -> NDArray[np.bool_]:
+        """The filters' loop; whose result is a number."""
         drive, u, measured, n_sub, n_gap = samples
         dt, y = SAMPLE_NS * 1e-9, np.empty_like(measured)
         w_e, known = self.chords.w, self.chords.ready
         self._balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, known, self.rated.I, y)
         self._lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
         nis = np.empty(len(drive))
-        ok = np.empty(len(self.tracks), dtype=np.bool_)
+        ok = np.empty(len(self.x), dtype=np.bool_)
+        mine = self.filters
         arguments = (
-            self.table, self.noise.Q, self.noise.R * self.scale[:, None], self.noise.coast,
-            self.x, self.P, drive, u, y, n_sub, n_gap, dt,
+            self.table, self.noise.Q, self.noise.R * mine.scale[:, None], self.noise.coast,
+            mine.x, mine.P, drive, u, y, n_sub, n_gap, dt,
         )  # fmt: skip
         if self.ukf:
-            ukf_lanes(*arguments, UKF_KAPPA, nis, ok, self.lean)
+            ukf_lanes(*arguments, UKF_KAPPA, nis, ok, mine.lean)
         else:
-            ekf_lanes(*arguments, nis, ok, self.lean)
+            ekf_lanes(*arguments, nis, ok, mine.lean)
         self._absorb(
             drive, nis, n_sub, dt, NIS_SMOOTHING, SETTLE_STEPS, self.table, self.rated.I,
-            self.x[:, pmsm.W_E], self.chords, self.active, self.steps, self.nis, self.scale,
-            self.lean,
+            mine.x[:, pmsm.W_E], self.chords, mine.active, mine.steps, mine.nis, mine.scale,
+            mine.lean,
         )  # fmt: skip
-        for k, fine in enumerate(ok.tolist()):
-            if not fine:
-                self._diverge(k)
-
-    def _agreement(self) -> list[int]:
-        """`lock.agrees`, compiled."""
-        c = self.chords
-        out = np.empty(len(self.x), dtype=np.int64)
-        agreement(
-            c.w, c.theta, c.age, c.ready, c.pairs, c.w_max, self.x, self.tuning.chords,
-            TOLERANCES, out,
-        )  # fmt: skip
-        verdicts: list[int] = out.tolist()
-        return verdicts
+        return ok
 
     def start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
         """First x (N, 5) and P (N, 5, 5) of every drive from its chords."""
         return lock.start_state(self.chords, self.par, self.noise, self.rated)
 
-    def _judge(
-        self,
-        k: int,
-        cause: Reason,
-        fresh: bool,
-        agreement: int,
-        first: pmsm.Array,
-        P_first: pmsm.Array,
-        now: Nanos,
-    ) -> DriveEstimate:
-        track = self.tracks[k]
-        steps = self.steps.item(k)
-        if steps < 0:
-            self.steps[k] = 0
-            track.diverged_ns = now
-        if agreement == lock.Agreement.DISAGREES and self.active.item(k):
-            track.doubts += 1
-            if track.doubts >= DISAGREE_TICKS:
-                self._drop(k)
-                self.lean[k] = 0.0
-                # A start that does not settle is tried again; a lost lock is a divergence.
-                track.diverged_ns = now if steps >= SETTLE_STEPS else track.diverged_ns
-        else:
-            track.doubts = 0
-        if track.diverged_ns is not None and now - track.diverged_ns < DIVERGED_NS:
-            return DriveEstimate(Health.DIVERGED)
-        if fresh and not self.active.item(k) and self._seen(k):
-            self._start(k, first, P_first)
-            track.diverged_ns = None
-            track.doubts = 0
-            agreement = lock.Agreement.AGREES
-        if track.silent and track.moved > MOVING * self.rated.T[k]:
-            # A load that moves is not the load of a tick ago.
-            fresh = False
-        return self._estimate(k, cause, fresh, agreement)
+    def _estimates(self) -> list[DriveEstimate]:
+        told = self.told
+        rows = zip(
+            told.health.tolist(), told.speed.tolist(), told.load.tolist(), told.sigma.tolist(),
+            told.nis.tolist(), strict=True,
+        )  # fmt: skip
+        return [
+            DriveEstimate(_HEALTH[health])
+            if speed != speed  # noqa: PLR0124 - quicker than math.isnan, once per drive and tick
+            else DriveEstimate(_HEALTH[health], speed, load, sigma, nis)
+            for health, speed, load, sigma, nis in rows
+        ]
 
     def on_line(self, k: int, speed_rad_s: float) -> bool:
         """Whether the currents do not turn with a rotor of this measured speed: an open phase."""
@@ -261,80 +188,24 @@ class Bank:
 
     def flux(self, k: int) -> float:
         """Magnet flux of this drive over that of its data sheet; 1 where nothing is known."""
-        return self.tracks[k].flux or 1.0
+        flux = self.tracks.flux.item(k)
+        return 1.0 if math.isnan(flux) else flux
 
-    def _seen(self, k: int) -> bool:
-        """Whether the chords know speed and angle from the very last samples."""
-        c = self.chords
-        return bool(c.ready[k] and c.age[k] < 2.0 * c.span[k])
+    def _begin(self) -> None:
+        """Filters of the drives whose chords are ready.
 
-    def _estimate(self, k: int, cause: Reason, fresh: bool, agreement: int) -> DriveEstimate:
-        if cause in (Reason.RANGE, Reason.NOT_AVAILABLE, Reason.CORRUPTED, Reason.SEQUENCE):
-            return DriveEstimate(Health.INPUT_INVALID)
-        if not self.active.item(k):
-            return DriveEstimate(Health.CONVERGING if fresh else Health.UNKNOWN)
-        sigma = math.sqrt(self.P.item(k, pmsm.T_L, pmsm.T_L))
-        flux = self.flux(k)
-        health = Health.TRACKING
-        if not fresh:
-            health = Health.PREDICTING
-        elif self.steps.item(k) < SETTLE_STEPS or agreement != lock.Agreement.AGREES:
-            health = Health.CONVERGING
-        else:
-            track = self.tracks[k]
-            track.best = min(FORGET * track.best, sigma)
-            if sigma > LOOSE * track.best:
-                health = Health.CONVERGING
-        return DriveEstimate(
-            health,
-            self.x.item(k, pmsm.W_E) / self.pole_pairs[k],
-            self.x.item(k, pmsm.T_L) * flux,
-            sigma * flux,
-            self.nis.item(k),
-        )
-
-    def _note_flux(self) -> None:
-        """Magnet flux over that of the data sheet, as the chords' length has it of late.
-
-        Errors of R_s lengthen a chord, too: what they can explain is not taken for flux. The
-        chords reach further than the filters, and what they found survives a new start.
+        What the chords are too long by is the voltage that the motor lacks.
         """
-        chords, near = self.chords, self.tick_s / FLUX_TAU_S
-        each = zip(
-            self.tracks, self.sheet, chords.ready.tolist(), chords.psi.tolist(),
-            chords.w.tolist(), np.abs(chords.i_last).tolist(), strict=True,
-        )  # fmt: skip
-        for track, (R_s, psi_f), ready, psi, w, current in each:
-            if not (ready and math.isfinite(psi) and w):
-                continue
-            sure = FLUX_SURE * psi_f + RESISTANCE_SURE * R_s * current / abs(w)
-            more = math.copysign(max(abs(psi - psi_f) - sure, 0.0), psi - psi_f) / psi_f
-            before = more if track.flux is None else track.flux - 1.0
-            track.flux = 1.0 + before + near * (more - before)
-
-    def _start(self, k: int, x: pmsm.Array, P: pmsm.Array) -> None:
-        """Begin a filter. What the chords are too long by is the voltage that the motor lacks."""
-        self.x[k], self.P[k] = x, P
-        self.active[k], self.steps[k], self.nis[k] = True, 0, 2.0
-        if not self.lean.item(k):
-            w, R_s, psi_f = self.chords.w.item(k), *self.sheet[k]
-            most = adapt.most_lean(w, R_s, psi_f, self.rated.I.item(k))
-            self.lean[k] = min(max((self.chords.psi.item(k) - psi_f) * w, -most), most)
-
-    def _drop(self, k: int) -> None:
-        """Forget the filter of one drive; it is acquired anew."""
-        self.active[k] = False
-        self.steps[k] = 0
-        self.tracks[k].doubts = 0
-        self.x[k] = 0.0
-        self.P[k] = np.eye(5)
-
-    def _diverge(self, k: int) -> None:
-        """A number that is not one: reset now, said from this tick on."""
-        active = self.active.item(k)
-        self._drop(k)
-        self.lean[k] = 0.0
-        self.steps[k] = -1 if active else 0
+        first, P_first = self.start_states()
+        mine, chords, limits = self.filters, self.chords, self.limits
+        for k in np.flatnonzero(self.told.begins).tolist():
+            mine.x[k], mine.P[k] = first[k], P_first[k]
+            mine.active[k], mine.steps[k], mine.nis[k] = True, 0, 2.0
+            self.tracks.diverged_ns[k], self.tracks.doubts[k] = -1, 0
+            if not mine.lean.item(k):
+                w, psi_f = chords.w.item(k), limits.psi_f.item(k)
+                most = adapt.most_lean(w, limits.R_s.item(k), psi_f, self.rated.I.item(k))
+                mine.lean[k] = min(max((chords.psi.item(k) - psi_f) * w, -most), most)
 
 
 def _noise(par: pmsm.Pmsm, rated: pmsm.Rated, config: Estimator, step_a: float) -> pmsm.Noise:

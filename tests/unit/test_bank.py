@@ -45,7 +45,7 @@ def without(rows: Rows, lost: np.ndarray) -> Rows:
 def advance(filters: Bank, rows: Rows, end: int, fresh: bool = True):
     """One tick that ends with sub-step `end`."""
     now = slice(*np.searchsorted(rows.tick, [end - TICK, end]))
-    n = len(filters.tracks)
+    n = len(filters.x)
     picked = Samples(*(column[now] for column in rows[:5]))
     heard = [fresh and bool((picked.drive == k).any()) for k in range(n)]
     return filters.advance(picked, (), [Reason.NONE] * n, heard, end * 125_000)
@@ -96,7 +96,7 @@ def test_a_load_that_was_moving_is_not_held_through_silence():
         filters = bank(2)
         for end in range(TICK, 30 * TICK + 1, TICK):
             advance(filters, rows, end)
-        filters.tracks[0].moved += jump
+        filters.tracks.moved[0] += jump
         nothing = Samples(*(column[:0] for column in rows[:5]))
         said = filters.advance(nothing, (), [Reason.NONE] * 2, [True, True], 31 * TICK * 125_000)
         assert [e.health for e in said] == [health, Health.TRACKING]
@@ -148,7 +148,7 @@ def test_a_load_that_is_hardly_known_is_no_evidence():
     filters = bank(2)
     for end in range(TICK, 30 * TICK + 1, TICK):
         advance(filters, rows, end)
-    filters.tracks[0].best *= 0.4
+    filters.tracks.best[0] *= 0.4
     after = advance(filters, rows, 31 * TICK)
     assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
 
@@ -197,9 +197,9 @@ def test_a_motor_off_its_data_sheet_is_learnt_by_the_voltage_it_lacks(kind, r, p
         pass
     i_q = load / (1.5 * BENCH_MOTOR.pole_pairs * BENCH_MOTOR.psi_pm)
     lacking = (1.0 - r) * BENCH_MOTOR.R_s * i_q + (1.0 - psi) * BENCH_MOTOR.psi_pm * w
-    assert filters.lean[0] == pytest.approx(lacking, abs=0.15)
+    assert filters.filters.lean[0] == pytest.approx(lacking, abs=0.15)
     assert filters.x[0, 2] == pytest.approx(w, rel=0.005)
-    assert filters.scale[0] < 3.0
+    assert filters.filters.scale[0] < 3.0
 
 
 @pytest.mark.parametrize(("r", "psi"), [(1.0, 0.83), (1.0, 1.2), (1.2, 1.0), (0.8, 0.9)])
@@ -231,4 +231,4 @@ def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
     right = Bank([BENCH_MOTOR], Estimator(), 0.02)
     for _ in run(right, truth, sampled(truth, 16, 2e-4, seed=5)):
         pass
-    assert right.tracks[0].flux == 1.0, "what is within the doubt changes nothing"
+    assert right.flux(0) == 1.0, "what is within the doubt changes nothing"

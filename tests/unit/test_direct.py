@@ -10,8 +10,8 @@ from tests.soak.real import run
 from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
-    "take_block", "settle", "busy_s", "balance", "lock_sweep", "absorb", "refer", "severely",
-    "respond", "fuse", "learn_response", "watch", "learn",
+    "take_block", "settle", "busy_s", "drop_over_holes", "balance", "lock_sweep", "absorb",
+    "follow", "tell", "refer", "severely", "respond", "fuse", "learn_response", "watch", "learn",
 }  # fmt: skip
 
 
@@ -56,4 +56,4 @@ def test_the_core_keeps_to_its_types_in_any_weather(seed):
 def test_and_so_it_does_behind_a_socket(tmp_path):
     with kept_types() as called:
         run(1.5, tmp_path, every_s=0.3)
-    assert called >= CORE - {"learn", "learn_response", "watch"}
+    assert called >= CORE - {"learn", "learn_response", "watch", "tell"}

@@ -103,16 +103,18 @@ def nominal_windows(kind: str, monkeypatch) -> np.ndarray:
     """Mean NIS of 100 samples in a row, drives tracked, moving, and 300 ms off any loss."""
     config, honest = parse({"estimator": {"kind": kind}}), train()
     innovations = []
-    absorb = gateway.bank.absorb
-    monkeypatch.setattr(
-        gateway.bank, "absorb", lambda *args: (innovations.append(args[:2]), absorb(*args))[1]
-    )
     core = Gateway(config, honest.codec, 0)
+    absorb = core.bank._absorb
+    monkeypatch.setattr(
+        core.bank, "_absorb", lambda *args: (innovations.append(args[:2]), absorb(*args))[1]
+    )
     runs: list[list[float]] = [[] for _ in NODES]
     windows = []
     for tick in range(1, LOOP_TICKS + 1):
         innovations.clear()
-        tracked = [core.bank.steps[d] >= gateway.bank.SETTLE_STEPS for d in range(len(NODES))]
+        tracked = [
+            core.bank.filters.steps[d] >= gateway.bank.SETTLE_STEPS for d in range(len(NODES))
+        ]
         core.step(honest.sent(tick), tick * TICK)
         losses = honest.lost[max(tick - 31, 0) : tick + 30].any()
         standing = honest.phase[tick - 1] == PHASES.index("standstill")
