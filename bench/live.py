@@ -105,6 +105,8 @@ def as_node(frame: Frame, codec: Codec, further: int) -> Frame:
 
 def per_frame(ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int) -> list[tuple[str, ...]]:
     """From socket to decoded sample."""
+    rows: list[dict[str, Any]] = [{"node": k} for k in range(1, drives + 1)]
+    warm_up(Config.model_validate({"drive": rows}), codec)
     kernel = Pair()
     bus = SocketCan("pair", kernel=kernel)
     bus.open()
@@ -112,6 +114,7 @@ def per_frame(ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int) -> li
     inbox = Inbox(codec, nodes, 10 * MS, Supervision(nodes, 300 * MS))
     database = cantools.database.load_file(codec.path)
     packed = [[pack(frame) or b"" for frame in tick] for tick in ticks]
+    stamps = [np.array([frame.t_ns for frame in tick], dtype=np.int64) for tick in ticks]
     ours = theirs = 0.0
     count = 0
     for number, tick in enumerate(packed):
@@ -120,7 +123,7 @@ def per_frame(ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int) -> li
         began = time.perf_counter()
         block = bus.take(0.0)
         # As of the log: what is late would be stale.
-        block.t_ns[:] = [frame.t_ns for frame in ticks[number]]
+        block.t_ns[:] = stamps[number]
         inbox.take(block, (number + 1) * 10 * MS)
         ours += time.perf_counter() - began
         if number % 20 == 0:
@@ -157,7 +160,7 @@ def whole_tick(
         for number, tick in enumerate(ticks):
             for frame in tick:
                 kernel.theirs.send(pack(frame) or b"")
-            stamps = [frame.t_ns for frame in tick]
+            stamps = np.array([frame.t_ns for frame in tick], dtype=np.int64)
             began = time.perf_counter()
             block = bus.take(0.0)
             block.t_ns[:] = stamps

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.drivers.batch import NATIVE, TRUNCATED, Batch
+from gateway.drivers._batch_kernels import TRUNCATED
+from gateway.drivers.batch import NATIVE, Batch
 from gateway.drivers.wire import FD_SIZE
 
 

@@ -6,8 +6,9 @@ Twin for one frame: `gateway.drivers.wire.unpack`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
@@ -16,53 +17,59 @@ _CLASSIC_SIZE, _FD_SIZE = 16, 72
 _HEAD = 8
 _EXTENDED, _REMOTE, _ERROR, _FD, _BRS, _ESI = 1, 2, 4, 8, 16, 32  # dbc.frame
 _SOL_SOCKET, _STAMP, _DROPS = 1, 35, 40
+TRUNCATED = 0x20
+"""MSG_TRUNC, of a message's flags: it was longer than a frame is."""
 FRAMES, MALFORMED, ERRORS, DROPPED, LAST_DROPS = range(5)
 """Of `tally`: usable rows, others, error frames among the rows, frames that the kernel has dropped
 since, and its counter (which wraps), kept from call to call."""
 
 
-@njit(cache=True, forceinline=True)
-def _word(row: Bytes, at: int, size: int) -> int:
-    """Unsigned little-endian number of `size` bytes."""
+@inlined
+def _word(rows: Bytes, k: int, at: int, size: int) -> int:
+    """Unsigned little-endian number of `size` bytes in row k."""
     number = np.int64(0)
-    for k in range(size):
-        number |= np.int64(row[at + k]) << (8 * k)
+    for b in range(size):
+        number |= np.int64(rows[k, at + b]) << (8 * b)
     return int(number)
 
 
-@njit(cache=True)
+@lean
 def unpack_rows(
-    data: Bytes, sizes: NDArray[np.uint32], control: Bytes, control_sizes: Ints, n: int,
-    native: int, stamp_ns: Ints, can_id: NDArray[np.uint32], flags: Bytes, length: Bytes,
-    out: Bytes, dlc: NDArray[np.int8], tally: Ints,
+    data: Bytes, sizes: NDArray[np.uint32], seen: NDArray[np.int32], control: Bytes,
+    control_sizes: NDArray[np.uint64], n: int, native: int, stamp_ns: Ints,
+    can_id: NDArray[np.uint32], flags: Bytes, length: Bytes, out: Bytes, dlc: NDArray[np.int8],
+    tally: Ints,
 ) -> None:  # fmt: skip
-    """Read n messages of `sizes` (n,) bytes; fills one row for each that is a CAN frame.
+    """Read n messages of `sizes` bytes; fills one row for each that is a CAN frame.
 
-    data (n, 72), control (n, C) and how much of it is used; native: bytes of a C long. stamp_ns: of
-    CLOCK_REALTIME, 0 without. out (n, 64), zero behind the length. tally (5,): see above.
+    data (M, 72); seen (M,): flags of each message; control (M, C) and how much of it is used,
+    which is set back to C; native: bytes of a C long. stamp_ns: of CLOCK_REALTIME, 0 without.
+    out (n, 64), zero behind the length. tally (5,): see above.
     """
     row = malformed = errors = 0
     for k in range(n):
         stamp = 0
         at, header = 0, native + 8
-        while at + header <= control_sizes[k]:
-            size = _word(control[k], at, native)
+        used = int(control_sizes[k])
+        control_sizes[k] = control.shape[1]
+        while at + header <= used:
+            size = _word(control, k, at, native)
             if size < header:
                 break
-            level, kind = _word(control[k], at + native, 4), _word(control[k], at + native + 4, 4)
+            level, kind = _word(control, k, at + native, 4), _word(control, k, at + native + 4, 4)
             if level == _SOL_SOCKET and kind == _STAMP:
-                seconds = _word(control[k], at + header, native)
-                stamp = seconds * 1_000_000_000 + _word(control[k], at + header + native, native)
+                seconds = _word(control, k, at + header, native)
+                stamp = seconds * 1_000_000_000 + _word(control, k, at + header + native, native)
             elif level == _SOL_SOCKET and kind == _DROPS:
-                drops = _word(control[k], at + header, 4)
+                drops = _word(control, k, at + header, 4)
                 tally[DROPPED] += (drops - tally[LAST_DROPS]) & 0xFFFF_FFFF
                 tally[LAST_DROPS] = drops
             at += (size + native - 1) // native * native
-        if sizes[k] not in (_CLASSIC_SIZE, _FD_SIZE):
+        if seen[k] & TRUNCATED or sizes[k] not in (_CLASSIC_SIZE, _FD_SIZE):
             malformed += 1
             continue
         fd = sizes[k] == _FD_SIZE
-        word = _word(data[k], 0, 4)
+        word = _word(data, k, 0, 4)
         said, raw = int(data[k, 4]), int(data[k, 7])
         extended = word & 0x8000_0000 != 0
         stamp_ns[row] = stamp
@@ -95,7 +102,7 @@ def unpack_rows(
     tally[FRAMES], tally[MALFORMED], tally[ERRORS] = row, malformed, errors
 
 
-@njit(cache=True)
+@lean
 def age_rows(stamp_ns: Ints, n: int, real_ns: int, now_ns: int, bound_ns: int) -> None:
     """`transport.monotonic_stamp` of n stamps, in place; now where there is none."""
     for k in range(n):

@@ -22,9 +22,6 @@ CONTROL_SIZE: Final = 128
 """Stamp and drop counter take 56 bytes with 64-bit words."""
 NATIVE: Final = struct.calcsize("@l")
 _DONTWAIT: Final = 0x40
-TRUNCATED: Final = 0x20
-"""Of a message's flags: it was longer than a frame is."""
-
 
 _IOVEC: Final = np.dtype([("base", np.uintp), ("size", np.uintp)])
 _HEAD: Final = np.dtype(
@@ -103,17 +100,15 @@ class Batch:
         dropped meanwhile.
         """
         n = self.filled
-        sizes = np.where(self.flags[:n] & TRUNCATED, 0, self.sizes[:n]).astype(np.uint32)
         block = blank(n, [name])
         tally = self._tally
         tally[compiled.DROPPED] = 0
         compiled.unpack_rows(
-            self.data, sizes, self.control, self.control_sizes[:n].astype(np.int64), n,
-            NATIVE, block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
+            self.data, self.sizes, self.flags, self.control, self.control_sizes, n, NATIVE,
+            block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
             tally,
         )  # fmt: skip
         frames, malformed, errors, dropped, _ = tally.tolist()
         compiled.age_rows(block.t_ns, frames, real_ns, now_ns, bound_ns)
-        self.control_sizes[:n] = CONTROL_SIZE
         self.filled = 0
         return block.part(0, frames) if malformed else block, malformed, errors, dropped
