@@ -8,7 +8,7 @@ which is also what tests compare this with.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from dbc._lean import inlined, lean
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
@@ -31,7 +31,7 @@ _MOST_NAME = 21
 _MOST_GAP = 21
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _digits(text: Bytes, at: int, count: int) -> int:
     """Decimal number of `count` digits; -1 if one is none. By twos: half as long a chain."""
     number = np.int64(0)
@@ -47,7 +47,7 @@ def _digits(text: Bytes, at: int, count: int) -> int:
     return -1 if bad else int(number)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _stamp(text: Bytes, at: int, end: int) -> tuple[int, int]:
     """(nanoseconds, place behind the bracket) of a stamp; place -1 if it is none."""
     if at >= end or text[at] != _OPEN:
@@ -69,7 +69,7 @@ def _stamp(text: Bytes, at: int, end: int) -> tuple[int, int]:
     return 0, -1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _gap(text: Bytes, at: int, end: int) -> int:
     """Place behind 1 .. 21 blanks; -1 if there are none, or more."""
     k = at
@@ -78,7 +78,7 @@ def _gap(text: Bytes, at: int, end: int) -> int:
     return k if 0 < k - at <= _MOST_GAP else -1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _named(text: Bytes, at: int, size: int, names: Bytes, sizes: Ints) -> int:
     """Number of an interface name, entered if it is new; -1 if the table is full."""
     for n in range(sizes.shape[0]):
@@ -98,7 +98,7 @@ def _named(text: Bytes, at: int, size: int, names: Bytes, sizes: Ints) -> int:
     return -1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _line(
     text: Bytes,
     start: int,
@@ -178,7 +178,7 @@ def _line(
     return at
 
 
-@njit(cache=True)
+@lean
 def scan(
     text: Bytes,
     start: int,
