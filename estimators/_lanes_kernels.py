@@ -294,6 +294,26 @@ def _round(
     return b
 
 
+@lean
+def _fill(
+    work: Array, par: Array, Q: Array, R: Array, lean: Array, dt: float, x: Array, P: Array
+) -> None:
+    """All drives into their lanes; one without a drive calculates what the last drive does."""
+    for d in range(work.shape[0] * _L):
+        m = min(d, x.shape[0] - 1)
+        _enter(work[d // _L], d % _L, par[m], Q[m], R[m], lean[m], dt)
+        _load(work[d // _L], d % _L, x[m], P[m])
+        for i in range(2):
+            work[d // _L, (_U + i) * _L + d % _L] = work[d // _L, (_Y + i) * _L + d % _L] = 0.0
+
+
+@lean
+def _empty(work: Array, x: Array, P: Array) -> None:
+    """And out of them."""
+    for d in range(x.shape[0]):
+        _store(work[d // _L], d % _L, x[d], P[d])
+
+
 @njit(cache=True)
 def _lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
@@ -305,13 +325,7 @@ def _lanes(
     blocks = (drives + _L - 1) // _L
     work = np.empty((blocks, ROWS * _L))
     row_of = np.full(blocks * _L, -1)
-    for d in range(blocks * _L):
-        # Lanes without a drive calculate what the last drive does, and nobody looks at it.
-        m = min(d, drives - 1)
-        _enter(work[d // _L], d % _L, par[m], Q[m], R[m], lean[m], dt)
-        _load(work[d // _L], d % _L, x[m], P[m])
-        for i in range(2):
-            work[d // _L, (_U + i) * _L + d % _L] = work[d // _L, (_Y + i) * _L + d % _L] = 0.0
+    _fill(work, par, Q, R, lean, dt, x, P)
     nis_out[:] = np.nan
     ok_out[:] = True
     x_d, P_d = np.empty(5), np.empty((5, 5))
@@ -352,8 +366,7 @@ def _lanes(
                 _load(s, k, x_d, P_d)
             _settle(s, b, row_of, nis_out, ok_out)
             b = _round(work, row_of, b + 1, n_sub[first], dt, kappa, nis_out, ok_out)
-    for d in range(drives):
-        _store(work[d // _L], d % _L, x[d], P[d])
+    _empty(work, x, P)
 
 
 @njit(cache=True)
