@@ -8,8 +8,9 @@ which is also what tests compare this with.
 from __future__ import annotations
 
 import numpy as np
-from dbc._lean import inlined, lean
 from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]

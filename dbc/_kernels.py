@@ -1,8 +1,9 @@
 """Compiled bit extraction: a block of frames in one call, and its plain twin.
 
 Tables (built by `dbc.codec`), one row per signal, the rows of a message together:
-  rows    int64  (M, 2)   first table row and number of signals of each message
-  layout  int64  (T, 12)  columns as named by the constants below
+  rows    int64  (M, 3)   first table row and number of signals of each message; 1 where all of
+                          them are whole within a word and none is special (`KIND`)
+  layout  int64  (T, 13)  columns as named by the constants below
   keys    uint64 (T, 5)   mask, key flip, lowest and highest valid key, not-available key
   factors float64 (T, 4)  scale, offset, lowest and highest physical value (floats only)
   ranges  int64  (R, 2)   multiplexer values, inclusive
@@ -19,9 +20,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from dbc._lean import inlined
+
 (
     BYTE, COUNT, SHIFT, BIG, LENGTH, SIGNED, FLOAT, HAS_CODE, PARENT, FIRST_RANGE, SATURATES, WORD,
-) = range(12)  # fmt: skip
+    KIND,
+) = range(13)  # fmt: skip
 MASK, FLIP, LOW, HIGH, CODE = range(5)
 RANGES_PER_SIGNAL_SHIFT = 16
 """FIRST_RANGE holds first * 65536 + count: one column less to load."""
@@ -30,7 +34,36 @@ WORD_SHIFT = 6
 words as this machine reads them; any other (-1) is put together from its bytes."""
 
 
+IS_SIGNED, IS_CODED, SATURATING, SPECIAL = 1, 2, 4, 8
+"""Of KIND: what most signals are, at one look. A special one is multiplexed, a float, or unsigned
+of 64 bits."""
+
 _VALID, _NOT_AVAILABLE, _RANGE, _SATURATED, _ABSENT = range(5)
+
+
+@inlined
+def _read(
+    bits: np.uint64,
+    t: int,
+    layout: NDArray[np.int64],
+    keys: NDArray[np.uint64],
+    factors: NDArray[np.float64],
+) -> tuple[float, int]:
+    """Value and validity of a signal that is not special."""
+    kind = layout[t, KIND]
+    u = bits
+    if kind & IS_SIGNED:
+        free = np.uint64(64 - layout[t, LENGTH])
+        u = np.uint64(np.int64(u << free) >> np.int64(free))
+    key = u ^ keys[t, FLIP]
+    code = _VALID
+    if kind & IS_CODED and key == keys[t, CODE]:
+        code = _NOT_AVAILABLE
+    elif key < keys[t, LOW] or key > keys[t, HIGH]:
+        code = _RANGE
+    elif kind & SATURATING and (key == keys[t, LOW] or key == keys[t, HIGH]):
+        code = _SATURATED
+    return np.float64(np.int64(u)) * factors[t, 0] + factors[t, 1], code
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator,unused-ignore]
@@ -59,7 +92,13 @@ def decode_block(
         if 0 <= index[i] < rows.shape[0]:
             first = rows[index[i], 0]
             count = rows[index[i], 1]
-        for k in range(count):
+        plain = count if count > 0 and rows[index[i], 2] else 0
+        for k in range(plain):
+            t = first + k
+            word = layout[t, WORD]
+            acc = words[i, word >> WORD_SHIFT] >> np.uint64(word & ((1 << WORD_SHIFT) - 1))
+            value[i, k], validity[i, k] = _read(acc & keys[t, MASK], t, layout, keys, factors)
+        for k in range(plain, count):
             t = first + k
             word = layout[t, WORD]
             if word >= 0:
@@ -83,9 +122,12 @@ def decode_block(
                     acc |= np.uint64(payload[i, at + b]) << up
                     up += np.uint64(8)
             bits[k] = acc & keys[t, MASK]
-        for k in range(count):
+        for k in range(plain, count):
             t = first + k
             u = bits[k]
+            if not layout[t, KIND] & SPECIAL:
+                value[i, k], validity[i, k] = _read(u, t, layout, keys, factors)
+                continue
             if layout[t, SIGNED]:
                 free = np.uint64(64 - layout[t, LENGTH])
                 u = np.uint64(np.int64(u << free) >> np.int64(free))

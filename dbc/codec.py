@@ -322,14 +322,29 @@ _U64: Final = (1 << 64) - 1
 _TOP: Final = 1 << 63
 
 
+def _kind(s: SignalSpec, is_signed: bool) -> int:
+    """`KIND` of `dbc._kernels`."""
+    from dbc import _kernels as kernels
+
+    special = bool(s.mux_parent) or s.is_float or (s.length == 64 and not is_signed)
+    return (
+        kernels.IS_SIGNED * is_signed
+        | kernels.IS_CODED * (s.not_available is not None)
+        | kernels.SATURATING * s.saturates
+        | kernels.SPECIAL * special
+    )
+
+
 def _tables(messages: Sequence[MessageSpec]) -> Tables:
-    rows: list[tuple[int, int]] = []
+    from dbc._kernels import SPECIAL
+
+    rows: list[tuple[int, int, bool]] = []
     layout: list[tuple[int, ...]] = []
     keys: list[tuple[int, ...]] = []
     factors: list[tuple[float, ...]] = []
     ranges: list[tuple[int, int]] = []
     for spec in messages:
-        rows.append((len(layout), len(spec.signals)))
+        first = len(layout)
         places = {s.name: k for k, s in enumerate(spec.signals)}
         for s in spec.signals:
             if s.is_big_endian:
@@ -353,16 +368,18 @@ def _tables(messages: Sequence[MessageSpec]) -> Tables:
             layout.append((
                 s.start >> 3, count, shift, s.is_big_endian, s.length, is_signed,
                 s.length if s.is_float else 0, s.not_available is not None, parent, first_range,
-                s.saturates, word,
+                s.saturates, word, _kind(s, is_signed),
             ))  # fmt: skip
             flip = _TOP if is_signed else 0
             code = 0 if s.not_available is None else s.not_available
             bounds = ((raw & _U64) ^ flip for raw in (s.raw_min, s.raw_max, code))
             keys.append(((1 << s.length) - 1, flip, *bounds))
             factors.append((s.scale, s.offset, s.float_min, s.float_max))
+        plain = all(not row[-1] & SPECIAL and row[-2] >= 0 for row in layout[first:])
+        rows.append((first, len(spec.signals), plain))
     return Tables(
-        np.array(rows, np.int64).reshape(-1, 2),
-        np.array(layout, np.int64).reshape(-1, 12),
+        np.array(rows, np.int64).reshape(-1, 3),
+        np.array(layout, np.int64).reshape(-1, 13),
         np.array(keys, np.uint64).reshape(-1, 5),
         np.array(factors, np.float64).reshape(-1, 4),
         np.array(ranges, np.int64).reshape(-1, 2),

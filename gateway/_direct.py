@@ -22,9 +22,9 @@ class Direct:
     __slots__ = ("_call", "_compiled")
 
     def __init__(self, compiled: Any) -> None:
-        """compiled: by `numba.njit`."""
+        """compiled: by `numba.njit`; a function that is not, such as a twin, is called as it is."""
         self._compiled = compiled
-        self._call: Callable[..., Any] | None = None
+        self._call: Callable[..., Any] | None = None if hasattr(compiled, "overloads") else compiled
 
     @property
     def name(self) -> str:
