@@ -108,6 +108,9 @@ class Bank:
         self._balance, self._lock_sweep = Direct(balance), Direct(lock_sweep)
         self._absorb, self._over_holes = Direct(absorb), Direct(drop_over_holes)
         self._follow, self._tell = Direct(follow), Direct(tell)
+        # Compiled, or loaded, now and not when the first filter begins.
+        causes, fresh = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+        self._tell(causes, fresh, self.filters, self.tracks, self.limits, self.told)
 
     def advance(
         self,

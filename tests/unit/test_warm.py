@@ -8,12 +8,11 @@ import pytest
 
 from gateway.commands import common
 
-PROGRAM = """
+COMPILED = """
 import sys, time
 from numba.core.registry import CPUDispatcher
 from gateway.commands.common import prepare
 from gateway.commands.common import scenario_thermal
-from gateway.drivers import demo
 from sim.scenario import find
 
 def compiled():
@@ -27,8 +26,12 @@ def compiled():
     names = {k: (k.py_func.__module__, k.py_func.__name__) for k in kernels}
     return {(*name, str(given)) for k, name in names.items() for given in k.signatures}
 
-before = set()
 config, codec = prepare(None, thermal=scenario_thermal())
+"""
+DEMO = """
+from gateway.drivers import demo
+
+before = set()
 make = demo.Gateway
 
 def gateway(*given):
@@ -39,6 +42,23 @@ demo.rehearse(find("demo"), config, codec)
 demo.Gateway = gateway
 demo.run_demo(find("demo"), config, codec, "test-warm", 3.0, lambda *_: None, time.monotonic())
 assert len(before) > 10
+print(sorted(compiled() - before))
+"""
+CORE = """
+from gateway.core import Gateway
+from gateway.drivers.warm import warm_up
+from sim.simulation import Simulation
+
+simulation = Simulation(find("wet_one"), codec)
+frames = [simulation.step((), k * 10_000_000) for k in range(1, 500)]
+warm_up(config, codec)
+before = compiled()
+core = Gateway(config, codec, 0)
+said = set()
+for k, came in enumerate(frames, 1):
+    core.step(came, k * 10_000_000)
+    said |= {drive.adhesion.name for drive in core.view.drives}
+assert said == {"UNKNOWN", "GOOD", "BAD"}
 print(sorted(compiled() - before))
 """
 
@@ -53,8 +73,9 @@ def test_who_waits_for_the_compiler_is_told_why(capsys, monkeypatch, slow):
     assert (said if slow else capsys.readouterr().err) == (common.COMPILING + "\n") * slow
 
 
-def test_the_demo_compiles_nothing_in_mid_run():
+@pytest.mark.parametrize("program", [DEMO, CORE], ids=["demo", "core"])
+def test_nothing_is_compiled_in_mid_run(program):
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True
+        [sys.executable, "-c", COMPILED + program], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
