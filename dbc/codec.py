@@ -326,17 +326,30 @@ def _kind(s: SignalSpec, is_signed: bool) -> int:
     """`KIND` of `dbc._kernels`."""
     from dbc import _kernels as kernels
 
-    special = bool(s.mux_parent) or s.is_float or (s.length == 64 and not is_signed)
     return (
         kernels.IS_SIGNED * is_signed
         | kernels.IS_CODED * (s.not_available is not None)
         | kernels.SATURATING * s.saturates
-        | kernels.SPECIAL * special
+        | kernels.SWAPPED * s.is_big_endian
+        | kernels.CHOSEN * bool(s.mux_parent)
+        | kernels.SPECIAL * (s.is_float or (s.length == 64 and not is_signed))
     )
 
 
+def _word(s: SignalSpec) -> int:
+    """`WORD` of `dbc._kernels`: -1 where the signal lies within no word."""
+    inside = s.start & 63
+    if s.is_big_endian:
+        # From the word's first bit as it is sent; a signal's start is its highest bit.
+        inside = 8 * (inside >> 3) + 7 - (inside & 7)
+    if inside + s.length > 64 or sys.byteorder != "little":
+        return -1
+    shift = 64 - inside - s.length if s.is_big_endian else inside
+    return (s.start >> 6 << 6) + shift
+
+
 def _tables(messages: Sequence[MessageSpec]) -> Tables:
-    from dbc._kernels import SPECIAL
+    from dbc._kernels import CHOSEN, SPECIAL
 
     rows: list[tuple[int, int, bool]] = []
     layout: list[tuple[int, ...]] = []
@@ -354,13 +367,6 @@ def _tables(messages: Sequence[MessageSpec]) -> Tables:
             else:
                 shift = s.start & 7
                 count = (shift + s.length + 7) >> 3
-            word = -1
-            if (
-                not s.is_big_endian
-                and (s.start & 63) + s.length <= 64
-                and sys.byteorder == "little"
-            ):
-                word = s.start
             parent = places[s.mux_parent] if s.mux_parent else -1
             first_range = (len(ranges) << 16) | len(s.mux_ranges)
             ranges += s.mux_ranges
@@ -368,14 +374,14 @@ def _tables(messages: Sequence[MessageSpec]) -> Tables:
             layout.append((
                 s.start >> 3, count, shift, s.is_big_endian, s.length, is_signed,
                 s.length if s.is_float else 0, s.not_available is not None, parent, first_range,
-                s.saturates, word, _kind(s, is_signed),
+                s.saturates, _word(s), _kind(s, is_signed),
             ))  # fmt: skip
             flip = _TOP if is_signed else 0
             code = 0 if s.not_available is None else s.not_available
             bounds = ((raw & _U64) ^ flip for raw in (s.raw_min, s.raw_max, code))
             keys.append(((1 << s.length) - 1, flip, *bounds))
             factors.append((s.scale, s.offset, s.float_min, s.float_max))
-        plain = all(not row[-1] & SPECIAL and row[-2] >= 0 for row in layout[first:])
+        plain = all(not row[-1] & (CHOSEN | SPECIAL) and row[-2] >= 0 for row in layout[first:])
         rows.append((first, len(spec.signals), plain))
     return Tables(
         np.array(rows, np.int64).reshape(-1, 3),
