@@ -1,6 +1,6 @@
 """Compiled bit extraction: a block of frames in one call, and its plain twin.
 
-Tables (built by `dbc.codec`), one row per signal, the rows of a message together:
+Tables (built by `dbc._tables`), one row per signal, the rows of a message together:
   rows    int64  (M, 3)   first table row and number of signals of each message; 1 where all of
                           them are whole within a word and none is special (`KIND`)
   layout  int64  (T, 13)  columns as named by the constants below

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -42,16 +41,6 @@ _FLOAT_FORMATS: Final = {32: (">f", ">I"), 64: (">d", ">Q")}
 _FLOAT_LARGEST: Final = {n: float(np.finfo(t).max) for n, t in ((32, np.float32), (64, np.float64))}
 
 
-class Tables(NamedTuple):
-    """The kernel's tables; their columns are explained in `_kernels`."""
-
-    rows: NDArray[np.int64]
-    layout: NDArray[np.int64]
-    keys: NDArray[np.uint64]
-    factors: NDArray[np.float64]
-    ranges: NDArray[np.int64]
-
-
 class _Writer(NamedTuple):
     """What `encode` needs of one signal, worked out once."""
 
@@ -78,6 +67,7 @@ class Codec:
         digest: SHA-256 of the file, hexadecimal.
         """
         from dbc import _kernels
+        from dbc._tables import tables
 
         self.path = path
         self.digest = digest
@@ -87,7 +77,7 @@ class Codec:
         self.fd = any(m.is_fd for m in self.messages)
         self.width = max((len(m.signals) for m in self.messages), default=0)
         self._kernels = _kernels
-        self.tables = _tables(self.messages)
+        self.tables = tables(self.messages)
         self._writers = [_writers(m) for m in self.messages]
         self._bases = [_bases(writers) for writers in self._writers]
         self._multiplexed = [any(s.mux_parent for s in m.signals) for m in self.messages]
@@ -316,80 +306,6 @@ def _bases(writers: Mapping[str, _Writer]) -> tuple[int, int]:
         else:
             little |= writer.start << writer.shift
     return little, big
-
-
-_U64: Final = (1 << 64) - 1
-_TOP: Final = 1 << 63
-
-
-def _kind(s: SignalSpec, is_signed: bool) -> int:
-    """`KIND` of `dbc._kernels`."""
-    from dbc import _kernels as kernels
-
-    return (
-        kernels.IS_SIGNED * is_signed
-        | kernels.IS_CODED * (s.not_available is not None)
-        | kernels.SATURATING * s.saturates
-        | kernels.SWAPPED * s.is_big_endian
-        | kernels.CHOSEN * bool(s.mux_parent)
-        | kernels.SPECIAL * (s.is_float or (s.length == 64 and not is_signed))
-    )
-
-
-def _word(s: SignalSpec) -> int:
-    """`WORD` of `dbc._kernels`: -1 where the signal lies within no word."""
-    inside = s.start & 63
-    if s.is_big_endian:
-        # From the word's first bit as it is sent; a signal's start is its highest bit.
-        inside = 8 * (inside >> 3) + 7 - (inside & 7)
-    if inside + s.length > 64 or sys.byteorder != "little":
-        return -1
-    shift = 64 - inside - s.length if s.is_big_endian else inside
-    return (s.start >> 6 << 6) + shift
-
-
-def _tables(messages: Sequence[MessageSpec]) -> Tables:
-    from dbc._kernels import CHOSEN, SPECIAL
-
-    rows: list[tuple[int, int, bool]] = []
-    layout: list[tuple[int, ...]] = []
-    keys: list[tuple[int, ...]] = []
-    factors: list[tuple[float, ...]] = []
-    ranges: list[tuple[int, int]] = []
-    for spec in messages:
-        first = len(layout)
-        places = {s.name: k for k, s in enumerate(spec.signals)}
-        for s in spec.signals:
-            if s.is_big_endian:
-                lead = 7 - (s.start & 7)
-                count = (lead + s.length + 7) >> 3
-                shift = 8 * count - lead - s.length
-            else:
-                shift = s.start & 7
-                count = (shift + s.length + 7) >> 3
-            parent = places[s.mux_parent] if s.mux_parent else -1
-            first_range = (len(ranges) << 16) | len(s.mux_ranges)
-            ranges += s.mux_ranges
-            is_signed = s.is_signed and not s.is_float
-            layout.append((
-                s.start >> 3, count, shift, s.is_big_endian, s.length, is_signed,
-                s.length if s.is_float else 0, s.not_available is not None, parent, first_range,
-                s.saturates, _word(s), _kind(s, is_signed),
-            ))  # fmt: skip
-            flip = _TOP if is_signed else 0
-            code = 0 if s.not_available is None else s.not_available
-            bounds = ((raw & _U64) ^ flip for raw in (s.raw_min, s.raw_max, code))
-            keys.append(((1 << s.length) - 1, flip, *bounds))
-            factors.append((s.scale, s.offset, s.float_min, s.float_max))
-        plain = all(not row[-1] & (CHOSEN | SPECIAL) and row[-2] >= 0 for row in layout[first:])
-        rows.append((first, len(spec.signals), plain))
-    return Tables(
-        np.array(rows, np.int64).reshape(-1, 3),
-        np.array(layout, np.int64).reshape(-1, 13),
-        np.array(keys, np.uint64).reshape(-1, 5),
-        np.array(factors, np.float64).reshape(-1, 4),
-        np.array(ranges, np.int64).reshape(-1, 2),
-    )
 
 
 __all__ = [

@@ -19,7 +19,7 @@ from gateway._guard_kernels import note_foul
 from gateway._slow_kernels import keep
 
 if TYPE_CHECKING:
-    from dbc.codec import Tables
+    from dbc._tables import Tables
     from dbc.receive import Guard, Window
     from gateway.channel import ChannelState
     from gateway.pairing import PairState, Samples, Wiring
