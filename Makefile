@@ -43,6 +43,7 @@ campaign: $(VENV)/.ready
 		--counts full --campaign-seed $(SEED) -o timeout=7200 -rP $(ARGS)
 
 # Are the tests of what decides a flag tested? Half an hour; works in a copy. What survives is listed.
+# First they must pass with nothing changed (`baseline`): a test that cannot run finds every mutant.
 # cosmic-ray has an environment of its own: it is no dependency.
 MUTANTS := out/mutants
 mutation: $(VENV)/.ready
@@ -50,7 +51,8 @@ mutation: $(VENV)/.ready
 	$(PYTHON) -m venv $(MUTANTS)/own && $(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0
 	cd $(MUTANTS) && for part in flags doubt protection validity; do \
 		own/bin/cosmic-ray init tests/mutation/$$part.toml $$part.sqlite && \
-		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite; done; \
+		own/bin/cosmic-ray baseline tests/mutation/$$part.toml && \
+		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite || exit 1; done; \
 		.venv/bin/python -m tests.mutation.survivors *.sqlite
 
 # The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.
