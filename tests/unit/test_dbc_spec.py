@@ -73,7 +73,8 @@ def test_what_is_not_said_of_a_signal():
     signal = SignalSpec("S", 3, 5)
     largest = sys.float_info.max
     assert dataclasses.astuple(signal) == (
-        "S", 3, 5, False, False, 1.0, 0.0, "", 0, 0, None, 0, {}, False, -largest, largest, None, (),
+        "S", 3, 5, False, False, 1.0, 0.0, "", 0, 0, None, 0, {}, False, -largest, largest, None,
+        (),
     )  # fmt: skip
     assert SignalSpec.float_limits() == (-largest, largest)
     with pytest.raises(dataclasses.FrozenInstanceError):
