@@ -26,6 +26,10 @@ class Direct:
         self._compiled = compiled
         self._call: Callable[..., Any] | None = None if hasattr(compiled, "overloads") else compiled
 
+    def __deepcopy__(self, _memo: dict[int, object]) -> Direct:
+        """Shared: the copy of a place has arguments of the same types."""
+        return self
+
     @property
     def name(self) -> str:
         """Of the function."""

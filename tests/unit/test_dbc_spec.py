@@ -15,7 +15,7 @@ SIGNED = SignalSpec(
 )
 UNSIGNED = SignalSpec("U", 0, 8, raw_min=1, raw_max=250, not_available=255)
 PLAIN = SignalSpec("P", 0, 8, is_signed=True, raw_min=-5, raw_max=5)
-FLOAT = SignalSpec("F", 0, 32, is_float=True, is_signed=True, scale=2.0, offset=1.0,
+FLOAT = SignalSpec("F", 0, 32, is_float=True, is_signed=True, scale=0.5, offset=1.0,
                    float_min=-3.0, float_max=5.0, not_available=1)  # fmt: skip
 
 
@@ -29,7 +29,7 @@ FLOAT = SignalSpec("F", 0, 32, is_float=True, is_signed=True, scale=2.0, offset=
         (SIGNED, 90, Validity.SATURATED),
         (SIGNED, -101, Validity.RANGE),
         (SIGNED, 91, Validity.RANGE),
-        (SIGNED, -128, Validity.NOT_AVAILABLE),
+        (SIGNED, int("-128"), Validity.NOT_AVAILABLE),
         (UNSIGNED, 1, Validity.VALID),
         (UNSIGNED, 250, Validity.VALID),
         (UNSIGNED, 0, Validity.RANGE),
@@ -38,11 +38,11 @@ FLOAT = SignalSpec("F", 0, 32, is_float=True, is_signed=True, scale=2.0, offset=
         (PLAIN, -5, Validity.VALID),
         (PLAIN, 5, Validity.VALID),
         (PLAIN, 6, Validity.RANGE),
-        (FLOAT, -2.0, Validity.VALID),
-        (FLOAT, 2.0, Validity.VALID),
+        (FLOAT, -8.0, Validity.VALID),
+        (FLOAT, 8.0, Validity.VALID),
         (FLOAT, 1.0, Validity.VALID),
-        (FLOAT, -2.01, Validity.RANGE),
-        (FLOAT, 2.01, Validity.RANGE),
+        (FLOAT, -8.01, Validity.RANGE),
+        (FLOAT, 8.01, Validity.RANGE),
         (FLOAT, float("nan"), Validity.RANGE),
         (FLOAT, float("inf"), Validity.RANGE),
     ],
