@@ -83,13 +83,13 @@ def test_what_is_not_said_of_a_signal():
 
 
 def message(**more):
-    return MessageSpec("Drive3_Motion", 0x123, 8, False, False, 10, Profile.NONE, b"",
+    return MessageSpec("Drive3_Motion", 0x122, 8, False, False, 10, Profile.NONE, b"",
                        (SIGNED, UNSIGNED, PLAIN), 0, 3, "Motion", **more)  # fmt: skip
 
 
 def test_a_message_is_known_by_its_identifier_and_how_long_that_is():
-    assert message().key == 0x123
-    assert message(is_extended=True).key == 0x8000_0123
+    assert message().key == 0x122
+    assert message(is_extended=True).key == 0x8000_0122
     assert (message().is_extended, message().is_gateway) == (False, False)
     with pytest.raises(dataclasses.FrozenInstanceError):
         message().can_id = 1
