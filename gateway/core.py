@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 FLAGS: Final = ("adhesion", "thermal", "comm", "estimator", "sensor")
 HEARTBEAT_LIMIT_NS: Final = 300 * MS
-COMM: Final = Timing(good_ns=0, raise_ns=0, clear_ns=100 * MS)
+COMM_CLEAR_NS: Final = 100 * MS
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
 COMM_CAUSES: Final = (Reason.STALE, Reason.CORRUPTED, Reason.SEQUENCE)
@@ -104,7 +104,8 @@ class Gateway:
             "adhesion": Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS),
             "severe": Timing(a.good_ms * MS, a.raise_severe_ms * MS, a.clear_ms * MS),
             "thermal": Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
-            "comm": COMM,
+            # Good no sooner than the slowest message can have been heard for the first time.
+            "comm": Timing(_slowest(self.inbox.drives), 0, COMM_CLEAR_NS),
             "estimator": ESTIMATOR,
             "sensor": SENSOR,
         }
@@ -296,7 +297,8 @@ class Gateway:
     def _comm(self, k: int) -> Flag:
         """Bad once anything that was valid is stale, silent or corrupted, or we are not alone.
 
-        Good once all that was heard, the electrical messages with it, has been valid.
+        Good once all that was heard, the electrical messages with it, has been valid (and for a
+        cycle of the slowest message: before that, one that was not yet heard may follow).
         """
         drive = self.inbox.drives[k]
         if self.lost[k] or self.doubt.intruder:
@@ -378,6 +380,11 @@ def _timing(drives: Sequence[DriveInput]) -> Timebase:
         max((c.period_ns for c in motion), default=10 * MS),
         max((abs(step) * RPM for step in steps), default=0.0),
     )
+
+
+def _slowest(drives: Sequence[DriveInput]) -> Nanos:
+    """Longest cycle of any message."""
+    return max(c.period_ns for d in drives for c in d.channels.values())
 
 
 def _estimator_flag(health: Health) -> Flag:

@@ -1,5 +1,7 @@
 """The core on frames of exact steady motors: what it says, and what it refuses to say."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -255,7 +257,21 @@ def test_a_message_that_was_heard_and_never_valid_is_not_known_to_be_good():
     bench.run(1, once)
     assert bench.run(5).comm is Flag.UNKNOWN, "the one of long ago says nothing of this one"
     bench.run(1, once)
-    assert bench.run(1).comm is Flag.GOOD
+    assert bench.run(1).comm is Flag.UNKNOWN, "another may follow within a slowest cycle"
+
+
+@pytest.mark.parametrize("phase", range(10))
+def test_messages_that_begin_one_after_another_do_not_make_the_bus_flag_flicker(phase):
+    late = Sender(CODEC, "Drive1_Temperatures")
+    slow = {m.can_id for m in CODEC.messages if m.kind in ("Status", "Temperatures")}
+
+    def touch(frames, now):
+        others = [f for f in frames if f.can_id not in slow]
+        return [*others, late.frame(now)] if now // TICK % 10 == phase else others
+
+    bench = Bench(gateway(), drives())
+    said = [bench.run(1, touch).comm for _ in range(60)]
+    assert [flag for flag, _ in itertools.groupby(said)] == [Flag.UNKNOWN, Flag.GOOD]
 
 
 def test_a_pair_is_as_stale_as_its_older_frame():
