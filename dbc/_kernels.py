@@ -1,15 +1,17 @@
 """Compiled bit extraction: a block of frames in one call, and its plain twin.
 
 Tables (built by `dbc._tables`), one row per signal, the rows of a message together:
-  rows    int64  (M, 3)   first table row and number of signals of each message; 1 where all of
-                          them are whole within a word and none is special (`KIND`)
-  layout  int64  (T, 13)  columns as named by the constants below
-  keys    uint64 (T, 5)   mask, key flip, lowest and highest valid key, not-available key
+  rows    int64  (M, 5)   columns as named by the first constants below
+  layout  int64  (T, 9)   columns as named by the next
+  keys    uint64 (T, 7)   mask, sign bit, lowest and highest valid key, not-available key; the
+                          first of a run of keys that are valid for sure, and their number
   factors float64 (T, 4)  scale, offset, lowest and highest physical value (floats only)
   ranges  int64  (R, 2)   multiplexer values, inclusive
+  there   uint64 (W,)     which signals of a message are in a frame, a bit for each, by what its
+                          selector says
 
-A key is the raw value as 64-bit two's complement with the top bit flipped where it is signed,
-so one unsigned comparison orders both kinds.
+A key is the signal's bits with the sign bit (0 where there is none) turned over, so one unsigned
+comparison orders both kinds.
 """
 
 from __future__ import annotations
@@ -22,29 +24,32 @@ from numpy.typing import NDArray
 
 from dbc._lean import inlined
 
-(
-    BYTE, COUNT, SHIFT, BIG, LENGTH, SIGNED, FLOAT, HAS_CODE, PARENT, FIRST_RANGE, SATURATES, WORD,
-    KIND,
-) = range(13)  # fmt: skip
-MASK, FLIP, LOW, HIGH, CODE = range(5)
+FIRST, SIGNALS, SIMPLE, SELECTOR, THERE = range(5)
+"""Of a message: its first table row and number of signals; 1 where one pass reads them: all are
+whole within a word, none is special (`KIND`), one selector at most says which of them are there;
+that selector's table row, or -1; where its part of `there` begins."""
+BYTE, COUNT, SHIFT, BIG, FLOAT, PARENT, FIRST_RANGE, WORD, KIND = range(9)
+MASK, SIGN, LOW, HIGH, CODE, SURE, RUN = range(7)
 RANGES_PER_SIGNAL_SHIFT = 16
 """FIRST_RANGE holds first * 65536 + count: one column less to load."""
 WORD_SHIFT = 6
 """WORD is word * 64 + shift of a signal that lies within one of the payload's eight words, as this
 machine reads them or, big-endian, the other way round; any other (-1) is put together from its
 bytes."""
-IS_SIGNED, IS_CODED, SATURATING, SWAPPED, CHOSEN, SPECIAL = 1, 2, 4, 8, 16, 32
+IS_CODED, SATURATING, SWAPPED, CHOSEN, SPECIAL = 1, 2, 4, 8, 16
 """Of KIND, what a signal is at one look: its word is read the other way round; it is multiplexed;
 it is a float or unsigned of 64 bits."""
 _PAIRS, _FOURS = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0000FFFF0000FFFF)
 
+_ALL, _LAST_BIT, _ONE = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(63), np.uint64(1)
+Place = int | np.uint64
 _VALID, _NOT_AVAILABLE, _RANGE, _SATURATED, _ABSENT = range(5)
 
 
 @inlined
-def _word_of(words: NDArray[np.uint64], i: int, word: int, kind: int) -> np.uint64:
+def _word_of(words: NDArray[np.uint64], i: Place, word: int, kind: int) -> np.uint64:
     """The bits of a signal that lies within one word, and what stands above them."""
-    acc = words[i, word >> WORD_SHIFT]
+    acc = words[i, np.uint64(word >> WORD_SHIFT)]
     if kind & SWAPPED:
         # A compiler makes one instruction of it.
         acc = ((acc & _PAIRS) << np.uint64(8)) | ((acc >> np.uint64(8)) & _PAIRS)
@@ -75,8 +80,10 @@ def _bytes_of(payload: NDArray[np.uint8], i: int, t: int, layout: NDArray[np.int
 
 
 @inlined
-def _verdict(key: np.uint64, kind: int, t: int, keys: NDArray[np.uint64]) -> int:
-    """Validity of an integer."""
+def _verdict(key: np.uint64, kind: int, t: Place, keys: NDArray[np.uint64]) -> int:
+    """Validity of an integer; nearly always one comparison."""
+    if key - keys[t, SURE] < keys[t, RUN]:
+        return _VALID
     if kind & IS_CODED and key == keys[t, CODE]:
         return _NOT_AVAILABLE
     if key < keys[t, LOW] or key > keys[t, HIGH]:
@@ -89,19 +96,15 @@ def _verdict(key: np.uint64, kind: int, t: int, keys: NDArray[np.uint64]) -> int
 @inlined
 def _read(
     bits: np.uint64,
-    t: int,
-    layout: NDArray[np.int64],
+    t: Place,
+    kind: int,
     keys: NDArray[np.uint64],
     factors: NDArray[np.float64],
 ) -> tuple[float, int]:
     """Value and validity of a signal that is not special."""
-    kind = layout[t, KIND]
-    u = bits
-    if kind & IS_SIGNED:
-        free = np.uint64(64 - layout[t, LENGTH])
-        u = np.uint64(np.int64(u << free) >> np.int64(free))
-    code = _verdict(u ^ keys[t, FLIP], kind, t, keys)
-    return np.float64(np.int64(u)) * factors[t, 0] + factors[t, 1], code
+    key = bits ^ keys[t, SIGN]
+    number = np.int64(key - keys[t, SIGN])
+    return np.float64(number) * factors[t, 0] + factors[t, 1], _verdict(key, kind, t, keys)
 
 
 @inlined
@@ -114,7 +117,7 @@ def _read_special(
 ) -> tuple[float, int]:
     """The same of a float, or of an unsigned integer of 64 bits."""
     if not layout[t, FLOAT]:
-        code = _verdict(u ^ keys[t, FLIP], layout[t, KIND], t, keys)
+        code = _verdict(u, layout[t, KIND], t, keys)
         return np.float64(u) * factors[t, 0] + factors[t, 1], code
     if layout[t, FLOAT] == 32:
         x = np.float64(np.uint32(u).view(np.float32)) * factors[t, 0] + factors[t, 1]
@@ -126,16 +129,14 @@ def _read_special(
 @inlined
 def _present(
     t: int, first: int, bits: NDArray[np.uint64], layout: NDArray[np.int64],
-    ranges: NDArray[np.int64],
+    keys: NDArray[np.uint64], ranges: NDArray[np.int64],
 ) -> bool:  # fmt: skip
     """A multiplexed signal is there if its selector, and the selector's own, say so."""
     child = t
     while layout[child, PARENT] >= 0:
         parent = layout[child, PARENT]
-        selector = np.int64(bits[parent])
-        if layout[first + parent, SIGNED]:
-            spare = np.int64(64 - layout[first + parent, LENGTH])
-            selector = (selector << spare) >> spare
+        sign = keys[first + parent, SIGN]
+        selector = np.int64((bits[parent] ^ sign) - sign)
         start = layout[child, FIRST_RANGE] >> RANGES_PER_SIGNAL_SHIFT
         stop = start + (layout[child, FIRST_RANGE] & ((1 << RANGES_PER_SIGNAL_SHIFT) - 1))
         hit = False
@@ -157,6 +158,7 @@ def decode_block(
     keys: NDArray[np.uint64],
     factors: NDArray[np.float64],
     ranges: NDArray[np.int64],
+    there: NDArray[np.uint64],
     value: NDArray[np.float64],
     validity: NDArray[np.uint8],
 ) -> None:
@@ -171,35 +173,45 @@ def decode_block(
     for i in range(n):
         first = 0
         count = 0
+        simple = 0
+        here = _ALL
         if 0 <= index[i] < rows.shape[0]:
-            first = rows[index[i], 0]
-            count = rows[index[i], 1]
-        plain = count if count > 0 and rows[index[i], 2] else 0
-        for k in range(plain):
-            t = first + k
-            acc = _word_of(words, i, layout[t, WORD], layout[t, KIND]) & keys[t, MASK]
-            value[i, k], validity[i, k] = _read(acc, t, layout, keys, factors)
-        for k in range(plain, count):
+            m = index[i]
+            first, count, selector = rows[m, FIRST], rows[m, SIGNALS], rows[m, SELECTOR]
+            simple = count if rows[m, SIMPLE] else 0
+            if selector >= 0:
+                acc = _word_of(words, i, layout[selector, WORD], layout[selector, KIND])
+                here = there[rows[m, THERE] + np.int64(acc & keys[selector, MASK])]
+        frame = np.uint64(i)
+        for k in range(simple):
+            # Unsigned, or each look into an array would ask whether they are negative.
+            row, column = np.uint64(first + k), np.uint64(k)
+            kind = layout[row, KIND]
+            acc = _word_of(words, frame, layout[row, WORD], kind) & keys[row, MASK]
+            x, code = _read(acc, row, kind, keys, factors)
+            found = (here >> (column & _LAST_BIT)) & _ONE
+            value[frame, column] = x if found else np.nan
+            validity[frame, column] = code if found else _ABSENT
+        for k in range(simple, count):
             t = first + k
             word = layout[t, WORD]
             if word >= 0:
                 bits[k] = _word_of(words, i, word, layout[t, KIND]) & keys[t, MASK]
             else:
                 bits[k] = _bytes_of(payload, i, t, layout) & keys[t, MASK]
-        for k in range(plain, count):
+        for k in range(simple, count):
             t = first + k
             kind = layout[t, KIND]
-            if kind & CHOSEN and not _present(t, first, bits, layout, ranges):
+            if kind & CHOSEN and not _present(t, first, bits, layout, keys, ranges):
                 x, code = np.nan, _ABSENT
             elif kind & SPECIAL:
                 x, code = _read_special(bits[k], t, layout, keys, factors)
             else:
-                x, code = _read(bits[k], t, layout, keys, factors)
+                x, code = _read(bits[k], t, kind, keys, factors)
             value[i, k] = x
             validity[i, k] = code
         for k in range(count, width):
             value[i, k] = np.nan
-        for k in range(count, width):
             validity[i, k] = _ABSENT
 
 

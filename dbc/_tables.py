@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._kernels import CHOSEN, IS_CODED, IS_SIGNED, SATURATING, SPECIAL, SWAPPED
+from dbc._kernels import CHOSEN, IS_CODED, SATURATING, SPECIAL, SWAPPED, signed
 from dbc.spec import MessageSpec, SignalSpec
 
 
@@ -21,17 +21,20 @@ class Tables(NamedTuple):
     keys: NDArray[np.uint64]
     factors: NDArray[np.float64]
     ranges: NDArray[np.int64]
+    there: NDArray[np.uint64]
 
 
-_U64: Final = (1 << 64) - 1
-_TOP: Final = 1 << 63
+MOST_KEYS: Final = (1 << 64) - 1
+MOST_SELECTOR_BITS: Final = 8
+"""Of a selector whose every value has its entry in `there`."""
+MOST_SIGNALS: Final = 64
+"""An entry's bits."""
 
 
 def _kind(s: SignalSpec, is_signed: bool) -> int:
     """`KIND` of `dbc._kernels`."""
     return (
-        IS_SIGNED * is_signed
-        | IS_CODED * (s.not_available is not None)
+        IS_CODED * (s.not_available is not None)
         | SATURATING * s.saturates
         | SWAPPED * s.is_big_endian
         | CHOSEN * bool(s.mux_parent)
@@ -51,13 +54,49 @@ def _word(s: SignalSpec) -> int:
     return (s.start >> 6 << 6) + shift
 
 
+def _keys(s: SignalSpec, is_signed: bool) -> tuple[int, ...]:
+    """A row of `keys`."""
+    mask = (1 << s.length) - 1
+    sign = 1 << (s.length - 1) if is_signed else 0
+    coded = s.not_available is not None
+    low, high, code = ((raw & mask) ^ sign for raw in (s.raw_min, s.raw_max, s.not_available or 0))
+    first, end = low + s.saturates, high + 1 - s.saturates
+    if coded and first <= code < end:
+        end = code
+    # One too few of all keys of 64 bits, whose number has none.
+    return mask, sign, low, high, code, first & mask, min(max(end - first, 0), MOST_KEYS)
+
+
+def _there(spec: MessageSpec) -> tuple[str, list[int]] | None:
+    """Its selector, and by every raw value of that which signals are there, a bit for each.
+
+    None where there is none, or more than one, or too much of it to be listed.
+    """
+    selectors = {s.mux_parent for s in spec.signals} - {None}
+    if len(selectors) != 1 or len(spec.signals) > MOST_SIGNALS:
+        return None
+    (chosen,) = (s for s in spec.signals if s.name in selectors)
+    if chosen.length > MOST_SELECTOR_BITS or chosen.is_float:
+        return None
+    listed = []
+    for bits in range(1 << chosen.length):
+        raw = signed(bits, chosen.length) if chosen.is_signed else bits
+        mine = (
+            not s.mux_parent or any(low <= raw <= high for low, high in s.mux_ranges)
+            for s in spec.signals
+        )
+        listed.append(sum(found << k for k, found in enumerate(mine)))
+    return chosen.name, listed
+
+
 def tables(messages: Sequence[MessageSpec]) -> Tables:
     """Of all signals of these messages."""
-    rows: list[tuple[int, int, bool]] = []
+    rows: list[tuple[int, ...]] = []
     layout: list[tuple[int, ...]] = []
     keys: list[tuple[int, ...]] = []
     factors: list[tuple[float, ...]] = []
     ranges: list[tuple[int, int]] = []
+    there: list[int] = []
     for spec in messages:
         first = len(layout)
         places = {s.name: k for k, s in enumerate(spec.signals)}
@@ -74,21 +113,24 @@ def tables(messages: Sequence[MessageSpec]) -> Tables:
             ranges += s.mux_ranges
             is_signed = s.is_signed and not s.is_float
             layout.append((
-                s.start >> 3, count, shift, s.is_big_endian, s.length, is_signed,
-                s.length if s.is_float else 0, s.not_available is not None, parent, first_range,
-                s.saturates, _word(s), _kind(s, is_signed),
+                s.start >> 3, count, shift, s.is_big_endian, s.length if s.is_float else 0, parent,
+                first_range, _word(s), _kind(s, is_signed),
             ))  # fmt: skip
-            flip = _TOP if is_signed else 0
-            code = 0 if s.not_available is None else s.not_available
-            bounds = ((raw & _U64) ^ flip for raw in (s.raw_min, s.raw_max, code))
-            keys.append(((1 << s.length) - 1, flip, *bounds))
+            keys.append(_keys(s, is_signed))
             factors.append((s.scale, s.offset, s.float_min, s.float_max))
-        plain = all(not row[-1] & (CHOSEN | SPECIAL) and row[-2] >= 0 for row in layout[first:])
-        rows.append((first, len(spec.signals), plain))
+        whole = all(not row[-1] & SPECIAL and row[-2] >= 0 for row in layout[first:])
+        fixed = not any(row[-1] & CHOSEN for row in layout[first:])
+        chosen = _there(spec) if whole else None
+        selector = first + places[chosen[0]] if chosen else -1
+        rows.append(
+            (first, len(spec.signals), whole and (fixed or selector >= 0), selector, len(there))
+        )
+        there += chosen[1] if chosen else []
     return Tables(
-        np.array(rows, np.int64).reshape(-1, 3),
-        np.array(layout, np.int64).reshape(-1, 13),
-        np.array(keys, np.uint64).reshape(-1, 5),
+        np.array(rows, np.int64).reshape(-1, 5),
+        np.array(layout, np.int64).reshape(-1, 9),
+        np.array(keys, np.uint64).reshape(-1, 7),
         np.array(factors, np.float64).reshape(-1, 4),
         np.array(ranges, np.int64).reshape(-1, 2),
+        np.array(there, np.uint64),
     )

@@ -155,7 +155,7 @@ class Codec:
         validity = np.empty((n, self.width), np.uint8)
         t = self.tables
         self._kernels.decode_block(
-            index, payload, t.rows, t.layout, t.keys, t.factors, t.ranges, value, validity
+            index, payload, t.rows, t.layout, t.keys, t.factors, t.ranges, t.there, value, validity
         )
         return value, validity
 

@@ -351,7 +351,7 @@ def take_block(
         value, validity = scratch.value[:m], scratch.validity[:m]
         decode_block(
             scratch.message[:m], payload, tables.rows, tables.layout, tables.keys, tables.factors,
-            tables.ranges, value, validity,
+            tables.ranges, tables.there, value, validity,
         )  # fmt: skip
         samples = take_rows(
             channel, stamps, payload, value, validity, wiring, hole_ns, pairs,
