@@ -20,6 +20,9 @@ from estimators._kernels import _TURN_MAX
 from estimators._lean import lean
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Drives = NDArray[np.int32]
+Flags = NDArray[np.bool_]
 
 LANES: Final = 8
 """Two vector registers of AVX2: one alone waits for its own results."""
@@ -34,6 +37,11 @@ whether every P had a factor (UKF), and the state before the sample."""
 _TWO_OVER_PI, _PI_2, _PI_2_REST = 2.0 / math.pi, 1.5707963267948966, 6.123233995736766e-17
 _TURNS = 1.0 / (2.0 * math.pi)
 _TWO_PI = 2.0 * math.pi
+# Places are unsigned where there is little else to do: numba asks of others whether they count from
+# the end.
+_BLOCK, _LANE = np.uint64(_L.bit_length() - 1), np.uint64(_L - 1)
+_GOOD_0, _NIS_0 = np.uint64(_GOOD * _L), np.uint64(_NIS * _L)
+_U_0, _U_1, _Y_0, _Y_1 = (np.uint64(row * _L) for row in (_U, _U + 1, _Y, _Y + 1))
 
 
 @njit(inline="always", fastmath={"contract"}, error_model="numpy")
@@ -133,3 +141,52 @@ def _store(s: Array, k: int, x: Array, P: Array) -> None:
         for j in range(i, 5):
             P[i, j] = P[j, i] = s[row * _L + k]
             row += 1
+
+
+@lean
+def _healthy(x: Array, P: Array) -> bool:
+    """Finite, and no variance negative."""
+    total = 0.0
+    for i in range(5):
+        total += x[i]
+        if not P[i, i] >= 0.0:
+            return False
+        for j in range(i, 5):
+            total += P[i, j]
+    return math.isfinite(total)
+
+
+@lean
+def _settle(s: Array, b: int, row_of: Ints, nis_out: Array, ok_out: Flags) -> None:
+    """After a round of block b: what became of its rows; lanes without one are as before."""
+    for k in range(_L):
+        d = np.uint64(b * _L + k)
+        lane = np.uint64(k)
+        row = row_of[d]
+        row_of[d] = -1
+        if row >= 0 and ok_out[d] and s[_GOOD_0 + lane] == 1.0:
+            nis_out[np.uint64(row)] = s[_NIS_0 + lane]
+            continue
+        for i in range(STATE):
+            s[i * _L + k] = s[(_KEPT + i) * _L + k]
+        if row >= 0:
+            ok_out[d] = False
+
+
+@lean
+def _gather(
+    work: Array, row_of: Ints, i: int, drive: Drives, u: Array, y: Array, n_sub: Ints, n_gap: Ints
+) -> int:
+    """Rows from i on into their lanes, as many as can be done together; gives the next one."""
+    steps = n_sub[i]
+    while i < drive.shape[0]:
+        r = np.uint64(i)
+        d = np.uint64(drive[r])
+        if n_gap[r] != 0 or n_sub[r] != steps or row_of[d] >= 0:
+            break
+        row_of[d] = i
+        s, k = work[d >> _BLOCK], d & _LANE
+        s[k + _U_0], s[k + _U_1] = u[r, 0], u[r, 1]
+        s[k + _Y_0], s[k + _Y_1] = y[r, 0], y[r, 1]
+        i += 1
+    return i

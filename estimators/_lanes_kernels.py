@@ -30,7 +30,10 @@ from estimators._lanes import (
     ROWS,
     STATE,
     _enter,
+    _gather,
+    _healthy,
     _load,
+    _settle,
     _sincos,
     _store,
     _turning,
@@ -163,9 +166,9 @@ def _correct(s: Array) -> None:
         x2, x3 = s[2 * _L + k] + k20 * nu0 + k21 * nu1, s[3 * _L + k] + k30 * nu0 + k31 * nu1
         x4 = s[4 * _L + k] + k40 * nu0 + k41 * nu1
         x3 = x3 - _TWO_PI * np.ceil((x3 - math.pi) * _TURNS)
-        # NaN and infinity survive any sum.
-        total = x0 + x1 + x2 + x3 + x4 + t00 + t01 + t02 + t03 + t04 + t11 + t12 + t13 + t14
-        total = total + t22 + t23 + t24 + t33 + t34 + t44
+        # NaN and infinity survive any sum; short ones do not wait for one another.
+        total = ((x0 + x1) + (x2 + x3)) + ((x4 + t00) + (t01 + t02)) + ((t03 + t04) + (t11 + t12))
+        total = total + (((t13 + t14) + (t22 + t23)) + ((t24 + t33) + (t34 + t44)))
         good = (total - total == 0.0) & (det > 0.0) & (t00 >= 0.0) & (t11 >= 0.0)
         good = good & (t22 >= 0.0) & (t33 >= 0.0) & (t44 >= 0.0)
         s[_GOOD * _L + k] = 1.0 if good else 0.0
@@ -226,51 +229,6 @@ def _alone(
 
 
 @lean
-def _healthy(x: Array, P: Array) -> bool:
-    """Finite, and no variance negative."""
-    total = 0.0
-    for i in range(5):
-        total += x[i]
-        if not P[i, i] >= 0.0:
-            return False
-        for j in range(i, 5):
-            total += P[i, j]
-    return math.isfinite(total)
-
-
-@lean
-def _settle(s: Array, b: int, row_of: Ints, nis_out: Array, ok_out: Flags) -> None:
-    """After a round of block b: what became of its rows; lanes without one are as before."""
-    for k in range(_L):
-        d = b * _L + k
-        row = row_of[d]
-        row_of[d] = -1
-        if row >= 0 and ok_out[d] and s[_GOOD * _L + k] == 1.0:
-            nis_out[row] = s[_NIS * _L + k]
-            continue
-        for i in range(STATE):
-            s[i * _L + k] = s[(_KEPT + i) * _L + k]
-        if row >= 0:
-            ok_out[d] = False
-
-
-@lean
-def _gather(
-    work: Array, row_of: Ints, i: int, drive: Drives, u: Array, y: Array, n_sub: Ints, n_gap: Ints
-) -> int:
-    """Rows from i on into their lanes, as many as can be done together; gives the next one."""
-    steps = n_sub[i]
-    while i < drive.shape[0] and n_gap[i] == 0 and n_sub[i] == steps and row_of[drive[i]] < 0:
-        d = drive[i]
-        b, k = d // _L, d % _L
-        row_of[d] = i
-        work[b, _U * _L + k], work[b, (_U + 1) * _L + k] = u[i, 0], u[i, 1]
-        work[b, _Y * _L + k], work[b, (_Y + 1) * _L + k] = y[i, 0], y[i, 1]
-        i += 1
-    return i
-
-
-@lean
 def _round(
     work: Array, row_of: Ints, b: int, n_sub: int, dt: float, kappa: float | None, nis_out: Array,
     ok_out: Flags,
@@ -279,7 +237,7 @@ def _round(
     while b < work.shape[0]:
         wanted, broken = False, False
         for k in range(_L):
-            wanted |= row_of[b * _L + k] >= 0
+            wanted |= row_of[np.uint64(b * _L + k)] >= 0
         if wanted:
             if kappa is None:
                 _block(work[b], n_sub, dt)
