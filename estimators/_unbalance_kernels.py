@@ -29,6 +29,8 @@ _LINE_LEAST = unbalance.LINE_LEAST
 _SUMS = 3
 """Kept over a revolution, of a current as a complex number: it, its square, its size squared."""
 
+on_line = lean(unbalance.on_line)
+
 
 @lean
 def balance(

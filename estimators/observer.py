@@ -33,13 +33,13 @@ class LoadState(NamedTuple):
     P_wL: float
     P_LL: float
     torque: float
-    nis: float = 1.0
+    nis: float
 
 
 def first(w: float, torque: float, mechanics: Mechanics) -> LoadState:
     """A train is heavy: until its acceleration is known the load is the torque, give or take."""
     sigma = 0.5 * abs(torque) + (mechanics.load_rate * 0.1) ** 0.5
-    return LoadState(w, torque, mechanics.speed_var, 0.0, sigma * sigma, torque)
+    return LoadState(w, torque, mechanics.speed_var, 0.0, sigma * sigma, torque, 1.0)
 
 
 def observe(state: LoadState, w: float, torque: float, dt: float, m: Mechanics) -> LoadState:

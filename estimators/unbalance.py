@@ -109,9 +109,9 @@ def on_line(state: Unbalance, k: int, w_e: float) -> bool:
     w_e: electrical speed, rad/s, as somebody else measures it. What cannot be judged, for lack of
     speed or of current, stays as it was.
     """
-    slow, fast = LINE_TURN / LINE_S, LINE_STEP / max(state.step_s.item(k), 1e-9)
-    seen = state.seen.item(k)
+    slow, fast = LINE_TURN / LINE_S, LINE_STEP / max(state.step_s[k], 1e-9)
+    seen = state.seen[k]
     if slow <= abs(w_e) <= fast and seen >= ENOUGH:
-        limit = OFF_LINE if state.on_line.item(k) else ON_LINE
-        state.on_line[k] = abs(state.line.item(k)) > limit * seen
-    return bool(state.on_line.item(k))
+        limit = OFF_LINE if state.on_line[k] else ON_LINE
+        state.on_line[k] = abs(state.line[k]) > limit * seen
+    return bool(state.on_line[k])

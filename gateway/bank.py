@@ -51,6 +51,7 @@ DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
 _HEALTH: Final = tuple(Health)
+_REASONS: Final = tuple(Reason)
 """By number: the enumeration's own look-up takes longer."""
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
@@ -67,6 +68,20 @@ class DriveEstimate(NamedTuple):
     nis: float | None = None
     reason: Reason = Reason.STARTING
     """Why, where it is not tracking."""
+
+
+def estimates_of(told: tracks.Told) -> list[DriveEstimate]:
+    """What is told of every drive."""
+    rows = zip(
+        told.health.tolist(), told.speed.tolist(), told.load.tolist(), told.sigma.tolist(),
+        told.nis.tolist(), told.reason.tolist(), strict=True,
+    )  # fmt: skip
+    return [
+        DriveEstimate(_HEALTH[health], reason=_REASONS[reason])
+        if speed != speed  # noqa: PLR0124 - quicker than math.isnan, once per drive and tick
+        else DriveEstimate(_HEALTH[health], speed, load, sigma, nis)
+        for health, speed, load, sigma, nis, reason in rows
+    ]
 
 
 class Bank:
@@ -97,7 +112,6 @@ class Bank:
         self.x, self.P = self.filters.x, self.filters.P
         self.chords = lock.start(n)
         self.sensors = unbalance.start(n)
-        self.pole_pairs = self.par.p.tolist()
         self.limits = tracks.Limits(
             self.par.R_s, self.par.psi_f, self.par.p, MOVING * self.rated.T, self.tuning.chords,
             TOLERANCES, SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
@@ -119,8 +133,8 @@ class Bank:
         inputs: Sequence[Reason],
         fresh: Sequence[bool],
         now: Nanos,
-    ) -> list[DriveEstimate]:
-        """Filter this tick's samples and judge every drive.
+    ) -> None:
+        """Filter this tick's samples and judge every drive; fills `told`.
 
         restart: drives whose samples begin anew; inputs: why a drive's input cannot be
         believed (NONE if it can); fresh: whether its newest sample is within its age limit.
@@ -141,7 +155,6 @@ class Bank:
         ):  # fmt: skip
             self._begin()
             self._tell(causes, heard, self.filters, self.tracks, self.limits, self.told)
-        return self._estimates()
 
     def _sweep(self, samples: Samples) -> NDArray[np.bool_]:
         """The filters' loop; whose result is a number."""
@@ -171,28 +184,6 @@ class Bank:
     def start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
         """First x (N, 5) and P (N, 5, 5) of every drive from its chords."""
         return lock.start_state(self.chords, self.par, self.noise, self.rated)
-
-    def _estimates(self) -> list[DriveEstimate]:
-        told = self.told
-        rows = zip(
-            told.health.tolist(), told.speed.tolist(), told.load.tolist(), told.sigma.tolist(),
-            told.nis.tolist(), strict=True,
-        )  # fmt: skip
-        return [
-            DriveEstimate(_HEALTH[health])
-            if speed != speed  # noqa: PLR0124 - quicker than math.isnan, once per drive and tick
-            else DriveEstimate(_HEALTH[health], speed, load, sigma, nis)
-            for health, speed, load, sigma, nis in rows
-        ]
-
-    def on_line(self, k: int, speed_rad_s: float) -> bool:
-        """Whether the currents do not turn with a rotor of this measured speed: an open phase."""
-        return unbalance.on_line(self.sensors, k, self.pole_pairs[k] * speed_rad_s)
-
-    def flux(self, k: int) -> float:
-        """Magnet flux of this drive over that of its data sheet; 1 where nothing is known."""
-        flux = self.tracks.flux.item(k)
-        return 1.0 if math.isnan(flux) else flux
 
     def _begin(self) -> None:
         """Filters of the drives whose chords are ready.

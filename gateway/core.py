@@ -13,8 +13,11 @@ Five laws:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from dbc.block import Block, block_of
 from dbc.codec import Codec
@@ -22,11 +25,10 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
 from gateway import calibration, foreign
 from gateway.adhesion import AdhesionSide
-from gateway.bank import Bank, DriveEstimate
+from gateway.bank import Bank, DriveEstimate, estimates_of
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
-from gateway.contradiction import Contradiction
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
 from gateway.doubt import Doubt
 from gateway.health import (
@@ -117,9 +119,6 @@ class Gateway:
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         told_apart = config.on_intruder == "tell" and authenticator is not None
         self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
-        self.contradiction = Contradiction(
-            self.bank.pole_pairs, config.estimator.min_speed_rad_s, config.loop.period_ns
-        )
         self.lost = [False] * len(nodes)
         """Drives whose heartbeat was seen and has stopped."""
         self.latency_p99_us: float | None = None
@@ -152,18 +151,12 @@ class Gateway:
         # The older of a pair's two frames is stale first, by up to what they were apart.
         stale = [reason is Reason.STALE for reason in inputs]
         fresh = [d.fresh(now) and not old for d, old in zip(inbox.drives, stale, strict=True)]
-        estimates = self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
-        self.motion.take(inbox.motions, self.bank.flux)
-        measured = [self._measured_speed(k, now) for k in range(len(self.nodes))]
-        self.motion.note_speeds(estimates, measured)
-        for k, (estimate, speed) in enumerate(zip(estimates, measured, strict=True)):
-            on_line = speed is not None and self.bank.on_line(k, speed)
-            believed = DriveEstimate(Health.INPUT_INVALID) if on_line else estimate
-            estimates[k] = self.motion.merge(k, believed, speed)
-            apart = not self.motion.beyond(k) and self.contradiction.seen(k, estimate, speed)
-            if on_line or apart:
-                inputs[k] = worst([inputs[k], Reason.RANGE])
-                estimates[k] = DriveEstimate(Health.INPUT_INVALID)
+        self.bank.advance(inbox.samples, inbox.restart, inputs, fresh, now)
+        self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
+        measured = np.array([_measured_speed(drive, now) for drive in inbox.drives])
+        wrong = self.motion.settle(measured, self.bank.sensors, self.bank.told)
+        inputs = [worst([i, Reason.RANGE]) if w else i for i, w in zip(inputs, wrong, strict=True)]
+        estimates = estimates_of(self.bank.told)
         adhesion = [flags["adhesion"] for flags in self.flags]
         opinion = self.adhesion.judge(inbox.drives, estimates, adhesion, now)
         self.thermal.take(inbox.temperatures, now, inbox.drives)
@@ -205,12 +198,6 @@ class Gateway:
         if self.lost[k]:
             reasons.append(Reason.STALE)
         return worst(reasons)
-
-    def _measured_speed(self, k: int, now: Nanos) -> float | None:
-        """Rotor speed, rad/s, if the drive sends it and it is fresh."""
-        drive = self.inbox.drives[k]
-        motion = drive.motion
-        return drive.speed if motion is not None and motion.fresh(now) else None
 
     def _drive(
         self, k: int, estimate: DriveEstimate, opinion: Opinion, cause: Reason, now: Nanos
@@ -380,6 +367,12 @@ def _timing(drives: Sequence[DriveInput]) -> Timebase:
         max((c.period_ns for c in motion), default=10 * MS),
         max((abs(step) * RPM for step in steps), default=0.0),
     )
+
+
+def _measured_speed(drive: DriveInput, now: Nanos) -> float:
+    """Rotor speed, rad/s, if the drive sends it and it is fresh, else NaN."""
+    motion, speed = drive.motion, drive.speed
+    return speed if speed is not None and motion is not None and motion.fresh(now) else math.nan
 
 
 def _slowest(drives: Sequence[DriveInput]) -> Nanos:

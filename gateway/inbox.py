@@ -51,15 +51,6 @@ class Temperatures(NamedTuple):
     raw: tuple[int, ...]
 
 
-class Motion(NamedTuple):
-    """One measurement of a drive: rotor speed rad/s, air-gap torque Nm."""
-
-    drive: int
-    t_ns: Nanos
-    speed: float
-    torque: float
-
-
 class DriveInput:
     """What one drive has sent: channels, half pairs, last slow values (SI)."""
 
@@ -113,7 +104,8 @@ class Inbox:
         self.counts: Counter[str] = Counter()
         self.samples = pairing.room(0)
         self.temperatures: list[Temperatures] = []
-        self.motions: list[Motion] = []
+        self.motions = 0
+        """Rows of `readings` that came in this tick."""
         self.restart: set[int] = set()
         own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
         self.channels: list[Channel] = []
@@ -140,7 +132,7 @@ class Inbox:
     def _make_room(self, rows: int) -> None:
         self._room = pairing.room(rows)
         self._scratch = receiving.scratch(rows, self.codec.width)
-        self._readings = slow.readings(rows)
+        self.readings = slow.readings(rows)
 
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
         """Accept the frames of one tick, in the order of their time stamps, then ids.
@@ -148,7 +140,7 @@ class Inbox:
         Returns them as a block, in that order.
         """
         self.temperatures.clear()
-        self.motions.clear()
+        self.motions = 0
         self.restart.clear()
         block = frames if isinstance(frames, Block) else block_of(frames)
         if not in_order(block.t_ns, block.can_id):
@@ -163,7 +155,7 @@ class Inbox:
         samples, seen, foreign = self._take(
             block.t_ns, block.can_id, block.flags, block.length, block.data,
             now, self.routes, self._guard, self._memory, self._state, self.codec.tables,
-            self._wiring, MAX_GAP_NS, self._pairs, self._slow, self._scratch, self._readings,
+            self._wiring, MAX_GAP_NS, self._pairs, self._slow, self._scratch, self.readings,
             self._room,
         )  # fmt: skip
         self.samples = self._room.first(samples)
@@ -209,7 +201,7 @@ class Inbox:
 
     def _slowly(self) -> None:
         """Take over measured speed and torque, command and current."""
-        state, count = self._slow, self._slow.came.item(Count.READINGS)
+        state = self._slow
         rows = zip(
             self.drives, state.speed.tolist(), state.torque.tolist(), state.command.tolist(),
             state.before.tolist(), state.irms.tolist(), state.command_ns.tolist(),
@@ -221,8 +213,7 @@ class Inbox:
             if not math.isnan(command):
                 drive.torque_command, drive.command_before, drive.irms = command, before, irms
                 drive.command_ns, drive.command_steady = command_ns, steady
-        readings = (column[:count].tolist() for column in self._readings)
-        self.motions.extend(map(Motion, *readings))
+        self.motions = state.came.item(Count.READINGS)
         state.came[:] = 0
 
     def _temperature(self, channel: Channel, row: int) -> None:

@@ -1,22 +1,29 @@
 """The drives' own speed and torque: load by observer, where the currents come too slowly.
 
 Ten samples per electrical revolution are about the least that the filters need. Beyond that the
-load comes from the observer, without a bump; without fresh `Motion` it is unknown. May know:
-estimators, readings. May not know: frames, clocks, flags.
+load comes from the observer, without a bump; without fresh `Motion` it is unknown. Below it the
+measured speed is a witness: it sees what currents alone cannot, swapped phases, an aliased speed, a
+wrong sign, and that a drive turns to which there is no lock. May know: estimators, readings. May
+not know: frames, clocks, flags.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dbc.frame import SECOND, Nanos
-from estimators.observer import LoadState, Mechanics, first, observe
-from gateway.bank import DriveEstimate
+from estimators.observer import LoadState
+from estimators.unbalance import Unbalance
+from gateway._direct import Direct
+from gateway._motion_kernels import merge_motion, observe_motion
 from gateway.config import Estimator, Motor
-from gateway.health import Health, Reason
-from gateway.inbox import Motion
+from gateway.slow import Readings
+from gateway.tracks import Told
 
 FEWEST_SAMPLES: Final = 10.0
 """Per electrical revolution."""
@@ -31,6 +38,20 @@ SPEED_FLOOR_VAR: Final = 1e-8
 FADED_NM: Final = 1e-3
 SUB_STEP_S: Final = 125e-6
 """What the configured process noise is stated for."""
+SPEED_TOLERANCE: Final = 0.15
+SPEED_TOLERANCE_RAD_S: Final = 5.0
+"""At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
+TICKS: Final = 5
+"""In a row that the two speeds must be apart."""
+LOCKED_NS: Final = SECOND
+"""A rotor that turns is locked to within this, or its currents and voltages are not what they seem:
+an open phase, a wrong motor."""
+TURNS: Final = 2.0
+"""Times the least speed that is observable."""
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 class Timebase(NamedTuple):
@@ -45,34 +66,52 @@ class Timebase(NamedTuple):
     speed_step: float
 
 
-class _Drive:
-    """Memory of one drive."""
+class Memory(NamedTuple):
+    """What is remembered of every drive, (N,).
 
-    __slots__ = (
-        "beyond",
-        "last_ns",
-        "load",
-        "mechanics",
-        "observed",
-        "offset",
-        "readings",
-        "state",
-    )
+    observer (N, 7): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
+    readings: since it began; beyond: the drive turns too fast for its current samples; load: what
+    was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
+    the difference where that changed; apart: ticks in a row that the two speeds have been;
+    unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
+    cannot be what it seems.
+    """
 
-    def __init__(self, mechanics: Mechanics) -> None:
-        self.mechanics = mechanics
-        self.state: LoadState | None = None
-        self.last_ns: Nanos = 0
-        self.readings = 0
-        self.beyond = False
-        self.load: float | None = None
-        """What was given in the tick before; None if it was unknown."""
-        self.observed = False
-        self.offset = 0.0
+    observer: Array
+    begun: Flags
+    last_ns: Ints
+    readings: Ints
+    beyond: Flags
+    load: Array
+    observed: Flags
+    offset: Array
+    apart: Ints
+    unlocked_ns: Ints
+    wrong: Flags
+
+
+class Limits(NamedTuple):
+    """When what is believed: the constants above; mechanics (N, 4) as `observer.Mechanics`."""
+
+    mechanics: Array
+    pole_pairs: Array
+    period_ns: int
+    tick_ns: int
+    limit_w_e: float
+    hysteresis: float
+    most_missing: int
+    settled_readings: int
+    fade: float
+    faded_nm: float
+    turning_rad_s: float
+    locked_ns: int
+    tolerance: float
+    tolerance_rad_s: float
+    ticks: int
 
 
 class MotionSide:
-    """Observers of N drives; `take` and then `merge`, once per tick."""
+    """Observers of N drives; `take` and then `settle`, once per tick."""
 
     def __init__(
         self,
@@ -82,97 +121,48 @@ class MotionSide:
         tick_ns: Nanos,
     ) -> None:
         """Noise is that of the configuration, per unit of each motor's rated torque."""
-        self._period_ns = times.period_ns
-        self._limit_w_e = 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s)
-        self._fade = math.exp(-tick_ns / SECOND / HAND_OVER_S)
-        self._pole_pairs = [m.pole_pairs for m in motors]
-        self._any_beyond = False
-        self._drives = [
-            _Drive(
-                Mechanics(
-                    m.J,
-                    m.B,
-                    # A real encoder adds about as much again as rounding does.
-                    2.0 * times.speed_step**2 / 12.0 + SPEED_FLOOR_VAR,
-                    config.process_noise[4] * (m.T_rated / 30.0) ** 2 / SUB_STEP_S,
-                )
-            )
+        # A real encoder adds about as much again as rounding does.
+        speed_var = 2.0 * times.speed_step**2 / 12.0 + SPEED_FLOOR_VAR
+        rows = [
+            (m.J, m.B, speed_var, config.process_noise[4] * (m.T_rated / 30.0) ** 2 / SUB_STEP_S)
             for m in motors
         ]
+        self._limits = Limits(
+            np.array(rows).reshape(-1, 4), np.array([float(m.pole_pairs) for m in motors]),
+            times.period_ns, tick_ns, 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s), HYSTERESIS,
+            MOST_MISSING, SETTLED_READINGS, math.exp(-tick_ns / SECOND / HAND_OVER_S), FADED_NM,
+            TURNS * config.min_speed_rad_s, LOCKED_NS, SPEED_TOLERANCE, SPEED_TOLERANCE_RAD_S,
+            TICKS,
+        )  # fmt: skip
+        n = len(motors)
+        self.memory = Memory(
+            observer=np.zeros((n, len(LoadState._fields))),
+            begun=np.zeros(n, dtype=np.bool_),
+            last_ns=np.zeros(n, dtype=np.int64),
+            readings=np.zeros(n, dtype=np.int64),
+            beyond=np.zeros(n, dtype=np.bool_),
+            load=np.full(n, np.nan),
+            observed=np.zeros(n, dtype=np.bool_),
+            offset=np.zeros(n),
+            apart=np.zeros(n, dtype=np.int64),
+            unlocked_ns=np.zeros(n, dtype=np.int64),
+            wrong=np.zeros(n, dtype=np.bool_),
+        )
+        self._read, self._settle = Direct(observe_motion), Direct(merge_motion)
 
-    def take(self, readings: Sequence[Motion], flux: Callable[[int], float]) -> None:
-        """Readings of one tick, in order of time.
+    def take(self, readings: Readings, count: int, flux: Array) -> None:
+        """Readings of one tick, in order of time, the first `count` of them.
 
-        flux: of a drive, its magnets' over that of the data sheet, from which the drive computes
-        the torque that it sends.
+        flux (N,): a drive's magnets' over that of the data sheet, from which it computes the
+        torque that it sends; NaN where nothing is known.
         """
-        for k, t_ns, speed, sent in readings:
-            drive = self._drives[k]
-            torque = sent * flux(k)
-            # The cycle is exact, stamps jitter.
-            cycles = round((t_ns - drive.last_ns) / self._period_ns)
-            drive.last_ns = t_ns
-            if drive.state is None or cycles > MOST_MISSING:
-                drive.state = first(speed, torque, drive.mechanics)
-                drive.readings = 0
-            elif cycles > 0:
-                dt = cycles * self._period_ns / SECOND
-                drive.state = observe(drive.state, speed, torque, dt, drive.mechanics)
-                drive.readings += 1
+        self._read(readings, count, flux, self.memory, self._limits)
 
-    def beyond(self, k: int) -> bool:
-        """Whether a drive turns too fast for its current samples."""
-        return self._drives[k].beyond
+    def settle(self, measured: Array, sensors: Unbalance, told: Told) -> list[bool]:
+        """Changes `told` to what is to be used; which drives' input cannot be what it seems.
 
-    def note_speeds(
-        self, estimates: Sequence[DriveEstimate], measured: Sequence[float | None]
-    ) -> None:
-        """Which drives turn too fast; once per tick, before `merge`."""
-        each = zip(self._drives, self._pole_pairs, estimates, measured, strict=True)
-        for drive, pole_pairs, estimate, measured_w in each:
-            w = measured_w if measured_w is not None else (estimate.speed_rad_s or 0.0)
-            limit = self._limit_w_e * (1.0 - HYSTERESIS if drive.beyond else 1.0)
-            drive.beyond = abs(pole_pairs * w) > limit
-        self._any_beyond = any(drive.beyond for drive in self._drives)
-
-    def merge(self, k: int, estimate: DriveEstimate, measured_w: float | None) -> DriveEstimate:
-        """The estimate to use this tick.
-
-        measured_w: rotor speed of fresh `Motion`, None without. Drives are compared, and filter
-        and observer follow a load step at different speeds: where one drive needs the observer,
-        all that can use it. A drive whose input cannot be believed stays what it is.
+        measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; sensors: who sees that
+        currents do not turn with a rotor that does.
         """
-        drive = self._drives[k]
-        if estimate.health is Health.INPUT_INVALID:
-            drive.load = None
-            return estimate
-        ready = measured_w is not None and drive.readings >= SETTLED_READINGS
-        observed = drive.beyond or (self._any_beyond and ready)
-        if observed:
-            estimate = self._observed(drive, measured_w is not None)
-        if estimate.load_nm is None or estimate.health is not Health.TRACKING:
-            drive.load = None
-            return estimate
-        return self._faded(drive, estimate, observed)
-
-    def _observed(self, drive: _Drive, fresh: bool) -> DriveEstimate:
-        state = drive.state
-        if state is None or not fresh:
-            return DriveEstimate(Health.UNKNOWN, reason=Reason.NOT_AVAILABLE)
-        if drive.readings < SETTLED_READINGS:
-            return DriveEstimate(Health.CONVERGING)
-        return DriveEstimate(Health.TRACKING, state.w, state.T_L, math.sqrt(state.P_LL), state.nis)
-
-    def _faded(self, drive: _Drive, estimate: DriveEstimate, observed: bool) -> DriveEstimate:
-        """No bump where the source changes: the difference fades."""
-        load = estimate.load_nm or 0.0
-        if drive.load is None:
-            drive.offset = 0.0
-        elif observed is not drive.observed:
-            drive.offset = drive.load - load
-        drive.observed = observed
-        drive.offset *= self._fade if abs(drive.offset) > FADED_NM else 0.0
-        drive.load = load + drive.offset
-        if not drive.offset:
-            return estimate
-        return estimate._replace(load_nm=drive.load)
+        wrong = self._settle(measured, sensors, told, self.memory, self._limits)
+        return self.memory.wrong.tolist() if wrong else [False] * len(measured)

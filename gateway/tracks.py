@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.health import Reason
+
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -71,9 +73,13 @@ class Limits(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What every drive is found to be in a tick, (N,); NaN where a number is not known."""
+    """What every drive is found to be in a tick, (N,); NaN where a number is not known.
+
+    health, and the reason where it is not tracking: numbers of `gateway.health`.
+    """
 
     health: Ints
+    reason: Ints
     agrees: Ints
     begins: Flags
     speed: Array
@@ -111,5 +117,6 @@ def tracks(n: int) -> Tracks:
 def told(n: int) -> Told:
     """Room for N drives."""
     speed, load, sigma, nis = np.full((4, n), np.nan)
-    whole = np.zeros((2, n), dtype=np.int64)
-    return Told(whole[0], whole[1], np.zeros(n, dtype=np.bool_), speed, load, sigma, nis)
+    health, reason, agrees = np.zeros((3, n), dtype=np.int64)
+    reason[:] = Reason.STARTING
+    return Told(health, reason, agrees, np.zeros(n, dtype=np.bool_), speed, load, sigma, nis)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from gateway import core
-from gateway.bank import DriveEstimate
 from gateway.decide import TABLE
 from gateway.health import Flag
 from gateway.outbox import Outbox
@@ -88,16 +87,15 @@ def health_is_ignored(monkeypatch):
 
 
 def wrong_speed(monkeypatch):
-    real = core.Bank.advance
+    """Told after the measured speed has been asked."""
+    real = core.MotionSide.settle
 
-    def advance(self, *words):
-        return [
-            DriveEstimate(e.health, e.speed_rad_s + 30.0, *e[2:]) if e.speed_rad_s else e
-            for e in real(self, *words)
-        ]
+    def settle(self, measured, sensors, told):
+        wrong = real(self, measured, sensors, told)
+        told.speed[told.speed != 0.0] += 30.0
+        return wrong
 
-    monkeypatch.setattr(core.Bank, "advance", advance)
-    monkeypatch.setattr(core.Contradiction, "seen", lambda *_: False)
+    monkeypatch.setattr(core.MotionSide, "settle", settle)
 
 
 def counter_stands_still(monkeypatch):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import lock
-from gateway.bank import LONGEST_COAST, Bank
+from gateway.bank import LONGEST_COAST, Bank, estimates_of
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
@@ -48,7 +48,8 @@ def advance(filters: Bank, rows: Rows, end: int, fresh: bool = True):
     n = len(filters.x)
     picked = Samples(*(column[now] for column in rows[:5]))
     heard = [fresh and bool((picked.drive == k).any()) for k in range(n)]
-    return filters.advance(picked, (), [Reason.NONE] * n, heard, end * 125_000)
+    filters.advance(picked, (), [Reason.NONE] * n, heard, end * 125_000)
+    return estimates_of(filters.told)
 
 
 def run(filters: Bank, truth: Truth, rows: Rows):
@@ -98,7 +99,8 @@ def test_a_load_that_was_moving_is_not_held_through_silence():
             advance(filters, rows, end)
         filters.tracks.moved[0] += jump
         nothing = Samples(*(column[:0] for column in rows[:5]))
-        said = filters.advance(nothing, (), [Reason.NONE] * 2, [True, True], 31 * TICK * 125_000)
+        filters.advance(nothing, (), [Reason.NONE] * 2, [True, True], 31 * TICK * 125_000)
+        said = estimates_of(filters.told)
         assert [e.health for e in said] == [health, Health.TRACKING]
 
 
@@ -231,4 +233,4 @@ def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
     right = Bank([BENCH_MOTOR], Estimator(), 0.02)
     for _ in run(right, truth, sampled(truth, 16, 2e-4, seed=5)):
         pass
-    assert right.flux(0) == 1.0, "what is within the doubt changes nothing"
+    assert right.tracks.flux[0] == 1.0, "what is within the doubt changes nothing"

@@ -63,7 +63,7 @@ def feed(frames, kernel, monkeypatch):
         box.take(batch, now)
         seen.append([column.copy() for column in box.samples])
         seen.append([np.array([c.state, c.good_ns, c.seen_valid]) for c in box.channels])
-        seen.append([np.array(reading) for reading in box.motions])
+        seen.append([column[: box.motions].copy() for column in box.readings])
         seen.append([np.array([d.torque_command, d.irms, d.command_ns]) for d in box.drives])
     return seen, dict(box.counts)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from gateway.bank import Bank
+from gateway.bank import Bank, estimates_of
 from gateway.config import BENCH_MOTOR, TRACTION_350KW, Estimator, Motor
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
@@ -79,9 +79,9 @@ def test_forty_starts_from_thirty_six_angles(name, seed, every):
     for end in range(TICK, len(truth.w) + 1, TICK):
         now = slice(*np.searchsorted(rows.tick, [end - TICK, end]))
         picked = Samples(*(column[now] for column in rows[:5]))
-        estimates = filters.advance(picked, (), [Reason.NONE] * n, [True] * n, end * 125_000)
+        filters.advance(picked, (), [Reason.NONE] * n, [True] * n, end * 125_000)
         w, theta = truth.w[end - 1], truth.theta[end - 1]
-        for k, estimate in enumerate(estimates):
+        for k, estimate in enumerate(estimates_of(filters.told)):
             if estimate.health is not Health.TRACKING:
                 continue
             assert abs(w[k]) > 0.5 * OBSERVABLE, "standstill is not observable"
