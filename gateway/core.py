@@ -158,7 +158,8 @@ class Gateway:
         inputs = [worst([i, Reason.RANGE]) if w else i for i, w in zip(inputs, wrong, strict=True)]
         estimates = estimates_of(self.bank.told)
         adhesion = [flags["adhesion"] for flags in self.flags]
-        opinion = self.adhesion.judge(inbox.drives, estimates, adhesion, now)
+        commanded = [drive.commanded(now) for drive in inbox.drives]
+        opinion = self.adhesion.judge(self.bank.told, inbox.slow, commanded, adhesion, now)
         self.thermal.take(inbox.temperatures, now, inbox.drives)
         drives = tuple(
             self._drive(k, estimates[k], opinion, inputs[k], now) for k in range(len(self.nodes))

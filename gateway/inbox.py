@@ -125,7 +125,7 @@ class Inbox:
         self.routes = receiving.routes(keys, own)
         self._wiring = pairing.wiring(self.channels)
         self._pairs = pairing.start(len(self.drives))
-        self._slow = slow.start(len(self.drives))
+        self.slow = slow.start(len(self.drives))
         self._take, self._settle = Direct(take_block), Direct(settle)
         self._make_room(64)
 
@@ -155,7 +155,7 @@ class Inbox:
         samples, seen, foreign = self._take(
             block.t_ns, block.can_id, block.flags, block.length, block.data,
             now, self.routes, self._guard, self._memory, self._state, self.codec.tables,
-            self._wiring, MAX_GAP_NS, self._pairs, self._slow, self._scratch, self.readings,
+            self._wiring, MAX_GAP_NS, self._pairs, self.slow, self._scratch, self.readings,
             self._room,
         )  # fmt: skip
         self.samples = self._room.first(samples)
@@ -169,7 +169,7 @@ class Inbox:
             known = self.supervision.observe(frame)
             self.counts["canopen" if known else "unknown_id"] += 1
         self._electrical()
-        if self._slow.came.item(Count.CHANGED):
+        if self.slow.came.item(Count.CHANGED):
             self._slowly()
         for row in self._scratch.seen[:seen].tolist():
             self._temperature(self.channels[self._scratch.channel.item(row)], row)
@@ -201,7 +201,7 @@ class Inbox:
 
     def _slowly(self) -> None:
         """Take over measured speed and torque, command and current."""
-        state = self._slow
+        state = self.slow
         rows = zip(
             self.drives, state.speed.tolist(), state.torque.tolist(), state.command.tolist(),
             state.before.tolist(), state.irms.tolist(), state.command_ns.tolist(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import sys
 from collections import Counter
@@ -49,9 +50,11 @@ class Books:
         self.sent.update(by_id[f.can_id].name if f.can_id in by_id else "CANopen" for f in frames)
 
     def slope(self, readings: list[float] | list[int]) -> float:
-        """Least squares, per hour, after the first readings."""
+        """Least squares, per hour, after the first readings; NaN of one (a machine that stood)."""
         first = int(len(readings) * SETTLED)
         hours = np.array(self.hours[first:])
+        if len(hours) < 2:
+            return math.nan
         return float(np.polyfit(hours - hours[0], readings[first:], 1)[0])
 
     def summary(self) -> dict[str, float | int | dict[str, int]]:

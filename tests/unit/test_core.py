@@ -518,13 +518,3 @@ def test_input_that_is_bad_from_the_start_says_so():
         20, lambda frames, now: [corrupt(f) if f.can_id == mine else f for f in frames]
     )
     assert view.drives[1].adhesion_reason is Reason.CORRUPTED
-
-
-def test_a_drive_left_alone_is_not_judged_by_the_speed_of_long_ago():
-    """Its excess counts from the tick before, or not at all."""
-    core = gateway(nodes=(1, 2))
-    side = core.adhesion
-    assert side._excess(0, 100.0) == 0.0
-    assert side._excess(0, 101.0) > 0.1
-    assert side._excess(0, None) == 0.0
-    assert side._excess(0, 300.0) == 0.0

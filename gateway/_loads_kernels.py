@@ -1,0 +1,124 @@
+"""Compiled side of `loads`: a loop over drives, so the twin is the same function uncompiled."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
+from gateway.loads import (
+    COASTING,
+    ENOUGH_TO_COMPARE,
+    SHARE_FLOOR,
+    SHARE_UNKNOWN,
+    TRAIN_MOST,
+    TRAIN_S,
+)
+
+if TYPE_CHECKING:
+    from estimators.detect.response import Heard
+    from gateway.loads import Instant, Rotors
+    from gateway.slow import SlowState
+    from gateway.tracks import Told
+
+Flags = NDArray[np.bool_]
+
+_TRACKING = 2  # Health
+_SECOND = 1_000_000_000
+
+
+@inlined
+def _zero(x: float) -> float:
+    """A number that is not known counts as none."""
+    return 0.0 if math.isnan(x) else x
+
+
+@inlined
+def _shares(slow: SlowState, fresh: Flags, follows: Flags, rotors: Rotors, at: Instant) -> None:
+    """Each drive's torque command over the largest one; 1 where that says nothing.
+
+    The drives' Status frames are up to a cycle apart, so commands that change with the train
+    differ by their age alone. They are compared while all are steady; a drive that follows
+    its own flag (down to 30 % and back) is compared always.
+    """
+    largest, calm = 0.0, True
+    for k in range(fresh.shape[0]):
+        at.share[k] = 1.0
+        calm = calm and (slow.steady[k] or follows[k])
+        if fresh[k]:
+            largest = max(largest, abs(slow.command[k]) / rotors.rated[k])
+    if largest <= COASTING:
+        return
+    for k in range(fresh.shape[0]):
+        if fresh[k] and (calm or follows[k]):
+            at.share[k] = abs(slow.command[k]) / rotors.rated[k] / largest
+
+
+@inlined
+def _accelerating(k: int, speed: float, tick_s: float, rotors: Rotors) -> float:
+    """Part of the command that speeds up the drive's own rotor with the train, per unit.
+
+    Slow and bounded, because what a wheel takes that runs away is what is looked for.
+    """
+    if math.isnan(speed):
+        rotors.slow_speed[k] = math.nan
+        return 0.0
+    slow = rotors.slow_speed[k]
+    if math.isnan(slow):
+        slow = speed
+    rotors.slow_speed[k] = slow + tick_s / TRAIN_S * (speed - slow)
+    torque: float = rotors.inertia[k] * (speed - slow) / TRAIN_S / rotors.rated[k]
+    return min(max(torque, -TRAIN_MOST), TRAIN_MOST)
+
+
+@inlined
+def _excess(k: int, speed: float, tick_s: float, rotors: Rotors) -> float:
+    """Torque that accelerated a rotor, per unit, on the average of a tick: largest of two.
+
+    A quick speed control takes the torque back within a tick; the speed that it could not hold
+    shows for longer. speed: NaN where it is not known, or not asked for.
+    """
+    before, gained_before = rotors.speed[k], rotors.gain[k]
+    if math.isnan(before):
+        before, gained_before = speed, 0.0
+    rotors.speed[k] = speed
+    if math.isnan(speed):
+        return 0.0
+    gained: float = rotors.inertia[k] * (speed - before) / tick_s / rotors.rated[k]
+    rotors.gain[k] = gained
+    larger: float = gained if abs(gained) >= abs(gained_before) else gained_before
+    return larger
+
+
+@lean
+def prepare(
+    told: Told, slow: SlowState, fresh: Flags, follows: Flags, now: int, tick_s: float,
+    rotors: Rotors, at: Instant, heard: Heard,
+) -> None:  # fmt: skip
+    """Fills `at`, loads in the direction of travel, and `heard`, loads beside the commands.
+
+    fresh (N,): the command is known; follows (N,): the drive follows, or followed just now, its own
+    flag. A drive mounted the other way round turns and pulls the other way; its own speed's sign
+    brings it to the train's direction. `heard` is in each motor's own direction.
+    """
+    _shares(slow, fresh, follows, rotors, at)
+    judged = 0
+    for k in range(fresh.shape[0]):
+        at.known[k] = told.health[k] == _TRACKING and at.share[k] >= SHARE_UNKNOWN
+        at.share[k] = max(at.share[k], SHARE_FLOOR)
+        forward = 1.0 if _zero(told.speed[k]) >= 0.0 else -1.0
+        at.load[k] = forward * _zero(told.load[k]) / rotors.rated[k]
+        judged += at.known[k]
+    for k in range(fresh.shape[0]):
+        rated, speed = rotors.rated[k], told.speed[k]
+        taken = _accelerating(k, speed, tick_s, rotors)
+        heard.load[k] = _zero(told.load[k]) / rated + taken
+        asked = speed if judged < ENOUGH_TO_COMPARE else math.nan
+        heard.excess[k] = _excess(k, asked, tick_s, rotors)
+        heard.command[k] = _zero(slow.command[k]) / rated
+        heard.before[k] = _zero(slow.before[k]) / rated
+        heard.age_s[k] = (now - slow.command_ns[k]) / _SECOND
+        heard.usable[k] = fresh[k] and at.known[k]

@@ -1,0 +1,78 @@
+"""What each drive carries and was told to carry, as arrays per unit of its rated torque.
+
+Shares make commands comparable, the rotor's own acceleration is taken into account, and one that
+runs away is seen. May know: numbers. May not know: frames, clocks, flags.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.detect.response import Heard
+from gateway.config import Motor
+
+COASTING: Final = 0.05
+"""Below this share of rated torque the commands say nothing about each other."""
+SHARE_FLOOR: Final = 0.2
+SHARE_UNKNOWN: Final = 0.1
+"""A drive commanded less than a tenth of the others carries too little to be judged."""
+TRAIN_S: Final = 0.5
+"""Time constant of what counts as the train's own acceleration."""
+TRAIN_MOST: Final = 0.15
+"""Most of the rated torque that a rotor takes to accelerate with its train: an emergency brake of
+1.5 m/s^2 for the 350 kW motor, the rotor behind its gear included."""
+ENOUGH_TO_COMPARE: Final = 2
+"""Drives. With fewer a sudden loss is told by the rotor; with more, all of whose loads fall, it may
+be the train's, and the next commands decide."""
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class Instant(NamedTuple):
+    """Loads of N drives at one tick, per unit of rated torque.
+
+    load: (N,) in the train's direction, as estimated; share: (N,) of full command; known: (N,).
+    """
+
+    load: Array
+    share: Array
+    known: Flags
+
+
+class Rotors(NamedTuple):
+    """Rated torque and inertia, and what is remembered of each, (N,), NaN where nothing is.
+
+    slow_speed: the train's, as this rotor has it; speed, gain: of the tick before, for a drive that
+    is judged alone.
+    """
+
+    rated: Array
+    inertia: Array
+    slow_speed: Array
+    speed: Array
+    gain: Array
+
+
+def rotors(motors: Sequence[Motor]) -> Rotors:
+    """Nothing remembered."""
+    n = len(motors)
+    return Rotors(
+        np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
+        np.full(n, np.nan), np.full(n, np.nan), np.zeros(n),
+    )  # fmt: skip
+
+
+def instant(n: int) -> Instant:
+    """Room for N drives."""
+    return Instant(np.zeros(n), np.ones(n), np.zeros(n, dtype=np.bool_))
+
+
+def heard(n: int) -> Heard:
+    """Room for N drives."""
+    load, excess, command, before, age_s = np.zeros((5, n))
+    return Heard(load, excess, command, before, age_s, np.zeros(n, dtype=np.bool_))
