@@ -29,7 +29,7 @@ def keep(
     if wiring.kind[c] == _MOTION:
         n = slow.came[_READINGS]
         slow.came[_READINGS] += 1
-        slow.speed[d], slow.torque[d] = first * RPM, second
+        slow.speed[d] = first * RPM
         readings.drive[n], readings.t_ns[n] = d, t
         readings.speed[n], readings.torque[n] = slow.speed[d], second
         return

@@ -96,16 +96,9 @@ class AdhesionSide:
         at, heard = self._at, self._heard
         follows = [f.flag is Flag.BAD or now < f.since_ns + FOLLOWING_NS for f in flags]
         self._prepare(
-            told,
-            slow,
-            np.array(fresh),
-            np.array(follows),
-            now,
-            self.tick_s,
-            self._rotors,
-            at,
+            told, slow, np.array(fresh), np.array(follows), now, self.tick_s, self._rotors, at,
             heard,
-        )
+        )  # fmt: skip
         known = at.known.tolist()
         referred, spread = np.empty_like(at.load), np.empty_like(at.load)
         self._refer(self.reference, at.load, at.share, PASSING, referred, spread)

@@ -59,12 +59,7 @@ class DriveInput:
         self.channels: dict[str, Channel] = {}
         self.sample_ns: Nanos | None = None
         self.torque_command: float | None = None
-        self.command_before: float | None = None
-        self.command_ns: Nanos = 0
-        self.command_steady = True
-        """The command has hardly changed since the Status before."""
         self.speed: float | None = None
-        self.torque: float | None = None
         self.irms: float | None = None
         self.sum_error = 0.0
         """Smoothed |Ia + Ib + Ic|, A."""
@@ -200,19 +195,17 @@ class Inbox:
             drive.sum_error = error
 
     def _slowly(self) -> None:
-        """Take over measured speed and torque, command and current."""
+        """Take over measured speed, command and current."""
         state = self.slow
         rows = zip(
-            self.drives, state.speed.tolist(), state.torque.tolist(), state.command.tolist(),
-            state.before.tolist(), state.irms.tolist(), state.command_ns.tolist(),
-            state.steady.tolist(), strict=True,
+            self.drives, state.speed.tolist(), state.command.tolist(), state.irms.tolist(),
+            strict=True,
         )  # fmt: skip
-        for drive, speed, torque, command, before, irms, command_ns, steady in rows:
+        for drive, speed, command, irms in rows:
             if not math.isnan(speed):
-                drive.speed, drive.torque = speed, torque
+                drive.speed = speed
             if not math.isnan(command):
-                drive.torque_command, drive.command_before, drive.irms = command, before, irms
-                drive.command_ns, drive.command_steady = command_ns, steady
+                drive.torque_command, drive.irms = command, irms
         self.motions = state.came.item(Count.READINGS)
         state.came[:] = 0
 

@@ -30,13 +30,12 @@ class Count(IntEnum):
 class SlowState(NamedTuple):
     """Last good values, a row per drive; NaN until the first.
 
-    speed rad/s and torque Nm at the rotor; command and before (the one before that) Nm; irms A;
+    speed rad/s at the rotor; command and before (the one before that) Nm; irms A;
     command_ns: stamp of the last; steady: it has hardly changed since the one before. came (2,):
     how many readings in this tick, and how much of anything.
     """
 
     speed: Array
-    torque: Array
     command: Array
     before: Array
     irms: Array
@@ -56,9 +55,9 @@ class Readings(NamedTuple):
 
 def start(drives: int) -> SlowState:
     """Nothing received yet."""
-    speed, torque, command, before, irms = (np.full(drives, np.nan) for _ in range(5))
+    speed, command, before, irms = (np.full(drives, np.nan) for _ in range(4))
     return SlowState(
-        speed, torque, command, before, irms, np.zeros(drives, dtype=np.int64),
+        speed, command, before, irms, np.zeros(drives, dtype=np.int64),
         np.ones(drives, dtype=np.bool_), np.zeros(len(Count), dtype=np.int64),
     )  # fmt: skip
 
