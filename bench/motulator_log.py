@@ -82,7 +82,7 @@ def replay_log(path: Path, config: Config, codec: Codec) -> list[Frame]:
         OneChannel(open_log(path, strict=True).blocks, None),
         lambda start_ns: Gateway(config, codec, start_ns),
         config.loop.period_ns,
-        lambda _now, out, _view: sent.extend(out),
+        lambda _now, out, _gateway: sent.extend(out),
     )
     return sent
 

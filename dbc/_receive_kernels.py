@@ -24,35 +24,47 @@ _MAX_DELTA, _WINDOW = 3, 5
 
 
 @inlined
-def crc_fits(data: Bytes, c: int, guard: Guard) -> bool:
-    """Whether the checksum of a frame of message c fits; false for one shorter than its header."""
-    n = guard.length[c]
-    if guard.profile[c] == _P02:
-        if n < 2:
-            return False
-        crc = np.uint8(0xFF)
-        for k in range(1, n):
-            crc = guard.crc8[crc ^ data[k]]
-        crc = guard.crc8[crc ^ guard.ids[c, data[1] & 0x0F]]
-        return bool((crc ^ np.uint8(0xFF)) == data[0])
-    if n < 3:
-        return False
-    wide = np.uint16(0xFFFF)
-    for k in range(2, n + 2):
-        byte = data[k] if k < n else guard.ids[c, k - n]
-        wide = np.uint16(np.uint16(wide << 8) ^ guard.crc16[(wide >> 8) ^ byte])
-    return bool(wide == np.uint16(data[0]) | np.uint16(np.uint16(data[1]) << 8))
+def sum_p02(data: Bytes, row: int, c: int, guard: Guard) -> np.uint8:
+    """Checksum (profile 2) of a frame of message c, its bytes in a row of data (n, 64)."""
+    crc = np.uint8(0xFF)
+    for k in range(1, guard.length[c]):
+        crc = guard.crc8[crc ^ data[row, k]]
+    crc = guard.crc8[crc ^ guard.ids[c, data[row, 1] & 0x0F]]
+    return crc ^ np.uint8(0xFF)  # type: ignore[no-any-return,unused-ignore]
 
 
 @inlined
-def judge(data: Bytes, c: int, guard: Guard, memory: Window) -> int:
+def sum_p05(data: Bytes, row: int, c: int, guard: Guard) -> np.uint16:
+    """The same of profile 5."""
+    n = guard.length[c]
+    wide = np.uint16(0xFFFF)
+    for k in range(2, n + 2):
+        byte = data[row, k] if k < n else guard.ids[c, k - n]
+        wide = np.uint16(np.uint16(wide << 8) ^ guard.crc16[(wide >> 8) ^ byte])
+    return wide
+
+
+@inlined
+def crc_fits(data: Bytes, row: int, c: int, guard: Guard) -> bool:
+    """Whether the checksum of a frame of message c fits; false for one shorter than its header."""
+    n = guard.length[c]
+    if guard.profile[c] == _P02:
+        return bool(n >= 2 and sum_p02(data, row, c, guard) == data[row, 0])
+    if n < 3:
+        return False
+    told = np.uint16(data[row, 0]) | np.uint16(np.uint16(data[row, 1]) << 8)
+    return bool(sum_p05(data, row, c, guard) == told)
+
+
+@inlined
+def judge(data: Bytes, row: int, c: int, guard: Guard, memory: Window) -> int:
     """`Receiver.check`: the verdict on one frame of the right length; the counter is kept."""
     memory.missed[c] = 0
     if guard.profile[c] == _NONE:
         return _OK
-    if not crc_fits(data, c, guard):
+    if not crc_fits(data, row, c, guard):
         return _ERROR
-    counter = np.int64(data[1] & 0x0F if guard.profile[c] == _P02 else data[2])
+    counter = np.int64(data[row, 1] & 0x0F if guard.profile[c] == _P02 else data[row, 2])
     last = memory.counter[c]
     memory.counter[c] = counter
     if last < 0:

@@ -196,14 +196,14 @@ def _route(can_id: int, flags: int, routes: Routes) -> int:
 
 @inlined
 def _admit(
-    data: Bytes, c: int, t: int, before: int, guard: Guard, memory: Window, state: ChannelState,
-    tally: Ints,
+    data: Bytes, row: int, c: int, t: int, before: int, guard: Guard, memory: Window,
+    state: ChannelState, tally: Ints,
 ) -> bool:  # fmt: skip
     """Whether a frame of channel c may be used: checksum, counter, and a valid receiver.
 
     A rejected frame updates nothing but counters and reasons. before: stamp of the last one.
     """
-    check = judge(data, c, guard, memory)
+    check = judge(data, row, c, guard, memory)
     if guard.profile[c] == 0:
         state.last_ns[c] = t
         state.seen_valid[c] = True
@@ -338,7 +338,7 @@ def take_block(
             cycle(c, _ERROR, memory)
             state.cause[c] = _CORRUPTED
             state.blame[c] = _CORRUPTED
-        elif _admit(data[r], c, t, before, guard, memory, state, scratch.tally):
+        elif _admit(data, r, c, t, before, guard, memory, state, scratch.tally):
             scratch.channel[m] = c
             scratch.message[m] = wiring.message[c]
             scratch.t_ns[m] = t

@@ -12,6 +12,7 @@ from dbc._lean import inlined, lean
 from gateway.loads import (
     COASTING,
     ENOUGH_TO_COMPARE,
+    FOLLOWING_NS,
     SHARE_FLOOR,
     SHARE_UNKNOWN,
     TRAIN_MOST,
@@ -25,8 +26,10 @@ if TYPE_CHECKING:
     from gateway.tracks import Told
 
 Flags = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 _TRACKING = 2  # Health
+_BAD = 2  # Flag
 _SECOND = 1_000_000_000
 
 
@@ -95,16 +98,19 @@ def _excess(k: int, speed: float, tick_s: float, rotors: Rotors) -> float:
 
 @lean
 def prepare(
-    told: Told, slow: SlowState, fresh: Flags, follows: Flags, now: int, tick_s: float,
+    told: Told, slow: SlowState, fresh: Flags, flag: Ints, since_ns: Ints, now: int, tick_s: float,
     rotors: Rotors, at: Instant, heard: Heard,
 ) -> None:  # fmt: skip
     """Fills `at`, loads in the direction of travel, and `heard`, loads beside the commands.
 
-    fresh (N,): the command is known; follows (N,): the drive follows, or followed just now, its own
-    flag. A drive mounted the other way round turns and pulls the other way; its own speed's sign
-    brings it to the train's direction. `heard` is in each motor's own direction.
+    fresh (N,): the command is known; flag, since_ns (N,): the drives' adhesion flags so far, and
+    since when their evidence is the same: a drive follows its own flag, and for some time after.
+    A drive mounted the other way round turns and pulls the other way; its own speed's sign brings
+    it to the train's direction. `heard` is in each motor's own direction.
     """
-    _shares(slow, fresh, follows, rotors, at)
+    for k in range(fresh.shape[0]):
+        at.follows[k] = flag[k] == _BAD or now < since_ns[k] + FOLLOWING_NS
+    _shares(slow, fresh, at.follows, rotors, at)
     judged = 0
     for k in range(fresh.shape[0]):
         at.known[k] = told.health[k] == _TRACKING and at.share[k] >= SHARE_UNKNOWN

@@ -147,13 +147,13 @@ def _merge(
 @lean
 def merge_motion(
     measured: Array, sensors: Unbalance, told: Told, memory: Memory, limits: Limits
-) -> bool:
+) -> None:
     """What each drive is told to be, measured speeds considered; changes `told`.
 
-    measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without. True where a drive's input
-    cannot be what it seems: it is marked in `memory.wrong`.
+    measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without. A drive whose input cannot be
+    what it seems is marked in `memory.wrong`.
     """
-    any_beyond, any_wrong = False, False
+    any_beyond = False
     for k in range(measured.shape[0]):
         w = measured[k]
         if math.isnan(w):
@@ -173,5 +173,3 @@ def merge_motion(
             _nothing(k, _INPUT_INVALID, told)
             told.reason[k] = _STARTING
         memory.wrong[k] = straight or apart
-        any_wrong |= memory.wrong[k]
-    return any_wrong

@@ -23,12 +23,10 @@ from gateway._loads_kernels import prepare
 from gateway.config import Adhesion, Motor
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
 from gateway.health import Flag
-from gateway.loads import Instant
+from gateway.loads import FOLLOWING_NS, Instant
 from gateway.slow import SlowState
 from gateway.tracks import Told
 
-FOLLOWING_NS: Final[Nanos] = 2 * SECOND
-"""A drive's torque is back a second after its flag cleared; twice that."""
 LEARN_NS: Final[Nanos] = round(reference.EVERY_S * SECOND)
 PROBABLY_GOOD: Final = 0.5
 """A loss more probable than this is not learnt from. Not less: learning only what looks best would
@@ -46,6 +44,7 @@ BASE_NM: Final = 30.0
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 
 class AdhesionSide:
@@ -71,7 +70,7 @@ class AdhesionSide:
         self._answer, self._fuse = Direct(compiled.respond), Direct(compiled.fuse)
         self._watch, self._learn_loads = Direct(compiled.watch), Direct(compiled.learn)
         self._learn_response = Direct(compiled.learn_response)
-        self.severe: list[bool] = [False] * n
+        self.severe = np.zeros(n, dtype=np.bool_)
         """Drives that carry so much less than the others that noise cannot be the cause."""
         self.common = FlagState()
         """Whether all drives have lost adhesion at once."""
@@ -85,20 +84,18 @@ class AdhesionSide:
         self,
         told: Told,
         slow: SlowState,
-        fresh: Sequence[bool],
-        flags: Sequence[FlagState],
+        fresh: Flags,
+        flag: Ints,
+        since_ns: Ints,
         now: Nanos,
     ) -> Opinion:
         """Probabilities of lost adhesion.
 
-        fresh: which drives' commands are known; flags: the drives' adhesion flags so far.
+        fresh (N,): which drives' commands are known; flag, since_ns (N,): their adhesion flags so
+        far, and since when the evidence of each is the same.
         """
         at, heard = self._at, self._heard
-        follows = [f.flag is Flag.BAD or now < f.since_ns + FOLLOWING_NS for f in flags]
-        self._prepare(
-            told, slow, np.array(fresh), np.array(follows), now, self.tick_s, self._rotors, at,
-            heard,
-        )  # fmt: skip
+        self._prepare(told, slow, fresh, flag, since_ns, now, self.tick_s, self._rotors, at, heard)
         known = at.known.tolist()
         referred, spread = np.empty_like(at.load), np.empty_like(at.load)
         self._refer(self.reference, at.load, at.share, PASSING, referred, spread)
@@ -109,13 +106,12 @@ class AdhesionSide:
         ]
         opinion, alone = self._respond(compared, heard)
         # Of what the others carry, or with nobody to compare with, of the command.
-        severe = np.empty_like(at.known)
         self._severely(
-            opinion.common, heard, referred, spread, at.known, SEVERE, SEVERE_SPREADS, severe
-        )
-        self.severe = severe.tolist()
+            opinion.common, heard, referred, spread, at.known, SEVERE, SEVERE_SPREADS,
+            self.severe,
+        )  # fmt: skip
         self._common_mode(alone.tolist(), heard.usable.tolist(), known, now)
-        self._learn(at, heard, opinion, flags, now)
+        self._learn(at, heard, opinion, flag, now)
         return opinion
 
     def _respond(self, compared: Opinion, heard: response.Heard) -> tuple[Opinion, Array]:
@@ -132,7 +128,7 @@ class AdhesionSide:
         at: Instant,
         heard: response.Heard,
         opinion: Opinion,
-        flags: Sequence[FlagState],
+        flag: Ints,
         now: Nanos,
     ) -> None:
         """Responses from every new command, differences between drives every LEARN_NS."""
@@ -140,7 +136,7 @@ class AdhesionSide:
         due = self._learn_ns is None or now >= self._learn_ns
         if not (answered or due):
             return
-        healthy = self._healthy(opinion, flags, now)
+        healthy = self._healthy(opinion, flag.tolist(), now)
         if answered:
             own = self.response.reference
             spread = self._learn_response(self.response, heard, healthy, self.tick_s)
@@ -171,14 +167,14 @@ class AdhesionSide:
         else:
             self.common = advance(self.common, seen, now, self.timing)
 
-    def _healthy(self, opinion: Opinion, flags: Sequence[FlagState], now: Nanos) -> Flags:
+    def _healthy(self, opinion: Opinion, flags: Sequence[int], now: Nanos) -> Flags:
         """(N,) drives that may be learnt from: none while any is lost, or finds its grip again."""
-        if any(state.flag is Flag.BAD for state in flags):
+        if Flag.BAD in flags:
             self._bad_ns = now
         if self._bad_ns is not None and now < self._bad_ns + FOLLOWING_NS:
             return np.zeros(len(flags), dtype=np.bool_)
         settled = [
-            since is not None and now - since >= SETTLED_NS and state.flag is Flag.GOOD
-            for since, state in zip(self._known, flags, strict=True)
+            since is not None and now - since >= SETTLED_NS and flag == Flag.GOOD
+            for since, flag in zip(self._known, flags, strict=True)
         ]
         return np.array(settled) & opinion.known & (opinion.lost < PROBABLY_GOOD)

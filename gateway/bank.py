@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,6 @@ from gateway._bank_kernels import drop_over_holes, follow, forget, tell
 from gateway._direct import Direct
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
-from gateway.health import Health, Reason
 from gateway.pairing import Samples
 
 SETTLE_STEPS: Final = 480
@@ -50,38 +49,9 @@ RESISTANCE_SURE: Final = 0.25
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
 TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
-_HEALTH: Final = tuple(Health)
-_REASONS: Final = tuple(Reason)
-"""By number: the enumeration's own look-up takes longer."""
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
 NIS_SMOOTHING: Final = 0.2
-
-
-class DriveEstimate(NamedTuple):
-    """One drive after a tick; numbers are None while nothing is tracked."""
-
-    health: Health
-    speed_rad_s: float | None = None
-    load_nm: float | None = None
-    load_sigma_nm: float | None = None
-    nis: float | None = None
-    reason: Reason = Reason.STARTING
-    """Why, where it is not tracking."""
-
-
-def estimates_of(told: tracks.Told) -> list[DriveEstimate]:
-    """What is told of every drive."""
-    rows = zip(
-        told.health.tolist(), told.speed.tolist(), told.load.tolist(), told.sigma.tolist(),
-        told.nis.tolist(), told.reason.tolist(), strict=True,
-    )  # fmt: skip
-    return [
-        DriveEstimate(_HEALTH[health], reason=_REASONS[reason])
-        if speed != speed  # noqa: PLR0124 - quicker than math.isnan, once per drive and tick
-        else DriveEstimate(_HEALTH[health], speed, load, sigma, nis)
-        for health, speed, load, sigma, nis, reason in rows
-    ]
 
 
 class Bank:
@@ -130,14 +100,14 @@ class Bank:
         self,
         samples: Samples,
         restart: Collection[int],
-        inputs: Sequence[Reason],
-        fresh: Sequence[bool],
+        inputs: NDArray[np.int64],
+        fresh: NDArray[np.bool_],
         now: Nanos,
     ) -> None:
         """Filter this tick's samples and judge every drive; fills `told`.
 
-        restart: drives whose samples begin anew; inputs: why a drive's input cannot be
-        believed (NONE if it can); fresh: whether its newest sample is within its age limit.
+        restart: drives whose samples begin anew; inputs (N,): `Reason` why a drive's input cannot
+        be believed; fresh (N,): whether its newest sample is within its age limit.
         """
         for k in restart:
             forget(k, self.filters, self.tracks)
@@ -148,13 +118,12 @@ class Bank:
             samples.drive, samples.steps, samples.gap, LONGEST_COAST, self.filters, self.tracks
         )
         ok = self._sweep(samples) if len(samples.drive) else self._fine
-        causes, heard = np.array(inputs, dtype=np.int64), np.array(fresh, dtype=np.bool_)
         if self._follow(
-            samples.drive, ok, now, causes, heard, self.chords, self.filters, self.tracks,
+            samples.drive, ok, now, inputs, fresh, self.chords, self.filters, self.tracks,
             self.limits, self.told,
         ):  # fmt: skip
             self._begin()
-            self._tell(causes, heard, self.filters, self.tracks, self.limits, self.told)
+            self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
 
     def _sweep(self, samples: Samples) -> NDArray[np.bool_]:
         """The filters' loop; whose result is a number."""

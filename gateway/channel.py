@@ -1,7 +1,6 @@
 """One received message of one drive: what it is, its age, and why it is not believed.
 
-The compiled receive loop works on arrays with a row per channel (`ChannelState`); after every
-tick each `Channel` is told what the rest of the core asks for.
+The compiled loops work on arrays with a row per channel (`ChannelState`); a `Channel` shows one.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from dbc.protection import Profile
 from dbc.spec import MessageSpec
 from gateway.health import Reason
 
@@ -70,11 +68,11 @@ class ChannelState(NamedTuple):
 
 
 class Channel:
-    """Constants of one message, and its state as of the last tick."""
+    """Constants of one message, and its row of the state."""
 
     __slots__ = (
-        "drive", "good_ns", "heard", "index", "kind", "limit_ns", "period_ns", "picked",
-        "protected", "quality", "seen_valid", "spec", "state", "steps",
+        "_memory", "drive", "index", "kind", "limit_ns", "period_ns", "picked", "quality", "row",
+        "spec", "steps",
     )  # fmt: skip
 
     def __init__(self, spec: MessageSpec, drive: int, tick_ns: Nanos) -> None:
@@ -87,13 +85,27 @@ class Channel:
         self.limit_ns = 3 * spec.cycle_ns + tick_ns
         self.index = spec.index
         self.steps = max(1, round(spec.cycle_ns / SAMPLE_NS))
-        self.protected = spec.profile is not Profile.NONE
         self.quality = columns.get("Quality", -1)
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
-        self.good_ns: Nanos = -1
-        self.state = Reason.STARTING
-        self.heard = False
-        self.seen_valid = False
+
+    def seat(self, row: int, memory: ChannelState) -> None:
+        """Where its state is kept."""
+        self.row, self._memory = row, memory
+
+    @property
+    def good_ns(self) -> Nanos:
+        """Stamp of the last good value; -1 before any."""
+        return self._memory.good_ns.item(self.row)
+
+    @property
+    def state(self) -> Reason:
+        """Why it is not believed; NONE if it is."""
+        return Reason(self._memory.reason.item(self.row))
+
+    @property
+    def seen_valid(self) -> bool:
+        """Whether it ever was valid."""
+        return self._memory.seen_valid.item(self.row)
 
     def fresh(self, now: Nanos) -> bool:
         """True while the last good value is within the age limit and can be believed."""
@@ -102,30 +114,17 @@ class Channel:
 
 
 def channel_state(channels: Sequence[Channel]) -> ChannelState:
-    """Nothing received yet."""
+    """Nothing received yet; each channel is given its row."""
     n = len(channels)
     heard, last, good, foul, guarded = (np.full(n, -1, dtype=np.int64) for _ in range(5))
     cause, blame = (np.full(n, Reason.NONE, dtype=np.int64) for _ in range(2))
     reason = np.full(n, Reason.STARTING, dtype=np.int64)
     limit = np.array([channel.limit_ns for channel in channels], dtype=np.int64).reshape(n)
     period = np.array([channel.period_ns for channel in channels], dtype=np.int64).reshape(n)
-    return ChannelState(
+    state = ChannelState(
         heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit, period,
         np.zeros(n, dtype=np.int64), foul, guarded,
     )  # fmt: skip
-
-
-def tell(channels: Sequence[Channel], state: ChannelState) -> None:
-    """Give every channel its state as of this tick."""
-    rows = zip(
-        channels, state.reason.tolist(), state.good_ns.tolist(), state.seen_valid.tolist(),
-        state.heard_ns.tolist(), strict=True,
-    )  # fmt: skip
-    for channel, reason, good_ns, seen_valid, heard_ns in rows:
-        channel.state = _REASONS[reason]
-        channel.good_ns = good_ns
-        channel.heard = heard_ns >= 0
-        channel.seen_valid = seen_valid
-
-
-_REASONS: Final = {int(reason): reason for reason in Reason}
+    for row, channel in enumerate(channels):
+        channel.seat(row, state)
+    return state

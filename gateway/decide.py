@@ -2,12 +2,13 @@
 
 Unknown never clears bad. Good is said only after good evidence has held; any unknown
 evidence takes good back at once. To change the timing of a flag, change `Timing` or the
-table, and commit the golden difference with it.
+table, and commit the golden difference with it. The drives' flags run through the same table as
+arrays (`gateway/_said_kernels.py`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from gateway.health import Flag
 
@@ -29,6 +30,10 @@ TABLE: dict[tuple[Flag, Flag], tuple[Flag, str]] = {
     (Flag.GOOD, Flag.BAD): (Flag.BAD, "raise_ns"),
     (Flag.BAD, Flag.GOOD): (Flag.GOOD, "clear_ns"),
 }
+
+
+HOLDS: Final = ("", *Timing._fields)
+"""What the table names; their places are those in `said.Rules.timing`."""
 
 
 class FlagState(NamedTuple):

@@ -35,14 +35,15 @@ class Reason(IntEnum):
 PRIORITY = tuple(Reason(n) for n in (11, 10, 9, 3, 4, 5, 7, 2, 6, 8, 1))
 """Highest first; the frame's `Reason` is the first of these that any unknown drive has."""
 
-_RANK = {reason: rank for rank, reason in enumerate((*PRIORITY, Reason.NONE))}
+RANKS: Final = tuple((*PRIORITY, Reason.NONE).index(reason) for reason in Reason)
+"""Of a reason's number: lower is worse."""
 
 
 def worst(reasons: Sequence[Reason]) -> Reason:
     """The reason of highest priority; NONE of none."""
     found = Reason.NONE
     for reason in reasons:
-        if reason is not found and _RANK[reason] < _RANK[found]:
+        if reason is not found and RANKS[reason] < RANKS[found]:
             found = reason
     return found
 

@@ -18,13 +18,14 @@ from dbc import receive
 from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
-from gateway import pairing, receiving, slow
+from gateway import inputs, pairing, receiving, slow
 from gateway._direct import Direct
 from gateway._kernels import in_order, settle, take_block
-from gateway.channel import Channel, channel_state, tell
+from gateway.channel import Channel, channel_state
+from gateway.inputs import NONE
 from gateway.pairing import Trouble
 from gateway.receiving import NAMES
-from gateway.slow import Count
+from gateway.slow import Count, SlowState
 from gateway.supervision import Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
@@ -52,21 +53,17 @@ class Temperatures(NamedTuple):
 
 
 class DriveInput:
-    """What one drive has sent: channels, half pairs, last slow values (SI)."""
+    """What one drive has sent: its channels, and its row of what is kept of all drives (SI)."""
 
-    def __init__(self, node: int) -> None:
+    def __init__(self, row: int, node: int, slow: SlowState) -> None:
+        """row: its place in the arrays."""
         self.node = node
         self.channels: dict[str, Channel] = {}
-        self.sample_ns: Nanos | None = None
-        self.torque_command: float | None = None
-        self.speed: float | None = None
-        self.irms: float | None = None
-        self.sum_error = 0.0
-        """Smoothed |Ia + Ib + Ic|, A."""
         self.electrical: tuple[Channel, ...] = ()
         self.limit_ns: Nanos = 0
         self.motion: Channel | None = None
         self.status: Channel | None = None
+        self._row, self._slow = row, slow
 
     def settled(self) -> None:
         """All channels are there: note which carry what."""
@@ -76,14 +73,20 @@ class DriveInput:
             self.electrical = tuple(self.channels[kind] for kind in kinds)
             self.limit_ns = max(channel.limit_ns for channel in self.electrical)
 
-    def fresh(self, now: Nanos) -> bool:
-        """True while the newest complete sample is within its age limit."""
-        return self.sample_ns is not None and now - self.sample_ns <= self.limit_ns
+    @property
+    def speed(self) -> float | None:
+        """Rotor speed as last sent, rad/s."""
+        return _known(self._slow.speed.item(self._row))
 
-    def commanded(self, now: Nanos) -> bool:
-        """True while the torque command is known and within its age limit."""
-        status = self.status
-        return self.torque_command is not None and status is not None and status.fresh(now)
+    @property
+    def irms(self) -> float | None:
+        """Current as last sent with a torque command, A."""
+        commanded = not math.isnan(self._slow.command.item(self._row))
+        return self._slow.irms.item(self._row) if commanded else None
+
+
+def _known(number: float) -> float | None:
+    return None if math.isnan(number) else number
 
 
 class Inbox:
@@ -95,7 +98,9 @@ class Inbox:
         """Raises nothing: `bind` has already compared the DBC with the contract."""
         self.codec = codec
         self.supervision = supervision
-        self.drives = [DriveInput(node) for node in nodes]
+        self.pairs = pairing.start(len(nodes))
+        self.slow = slow.start(len(nodes))
+        self.drives = [DriveInput(row, node, self.slow) for row, node in enumerate(nodes)]
         self.counts: Counter[str] = Counter()
         self.samples = pairing.room(0)
         self.temperatures: list[Temperatures] = []
@@ -114,15 +119,23 @@ class Inbox:
                     keys[spec.key] = len(self.channels)
                     self.channels.append(channel)
             drive.settled()
-        self._state = channel_state(self.channels)
+        self.state = channel_state(self.channels)
         self._guard = receive.guard([channel.spec for channel in self.channels])
         self._memory = receive.window(len(self.channels))
         self.routes = receiving.routes(keys, own)
         self._wiring = pairing.wiring(self.channels)
-        self._pairs = pairing.start(len(self.drives))
-        self.slow = slow.start(len(self.drives))
         self._take, self._settle = Direct(take_block), Direct(settle)
         self._make_room(64)
+
+    def places(self, sum_limit_a: Sequence[float]) -> inputs.Places:
+        """Which channels are whose. sum_limit_a: what a drive's phases may sum to, A."""
+        rows = []
+        for drive in self.drives:
+            mine = [channel.row for channel in drive.channels.values()]
+            slowly = [NONE if c is None else c.row for c in (drive.motion, drive.status)]
+            electrical = [channel.row for channel in drive.electrical]
+            rows.append((min(mine), max(mine) + 1, electrical, slowly[0], slowly[1]))
+        return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
 
     def _make_room(self, rows: int) -> None:
         self._room = pairing.room(rows)
@@ -142,15 +155,14 @@ class Inbox:
             block = block.ordered()
         if not block.size:
             self.samples = self._room.first(0)
-            self._settle(now, self._guard, self._memory, self._state)
-            tell(self.channels, self._state)
+            self._settle(now, self._guard, self._memory, self.state)
             return block
         if block.size > len(self._scratch.t_ns):
             self._make_room(2 * block.size)
         samples, seen, foreign = self._take(
             block.t_ns, block.can_id, block.flags, block.length, block.data,
-            now, self.routes, self._guard, self._memory, self._state, self.codec.tables,
-            self._wiring, MAX_GAP_NS, self._pairs, self.slow, self._scratch, self.readings,
+            now, self.routes, self._guard, self._memory, self.state, self.codec.tables,
+            self._wiring, MAX_GAP_NS, self.pairs, self.slow, self._scratch, self.readings,
             self._room,
         )  # fmt: skip
         self.samples = self._room.first(samples)
@@ -163,12 +175,13 @@ class Inbox:
                 continue
             known = self.supervision.observe(frame)
             self.counts["canopen" if known else "unknown_id"] += 1
-        self._electrical()
+        if self.pairs.trouble.item(Trouble.ANY):
+            self._trouble()
         if self.slow.came.item(Count.CHANGED):
-            self._slowly()
+            self.motions = self.slow.came.item(Count.READINGS)
+            self.slow.came[:] = 0
         for row in self._scratch.seen[:seen].tolist():
             self._temperature(self.channels[self._scratch.channel.item(row)], row)
-        tell(self.channels, self._state)
         return block
 
     def _count(self, received: int) -> None:
@@ -180,34 +193,14 @@ class Inbox:
                 self.counts[name] += count
         tally[:] = 0
 
-    def _electrical(self) -> None:
-        """Take over what the compiled loop has found out."""
-        pairs = self._pairs
-        if pairs.trouble.item(Trouble.ANY):
-            self.restart.update(np.flatnonzero(pairs.restart).tolist())
-            pairs.restart[:] = False
-            for trouble in (Trouble.UNPAIRED, Trouble.LATE):
-                self.counts[trouble.name.lower()] += int(pairs.trouble[trouble])
-            pairs.trouble[:] = 0
-        stamps, errors = pairs.sample_ns.tolist(), pairs.sum_error.tolist()
-        for drive, t_ns, error in zip(self.drives, stamps, errors, strict=True):
-            drive.sample_ns = t_ns if t_ns >= 0 else None
-            drive.sum_error = error
-
-    def _slowly(self) -> None:
-        """Take over measured speed, command and current."""
-        state = self.slow
-        rows = zip(
-            self.drives, state.speed.tolist(), state.command.tolist(), state.irms.tolist(),
-            strict=True,
-        )  # fmt: skip
-        for drive, speed, command, irms in rows:
-            if not math.isnan(speed):
-                drive.speed = speed
-            if not math.isnan(command):
-                drive.torque_command, drive.irms = command, irms
-        self.motions = state.came.item(Count.READINGS)
-        state.came[:] = 0
+    def _trouble(self) -> None:
+        """Take over halves that found no other, samples that came late, drives that begin anew."""
+        pairs = self.pairs
+        self.restart.update(np.flatnonzero(pairs.restart).tolist())
+        pairs.restart[:] = False
+        for trouble in (Trouble.UNPAIRED, Trouble.LATE):
+            self.counts[trouble.name.lower()] += int(pairs.trouble[trouble])
+        pairs.trouble[:] = 0
 
     def _temperature(self, channel: Channel, row: int) -> None:
         """Each point by itself: one dead sensor must not silence the other three."""

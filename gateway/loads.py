@@ -12,9 +12,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.frame import SECOND, Nanos
 from estimators.detect.response import Heard
 from gateway.config import Motor
 
+FOLLOWING_NS: Final[Nanos] = 2 * SECOND
+"""A drive's torque is back a second after its flag cleared; twice that."""
 COASTING: Final = 0.05
 """Below this share of rated torque the commands say nothing about each other."""
 SHARE_FLOOR: Final = 0.2
@@ -36,12 +39,14 @@ Flags = NDArray[np.bool_]
 class Instant(NamedTuple):
     """Loads of N drives at one tick, per unit of rated torque.
 
-    load: (N,) in the train's direction, as estimated; share: (N,) of full command; known: (N,).
+    load: (N,) in the train's direction, as estimated; share: (N,) of full command; known: (N,);
+    follows: (N,) the drive follows, or followed just now, its own flag.
     """
 
     load: Array
     share: Array
     known: Flags
+    follows: Flags
 
 
 class Rotors(NamedTuple):
@@ -69,7 +74,8 @@ def rotors(motors: Sequence[Motor]) -> Rotors:
 
 def instant(n: int) -> Instant:
     """Room for N drives."""
-    return Instant(np.zeros(n), np.ones(n), np.zeros(n, dtype=np.bool_))
+    known, follows = np.zeros((2, n), dtype=np.bool_)
+    return Instant(np.zeros(n), np.ones(n), known, follows)
 
 
 def heard(n: int) -> Heard:

@@ -158,11 +158,11 @@ class MotionSide:
         """
         self._read(readings, count, flux, self.memory, self._limits)
 
-    def settle(self, measured: Array, sensors: Unbalance, told: Told) -> list[bool]:
-        """Changes `told` to what is to be used; which drives' input cannot be what it seems.
+    def settle(self, measured: Array, sensors: Unbalance, told: Told) -> Flags:
+        """Changes `told` to what is to be used; which drives' input cannot be what it seems, (N,).
 
         measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; sensors: who sees that
         currents do not turn with a rotor that does.
         """
-        wrong = self._settle(measured, sensors, told, self.memory, self._limits)
-        return self.memory.wrong.tolist() if wrong else [False] * len(measured)
+        self._settle(measured, sensors, told, self.memory, self._limits)
+        return self.memory.wrong

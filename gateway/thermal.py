@@ -21,8 +21,10 @@ from gateway.config import ConfigError
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import HeatSide, Sample, Seconds, Wear
 from gateway.inbox import DriveInput, Temperatures
+from gateway.said import NEVER, Findings
 from gateway.sensors import SensorSide
 
+FOREVER: Final[Nanos] = (1 << 63) - 1
 NO_MODEL: Final = (
     "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
     'and a changing duty, or set [thermal] method = "maisd"'
@@ -93,6 +95,12 @@ class ThermalSide:
                 raise ConfigError("calibration", [NO_MODEL])
             self.heat = HeatSide(known, self.seconds.dt_s, limit_k)
         self._cache: dict[int, tuple[Nanos, Report]] = {}
+        self._stirred = True
+        """Something came since reports were last told."""
+        self._until_ns: Nanos = 0
+        """When the first of them is to be asked for again, though nothing comes."""
+        self.reports = [Report() for _ in range(motors)]
+        """As last told."""
 
     def take(
         self, readings: Sequence[Temperatures], now: Nanos, drives: Sequence[DriveInput] = ()
@@ -104,6 +112,7 @@ class ThermalSide:
         for reading in readings:
             self.sensors.take(reading)
             self.seconds.note(reading)
+        self._stirred |= bool(readings)
         if self.next_push_ns is None:
             self.next_push_ns = now if readings else None
         if self.next_push_ns is not None and now >= self.next_push_ns:
@@ -114,6 +123,7 @@ class ThermalSide:
 
     def _push(self, now: Nanos, drives: Sequence[DriveInput]) -> None:
         self._cache.clear()
+        self._stirred = True
         present = self.sensors.believed(now)
         if self.heat is not None or self.learning:
             self.last = self.seconds.look(self.values, present, drives, now)
@@ -129,6 +139,24 @@ class ThermalSide:
             centred = (self.mean - offset) / gain
         _maisd_kernels.compare(centred, self.known, self.maisd, self.deviation)
         self.largest = max((x for x in self.maisd.tolist() if math.isfinite(x)), default=None)
+
+    def tell(self, now: Nanos, stale_ns: Sequence[Nanos], out: Findings) -> None:
+        """Every motor's report into `out`, where one can have changed since the last call."""
+        if not self._stirred and now < self._until_ns:
+            return
+        self._stirred, self._until_ns = False, FOREVER
+        for k, limit in enumerate(stale_ns):
+            self.reports[k] = report = self.report(k, now, limit)
+            heard = self.heard_ns[k]
+            if heard is not None and now - heard <= limit:
+                self._until_ns = min(self._until_ns, self._cache[k][0], heard + limit + 1)
+            out.heard_ns[k] = NEVER if heard is None else heard
+            out.thermal[k], out.sensor[k], out.reason[k] = report[:3]
+            out.fault_class[k], out.fault_sensor[k] = report.fault_class, report.fault_sensor
+            out.mixed_c[k] = math.nan if report.mixed_c is None else report.mixed_c
+            out.maisd_k[k] = math.nan if report.maisd_k is None else report.maisd_k
+            rate = report.wear.rate_k_h
+            out.rate_k_h[k], out.jumps[k] = math.nan if rate is None else rate, report.wear.jumps
 
     def report(self, drive: int, now: Nanos, stale_ns: Nanos) -> Report:
         """Evidence for one motor at `now`; `stale_ns` is the age limit of its temperatures."""

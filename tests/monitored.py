@@ -11,7 +11,7 @@ from gateway.config import Config, parse
 from gateway.core import Gateway
 from gateway.drivers.bench import run_virtual
 from gateway.monitor.observer import Observer
-from gateway.outbox import GatewayView
+from gateway.view import GatewayView
 from sim.scenario import parse as scenario
 from tests.simrun import codec
 

@@ -14,7 +14,6 @@ from gateway.commands.common import GOOD, add_config, out_file, prepare, track_f
 from gateway.config import Config
 from gateway.core import Gateway
 from gateway.drivers.replay import OneChannel, open_log, replay
-from gateway.outbox import GatewayView
 from gateway.results.calibrating import Learner
 from gateway.thermal import NO_MODEL
 
@@ -54,14 +53,13 @@ def run(options: argparse.Namespace) -> int:
 
 def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
     """One log through the gateway, the learner looking on."""
-    made: list[Gateway] = []
 
     def make(start: int) -> Gateway:
-        made.append(Gateway(config, codec, start))
-        made[0].thermal.learning = True
-        return made[0]
+        gateway = Gateway(config, codec, start)
+        gateway.thermal.learning = True
+        return gateway
 
-    def look(now: int, _out: list[Frame], _view: GatewayView) -> None:
-        learner.take(made[0].thermal, now)
+    def look(now: int, _out: list[Frame], gateway: Gateway) -> None:
+        learner.take(gateway.thermal, now)
 
     replay(blocks, make, config.loop.period_ns, look)

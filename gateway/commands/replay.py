@@ -70,7 +70,6 @@ def run(options: argparse.Namespace) -> int:
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
     left = _reporting(options, config, codec)
     recorder = Recorder(None) if left is None else left.recorder
-    take = recorder.add if left is None else left.add
     writer = Writer(out_file(options.output)) if options.output else None
 
     def make(start: int) -> Gateway:
@@ -79,8 +78,11 @@ def run(options: argparse.Namespace) -> int:
             left.begin(gateway)
         return gateway
 
-    def sink(_now: int, out: list[Any], view: Any) -> None:
-        take(view)
+    def sink(_now: int, out: list[Any], gateway: Gateway) -> None:
+        # For the list of changes alone no other tick need be put into words.
+        if left is not None or gateway.changed:
+            assert gateway.view is not None
+            (recorder.add if left is None else left.add)(gateway.view)
         if writer is not None:
             for frame in out:
                 writer.write(frame, blocks.name or "")

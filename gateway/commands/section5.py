@@ -195,12 +195,13 @@ def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:
     t_ns: list[int] = []
     loads: list[list[float]] = []
 
-    def sink(now: int, _out: list[Any], view: Any) -> None:
+    def sink(now: int, _out: list[Any], gateway: Gateway) -> None:
+        assert gateway.view is not None
         t_ns.append(now)
         loads.append(
             [
                 d.load_nm if d.health is Health.TRACKING and d.load_nm is not None else np.nan
-                for d in view.drives
+                for d in gateway.view.drives
             ]
         )
 

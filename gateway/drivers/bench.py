@@ -15,8 +15,8 @@ from dbc.frame import Frame, Nanos
 from gateway.config import Config
 from gateway.core import Gateway
 from gateway.drivers.canopen_node import CanopenNode
-from gateway.outbox import GatewayView
 from gateway.results.expect import FlagTrack, Verdict, judge
+from gateway.view import GatewayView
 from sim.scenario import Scenario
 from sim.simulation import Simulation
 from sim.truth import Truth

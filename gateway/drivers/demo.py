@@ -19,7 +19,7 @@ from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.pythoncan import PythonCan
 from gateway.drivers.transport import Allow, Guarded
 from gateway.drivers.warm import warm_up
-from gateway.outbox import GatewayView
+from gateway.view import GatewayView
 from sim.scenario import Scenario
 from sim.simulation import Simulation
 from sim.truth import Truth

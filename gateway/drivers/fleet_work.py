@@ -14,7 +14,6 @@ from gateway.core import Gateway
 from gateway.drivers.fleet_logs import FOLDER, Job, Settings, fingerprint, shown
 from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
 from gateway.drivers.warm import warm_up
-from gateway.outbox import GatewayView
 from gateway.results.fleet_log import Estimates
 from gateway.results.fleet_table import Row, per_drive
 from gateway.results.record import Recorder
@@ -58,11 +57,12 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
     ended_ns = 0
     with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
 
-        def sink(now: int, _out: list[Frame], view: GatewayView) -> None:
+        def sink(now: int, _out: list[Frame], gateway: Gateway) -> None:
             nonlocal ended_ns
             ended_ns = now
-            recorder.add(view)
-            estimates.add(view)
+            assert gateway.view is not None
+            recorder.add(gateway.view)
+            estimates.add(gateway.view)
 
         done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
         reader = log.reader

@@ -18,8 +18,6 @@ from dbc.block import EMPTY, Block, in_blocks, join
 from dbc.candump import LogError, Reader
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.core import Gateway
-from gateway.health import Flag
-from gateway.outbox import GatewayView
 
 HOLE_NS: Nanos = 10 * SECOND
 """A longer hole is skipped to the next frame once no flag says good."""
@@ -27,7 +25,8 @@ HOLE_NS: Nanos = 10 * SECOND
 TOLD = 60
 """Characters of a line that is none."""
 
-Sink = Callable[[Nanos, list[Frame], GatewayView], None]
+Sink = Callable[[Nanos, list[Frame], Gateway], None]
+"""Told of every tick: now, what goes out, and who says it; its view is made when asked for."""
 Make = Callable[[Nanos], Gateway]
 
 
@@ -99,13 +98,11 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) ->
     now = latest = first.t_ns
     total, ticks = block.size, 0
 
-    def step(frames: Block) -> GatewayView:
+    def step(frames: Block) -> None:
         nonlocal ticks
         out = gateway.step(frames, now)
         ticks += 1
-        assert gateway.view is not None
-        sink(now, out, gateway.view)
-        return gateway.view
+        sink(now, out, gateway)
 
     def drop(count: int) -> None:
         gateway.inbox.counts["received"] += count
@@ -126,10 +123,10 @@ def replay(blocks: Iterable[Block], make: Make, period_ns: Nanos, sink: Sink) ->
                 dropped = dropped[now_dropped:]
             hole = following - stamps[end - 1] > HOLE_NS
             while following > now:
-                view = step(batch)
+                step(batch)
                 batch = EMPTY
                 now += period_ns
-                if hole and following > now and not _any_good(view):
+                if hole and following > now and not gateway.says_good:
                     now += -((now - following) // period_ns) * period_ns
         # More frames of this tick may stand in the next block.
         drop(len(dropped))
@@ -151,13 +148,6 @@ def forward(block: Block, latest: Nanos) -> tuple[Block, NDArray[np.int64], Nano
     good = block.t_ns == highest
     dropped = np.cumsum(good)[~good]
     return block.pick(good) if len(dropped) else block, dropped, highest.item(-1)
-
-
-def _any_good(view: GatewayView) -> bool:
-    flags = [view.sensor, view.comm, view.estimator]
-    for drive in view.drives:
-        flags += [drive.adhesion, drive.thermal]
-    return Flag.GOOD in flags
 
 
 class Log(NamedTuple):

@@ -14,7 +14,6 @@ from gateway import calibration
 from gateway.config import Config
 from gateway.core import Gateway
 from gateway.drivers.provenance import program, sha256
-from gateway.outbox import GatewayView
 from gateway.results import run_figures, run_report
 from gateway.results.intervals import Intervals
 from gateway.results.page import literal
@@ -25,6 +24,7 @@ from gateway.results.timing import tables
 from gateway.results.toml_text import dump
 from gateway.results.trace import Trace
 from gateway.results.truth import Truth, rows
+from gateway.view import GatewayView
 
 if TYPE_CHECKING:
     from gateway.drivers.live import LiveSnapshot

@@ -40,9 +40,9 @@ from gateway.monitor.schedule import Schedule
 from gateway.monitor.snapshot import DriveRow, GatewayRow, Lateness, LinkRow, Snapshot
 from gateway.monitor.traces import POINT_NS, Recent
 from gateway.monitor.tracks import Track
-from gateway.outbox import GatewayView
 from gateway.receiving import routes
 from gateway.supervision import Supervision
+from gateway.view import GatewayView
 
 GATEWAY_NODE: Final = 32
 QUIET_NS: Final[Nanos] = 10 * SECOND

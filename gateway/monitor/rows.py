@@ -13,9 +13,9 @@ from dbc.frame import MS, Nanos
 from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.monitor.snapshot import DriveRow, GatewayRow
 from gateway.monitor.tracks import LEAST_LIMIT_NS, NOTHING, Seen, Track
-from gateway.outbox import DriveView, GatewayView
 from gateway.slow import RPM
 from gateway.supervision import Life, NodeState
+from gateway.view import DriveView, GatewayView
 
 Tracks = Mapping[str, Track]
 Enum = TypeVar("Enum", bound=IntEnum)

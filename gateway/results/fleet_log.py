@@ -17,9 +17,9 @@ import pyarrow.parquet as pq
 
 from dbc.frame import MS, Nanos
 from gateway.health import FaultClass, FaultSensor, Flag, Health, Reason
-from gateway.outbox import DriveView, GatewayView
 from gateway.results.fleet_table import PART
 from gateway.results.record import ADHESION, FAULT, camel
+from gateway.view import DriveView, GatewayView
 
 EVERY_NS: Final[Nanos] = 100 * MS
 GROUP: Final = 30_000

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
-from gateway.outbox import DriveView, GatewayView
 from gateway.results.record import ADHESION, FAULT, camel
+from gateway.view import DriveView, GatewayView
 
 KEPT: Final = 5000
 """Intervals of each kind (flag and state) that are kept; further ones are only counted."""

@@ -7,8 +7,8 @@ from rich.table import Table
 from rich.text import Text
 
 from gateway.health import FaultClass, Flag, GatewayState, Health, Reason
-from gateway.outbox import GatewayView
 from gateway.results.record import ADHESION, FAULT, camel
+from gateway.view import GatewayView
 
 _STYLE = {Flag.UNKNOWN: "yellow", Flag.GOOD: "green", Flag.BAD: "bold red"}
 

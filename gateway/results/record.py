@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TextIO
 
 from gateway.health import FaultClass, Flag, Health, Reason
-from gateway.outbox import DriveView, GatewayView
+from gateway.view import DriveView, GatewayView
 
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
 FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}

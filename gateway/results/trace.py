@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.health import Flag
 from gateway.inbox import Temperatures
-from gateway.outbox import GatewayView
+from gateway.view import GatewayView
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from dbc.dataids import p02_data_ids
 from dbc.frame import MS, Frame
 from gateway.config import Config
 from gateway.health import Flag, Health
-from gateway.outbox import GatewayView
+from gateway.view import GatewayView
 from sim.hostile import Arrived, Fault
 from tests.storm.train import TICK
 

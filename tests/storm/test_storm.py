@@ -11,6 +11,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from gateway import _inputs_kernels as kernels
+from gateway import _said_kernels as said_kernels
 from gateway import core
 from gateway.decide import TABLE
 from gateway.health import Flag
@@ -63,8 +65,12 @@ def test_a_denser_storm_breaks_no_rule_either():
 
 
 def stale_is_believed(monkeypatch):
-    monkeypatch.setattr(core.Gateway, "_input_reason", lambda *_: core.Reason.NONE)
-    monkeypatch.setattr("gateway.inbox.DriveInput.fresh", lambda *_: True)
+    def look(*words):
+        kernels.look(*words)
+        words[-1].cause[:] = core.Reason.NONE
+        words[-1].fresh[:] = True
+
+    monkeypatch.setattr(core, "look", look)
 
 
 def unknown_clears(monkeypatch):
@@ -73,15 +79,14 @@ def unknown_clears(monkeypatch):
 
 def health_is_ignored(monkeypatch):
     """And no flag waits for anything."""
-    real = core.Gateway._adhesion_evidence
 
-    def evidence(self, estimate, lost, cause):
-        lost_one = real(self, estimate, lost, cause)
-        if cause is core.Reason.NONE and lost_one[0] is not Flag.BAD:
-            return Flag.GOOD, cause
-        return lost_one
+    def weigh(*words):
+        said_kernels.weigh(*words)
+        inputs, wrong, seen = words[0], words[1], words[-2][core.Which.ADHESION]
+        sound = (inputs.cause == core.Reason.NONE) & ~wrong
+        seen[sound & (seen != Flag.BAD)] = Flag.GOOD
 
-    monkeypatch.setattr(core.Gateway, "_adhesion_evidence", evidence)
+    monkeypatch.setattr(core, "weigh", weigh)
     monkeypatch.setitem(TABLE, (Flag.UNKNOWN, Flag.GOOD), (Flag.GOOD, ""))
     monkeypatch.setitem(TABLE, (Flag.BAD, Flag.GOOD), (Flag.GOOD, ""))
 
@@ -99,13 +104,13 @@ def wrong_speed(monkeypatch):
 
 
 def counter_stands_still(monkeypatch):
-    real = Outbox._frame
+    real = Outbox.due
 
-    def frame(self, spec, values, t_ns):
-        self.counters.pop(spec.name, None)
-        return real(self, spec, values, t_ns)
+    def due(self, said, now):
+        self._memory.counter[:] = 0
+        return real(self, said, now)
 
-    monkeypatch.setattr(Outbox, "_frame", frame)
+    monkeypatch.setattr(Outbox, "due", due)
 
 
 def frames_are_forgotten(monkeypatch):

@@ -173,7 +173,7 @@ def test_tags_with_wrong_bits_lengths_or_kinds_are_nothing_to_a_drive() -> None:
 def test_a_scenario_on_the_virtual_clock_passes_with_authentication() -> None:
     outcome = run_virtual(LOSS, authenticated(), codec(), key=KEY)
     assert outcome.passed, [v.detail for v in outcome.verdicts]
-    assert outcome.gateway.outbox.counters["Gateway_Auth"] > 300
+    assert outcome.gateway.outbox.vouches > 300
 
 
 def intruded(config: Config, sender: Authenticator | None) -> tuple[Gateway, list[Frame]]:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from estimators import lock
-from gateway.bank import LONGEST_COAST, Bank, estimates_of
+from gateway.bank import LONGEST_COAST, Bank
 from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import Health, Reason
+from gateway.health import Health
 from gateway.pairing import Samples
+from tests.estimates import step
 from tests.unit.test_est_truth import TICK_S, Rows, Truth, motor, sampled
 
 TICK = 80
@@ -48,8 +49,7 @@ def advance(filters: Bank, rows: Rows, end: int, fresh: bool = True):
     n = len(filters.x)
     picked = Samples(*(column[now] for column in rows[:5]))
     heard = [fresh and bool((picked.drive == k).any()) for k in range(n)]
-    filters.advance(picked, (), [Reason.NONE] * n, heard, end * 125_000)
-    return estimates_of(filters.told)
+    return step(filters, picked, heard, end * 125_000)
 
 
 def run(filters: Bank, truth: Truth, rows: Rows):
@@ -99,8 +99,7 @@ def test_a_load_that_was_moving_is_not_held_through_silence():
             advance(filters, rows, end)
         filters.tracks.moved[0] += jump
         nothing = Samples(*(column[:0] for column in rows[:5]))
-        filters.advance(nothing, (), [Reason.NONE] * 2, [True, True], 31 * TICK * 125_000)
-        said = estimates_of(filters.told)
+        said = step(filters, nothing, [True, True], 31 * TICK * 125_000)
         assert [e.health for e in said] == [health, Health.TRACKING]
 
 

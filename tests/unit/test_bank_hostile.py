@@ -10,10 +10,11 @@ import math
 import numpy as np
 import pytest
 
-from gateway.bank import Bank, estimates_of
+from gateway.bank import Bank
 from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import Health, Reason
+from gateway.health import Health
 from gateway.pairing import Samples
+from tests.estimates import step
 from tests.unit.test_bank import TICK, steady
 from tests.unit.test_est_truth import Rows, sampled
 
@@ -74,9 +75,7 @@ def sound(bank: Bank) -> None:
 
 
 def told(bank: Bank, samples: Samples, tick: int, n: int):
-    heard = [True] * n
-    bank.advance(samples, (), [Reason.NONE] * n, heard, (tick + 1) * 10_000_000)
-    estimates = estimates_of(bank.told)
+    estimates = step(bank, samples, [True] * n, (tick + 1) * 10_000_000)
     for estimate in estimates:
         for number in estimate[1:5]:
             assert number is None or math.isfinite(number)
@@ -130,11 +129,9 @@ def test_an_hour_of_standstill_leaves_no_trace(kind, minutes):
     bank = Bank([BENCH_MOTOR] * n, Estimator(kind=kind), 0.02)
     still, moving = (ticks_of(loop(n, every=16, speed=w)) for w in (0.0, W))
     for tick in range(60 * minutes * SECOND_TICKS):
-        bank.advance(
-            still[tick % SECOND_TICKS], (), [Reason.NONE] * n, [True] * n, (tick + 1) * 10_000_000
-        )
+        said = step(bank, still[tick % SECOND_TICKS], [True] * n, (tick + 1) * 10_000_000)
         if tick % 1000 == 0:
-            assert all(e.health is not Health.TRACKING for e in estimates_of(bank.told))
+            assert all(e.health is not Health.TRACKING for e in said)
             sound(bank)
     tick += 1
     for k in range(tick, tick + AGAIN_TICKS):

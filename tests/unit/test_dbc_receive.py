@@ -26,8 +26,8 @@ def frame(spec, counter, rng):
     return payload
 
 
-def row(payload):
-    return np.frombuffer(bytes(payload).ljust(64, b"\0"), dtype=np.uint8)
+def rows(payload):
+    return np.frombuffer(bytes(payload).ljust(64, b"\0"), dtype=np.uint8).reshape(1, 64)
 
 
 @pytest.mark.parametrize("c", range(3))
@@ -38,14 +38,14 @@ def test_checksum_equals_the_library(c):
         payload = frame(spec, k, rng)
         if k % 3 == 0:
             payload[rng.integers(spec.length)] ^= 1 << int(rng.integers(8))
-        assert crc_fits(row(payload), c, GUARD) == crc_ok(spec, payload)
+        assert crc_fits(rows(payload), 0, c, GUARD) == crc_ok(spec, payload)
         fits += crc_ok(spec, payload)
     assert 1300 < fits < 1400
 
 
 def test_frames_shorter_than_their_header_do_not_fit():
     short = GUARD._replace(length=np.array([1, 0, 2]))
-    assert not any(crc_fits(row(b"\0\0"), c, short) for c in range(3))
+    assert not any(crc_fits(rows(b"\0\0"), 0, c, short) for c in range(3))
 
 
 @pytest.mark.parametrize("c", range(3))
@@ -67,7 +67,7 @@ def test_verdicts_and_states_equal_the_receiver(c, seed):
             if roll == "damage":
                 payload[0] ^= 0x10
             check = receiver.check(bytes(payload))
-            assert judge(row(payload), c, GUARD, memory) == check
+            assert judge(rows(payload), 0, c, GUARD, memory) == check
             assert memory.missed[c] == receiver.missed
         assert cycle(c, int(check), memory) == receiver.cycle(check)
         assert (memory.oks[c], memory.errors[c]) == (receiver.oks_seen, receiver.errors_seen)
@@ -83,4 +83,5 @@ def test_compiled_equals_uncompiled():
         for k in range(50):
             payload = frame(spec, k, rng)
             payload[3] ^= k % 2
-            assert crc_fits(row(payload), c, GUARD) == crc_fits.py_func(row(payload), c, GUARD)
+            one = rows(payload)
+            assert crc_fits(one, 0, c, GUARD) == crc_fits.py_func(one, 0, c, GUARD)

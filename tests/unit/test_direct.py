@@ -12,7 +12,7 @@ from tests.storm.campaign import FD_SEEDS, weather
 CORE = {
     "take_block", "settle", "busy_s", "drop_over_holes", "balance", "lock_sweep", "absorb",
     "follow", "tell", "observe_motion", "merge_motion", "prepare", "refer", "severely", "respond",
-    "fuse", "learn_response", "watch", "learn",
+    "fuse", "learn_response", "watch", "learn", "look", "weigh", "decide", "send",
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import pytest
 from gateway import loads, slow, tracks
 from gateway._loads_kernels import prepare
 from gateway.config import BENCH_MOTOR
-from gateway.health import Health
+from gateway.health import Flag, Health
 
 N = 3
 MS = 1_000_000
@@ -26,7 +26,9 @@ def drives(load=(15.0, 15.0, 15.0), speed=(25.0, 25.0, 25.0), command=(20.0, 20.
 def prepared(told, sent, *, follows=(False,) * N, fresh=(True,) * N, rotors=None, kernel=prepare):
     at, heard = loads.instant(N), loads.heard(N)
     rotors = rotors or loads.rotors([BENCH_MOTOR] * N)
-    kernel(told, sent, np.array(fresh), np.array(follows), 10 * MS, TICK_S, rotors, at, heard)
+    flag = np.where(follows, Flag.BAD, Flag.GOOD)
+    since = np.full(N, -loads.FOLLOWING_NS)
+    kernel(told, sent, np.array(fresh), flag, since, 10 * MS, TICK_S, rotors, at, heard)
     return at, heard
 
 

@@ -8,12 +8,12 @@ import pytest
 
 from estimators import unbalance
 from gateway._motion_kernels import merge_motion, observe_motion
-from gateway.bank import DriveEstimate, estimates_of
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Flag, Health, Reason
 from gateway.motion import MotionSide, Timebase
 from gateway.slow import RPM, readings
 from gateway.tracks import told
+from tests.estimates import DriveEstimate, estimates_of
 from tests.sender import MS, Sender, SteadyDrive, codec_for
 from tests.unit.test_core import Bench, gateway
 

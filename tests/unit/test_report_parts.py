@@ -15,7 +15,6 @@ from markdown_it import MarkdownIt
 
 from gateway.config import Config, ConfigError, load, parse
 from gateway.health import REJECTED, Flag, GatewayState, Reason
-from gateway.outbox import DriveView, GatewayView
 from gateway.receiving import NAMES
 from gateway.results import words
 from gateway.results.delays import Loss, score
@@ -25,6 +24,7 @@ from gateway.results.pictures import Panel, panels, save, styled
 from gateway.results.toml_text import dump
 from gateway.results.trace import CHUNK, MOST, Envelope, Trace
 from gateway.results.truth import HEADER, Event, judge, read, rows
+from gateway.view import DriveView, GatewayView
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

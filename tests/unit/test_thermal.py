@@ -10,6 +10,7 @@ from estimators import _maisd_kernels, maisd
 from gateway.calibration import Calibration, MotorCalibration
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
+from gateway.said import NEVER, findings
 from gateway.thermal import ThermalSide
 
 MS = 1_000_000
@@ -195,3 +196,36 @@ def test_the_compiled_maisd_says_what_its_twin_says(motors):
         )
         told |= bool(np.isfinite(spread).any())
     assert told == (motors > 1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
+    """Readings that come, fail, stop for good or for a while; ticks of any length."""
+    rng = np.random.default_rng(seed)
+    told, asked = (ThermalSide(3, 100 * MS, 2.0, calibration(), NODES) for _ in range(2))
+    out, met, now = findings(3), set(), 0
+    limits = [310 * MS, 310 * MS, 0]
+    gone = set()
+    for tick in range(1500):
+        now += int(rng.choice([10, 10, 10, 7, 40])) * MS
+        gone ^= {int(rng.integers(3))} if rng.random() < 0.02 else set()
+        readings = []
+        for j in set(range(3)) - gone:
+            if (tick + 3 * j) % 10 == 0:
+                raw = rng.integers(400, 700, 4) * np.where(rng.random(4) < 0.03, -1, 1)
+                celsius, valid = tuple((raw / 10).tolist()), tuple((raw >= 0).tolist())
+                readings.append(Temperatures(j, now - MS, celsius, valid, tuple(raw.tolist())))
+        for side in (told, asked):
+            side.take(readings, now)
+        told.tell(now, limits, out)
+        for k, limit in enumerate(limits):
+            report = asked.report(k, now, limit)
+            assert told.reports[k] == report
+            heard = asked.heard_ns[k]
+            assert out.heard_ns[k] == (NEVER if heard is None else heard)
+            words = (out.thermal, out.sensor, out.reason, out.fault_class, out.fault_sensor)
+            assert tuple(column[k] for column in words) == report[:5]
+            for column, number in ((out.mixed_c, report.mixed_c), (out.maisd_k, report.maisd_k)):
+                np.testing.assert_equal(column[k], np.nan if number is None else number)
+            met.add(report.reason)
+    assert {Reason.STALE, Reason.STARTING} < met

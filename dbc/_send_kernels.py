@@ -1,0 +1,91 @@
+"""Compiled encoding: numbers to payload bytes, counter and checksum of one frame.
+
+Twins: `dbc.codec.Codec.encode` and `dbc.protection.protect`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
+from dbc._receive_kernels import sum_p02, sum_p05
+
+if TYPE_CHECKING:
+    from dbc.receive import Guard
+    from dbc.sending import Form
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+_NONE, _P02 = 0, 1  # dbc.protection.Profile
+_BYTE, _COUNT, _SHIFT, _BIG = range(4)  # dbc.sending.Form.place
+_MASK, _ABSENT, _START, _LOW, _HIGH = range(5)  # dbc.sending.Form.bits
+_EIGHT = np.uint64(8)
+
+
+@inlined
+def _raw(x: float, t: int, form: Form) -> np.uint64:
+    """Raw bits of a physical value: saturated at the range, "none" for what is no number."""
+    raw = (x - form.factors[t, 1]) / form.factors[t, 0]
+    # Compared before rounding: a large enough number divided by the scale is infinite.
+    if x - x != 0.0:
+        which = _ABSENT
+    elif raw <= form.limits[t, 0]:
+        which = _LOW
+    elif raw >= form.limits[t, 1]:
+        which = _HIGH
+    else:
+        return np.uint64(np.int64(np.rint(raw))) & form.bits[t, _MASK]  # type: ignore[no-any-return,unused-ignore]
+    return form.bits[t, which]  # type: ignore[no-any-return,unused-ignore]
+
+
+@inlined
+def encode(m: int, value: Array, row: int, form: Form, payload: Bytes) -> None:
+    """Payload (row) of message m from value (row, signals); header bytes at their start value."""
+    for b in range(payload.shape[1]):
+        payload[row, b] = form.base[m, b]
+    for k in range(form.signals[m]):
+        if not form.given[m, k]:
+            continue
+        t = form.first[m] + k
+        # The base has the start value in its place.
+        acc = _raw(value[row, k], t, form) ^ form.bits[t, _START]
+        acc <<= np.uint64(form.place[t, _SHIFT])
+        at, step = form.place[t, _BYTE], 1
+        if form.place[t, _BIG]:
+            at, step = at + form.place[t, _COUNT] - 1, -1
+        for _ in range(form.place[t, _COUNT]):
+            payload[row, at] ^= np.uint8(acc & np.uint64(0xFF))
+            acc >>= _EIGHT
+            at += step
+
+
+@inlined
+def seal(payload: Bytes, row: int, m: int, counter: int, guard: Guard) -> None:
+    """Write counter (modulo its width) and checksum of message m into the header."""
+    if guard.profile[m] == _NONE:
+        return
+    if guard.profile[m] == _P02:
+        payload[row, 1] = (payload[row, 1] & 0xF0) | (counter & 0x0F)
+        payload[row, 0] = sum_p02(payload, row, m, guard)
+    else:
+        payload[row, 2] = counter & 0xFF
+        wide = sum_p05(payload, row, m, guard)
+        payload[row, 0], payload[row, 1] = wide & 0xFF, wide >> 8
+
+
+@lean
+def encode_rows(
+    message: NDArray[np.int64], value: Array, counter: NDArray[np.int64], form: Form, guard: Guard,
+    payload: Bytes,
+) -> None:  # fmt: skip
+    """N frames: message (n,) their numbers in form and guard, value (n, S), counter (n,).
+
+    Fills payload (n, 64).
+    """
+    for row in range(message.shape[0]):
+        encode(message[row], value, row, form, payload)
+        seal(payload, row, message[row], counter[row], guard)

@@ -1,0 +1,136 @@
+"""Compiled side of `outbox`: what is due, and its bytes. Its twin is the same uncompiled."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
+from dbc._send_kernels import encode, seal
+
+if TYPE_CHECKING:
+    from dbc.receive import Guard
+    from dbc.sending import Form
+    from gateway.outbox import Memory, Room, Sheet
+    from gateway.said import Said
+
+Array = NDArray[np.float64]
+
+(
+    _ADHESION, _THERMAL, _HEALTH, _SPEED, _LOAD, _LOST, _NIS, _CLASS, _SENSOR_AT, _MIXED, _MAISD,
+    _RATE, _JUMPS, _ADHESION_REASON, _FAULTS_REASON, _SENSOR, _COMM, _ESTIMATOR, _OVERRUN, _STATE,
+    _DETECTOR, _COMMON_MODE, _AGE, _TEMPERATURE_AGE, _COUNTED,
+) = range(25)  # sources.Source  # fmt: skip
+_W_SENSOR, _W_AGE, _W_TEMPERATURE_AGE = 2, 9, 10  # said.Whole
+_NEVER = -(1 << 63)
+_MS = 1_000_000
+_RPM = 60.0 / (2.0 * 3.141592653589793)
+_MOST_NIS = 25.4
+_MOST_JUMPS = 14
+_MOST_AGE, _MOST_TEMPERATURE_AGE = 254, 2540
+"""One below the code for not available, each."""
+
+
+@inlined
+def _number_of(source: int, k: int, said: Said) -> float:
+    """A value of drive k; NaN where it is not known."""
+    x = math.nan
+    if source == _SPEED:
+        x = said.speed[k] * _RPM
+    elif source == _LOAD:
+        x = said.load[k]
+    elif source == _LOST:
+        x = 100.0 * said.lost[k]
+    elif source == _NIS:
+        x = _MOST_NIS if said.nis[k] > _MOST_NIS else said.nis[k]
+    elif source == _MIXED:
+        x = said.mixed_c[k]
+    elif source == _MAISD:
+        x = said.maisd_k[k]
+    elif source == _RATE:
+        x = said.rate_k_h[k]
+    elif source == _JUMPS and not math.isnan(said.rate_k_h[k]):
+        x = float(min(said.jumps[k], _MOST_JUMPS))
+    return x
+
+
+@inlined
+def _word_of(source: int, k: int, said: Said) -> int:
+    """A state, class or reason: of drive k, or of the set, whose words stand in one order."""
+    word = said.whole[max(source - _ADHESION_REASON, 0)]
+    if source == _ADHESION:
+        word = said.adhesion[k]
+    elif source == _THERMAL:
+        word = said.thermal[k]
+    elif source == _HEALTH:
+        word = said.health[k]
+    elif source == _CLASS:
+        word = said.fault_class[k]
+    elif source == _SENSOR_AT:
+        word = said.fault_sensor[k]
+    return int(word)
+
+
+@inlined
+def _age_of(age_ns: int, step_ms: int, most_ms: int) -> float:
+    """An age in ms; NaN without one."""
+    if age_ns == _NEVER:
+        return math.nan
+    return float(min(most_ms, step_ms * (age_ns // (step_ms * _MS))))
+
+
+@inlined
+def value_of(source: int, k: int, said: Said, counted: Array) -> float:
+    """The physical value of a signal; NaN where it is not known."""
+    if source >= _COUNTED:
+        return float(counted[source - _COUNTED])
+    if source == _AGE:
+        return _age_of(said.whole[_W_AGE], 1, _MOST_AGE)
+    if source == _TEMPERATURE_AGE:
+        return _age_of(said.whole[_W_TEMPERATURE_AGE], 10, _MOST_TEMPERATURE_AGE)
+    if _SPEED <= source <= _NIS or _MIXED <= source <= _JUMPS:
+        return _number_of(source, k, said)
+    return float(_word_of(source, k, said))
+
+
+@inlined
+def _changed(said: Said, memory: Memory) -> bool:
+    """Whether what counts as a change of the faults frame is another than in the last tick."""
+    n, changed = said.thermal.shape[0], False
+    for i in range(n + 4):
+        now = said.thermal[i] if i < n else said.whole[_W_SENSOR + i - n]
+        if now != memory.key[i]:
+            changed = True
+            memory.key[i] = now
+    return changed
+
+
+@lean
+def send(
+    now: int, said: Said, counted: Array, sheet: Sheet, form: Form, guard: Guard, memory: Memory,
+    room: Room,
+) -> int:  # fmt: skip
+    """Encode what is due; fills payload and message of `room`, gives the number of frames."""
+    if _changed(said, memory):
+        memory.next_ns[sheet.changing] = now
+    rows = 0
+    for m in range(sheet.cycle_ns.shape[0]):
+        start, cycle = memory.next_ns[m], sheet.cycle_ns[m]
+        # What goes out with every tick does so however late the first one was.
+        if now + sheet.slack_ns < start and cycle > sheet.tick_ns:
+            continue
+        # The grid stays, however late a tick is; what was missed is not sent later.
+        behind = max(now - start, 0) // cycle
+        memory.next_ns[m] = start + cycle * (1 + behind)
+        for c in range(form.signals[m]):
+            if form.given[m, c]:
+                room.value[rows, c] = value_of(sheet.source[m, c], sheet.drive[m, c], said, counted)
+        encode(m, room.value, rows, form, room.payload)
+        seal(room.payload, rows, m, memory.counter[m], guard)
+        memory.counter[m] += 1
+        room.message[rows] = m
+        rows += 1
+    return rows

@@ -1,0 +1,46 @@
+"""A bank of filters in tests: stepped with sound inputs, its findings as objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gateway.bank import Bank
+from gateway.health import Health, Reason
+from gateway.pairing import Samples
+from gateway.tracks import Told
+
+
+class DriveEstimate(NamedTuple):
+    """One drive after a tick; numbers are None while nothing is tracked."""
+
+    health: Health
+    speed_rad_s: float | None = None
+    load_nm: float | None = None
+    load_sigma_nm: float | None = None
+    nis: float | None = None
+    reason: Reason = Reason.STARTING
+    """Why, where it is not tracking."""
+
+
+def estimates_of(told: Told) -> list[DriveEstimate]:
+    """What is told of every drive."""
+    rows = zip(
+        told.health.tolist(), told.speed.tolist(), told.load.tolist(), told.sigma.tolist(),
+        told.nis.tolist(), told.reason.tolist(), strict=True,
+    )  # fmt: skip
+    return [
+        DriveEstimate(Health(health), reason=Reason(reason))
+        if np.isnan(speed)
+        else DriveEstimate(Health(health), speed, load, sigma, nis)
+        for health, speed, load, sigma, nis, reason in rows
+    ]
+
+
+def step(bank: Bank, samples: Samples, heard: Sequence[bool], now: int) -> list[DriveEstimate]:
+    """One tick; heard: which drives' newest sample is within its limit."""
+    causes = np.full(len(heard), Reason.NONE, dtype=np.int64)
+    bank.advance(samples, (), causes, np.array(heard), now)
+    return estimates_of(bank.told)
