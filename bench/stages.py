@@ -16,7 +16,7 @@ from unittest.mock import patch
 
 from bench.speed import quiet
 from bench.wire import log_of
-from gateway import bank, core
+from gateway import core
 from gateway._direct import Direct
 
 HEADER = ("stage", "per tick", "share of the replay", "calls per tick")
@@ -25,10 +25,7 @@ STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("frames in: verify, decode, pair", core.Inbox, "take"),
     ("  compiled", Direct, "take_block"),
     ("filters", core.Bank, "advance"),
-    ("  currents made even, compiled", Direct, "balance"),
-    ("  flux chords, compiled", Direct, "lock_sweep"),
-    ("  EKF, compiled", bank, "ekf_lanes"),
-    ("  innovations, compiled", Direct, "absorb"),
+    ("  compiled", Direct, "advance_ekf"),
     ("measured motion", core.MotionSide, "take"),
     ("detector and commands", core.AdhesionSide, "judge"),
     ("thermal readings", core.ThermalSide, "take"),

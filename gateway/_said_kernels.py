@@ -38,7 +38,7 @@ _STATE_STARTING, _STATE_RUNNING, _STATE_DEGRADED, _STATE_SILENT = 1, 2, 3, 4  # 
 
 
 @inlined
-def _from_probability(lost: float, rules: Rules) -> int:
+def from_probability(lost: float, rules: Rules) -> int:
     """`decide.from_probability`, _SAME between the thresholds. NaN is unknown."""
     if not 0.0 <= lost <= 1.0:
         return _UNKNOWN
@@ -73,7 +73,7 @@ def weigh(
         elif not known[k]:
             why[k] = _TOO_FEW
         else:
-            adhesion = _from_probability(lost[k], rules)
+            adhesion = from_probability(lost[k], rules)
         seen[_ADHESION, k] = adhesion
         # Temperatures change slowly: of all doubts only an intruder counts against them.
         seen[_THERMAL, k] = _UNKNOWN if doubt == _INTRUDER else findings.thermal[k]
@@ -84,7 +84,7 @@ def weigh(
 
 
 @inlined
-def _advance(f: int, k: int, seen: int, timing: int, now: int, rules: Rules, flags: Flags) -> bool:
+def advance(f: int, k: int, seen: int, timing: int, now: int, rules: Rules, flags: Flags) -> bool:
     """`decide.advance`, or `hold` for _SAME, of one flag; whether it has changed."""
     flag = flags.flag[f, k]
     if seen == _SAME:
@@ -110,10 +110,10 @@ def decide(seen: Ints, severe: Bools, now: int, rules: Rules, flags: Flags) -> b
     changed = False
     for k in range(severe.shape[0]):
         timing = _SEVERE if severe[k] else _ADHESION
-        changed |= _advance(_ADHESION, k, seen[_ADHESION, k], timing, now, rules, flags)
-        changed |= _advance(_THERMAL, k, seen[_THERMAL, k], _THERMAL, now, rules, flags)
+        changed |= advance(_ADHESION, k, seen[_ADHESION, k], timing, now, rules, flags)
+        changed |= advance(_THERMAL, k, seen[_THERMAL, k], _THERMAL, now, rules, flags)
         for f in (_COMM, _ESTIMATOR, _SENSOR):
-            _advance(f, k, seen[f, k], f, now, rules, flags)
+            advance(f, k, seen[f, k], f, now, rules, flags)
     return changed
 
 

@@ -16,14 +16,11 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from estimators import adapt, lock, unbalance
-from estimators._adapt_kernels import absorb
-from estimators._lanes_kernels import ekf_lanes, ukf_lanes
-from estimators._lock_kernels import lock_sweep
-from estimators._unbalance_kernels import balance
 from estimators.models import pmsm
 from gateway import tracks
-from gateway._bank_kernels import drop_over_holes, follow, forget, tell
+from gateway._bank_kernels import forget, tell
 from gateway._direct import Direct
+from gateway._sweep_kernels import advance_ekf, advance_ukf
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
 from gateway.pairing import Samples
@@ -52,6 +49,8 @@ TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
 NIS_SMOOTHING: Final = 0.2
+SAMPLES_AT_FIRST: Final = 256
+"""Of a tick, that there is room for before one brings more."""
 
 
 class Bank:
@@ -76,7 +75,6 @@ class Bank:
         self.tuning = lock.LockTuning(
             w_on=config.min_speed_rad_s, w_off=0.75 * config.min_speed_rad_s
         )
-        self.ukf = config.kind == "ukf"
         n = len(motors)
         self.filters, self.tracks, self.told = tracks.filters(n), tracks.tracks(n), tracks.told(n)
         self.x, self.P = self.filters.x, self.filters.P
@@ -87,11 +85,16 @@ class Bank:
             TOLERANCES, SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
             self.tick_s / FLUX_TAU_S, FLUX_SURE, RESISTANCE_SURE,
         )  # fmt: skip
-        self._fine = np.ones(n, dtype=np.bool_)
-        """Of a tick without samples: no number has become none."""
-        self._balance, self._lock_sweep = Direct(balance), Direct(lock_sweep)
-        self._absorb, self._over_holes = Direct(absorb), Direct(drop_over_holes)
-        self._follow, self._tell = Direct(follow), Direct(tell)
+        self._believed = tracks.Believed(
+            self.filters, self.tracks, self.chords, self.sensors, self.told
+        )
+        self._constants = tracks.Constants(
+            self.table, self.noise, self.rated.I, self.tuning, self.limits, SAMPLE_NS * 1e-9,
+            LONGEST_COAST, NIS_SMOOTHING, UKF_KAPPA,
+        )  # fmt: skip
+        self._room = tracks.room(n, SAMPLES_AT_FIRST)
+        self._advance = Direct(advance_ukf if config.kind == "ukf" else advance_ekf)
+        self._tell = Direct(tell)
         # Compiled, or loaded, now and not when the first filter begins.
         causes, fresh = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
         self._tell(causes, fresh, self.filters, self.tracks, self.limits, self.told)
@@ -114,41 +117,13 @@ class Bank:
             lock.forget(self.chords, k)
             unbalance.forget(self.sensors, k)
             self.tracks.flux[k] = math.nan
-        self._over_holes(
-            samples.drive, samples.steps, samples.gap, LONGEST_COAST, self.filters, self.tracks
-        )
-        ok = self._sweep(samples) if len(samples.drive) else self._fine
-        if self._follow(
-            samples.drive, ok, now, inputs, fresh, self.chords, self.filters, self.tracks,
-            self.limits, self.told,
+        if len(samples.drive) > len(self._room.nis):
+            self._room = tracks.room(len(self.x), 2 * len(samples.drive))
+        if self._advance(
+            samples, now, inputs, fresh, self._believed, self._constants, self._room
         ):  # fmt: skip
             self._begin()
             self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
-
-    def _sweep(self, samples: Samples) -> NDArray[np.bool_]:
-        """The filters' loop; whose result is a number."""
-        drive, u, measured, n_sub, n_gap = samples
-        dt, y = SAMPLE_NS * 1e-9, np.empty_like(measured)
-        w_e, known = self.chords.w, self.chords.ready
-        self._balance(self.sensors, drive, measured, n_sub, n_gap, dt, w_e, known, self.rated.I, y)
-        self._lock_sweep(self.table, self.chords, self.tuning, drive, u, y, n_sub, n_gap, dt)
-        nis = np.empty(len(drive))
-        ok = np.empty(len(self.x), dtype=np.bool_)
-        mine = self.filters
-        arguments = (
-            self.table, self.noise.Q, self.noise.R * mine.scale[:, None], self.noise.coast,
-            mine.x, mine.P, drive, u, y, n_sub, n_gap, dt,
-        )  # fmt: skip
-        if self.ukf:
-            ukf_lanes(*arguments, UKF_KAPPA, nis, ok, mine.lean)
-        else:
-            ekf_lanes(*arguments, nis, ok, mine.lean)
-        self._absorb(
-            drive, nis, n_sub, dt, NIS_SMOOTHING, SETTLE_STEPS, self.table, self.rated.I,
-            mine.x[:, pmsm.W_E], self.chords, mine.active, mine.steps, mine.nis, mine.scale,
-            mine.lean,
-        )  # fmt: skip
-        return ok
 
     def start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
         """First x (N, 5) and P (N, 5, 5) of every drive from its chords."""

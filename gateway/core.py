@@ -107,7 +107,7 @@ class Gateway:
         ]
         tick_ns = config.loop.period_ns
         self._rules = said.rules(timing, a.raise_probability, a.clear_probability, tick_ns)
-        self.adhesion = AdhesionSide(a, motors, adhesion, tick_ns)
+        self.adhesion = AdhesionSide(a, motors, self._rules, tick_ns)
         self.flags = said.flags(len(nodes), start_ns)
         self.said = said.said(len(nodes), self.adhesion.detector.code)
         self.changed = True
@@ -222,7 +222,7 @@ class Gateway:
         return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
 
     def _common_mode(self) -> int:
-        flag = self.adhesion.common.flag
+        flag = self.adhesion.common
         doubted = flag is Flag.GOOD and self.doubt.reason is not Reason.NONE
         return int(Flag.UNKNOWN if doubted else flag)
 

@@ -10,6 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.lock import LockState, LockTuning
+from estimators.models.pmsm import Noise
+from estimators.unbalance import Unbalance
 from gateway.health import Reason
 
 Array = NDArray[np.float64]
@@ -86,6 +89,52 @@ class Told(NamedTuple):
     load: Array
     sigma: Array
     nis: Array
+
+
+class Believed(NamedTuple):
+    """All that the bank remembers of N drives, and what it tells of them."""
+
+    filters: Filters
+    tracks: Tracks
+    chords: LockState
+    sensors: Unbalance
+    told: Told
+
+
+class Constants(NamedTuple):
+    """What does not change: motors and noise (`pmsm`), when what is believed.
+
+    rated_a: (N,) A; dt_s: sub-step; coast_steps: sub-steps that any filter bridges; smoothing: of
+    the NIS; kappa: of the UKF.
+    """
+
+    table: Array
+    noise: Noise
+    rated_a: Array
+    tuning: LockTuning
+    limits: Limits
+    dt_s: float
+    coast_steps: int
+    smoothing: float
+    kappa: float
+
+
+class Room(NamedTuple):
+    """For one tick: y (M, 2) made even, nis (M,), R (N, 2), w_e (N,), ok (N,)."""
+
+    y: Array
+    nis: Array
+    R: Array
+    w_e: Array
+    ok: Flags
+
+
+def room(n: int, samples: int) -> Room:
+    """For N drives and so many samples."""
+    return Room(
+        np.zeros((samples, 2)), np.zeros(samples), np.zeros((n, 2)), np.zeros(n),
+        np.ones(n, dtype=np.bool_),
+    )  # fmt: skip
 
 
 def filters(n: int) -> Filters:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from estimators._lean import lean
@@ -110,14 +109,14 @@ def _taught_by(load: float, m: float, ratio: float, variance: float, noise: floa
     return abs(m) >= _LEAST_COMMON and beside * beside <= _GATE_SQUARE * (variance * m * m + noise)
 
 
-@njit(cache=True)
+@lean
 def learn(
-    memory: reference.Reference, load: Array, common: Array, healthy: Flags, relative: bool
-) -> None:
-    """`reference.learn`; changes ratio and variance."""
+    memory: reference.Reference, load: Array, common: Array, healthy: Flags, relative: bool,
+    teaches: Flags,
+) -> None:  # fmt: skip
+    """`reference.learn`; changes ratio and variance; teaches: (N,), room."""
     ratio, variance = memory.ratio, memory.variance
     noise = _NOT_WHITE * memory.spread * memory.spread
-    teaches = np.empty(load.shape[0], dtype=np.bool_)
     n = 0
     for i in range(load.shape[0]):
         fits = _taught_by(load[i], common[i], ratio[i], variance[i], noise)
@@ -185,12 +184,15 @@ def steady(heard: response.Heard, dt: float, out: Flags) -> bool:
     return found
 
 
-@njit(cache=True)
+@lean
 def learn_response(
-    memory: response.Memory, heard: response.Heard, healthy: Flags, dt: float
-) -> float:
-    """`response.learn`; changes the reference's arrays, gives its new spread."""
-    answer = np.empty(healthy.shape[0], dtype=np.bool_)
+    memory: response.Memory, heard: response.Heard, healthy: Flags, dt: float, answer: Flags,
+    teaches: Flags,
+) -> float:  # fmt: skip
+    """`response.learn`; changes the reference's arrays, gives its new spread.
+
+    answer, teaches: (N,), room.
+    """
     kept = memory.reference
     if not steady(heard, dt, answer):
         return kept.spread
@@ -200,7 +202,7 @@ def learn_response(
     )
     for i in range(answer.shape[0]):
         answer[i] = answer[i] and healthy[i]
-    learn(now, heard.load, heard.command, answer, False)
+    learn(now, heard.load, heard.command, answer, False, teaches)
     return spread
 
 

@@ -38,7 +38,7 @@ def test_watching_and_learning(n, relative):
         plain = reference.watch(plain, load, common, known, relative=relative)
         plain = reference.learn(plain, load, common, healthy, relative=relative)
         fast = fast._replace(spread=compiled.watch(fast, load, common, known, relative))
-        compiled.learn(fast, load, common, healthy, relative)
+        compiled.learn(fast, load, common, healthy, relative, np.empty(n, dtype=bool))
         same(fast, plain)
         moved |= bool(np.any(plain.ratio != 1.0))
     assert moved == (n > 1 or not relative)
@@ -74,7 +74,7 @@ def test_responding(n):
         }
         healthy = lost < 0.5
         plain = response.learn(plain, now, healthy, DT)
-        spread = compiled.learn_response(fast, now, healthy, DT)
+        spread = compiled.learn_response(fast, now, healthy, DT, *np.empty((2, n), dtype=bool))
         fast = fast._replace(reference=fast.reference._replace(spread=spread))
         same(fast.reference, plain.reference)
     assert said == {"lost", "open", ""}

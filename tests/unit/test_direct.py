@@ -10,9 +10,8 @@ from tests.soak.real import run
 from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
-    "take_block", "settle", "busy_s", "drop_over_holes", "balance", "lock_sweep", "absorb",
-    "follow", "tell", "observe_motion", "merge_motion", "prepare", "refer", "severely", "respond",
-    "fuse", "learn_response", "watch", "learn", "look", "weigh", "decide", "send",
+    "take_block", "settle", "busy_s", "look", "advance_ekf", "advance_ukf", "tell",
+    "observe_motion", "merge_motion", "compare", "conclude", "teach", "weigh", "decide", "send",
 }  # fmt: skip
 
 

@@ -53,7 +53,7 @@ def test_flags_in_arrays_go_as_single_ones(seed):
 @pytest.mark.parametrize("lost", [*NUMBERS.tolist(), -1e-9])
 def test_evidence_of_a_probability_is_that_of_decide(lost):
     wanted = from_probability(lost, True, RULES.raise_at, RULES.clear_at)
-    assert _said_kernels._from_probability(lost, RULES) == (SAME if wanted is None else wanted)
+    assert _said_kernels.from_probability(lost, RULES) == (SAME if wanted is None else wanted)
 
 
 def test_summaries_and_priorities_are_those_of_health():

@@ -1,0 +1,142 @@
+"""The adhesion side around the detector, in one call before it and one after.
+
+The steps are loops with twins of their own (`loads`, `estimators.detect.reference`, `response`);
+what is added here are loops over drives, whose twin is the same function uncompiled.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
+from estimators.detect._reference_kernels import (
+    fuse,
+    learn,
+    learn_response,
+    refer,
+    respond,
+    severely,
+    watch,
+)
+from estimators.detect.reference import Reference
+from gateway._loads_kernels import prepare
+from gateway._said_kernels import advance, from_probability
+from gateway.loads import FOLLOWING_NS
+
+if TYPE_CHECKING:
+    from estimators.detect.response import Heard, Memory
+    from gateway.adhesion import Room, Trust
+    from gateway.loads import Instant, Rotors
+    from gateway.said import Flags, Rules
+    from gateway.slow import SlowState
+    from gateway.tracks import Told
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+_UNKNOWN, _GOOD, _BAD = 0, 1, 2  # Flag
+_NEVER = -(1 << 63)
+_TIMING = 0  # said.Which.ADHESION
+
+
+@lean
+def compare(
+    told: Told, slow: SlowState, fresh: Bools, flag: Ints, since_ns: Ints, now: int, tick_s: float,
+    rotors: Rotors, reference: Reference, passing: float, at: Instant, heard: Heard, room: Room,
+) -> None:  # fmt: skip
+    """Everything the detector is given: see `prepare` and `refer`."""
+    prepare(told, slow, fresh, flag, since_ns, now, tick_s, rotors, at, heard)
+    refer(reference, at.load, at.share, passing, room.referred, room.spread)
+
+
+@inlined
+def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
+    """Evidence of a loss of all drives at once. One that holds says no; yes needs all known."""
+    judged, every, some = True, True, False
+    lost = 1.0
+    for k in range(alone.shape[0]):
+        if not at.known[k]:
+            every = False
+            continue
+        some = True
+        judged = judged and heard.usable[k]
+        lost = min(lost, alone[k])
+    if not (some and judged) or not (every or lost <= rules.clear_at):
+        return _UNKNOWN
+    return from_probability(lost, rules)  # type: ignore[no-any-return,unused-ignore]
+
+
+@lean
+def conclude(
+    lost: Array, known: Bools, common: float, now: int, tick_s: float, response: Memory,
+    at: Instant, heard: Heard, part: float, spreads: float, rules: Rules, mode: Flags,
+    trust: Trust, room: Room,
+) -> bool:  # fmt: skip
+    """The detector's opinion with every drive's own response; who is severely lost; common mode.
+
+    lost, known (N,), common: its opinion; part, spreads: as for `severely`; mode (1, 1): the flag
+    of all drives' loss. Fills lost, known, severe and since when loads are known. True where a
+    drive's load answers a new command.
+    """
+    respond(response, heard, tick_s, room.alone, room.meant)
+    fuse(lost, known, room.alone, heard.usable, room.meant, room.lost, room.known)
+    # Of what the others carry, or with nobody to compare with, of the command.
+    severely(common, heard, room.referred, room.spread, at.known, part, spreads, room.severe)
+    answered = False
+    for k in range(lost.shape[0]):
+        if not at.known[k]:
+            trust.known_ns[k] = _NEVER
+        elif trust.known_ns[k] == _NEVER:
+            trust.known_ns[k] = now
+        answered = answered or heard.age_s[k] < tick_s
+    advance(0, 0, _common_mode(at, heard, room.alone, rules), _TIMING, now, rules, mode)
+    return answered
+
+
+@inlined
+def _healthy(
+    now: int, flag: Ints, settled_ns: int, probably: float, trust: Trust, room: Room
+) -> None:
+    """Drives that may be learnt from: none while any is lost, or finds its grip again."""
+    for k in range(flag.shape[0]):
+        if flag[k] == _BAD:
+            trust.bad_ns[0] = now
+    shaken = trust.bad_ns[0] != _NEVER and now < trust.bad_ns[0] + FOLLOWING_NS
+    for k in range(flag.shape[0]):
+        since = trust.known_ns[k]
+        settled = since != _NEVER and now - since >= settled_ns and flag[k] == _GOOD
+        sure = room.known[k] and room.lost[k] < probably
+        room.healthy[k] = settled and sure and not shaken
+
+
+@lean
+def teach(
+    answered: bool, due: bool, now: int, tick_s: float, common: float, flag: Ints,
+    reference: Reference, response: Memory, at: Instant, heard: Heard, settled_ns: int,
+    probably: float, trust: Trust, room: Room,
+) -> tuple[float, float]:  # fmt: skip
+    """Responses from new commands (`answered`), differences between drives when they are `due`.
+
+    settled_ns: a load must have been known for so long; probably: a loss more probable than this is
+    not learnt from. Gives the new spreads of the reference and of the response.
+    """
+    _healthy(now, flag, settled_ns, probably, trust, room)
+    spread, own = reference.spread, response.reference.spread
+    if answered:
+        own = learn_response(response, heard, room.healthy, tick_s, room.answer, room.teaches)
+    if due:
+        for k in range(flag.shape[0]):
+            room.load[k], room.common[k] = at.load[k] / at.share[k], common
+        spread = watch(reference, room.load, room.common, at.known, True)
+        learn(
+            Reference(
+                reference.ratio, reference.variance, spread, reference.configured,
+                reference.residual, reference.seen,
+            ),
+            room.load, room.common, room.healthy, True, room.teaches,
+        )  # fmt: skip
+    return spread, own
