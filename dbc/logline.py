@@ -9,7 +9,7 @@ frame is not made into one.
 from __future__ import annotations
 
 import re
-from binascii import a2b_hex
+from binascii import a2b_hex, b2a_hex
 from enum import IntEnum
 from functools import lru_cache
 from typing import Final
@@ -166,6 +166,9 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
     """
     t_ns, can_id, data, flags, own, dlc = frame
     size = len(data)
+    if not flags and dlc < 9 and size <= 8 and 0 <= can_id <= 0x7FF and 0 <= t_ns <= _LAST_NS:
+        # What nearly every frame is.
+        return b"%b%b%b" % (_stamp(t_ns), _head(own or channel, can_id), b2a_hex(data).upper())
     if flags & ERROR:
         fits = not flags & (REMOTE | FD | EXTENDED) and can_id <= _ID_BITS
         digits = f"{can_id | _ERROR_BIT:08X}"
@@ -190,11 +193,25 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
     if not (fits and can_id >= 0 and 0 <= t_ns <= _LAST_NS and name):
         msg = f"cannot be written as a candump line: {frame}"
         raise ValueError(msg)
+    return b"%b%b %b#%b" % (_stamp(t_ns), name, digits.encode(), body.encode())
+
+
+@lru_cache(maxsize=4)
+def _stamp(t_ns: int) -> bytes:
+    """The time as it stands in a line; frames of a tick have the same."""
     seconds, nanos = divmod(t_ns, 1_000_000_000)
     decimals = f"{nanos:09d}" if nanos % 1000 else f"{nanos // 1000:06d}"
-    return b"(%010d.%b) %b %b#%b" % (
-        seconds, decimals.encode(), name, digits.encode(), body.encode(),
-    )  # fmt: skip
+    return b"(%010d.%b) " % (seconds, decimals.encode())
+
+
+@lru_cache(maxsize=4096)
+def _head(channel: str, can_id: int) -> bytes:
+    """Name and identifier of a plain frame. Raises ValueError for a name that no line can have."""
+    name = _name(channel)
+    if not name:
+        msg = f"cannot be written as a candump line: channel {channel!r}"
+        raise ValueError(msg)
+    return b"%b %03X#" % (name, can_id)
 
 
 @lru_cache(maxsize=64)

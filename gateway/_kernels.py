@@ -286,6 +286,15 @@ def _note(
     return bool(kind == _TEMPERATURES)
 
 
+@inlined
+def _in_order(t_ns: Ints, can_id: NDArray[np.uint32]) -> bool:
+    """Whether `dbc.block.Block.ordered` has nothing to do."""
+    for k in range(1, t_ns.shape[0]):
+        if t_ns[k] < t_ns[k - 1] or (t_ns[k] == t_ns[k - 1] and can_id[k] < can_id[k - 1]):
+            return False
+    return True
+
+
 @lean
 def take_block(
     t_ns: Ints,
@@ -306,13 +315,16 @@ def take_block(
     scratch: Scratch,
     readings: Readings,
     out: Samples,
-) -> tuple[int, int, int]:
+) -> tuple[int, int, int, bool]:
     """A tick's frames, in order: route, verify, decode, pair. Every frame ends in one tally.
 
     The first five are columns of a `dbc.block.Block`. Returns the numbers of samples in `out`,
     of rows that Python must see (`scratch.seen`) and of frames that are none of the drives'
-    messages (`scratch.foreign`).
+    messages (`scratch.foreign`); then whether anything but `decoded` was counted, else the tally is
+    empty again. -1 first, and nothing done, for frames in another order.
     """
+    if not _in_order(t_ns, can_id):
+        return -1, 0, 0, False
     m = foreign = 0
     for r in range(t_ns.shape[0]):
         if flags[r] & (_ERROR_FRAME | _REMOTE):
@@ -362,16 +374,12 @@ def take_block(
                 scratch.seen[seen] = row
                 seen += 1
     settle(now, guard, memory, state)
-    return samples, seen, foreign
-
-
-@lean
-def in_order(t_ns: Ints, can_id: NDArray[np.uint32]) -> bool:
-    """Whether `dbc.block.Block.ordered` has nothing to do."""
-    for k in range(1, t_ns.shape[0]):
-        if t_ns[k] < t_ns[k - 1] or (t_ns[k] == t_ns[k - 1] and can_id[k] < can_id[k - 1]):
-            return False
-    return True
+    odd = scratch.tally[_T_DECODED] != t_ns.shape[0]
+    for k in range(_T_DECODED + 1, scratch.tally.shape[0]):
+        odd = odd or scratch.tally[k] != 0
+    if not odd:
+        scratch.tally[_T_DECODED] = 0
+    return samples, seen, foreign, odd
 
 
 @lean

@@ -20,7 +20,7 @@ from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
 from gateway import inputs, pairing, receiving, slow
 from gateway._direct import Direct
-from gateway._kernels import in_order, settle, take_block
+from gateway._kernels import settle, take_block
 from gateway.channel import Channel, channel_state
 from gateway.inputs import NONE
 from gateway.pairing import Trouble
@@ -151,22 +151,22 @@ class Inbox:
         self.motions = 0
         self.restart.clear()
         block = frames if isinstance(frames, Block) else block_of(frames)
-        if not in_order(block.t_ns, block.can_id):
-            block = block.ordered()
         if not block.size:
             self.samples = self._room.first(0)
             self._settle(now, self._guard, self._memory, self.state)
             return block
         if block.size > len(self._scratch.t_ns):
             self._make_room(2 * block.size)
-        samples, seen, foreign = self._take(
-            block.t_ns, block.can_id, block.flags, block.length, block.data,
-            now, self.routes, self._guard, self._memory, self.state, self.codec.tables,
-            self._wiring, MAX_GAP_NS, self.pairs, self.slow, self._scratch, self.readings,
-            self._room,
-        )  # fmt: skip
+        samples, seen, foreign, odd = self._take_in(block, now)
+        if samples < 0:
+            block = block.ordered()
+            samples, seen, foreign, odd = self._take_in(block, now)
         self.samples = self._room.first(samples)
-        self._count(block.size)
+        self.counts["received"] += block.size
+        if odd:
+            self._count()
+        else:
+            self.counts["decoded"] += block.size
         for k in self._scratch.foreign[:foreign].tolist():
             frame = block.frame(k)
             if not 0 <= frame.t_ns <= now:
@@ -184,9 +184,17 @@ class Inbox:
             self._temperature(self.channels[self._scratch.channel.item(row)], row)
         return block
 
-    def _count(self, received: int) -> None:
+    def _take_in(self, block: Block, now: Nanos) -> tuple[int, int, int, bool]:
+        """See `take_block`."""
+        return self._take(  # type: ignore[no-any-return]
+            block.t_ns, block.can_id, block.flags, block.length, block.data,
+            now, self.routes, self._guard, self._memory, self.state, self.codec.tables,
+            self._wiring, MAX_GAP_NS, self.pairs, self.slow, self._scratch, self.readings,
+            self._room,
+        )  # fmt: skip
+
+    def _count(self) -> None:
         """Take over the loop's counters."""
-        self.counts["received"] += received
         tally = self._scratch.tally
         for name, count in zip(NAMES, tally.tolist(), strict=True):
             if count:
