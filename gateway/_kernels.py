@@ -43,8 +43,9 @@ _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(
 (
     _T_DECODED, _T_ERROR_FRAME, _T_REMOTE, _T_OWN, _T_TIME_BACK, _T_WRONG_LENGTH, _T_CRC,
     _T_REPEATED, _T_WRONG_SEQUENCE, _T_LOST, _T_NOT_YET_VALID, _T_NOT_AVAILABLE, _T_RANGE,
-) = range(13)  # receiving.Tally  # fmt: skip
-_NO_ROUTE, _OWN = -1, -2  # receiving.Routes
+    _T_UNKNOWN_ID,
+) = range(14)  # receiving.Tally  # fmt: skip
+_NO_ROUTE, _OWN, _SUPERVISED = -1, -2, -3  # receiving.Routes
 
 
 @inlined
@@ -319,8 +320,8 @@ def take_block(
     """A tick's frames, in order: route, verify, decode, pair. Every frame ends in one tally.
 
     The first five are columns of a `dbc.block.Block`. Returns the numbers of samples in `out`,
-    of rows that Python must see (`scratch.seen`) and of frames that are none of the drives'
-    messages (`scratch.foreign`); then whether anything but `decoded` was counted, else the tally is
+    of rows that Python must see (`scratch.seen`) and of heartbeats and emergencies
+    (`scratch.foreign`); then whether anything but `decoded` was counted, else the tally is
     empty again. -1 first, and nothing done, for frames in another order.
     """
     if not _in_order(t_ns, can_id):
@@ -334,11 +335,17 @@ def take_block(
         if c == _OWN:
             scratch.tally[_T_OWN] += 1
             continue
-        if c == _NO_ROUTE:
-            scratch.foreign[foreign] = r
-            foreign += 1
-            continue
         t = t_ns[r]
+        if c < 0:
+            if t < 0 or t > now:
+                # A heartbeat from the future would keep its node alive until then.
+                scratch.tally[_T_TIME_BACK] += 1
+            elif c == _SUPERVISED:
+                scratch.foreign[foreign] = r
+                foreign += 1
+            else:
+                scratch.tally[_T_UNKNOWN_ID] += 1
+            continue
         # Below 0 there is no time: -1 stands for none.
         if t < 0 or t > now or t < state.last_ns[c]:
             scratch.tally[_T_TIME_BACK] += 1

@@ -122,7 +122,7 @@ class Inbox:
         self.state = channel_state(self.channels)
         self._guard = receive.guard([channel.spec for channel in self.channels])
         self._memory = receive.window(len(self.channels))
-        self.routes = receiving.routes(keys, own)
+        self.routes = receiving.routes(keys, own, supervision.ids)
         self._wiring = pairing.wiring(self.channels)
         self._take, self._settle = Direct(take_block), Direct(settle)
         self._make_room(64)
@@ -168,12 +168,7 @@ class Inbox:
         else:
             self.counts["decoded"] += block.size
         for k in self._scratch.foreign[:foreign].tolist():
-            frame = block.frame(k)
-            if not 0 <= frame.t_ns <= now:
-                # A heartbeat from the future would keep its node alive until then.
-                self.counts["time_back"] += 1
-                continue
-            known = self.supervision.observe(frame)
+            known = self.supervision.observe(block.frame(k))
             self.counts["canopen" if known else "unknown_id"] += 1
         if self.pairs.trouble.item(Trouble.ANY):
             self._trouble()

@@ -18,6 +18,8 @@ Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 OWN: Final = -2
+SUPERVISED: Final = -3
+"""Heartbeats and emergencies of the drives' nodes, which `supervision` looks at."""
 EXTENDED_SHIFT: Final = 31
 
 
@@ -38,6 +40,7 @@ class Tally(IntEnum):
     NOT_YET_VALID = 10
     NOT_AVAILABLE = 11
     RANGE = 12
+    UNKNOWN_ID = 13
 
 
 NAMES: Final = tuple(tally.name.lower() for tally in Tally)
@@ -65,9 +68,9 @@ class Scratch(NamedTuple):
     tally: Ints
 
 
-def routes(channels: Mapping[int, int], own: Iterable[int]) -> Routes:
-    """From key to channel number, and the keys that are the gateway's own."""
-    table = {**channels, **dict.fromkeys(own, OWN)}
+def routes(channels: Mapping[int, int], own: Iterable[int], supervised: Iterable[int]) -> Routes:
+    """From key to channel number; keys that are the gateway's own; those of heartbeats."""
+    table = {**dict.fromkeys(supervised, SUPERVISED), **channels, **dict.fromkeys(own, OWN)}
     keys = sorted(table)
     return Routes(
         np.array(keys, dtype=np.int64), np.array([table[key] for key in keys], dtype=np.int64)

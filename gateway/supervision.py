@@ -94,6 +94,8 @@ class Supervision:
         self._state: dict[int, int] = {}
         self._heartbeat_of = {HEARTBEAT_BASE + n: n for n in self.nodes}
         self._emcy_of = {EMCY_BASE + n: n for n in self.nodes}
+        self.ids = (*self._heartbeat_of, *self._emcy_of)
+        """Identifiers of what it looks at."""
         self.emcy = {n: EmcyLog() for n in self.nodes}
         self.boots = dict.fromkeys(self.nodes, 0)
         """Boot-up messages per node; more than one means that the drive restarted."""

@@ -87,7 +87,7 @@ class Observer:
         self._happenings = Happenings()
         self._recent = Recent(config.nodes)
         self._schedule = Schedule(codec.by_name["Gateway_Adhesion"].cycle_ns)
-        self._routes = routes({}, ())
+        self._routes = routes({}, (), ())
         self.counts: Counter[str] = Counter()
         """Frames by cause: believed, canopen, unknown_id, and why others were not used."""
         self._received = self._window = 0

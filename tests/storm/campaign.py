@@ -113,7 +113,7 @@ def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
             end()
             core, oracle = start(tick)
         out = core.step(came.block, now)
-        oracle.look(tick, came, out, core.view, honest.speed[k], faults)
+        oracle.look(tick, came, out, core.said, honest.speed[k], faults)
         if len(oracle.found) >= MOST_FOUND:
             break
     end()

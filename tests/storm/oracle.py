@@ -17,6 +17,7 @@ drive speaks again: counters and checksums cannot know who it is (see docs/relia
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from dbc.dataids import p02_data_ids
 from dbc.frame import MS, Frame
 from gateway.config import Config
 from gateway.health import Flag, Health
-from gateway.view import GatewayView
+from gateway.said import Said
 from sim.hostile import Arrived, Fault
 from tests.storm.train import TICK
 
@@ -92,7 +93,7 @@ class Oracle:
         """Ticks by flag and state, over all drives."""
 
     def look(
-        self, tick: int, arrived: Arrived, out: list[Frame], view: GatewayView,
+        self, tick: int, arrived: Arrived, out: list[Frame], said: Said,
         speed: np.ndarray, faults: list[Fault],
     ) -> None:  # fmt: skip
         """One tick. speed (N,): true, rad/s."""
@@ -112,8 +113,8 @@ class Oracle:
             if frame.can_id == ADHESION:
                 self._adhesion(tick, frame.data, sampled)
             elif frame.can_id == FAULTS:
-                self._faults(tick, frame.data, fresh, view)
-        self._tracking(tick, view, speed.tolist())
+                self._faults(tick, frame.data, fresh, said)
+        self._tracking(tick, said, speed.tolist())
         for name, states in (("adhesion", self.adhesion), ("thermal", self.thermal)):
             for state in states:
                 self.said[name, state] += 1
@@ -165,7 +166,7 @@ class Oracle:
                 self._broken(tick, "hasty", d + 1, f"after {fine} ticks of fresh samples")
             self.adhesion[d] = state
 
-    def _faults(self, tick: int, data: bytes, fresh: np.ndarray, view: GatewayView) -> None:
+    def _faults(self, tick: int, data: bytes, fresh: np.ndarray, said: Said) -> None:
         for d, state in enumerate(self._states(tick, data)):
             aged = not fresh[d, -1] and not self.doubled[d]
             if state == GOOD and aged:
@@ -176,17 +177,18 @@ class Oracle:
         comm, estimator = (data[6] >> 2) & 3, (data[6] >> 4) & 3
         if comm == GOOD and not (fresh.ravel() | ~self.heard).all():
             self._broken(tick, "stale", 0, "CommFault says good")
-        if estimator == GOOD and any(d.health is not Health.TRACKING for d in view.drives):
+        if estimator == GOOD and (said.health != Health.TRACKING).any():
             self._broken(tick, "untracked", 0, "EstimatorFault says good")
 
-    def _tracking(self, tick: int, view: GatewayView, speed: list[float]) -> None:
-        for d, drive in enumerate(view.drives):
+    def _tracking(self, tick: int, said: Said, speed: list[float]) -> None:
+        rows = zip(said.adhesion.tolist(), said.health.tolist(), said.speed.tolist(), strict=True)
+        for d, (flag, health, told) in enumerate(rows):
             if self.adhesion[d] != GOOD:
                 self.apart[d] = 0
                 continue
-            if drive.adhesion is not Flag.GOOD or drive.health is not Health.TRACKING:
-                self._broken(tick, "untracked", d + 1, f"Adhering while {drive.health.name}")
-            off = abs((drive.speed_rad_s or 0.0) - speed[d])
+            if flag != Flag.GOOD or health != Health.TRACKING:
+                self._broken(tick, "untracked", d + 1, f"Adhering while {Health(health).name}")
+            off = abs((0.0 if math.isnan(told) else told) - speed[d])
             far = off > max(SPEED_RAD_S, SPEED_SHARE * abs(speed[d]))
             self.apart[d] = self.apart[d] + 1 if far else 0
             if self.apart[d] > APART_TICKS:

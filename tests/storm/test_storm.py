@@ -114,7 +114,7 @@ def counter_stands_still(monkeypatch):
 
 
 def frames_are_forgotten(monkeypatch):
-    monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * 13)
+    monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * 14)
 
 
 @pytest.mark.parametrize(
