@@ -192,13 +192,13 @@ def _state(said: Said, silent: bool, overrun: bool) -> int:
 @lean
 def tell(
     seen: Ints, why: Ints, now: int, flags: Flags, inputs: Inputs, told: Told, lost: Array,
-    known: Bools, findings: Findings, sample_ns: Ints, doubt: int, common: int, silent: bool,
+    known: Bools, findings: Findings, sample_ns: Ints, doubt: int, mode: Ints, silent: bool,
     overrun: bool, said: Said,
 ) -> None:  # fmt: skip
     """Fill `said` after `decide`.
 
-    sample_ns (N,): stamp of the newest sample, negative: none; common: `Flag` of all drives' loss
-    at once; overrun: ticks were missed of late.
+    sample_ns (N,): stamp of the newest sample, negative: none; mode: the first is the
+    `Flag` of all drives' loss at once; overrun: ticks were missed of late.
     """
     whole = said.whole
     whole[_W_ADHESION] = whole[_W_FAULTS] = _NONE
@@ -218,6 +218,7 @@ def tell(
     whole[_W_ESTIMATOR] = _summary(said.estimator)
     whole[_W_OVERRUN] = _BAD if overrun else _GOOD
     whole[_W_STATE] = _state(said, silent, overrun)
-    whole[_W_COMMON] = common
+    doubted = mode[0, 0] == _GOOD and doubt != _NONE
+    whole[_W_COMMON] = _UNKNOWN if doubted else mode[0, 0]
     whole[_W_AGE] = _oldest(said.age_ns)
     whole[_W_TEMPERATURE_AGE] = _oldest(said.temperature_age_ns)

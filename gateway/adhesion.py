@@ -20,7 +20,6 @@ from gateway import loads, said
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._direct import Direct
 from gateway.config import Adhesion, Motor
-from gateway.health import Flag
 from gateway.said import NEVER, Rules
 from gateway.slow import SlowState
 from gateway.tracks import Told
@@ -94,7 +93,8 @@ class AdhesionSide:
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(n, spread)
         self.response = response.start(n, spread)
-        self._mode = said.flags(1, 0)
+        self.mode = said.flags(1, 0)
+        """The first of them: whether all drives have lost adhesion at once."""
         self._trust = Trust(np.full(n, NEVER, dtype=np.int64), np.full(1, NEVER, dtype=np.int64))
         referred, spreads, alone, lost, load, common = np.zeros((6, n))
         meant, known, severe, healthy, answer, teaches = np.zeros((6, n), dtype=np.bool_)
@@ -107,11 +107,6 @@ class AdhesionSide:
         self._compare, self._conclude = Direct(compare), Direct(conclude)
         self._teach = Direct(teach)
         self._learn_ns: Nanos = NEVER
-
-    @property
-    def common(self) -> Flag:
-        """Whether all drives have lost adhesion at once."""
-        return Flag(self._mode.flag.item(0, 0))
 
     def judge(
         self, told: Told, slow: SlowState, fresh: Flags, flag: Ints, since_ns: Ints, now: Nanos
@@ -132,7 +127,7 @@ class AdhesionSide:
         )  # fmt: skip
         answered = self._conclude(
             lost, known, common, now, self.tick_s, self.response, at, heard, SEVERE,
-            SEVERE_SPREADS, self._rules, self._mode, self._trust, room,
+            SEVERE_SPREADS, self._rules, self.mode, self._trust, room,
         )  # fmt: skip
         if answered or now >= self._learn_ns:
             self._learn(answered, common, flag, now)

@@ -124,6 +124,7 @@ class Gateway:
         self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
         self.lost = np.zeros(len(nodes), dtype=np.bool_)
         """(N,) drives whose heartbeat was seen and has stopped."""
+        self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
         self.stops = config.on_intruder != "go_on" and not told_apart
@@ -151,8 +152,10 @@ class Gateway:
         self.doubt.tick(now, inbox.counts["own"] - own)
         # Our own frames are counted as they go out; in a log they stand a second time.
         self.load.add_block(heard, inbox.routes, now)
-        for k, node in enumerate(self.nodes):
-            self.lost[k] = self.supervision.life(node, now) is Life.LOST
+        if self._any_lost or not self.supervision.none_lost(now):
+            lives = [self.supervision.life(node, now) for node in self.nodes]
+            self.lost[:] = [life is Life.LOST for life in lives]
+            self._any_lost = Life.LOST in lives
         inputs, told, slow = self.inputs, self.bank.told, inbox.slow
         intruder = self.doubt.intruder
         self._look(now, self.lost, intruder, self._places, inbox.state, inbox.pairs, slow, inputs)
@@ -174,7 +177,7 @@ class Gateway:
         self._now, self._opinion, self._view = now, opinion, None
         self._tell(
             self._seen, self._why, now, self.flags, inputs, told, opinion.lost, opinion.known,
-            self._findings, inbox.pairs.sample_ns, doubt, self._common_mode(), self.silent,
+            self._findings, inbox.pairs.sample_ns, doubt, self.adhesion.mode.flag, self.silent,
             self.doubt.overrun, self.said,
         )  # fmt: skip
         if self.outbox.wants_counts(now):
@@ -220,11 +223,6 @@ class Gateway:
         names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
         wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
         return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
-
-    def _common_mode(self) -> int:
-        flag = self.adhesion.common
-        doubted = flag is Flag.GOOD and self.doubt.reason is not Reason.NONE
-        return int(Flag.UNKNOWN if doubted else flag)
 
     def _counted(self) -> Counted:
         counts = self.inbox.counts

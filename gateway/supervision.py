@@ -139,6 +139,11 @@ class Supervision:
             self._last_ns[node] = frame.t_ns
             self._state[node] = state
 
+    def none_lost(self, now_ns: Nanos) -> bool:
+        """Whether `life` says lost of no node."""
+        last = self._last_ns
+        return not last or now_ns - min(last.values()) <= self._timeout_ns
+
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""
         last = self._last_ns.get(node)

@@ -54,9 +54,9 @@ def test_loops_equal_themselves_uncompiled(seed, monkeypatch):
             flags.since_ns[0][flags.flag[0] != flag] = now
             flags.flag[0] = flag
             out.append((opinion.lost.tolist(), opinion.known.tolist(), side.severe.tolist(),
-                        side.common, side.reference.spread, side.reference.ratio.tolist(),
+                        side.mode.flag.item(0), side.reference.spread, side.reference.ratio.tolist(),
                         side.response.reference.spread))  # fmt: skip
-            met |= {("flag", *flag.tolist()), ("common", side.common)}
+            met |= {("flag", *flag.tolist()), ("common", side.mode.flag.item(0))}
         made.append(out)
     assert made[0] == made[1]
     assert {("common", flag) for flag in Flag} <= met

@@ -103,8 +103,8 @@ def test_the_loops_are_the_same_functions_uncompiled(seed):
             now = 100 + tick * TICK
             weigh(come, wrong, told, lost, known, found, doubt, RULES, seen, why)
             changed = decide(seen, severe, now, RULES, flags)
-            tell(seen, why, now, flags, come, told, lost, known, found, sample_ns, doubt, tick % 3,
-                 silent, overrun, words)  # fmt: skip
+            tell(seen, why, now, flags, come, told, lost, known, found, sample_ns, doubt,
+                 np.array([[tick % 3]]),                 silent, overrun, words)  # fmt: skip
             out.append([changed, seen.tolist(), why.tolist(), *(c.tolist() for c in words)])
         made.append(repr(out))
     assert made[0] == made[1]
