@@ -78,8 +78,8 @@ def conclude(
 ) -> bool:  # fmt: skip
     """The detector's opinion with every drive's own response; who is severely lost; common mode.
 
-    lost, known (N,), common: its opinion; part, spreads: as for `severely`; mode: its first
-    flag is that of all drives' loss. Fills lost, known, severe and since when loads are known. True where a
+    lost, known (N,), common: its opinion; part, spreads: as for `severely`; mode: its first flag is
+    that of all drives' loss. Fills lost, known, severe and since when loads are known. True where a
     drive's load answers a new command.
     """
     respond(response, heard, tick_s, room.alone, room.meant)

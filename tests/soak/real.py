@@ -8,6 +8,7 @@ as real `struct can_frame` bytes.
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import socket
 import time
@@ -124,6 +125,8 @@ def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, obje
     sent = json.loads(told.read_text())
     counts = core.inbox.counts
     timing = seen.timing
+    # Without the first and the last, between which it settles and ends.
+    ages = watch.ages[1:-1] or watch.ages or [math.nan]
     return {
         **books.summary(),
         "drives": len(DRIVES),
@@ -134,9 +137,9 @@ def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, obje
         "kernel_drops": seen.status.kernel_drops,
         "counts": dict(sorted((+counts).items())),
         "unaccounted": unaccounted(counts),
-        "age_ms_first": round(watch.ages[1], 3),
-        "age_ms_last": round(watch.ages[-2], 3),
-        "age_ms_most": round(max(watch.ages[1:-1]), 3),
+        "age_ms_first": round(ages[0], 3),
+        "age_ms_last": round(ages[-1], 3),
+        "age_ms_most": round(max(ages), 3),
         "lateness_p99_us": timing.lateness.quantile(0.99) // 1000,
         "latency_p99_us": timing.latency.quantile(0.99) // 1000,
     }

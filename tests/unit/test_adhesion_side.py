@@ -53,9 +53,9 @@ def test_loops_equal_themselves_uncompiled(seed, monkeypatch):
             flag = np.where(lost, Flag.BAD, np.where(opinion.known, Flag.GOOD, Flag.UNKNOWN))
             flags.since_ns[0][flags.flag[0] != flag] = now
             flags.flag[0] = flag
-            out.append((opinion.lost.tolist(), opinion.known.tolist(), side.severe.tolist(),
-                        side.mode.flag.item(0), side.reference.spread, side.reference.ratio.tolist(),
-                        side.response.reference.spread))  # fmt: skip
+            memory, own = side.reference, side.response.reference
+            said_so = opinion.lost.tolist(), opinion.known.tolist(), side.severe.tolist()
+            out.append((*said_so, side.mode.flag.item(0), memory.spread, own.spread))
             met |= {("flag", *flag.tolist()), ("common", side.mode.flag.item(0))}
         made.append(out)
     assert made[0] == made[1]

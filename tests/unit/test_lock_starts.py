@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from gateway.bank import Bank, estimates_of
+from gateway.bank import Bank
 from gateway.config import BENCH_MOTOR, TRACTION_350KW, Estimator, Motor
-from gateway.health import Health, Reason
+from gateway.health import Health
 from gateway.pairing import Samples
+from tests.estimates import step
 from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, Truth, motor, sampled
 
 ANGLES = np.linspace(-np.pi, np.pi, 36, endpoint=False)
@@ -79,9 +80,9 @@ def test_forty_starts_from_thirty_six_angles(name, seed, every):
     for end in range(TICK, len(truth.w) + 1, TICK):
         now = slice(*np.searchsorted(rows.tick, [end - TICK, end]))
         picked = Samples(*(column[now] for column in rows[:5]))
-        filters.advance(picked, (), [Reason.NONE] * n, [True] * n, end * 125_000)
+        said = step(filters, picked, [True] * n, end * 125_000)
         w, theta = truth.w[end - 1], truth.theta[end - 1]
-        for k, estimate in enumerate(estimates_of(filters.told)):
+        for k, estimate in enumerate(said):
             if estimate.health is not Health.TRACKING:
                 continue
             assert abs(w[k]) > 0.5 * OBSERVABLE, "standstill is not observable"
