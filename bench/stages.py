@@ -23,15 +23,19 @@ HEADER = ("stage", "per tick", "share of the replay", "calls per tick")
 STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("whole step", core.Gateway, "step"),
     ("frames in: verify, decode, pair", core.Inbox, "take"),
-    ("  compiled", Direct, "take_block"),
+    ("  verify, decode, pair, compiled", Direct, "take_block"),
     ("filters", core.Bank, "advance"),
-    ("  compiled", Direct, "advance_ekf"),
-    ("measured motion", core.MotionSide, "take"),
+    ("  chords, EKF, judgement, compiled", Direct, "advance_ekf"),
+    ("measured motion", core.MotionSide, "settle"),
     ("detector and commands", core.AdhesionSide, "judge"),
+    ("  before the detector, compiled", Direct, "compare"),
+    ("  after the detector, compiled", Direct, "conclude"),
     ("thermal readings", core.ThermalSide, "take"),
-    ("flags, a drive at a time", core.Gateway, "_drive"),
-    ("the set's view", core.Gateway, "_view"),
+    ("thermal reports", core.ThermalSide, "tell"),
+    ("evidence, compiled", Direct, "weigh"),
+    ("flags, compiled", Direct, "decide"),
     ("frames out", core.Outbox, "due"),
+    ("  due, encode, protect, compiled", Direct, "send"),
 )
 
 
