@@ -28,8 +28,7 @@ from gateway.loads import FOLLOWING_NS
 
 if TYPE_CHECKING:
     from estimators.detect.response import Heard, Memory
-    from gateway.adhesion import Room, Trust
-    from gateway.loads import Instant, Rotors
+    from gateway.loads import Instant, Room, Rotors, Trust
     from gateway.said import Flags, Rules
     from gateway.slow import SlowState
     from gateway.tracks import Told

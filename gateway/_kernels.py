@@ -16,6 +16,7 @@ from dbc._kernels import decode_block
 from dbc._lean import inlined, lean
 from dbc._receive_kernels import cycle, judge
 from gateway._guard_kernels import note_foul
+from gateway._route_kernels import route
 from gateway._slow_kernels import keep
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ _GOOD, _MISSING, _OUTSIDE = 0, 1, 2  # pairing.Row
 _UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
 _SUM_SMOOTHING = 0.05
-_EXTENDED, _REMOTE, _ERROR_FRAME, _FD = 1, 2, 4, 8  # dbc.frame
+_REMOTE, _ERROR_FRAME, _FD = 2, 4, 8  # dbc.frame
 _OK, _SOME_LOST, _ERROR, _REPEATED, _WRONG_SEQUENCE, _NO_NEW_DATA = range(6)  # protection.Check
 _SM_VALID, _SM_INVALID = 2, 3  # protection.SmState
 _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(7)  # Reason
@@ -45,7 +46,7 @@ _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(
     _T_REPEATED, _T_WRONG_SEQUENCE, _T_LOST, _T_NOT_YET_VALID, _T_NOT_AVAILABLE, _T_RANGE,
     _T_UNKNOWN_ID,
 ) = range(14)  # receiving.Tally  # fmt: skip
-_NO_ROUTE, _OWN, _SUPERVISED = -1, -2, -3  # receiving.Routes
+_OWN, _SUPERVISED = -2, -3  # receiving
 
 
 @inlined
@@ -177,22 +178,6 @@ def take_rows(
             out.gap[m] = 8 * missing if k == 0 else 0
             m += 1
     return m
-
-
-@inlined
-def _route(can_id: int, flags: int, routes: Routes) -> int:
-    """Channel of an identifier; _OWN for the gateway's own, _NO_ROUTE for any other."""
-    key = np.int64(can_id) | (np.int64(flags & _EXTENDED) << 31)
-    first, last = 0, routes.key.shape[0]
-    while first < last:
-        middle = (first + last) // 2
-        if routes.key[middle] < key:
-            first = middle + 1
-        else:
-            last = middle
-    if first < routes.key.shape[0] and routes.key[first] == key:
-        return int(routes.channel[first])
-    return _NO_ROUTE
 
 
 @inlined
@@ -331,7 +316,7 @@ def take_block(
         if flags[r] & (_ERROR_FRAME | _REMOTE):
             scratch.tally[_T_ERROR_FRAME if flags[r] & _ERROR_FRAME else _T_REMOTE] += 1
             continue
-        c = _route(can_id[r], flags[r], routes)
+        c = route(can_id[r], flags[r], routes)
         if c == _OWN:
             scratch.tally[_T_OWN] += 1
             continue
@@ -387,20 +372,3 @@ def take_block(
     if not odd:
         scratch.tally[_T_DECODED] = 0
     return samples, seen, foreign, odd
-
-
-@lean
-def busy_s(
-    busy: float,
-    can_id: NDArray[np.uint32],
-    flags: Bytes,
-    length: Bytes,
-    routes: Routes,
-    classic_s: Array,
-    fd_s: Array,
-) -> float:
-    """`busy` and the seconds that a tick's frames took on the wire, the gateway's own left out."""
-    for r in range(can_id.shape[0]):
-        if _route(can_id[r], flags[r], routes) != _OWN:
-            busy += fd_s[length[r]] if flags[r] & _FD else classic_s[length[r]]
-    return busy

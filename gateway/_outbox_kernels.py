@@ -14,8 +14,8 @@ from dbc._send_kernels import encode, seal
 if TYPE_CHECKING:
     from dbc.receive import Guard
     from dbc.sending import Form
-    from gateway.outbox import Memory, Room, Sheet
     from gateway.said import Said
+    from gateway.sources import Memory, Room, Sheet
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ once, and a drive alone. May know: estimators, estimates, commands. May not know
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,8 @@ from gateway import loads, said
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._direct import Direct
 from gateway.config import Adhesion, Motor
-from gateway.said import NEVER, Rules
+from gateway.health import NEVER
+from gateway.said import Rules
 from gateway.slow import SlowState
 from gateway.tracks import Told
 
@@ -44,38 +45,6 @@ Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 
-class Trust(NamedTuple):
-    """known_ns (N,): since when each load is known; bad_ns (1,): when last any wheel was lost.
-
-    `NEVER` where it is not, or never was.
-    """
-
-    known_ns: Ints
-    bad_ns: Ints
-
-
-class Room(NamedTuple):
-    """Of one tick, (N,): what the drives are compared by, and what comes of it.
-
-    alone, meant: what each says by itself; severe: drives that carry so much less than the others
-    that noise cannot be the cause; load, common, healthy: what is learnt from; answer, teaches:
-    whom it teaches.
-    """
-
-    referred: Array
-    spread: Array
-    alone: Array
-    meant: Flags
-    lost: Array
-    known: Flags
-    severe: Flags
-    load: Array
-    common: Array
-    healthy: Flags
-    answer: Flags
-    teaches: Flags
-
-
 class AdhesionSide:
     """Memory of the drives' healthy loads; `judge` per tick is the only mutator."""
 
@@ -95,14 +64,8 @@ class AdhesionSide:
         self.response = response.start(n, spread)
         self.mode = said.flags(1, 0)
         """The first of them: whether all drives have lost adhesion at once."""
-        self._trust = Trust(np.full(n, NEVER, dtype=np.int64), np.full(1, NEVER, dtype=np.int64))
-        referred, spreads, alone, lost, load, common = np.zeros((6, n))
-        meant, known, severe, healthy, answer, teaches = np.zeros((6, n), dtype=np.bool_)
-        self._room = Room(
-            referred, spreads, alone, meant, lost, known, severe, load, common, healthy, answer,
-            teaches,
-        )  # fmt: skip
-        self.severe = severe
+        self._trust, self._room = loads.trust(n), loads.room(n)
+        self.severe = self._room.severe
         """(N,) drives that carry so much less than the others that noise cannot be the cause."""
         self._compare, self._conclude = Direct(compare), Direct(conclude)
         self._teach = Direct(teach)

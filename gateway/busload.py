@@ -9,7 +9,7 @@ import numpy as np
 from dbc.block import Block
 from dbc.frame import FD, SECOND, Frame, Nanos
 from gateway._direct import Direct
-from gateway._kernels import busy_s
+from gateway._route_kernels import busy_s
 from gateway.receiving import Routes
 
 

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
+NEVER: Final = -(1 << 63)
+"""In place of a stamp, or an age, that there is not."""
+
 
 class Flag(IntEnum):
     """Antivalent two-bit state; 3 (`Invalid`) is never sent."""

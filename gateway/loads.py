@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dbc.frame import SECOND, Nanos
 from estimators.detect.response import Heard
 from gateway.config import Motor
+from gateway.health import NEVER
 
 FOLLOWING_NS: Final[Nanos] = 2 * SECOND
 """A drive's torque is back a second after its flag cleared; twice that."""
@@ -34,6 +35,7 @@ be the train's, and the next commands decide."""
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 
 class Instant(NamedTuple):
@@ -63,6 +65,38 @@ class Rotors(NamedTuple):
     gain: Array
 
 
+class Trust(NamedTuple):
+    """known_ns (N,): since when each load is known; bad_ns (1,): when last any wheel was lost.
+
+    `NEVER` where it is not, or never was.
+    """
+
+    known_ns: Ints
+    bad_ns: Ints
+
+
+class Room(NamedTuple):
+    """Of one tick, (N,): what the drives are compared by, and what comes of it.
+
+    alone, meant: what each says by itself; severe: drives that carry so much less than the others
+    that noise cannot be the cause; load, common, healthy: what is learnt from; answer, teaches:
+    whom it teaches.
+    """
+
+    referred: Array
+    spread: Array
+    alone: Array
+    meant: Flags
+    lost: Array
+    known: Flags
+    severe: Flags
+    load: Array
+    common: Array
+    healthy: Flags
+    answer: Flags
+    teaches: Flags
+
+
 def rotors(motors: Sequence[Motor]) -> Rotors:
     """Nothing remembered."""
     n = len(motors)
@@ -82,3 +116,17 @@ def heard(n: int) -> Heard:
     """Room for N drives."""
     load, excess, command, before, age_s = np.zeros((5, n))
     return Heard(load, excess, command, before, age_s, np.zeros(n, dtype=np.bool_))
+
+
+def trust(n: int) -> Trust:
+    """Nothing known yet, and nothing lost."""
+    return Trust(np.full(n, NEVER, dtype=np.int64), np.full(1, NEVER, dtype=np.int64))
+
+
+def room(n: int) -> Room:
+    """Room for N drives."""
+    referred, spread, alone, lost, load, common = np.zeros((6, n))
+    meant, known, severe, healthy, answer, teaches = np.zeros((6, n), dtype=np.bool_)
+    return Room(
+        referred, spread, alone, meant, lost, known, severe, load, common, healthy, answer, teaches
+    )

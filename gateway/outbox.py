@@ -7,10 +7,9 @@ not-available code or as `Unknown`; nothing is ever repeated from an earlier tic
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbc import receive
 from dbc.codec import PAYLOAD, Codec, MessageSpec
@@ -20,7 +19,7 @@ from dbc.sending import form
 from gateway._direct import Direct
 from gateway._outbox_kernels import send
 from gateway.said import Said
-from gateway.sources import COUNTED, OF_A_DRIVE, OF_THE_SET, Source
+from gateway.sources import COUNTED, OF_A_DRIVE, OF_THE_SET, Memory, Room, Sheet, Source
 from gateway.view import Counted
 
 if TYPE_CHECKING:
@@ -31,43 +30,6 @@ VOUCHED: Final = ("Gateway_Adhesion", "Gateway_Faults")
 CHANGING: Final = "Gateway_Faults"
 """Goes out in the tick of a change, too."""
 COUNTING: Final = ("Gateway_Info", "Gateway_Status")
-
-Ints = NDArray[np.int64]
-
-
-class Sheet(NamedTuple):
-    """Constants of M messages in the order of their ids, S columns.
-
-    source, drive (M, S): where a signal's value comes from (`Source`), and of which drive;
-    cycle_ns (M,); changing: number of the message that is sent at a change as well; slack_ns: what
-    is due within this is due now; tick_ns: period of the loop.
-    """
-
-    source: Ints
-    drive: Ints
-    cycle_ns: Ints
-    changing: int
-    slack_ns: int
-    tick_ns: int
-
-
-class Memory(NamedTuple):
-    """next_ns, counter (M,): when each is due, how many have gone; key (N + 4,): of the last tick.
-
-    key: the drives' thermal flags, then the set's `sensor`, `comm`, `estimator`, `overrun`.
-    """
-
-    next_ns: Ints
-    counter: Ints
-    key: Ints
-
-
-class Room(NamedTuple):
-    """For one tick: values (M, S), payload (M, 64) of the frames in a row, message (M,) of each."""
-
-    value: NDArray[np.float64]
-    payload: NDArray[np.uint8]
-    message: Ints
 
 
 class Outbox:

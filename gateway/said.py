@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.decide import HOLDS, TABLE, Timing
-from gateway.health import FaultClass, Flag, Reason
+from gateway.health import NEVER, FaultClass, Flag, Reason
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-NEVER: Final = -(1 << 63)
-"""In place of an age, or a stamp, that there is not."""
 SAME: Final = -1
 """In place of evidence: it stands as it was, and no flag changes by it."""
 

@@ -1,12 +1,16 @@
 """Which signal of the gateway's own messages says what. A new one: a line here, one in `value_of`.
 
-May know: names of the message set. May not know: bits, clocks.
+And the tables by which the compiled outbox goes. May know: names of the message set. May not know:
+bits, clocks.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gateway.view import Counted
 
@@ -110,3 +114,40 @@ OF_THE_SET: Final = {
     ),
 }
 """Signals of the whole set, and those that there are for every drive, its number behind."""
+
+Ints = NDArray[np.int64]
+
+
+class Sheet(NamedTuple):
+    """Constants of M messages in the order of their ids, S columns.
+
+    source, drive (M, S): where a signal's value comes from (`Source`), and of which drive;
+    cycle_ns (M,); changing: number of the message that is sent at a change as well; slack_ns: what
+    is due within this is due now; tick_ns: period of the loop.
+    """
+
+    source: Ints
+    drive: Ints
+    cycle_ns: Ints
+    changing: int
+    slack_ns: int
+    tick_ns: int
+
+
+class Memory(NamedTuple):
+    """next_ns, counter (M,): when each is due, how many have gone; key (N + 4,): of the last tick.
+
+    key: the drives' thermal flags, then the set's `sensor`, `comm`, `estimator`, `overrun`.
+    """
+
+    next_ns: Ints
+    counter: Ints
+    key: Ints
+
+
+class Room(NamedTuple):
+    """For one tick: values (M, S), payload (M, 64) of the frames in a row, message (M,) of each."""
+
+    value: NDArray[np.float64]
+    payload: NDArray[np.uint8]
+    message: Ints

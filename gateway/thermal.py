@@ -18,10 +18,10 @@ from dbc.frame import SECOND, Nanos
 from estimators import _maisd_kernels, maisd
 from gateway.calibration import POINTS, Calibration
 from gateway.config import ConfigError
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import HeatSide, Sample, Seconds, Wear
 from gateway.inbox import DriveInput, Temperatures
-from gateway.said import NEVER, Findings
+from gateway.said import Findings
 from gateway.sensors import SensorSide
 
 FOREVER: Final[Nanos] = (1 << 63) - 1

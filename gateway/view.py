@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from dbc.frame import Nanos
-from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
+from gateway.health import NEVER, FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.heatside import Wear
-from gateway.said import NEVER, Said, Whole
+from gateway.said import Said, Whole
 
 _FLAGS: Final = tuple(Flag)
 _REASONS: Final = tuple(Reason)

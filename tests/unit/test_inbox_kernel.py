@@ -15,7 +15,7 @@ CODEC = codec_for()
 
 
 HELPERS = (
-    "_verdict", "_gap", "_route", "note_foul", "_admit", "_unbelieved", "keep", "_note", "settle",
+    "_verdict", "_gap", "route", "note_foul", "_admit", "_unbelieved", "keep", "_note", "settle",
     "take_rows", "judge", "cycle",
 )  # fmt: skip
 

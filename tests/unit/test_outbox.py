@@ -8,9 +8,10 @@ import pytest
 from gateway import outbox as module
 from gateway import said
 from gateway._outbox_kernels import send
+from gateway.health import NEVER
 from gateway.heatside import Wear
 from gateway.outbox import Outbox
-from gateway.said import NEVER, Whole
+from gateway.said import Whole
 from gateway.view import Counted, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
 

@@ -6,10 +6,10 @@ import pytest
 from gateway import _inputs_kernels, _said_kernels, inputs, said, tracks
 from gateway.channel import ChannelState
 from gateway.decide import FlagState, Timing, advance, from_probability, hold
-from gateway.health import Flag, Health, Reason, summary, worst
+from gateway.health import NEVER, Flag, Health, Reason, summary, worst
 from gateway.inputs import NONE
 from gateway.pairing import start as pairs_of
-from gateway.said import NEVER, SAME, Which
+from gateway.said import SAME, Which
 from gateway.slow import start as slow_of
 
 N = 3

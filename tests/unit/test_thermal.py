@@ -8,9 +8,9 @@ from hypothesis.extra.numpy import arrays
 
 from estimators import _maisd_kernels, maisd
 from gateway.calibration import Calibration, MotorCalibration
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
-from gateway.said import NEVER, findings
+from gateway.said import findings
 from gateway.thermal import ThermalSide
 
 MS = 1_000_000
