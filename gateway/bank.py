@@ -92,7 +92,8 @@ class Bank:
             self.table, self.noise, self.rated.I, self.tuning, self.limits, SAMPLE_NS * 1e-9,
             LONGEST_COAST, NIS_SMOOTHING, UKF_KAPPA,
         )  # fmt: skip
-        self._room = tracks.room(n, SAMPLES_AT_FIRST)
+        self.room = tracks.room(n, SAMPLES_AT_FIRST)
+        """Of the last tick; its first `nis` are those of the samples."""
         self._advance = Direct(advance_ukf if config.kind == "ukf" else advance_ekf)
         self._tell = Direct(tell)
         # Compiled, or loaded, now and not when the first filter begins.
@@ -117,10 +118,10 @@ class Bank:
             lock.forget(self.chords, k)
             unbalance.forget(self.sensors, k)
             self.tracks.flux[k] = math.nan
-        if len(samples.drive) > len(self._room.nis):
-            self._room = tracks.room(len(self.x), 2 * len(samples.drive))
+        if len(samples.drive) > len(self.room.nis):
+            self.room = tracks.room(len(self.x), 2 * len(samples.drive))
         if self._advance(
-            samples, now, inputs, fresh, self._believed, self._constants, self._room
+            samples, now, inputs, fresh, self._believed, self._constants, self.room
         ):  # fmt: skip
             self._begin()
             self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
