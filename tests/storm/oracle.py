@@ -40,6 +40,8 @@ SECOND_SENDER_TICKS = 10
 """A second sender has to be noticed in so many."""
 APART_TICKS = 20
 """A filter that follows a slip may be off the true speed for so long."""
+MOSTLY = 0.9
+"""Share of a sender's frames without which it is not heard."""
 GUARD_TICKS = 95
 """For so long after a second sender nothing is believed: a second, less what found it."""
 SPEED_SHARE, SPEED_RAD_S = 0.2, 6.0
@@ -199,6 +201,9 @@ class Oracle:
         both = [f.drive for f in faults if f.kind == "second_sender"]
         hidden = ("bus_off", "link_loss", "drop", "delay", "clock_step")
         held = any(f.kind in hidden for f in faults)
+        # Two of whom no frame arrives whole are one that is disturbed.
+        spoilt = [f.drive for f in faults if f.kind == "corrupt" and f.amount > MOSTLY]
         for d in range(self.n):
             twice = d in both or None in both
-            self.doubled[d] = twice * (1 if held else self.doubled[d] + 1)
+            alone = held or d in spoilt or None in spoilt
+            self.doubled[d] = twice * (1 if alone else self.doubled[d] + 1)

@@ -20,6 +20,7 @@ from gateway.outbox import Outbox
 from sim.hostile import KINDS, WHOLE_BUS, Fault, HostileBus, plan
 from tests.storm import campaign
 from tests.storm.campaign import FD_SEEDS, QUEUE, weather
+from tests.storm.oracle import Oracle
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 
 SEEDS, TICKS = range(20), 100_000
@@ -62,6 +63,29 @@ DENSE = (3, 16_000, 100.0)
 
 def test_a_denser_storm_breaks_no_rule_either():
     assert not weather(*DENSE).found
+
+
+@pytest.mark.parametrize("spoilt", [0.5, 1.0])
+def test_a_second_sender_in_a_disturbance(spoilt, monkeypatch):
+    """Heard through it: guarded for a second after. Not one whole frame: nobody knows of it."""
+    faults = [
+        Fault("corrupt", 3000, 3107, 0, spoilt),
+        Fault("second_sender", 3034, 3084, None, 1.0),
+    ]
+    monkeypatch.setattr(campaign, "plan", lambda *_: faults)
+    seen = []
+    real = Oracle.look
+
+    def look(self, tick, came, out, said, *more):
+        real(self, tick, came, out, said, *more)
+        if 3107 < tick <= 3084 + 95:
+            seen.append(said.adhesion.tolist())
+
+    monkeypatch.setattr(Oracle, "look", look)
+    assert not weather(32, 3300).found
+    good = [state[0] == Flag.GOOD for state in seen]
+    assert any(good) == (spoilt == 1.0)
+    assert not any(state[1] == Flag.GOOD for state in seen), "the others' second sender is heard"
 
 
 def stale_is_believed(monkeypatch):
