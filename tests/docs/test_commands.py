@@ -27,7 +27,7 @@ def run_page(page: str, where: str, folder: Path) -> list[str]:
         elif block.language == "sh" and block.run == where:
             done = subprocess.run(
                 ["bash", "-euc", block.text], cwd=folder, env=env, capture_output=True, text=True,
-                check=False, timeout=300,
+                check=False, timeout=550,
             )  # fmt: skip
             said = f"{page}:{block.line}\n{block.text}\n{done.stdout}\n{done.stderr}"
             assert done.returncode == 0, said
