@@ -21,9 +21,10 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 _NONE, _P02 = 0, 1  # dbc.protection.Profile
-_BYTE, _COUNT, _SHIFT, _BIG = range(4)  # dbc.sending.Form.place
+_BYTE, _COUNT, _SHIFT, _BIG, _FLOAT = range(5)  # dbc.sending.Form.place
 _MASK, _ABSENT, _START, _LOW, _HIGH = range(5)  # dbc.sending.Form.bits
 _EIGHT = np.uint64(8)
+_SINGLE = 32
 
 
 @inlined
@@ -33,6 +34,11 @@ def _raw(x: float, t: int, form: Form) -> np.uint64:
     # Compared before rounding: a large enough number divided by the scale is infinite.
     if x - x != 0.0:
         which = _ABSENT
+    elif form.place[t, _FLOAT]:
+        bounded = min(max(raw, form.limits[t, 0]), form.limits[t, 1])
+        if form.place[t, _FLOAT] == _SINGLE:
+            return np.uint64(np.float32(bounded).view(np.uint32))
+        return np.float64(bounded).view(np.uint64)  # type: ignore[no-any-return,unused-ignore]
     elif raw <= form.limits[t, 0]:
         which = _LOW
     elif raw >= form.limits[t, 1]:

@@ -18,6 +18,7 @@ from dbc.protection import protect
 from dbc.sending import form
 from gateway._direct import Direct
 from gateway._outbox_kernels import send
+from gateway.config import ConfigError
 from gateway.said import Said
 from gateway.sources import COUNTED, OF_A_DRIVE, OF_THE_SET, Memory, Room, Sheet, Source
 from gateway.view import Counted
@@ -43,7 +44,10 @@ class Outbox:
         tick_ns: Nanos,
         authenticator: Authenticator | None = None,
     ) -> None:
-        """The set of messages is fixed here; nothing else can ever be sent."""
+        """The set of messages is fixed here; nothing else can ever be sent.
+
+        Raises ConfigError for a DBC by which they cannot be encoded.
+        """
         self.config_hash = config_hash
         self.codec = codec
         names = [f"Gateway_{n}" for n in ("Adhesion", "Faults", "Info", "Status")]
@@ -51,9 +55,11 @@ class Outbox:
         specs = sorted((codec.by_name[name] for name in names), key=lambda spec: spec.can_id)
         self.specs: dict[str, MessageSpec] = {spec.name: spec for spec in specs}
         rows = [list(_sources(spec, nodes)) for spec in specs]
-        self._form = form(
-            codec, {s.name: [name for name, _, _ in r] for s, r in zip(specs, rows, strict=True)}
-        )
+        given = {s.name: [name for name, _, _ in r] for s, r in zip(specs, rows, strict=True)}
+        try:
+            self._form = form(codec, given)
+        except ValueError as error:
+            raise ConfigError(str(codec.path), [str(error)]) from None
         self._guard = receive.guard(specs)
         width = self._form.given.shape[1]
         source, drive = np.zeros((2, len(specs), width), dtype=np.int64)
