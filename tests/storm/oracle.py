@@ -12,7 +12,8 @@ the gateway's codec nor its counters. Rules, by name:
 - masquerade: `Adhering` from no drive that two senders speak for, nor in the second after
 
 A second sender that is heard where the drive itself has just been silent is believed, until the
-drive speaks again: counters and checksums cannot know who it is (see docs/reliability.md, R09).
+drive speaks again or what it sent is too old: counters and checksums cannot know who it is (see
+docs/reliability.md, R09). What a full queue has lost while the process stood tells of no sender.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from crccheck.crc import Crc8Autosar
 
 from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
-from dbc.frame import MS, Frame
+from dbc.frame import ERROR, EXTENDED, MS, REMOTE, Frame
 from gateway.config import Config
 from gateway.health import Flag, Health
 from gateway.said import Said
@@ -36,6 +37,7 @@ from tests.storm.train import TICK
 SLOW = ("Motion", "Status", "Temperatures")
 ADHESION, FAULTS, ESTIMATE = 0x1A0, 0x2A0, 0x500
 UNKNOWN, GOOD, BAD = 0, 1, 2
+ODD = EXTENDED | REMOTE | ERROR
 SECOND_SENDER_TICKS = 10
 """A second sender has to be noticed in so many."""
 APART_TICKS = 20
@@ -76,6 +78,8 @@ class Oracle:
                 self.limit[d * len(kinds) + k] = 3 * spec.cycle_ns + TICK
         self.last = np.full(len(self.limit), -(1 << 60), dtype=np.int64)
         self.heard = np.zeros(len(self.limit), dtype=bool)
+        self.lent = self.last.copy()
+        """Stamps of the newest frames that were not the drive's own, of drives with two senders."""
         self.ids = {
             spec.can_id: p02_data_ids(spec.can_id) for spec in codec.messages if spec.is_gateway
         }
@@ -107,13 +111,17 @@ class Oracle:
         fresh = (now - self.last <= self.limit).reshape(self.n, self.kinds)
         sampled = fresh[:, : len(self.electrical)].all(axis=1).tolist()
         self._second_senders(faults)
+        self._note_lent(arrived, now)
+        block = arrived.block
+        # Behind the tick where the process has stood: the newest are lost then.
+        until = -(-int(block.t_ns.max()) // TICK) if block.size else tick
         for d in range(self.n):
             if not sampled[d]:
                 self.since[d] = tick + 1
         for frame in out:
             self._form(tick, frame)
             if frame.can_id == ADHESION:
-                self._adhesion(tick, frame.data, sampled)
+                self._adhesion(tick, frame.data, sampled, min(until, tick))
             elif frame.can_id == FAULTS:
                 self._faults(tick, frame.data, fresh, said)
         self._tracking(tick, said, speed.tolist())
@@ -148,14 +156,26 @@ class Oracle:
             self._broken(tick, "form", 0, f"states {states}")
         return mine
 
-    def _adhesion(self, tick: int, data: bytes, sampled: list[bool]) -> None:
+    def _note_lent(self, arrived: Arrived, now: int) -> None:
+        """What came in the name of drives that two senders speak for."""
+        if not any(self.doubled):
+            return
+        block = arrived.block
+        theirs = ~arrived.genuine & (block.flags & ODD == 0) & (block.can_id < len(self.slot))
+        theirs &= block.t_ns <= now
+        slots = self.slot[block.can_id[theirs]]
+        doubled = (slots >= 0) & np.array(self.doubled, dtype=bool)[slots // self.kinds]
+        self.lent[slots[doubled]] = block.t_ns[theirs][doubled]
+
+    def _adhesion(self, tick: int, data: bytes, sampled: list[bool], until: int) -> None:
+        """until: tick up to which the gateway has heard the bus."""
         if (data[6] >> 4) & 3 == GOOD and not any(sampled) and not any(self.doubled):
             self._broken(tick, "stale", 0, "CommonMode says good without fresh samples")
         for d, state in enumerate(self._states(tick, data)):
             before = self.adhesion[d]
             fine = tick - self.since[d]  # ticks since the first of the fresh ones
             if self.doubled[d] > SECOND_SENDER_TICKS:
-                self.shared[d] = tick
+                self.shared[d] = until
             if state == GOOD and tick - self.shared[d] <= GUARD_TICKS:
                 self._broken(tick, "masquerade", d + 1, "Adhering, and two senders speak or spoke")
             if state == GOOD and not sampled[d] and not self.doubled[d]:
@@ -169,8 +189,9 @@ class Oracle:
             self.adhesion[d] = state
 
     def _faults(self, tick: int, data: bytes, fresh: np.ndarray, said: Said) -> None:
+        lent = (tick * TICK - self.lent <= self.limit).reshape(fresh.shape)
         for d, state in enumerate(self._states(tick, data)):
-            aged = not fresh[d, -1] and not self.doubled[d]
+            aged = not fresh[d, -1] and not lent[d, -1] and not self.doubled[d]
             if state == GOOD and aged:
                 self._broken(tick, "stale", d + 1, "NoFault without fresh temperatures")
             if self.thermal[d] == BAD and state == UNKNOWN:

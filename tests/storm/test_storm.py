@@ -88,6 +88,43 @@ def test_a_second_sender_in_a_disturbance(spoilt, monkeypatch):
     assert not any(state[1] == Flag.GOOD for state in seen), "the others' second sender is heard"
 
 
+def told(faults, seed, ticks, monkeypatch):
+    """What is said of drive 1, (adhesion, thermal) by tick, under these faults; no rule broken."""
+    monkeypatch.setattr(campaign, "plan", lambda *_: faults)
+    out = {}
+    real = Oracle.look
+
+    def look(self, tick, came, frames, said, *more):
+        real(self, tick, came, frames, said, *more)
+        out[tick] = said.adhesion[0].item(), said.thermal[0].item()
+
+    monkeypatch.setattr(Oracle, "look", look)
+    result = weather(seed, ticks)
+    assert not result.found, result.text()
+    return out
+
+
+def test_who_spoke_for_a_silent_drive_is_believed_until_it_is_too_old(monkeypatch):
+    """A limit (R09), and its end: 300 ms after the last of it, and the tick."""
+    faults = [Fault("drop", 1000, 1200, 0, 0.5), Fault("second_sender", 1005, 1060, 0, 0.5)]
+    thermal = {tick: state for tick, (_, state) in told(faults, 1, 1200, monkeypatch).items()}
+    # Of this seed the drive's own temperatures are lost for longer than that.
+    assert thermal[1063] == Flag.GOOD
+    assert Flag.UNKNOWN in {thermal[tick] for tick in range(1064, 1060 + 31)}
+
+
+def test_a_second_sender_is_guarded_from_when_it_was_last_heard(monkeypatch):
+    """Not from when it last spoke, where a full queue has lost that while the process stood."""
+    faults = [
+        Fault("second_sender", 3000, 3101, 0, 0.5),
+        Fault("process_stop", 3050, 3100, None, 1),
+    ]
+    adhesion = {tick: state for tick, (state, _) in told(faults, 0, 3300, monkeypatch).items()}
+    good = [tick for tick, state in adhesion.items() if tick > 3010 and state == Flag.GOOD]
+    # The queue has room for eight ticks or so; drives need some time to be believed again.
+    assert 3050 + 95 < min(good) < 3100 + 95
+
+
 def stale_is_believed(monkeypatch):
     def look(*words):
         kernels.look(*words)
