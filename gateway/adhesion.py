@@ -55,8 +55,8 @@ class AdhesionSide:
         self.config = config
         self.rated = tuple(motor.T_rated for motor in motors)
         n = len(motors)
-        self._rotors, self._at, self._heard = loads.rotors(motors), loads.instant(n), loads.heard(n)
-        self._rules = rules
+        self.rotors, self.at, self.heard = loads.rotors(motors), loads.instant(n), loads.heard(n)
+        self.rules = rules
         self.tick_s = tick_ns / SECOND
         self.detector = make(config.detector, config.observe)
         spread = config.spread_nm / BASE_NM
@@ -64,12 +64,12 @@ class AdhesionSide:
         self.response = response.start(n, spread)
         self.mode = said.flags(1, 0)
         """The first of them: whether all drives have lost adhesion at once."""
-        self._trust, self._room = loads.trust(n), loads.room(n)
-        self.severe = self._room.severe
+        self.trust, self.room = loads.trust(n), loads.room(n)
+        self.severe = self.room.severe
         """(N,) drives that carry so much less than the others that noise cannot be the cause."""
         self._compare, self._conclude = Direct(compare), Direct(conclude)
         self._teach = Direct(teach)
-        self._learn_ns: Nanos = NEVER
+        self.learn_ns: Nanos = NEVER
 
     def judge(
         self, told: Told, slow: SlowState, fresh: Flags, flag: Ints, since_ns: Ints, now: Nanos
@@ -79,9 +79,9 @@ class AdhesionSide:
         fresh (N,): which drives' commands are known; flag, since_ns (N,): their adhesion flags so
         far, and since when the evidence of each is the same.
         """
-        at, heard, room = self._at, self._heard, self._room
+        at, heard, room = self.at, self.heard, self.room
         self._compare(
-            told, slow, fresh, flag, since_ns, now, self.tick_s, self._rotors, self.reference,
+            told, slow, fresh, flag, since_ns, now, self.tick_s, self.rotors, self.reference,
             PASSING, at, heard, room,
         )  # fmt: skip
         speeds = None if self.config.observe == "torque" else np.abs(told.speed)
@@ -90,21 +90,32 @@ class AdhesionSide:
         )  # fmt: skip
         answered = self._conclude(
             lost, known, common, now, self.tick_s, self.response, at, heard, SEVERE,
-            SEVERE_SPREADS, self._rules, self.mode, self._trust, room,
+            SEVERE_SPREADS, self.rules, self.mode, self.trust, room,
         )  # fmt: skip
-        if answered or now >= self._learn_ns:
+        return self.learn(answered, common, flag, now)
+
+    def learn(self, answered: bool, common: float, flag: Ints, now: Nanos) -> Opinion:
+        """Responses from every new command, differences between drives every LEARN_NS.
+
+        Gives this tick's opinion.
+        """
+        if answered or now >= self.learn_ns:
             self._learn(answered, common, flag, now)
-        return Opinion(room.lost, room.known, common)
+        return Opinion(self.room.lost, self.room.known, common)
 
     def _learn(self, answered: bool, common: float, flag: Ints, now: Nanos) -> None:
-        """Responses from every new command, differences between drives every LEARN_NS."""
-        due = now >= self._learn_ns
+        due = now >= self.learn_ns
         if due:
-            self._learn_ns = now + LEARN_NS
+            self.learn_ns = now + LEARN_NS
         spread, own = self._teach(
-            answered, due, now, self.tick_s, common, flag, self.reference, self.response, self._at,
-            self._heard, SETTLED_NS, PROBABLY_GOOD, self._trust, self._room,
+            answered, due, now, self.tick_s, common, flag, self.reference, self.response, self.at,
+            self.heard, SETTLED_NS, PROBABLY_GOOD, self.trust, self.room,
         )  # fmt: skip
+        self.note_learnt(spread, own, self.learn_ns)
+
+    def note_learnt(self, spread: float, own: float, learn_ns: Nanos) -> None:
+        """What learning gives beside what it keeps itself: see `teach`; and when it goes on."""
+        self.learn_ns = learn_ns
         self.reference = self.reference._replace(spread=spread)
         kept = self.response.reference._replace(spread=own)
         self.response = self.response._replace(reference=kept)

@@ -85,10 +85,10 @@ class Bank:
             TOLERANCES, SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
             self.tick_s / FLUX_TAU_S, FLUX_SURE, RESISTANCE_SURE,
         )  # fmt: skip
-        self._believed = tracks.Believed(
+        self.believed = tracks.Believed(
             self.filters, self.tracks, self.chords, self.sensors, self.told
         )
-        self._constants = tracks.Constants(
+        self.constants = tracks.Constants(
             self.table, self.noise, self.rated.I, self.tuning, self.limits, SAMPLE_NS * 1e-9,
             LONGEST_COAST, NIS_SMOOTHING, UKF_KAPPA,
         )  # fmt: skip
@@ -121,10 +121,14 @@ class Bank:
         if len(samples.drive) > len(self.room.nis):
             self.room = tracks.room(len(self.x), 2 * len(samples.drive))
         if self._advance(
-            samples, now, inputs, fresh, self._believed, self._constants, self.room
+            samples, now, inputs, fresh, self.believed, self.constants, self.room
         ):  # fmt: skip
-            self._begin()
-            self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
+            self.begin(inputs, fresh)
+
+    def begin(self, inputs: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
+        """Start the filters that `told.begins` names, and judge them."""
+        self._begin()
+        self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
 
     def start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
         """First x (N, 5) and P (N, 5, 5) of every drive from its chords."""

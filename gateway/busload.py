@@ -31,8 +31,7 @@ class BusLoad:
     def add(self, frames: Iterable[Frame]) -> None:
         """Count frames that go out in this tick."""
         for frame in frames:
-            length = len(frame[2])
-            self.busy_s += (self.fd_s if frame[3] & FD else self.classic_s).item(length)
+            self.busy_s += self.cost_s(frame)
 
     def add_block(self, block: Block, routes: Routes, now: Nanos) -> None:
         """Count what came in a tick but for the gateway's own; a window closes every second."""
@@ -43,6 +42,15 @@ class BusLoad:
         self.busy_s = self._busy_s(
             self.busy_s, block.can_id, block.flags, block.length, routes, self.classic_s, self.fd_s
         )
+
+    @property
+    def window_ns(self) -> Nanos:
+        """From when on the next block closes a window."""
+        return self.since_ns + SECOND
+
+    def cost_s(self, frame: Frame) -> float:
+        """Seconds that a frame takes on the wire."""
+        return float((self.fd_s if frame[3] & FD else self.classic_s).item(len(frame[2])))
 
     def percent(self, now: Nanos) -> float | None:
         """The last closed window; None before the first, or when it is long past."""

@@ -84,7 +84,7 @@ class Gateway:
             motors, config.estimator, _timing(self.inbox.drives), config.loop.period_ns
         )
         self.inputs = inputs.inputs(len(nodes))
-        self._places = self.inbox.places([0.1 * m.I_rated for m in motors])
+        self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
         cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
@@ -106,15 +106,15 @@ class Gateway:
             adhesion._replace(raise_ns=a.raise_severe_ms * MS),
         ]
         tick_ns = config.loop.period_ns
-        self._rules = said.rules(timing, a.raise_probability, a.clear_probability, tick_ns)
-        self.adhesion = AdhesionSide(a, motors, self._rules, tick_ns)
+        self.rules = said.rules(timing, a.raise_probability, a.clear_probability, tick_ns)
+        self.adhesion = AdhesionSide(a, motors, self.rules, tick_ns)
         self.flags = said.flags(len(nodes), start_ns)
         self.said = said.said(len(nodes), self.adhesion.detector.code)
         self.changed = True
         """Whether an adhesion or thermal flag is another than in the tick before."""
-        self._findings = said.findings(len(nodes))
-        self._seen = np.zeros((len(Which), len(nodes)), dtype=np.int64)
-        self._why = np.full(len(nodes), Reason.STARTING, dtype=np.int64)
+        self.findings = said.findings(len(nodes))
+        self.seen = np.zeros((len(Which), len(nodes)), dtype=np.int64)
+        self.why = np.full(len(nodes), Reason.STARTING, dtype=np.int64)
         self._look, self._weigh = Direct(look), Direct(weigh)
         self._decide, self._tell = Direct(decide), Direct(tell)
         own_hash = calibration.config_hash(config, codec.digest, cells)
@@ -149,43 +149,75 @@ class Gateway:
         else:
             heard = (frames if isinstance(frames, Block) else block_of(frames)).ordered()
             inbox.take(self.translator.take(heard, now, inbox.counts), now)
-        self.doubt.tick(now, inbox.counts["own"] - own)
+        return self.heard(heard, inbox.counts["own"] - own, now)
+
+    def heard(self, heard: Block, own: int, now: Nanos) -> list[Frame]:
+        """The rest of a step once its frames are in, `own` of them ours; see `step`."""
+        inbox = self.inbox
+        self.doubt.tick(now, own)
         # Our own frames are counted as they go out; in a log they stand a second time.
         self.load.add_block(heard, inbox.routes, now)
         if self._any_lost or not self.supervision.none_lost(now):
             lives = [self.supervision.life(node, now) for node in self.nodes]
             self.lost[:] = [life is Life.LOST for life in lives]
             self._any_lost = Life.LOST in lives
-        inputs, told, slow = self.inputs, self.bank.told, inbox.slow
-        intruder = self.doubt.intruder
-        self._look(now, self.lost, intruder, self._places, inbox.state, inbox.pairs, slow, inputs)
+        inputs = self.inputs
+        self._look(
+            now, self.lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
+            inputs,
+        )  # fmt: skip
         self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
+        return self.estimated(now)
+
+    def estimated(self, now: Nanos) -> list[Frame]:
+        """The rest of a step once the filters have been advanced."""
+        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
         self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
-        wrong = self.motion.settle(inputs.speed, self.bank.sensors, told)
+        self.motion.settle(inputs.speed, self.bank.sensors, told)
         flag, since = self.flags.flag[Which.ADHESION], self.flags.since_ns[Which.ADHESION]
-        opinion = self.adhesion.judge(told, slow, inputs.commanded, flag, since, now)
+        opinion = self.adhesion.judge(told, inbox.slow, inputs.commanded, flag, since, now)
+        return self.judged(opinion, now)
+
+    def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
+        """The rest of a step once adhesion has been judged."""
+        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
+        intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
         self.thermal.take(inbox.temperatures, now, inbox.drives)
-        self.thermal.tell(now, self.temperature_limit_ns, self._findings)
+        self.thermal.tell(now, self.temperature_limit_ns, self.findings)
         doubt = int(self.doubt.reason)
         self._weigh(
-            inputs, wrong, told, opinion.lost, opinion.known, self._findings, doubt, self._rules,
-            self._seen, self._why,
+            inputs, wrong, told, opinion.lost, opinion.known, self.findings, doubt, self.rules,
+            self.seen, self.why,
         )  # fmt: skip
-        changed = self._decide(self._seen, self.adhesion.severe, now, self._rules, self.flags)
+        changed = self._decide(self.seen, self.adhesion.severe, now, self.rules, self.flags)
         self.changed = changed or self._opinion is None
         silent, self.silent = self.silent, self.stops and intruder
-        self._now, self._opinion, self._view = now, opinion, None
+        self.note(opinion, now)
         self._tell(
-            self._seen, self._why, now, self.flags, inputs, told, opinion.lost, opinion.known,
-            self._findings, inbox.pairs.sample_ns, doubt, self.adhesion.mode.flag, self.silent,
+            self.seen, self.why, now, self.flags, inputs, told, opinion.lost, opinion.known,
+            self.findings, inbox.pairs.sample_ns, doubt, self.adhesion.mode.flag, self.silent,
             self.doubt.overrun, self.said,
         )  # fmt: skip
         if self.outbox.wants_counts(now):
-            self.outbox.note_counts(self._counted())
+            self.outbox.note_counts(self.counted(self._now))
         # The tick that finds an intruder still says so.
         out = [] if silent else self.outbox.due(self.said, now)
         self.load.add(out)
         return out
+
+    def note(self, opinion: Opinion, now: Nanos) -> None:
+        """What the tick at `now` was about; nothing has been put into words yet."""
+        self._now, self._opinion, self._view = now, opinion, None
+
+    @property
+    def calm(self) -> bool:
+        """Whether all drives' heartbeats are heard that ever were, and we may send."""
+        return not (self._any_lost or self.silent)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there was a step."""
+        return self._opinion is not None
 
     @property
     def view(self) -> GatewayView | None:
@@ -195,7 +227,7 @@ class Gateway:
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
             wear = [report.wear for report in self.thermal.reports]
             drives = drives_of(self.said, self.nodes, wear)
-            self._view = view_of(self._now, self.said, drives, common, self._counted())
+            self._view = view_of(self._now, self.said, drives, common, self.counted(self._now))
         return self._view
 
     @property
@@ -219,16 +251,17 @@ class Gateway:
         unknown.whole[Whole.STATE] = GatewayState.SILENT
         unknown.whole[Whole.OVERRUN] = Flag.BAD if self.doubt.overrun else Flag.GOOD
         self.outbox.restart(now)
-        self.outbox.note_counts(self._counted())
+        self.outbox.note_counts(self.counted(self._now))
         names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
         wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
         return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
 
-    def _counted(self) -> Counted:
+    def counted(self, now: Nanos) -> Counted:
+        """What the frames of a tick at `now` say of the frames so far."""
         counts = self.inbox.counts
         return Counted(
             self.doubt.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
-            self.load.percent(self._now), self.latency_p99_us, self.lateness_p99_us,
+            self.load.percent(now), self.latency_p99_us, self.lateness_p99_us,
         )  # fmt: skip
 
 

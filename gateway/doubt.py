@@ -61,6 +61,13 @@ class Doubt:
         self._missed = self._lost = 0
         self.intruder |= self.watching and own > 0
 
+    def none(self, now: Nanos) -> bool:
+        """Whether there is no doubt from `now` on until something is noted, whoever is heard."""
+        if self.intruder or self.watching or self._missed or self._lost or self._late_in_a_row:
+            return False
+        recent = (self._overrun_ns, OVERRUN_HOLD_NS), (self._lost_ns, LOST_TICKS * self._tick_ns)
+        return all(at is None or now - at > held for at, held in recent)
+
     @property
     def overrun(self) -> bool:
         """Whether ticks were missed of late."""

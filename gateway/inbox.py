@@ -39,6 +39,10 @@ OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
 """Heartbeat and emergency of node 32, the gateway."""
 
 
+Found = tuple[int, int, int, bool]
+"""What `take_block` gives."""
+
+
 class Temperatures(NamedTuple):
     """One reading of a drive's points (stator, drive end, non-drive end, ambient), degC.
 
@@ -120,10 +124,10 @@ class Inbox:
                     self.channels.append(channel)
             drive.settled()
         self.state = channel_state(self.channels)
-        self._guard = receive.guard([channel.spec for channel in self.channels])
-        self._memory = receive.window(len(self.channels))
+        self.guard = receive.guard([channel.spec for channel in self.channels])
+        self.memory = receive.window(len(self.channels))
         self.routes = receiving.routes(keys, own, supervision.ids)
-        self._wiring = pairing.wiring(self.channels)
+        self.wiring = pairing.wiring(self.channels)
         self._take, self._settle = Direct(take_block), Direct(settle)
         self._make_room(64)
 
@@ -137,37 +141,52 @@ class Inbox:
             rows.append((min(mine), max(mine) + 1, electrical, slowly[0], slowly[1]))
         return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
 
+    @property
+    def rows(self) -> int:
+        """Frames of a tick that there is room for."""
+        return len(self.scratch.t_ns)
+
     def _make_room(self, rows: int) -> None:
-        self._room = pairing.room(rows)
-        self._scratch = receiving.scratch(rows, self.codec.width)
+        self.room = pairing.room(rows)
+        self.scratch = receiving.scratch(rows, self.codec.width)
         self.readings = slow.readings(rows)
+
+    def begin(self) -> None:
+        """Nothing has come in this tick yet."""
+        self.temperatures.clear()
+        self.motions = 0
+        self.restart.clear()
 
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
         """Accept the frames of one tick, in the order of their time stamps, then ids.
 
         Returns them as a block, in that order.
         """
-        self.temperatures.clear()
-        self.motions = 0
-        self.restart.clear()
+        self.begin()
         block = frames if isinstance(frames, Block) else block_of(frames)
         if not block.size:
-            self.samples = self._room.first(0)
-            self._settle(now, self._guard, self._memory, self.state)
+            self.samples = self.room.first(0)
+            self._settle(now, self.guard, self.memory, self.state)
             return block
-        if block.size > len(self._scratch.t_ns):
+        if block.size > self.rows:
             self._make_room(2 * block.size)
-        samples, seen, foreign, odd = self._take_in(block, now)
-        if samples < 0:
+        found = self._take_in(block, now)
+        if found[0] < 0:
             block = block.ordered()
-            samples, seen, foreign, odd = self._take_in(block, now)
-        self.samples = self._room.first(samples)
+            found = self._take_in(block, now)
+        self.note(block, found)
+        return block
+
+    def note(self, block: Block, found: Found) -> None:
+        """What `take_block` has found in a tick's frames, other than what it keeps itself."""
+        samples, seen, foreign, odd = found
+        self.samples = self.room.first(samples)
         self.counts["received"] += block.size
         if odd:
-            self._count()
+            self.count()
         else:
             self.counts["decoded"] += block.size
-        for k in self._scratch.foreign[:foreign].tolist():
+        for k in self.scratch.foreign[:foreign].tolist():
             known = self.supervision.observe(block.frame(k))
             self.counts["canopen" if known else "unknown_id"] += 1
         if self.pairs.trouble.item(Trouble.ANY):
@@ -175,22 +194,21 @@ class Inbox:
         if self.slow.came.item(Count.CHANGED):
             self.motions = self.slow.came.item(Count.READINGS)
             self.slow.came[:] = 0
-        for row in self._scratch.seen[:seen].tolist():
-            self._temperature(self.channels[self._scratch.channel.item(row)], row)
-        return block
+        for row in self.scratch.seen[:seen].tolist():
+            self._temperature(self.channels[self.scratch.channel.item(row)], row)
 
-    def _take_in(self, block: Block, now: Nanos) -> tuple[int, int, int, bool]:
+    def _take_in(self, block: Block, now: Nanos) -> Found:
         """See `take_block`."""
         return self._take(  # type: ignore[no-any-return]
             block.t_ns, block.can_id, block.flags, block.length, block.data,
-            now, self.routes, self._guard, self._memory, self.state, self.codec.tables,
-            self._wiring, MAX_GAP_NS, self.pairs, self.slow, self._scratch, self.readings,
-            self._room,
+            now, self.routes, self.guard, self.memory, self.state, self.codec.tables,
+            self.wiring, MAX_GAP_NS, self.pairs, self.slow, self.scratch, self.readings,
+            self.room,
         )  # fmt: skip
 
-    def _count(self) -> None:
+    def count(self) -> None:
         """Take over the loop's counters."""
-        tally = self._scratch.tally
+        tally = self.scratch.tally
         for name, count in zip(NAMES, tally.tolist(), strict=True):
             if count:
                 self.counts[name] += count
@@ -207,7 +225,7 @@ class Inbox:
 
     def _temperature(self, channel: Channel, row: int) -> None:
         """Each point by itself: one dead sensor must not silence the other three."""
-        scratch = self._scratch
+        scratch = self.scratch
         value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
         usable = channel.quality < 0 or value[channel.quality] in USABLE
         points = channel.picked

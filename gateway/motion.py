@@ -127,7 +127,7 @@ class MotionSide:
             (m.J, m.B, speed_var, config.process_noise[4] * (m.T_rated / 30.0) ** 2 / SUB_STEP_S)
             for m in motors
         ]
-        self._limits = Limits(
+        self.limits = Limits(
             np.array(rows).reshape(-1, 4), np.array([float(m.pole_pairs) for m in motors]),
             times.period_ns, tick_ns, 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s), HYSTERESIS,
             MOST_MISSING, SETTLED_READINGS, math.exp(-tick_ns / SECOND / HAND_OVER_S), FADED_NM,
@@ -156,7 +156,7 @@ class MotionSide:
         flux (N,): a drive's magnets' over that of the data sheet, from which it computes the
         torque that it sends; NaN where nothing is known.
         """
-        self._read(readings, count, flux, self.memory, self._limits)
+        self._read(readings, count, flux, self.memory, self.limits)
 
     def settle(self, measured: Array, sensors: Unbalance, told: Told) -> Flags:
         """Changes `told` to what is to be used; which drives' input cannot be what it seems, (N,).
@@ -164,5 +164,5 @@ class MotionSide:
         measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; sensors: who sees that
         currents do not turn with a rotor that does.
         """
-        self._settle(measured, sensors, told, self.memory, self._limits)
+        self._settle(measured, sensors, told, self.memory, self.limits)
         return self.memory.wrong

@@ -57,11 +57,11 @@ class Outbox:
         rows = [list(_sources(spec, nodes)) for spec in specs]
         given = {s.name: [name for name, _, _ in r] for s, r in zip(specs, rows, strict=True)}
         try:
-            self._form = form(codec, given)
+            self.form = form(codec, given)
         except ValueError as error:
             raise ConfigError(str(codec.path), [str(error)]) from None
-        self._guard = receive.guard(specs)
-        width = self._form.given.shape[1]
+        self.guard = receive.guard(specs)
+        width = self.form.given.shape[1]
         source, drive = np.zeros((2, len(specs), width), dtype=np.int64)
         for m, (spec, row) in enumerate(zip(specs, rows, strict=True)):
             for name, what, k in row:
@@ -71,21 +71,21 @@ class Outbox:
         # A real tick wakes a little later than the one that the grid counts from, or a little
         # less late: what is due within half a tick is due now.
         slack = tick_ns // 2
-        self._sheet = Sheet(source, drive, cycles, place.index(CHANGING), slack, tick_ns)
+        self.sheet = Sheet(source, drive, cycles, place.index(CHANGING), slack, tick_ns)
         next_ns, counter = np.zeros((2, len(specs)), dtype=np.int64)
-        self._memory = Memory(next_ns, counter, np.zeros(len(nodes) + 4, dtype=np.int64))
-        self._room = Room(
+        self.memory = Memory(next_ns, counter, np.zeros(len(nodes) + 4, dtype=np.int64))
+        self.room = Room(
             np.zeros((len(specs), width)), np.zeros((len(specs), PAYLOAD), dtype=np.uint8),
             np.zeros(len(specs), dtype=np.int64),
         )  # fmt: skip
-        self._heads = [
+        self.heads = [
             (spec.can_id, spec.length, (FD | (BRS if spec.brs else 0)) if spec.is_fd else 0)
             for spec in specs
         ]
         self._counting = [place.index(name) for name in COUNTING]
         self._counted_ns: Nanos = 0
         """When counts are wanted next."""
-        self._counts = np.full(len(COUNTED), np.nan)
+        self.counts = np.full(len(COUNTED), np.nan)
         self._begun = False
         self._send = Direct(send)
         self.authenticator = authenticator
@@ -97,8 +97,8 @@ class Outbox:
     def restart(self, now: Nanos) -> None:
         """Everything is due now; the cycles count from here."""
         self._begun = True
-        self._memory.next_ns[:] = now
-        self._memory.key[:] = -1
+        self.memory.next_ns[:] = now
+        self.memory.key[:] = -1
         self._counted_ns = now
 
     def begin(self, now: Nanos) -> None:
@@ -116,27 +116,34 @@ class Outbox:
         values = {**counted._asdict(), "config_hash": self.config_hash}
         for k, name in enumerate(COUNTED):
             value = values[name]
-            self._counts[k] = np.nan if value is None else value
+            self.counts[k] = np.nan if value is None else value
 
     def due(self, said: Said, now: Nanos) -> list[Frame]:
         """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
         self.begin(now)
         count = self._send(
-            now, said, self._counts, self._sheet, self._form, self._guard, self._memory, self._room
+            now, said, self.counts, self.sheet, self.form, self.guard, self.memory, self.room
         )
-        if now >= self._counted_ns:
-            often = min(self._sheet.cycle_ns[self._counting]) <= self._sheet.tick_ns
-            later = int(min(self._memory.next_ns[self._counting])) - self._sheet.slack_ns
-            self._counted_ns = now if often else later
+        self.note_sent(now)
         if not count:
             return []
-        payload = self._room.payload[:count].tobytes()
-        frames = []
-        for start, message in enumerate(self._room.message[:count].tolist()):
-            can_id, length, flags = self._heads[message]
-            at = PAYLOAD * start
-            frames.append(Frame(now, can_id, payload[at : at + length], flags))
+        payload = self.room.payload[:count].tobytes()
+        messages = enumerate(self.room.message[:count].tolist())
+        frames = [self.frame(message, payload, row, now) for row, message in messages]
         return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
+
+    def note_sent(self, now: Nanos) -> None:
+        """When counts are wanted next, after what was due at `now`."""
+        if now >= self._counted_ns:
+            often = min(self.sheet.cycle_ns[self._counting]) <= self.sheet.tick_ns
+            later = int(min(self.memory.next_ns[self._counting])) - self.sheet.slack_ns
+            self._counted_ns = now if often else later
+
+    def frame(self, message: int, payload: bytes, row: int, now: Nanos) -> Frame:
+        """One of ours by its number; its bytes are those of a row of payload."""
+        can_id, length, flags = self.heads[message]
+        at = PAYLOAD * row
+        return Frame(now, can_id, payload[at : at + length], flags)
 
     def _vouch(self, authenticator: Authenticator, frames: list[Frame]) -> list[Frame]:
         out = []

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
 
+FOREVER: Nanos = (1 << 63) - 1
 HEARTBEAT_BASE = 0x700
 EMCY_BASE = 0x080
 EMCY_KEPT = 16
@@ -141,8 +142,13 @@ class Supervision:
 
     def none_lost(self, now_ns: Nanos) -> bool:
         """Whether `life` says lost of no node."""
+        return now_ns < self.lost_ns
+
+    @property
+    def lost_ns(self) -> Nanos:
+        """From when on `life` says lost of a node, if nothing comes until then."""
         last = self._last_ns
-        return not last or now_ns - min(last.values()) <= self._timeout_ns
+        return min(last.values()) + self._timeout_ns + 1 if last else FOREVER
 
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""

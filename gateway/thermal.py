@@ -158,6 +158,14 @@ class ThermalSide:
             rate = report.wear.rate_k_h
             out.rate_k_h[k], out.jumps[k] = math.nan if rate is None else rate, report.wear.jumps
 
+    @property
+    def same_ns(self) -> Nanos:
+        """Nothing is told anew before it, if no reading comes."""
+        if self._stirred or self.heat is not None:
+            return NEVER
+        push = FOREVER if self.next_push_ns is None else self.next_push_ns
+        return min(push, self._until_ns)
+
     def report(self, drive: int, now: Nanos, stale_ns: Nanos) -> Report:
         """Evidence for one motor at `now`; `stale_ns` is the age limit of its temperatures."""
         heard = self.heard_ns[drive]

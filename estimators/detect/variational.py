@@ -123,11 +123,12 @@ class VariationalDetector:
     sweeps: int = 5
 
     code: ClassVar[int] = 1
-    _table: Array = field(init=False, repr=False, compare=False)
+    table: Array = field(init=False, repr=False, compare=False)
+    """`priors` as the kernel takes them."""
 
     def __post_init__(self) -> None:
         """Keep the priors in the form the kernel takes."""
-        object.__setattr__(self, "_table", np.array(self.priors))
+        object.__setattr__(self, "table", np.array(self.priors))
 
     def __call__(self, evidence: Evidence) -> Opinion:
         """See Detector. Two to N usable drives; each of up to 16 is tried as the adhering one."""
@@ -136,7 +137,7 @@ class VariationalDetector:
             return nobody(n)
         lost = np.empty(n)
         common = judge(
-            evidence.load, evidence.spread, evidence.usable, self._table, self.sweeps, lost
+            evidence.load, evidence.spread, evidence.usable, self.table, self.sweeps, lost
         )
         return Opinion(lost, evidence.usable.copy(), common)
 

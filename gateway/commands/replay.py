@@ -78,18 +78,21 @@ def run(options: argparse.Namespace) -> int:
             left.begin(gateway)
         return gateway
 
-    def sink(_now: int, out: list[Any], gateway: Gateway) -> None:
+    def sink(now: int, out: list[Any], gateway: Gateway) -> None:
         # For the list of changes alone no other tick need be put into words.
         if left is not None or gateway.changed:
             assert gateway.view is not None
             (recorder.add if left is None else left.add)(gateway.view)
+        write(now, out)
+
+    def write(_now: int, out: list[Any]) -> None:
         if writer is not None:
             for frame in out:
                 writer.write(frame, blocks.name or "")
 
     began = time.perf_counter()
     try:
-        done = replay(blocks, make, config.loop.period_ns, sink)
+        done = replay(blocks, make, config.loop.period_ns, sink, write if left is None else None)
     finally:
         recorder.close()
         if writer is not None:

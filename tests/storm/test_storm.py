@@ -168,7 +168,7 @@ def counter_stands_still(monkeypatch):
     real = Outbox.due
 
     def due(self, said, now):
-        self._memory.counter[:] = 0
+        self.memory.counter[:] = 0
         return real(self, said, now)
 
     monkeypatch.setattr(Outbox, "due", due)

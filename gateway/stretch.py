@@ -1,0 +1,166 @@
+"""What several ticks in one call are done with: the parts of a gateway, as its own steps use them.
+
+May know: tables of the parts. May not know: frames, clocks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._tables import Tables
+from dbc.receive import Guard, Window
+from dbc.sending import Form
+from estimators.detect import reference, response
+from gateway import loads, motion, sources, tracks
+from gateway.channel import ChannelState
+from gateway.inputs import Inputs, Places
+from gateway.pairing import PairState, Samples, Wiring
+from gateway.receiving import Routes, Scratch
+from gateway.said import Findings, Flags, Rules, Said
+from gateway.slow import Readings, SlowState
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Receiving(NamedTuple):
+    """Frames in, as `Inbox.take` and `BusLoad.add_block`; which inputs are believed.
+
+    lost (N,): drives whose heartbeat has stopped.
+    """
+
+    period_ns: int
+    routes: Routes
+    guard: Guard
+    memory: Window
+    state: ChannelState
+    tables: Tables
+    wiring: Wiring
+    hole_ns: int
+    pairs: PairState
+    slow: SlowState
+    scratch: Scratch
+    readings: Readings
+    out: Samples
+    busy_s: float
+    classic_s: Array
+    fd_s: Array
+    lost: Bools
+    places: Places
+
+
+class Filtering(NamedTuple):
+    """As `Bank.advance` and `MotionSide`."""
+
+    inputs: Inputs
+    believed: tracks.Believed
+    constants: tracks.Constants
+    room: tracks.Room
+    motion: motion.Memory
+    limits: motion.Limits
+
+
+class Judging(NamedTuple):
+    """As `AdhesionSide.judge` with `VariationalDetector`, whose opinion fills lost, known (N,).
+
+    learn_ns: when drives are learnt from next; every_ns: and how often.
+    """
+
+    flag: Ints
+    since_ns: Ints
+    tick_s: float
+    rotors: loads.Rotors
+    reference: reference.Reference
+    response: response.Memory
+    passing: float
+    part: float
+    spreads: float
+    at: loads.Instant
+    heard: response.Heard
+    trust: loads.Trust
+    room: loads.Room
+    rules: Rules
+    mode: Flags
+    priors: Array
+    sweeps: int
+    lost: Array
+    known: Bools
+    learn_ns: int
+    every_ns: int
+    settled_ns: int
+    probably: float
+
+
+class Saying(NamedTuple):
+    """Flags and frames out.
+
+    cost_s (M,): seconds that each message takes on the wire; rejected, lost: frames so far; rejects
+    (T,): which of the receive loop's tallies are of rejected frames.
+    """
+
+    findings: Findings
+    seen: Ints
+    why: Ints
+    flags: Flags
+    said: Said
+    counts: Array
+    sheet: sources.Sheet
+    form: Form
+    seal: Guard
+    memory: sources.Memory
+    room: sources.Room
+    cost_s: Array
+    rejected: int
+    lost: int
+    rejects: Bools
+
+
+class Went(NamedTuple):
+    """Frames that went out, R at most, `most` of a tick: payload (R, 64), message, tick (R,).
+
+    tally (2,): frames that came, and those of them that came in ticks where all were decoded.
+    """
+
+    payload: NDArray[np.uint8]
+    message: Ints
+    tick: Ints
+    tally: Ints
+    most: int
+
+
+class Left(NamedTuple):
+    """How a call was left.
+
+    done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
+    first frame that is not in, or that behind the last; samples, seen, foreign, odd: what
+    `take_block` gave; motions: its readings; changed: whether the last whole tick changed a flag;
+    frames: in `Went`; busy_s; common: load in the last tick, per unit; spread, own, learn_ns: of
+    what has been learnt.
+    """
+
+    done: int
+    stage: int
+    first: int
+    samples: int
+    seen: int
+    foreign: int
+    odd: bool
+    motions: int
+    changed: bool
+    frames: int
+    busy_s: float
+    common: float
+    spread: float
+    own: float
+    learn_ns: int
+
+
+def went(rows: int, most: int) -> Went:
+    """Room for so many rows."""
+    message, tick = np.zeros((2, rows), dtype=np.int64)
+    payload = np.zeros((rows, 64), dtype=np.uint8)
+    return Went(payload, message, tick, np.zeros(2, dtype=np.int64), most)

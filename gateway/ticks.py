@@ -1,0 +1,176 @@
+"""Many ticks of a gateway in few calls: what a replay is made of.
+
+Most ticks hold nothing that only `Gateway.step` can do: no temperatures, no heartbeat, nothing due
+to be counted or learnt. Those are done by one compiled loop over them, others one by one; a tick
+that turns out to need more in its midst is finished by the gateway from there. The same frames go
+out as of single steps, and the same state is left (`tests/unit/test_ticks.py`).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.block import Block
+from dbc.frame import Frame, Nanos
+from estimators.detect import Opinion
+from estimators.detect.variational import VariationalDetector
+from gateway import stretch
+from gateway._direct import Direct
+from gateway._ticks_kernels import FILTERED, HEARD, several
+from gateway.adhesion import (
+    LEARN_NS,
+    PASSING,
+    PROBABLY_GOOD,
+    SETTLED_NS,
+    SEVERE,
+    SEVERE_SPREADS,
+)
+from gateway.core import Gateway
+from gateway.health import REJECTED
+from gateway.inbox import MAX_GAP_NS
+from gateway.receiving import NAMES
+from gateway.said import Which
+from gateway.stretch import Filtering, Judging, Receiving, Saying
+
+REJECTS: Final = np.array([name in REJECTED for name in NAMES])
+FRAMES: Final = 512
+"""Of ours that there is room for in a call."""
+
+Ints = NDArray[np.int64]
+
+
+class Ticks:
+    """Steps of one gateway; it may be stepped by others in between."""
+
+    def __init__(self, gateway: Gateway) -> None:
+        self.gateway = gateway
+        detector, n = gateway.adhesion.detector, len(gateway.nodes)
+        self._detector = detector if isinstance(detector, VariationalDetector) else None
+        self._possible = (
+            self._detector is not None
+            and gateway.translator is None
+            and gateway.outbox.authenticator is None
+        )
+        self._period_ns = gateway.config.loop.period_ns
+        self._unscented = True if gateway.config.estimator.kind == "ukf" else None
+        self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        self._went = stretch.went(FRAMES, len(gateway.outbox.heads))
+        # By number of message: a frame of it, which costs what they all cost.
+        heads = [
+            Frame(0, can_id, bytes(size), flags) for can_id, size, flags in gateway.outbox.heads
+        ]
+        self._cost_s = np.array([gateway.load.cost_s(frame) for frame in heads])
+        self._several = Direct(several)
+
+    def run(self, block: Block, ends: Ints, now: Nanos) -> list[list[Frame]]:
+        """What goes out of the ticks at `now`, a period later and so on, one for each of ends (K,).
+
+        Tick k takes the frames from ends[k - 1] (0 for the first) to ends[k]. Ends behind the first
+        tick in which a flag changed: those that are left are the caller's to ask for again.
+        """
+        gateway, out = self.gateway, []  # type: tuple[Gateway, list[list[Frame]]]
+        while len(out) < len(ends) and not (out and gateway.changed):
+            k = len(out)
+            first, at = int(ends[k - 1]) if k else 0, now + k * self._period_ns
+            until = self._until(at)
+            if until > at:
+                rest = block.part(first, int(ends[-1]))
+                out += self._few(rest, ends[k:] - first, at, until)
+            if len(out) == k:
+                out.append(gateway.step(block.part(first, int(ends[k])), at))
+        return out
+
+    def _until(self, now: Nanos) -> Nanos:
+        """No tick before it needs more than the compiled loop; `now` or less if this one does."""
+        gateway = self.gateway
+        if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
+            return now
+        return min(
+            gateway.thermal.same_ns, gateway.load.window_ns, gateway.supervision.lost_ns
+        )  # fmt: skip
+
+    def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> list[list[Frame]]:
+        """As `run`, for ticks before `until`; none if the first wants a step of its own."""
+        gateway, went = self.gateway, self._went
+        inbox, outbox, adhesion = gateway.inbox, gateway.outbox, gateway.adhesion
+        inbox.begin()
+        outbox.note_counts(gateway.counted(now))
+        left = self._several(
+            block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
+            self._receiving(), self._filtering(), self._unscented, self._judging(), self._saying(),
+            went,
+        )  # fmt: skip
+        gateway.load.busy_s = left.busy_s
+        adhesion.note_learnt(left.spread, left.own, left.learn_ns)
+        inbox.counts["received"] += went.tally.item(0)
+        inbox.counts["decoded"] += went.tally.item(1)
+        went.tally[:] = 0
+        out = self._frames(left.done, left.frames, now)
+        at = now + left.done * self._period_ns
+        if left.done:
+            outbox.note_sent(at - self._period_ns)
+            gateway.doubt.tick(at - self._period_ns, 0)
+            room = adhesion.room
+            gateway.note(Opinion(room.lost, room.known, left.common), at - self._period_ns)
+            gateway.changed = left.changed
+        if left.stage == HEARD:
+            own, part = inbox.counts["own"], block.part(left.first, int(ends[left.done]))
+            inbox.note(part, (left.samples, left.seen, left.foreign, left.odd))
+            return [*out, gateway.heard(part, inbox.counts["own"] - own, at)]
+        inbox.count()
+        if left.stage == FILTERED:
+            gateway.doubt.tick(at, 0)
+            inbox.motions = left.motions
+            gateway.bank.begin(gateway.inputs.cause, gateway.inputs.fresh)
+            out.append(gateway.estimated(at))
+        return out
+
+    def _frames(self, ticks: int, rows: int, now: Nanos) -> list[list[Frame]]:
+        """What has gone out, tick by tick."""
+        went, outbox = self._went, self.gateway.outbox
+        out: list[list[Frame]] = [[] for _ in range(ticks)]
+        payload = went.payload[:rows].tobytes()
+        each = zip(went.tick[:rows].tolist(), went.message[:rows].tolist(), strict=True)
+        for row, (k, message) in enumerate(each):
+            out[k].append(outbox.frame(message, payload, row, now + k * self._period_ns))
+        return out
+
+    def _receiving(self) -> Receiving:
+        gateway = self.gateway
+        inbox, load = gateway.inbox, gateway.load
+        return Receiving(
+            self._period_ns, inbox.routes, inbox.guard, inbox.memory, inbox.state,
+            inbox.codec.tables, inbox.wiring, MAX_GAP_NS, inbox.pairs, inbox.slow, inbox.scratch,
+            inbox.readings, inbox.room, load.busy_s, load.classic_s, load.fd_s, gateway.lost,
+            gateway.places,
+        )  # fmt: skip
+
+    def _filtering(self) -> Filtering:
+        bank, motion = self.gateway.bank, self.gateway.motion
+        return Filtering(
+            self.gateway.inputs, bank.believed, bank.constants, bank.room, motion.memory,
+            motion.limits,
+        )  # fmt: skip
+
+    def _judging(self) -> Judging:
+        assert self._detector is not None
+        side, flags = self.gateway.adhesion, self.gateway.flags
+        return Judging(
+            flags.flag[Which.ADHESION], flags.since_ns[Which.ADHESION], side.tick_s, side.rotors,
+            side.reference, side.response, PASSING, SEVERE, SEVERE_SPREADS, side.at, side.heard,
+            side.trust, side.room, side.rules, side.mode, self._detector.table,
+            self._detector.sweeps, self._lost, self._known, side.learn_ns, LEARN_NS, SETTLED_NS,
+            PROBABLY_GOOD,
+        )  # fmt: skip
+
+    def _saying(self) -> Saying:
+        gateway, outbox = self.gateway, self.gateway.outbox
+        counted = gateway.counted(gateway.load.since_ns)
+        return Saying(
+            gateway.findings, gateway.seen, gateway.why, gateway.flags, gateway.said,
+            outbox.counts, outbox.sheet, outbox.form, outbox.guard, outbox.memory, outbox.room,
+            self._cost_s, counted.rejected, counted.lost, REJECTS,
+        )  # fmt: skip

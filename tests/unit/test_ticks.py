@@ -1,0 +1,190 @@
+"""Several ticks in a call are those ticks one by one: the same frames, the same state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbc.block import EMPTY, join
+from dbc.frame import MS, SECOND
+from gateway import ticks as ticks_module
+from gateway.config import parse
+from gateway.core import Gateway
+from gateway.drivers.replay import replay
+from gateway.ticks import Ticks
+from sim.hostile import HostileBus, plan
+from tests.keptypes import kept_types
+from tests.simrun import FD_FILE
+from tests.storm.campaign import CALIBRATION, NODES
+from tests.storm.train import TICK, train
+
+FIRST = 4
+"""Tick of the first step: what is sent goes out between what the drives send slowly."""
+
+
+def config_of(kind="ekf", detector="vb", dbc="traction.dbc", **thermal):
+    return parse({
+        "dbc": {"file": dbc},
+        "estimator": {"kind": kind},
+        "adhesion": {"detector": detector},
+        "thermal": {"calibration": str(CALIBRATION), "method": "maisd", **thermal},
+    })  # fmt: skip
+
+
+def stormy(honest, seed, ticks, between):
+    """What arrives in each tick, and all of it with the ends of the ticks."""
+    ids = [
+        [s.can_id for s in honest.codec.messages if s.name.startswith(f"Drive{n}_")
+         and not s.is_gateway]
+        for n in NODES
+    ]  # fmt: skip
+    bus = HostileBus(plan(seed, ticks, len(NODES), between), ids, seed)
+    blocks = []
+    for tick in range(1, ticks + 1):
+        other = lambda tick=tick: honest.elsewhere(tick)  # noqa: E731
+        blocks.append(bus.carry(honest.sent(tick), other, tick, tick * TICK).block)
+    del blocks[: FIRST - 1]
+    whole = EMPTY
+    for block in blocks:
+        whole = join(whole, block)
+    return blocks, whole, np.cumsum([block.size for block in blocks])
+
+
+def singly(gateway, blocks):
+    return [gateway.step(block, (k + FIRST) * TICK) for k, block in enumerate(blocks)]
+
+
+def together(gateway, whole, ends, most=200):
+    """Asked for `most` at a time."""
+    several, out, first = Ticks(gateway), [], 0
+    while len(out) < len(ends):
+        k = len(out)
+        wanted = ends[k : k + most]
+        out += several.run(whole.part(first, int(wanted[-1])), wanted - first, (k + FIRST) * TICK)
+        first = int(ends[len(out) - 1])
+    return out
+
+
+def state(gateway):
+    """Numbers of everything that goes on to the next tick."""
+    tables = (
+        gateway.said, gateway.flags, gateway.findings, gateway.inputs, gateway.bank.filters,
+        gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
+        gateway.motion.memory, gateway.adhesion.reference, *gateway.adhesion.response,
+        gateway.adhesion.trust, gateway.adhesion.mode, gateway.adhesion.rotors, gateway.inbox.state,
+        gateway.inbox.memory, gateway.inbox.pairs, gateway.inbox.slow, gateway.outbox.memory,
+    )  # fmt: skip
+    numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
+    one = [gateway.load.busy_s, gateway.load.last, gateway.adhesion.learn_ns, gateway.changed]
+    return {
+        "arrays": repr(numbers),
+        "numbers": one,
+        "counts": {name: n for name, n in gateway.inbox.counts.items() if n},
+        "view": repr(gateway.view),
+    }
+
+
+def same(config, honest, seed, ticks, between, most=200):
+    blocks, whole, ends = stormy(honest, seed, ticks, between)
+    one, many = (Gateway(config, honest.codec, 0) for _ in range(2))
+    assert together(many, whole, ends, most) == singly(one, blocks)
+    assert state(many) == state(one)
+    return one
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("between", [120.0, 1e9])
+def test_storm_and_calm_are_the_same_either_way(kind, between):
+    gateway = same(config_of(kind), train(), 4, 3000, between)
+    assert gateway.inbox.counts["decoded"] > 50_000
+
+
+@pytest.mark.parametrize("seed", range(5, 9))
+def test_other_storms_and_few_ticks_at_a_time(seed):
+    same(config_of(), train(), seed, 1500, 60.0, most=7)
+
+
+def test_fd_is_the_same():
+    same(config_of(dbc="traction_fd.dbc"), train(FD_FILE), 3, 1500, 120.0)
+
+
+@pytest.mark.parametrize("detector", ["median", "kmeans", "vmp"])
+def test_other_detectors_step_one_by_one(detector):
+    same(config_of(detector=detector), train(), 4, 300, 120.0)
+
+
+def test_the_thermal_model_steps_one_by_one():
+    same(config_of(method="model"), train(), 4, 300, 120.0)
+
+
+def test_most_ticks_of_a_calm_bus_are_done_by_the_compiled_loop(monkeypatch):
+    done = []
+    real = Ticks._few
+
+    def few(self, *words):
+        out = real(self, *words)
+        done.append(len(out))
+        return out
+
+    monkeypatch.setattr(Ticks, "_few", few)
+    _, whole, ends = stormy(train(), 1, 2000, 1e9)
+    with kept_types() as called:
+        together(Gateway(config_of(), train().codec, 0), whole, ends)
+    assert "several" in called
+    assert sum(done) > 0.8 * len(ends)
+    assert len(done) < 0.3 * len(ends)
+
+
+def test_little_room_for_frames_ends_a_call_sooner(monkeypatch):
+    monkeypatch.setattr(ticks_module, "FRAMES", 30)
+    same(config_of(), train(), 2, 400, 1e9)
+
+
+def test_doubt_of_the_driver_is_kept():
+    """Lost frames, missed ticks and an intruder: told by single steps, and so they are."""
+    blocks, whole, ends = stormy(train(), 1, 900, 1e9)
+    one, many = (Gateway(config_of(), train().codec, 0) for _ in range(2))
+    for gateway in (one, many):
+        gateway.doubt.watching = True
+    out, wanted = [], []
+    several = Ticks(many)
+    for first, last, note in (
+        (0, 300, lambda d: d.note_lost(3)),
+        (300, 600, lambda d: d.note_overrun(2)),
+        (600, len(ends), lambda d: None),
+    ):
+        at = int(ends[first - 1]) if first else 0
+        while len(out) < last:
+            k = len(out)
+            at = int(ends[k - 1]) if k else 0
+            out += several.run(
+                whole.part(at, int(ends[last - 1])), ends[k:last] - at, (k + FIRST) * TICK
+            )
+        wanted += [one.step(blocks[k], (k + FIRST) * TICK) for k in range(first, last)]
+        note(one.doubt), note(many.doubt)
+    assert out == wanted
+    assert state(many) == state(one)
+
+
+def test_a_replay_that_wants_no_view_says_the_same(tmp_path):
+    """With damaged stamps and a hole among the blocks."""
+    _, whole, _ = stormy(train(), 9, 1500, 60.0)
+    late = whole.part(0, whole.size)
+    late = late._replace(t_ns=late.t_ns + 40 * SECOND)
+    blocks = [whole.part(0, 5000), whole.part(5000, whole.size), late]
+
+    def run(*between):
+        out, changes = [], []
+
+        def sink(now, frames, gateway):
+            out.append((now, frames))
+            if gateway.changed:
+                changes.append((now, repr(gateway.view)))
+
+        done = replay(
+            blocks, lambda at: Gateway(config_of(), train().codec, at), 10 * MS, sink,
+            *(lambda now, frames: out.append((now, frames)) for _ in between),
+        )  # fmt: skip
+        return out, changes, done[:5], state(done.gateway)
+
+    assert run("between") == run()
