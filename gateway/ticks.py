@@ -1,9 +1,9 @@
 """Many ticks of a gateway in few calls: what a replay is made of.
 
-Most ticks hold nothing that only `Gateway.step` can do: no temperatures, no heartbeat, nothing due
-to be counted or learnt. Those are done by one compiled loop over them, others one by one; a tick
-that turns out to need more in its midst is finished by the gateway from there. The same frames go
-out as of single steps, and the same state is left (`tests/unit/test_ticks.py`).
+Most ticks hold nothing that only `Gateway.step` can do: no temperatures, no heartbeat, no detector
+but the default. Those are done by one compiled loop over them, others one by one; a tick that turns
+out to need more in its midst is finished by the gateway from there. The same frames go out as of
+single steps, and the same state is left (`tests/unit/test_ticks.py`).
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from gateway.inbox import MAX_GAP_NS
 from gateway.receiving import NAMES
 from gateway.said import Which
 from gateway.stretch import Filtering, Judging, Receiving, Saying
+from gateway.view import Counted
 
 REJECTS: Final = np.array([name in REJECTED for name in NAMES])
 FRAMES: Final = 512
@@ -88,20 +89,19 @@ class Ticks:
         gateway = self.gateway
         if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
             return now
-        return min(
-            gateway.thermal.same_ns, gateway.load.window_ns, gateway.supervision.lost_ns
-        )  # fmt: skip
+        return min(gateway.thermal.same_ns, gateway.load.window_ns, gateway.supervision.lost_ns)
 
     def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> list[list[Frame]]:
         """As `run`, for ticks before `until`; none if the first wants a step of its own."""
         gateway, went = self.gateway, self._went
         inbox, outbox, adhesion = gateway.inbox, gateway.outbox, gateway.adhesion
         inbox.begin()
-        outbox.note_counts(gateway.counted(now))
+        counted = gateway.counted(now)
+        outbox.note_counts(counted)
         left = self._several(
             block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
-            self._receiving(), self._filtering(), self._unscented, self._judging(), self._saying(),
-            went,
+            self._receiving(), self._filtering(), self._unscented, self._judging(),
+            self._saying(counted), went,
         )  # fmt: skip
         gateway.load.busy_s = left.busy_s
         adhesion.note_learnt(left.spread, left.own, left.learn_ns)
@@ -166,9 +166,8 @@ class Ticks:
             PROBABLY_GOOD,
         )  # fmt: skip
 
-    def _saying(self) -> Saying:
+    def _saying(self, counted: Counted) -> Saying:
         gateway, outbox = self.gateway, self.gateway.outbox
-        counted = gateway.counted(gateway.load.since_ns)
         return Saying(
             gateway.findings, gateway.seen, gateway.why, gateway.flags, gateway.said,
             outbox.counts, outbox.sheet, outbox.form, outbox.guard, outbox.memory, outbox.room,
