@@ -73,6 +73,31 @@ def test_lost_frames_are_held_against_every_flag_for_five_ticks():
     assert doubt.reason is Reason.NONE
 
 
+def test_there_is_no_doubt_once_what_was_noted_is_long_past():
+    fresh = told()
+    assert fresh.none(0)
+    for note, held in (
+        (lambda doubt: doubt.note_overrun(1), SECOND),
+        (lambda doubt: doubt.note_lost(1), 5 * TICK),
+    ):
+        doubt = told(note)
+        assert doubt.none(2 * SECOND) == (held != SECOND), "a late tick, and none behind it yet"
+        doubt.tick(TICK, 0)
+        assert not doubt.none(held)
+        assert doubt.none(held + 1)
+        note(doubt)
+        assert not doubt.none(held + 1), "not looked at yet"
+
+
+def test_who_watches_or_has_seen_an_intruder_is_never_without_doubt():
+    watching, seen = told(), told()
+    watching.watching = seen.watching = True
+    assert not watching.none(0)
+    seen.tick(TICK, 1)
+    seen.watching = False
+    assert not seen.none(9 * SECOND)
+
+
 def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
     doubt = Doubt(TICK)
     doubt.tick(0, 3)
