@@ -2,7 +2,8 @@
 
 `HostileBus.carry` takes the frames that the drives sent in a tick and gives those that arrive. Like
 everything in `sim` it is pure: faults come from a plan, chance from the seed, time from the caller.
-Besides the frames it tells which of them are genuine: sent by a drive, whole, and not a copy.
+Besides the frames it tells which of them are genuine: sent by a drive, whole, and not a copy; a
+copy that is whole, of a frame that was spoilt, is as good as that.
 """
 
 from __future__ import annotations
@@ -166,7 +167,16 @@ def _corrupt(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
     block = came.block.pick(np.arange(came.block.size))
     for k in np.flatnonzero(some).tolist():
         _damage(rng, block, k)
-    return Arrived(block, came.genuine & ~some)
+    return Arrived(block, (came.genuine | _instead(came, some)) & ~some)
+
+
+def _instead(came: Arrived, spoilt: Flags) -> Flags:
+    """The copies of genuine frames that are spoilt."""
+    block, out = came.block, np.zeros(len(spoilt), dtype=np.bool_)
+    for k in np.flatnonzero(spoilt & came.genuine).tolist():
+        same = (block.can_id == block.can_id[k]) & (block.flags == block.flags[k])
+        out |= same & (block.data == block.data[k]).all(axis=1) & ~came.genuine
+    return out
 
 
 def _damage(rng: np.random.Generator, block: Block, k: int) -> None:

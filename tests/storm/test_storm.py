@@ -125,6 +125,27 @@ def test_a_second_sender_is_guarded_from_when_it_was_last_heard(monkeypatch):
     assert 3050 + 95 < min(good) < 3100 + 95
 
 
+def test_a_whole_copy_stands_for_a_frame_that_was_spoilt():
+    """Seed 44: for 300 ms all temperatures of a drive were such, and rightly believed."""
+    faults = [Fault("duplicate", 100, 200, None, 1.0), Fault("corrupt", 100, 200, None, 0.5)]
+    ids = sorted(set(train().sent(100).can_id.tolist()))
+    bus = HostileBus(faults, [ids], 1)
+    spoilt = copies = 0
+    for tick in range(100, 200):
+        sent = train().sent(tick)
+        came = bus.carry(sent, lambda: sent, tick, tick * TICK)  # noqa: B023
+        arrived = [frame._replace(t_ns=0) for frame in came.block.frames()]
+        genuine = Counter(f for f, mine in zip(arrived, came.genuine, strict=True) if mine)
+        for frame in sent.frames():
+            # At most once, whichever of the two it was; never, if neither came whole.
+            whole = arrived.count(frame._replace(t_ns=0))
+            assert genuine[frame._replace(t_ns=0)] == min(whole, 1)
+            spoilt += whole == 0
+            copies += whole == 2
+    assert spoilt > 100
+    assert copies > 100
+
+
 def stale_is_believed(monkeypatch):
     def look(*words):
         kernels.look(*words)
