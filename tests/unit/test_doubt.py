@@ -80,13 +80,15 @@ def test_there_is_no_doubt_once_what_was_noted_is_long_past():
         (lambda doubt: doubt.note_overrun(1), SECOND),
         (lambda doubt: doubt.note_lost(1), 5 * TICK),
     ):
-        doubt = told(note)
-        assert doubt.none(2 * SECOND) == (held != SECOND), "a late tick, and none behind it yet"
-        doubt.tick(TICK, 0)
-        assert not doubt.none(held)
-        assert doubt.none(held + 1)
+        doubt, at = Doubt(TICK), 7 * SECOND
         note(doubt)
-        assert not doubt.none(held + 1), "not looked at yet"
+        doubt.tick(at, 0)
+        assert doubt.none(at + held + 1) == (held != SECOND), "a late tick, and none behind it yet"
+        doubt.tick(at + TICK, 0)
+        assert not any(doubt.none(at + since) for since in (TICK, held - 1, held))
+        assert doubt.none(at + held + 1)
+        note(doubt)
+        assert not doubt.none(at + held + 1), "not looked at yet"
 
 
 def test_who_watches_or_has_seen_an_intruder_is_never_without_doubt():
