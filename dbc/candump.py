@@ -6,22 +6,29 @@ nothing here raises on bytes (in strict mode: LogError with the line number).
 
 from __future__ import annotations
 
-import gzip
 import zlib
 from binascii import a2b_hex
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Final, NamedTuple, Self, cast
+from typing import IO, Final, NamedTuple
 
 import numpy as np
 
 from dbc.block import Block, block_of
 from dbc.frame import FD, Frame
 from dbc.logblocks import Lines, Scanner
-from dbc.logline import DROPS, MAX_LINE, PLAIN, Verdict, format_frame, parse_line, tail_of
+from dbc.logline import (
+    DROPS,
+    MAX_LINE,
+    PLAIN,
+    Verdict,
+    format_frame,
+    parse_line,
+    tail_of,
+)
+from dbc.logwriter import Writer
 from dbc.text import printable
 
 PROBLEMS_KEPT: Final = 100
@@ -324,52 +331,6 @@ def _unterminated(
         if tails.get(digits) == tail:
             return verdict, frame
     return Verdict.CUT, None
-
-
-class Writer:
-    """Writes frames to a log (gzip by the suffix `.gz`). Context manager; `close` when done."""
-
-    def __init__(self, target: Path | str | IO[bytes], channel: str = "can0") -> None:
-        """Create or empty the file; `channel` is for frames without one. Raises OSError."""
-        self._channel = channel
-        self._stack = ExitStack()
-        self._stream: IO[bytes]
-        if isinstance(target, (Path, str)):
-            path = Path(target)
-            plain = self._stack.enter_context(path.open("wb"))
-            if path.suffix.lower() == ".gz":
-                # No name and time in the header: the same frames give the same bytes.
-                zipped = gzip.GzipFile("", "wb", fileobj=plain, mtime=0)
-                self._stack.callback(zipped.close)
-                self._stream = cast("IO[bytes]", zipped)
-            else:
-                self._stream = plain
-        else:
-            self._stream = target
-
-    def write(self, frame: Frame, channel: str = "") -> None:
-        """Append one frame, `channel` standing in where it has none.
-
-        Raises ValueError (see `format_frame`) or OSError.
-        """
-        self._stream.write(format_frame(frame, channel or self._channel) + b"\n")
-
-    def close(self) -> None:
-        """Flush and close what was opened here; a given stream stays open."""
-        self._stack.close()
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
-        self.close()
 
 
 __all__ = ["LogError", "Problem", "Reader", "Verdict", "Writer", "format_frame", "parse_line"]

@@ -15,7 +15,7 @@ from dbc.logline import tail_of
 ROWS: Final = 1 << 13
 """Most lines of a block."""
 _NAMES: Final = 64
-_MOST_NAME: Final = 21
+MOST_NAME: Final = 21
 _NAMES_KEPT: Final = 40_000
 """Interface names that a hostile log may fill before they are forgotten."""
 
@@ -45,7 +45,7 @@ class Scanner:
         self.names: list[str] = []
         self.tails = np.full(0x800, -1, dtype=np.int64)
         """Characters after the `#` in the last line of each 11-bit identifier; -1 none."""
-        self._table = np.zeros((_NAMES, _MOST_NAME), dtype=np.uint8)
+        self._table = np.zeros((_NAMES, MOST_NAME), dtype=np.uint8)
         self._sizes = np.zeros(_NAMES, dtype=np.int64)
 
     def read(self, text: NDArray[np.uint8], start: int) -> Lines:

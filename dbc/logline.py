@@ -189,7 +189,7 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
     else:
         fits = fits and size <= 8 and (dlc < 9 or (size == 8 and dlc <= 15))
         body = data.hex().upper() + (f"_{dlc:X}" if dlc > 8 else "")
-    name = _name(own or channel)
+    name = name_bytes(own or channel)
     if not (fits and can_id >= 0 and 0 <= t_ns <= _LAST_NS and name):
         msg = f"cannot be written as a candump line: {frame}"
         raise ValueError(msg)
@@ -207,7 +207,7 @@ def _stamp(t_ns: int) -> bytes:
 @lru_cache(maxsize=4096)
 def _head(channel: str, can_id: int) -> bytes:
     """Name and identifier of a plain frame. Raises ValueError for a name that no line can have."""
-    name = _name(channel)
+    name = name_bytes(channel)
     if not name:
         msg = f"cannot be written as a candump line: channel {channel!r}"
         raise ValueError(msg)
@@ -215,7 +215,7 @@ def _head(channel: str, can_id: int) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _name(channel: str) -> bytes:
+def name_bytes(channel: str) -> bytes:
     """A channel as it stands in a line; empty where no line can have it."""
     name = channel.encode("utf-8", "surrogateescape")
     return name if _NAMED.fullmatch(name) else b""

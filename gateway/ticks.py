@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import Block
+from dbc.block import Block, blank, block_of
 from dbc.frame import Frame, Nanos
 from estimators.detect import Opinion
 from estimators.detect.variational import VariationalDetector
@@ -64,25 +64,29 @@ class Ticks:
             Frame(0, can_id, bytes(size), flags) for can_id, size, flags in gateway.outbox.heads
         ]
         self._cost_s = np.array([gateway.load.cost_s(frame) for frame in heads])
+        self._heads = block_of(heads)
         self._several = Direct(several)
 
-    def run(self, block: Block, ends: Ints, now: Nanos) -> list[list[Frame]]:
-        """What goes out of the ticks at `now`, a period later and so on, one for each of ends (K,).
+    def run(self, block: Block, ends: Ints, now: Nanos) -> tuple[int, list[Block]]:
+        """Ticks at `now`, a period later and so on, one for each of ends (K,).
 
+        Gives their number, and what goes out.
         Tick k takes the frames from ends[k - 1] (0 for the first) to ends[k]. Ends behind the first
         tick in which a flag changed: those that are left are the caller's to ask for again.
         """
-        gateway, out = self.gateway, []  # type: tuple[Gateway, list[list[Frame]]]
-        while len(out) < len(ends) and not (out and gateway.changed):
-            k = len(out)
-            first, at = int(ends[k - 1]) if k else 0, now + k * self._period_ns
-            until = self._until(at)
+        gateway, out, done = self.gateway, [], 0  # type: tuple[Gateway, list[Block], int]
+        while done < len(ends) and not (done and gateway.changed):
+            first, at = int(ends[done - 1]) if done else 0, now + done * self._period_ns
+            until, whole = self._until(at), 0
             if until > at:
                 rest = block.part(first, int(ends[-1]))
-                out += self._few(rest, ends[k:] - first, at, until)
-            if len(out) == k:
-                out.append(gateway.step(block.part(first, int(ends[k])), at))
-        return out
+                whole, frames = self._few(rest, ends[done:] - first, at, until)
+                out += frames
+            if not whole:
+                whole = 1
+                out.append(block_of(gateway.step(block.part(first, int(ends[done])), at)))
+            done += whole
+        return done, out
 
     def _until(self, now: Nanos) -> Nanos:
         """No tick before it needs more than the compiled loop; `now` or less if this one does."""
@@ -91,7 +95,7 @@ class Ticks:
             return now
         return min(gateway.thermal.same_ns, gateway.load.window_ns, gateway.supervision.lost_ns)
 
-    def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> list[list[Frame]]:
+    def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
         """As `run`, for ticks before `until`; none if the first wants a step of its own."""
         gateway, went = self.gateway, self._went
         inbox, outbox, adhesion = gateway.inbox, gateway.outbox, gateway.adhesion
@@ -108,34 +112,35 @@ class Ticks:
         inbox.counts["received"] += went.tally.item(0)
         inbox.counts["decoded"] += went.tally.item(1)
         went.tally[:] = 0
-        out = self._frames(left.done, left.frames, now)
-        at = now + left.done * self._period_ns
-        if left.done:
+        done, out = left.done, [self._frames(left.frames, now)]
+        at = now + done * self._period_ns
+        if done:
             outbox.note_sent(at - self._period_ns)
             gateway.doubt.tick(at - self._period_ns, 0)
             room = adhesion.room
             gateway.note(Opinion(room.lost, room.known, left.common), at - self._period_ns)
             gateway.changed = left.changed
         if left.stage == HEARD:
-            own, part = inbox.counts["own"], block.part(left.first, int(ends[left.done]))
+            own, part = inbox.counts["own"], block.part(left.first, int(ends[done]))
             inbox.note(part, (left.samples, left.seen, left.foreign, left.odd))
-            return [*out, gateway.heard(part, inbox.counts["own"] - own, at)]
+            last = gateway.heard(part, inbox.counts["own"] - own, at)
+            return done + 1, [*out, block_of(last)]
         inbox.count()
         if left.stage == FILTERED:
             gateway.doubt.tick(at, 0)
             inbox.motions = left.motions
             gateway.bank.begin(gateway.inputs.cause, gateway.inputs.fresh)
-            out.append(gateway.estimated(at))
-        return out
+            return done + 1, [*out, block_of(gateway.estimated(at))]
+        return done, out
 
-    def _frames(self, ticks: int, rows: int, now: Nanos) -> list[list[Frame]]:
+    def _frames(self, rows: int, now: Nanos) -> Block:
         """What has gone out, tick by tick."""
-        went, outbox = self._went, self.gateway.outbox
-        out: list[list[Frame]] = [[] for _ in range(ticks)]
-        payload = went.payload[:rows].tobytes()
-        each = zip(went.tick[:rows].tolist(), went.message[:rows].tolist(), strict=True)
-        for row, (k, message) in enumerate(each):
-            out[k].append(outbox.frame(message, payload, row, now + k * self._period_ns))
+        went, heads = self._went, self._heads
+        message = went.message[:rows]
+        out = blank(rows, heads.names)
+        out.t_ns[:] = now + went.tick[:rows] * self._period_ns
+        out.can_id[:], out.flags[:] = heads.can_id[message], heads.flags[message]
+        out.length[:], out.data[:] = heads.length[message], went.payload[:rows]
         return out
 
     def _receiving(self) -> Receiving:

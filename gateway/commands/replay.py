@@ -19,8 +19,10 @@ from gateway.commands.common import (
 from gateway.config import ConfigError
 
 if TYPE_CHECKING:
+    from dbc.block import Block
     from dbc.candump import Reader
     from dbc.codec import Codec
+    from dbc.frame import Frame
     from gateway.config import Config
     from gateway.drivers.replay import Replayed
     from gateway.drivers.reporting import Reporting
@@ -55,9 +57,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout."""
+    from dbc.block import block_of
     from dbc.candump import Writer
     from gateway.core import Gateway
-    from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
+    from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
     from gateway.results.record import Recorder
 
     changes: dict[str, Any] = (
@@ -78,21 +81,24 @@ def run(options: argparse.Namespace) -> int:
             left.begin(gateway)
         return gateway
 
-    def sink(now: int, out: list[Any], gateway: Gateway) -> None:
-        # For the list of changes alone no other tick need be put into words.
-        if left is not None or gateway.changed:
-            assert gateway.view is not None
-            (recorder.add if left is None else left.add)(gateway.view)
-        write(now, out)
+    def every(_now: int, out: list[Frame], gateway: Gateway) -> None:
+        assert gateway.view is not None
+        assert left is not None
+        left.add(gateway.view)
+        write(block_of(out))
 
-    def write(_now: int, out: list[Any]) -> None:
+    def write(out: Block) -> None:
         if writer is not None:
-            for frame in out:
-                writer.write(frame, blocks.name or "")
+            writer.write_block(out, blocks.name or "")
 
+    def changed(gateway: Gateway) -> None:
+        assert gateway.view is not None
+        recorder.add(gateway.view)
+
+    sink = Briefly(write, changed) if left is None else every
     began = time.perf_counter()
     try:
-        done = replay(blocks, make, config.loop.period_ns, sink, write if left is None else None)
+        done = replay(blocks, make, config.loop.period_ns, sink)
     finally:
         recorder.close()
         if writer is not None:

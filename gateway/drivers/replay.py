@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import EMPTY, Block, in_blocks, join
+from dbc.block import EMPTY, Block, block_of, in_blocks, join
 from dbc.candump import LogError, Reader
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.core import Gateway
@@ -30,9 +30,18 @@ TOLD = 60
 
 Sink = Callable[[Nanos, list[Frame], Gateway], None]
 """Told of every tick: now, what goes out, and who says it; its view is made when asked for."""
-Between = Callable[[Nanos, list[Frame]], None]
-"""Told of a tick in which no adhesion or thermal flag changed, in place of a `Sink`."""
 Make = Callable[[Nanos], Gateway]
+
+
+class Briefly(NamedTuple):
+    """In place of a `Sink`, for who can do without a view of ticks that change nothing.
+
+    write: what goes out, of one tick or of many; changed: the gateway, after a tick in which an
+    adhesion or thermal flag changed.
+    """
+
+    write: Callable[[Block], None]
+    changed: Callable[[Gateway], None]
 
 
 class Replayed(NamedTuple):
@@ -91,14 +100,13 @@ def replay(
     blocks: Iterable[Block],
     make: Make,
     period_ns: Nanos,
-    sink: Sink,
-    between: Between | None = None,
+    sink: Sink | Briefly,
 ) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
 
     Frames whose time goes back are dropped and counted. The last tick is the first at or
-    after the last frame. between: who can do without a view of ticks that change nothing gets
-    them several at a time, much sooner. Raises BadLogError for a log without frames.
+    after the last frame. Who is told briefly gets many ticks at a time, much sooner. Raises
+    BadLogError for a log without frames.
     """
     stream = iter(blocks)
     block = next(stream, EMPTY)
@@ -114,7 +122,16 @@ def replay(
         nonlocal ticks
         out = gateway.step(frames, now)
         ticks += 1
-        sink(now, out, gateway)
+        if isinstance(sink, Briefly):
+            tell(sink, [block_of(out)])
+        else:
+            sink(now, out, gateway)
+
+    def tell(sink: Briefly, out: Iterable[Block]) -> None:
+        for frames in out:
+            sink.write(frames)
+        if gateway.changed:
+            sink.changed(gateway)
 
     def drop(count: int) -> None:
         gateway.inbox.counts["received"] += count
@@ -122,7 +139,7 @@ def replay(
 
     several = Ticks(gateway)
 
-    def many(block: Block, between: Between) -> int:
+    def many(block: Block, sink: Briefly) -> int:
         """All ticks that end within the block; the first frame that is not in any."""
         nonlocal now, ticks
         done, last = 0, block.t_ns.item(-1)
@@ -130,14 +147,11 @@ def replay(
             count = min(-((now - last) // period_ns), MOST_TICKS)
             nows = now + period_ns * np.arange(count)
             ends = np.searchsorted(block.t_ns[done:], nows, "right")
-            outs = several.run(block.part(done, block.size), ends, now)
-            for out in outs[:-1]:
-                between(now, out)
-                now += period_ns
-            sink(now, outs[-1], gateway)
-            now += period_ns
-            ticks += len(outs)
-            done += ends.item(len(outs) - 1)
+            stepped, out = several.run(block.part(done, block.size), ends, now)
+            tell(sink, out)
+            now += stepped * period_ns
+            ticks += stepped
+            done += ends.item(stepped - 1)
         return done
 
     held = EMPTY
@@ -146,7 +160,7 @@ def replay(
         dropped += held.size
         block = join(held, block)
         even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())
-        done = many(block, between) if between is not None and even else 0
+        done = many(block, sink) if isinstance(sink, Briefly) and even else 0
         stamps = block.t_ns.tolist()
         while (end := bisect_right(stamps, now, done)) < block.size:
             batch, following = block.part(done, end), stamps[end]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dbc import candump
-from dbc.candump import LogError, Reader, format_frame, parse_line
-from dbc.frame import Frame
+from dbc import candump, logwriter
+from dbc.block import block_of
+from dbc.candump import LogError, Reader, Writer, format_frame, parse_line
+from dbc.frame import BRS, Frame
 from dbc.logline import Verdict
 from tests.fuzz import examples
 from tests.strategies import frames, log_lines
@@ -117,3 +118,49 @@ def test_a_cut_last_line_is_never_another_frame(frame: Frame, data: st.DataObjec
     size = data.draw(st.integers(0, len(line) - 1))
     found = list(Reader(io.BytesIO(line + b"\n" + line[:size])))
     assert found == [frame]
+
+
+ODD_FRAMES = st.builds(
+    Frame,
+    st.integers(-5, 5) | st.integers(0, 9_100_000_000 * 10**9),
+    st.integers(0, 0xFFFFFFFF),
+    st.binary(max_size=10) | st.sampled_from([bytes(12), bytes(13), bytes(64)]),
+    st.integers(0, 63),
+    st.sampled_from(["", "can0", "x" * 21, "x" * 22, "a b", "\udcff"]),
+    st.integers(-1, 16),
+)
+"""Frames of which most cannot be written."""
+
+
+@given(st.lists(frames(), max_size=20), st.sampled_from(["", "vcan1"]), st.integers(1, 5))
+@settings(max_examples=examples(300))
+def test_a_block_is_written_as_its_frames_are(many: list[Frame], channel: str, room: int) -> None:
+    """Whatever room there is for lines at once."""
+    one, other = io.BytesIO(), io.BytesIO()
+    writer = Writer(one)
+    for frame in many:
+        writer.write(frame, channel)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(logwriter, "_LINES", room)
+        Writer(other).write_block(block_of(many), channel)
+    assert other.getvalue() == one.getvalue()
+    assert one.getvalue() == b"".join(format_frame(f, channel or "can0") + b"\n" for f in many)
+
+
+@given(frames(), ODD_FRAMES)
+@settings(max_examples=examples(500))
+@example(Frame(0, 1), Frame(0, 1, bytes(8), BRS))
+@example(Frame(0, 1), Frame(0, 0x800))
+def test_what_no_line_can_say_is_refused_in_a_block_too(good: Frame, odd: Frame) -> None:
+    """And what stands before it is written."""
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    try:
+        line = format_frame(odd)
+    except ValueError:
+        with pytest.raises(ValueError, match="candump line"):
+            writer.write_block(block_of([good, odd]))
+        assert stream.getvalue() == format_frame(good) + b"\n"
+    else:
+        writer.write_block(block_of([good, odd]))
+        assert stream.getvalue() == format_frame(good) + b"\n" + line + b"\n"

@@ -10,7 +10,7 @@ from dbc.frame import MS, SECOND
 from gateway import ticks as ticks_module
 from gateway.config import parse
 from gateway.core import Gateway
-from gateway.drivers.replay import replay
+from gateway.drivers.replay import Briefly, replay
 from gateway.ticks import Ticks
 from sim.hostile import HostileBus, plan
 from tests.keptypes import kept_types
@@ -51,17 +51,19 @@ def stormy(honest, seed, ticks, between):
 
 
 def singly(gateway, blocks):
-    return [gateway.step(block, (k + FIRST) * TICK) for k, block in enumerate(blocks)]
+    return [f for k, block in enumerate(blocks) for f in gateway.step(block, (k + FIRST) * TICK)]
 
 
 def together(gateway, whole, ends, most=200):
     """Asked for `most` at a time."""
-    several, out, first = Ticks(gateway), [], 0
-    while len(out) < len(ends):
-        k = len(out)
-        wanted = ends[k : k + most]
-        out += several.run(whole.part(first, int(wanted[-1])), wanted - first, (k + FIRST) * TICK)
-        first = int(ends[len(out) - 1])
+    several, out, first, done = Ticks(gateway), [], 0, 0
+    while done < len(ends):
+        wanted = ends[done : done + most]
+        part = whole.part(first, int(wanted[-1]))
+        ticks, frames = several.run(part, wanted - first, (done + FIRST) * TICK)
+        out += [frame for block in frames for frame in block.frames()]
+        done += ticks
+        first = int(ends[done - 1])
     return out
 
 
@@ -123,7 +125,7 @@ def test_most_ticks_of_a_calm_bus_are_done_by_the_compiled_loop(monkeypatch):
 
     def few(self, *words):
         out = real(self, *words)
-        done.append(len(out))
+        done.append(out[0])
         return out
 
     monkeypatch.setattr(Ticks, "_few", few)
@@ -146,21 +148,21 @@ def test_doubt_of_the_driver_is_kept():
     one, many = (Gateway(config_of(), train().codec, 0) for _ in range(2))
     for gateway in (one, many):
         gateway.doubt.watching = True
-    out, wanted = [], []
+    out, wanted, done = [], [], 0
     several = Ticks(many)
     for first, last, note in (
         (0, 300, lambda d: d.note_lost(3)),
         (300, 600, lambda d: d.note_overrun(2)),
         (600, len(ends), lambda d: None),
     ):
-        at = int(ends[first - 1]) if first else 0
-        while len(out) < last:
-            k = len(out)
-            at = int(ends[k - 1]) if k else 0
-            out += several.run(
-                whole.part(at, int(ends[last - 1])), ends[k:last] - at, (k + FIRST) * TICK
-            )
-        wanted += [one.step(blocks[k], (k + FIRST) * TICK) for k in range(first, last)]
+        while done < last:
+            at = int(ends[done - 1]) if done else 0
+            part = whole.part(at, int(ends[last - 1]))
+            ticks, frames = several.run(part, ends[done:last] - at, (done + FIRST) * TICK)
+            out += [frame for block in frames for frame in block.frames()]
+            done += ticks
+        for k in range(first, last):
+            wanted += one.step(blocks[k], (k + FIRST) * TICK)
         note(one.doubt), note(many.doubt)
     assert out == wanted
     assert state(many) == state(one)
@@ -173,18 +175,24 @@ def test_a_replay_that_wants_no_view_says_the_same(tmp_path):
     late = late._replace(t_ns=late.t_ns + 40 * SECOND)
     blocks = [whole.part(0, 5000), whole.part(5000, whole.size), late]
 
-    def run(*between):
+    def run(briefly):
         out, changes = [], []
 
-        def sink(now, frames, gateway):
-            out.append((now, frames))
+        def changed(gateway):
+            changes.append(repr(gateway.view))
+
+        def sink(_now, frames, gateway):
+            out.extend(frames)
             if gateway.changed:
-                changes.append((now, repr(gateway.view)))
+                changed(gateway)
+
+        def write(block):
+            out.extend(block.frames())
 
         done = replay(
-            blocks, lambda at: Gateway(config_of(), train().codec, at), 10 * MS, sink,
-            *(lambda now, frames: out.append((now, frames)) for _ in between),
+            blocks, lambda at: Gateway(config_of(), train().codec, at), 10 * MS,
+            Briefly(write, changed) if briefly else sink,
         )  # fmt: skip
         return out, changes, done[:5], state(done.gateway)
 
-    assert run("between") == run()
+    assert run(briefly=True) == run(briefly=False)
