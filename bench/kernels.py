@@ -16,9 +16,11 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from estimators import ekf, ukf
+from estimators._lanes import lanes_room
 from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+from gateway._direct import Direct
 
 HEADER = ("filter", "drives", "per call", "per drive and step", "reference in the same run")
 FLEETS: Final = (1, 3, 16, 64, 256, 1024)
@@ -61,12 +63,12 @@ def call_of(
     u, y = rng.normal(0.0, 10.0, (rows, 2)), rng.normal(0.0, 1.0, (rows, 2))
     n_sub, none = np.full(rows, sub_steps), np.zeros(rows, dtype=np.int64)
     nis, ok, lean = np.empty(rows), np.empty(n, dtype=np.bool_), np.zeros(n)
-    table = pmsm.table(par)
+    table, room, direct = pmsm.table(par), lanes_room(n), Direct(kernel)
 
     def call() -> None:
-        kernel(
+        direct(
             table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, n_sub, none, SUB_STEP_S,
-            *more, nis, ok, lean,
+            *more, nis, ok, lean, room,
         )  # fmt: skip
 
     return call

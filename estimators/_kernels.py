@@ -15,8 +15,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from estimators._lean import lean
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,14 +30,17 @@ _REPAIR = 1e-6  # ukf.REPAIR
 _TURN_MAX = 1.4  # pmsm.TURN_MAX
 
 
-@njit(cache=True)
+@lean
 def wrap(theta: float) -> float:
     return theta - _TWO_PI * float(np.ceil((theta - math.pi) / _TWO_PI))
 
 
-@njit(cache=True)
-def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P: Array) -> None:
-    """`ekf.coast` on work arrays."""
+@lean
+def _coast(
+    par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P: Array, F: Array,
+    M: Array,
+) -> None:  # fmt: skip
+    """`ekf.coast` on work arrays; F and M (5, 5) are scratch."""
     psi_f, p, J, B, k_p = par[2], par[3], par[4], par[5], par[6]
     kappa = k_p * p * p * psi_f / J
     sin, cos = math.sin(x[3]), math.cos(x[3])
@@ -52,7 +56,9 @@ def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P
         -kappa * (x[1] * sin + x[0] * cos),
         -p / J,
     )
-    F = np.zeros((5, 5))
+    for i in range(5):
+        for j in range(5):
+            F[i, j] = M[i, j] = 0.0
     for j in range(5):
         d_turn = 0.5 * tau * tau * da[j] + (tau if j == 2 else 0.0)
         F[0, j] = -i_b * d_turn
@@ -66,7 +72,6 @@ def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P
     F[2, 2] += 1.0
     F[3, 3] += 1.0
     F[4, 4] = 1.0
-    M = np.zeros((5, 5))
     for i in range(5):
         for j in range(5):
             for k in range(5):
@@ -93,7 +98,7 @@ def _coast(par: Array, Q: Array, var: float, tau: float, n_gap: int, x: Array, P
     x[3] = wrap(x[3] + turn)
 
 
-@njit(cache=True)
+@lean
 def _update(R: Array, y: Array, x: Array, P: Array, K: Array, W: Array) -> float:
     """`ekf.update` on work arrays, Joseph form; K (5, 2) and W (5, 5) are scratch. Gives nis."""
     s00 = P[0, 0] + R[0]
@@ -127,7 +132,7 @@ def _update(R: Array, y: Array, x: Array, P: Array, K: Array, W: Array) -> float
     return nis
 
 
-@njit(cache=True)
+@lean
 def _turning(u: Array, w: float, n_sub: int, dt: float) -> tuple[float, float, float, float]:
     """`pmsm.turning`: the first sub-step's voltage, and cosine and sine from one to the next."""
     h = 0.5 * dt * w
@@ -141,7 +146,7 @@ def _turning(u: Array, w: float, n_sub: int, dt: float) -> tuple[float, float, f
     return first_a, first_b, math.cos(2.0 * h), math.sin(2.0 * h)
 
 
-@njit(cache=True)
+@lean
 def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array, P: Array) -> None:
     """`ekf.predict` on work arrays; f.. are the entries of the Jacobian, m.. of F P."""
     R_s, L_s, psi_f = par[0], par[1], par[2]
@@ -222,7 +227,7 @@ def _ekf_predict(par: Array, Q: Array, u: Array, n_sub: int, dt: float, x: Array
     P[4, 0], P[4, 1], P[4, 2], P[4, 3], P[4, 4] = p04, p14, p24, p34, p44
 
 
-@njit(cache=True)
+@lean
 def _leaned(u: Array, lean: float, half: float, x: Array, v: Array) -> None:
     """`ekf.leaned`: fills v (2,); half: half the interval, s."""
     v[0], v[1] = u[0], u[1]
@@ -232,7 +237,7 @@ def _leaned(u: Array, lean: float, half: float, x: Array, v: Array) -> None:
         v[1] -= lean * math.cos(angle)
 
 
-@njit(cache=True)
+@lean
 def _cholesky(P: Array, relative: float, absolute: float, L: Array) -> bool:
     """Lower factor of P with its variances raised by relative and absolute; False if none."""
     for j in range(5):
@@ -250,7 +255,7 @@ def _cholesky(P: Array, relative: float, absolute: float, L: Array) -> bool:
     return True
 
 
-@njit(cache=True)
+@lean
 def _ukf_predict(
     par: Array,
     Q: Array,
@@ -262,8 +267,12 @@ def _ukf_predict(
     P: Array,
     L: Array,
     D: Array,
+    shift: Array,
 ) -> bool:
-    """`ukf.predict` on work arrays; L (5, 5) and D (10, 5) are scratch. False: no factor."""
+    """`ukf.predict` on work arrays. False: no factor.
+
+    L (5, 5), D (10, 5), shift (5,): scratch.
+    """
     R_s, L_s, psi_f = par[0], par[1], par[2]
     p, J, B, k_p = par[3], par[4], par[5], par[6]
     theta_a = 1.0 - R_s / L_s * dt
@@ -277,7 +286,6 @@ def _ukf_predict(
     c = math.sqrt(5.0 + kappa)
     weight = 0.5 / (5.0 + kappa)
     weight_0 = kappa / (5.0 + kappa)
-    shift = np.empty(5)
     for _ in range(n_sub):
         if not _cholesky(P, 0.0, 0.0, L) and not _cholesky(P, _REPAIR, _FLOOR, L):
             return False

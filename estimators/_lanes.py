@@ -10,7 +10,7 @@ the plain twins' by rounding only.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -34,6 +34,38 @@ _NIS, _GOOD, _ROOT, _KEPT = 42, 43, 44, 45
 ROWS: Final = _KEPT + STATE
 """Rows of a block: state, coefficients, noise, voltage as it is and as it turns, what comes out,
 whether every P had a factor (UKF), and the state before the sample."""
+
+
+class LanesRoom(NamedTuple):
+    """Scratch of the loops, of no meaning between calls: B blocks of lanes, and one drive's own.
+
+    work (B, ROWS * LANES); row_of (B * LANES,): the row that a lane works on; x (5,), P, F, W and
+    L (5, 5), K (5, 2), v (2,), shift (5,), D (10, 5): a drive's that is done alone.
+    """
+
+    work: Array
+    row_of: Ints
+    x: Array
+    P: Array
+    F: Array
+    W: Array
+    L: Array
+    K: Array
+    v: Array
+    shift: Array
+    D: Array
+
+
+def lanes_room(drives: int) -> LanesRoom:
+    """Of so many drives."""
+    blocks = (drives + LANES - 1) // LANES
+    P, F, W, L = (np.zeros((5, 5)) for _ in range(4))
+    return LanesRoom(
+        np.zeros((blocks, ROWS * LANES)), np.full(blocks * LANES, -1), np.zeros(5), P, F, W, L,
+        np.zeros((5, 2)), np.zeros(2), np.zeros(5), np.zeros((10, 5)),
+    )  # fmt: skip
+
+
 _TWO_OVER_PI, _PI_2, _PI_2_REST = 2.0 / math.pi, 1.5707963267948966, 6.123233995736766e-17
 _TURNS = 1.0 / (2.0 * math.pi)
 _TWO_PI = 2.0 * math.pi

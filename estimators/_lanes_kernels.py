@@ -27,8 +27,8 @@ from estimators._lanes import (
     _U,
     _V,
     _Y,
-    ROWS,
     STATE,
+    LanesRoom,
     _enter,
     _gather,
     _healthy,
@@ -207,25 +207,25 @@ def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float) -> None:
     _correct(s)
 
 
-@njit(cache=True)
+@lean
 def _alone(
     par: Array, Q: Array, R: Array, var: float, lean: float, u: Array, y: Array, n_sub: int,
-    n_gap: int, dt: float, kappa: float | None, x: Array, P: Array,
+    n_gap: int, dt: float, kappa: float | None, room: LanesRoom,
 ) -> float:  # fmt: skip
-    """A sample behind a gap, or of a covariance to be repaired: not worth a vector.
+    """A sample of the drive in `room`, behind a gap or to be repaired: not worth a vector.
 
     By the EKF where kappa is None; NaN for no factor.
     """
-    K, W, v = np.empty((5, 2)), np.empty((5, 5)), np.empty(2)
+    x, P, v = room.x, room.P, room.v
     if n_gap > 0:
-        _coast(par, Q, var, n_gap * dt, n_gap, x, P)
+        _coast(par, Q, var, n_gap * dt, n_gap, x, P, room.F, room.W)
     _leaned(u, lean, 0.5 * n_sub * dt, x, v)
     if kappa is None:
         _ekf_predict(par, Q, v, n_sub, dt, x, P)
-    elif not _ukf_predict(par, Q, v, n_sub, dt, kappa, x, P, np.zeros((5, 5)), np.empty((10, 5))):
+    elif not _ukf_predict(par, Q, v, n_sub, dt, kappa, x, P, room.L, room.D, room.shift):
         x[0] = math.nan
         return math.nan
-    return _update(R, y, x, P, K, W)
+    return _update(R, y, x, P, room.K, room.W)
 
 
 @lean
@@ -272,21 +272,19 @@ def _empty(work: Array, x: Array, P: Array) -> None:
         _store(work[d // _L], d % _L, x[d], P[d])
 
 
-@njit(cache=True)
+@lean
 def _lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
     y: Array, n_sub: Ints, n_gap: Ints, dt: float, kappa: float | None, nis_out: Array,
-    ok_out: Flags, lean: Array,
+    ok_out: Flags, lean: Array, room: LanesRoom,
 ) -> None:  # fmt: skip
     """Both filters' loop; the EKF where kappa is None: the other's code is then left out."""
-    drives, rows = x.shape[0], drive.shape[0]
-    blocks = (drives + _L - 1) // _L
-    work = np.empty((blocks, ROWS * _L))
-    row_of = np.full(blocks * _L, -1)
+    work, row_of, x_d, P_d = room.work, room.row_of, room.x, room.P
+    rows, blocks = drive.shape[0], work.shape[0]
+    row_of[:] = -1
     _fill(work, par, Q, R, lean, dt, x, P)
     nis_out[:] = np.nan
     ok_out[:] = True
-    x_d, P_d = np.empty(5), np.empty((5, 5))
     i = 0
     while i < rows:
         first, d = i, drive[i]
@@ -298,7 +296,7 @@ def _lanes(
             _store(s, k, x_d, P_d)
             nis = _alone(
                 par[d], Q[d], R[d], coast[d], lean[d], u[first], y[first], n_sub[first],
-                n_gap[first], dt, kappa, x_d, P_d,
+                n_gap[first], dt, kappa, room,
             )  # fmt: skip
             ok_out[d] = _healthy(x_d, P_d)
             if ok_out[d]:
@@ -318,7 +316,7 @@ def _lanes(
                 _store(s[_KEPT * _L :], k, x_d, P_d)
                 s[_NIS * _L + k] = _alone(
                     par[d], Q[d], R[d], coast[d], lean[d], u[row], y[row], n_sub[row], 0, dt,
-                    kappa, x_d, P_d,
+                    kappa, room,
                 )  # fmt: skip
                 s[_GOOD * _L + k] = 1.0 if _healthy(x_d, P_d) else 0.0
                 _load(s, k, x_d, P_d)
@@ -327,33 +325,36 @@ def _lanes(
     _empty(work, x, P)
 
 
-@njit(cache=True)
+@lean
 def ekf_lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
     y: Array, n_sub: Ints, n_gap: Ints, dt: float, nis_out: Array, ok_out: Flags, lean: Array,
+    room: LanesRoom,
 ) -> None:  # fmt: skip
     """Run the EKF over M samples; x (N, 5) and P (N, 5, 5) in place. Twin: `ekf.sweep`.
 
     par (N, 7) as `pmsm.table`; Q (N, 5), R (N, 2), coast (N,) as `pmsm.Noise`; lean (N,), V, as
-    in `ekf.leaned`. nis_out (M,) and ok_out (N,) are filled. A drive whose result is
-    not finite, or has a negative variance, gets ok False, keeps its last good x and P, and its
-    later rows are skipped with nis NaN: start it anew.
+    in `ekf.leaned`; room: `lanes_room(N)`. nis_out (M,) and ok_out (N,) are filled. A drive whose
+    result is not finite, or has a negative variance, gets ok False, keeps its last good x and P,
+    and its later rows are skipped with nis NaN: start it anew.
 
     Rows that follow one another are done together while they are of different drives, without a
     gap and of one length; a drive's own rows keep their order. P comes out symmetric.
     """
-    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, None, nis_out, ok_out, lean)
+    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, None, nis_out, ok_out, lean, room)
 
 
-@njit(cache=True)
+@lean
 def ukf_lanes(
     par: Array, Q: Array, R: Array, coast: Array, x: Array, P: Array, drive: Drives, u: Array,
     y: Array, n_sub: Ints, n_gap: Ints, dt: float, kappa: float, nis_out: Array, ok_out: Flags,
-    lean: Array,
+    lean: Array, room: LanesRoom,
 ) -> None:  # fmt: skip
     """Run the UKF over M samples: everything as in `ekf_lanes`. Twin: `ukf.sweep`.
 
     A covariance without a Cholesky factor is repaired once as `ukf.factor` says; if that fails too,
     the drive gets ok False.
     """
-    _lanes(par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, kappa, nis_out, ok_out, lean)
+    _lanes(
+        par, Q, R, coast, x, P, drive, u, y, n_sub, n_gap, dt, kappa, nis_out, ok_out, lean, room
+    )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dbc._kernels import decode_block
 from dbc._lean import inlined, lean
 from dbc._receive_kernels import cycle, judge
+from gateway import supervision
 from gateway._guard_kernels import note_foul
 from gateway._route_kernels import route
 from gateway._slow_kernels import keep
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from gateway.pairing import PairState, Samples, Wiring
     from gateway.receiving import Routes, Scratch
     from gateway.slow import Readings, SlowState
+    from gateway.supervision import Beats
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,9 +46,11 @@ _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(
 (
     _T_DECODED, _T_ERROR_FRAME, _T_REMOTE, _T_OWN, _T_TIME_BACK, _T_WRONG_LENGTH, _T_CRC,
     _T_REPEATED, _T_WRONG_SEQUENCE, _T_LOST, _T_NOT_YET_VALID, _T_NOT_AVAILABLE, _T_RANGE,
-    _T_UNKNOWN_ID,
-) = range(14)  # receiving.Tally  # fmt: skip
+    _T_UNKNOWN_ID, _T_CANOPEN,
+) = range(15)  # receiving.Tally  # fmt: skip
 _OWN, _SUPERVISED = -2, -3  # receiving
+_HEARTBEAT = supervision.HEARTBEAT_BASE
+_note_beat = inlined(supervision.note_beat)
 
 
 @inlined
@@ -301,11 +305,12 @@ def take_block(
     scratch: Scratch,
     readings: Readings,
     out: Samples,
+    beats: Beats,
 ) -> tuple[int, int, int, bool]:
     """A tick's frames, in order: route, verify, decode, pair. Every frame ends in one tally.
 
     The first five are columns of a `dbc.block.Block`. Returns the numbers of samples in `out`,
-    of rows that Python must see (`scratch.seen`) and of heartbeats and emergencies
+    of rows that Python must see (`scratch.seen`) and of emergencies
     (`scratch.foreign`); then whether anything but `decoded` was counted, else the tally is
     empty again. -1 first, and nothing done, for frames in another order.
     """
@@ -325,11 +330,15 @@ def take_block(
             if t < 0 or t > now:
                 # A heartbeat from the future would keep its node alive until then.
                 scratch.tally[_T_TIME_BACK] += 1
-            elif c == _SUPERVISED:
+            elif c != _SUPERVISED:
+                scratch.tally[_T_UNKNOWN_ID] += 1
+            elif can_id[r] >= _HEARTBEAT:
+                node = beats.row[can_id[r] - _HEARTBEAT]
+                _note_beat(node, t, length[r], flags[r] & _FD == 0, data[r, 0], beats)
+                scratch.tally[_T_CANOPEN] += 1
+            else:
                 scratch.foreign[foreign] = r
                 foreign += 1
-            else:
-                scratch.tally[_T_UNKNOWN_ID] += 1
             continue
         # Below 0 there is no time: -1 stands for none.
         if t < 0 or t > now or t < state.last_ns[c]:

@@ -22,6 +22,8 @@ _NO_ROUTE, _OWN = -1, -2  # receiving
 @inlined
 def route(can_id: int, flags: int, routes: Routes) -> int:
     """Channel of an identifier; below 0 as in `receiving`, -1 for any other."""
+    if not flags & _EXTENDED and can_id < routes.standard.shape[0]:
+        return int(routes.standard[can_id])
     key = np.int64(can_id) | (np.int64(flags & _EXTENDED) << 31)
     first, last = 0, routes.key.shape[0]
     while first < last:

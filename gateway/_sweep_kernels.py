@@ -1,8 +1,7 @@
 """A tick of the bank in one call: samples made even, chords, filters, innovations, judgement.
 
 Each step is a loop of its own with a twin of its own (`estimators`, `_bank_kernels`); here they are
-put one behind the other, because a call from Python costs more than most of them. Not `lean`: the
-filters' loops make arrays of their own.
+put one behind the other, because a call from Python costs more than most of them.
 """
 
 from __future__ import annotations
@@ -10,10 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from dbc._lean import inlined
+from dbc._lean import inlined, lean
 from estimators._adapt_kernels import absorb
 from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators._lock_kernels import lock_sweep
@@ -83,7 +81,7 @@ def _over_holes(samples: Samples, believed: Believed, constants: Constants, room
         room.ok[k] = True
 
 
-@njit(cache=True)
+@lean
 def advance_ekf(
     samples: Samples, now: int, causes: Ints, fresh: Flags, believed: Believed,
     constants: Constants, room: Room,
@@ -99,13 +97,13 @@ def advance_ekf(
         ekf_lanes(
             constants.table, constants.noise.Q, room.R, constants.noise.coast, filters.x,
             filters.P, samples.drive, samples.u, room.y, samples.steps, samples.gap,
-            constants.dt_s, room.nis, room.ok, filters.lean,
+            constants.dt_s, room.nis, room.ok, filters.lean, room.lanes,
         )  # fmt: skip
         _after(samples, believed, constants, room)
     return _judge(samples, now, causes, fresh, believed, constants, room)
 
 
-@njit(cache=True)
+@lean
 def advance_ukf(
     samples: Samples, now: int, causes: Ints, fresh: Flags, believed: Believed,
     constants: Constants, room: Room,
@@ -118,7 +116,7 @@ def advance_ukf(
         ukf_lanes(
             constants.table, constants.noise.Q, room.R, constants.noise.coast, filters.x,
             filters.P, samples.drive, samples.u, room.y, samples.steps, samples.gap,
-            constants.dt_s, constants.kappa, room.nis, room.ok, filters.lean,
+            constants.dt_s, constants.kappa, room.nis, room.ok, filters.lean, room.lanes,
         )  # fmt: skip
         _after(samples, believed, constants, room)
     return _judge(samples, now, causes, fresh, believed, constants, room)

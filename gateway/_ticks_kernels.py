@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from dbc._lean import inlined
-from estimators.detect._kernels import judge
+from dbc._lean import inlined, lean
+from estimators.detect._kernels import judge_few
 from estimators.detect.reference import Reference
 from estimators.detect.response import Memory
+from gateway import supervision
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._inputs_kernels import look
 from gateway._kernels import settle, take_block
@@ -40,6 +40,7 @@ _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
 _READINGS, _CHANGED = 0, 1  # slow.Count
 _NONE = 0  # Reason
+_any_lost = lean(supervision.any_lost)
 
 
 @inlined
@@ -51,17 +52,19 @@ def _enough(usable: Bools) -> bool:
     return known >= 2
 
 
-@njit(cache=True)
+@lean
 def _opinion(judging: Judging) -> float:
     """`VariationalDetector`: fills lost and known of `judging`, gives the common load."""
     known, room = judging.at.known, judging.room
-    if not _enough(known):
-        judging.lost[:] = 0.0
-        judging.known[:] = False
+    enough = _enough(known)
+    for k in range(known.shape[0]):
+        judging.lost[k] = 0.0
+        judging.known[k] = enough and known[k]
+    if not enough:
         return 0.0
-    judging.known[:] = known
-    return judge(  # type: ignore[no-any-return,unused-ignore]
-        room.referred, room.spread, known, judging.priors, judging.sweeps, judging.lost
+    return judge_few(  # type: ignore[no-any-return,unused-ignore]
+        room.referred, room.spread, known, judging.priors, judging.sweeps, judging.rough,
+        judging.lost,
     )  # fmt: skip
 
 
@@ -76,16 +79,7 @@ def _count(tally: Ints, saying: Saying) -> None:
     saying.counts[_C_LOST] = saying.lost + tally[_T_LOST]
 
 
-# Not lean: whoever makes tuples of arrays has to count them.
-@njit(cache=True)
-def _with_spread(reference: Reference, spread: float) -> Reference:
-    return Reference(
-        reference.ratio, reference.variance, spread, reference.configured, reference.residual,
-        reference.seen,
-    )  # fmt: skip
-
-
-@njit(cache=True)
+@lean
 def several(
     t_ns: Ints, can_id: NDArray[np.uint32], flags: NDArray[np.uint8], length: NDArray[np.uint8],
     data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,
@@ -114,24 +108,24 @@ def several(
                 data[first:last], now, receiving.routes, receiving.guard, receiving.memory,
                 receiving.state, receiving.tables, receiving.wiring, receiving.hole_ns,
                 receiving.pairs, receiving.slow, receiving.scratch, receiving.readings,
-                receiving.out,
+                receiving.out, receiving.beats,
             )  # fmt: skip
             if samples < 0:
                 break
-            if (
-                seen or foreign or receiving.pairs.trouble[_ANY]
-                or samples > filtering.room.nis.shape[0]
-            ):  # fmt: skip
-                stage = HEARD
-                break
-            went.tally[0] += last - first
-            if not odd:
-                went.tally[1] += last - first
-            if receiving.slow.came[_CHANGED]:
-                motions = receiving.slow.came[_READINGS]
-                receiving.slow.came[:] = 0
         else:
             settle(now, receiving.guard, receiving.memory, receiving.state)
+        if (
+            seen or foreign or receiving.pairs.trouble[_ANY]
+            or samples > filtering.room.nis.shape[0] or _any_lost(now, receiving.beats)
+        ):  # fmt: skip
+            stage = HEARD
+            break
+        went.tally[0] += last - first
+        if not odd:
+            went.tally[1] += last - first
+        if receiving.slow.came[_CHANGED]:
+            motions = receiving.slow.came[_READINGS]
+            receiving.slow.came[:] = 0
         busy = busy_s(
             busy, can_id[first:last], flags[first:last], length[first:last], receiving.routes,
             receiving.classic_s, receiving.fd_s,
@@ -186,8 +180,16 @@ def several(
                 judging.at, judging.heard, judging.settled_ns, judging.probably, judging.trust,
                 judging.room,
             )  # fmt: skip
-            reference = _with_spread(reference, spread)
-            response = Memory(_with_spread(response.reference, own), response.since_s)
+            # Here and not in a function: one that gives arrays back has to count them.
+            reference = Reference(
+                reference.ratio, reference.variance, spread, reference.configured,
+                reference.residual, reference.seen,
+            )  # fmt: skip
+            alone = response.reference
+            alone = Reference(
+                alone.ratio, alone.variance, own, alone.configured, alone.residual, alone.seen
+            )
+            response = Memory(alone, response.since_s)
         lost, known = judging.room.lost, judging.room.known
         weigh(
             inputs, filtering.motion.wrong, told, lost, known, saying.findings, _NONE,

@@ -203,7 +203,7 @@ class Inbox:
             block.t_ns, block.can_id, block.flags, block.length, block.data,
             now, self.routes, self.guard, self.memory, self.state, self.codec.tables,
             self.wiring, MAX_GAP_NS, self.pairs, self.slow, self.scratch, self.readings,
-            self.room,
+            self.room, self.supervision.beats,
         )  # fmt: skip
 
     def count(self) -> None:

@@ -19,8 +19,11 @@ Bytes = NDArray[np.uint8]
 
 OWN: Final = -2
 SUPERVISED: Final = -3
-"""Heartbeats and emergencies of the drives' nodes, which `supervision` looks at."""
+"""Heartbeats and emergencies of the drives' nodes, which `supervision` knows."""
+NO_ROUTE: Final = -1
 EXTENDED_SHIFT: Final = 31
+STANDARD: Final = 1 << 11
+"""Identifiers of 11 bits."""
 
 
 class Tally(IntEnum):
@@ -41,16 +44,22 @@ class Tally(IntEnum):
     NOT_AVAILABLE = 11
     RANGE = 12
     UNKNOWN_ID = 13
+    CANOPEN = 14
+    """Heartbeats of the drives' nodes; their emergencies are told one by one (`foreign`)."""
 
 
 NAMES: Final = tuple(tally.name.lower() for tally in Tally)
 
 
 class Routes(NamedTuple):
-    """Identifiers in ascending order (29-bit ones with bit 31 set), and the channel of each."""
+    """Identifiers in ascending order (29-bit ones with bit 31 set), and the channel of each.
+
+    standard (2048,): the channel of every 11-bit one.
+    """
 
     key: Ints
     channel: Ints
+    standard: Ints
 
 
 class Scratch(NamedTuple):
@@ -72,9 +81,11 @@ def routes(channels: Mapping[int, int], own: Iterable[int], supervised: Iterable
     """From key to channel number; keys that are the gateway's own; those of heartbeats."""
     table = {**dict.fromkeys(supervised, SUPERVISED), **channels, **dict.fromkeys(own, OWN)}
     keys = sorted(table)
+    standard = [table.get(key, NO_ROUTE) for key in range(STANDARD)]
     return Routes(
-        np.array(keys, dtype=np.int64), np.array([table[key] for key in keys], dtype=np.int64)
-    )
+        np.array(keys, dtype=np.int64), np.array([table[key] for key in keys], dtype=np.int64),
+        np.array(standard, dtype=np.int64),
+    )  # fmt: skip
 
 
 def scratch(rows: int, width: int) -> Scratch:

@@ -21,6 +21,7 @@ from gateway.pairing import PairState, Samples, Wiring
 from gateway.receiving import Routes, Scratch
 from gateway.said import Findings, Flags, Rules, Said
 from gateway.slow import Readings, SlowState
+from gateway.supervision import Beats
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,6 +47,7 @@ class Receiving(NamedTuple):
     scratch: Scratch
     readings: Readings
     out: Samples
+    beats: Beats
     busy_s: float
     classic_s: Array
     fd_s: Array
@@ -67,7 +69,7 @@ class Filtering(NamedTuple):
 class Judging(NamedTuple):
     """As `AdhesionSide.judge` with `VariationalDetector`, whose opinion fills lost, known (N,).
 
-    learn_ns: when drives are learnt from next; every_ns: and how often.
+    rough (3, N): its room; learn_ns: when drives are learnt from next; every_ns: and how often.
     """
 
     flag: Ints
@@ -89,6 +91,7 @@ class Judging(NamedTuple):
     sweeps: int
     lost: Array
     known: Bools
+    rough: Array
     learn_ns: int
     every_ns: int
     settled_ns: int

@@ -12,17 +12,22 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
 
-FOREVER: Nanos = (1 << 63) - 1
+Ints = NDArray[np.int64]
+
+NEVER: Nanos = -(1 << 63)
 HEARTBEAT_BASE = 0x700
 EMCY_BASE = 0x080
 EMCY_KEPT = 16
 ACTIVE_KEPT = 16
 
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
-_NMT_STATES = frozenset((BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL))
 _NOT_PLAIN = EXTENDED | REMOTE | ERROR | FD
+_NODES = 128
 
 
 class Life(IntEnum):
@@ -84,24 +89,80 @@ class EmcyLog:
                 self.unlisted += 1
 
 
+class Beats(NamedTuple):
+    """Heartbeats of N nodes, as arrays for the compiled receive loop.
+
+    row (128,): place of a node by its number, -1 for none of ours; last_ns, state (N,): of the
+    newest heartbeat, NEVER and -1 before any; boots (N,); malformed (1,): of a wrong format;
+    timeout_ns (1,): silence that is longer is a loss.
+    """
+
+    row: Ints
+    last_ns: Ints
+    state: Ints
+    boots: Ints
+    malformed: Ints
+    timeout_ns: Ints
+
+
+def beats(nodes: tuple[int, ...], timeout_ns: Nanos) -> Beats:
+    """Nothing heard yet."""
+    row, last_ns = np.full(_NODES, -1), np.full(len(nodes), NEVER)
+    row[list(nodes)] = range(len(nodes))
+    state, boots = np.full(len(nodes), -1), np.zeros(len(nodes), dtype=np.int64)
+    return Beats(row, last_ns, state, boots, np.zeros(1, dtype=np.int64), np.array([timeout_ns]))
+
+
+def note_beat(k: int, t_ns: Nanos, length: int, plain: bool, byte: int, beats: Beats) -> None:
+    """A heartbeat of node k; one of a wrong format is counted, and is no sign of life.
+
+    plain: neither FD nor remote; byte: its first.
+    """
+    state = byte & 0x7F  # bit 7 toggles in node guarding
+    known = state in (BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL)
+    if not (plain and length == 1 and known):
+        beats.malformed[0] += 1
+        return
+    if state == BOOT_UP:
+        beats.boots[k] += 1
+    if t_ns >= beats.last_ns[k]:
+        beats.last_ns[k] = t_ns
+        beats.state[k] = state
+
+
+def any_lost(now_ns: Nanos, beats: Beats) -> bool:
+    """Whether a node has been silent for too long; one that was never heard is not supervised."""
+    for k in range(beats.last_ns.shape[0]):
+        last = beats.last_ns[k]
+        if last != NEVER and now_ns - last > beats.timeout_ns[0]:
+            return True
+    return False
+
+
 class Supervision:
     """Heartbeat consumer and emergency consumer for a fixed set of nodes."""
 
     def __init__(self, nodes: Iterable[int], timeout_ns: Nanos) -> None:
         """Supervise `nodes`; a node is lost when silent for longer than `timeout_ns`."""
         self.nodes = tuple(nodes)
-        self._timeout_ns = timeout_ns
-        self._last_ns: dict[int, Nanos] = {}
-        self._state: dict[int, int] = {}
+        self.beats = beats(self.nodes, timeout_ns)
+        self._row = {n: k for k, n in enumerate(self.nodes)}
         self._heartbeat_of = {HEARTBEAT_BASE + n: n for n in self.nodes}
         self._emcy_of = {EMCY_BASE + n: n for n in self.nodes}
         self.ids = (*self._heartbeat_of, *self._emcy_of)
         """Identifiers of what it looks at."""
         self.emcy = {n: EmcyLog() for n in self.nodes}
-        self.boots = dict.fromkeys(self.nodes, 0)
+        self._malformed = 0
+
+    @property
+    def boots(self) -> dict[int, int]:
         """Boot-up messages per node; more than one means that the drive restarted."""
-        self.malformed = 0
+        return dict(zip(self.nodes, self.beats.boots.tolist(), strict=True))
+
+    @property
+    def malformed(self) -> int:
         """Heartbeats and emergencies of a supervised node with a wrong format."""
+        return self._malformed + self.beats.malformed.item()
 
     def observe(self, frame: Frame) -> bool:
         """Take in a frame; True if it was a heartbeat or emergency of a supervised node.
@@ -109,61 +170,40 @@ class Supervision:
         A malformed one is counted and is no sign of life.
         """
         node = self._heartbeat_of.get(frame.can_id)
+        data, plain = frame.data, not frame.flags & _NOT_PLAIN
         if node is not None:
             if frame.flags & (EXTENDED | ERROR):
                 return False  # another identifier, or an error class
-            self._heartbeat(node, frame)
+            first = data[0] if data else 0
+            note_beat(self._row[node], frame.t_ns, len(data), plain, first, self.beats)
             return True
         node = self._emcy_of.get(frame.can_id)
         if node is None or frame.flags & (EXTENDED | ERROR):
             return False
-        data = frame.data
-        if len(data) != 8 or frame.flags & _NOT_PLAIN:
-            self.malformed += 1
+        if len(data) != 8 or not plain:
+            self._malformed += 1
         else:
             code = data[0] | data[1] << 8
             self.emcy[node].add(Emergency(frame.t_ns, code, data[2], data[3:]))
         return True
 
-    def _heartbeat(self, node: int, frame: Frame) -> None:
-        if len(frame.data) != 1 or frame.flags & _NOT_PLAIN:
-            self.malformed += 1
-            return
-        state = frame.data[0] & 0x7F  # bit 7 toggles in node guarding
-        if state not in _NMT_STATES:
-            self.malformed += 1
-            return
-        if state == BOOT_UP:
-            self.boots[node] += 1
-        last = self._last_ns.get(node)
-        if last is None or frame.t_ns >= last:
-            self._last_ns[node] = frame.t_ns
-            self._state[node] = state
-
-    def none_lost(self, now_ns: Nanos) -> bool:
-        """Whether `life` says lost of no node."""
-        return now_ns < self.lost_ns
-
-    @property
-    def lost_ns(self) -> Nanos:
-        """From when on `life` says lost of a node, if nothing comes until then."""
-        last = self._last_ns
-        return min(last.values()) + self._timeout_ns + 1 if last else FOREVER
+    def any_lost(self, now_ns: Nanos) -> bool:
+        """Whether `life` says lost of any node."""
+        return any_lost(now_ns, self.beats)
 
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""
-        last = self._last_ns.get(node)
-        if last is None:
+        row = self._row.get(node)
+        last = NEVER if row is None else self.beats.last_ns.item(row)
+        if last == NEVER:
             return Life.NEVER_SEEN
-        return Life.LOST if now_ns - last > self._timeout_ns else Life.ALIVE
+        return Life.LOST if now_ns - last > self.beats.timeout_ns.item() else Life.ALIVE
 
     def states(self, now_ns: Nanos) -> dict[int, NodeState]:
         """Verdict, NMT state and age per node."""
-        return {
-            node: NodeState(
-                self.life(node, now_ns),
-                self._state.get(node, -1),
-                now_ns - self._last_ns[node] if node in self._last_ns else -1,
-            )
-            for node in self.nodes
-        }
+        out = {}
+        for k, node in enumerate(self.nodes):
+            last = self.beats.last_ns.item(k)
+            age = -1 if last == NEVER else now_ns - last
+            out[node] = NodeState(self.life(node, now_ns), self.beats.state.item(k), age)
+        return out

@@ -58,6 +58,7 @@ class Ticks:
         self._period_ns = gateway.config.loop.period_ns
         self._unscented = True if gateway.config.estimator.kind == "ukf" else None
         self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        self._rough = np.zeros((3, n))
         self._went = stretch.went(FRAMES, len(gateway.outbox.heads))
         # By number of message: a frame of it, which costs what they all cost.
         heads = [
@@ -93,7 +94,7 @@ class Ticks:
         gateway = self.gateway
         if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
             return now
-        return min(gateway.thermal.same_ns, gateway.load.window_ns, gateway.supervision.lost_ns)
+        return min(gateway.thermal.same_ns, gateway.load.window_ns)
 
     def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
         """As `run`, for ticks before `until`; none if the first wants a step of its own."""
@@ -149,8 +150,8 @@ class Ticks:
         return Receiving(
             self._period_ns, inbox.routes, inbox.guard, inbox.memory, inbox.state,
             inbox.codec.tables, inbox.wiring, MAX_GAP_NS, inbox.pairs, inbox.slow, inbox.scratch,
-            inbox.readings, inbox.room, load.busy_s, load.classic_s, load.fd_s, gateway.lost,
-            gateway.places,
+            inbox.readings, inbox.room, gateway.supervision.beats, load.busy_s, load.classic_s,
+            load.fd_s, gateway.lost, gateway.places,
         )  # fmt: skip
 
     def _filtering(self) -> Filtering:
@@ -167,8 +168,8 @@ class Ticks:
             flags.flag[Which.ADHESION], flags.since_ns[Which.ADHESION], side.tick_s, side.rotors,
             side.reference, side.response, PASSING, SEVERE, SEVERE_SPREADS, side.at, side.heard,
             side.trust, side.room, side.rules, side.mode, self._detector.table,
-            self._detector.sweeps, self._lost, self._known, side.learn_ns, LEARN_NS, SETTLED_NS,
-            PROBABLY_GOOD,
+            self._detector.sweeps, self._lost, self._known, self._rough, side.learn_ns, LEARN_NS,
+            SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
 
     def _saying(self, counted: Counted) -> Saying:

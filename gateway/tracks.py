@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators._lanes import LanesRoom, lanes_room
 from estimators.lock import LockState, LockTuning
 from estimators.models.pmsm import Noise
 from estimators.unbalance import Unbalance
@@ -120,20 +121,21 @@ class Constants(NamedTuple):
 
 
 class Room(NamedTuple):
-    """For one tick: y (M, 2) made even, nis (M,), R (N, 2), w_e (N,), ok (N,)."""
+    """For one tick: y (M, 2) made even, nis (M,), R (N, 2), w_e (N,), ok (N,); for filters."""
 
     y: Array
     nis: Array
     R: Array
     w_e: Array
     ok: Flags
+    lanes: LanesRoom
 
 
 def room(n: int, samples: int) -> Room:
     """For N drives and so many samples."""
     return Room(
         np.zeros((samples, 2)), np.zeros(samples), np.zeros((n, 2)), np.zeros(n),
-        np.ones(n, dtype=np.bool_),
+        np.ones(n, dtype=np.bool_), lanes_room(n),
     )  # fmt: skip
 
 

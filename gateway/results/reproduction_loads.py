@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators._lanes import lanes_room
 from estimators._lanes_kernels import ekf_lanes
 from estimators.models import pmsm
 from gateway.config import Estimator
@@ -89,10 +90,11 @@ def estimate(samples: Record, belief: Filter, x_0: Array, P_0: Array) -> Estimat
     nis, ok = np.empty(n), np.empty(n, dtype=np.bool_)
     u, y = np.ascontiguousarray(samples.u), np.ascontiguousarray(samples.y)
     load, speed = np.empty((count, n)), np.empty((count, n))
+    room = lanes_room(n)
     for k in range(count):
         ekf_lanes(
             motor, Q, R, np.zeros(n), x, P, drive, u[k], y[k], n_sub, n_gap, pmsm.SUB_STEP_S,
-            nis, ok, np.zeros(n),
+            nis, ok, np.zeros(n), room,
         )  # fmt: skip
         if not ok.all():
             raise FloatingPointError(f"{belief.name}: a filter diverged at sample {k + 1}")

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimators import _lanes_kernels, _lock_kernels, ekf, lock, ukf
+from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
 from tests.strategies import filter_states, motor_rows, sample_rows
@@ -37,9 +38,9 @@ def run(kind, par, x, P, rows):
     body = (drive, table[:, 1:3].copy(), table[:, 3:5].copy(), n_sub, n_gap, SUB_STEP_S)
     straight = np.zeros(len(x))
     if kind == "ekf":
-        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, straight)
+        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, straight, lanes_room(len(x)))
     else:
-        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, straight)
+        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, straight, lanes_room(len(x)))
     return x, P, nis, ok
 
 

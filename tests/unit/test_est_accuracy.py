@@ -12,6 +12,7 @@ import pytest
 from scipy.special import ndtr
 
 from estimators import _lanes_kernels, _lock_kernels, lock, ukf
+from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
 from tests.unit.test_est_ekf import bench
@@ -67,14 +68,15 @@ def load_errors(
         )
         assert state.ready.all()
         x, P = lock.start_state(state, par, noise, rated(DRIVES))
+        room = lanes_room(DRIVES)
         for end in range(816, len(truth.w) + 1, 16):
             now = slice(*np.searchsorted(rows.tick, [end - 16, end]))
             nis = np.empty(now.stop - now.start)
             args = (table, noise.Q, noise.R, noise.coast, x, P, *(c[now] for c in rows[:5]), TICK_S)
             if kind == "ekf":
-                _lanes_kernels.ekf_lanes(*args, nis, ok, np.zeros(DRIVES))
+                _lanes_kernels.ekf_lanes(*args, nis, ok, np.zeros(DRIVES), room)
             else:
-                _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES))
+                _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES), room)
             assert ok.all()
             if end > 2000:
                 errors.append(x[:, 4] - truth.load[end - 1])

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 import gateway.bank
 from estimators import _lanes_kernels, ukf
+from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, THETA_E, W_E
 from gateway.config import parse
@@ -64,9 +65,9 @@ def track(
         y = truth[:, :2] + rng.normal(size=(RUNS, 2)) * np.sqrt(worse * noise.R)
         args = (table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, n_sub, n_gap, SUB_STEP_S)
         if kind == "ekf":
-            _lanes_kernels.ekf_lanes(*args, nis[k], ok, np.zeros(RUNS))
+            _lanes_kernels.ekf_lanes(*args, nis[k], ok, np.zeros(RUNS), lanes_room(RUNS))
         else:
-            _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis[k], ok, np.zeros(RUNS))
+            _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis[k], ok, np.zeros(RUNS), lanes_room(RUNS))
         assert ok.all()
         error = truth - x
         error[:, THETA_E] = pmsm.wrap(error[:, THETA_E])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import _lanes_kernels, _lock_kernels, ekf, lock, ukf
+from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
 from tests.unit.test_est_ekf import bench
@@ -45,9 +46,9 @@ def sweep(kind: str, c: Case, rows: Rows | None = None):
     head = (pmsm.table(c.par), c.noise.Q, c.noise.R, c.noise.coast, x, P)
     body = (rows.drive, rows.u, rows.y, rows.n_sub, rows.n_gap, SUB_STEP_S)
     if kind == "ekf":
-        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, c.lean)
+        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, c.lean, lanes_room(len(x)))
     else:
-        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, c.lean)
+        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, c.lean, lanes_room(len(x)))
     return x, P, nis, ok
 
 

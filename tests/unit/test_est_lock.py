@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimators import _lanes_kernels, _lock_kernels, lock
+from estimators._lanes import lanes_room
 from estimators.lock import Agreement
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
@@ -199,7 +200,7 @@ def test_agreement_tells_right_from_wrong_filters(final, every):
     P = np.tile(np.diag([1.0, 1.0, 1e4, 4.0, 900.0]), (36, 1, 1))
     nis, ok = np.empty(len(rows.drive)), np.empty(36, dtype=np.bool_)
     head = (pmsm.table(par), paper.Q, paper.R, paper.coast)
-    _lanes_kernels.ekf_lanes(*head, x, P, *rows[:5], TICK_S, nis, ok, np.zeros(36))
+    _lanes_kernels.ekf_lanes(*head, x, P, *rows[:5], TICK_S, nis, ok, np.zeros(36), lanes_room(36))
     state = lock.start(36)
     feed(state, par, rows, np.ones(len(rows.drive), dtype=np.bool_))
     error = np.abs(pmsm.wrap(x[:, 3] - truth.theta[-1]))
@@ -237,6 +238,7 @@ def test_start_state_starts_the_filter_right():
         nis,
         ok,
         np.zeros(36),
+        lanes_room(36),
     )
     assert ok.all()
     assert np.abs(x[:, 4] - 15.0).max() < 2.0
