@@ -25,8 +25,10 @@ Drives = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 LANES: Final = 8
-"""Two vector registers of AVX2: one alone waits for its own results."""
+"""Two vector registers of AVX2: one alone waits for its own results, and is still half the work
+where there are four drives or fewer."""
 _L = LANES
+_HALF = _L // 2
 STATE: Final = 20
 """Rows of x (5) and of P's upper triangle (15)."""
 _PAR, _Q, _R, _U, _LEAN, _V, _TURN, _Y = 20, 26, 31, 33, 35, 36, 38, 40

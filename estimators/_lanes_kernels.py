@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from estimators._kernels import _FLOOR, _coast, _ekf_predict, _leaned, _ukf_predict, _update
 from estimators._lanes import (
     _GOOD,
+    _HALF,
     _KEPT,
     _L,
     _NIS,
@@ -48,9 +49,9 @@ Flags = NDArray[np.bool_]
 
 
 @njit(inline="always", fastmath={"contract"}, error_model="numpy")
-def _predict(s: Array, dt: float) -> None:
-    """One sub-step of `_kernels._ekf_predict`; the angle is not wrapped."""
-    for k in range(_L):
+def _predict(s: Array, dt: float, first: int, last: int) -> None:
+    """One sub-step of `_kernels._ekf_predict`, lanes first to last; the angle is not wrapped."""
+    for k in range(first, last):
         a, b, f22 = s[_PAR * _L + k], s[(_PAR + 1) * _L + k], s[(_PAR + 2) * _L + k]
         e, f24 = s[(_PAR + 3) * _L + k], s[(_PAR + 4) * _L + k]
         i_a, i_b, w, theta, load = s[k], s[_L + k], s[2 * _L + k], s[3 * _L + k], s[4 * _L + k]
@@ -112,9 +113,9 @@ def _predict(s: Array, dt: float) -> None:
 
 
 @njit(inline="always", fastmath={"contract"}, error_model="numpy")
-def _correct(s: Array) -> None:
+def _correct(s: Array, lanes: int) -> None:
     """`_kernels._update` and what `_store` asks for; bad lanes are told, not undone."""
-    for k in range(_L):
+    for k in range(lanes):
         p00, p01, p02 = s[5 * _L + k], s[6 * _L + k], s[7 * _L + k]
         p03, p04 = s[8 * _L + k], s[9 * _L + k]
         p11, p12, p13 = s[10 * _L + k], s[11 * _L + k], s[12 * _L + k]
@@ -183,18 +184,30 @@ def _correct(s: Array) -> None:
 
 
 @fused
-def _block(s: Array, n_sub: int, dt: float) -> None:
-    """One sample of all lanes."""
+def _block(s: Array, n_sub: int, dt: float, wide: bool) -> None:
+    """One sample of all lanes; of the first half where nothing is in the other.
+
+    A sub-step of all does not fit into a processor's registers: many are done half by half.
+    """
     for k in range(STATE * _L):
         s[_KEPT * _L + k] = s[k]
     _turning(s, n_sub, dt)
-    for _ in range(n_sub):
-        _predict(s, dt)
-    _correct(s)
+    if wide and n_sub == 1:
+        _predict(s, dt, 0, _L)
+    else:
+        for _ in range(n_sub):
+            _predict(s, dt, 0, _HALF)
+        if wide:
+            for _ in range(n_sub):
+                _predict(s, dt, _HALF, _L)
+    if wide:
+        _correct(s, _L)
+    else:
+        _correct(s, _HALF)
 
 
 @fused
-def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float) -> None:
+def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float, wide: bool) -> None:
     """The same by the UKF. Lanes whose covariance had no factor are told in row `_ROOT`."""
     for k in range(STATE * _L):
         s[_KEPT * _L + k] = s[k]
@@ -202,9 +215,14 @@ def _block_unscented(s: Array, n_sub: int, dt: float, kappa: float) -> None:
         s[_ROOT * _L + k] = 1.0
     _turning(s, n_sub, dt)
     reach, weight = math.sqrt(5.0 + kappa), 0.5 / (5.0 + kappa)
-    for _ in range(n_sub):
-        _predict_unscented(s, dt, reach, weight, kappa / (5.0 + kappa))
-    _correct(s)
+    if wide:
+        for _ in range(n_sub):
+            _predict_unscented(s, dt, reach, weight, kappa / (5.0 + kappa), _L)
+        _correct(s, _L)
+    else:
+        for _ in range(n_sub):
+            _predict_unscented(s, dt, reach, weight, kappa / (5.0 + kappa), _HALF)
+        _correct(s, _HALF)
 
 
 @lean
@@ -235,14 +253,16 @@ def _round(
 ) -> int:  # fmt: skip
     """One sample of every block from b on; gives the first that wants a repair, not settled yet."""
     while b < work.shape[0]:
-        wanted, broken = False, False
+        wanted, wide, broken = False, False, False
         for k in range(_L):
-            wanted |= row_of[np.uint64(b * _L + k)] >= 0
+            mine = row_of[np.uint64(b * _L + k)] >= 0
+            wanted |= mine
+            wide |= mine and k >= _HALF
         if wanted:
             if kappa is None:
-                _block(work[b], n_sub, dt)
+                _block(work[b], n_sub, dt, wide)
             else:
-                _block_unscented(work[b], n_sub, dt, kappa)
+                _block_unscented(work[b], n_sub, dt, kappa, wide)
                 for k in range(_L):
                     broken |= row_of[b * _L + k] >= 0 and work[b, _ROOT * _L + k] == 0.0
                 if broken:

@@ -53,13 +53,15 @@ def _pair(
 
 
 @njit(inline="always", fastmath={"contract"}, error_model="numpy")
-def _predict_unscented(s: Array, dt: float, reach: float, weight: float, weight_0: float) -> None:
-    """One sub-step of `_kernels._ukf_predict`; the angle is not wrapped.
+def _predict_unscented(
+    s: Array, dt: float, reach: float, weight: float, weight_0: float, lanes: int
+) -> None:
+    """One sub-step of `_kernels._ukf_predict`, of the first lanes; the angle is not wrapped.
 
     reach: sqrt(5 + kappa); weight of a point, weight_0 of the mean. A lane whose P has no factor
     is told in row `_ROOT`.
     """
-    for k in range(_L):
+    for k in range(lanes):
         a, b, d = s[_PAR * _L + k], s[(_PAR + 1) * _L + k], s[(_PAR + 2) * _L + k]
         e, f = s[(_PAR + 3) * _L + k], s[(_PAR + 4) * _L + k]
         i_a, i_b, w, theta, load = s[k], s[_L + k], s[2 * _L + k], s[3 * _L + k], s[4 * _L + k]
