@@ -32,7 +32,7 @@ STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("detector and commands", core.AdhesionSide, "judge"),
     ("  before the detector, compiled", Direct, "compare"),
     ("  after the detector, compiled", Direct, "conclude"),
-    ("thermal readings", core.ThermalSide, "take"),
+    ("thermal readings", core.ThermalSide, "hear"),
     ("thermal reports", core.ThermalSide, "tell"),
     ("evidence, compiled", Direct, "weigh"),
     ("flags, compiled", Direct, "decide"),

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from estimators._lean import lean
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-@njit(cache=True)
+@lean
 def take(ring: Array, seen: int, values: Array, present: Flags, mean: Array, known: Flags) -> None:
     """`maisd.push` and `maisd.average`.
 
@@ -34,18 +35,25 @@ def take(ring: Array, seen: int, values: Array, present: Flags, mean: Array, kno
             known[j, p] = 2 * n >= s
 
 
-@njit(cache=True)
-def compare(mean: Array, known: Flags, spread: Array, deviation: Array) -> None:
-    """`maisd.maisd` and `maisd.deviation`: fills spread (P,) and deviation (M, P)."""
+@lean
+def compare(mean: Array, known: Flags, ranked: Array, spread: Array, deviation: Array) -> None:
+    """`maisd.maisd` and `maisd.deviation`: fills spread (P,) and deviation (M, P).
+
+    ranked (M,): room.
+    """
     m, points = mean.shape
-    ranked = np.empty(m)
     for p in range(points):
         n = 0
         total = 0.0
         for j in range(m):
             deviation[j, p] = math.nan
             if known[j, p]:
-                ranked[n] = mean[j, p]
+                # Ranked once: the others' middle ones are found beside the motor's own place.
+                place = n
+                while place > 0 and ranked[place - 1] > mean[j, p]:
+                    ranked[place] = ranked[place - 1]
+                    place -= 1
+                ranked[place] = mean[j, p]
                 n += 1
                 total += mean[j, p]
         spread[p] = math.nan
@@ -53,15 +61,15 @@ def compare(mean: Array, known: Flags, spread: Array, deviation: Array) -> None:
             continue
         centre = total / n
         square = 0.0
-        # Ranked once: the others' middle ones are found beside the motor's own place.
-        ranked[:n] = np.sort(ranked[:n])
         low, high = (n - 2) // 2, (n - 1) // 2
         for j in range(m):
             if not known[j, p]:
                 continue
             own = mean[j, p]
             square += (own - centre) ** 2
-            place = np.searchsorted(ranked[:n], own)
+            place = 0
+            while ranked[place] < own:
+                place += 1
             middle = ranked[low + (low >= place)] + ranked[high + (high >= place)]
             deviation[j, p] = own - 0.5 * middle
         spread[p] = math.sqrt(square / n)

@@ -28,7 +28,7 @@ def worse(one: int, other: int) -> int:
 
 
 @inlined
-def _fresh(c: int, now: int, state: ChannelState) -> bool:
+def fresh(c: int, now: int, state: ChannelState) -> bool:
     """True while channel c's last good value is within its limit and can be believed."""
     if c < 0:
         return False
@@ -92,6 +92,6 @@ def look(
         known = sample >= 0 and now - sample <= places.limit_ns[k]
         out.fresh[k] = known and cause != _STALE
         status, motion = places.status[k], places.motion[k]
-        out.commanded[k] = not math.isnan(slow.command[k]) and _fresh(status, now, state)
-        out.speed[k] = slow.speed[k] if _fresh(motion, now, state) else math.nan
+        out.commanded[k] = not math.isnan(slow.command[k]) and fresh(status, now, state)
+        out.speed[k] = slow.speed[k] if fresh(motion, now, state) else math.nan
         out.comm[k] = _comm(k, lost[k] or intruder, places, state)

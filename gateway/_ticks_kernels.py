@@ -24,11 +24,12 @@ from gateway._outbox_kernels import send
 from gateway._route_kernels import busy_s
 from gateway._said_kernels import decide, tell, weigh
 from gateway._sweep_kernels import advance_ekf, advance_ukf
+from gateway._thermal_kernels import advance, hear, report
 from gateway.pairing import Samples
 from gateway.stretch import Left
 
 if TYPE_CHECKING:
-    from gateway.stretch import Filtering, Judging, Receiving, Saying, Went
+    from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -83,7 +84,8 @@ def _count(tally: Ints, saying: Saying) -> None:
 def several(
     t_ns: Ints, can_id: NDArray[np.uint32], flags: NDArray[np.uint8], length: NDArray[np.uint8],
     data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,
-    filtering: Filtering, unscented: bool | None, judging: Judging, saying: Saying, went: Went,
+    filtering: Filtering, unscented: bool | None, judging: Judging, warming: Warming,
+    saying: Saying, went: Went,
 ) -> Left:  # fmt: skip
     """Ticks from `now` on, one for each of ends (K,), before `until`; stops behind a change.
 
@@ -115,8 +117,8 @@ def several(
         else:
             settle(now, receiving.guard, receiving.memory, receiving.state)
         if (
-            seen or foreign or receiving.pairs.trouble[_ANY]
-            or samples > filtering.room.nis.shape[0] or _any_lost(now, receiving.beats)
+            foreign or receiving.pairs.trouble[_ANY] or samples > filtering.room.nis.shape[0]
+            or _any_lost(now, receiving.beats)
         ):  # fmt: skip
             stage = HEARD
             break
@@ -190,6 +192,13 @@ def several(
                 alone.ratio, alone.variance, own, alone.configured, alone.residual, alone.seen
             )
             response = Memory(alone, response.since_s)
+        if seen:
+            hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
+        advance(
+            seen > 0, now, warming.summed, receiving.places, receiving.state, receiving.slow,
+            warming.warmth,
+        )  # fmt: skip
+        report(now, warming.limit_ns, warming.warmth, saying.findings)
         lost, known = judging.room.lost, judging.room.known
         weigh(
             inputs, filtering.motion.wrong, told, lost, known, saying.findings, _NONE,

@@ -88,7 +88,8 @@ class Gateway:
         cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
-        self.temperature_limit_ns = [c.limit_ns if c else 0 for c in temperatures]
+        limits = [c.limit_ns if c else 0 for c in temperatures]
+        self.temperature_limit_ns = np.array(limits, dtype=np.int64)
         fitted = [d.sensors for d in config.drive]
         self.thermal = ThermalSide(
             len(nodes), period, config.thermal.window_s, cells, nodes, fitted,
@@ -182,7 +183,7 @@ class Gateway:
         """The rest of a step once adhesion has been judged."""
         inbox, inputs, told = self.inbox, self.inputs, self.bank.told
         intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
-        self.thermal.take(inbox.temperatures, now, inbox.drives)
+        self.thermal.hear(inbox, self.places, now)
         self.thermal.tell(now, self.temperature_limit_ns, self.findings)
         doubt = int(self.doubt.reason)
         self._weigh(
@@ -225,8 +226,7 @@ class Gateway:
         if self._view is None and self._opinion is not None:
             opinion = self._opinion
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
-            wear = [report.wear for report in self.thermal.reports]
-            drives = drives_of(self.said, self.nodes, wear)
+            drives = drives_of(self.said, self.nodes, self.thermal.wear)
             self._view = view_of(self._now, self.said, drives, common, self.counted(self._now))
         return self._view
 

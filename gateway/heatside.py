@@ -7,25 +7,22 @@ current (`Irms` of `Status`), the speed (`Motion`) and the ambient temperature.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.frame import SECOND, Nanos
+from dbc.frame import SECOND
 from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS, side
 from estimators.thermal.trend import Trend
 from estimators.thermal.watch import Known, Watch
-from gateway.health import FaultClass, FaultSensor
-from gateway.inbox import DriveInput, Temperatures
+from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.warmth import AS_IT_IS, Model
 
 Array = NDArray[np.float64]
 
 SAMPLE_NS: Final = SECOND
 """Readings that come faster are averaged."""
-POINTS: Final = 3
-AMBIENT: Final = 3
 LIKELY: Final = 0.5
 """Probability of a fault from which a motor is not called good."""
 BLIND_S: Final = 5.0
@@ -70,55 +67,6 @@ class Wear(NamedTuple):
     jumps: int = 0
 
 
-class Seconds:
-    """Averages of what the bus says, one sample a second."""
-
-    def __init__(self, motors: int, period_ns: Nanos) -> None:
-        """period_ns: the temperatures' cycle, at which currents and speeds are looked at, too."""
-        self.every = max(round(SAMPLE_NS / period_ns), 1)
-        self.dt_s = self.every * period_ns / SECOND
-        self._sums = np.zeros((motors, POINTS + 3))
-        self._counts = np.zeros((motors, POINTS + 3))
-        self._ambient = np.full(motors, math.nan)
-        self._at = 0
-
-    def note(self, reading: Temperatures) -> None:
-        """The ambient temperature is a drive's own; the points come with `look`."""
-        valid = reading.valid[AMBIENT]
-        self._ambient[reading.drive] = reading.celsius[AMBIENT] if valid else math.nan
-
-    def look(
-        self, values: Array, believed: NDArray[np.bool_], drives: Sequence[DriveInput], now: Nanos
-    ) -> Sample | None:
-        """One temperature cycle; a sample when a second is full.
-
-        values (M, 3) degC of sensors that are `believed` (M, 3).
-        """
-        for k, drive in enumerate(drives):
-            row, count = self._sums[k], self._counts[k]
-            row[:POINTS] += np.where(believed[k], values[k], 0.0)
-            count[:POINTS] += believed[k]
-            status, motion = drive.status, drive.motion
-            known = (
-                drive.irms is not None and status is not None and status.fresh(now),
-                drive.speed is not None and motion is not None and motion.fresh(now),
-                bool(believed[k].any()) and math.isfinite(self._ambient[k]),
-            )
-            seen = (2.0 * (drive.irms or 0.0) ** 2, abs(drive.speed or 0.0), self._ambient[k])
-            for i, (there, value) in enumerate(zip(known, seen, strict=True), POINTS):
-                if there:
-                    row[i] += value
-                    count[i] += 1.0
-        self._at += 1
-        if self._at < self.every:
-            return None
-        with np.errstate(invalid="ignore"):
-            mean = self._sums / self._counts
-        self._at = 0
-        self._sums[:], self._counts[:] = 0.0, 0.0
-        return Sample(mean[:, :POINTS], mean[:, POINTS], mean[:, POINTS + 1], mean[:, POINTS + 2])
-
-
 class HeatSide:
     """The watch of N motors; `take` per temperature cycle, `work` per tick."""
 
@@ -153,10 +101,42 @@ class HeatSide:
         rate, sigma = self.trend.told(k) or (None, None)
         return Wear(rate, sigma, self.trend.time_to(k, self.limit_k), int(self.jumps[k]))
 
-    def work(self) -> None:
-        """A motor a tick: a block of many motors must not make one tick late."""
-        if self.watch.waiting:
-            self.watch.work(1)
+    def work(self) -> bool:
+        """A motor a tick: a block of many motors must not make one tick late. False if idle."""
+        if not self.watch.waiting:
+            return False
+        self.watch.work(1)
+        return True
+
+    def say(self, out: Model) -> None:
+        """What is known of every motor by now."""
+        for k in range(len(self.jumps)):
+            words = self._words(k)
+            out.thermal[k], out.sensor[k], out.reason[k] = words[:3]
+            out.fault_class[k], out.fault_sensor[k] = words[3:]
+            rate = self.trend.told(k)
+            out.rate_k_h[k], out.jumps[k] = math.nan if rate is None else rate[0], self.jumps[k]
+
+    def _words(self, k: int) -> tuple[Flag, int, Reason, FaultClass, FaultSensor]:
+        """Thermal and sensor evidence of motor k, reason, class, whose sensor."""
+        unknown = FaultClass.UNKNOWN, FaultSensor.NONE
+        if self.blind(k):
+            return Flag.UNKNOWN, AS_IT_IS, Reason.STALE, *unknown
+        if not self.ready(k):
+            return Flag.UNKNOWN, AS_IT_IS, Reason.STARTING, *unknown
+        if self.alone(k):
+            return Flag.UNKNOWN, AS_IT_IS, Reason.TOO_FEW_DRIVES, *unknown
+        found = self.finding(k)
+        if found is None and self.undecided(k):
+            # Who follows the model no longer is not good, although nobody can say yet why.
+            return Flag.UNKNOWN, AS_IT_IS, Reason.DIVERGED, *unknown
+        if found is None:
+            return Flag.GOOD, AS_IT_IS, Reason.NONE, FaultClass.NONE, FaultSensor.NONE
+        if found.fault is FaultClass.UNKNOWN:
+            return Flag.UNKNOWN, Flag.UNKNOWN, Reason.DIVERGED, *unknown
+        if found.sensor is FaultSensor.NONE:
+            return Flag.BAD, AS_IT_IS, Reason.NONE, found.fault, found.sensor
+        return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, found.fault, found.sensor
 
     def blind(self, k: int) -> bool:
         """True where its current, speed or ambient temperature has been unknown for too long."""

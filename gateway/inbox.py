@@ -107,7 +107,8 @@ class Inbox:
         self.drives = [DriveInput(row, node, self.slow) for row, node in enumerate(nodes)]
         self.counts: Counter[str] = Counter()
         self.samples = pairing.room(0)
-        self.temperatures: list[Temperatures] = []
+        self.seen = 0
+        """Rows of `scratch` with temperatures that came in this tick."""
         self.motions = 0
         """Rows of `readings` that came in this tick."""
         self.restart: set[int] = set()
@@ -153,8 +154,7 @@ class Inbox:
 
     def begin(self) -> None:
         """Nothing has come in this tick yet."""
-        self.temperatures.clear()
-        self.motions = 0
+        self.seen = self.motions = 0
         self.restart.clear()
 
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
@@ -179,7 +179,7 @@ class Inbox:
 
     def note(self, block: Block, found: Found) -> None:
         """What `take_block` has found in a tick's frames, other than what it keeps itself."""
-        samples, seen, foreign, odd = found
+        samples, self.seen, foreign, odd = found
         self.samples = self.room.first(samples)
         self.counts["received"] += block.size
         if odd:
@@ -194,8 +194,6 @@ class Inbox:
         if self.slow.came.item(Count.CHANGED):
             self.motions = self.slow.came.item(Count.READINGS)
             self.slow.came[:] = 0
-        for row in self.scratch.seen[:seen].tolist():
-            self._temperature(self.channels[self.scratch.channel.item(row)], row)
 
     def _take_in(self, block: Block, now: Nanos) -> Found:
         """See `take_block`."""
@@ -223,21 +221,22 @@ class Inbox:
             self.counts[trouble.name.lower()] += int(pairs.trouble[trouble])
         pairs.trouble[:] = 0
 
-    def _temperature(self, channel: Channel, row: int) -> None:
-        """Each point by itself: one dead sensor must not silence the other three."""
+    @property
+    def temperatures(self) -> list[Temperatures]:
+        """Readings of the tick, for whoever wants to show them."""
+        return [self._temperature(row) for row in self.scratch.seen[: self.seen].tolist()]
+
+    def _temperature(self, row: int) -> Temperatures:
         scratch = self.scratch
+        channel = self.channels[scratch.channel.item(row)]
         value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
         usable = channel.quality < 0 or value[channel.quality] in USABLE
         points = channel.picked
         good = tuple(usable and valid[k] == VALID for k in points)
-        self.temperatures.append(
-            Temperatures(
-                channel.drive,
-                scratch.t_ns.item(row),
-                tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
-                good,
-                tuple(
-                    round(value[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)
-                ),
-            )
+        return Temperatures(
+            channel.drive,
+            scratch.t_ns.item(row),
+            tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
+            good,
+            tuple(round(value[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)),
         )

@@ -22,6 +22,7 @@ from gateway.receiving import Routes, Scratch
 from gateway.said import Findings, Flags, Rules, Said
 from gateway.slow import Readings, SlowState
 from gateway.supervision import Beats
+from gateway.warmth import Warmth
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -96,6 +97,17 @@ class Judging(NamedTuple):
     every_ns: int
     settled_ns: int
     probably: float
+
+
+class Warming(NamedTuple):
+    """As `ThermalSide`, of which the model has no part. limit_ns (N,): how old readings may be.
+
+    summed: seconds are added up, none of them is complete in these ticks.
+    """
+
+    warmth: Warmth
+    summed: bool
+    limit_ns: Ints
 
 
 class Saying(NamedTuple):

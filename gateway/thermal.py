@@ -3,7 +3,8 @@
 Two questions are kept apart, so that a dead sensor is never a hot motor: is the sensor to
 be believed (`gateway/sensors.py`), and what is wrong with the motor: by its thermal model
 (`gateway/heatside.py`), or, with `method = "maisd"`, by how it differs from the others. A sensor
-that is not believed takes no part in the second.
+that is not believed takes no part in the second. All of it is compiled (`_thermal_kernels`) but for
+the model, which is asked once a second.
 """
 
 from __future__ import annotations
@@ -13,18 +14,25 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from estimators import _maisd_kernels, maisd
+from estimators import maisd
+from gateway import channel, inputs, said, slow, warmth
+from gateway._direct import Direct
+from gateway._thermal_kernels import AMBIENT, FOREVER, advance, hear, report, report_one
 from gateway.calibration import POINTS, Calibration
+from gateway.channel import ChannelState
 from gateway.config import ConfigError
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
-from gateway.heatside import HeatSide, Sample, Seconds, Wear
-from gateway.inbox import DriveInput, Temperatures
+from gateway.heatside import SAMPLE_NS, HeatSide, Sample, Wear
+from gateway.inbox import Inbox, Temperatures
+from gateway.inputs import NONE, Places
 from gateway.said import Findings
 from gateway.sensors import SensorSide
+from gateway.slow import SlowState
+from gateway.warmth import Beat, Method
 
-FOREVER: Final[Nanos] = (1 << 63) - 1
 NO_MODEL: Final = (
     "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
     'and a changing duty, or set [thermal] method = "maisd"'
@@ -44,8 +52,16 @@ class Report(NamedTuple):
     wear: Wear = Wear()
 
 
+class Beside(NamedTuple):
+    """What else the drives have said, for the thermal model."""
+
+    places: Places
+    state: ChannelState
+    slow: SlowState
+
+
 class ThermalSide:
-    """State of all motors' temperatures; `take` per tick, `reports` when asked."""
+    """State of all motors' temperatures; `hear` and `tell` per tick."""
 
     def __init__(
         self,
@@ -65,190 +81,137 @@ class ThermalSide:
         model; limit_k: K that a motor may grow warmer than the others. Raises ConfigError where
         the calibration has no model.
         """
-        self.calibration = calibration
         self.period_ns = period_ns
-        window = max(1, round(window_s * SECOND / period_ns))
-        self.window = maisd.start(window, motors, len(POINTS))
-        self.centring = calibration.centring(nodes) if calibration else None
         by_node = {m.node: m for m in calibration.motor} if calibration else {}
         cells = [by_node.get(n) for n in nodes]
         self.sensors = SensorSide(motors, period_ns, cells, sensors)
-        self.points = self.sensors.points
-        self.values = self.sensors.values
-        self.heard_ns = self.sensors.heard_ns
-        self.next_push_ns: Nanos | None = None
-        self.deviation = np.full((motors, len(POINTS)), np.nan)
-        self.maisd = np.full(len(POINTS), np.nan)
-        self.mean = np.zeros((motors, len(POINTS)))
-        self.known = np.zeros((motors, len(POINTS)), dtype=np.bool_)
-        self.largest: float | None = None
-        """The largest MAISD, K."""
-        self.seconds = Seconds(motors, period_ns)
-        self.last: Sample | None = None
-        """The newest second, in the temperature cycle that completed it."""
+        every = max(round(SAMPLE_NS / period_ns), 1)
+        self.dt_s = every * period_ns / SECOND
+        """From one second to the next."""
         self.learning = False
         """Look at seconds although there is no model: one is to be learnt."""
         self.heat: HeatSide | None = None
+        method = Method.UNCALIBRATED if calibration is None else Method.MAISD
         if model and calibration is not None:
             known = calibration.known(nodes)
             if known is None:
                 raise ConfigError("calibration", [NO_MODEL])
-            self.heat = HeatSide(known, self.seconds.dt_s, limit_k)
-        self._cache: dict[int, tuple[Nanos, Report]] = {}
-        self._stirred = True
-        """Something came since reports were last told."""
-        self._until_ns: Nanos = 0
-        """When the first of them is to be asked for again, though nothing comes."""
-        self.reports = [Report() for _ in range(motors)]
-        """As last told."""
+            self.heat = HeatSide(known, self.dt_s, limit_k)
+            method = Method.MODEL
+        window = max(1, round(window_s * SECOND / period_ns))
+        self.warmth = warmth.warmth(
+            self.sensors.points,
+            warmth.seconds(motors, len(POINTS) + 3, every),
+            _averages(maisd.start(window, motors, len(POINTS)).ring, calibration, nodes),
+            period_ns,
+            method,
+        )
+        self._hear, self._advance, self._report = Direct(hear), Direct(advance), Direct(report)
+
+    def hear(self, inbox: Inbox, places: Places, now: Nanos) -> None:
+        """Accept this tick's readings; advance the windows once per temperature cycle."""
+        came = inbox.seen > 0
+        if came:
+            self._hear(inbox.seen, inbox.scratch, inbox.wiring, self.warmth)
+        self._go_on(came, now, Beside(places, inbox.state, inbox.slow))
 
     def take(
-        self, readings: Sequence[Temperatures], now: Nanos, drives: Sequence[DriveInput] = ()
+        self, readings: Sequence[Temperatures], now: Nanos, beside: Beside | None = None
     ) -> None:
-        """Accept this tick's readings; advance the windows once per temperature cycle.
-
-        drives: what else they have said, for the thermal model.
-        """
+        """As `hear`, of readings that came in no frame: a recording's."""
         for reading in readings:
             self.sensors.take(reading)
-            self.seconds.note(reading)
-        self._stirred |= bool(readings)
-        if self.next_push_ns is None:
-            self.next_push_ns = now if readings else None
-        if self.next_push_ns is not None and now >= self.next_push_ns:
-            self.next_push_ns += self.period_ns * (1 + (now - self.next_push_ns) // self.period_ns)
-            self._push(now, drives)
-        if self.heat is not None:
-            self.heat.work()
+            celsius, valid = reading.celsius[AMBIENT], reading.valid[AMBIENT]
+            self.warmth.seconds.ambient[reading.drive] = celsius if valid else math.nan
+        self._go_on(bool(readings), now, beside or _nothing(len(self.warmth.kept_ns)))
 
-    def _push(self, now: Nanos, drives: Sequence[DriveInput]) -> None:
-        self._cache.clear()
-        self._stirred = True
-        present = self.sensors.believed(now)
-        if self.heat is not None or self.learning:
-            self.last = self.seconds.look(self.values, present, drives, now)
-            if self.last is not None and self.heat is not None:
-                self.heat.take(self.last)
-        ring, seen = self.window
-        _maisd_kernels.take(ring, seen, self.values, present, self.mean, self.known)
-        self.window = self.window._replace(seen=seen + 1)
-        self.known &= present
-        centred = self.mean
-        if self.centring is not None:
-            gain, offset = self.centring
-            centred = (self.mean - offset) / gain
-        _maisd_kernels.compare(centred, self.known, self.maisd, self.deviation)
-        self.largest = max((x for x in self.maisd.tolist() if math.isfinite(x)), default=None)
-
-    def tell(self, now: Nanos, stale_ns: Sequence[Nanos], out: Findings) -> None:
-        """Every motor's report into `out`, where one can have changed since the last call."""
-        if not self._stirred and now < self._until_ns:
+    def _go_on(self, came: bool, now: Nanos, beside: Beside) -> None:
+        """The rest of a tick once its readings are in."""
+        heat, summed = self.heat, self.learning or self.heat is not None
+        full = self._advance(came, now, summed, *beside, self.warmth)
+        if heat is None:
             return
-        self._stirred, self._until_ns = False, FOREVER
-        for k, limit in enumerate(stale_ns):
-            self.reports[k] = report = self.report(k, now, limit)
-            heard = self.heard_ns[k]
-            if heard is not None and now - heard <= limit:
-                self._until_ns = min(self._until_ns, self._cache[k][0], heard + limit + 1)
-            out.heard_ns[k] = NEVER if heard is None else heard
-            out.thermal[k], out.sensor[k], out.reason[k] = report[:3]
-            out.fault_class[k], out.fault_sensor[k] = report.fault_class, report.fault_sensor
-            out.mixed_c[k] = math.nan if report.mixed_c is None else report.mixed_c
-            out.maisd_k[k] = math.nan if report.maisd_k is None else report.maisd_k
-            rate = report.wear.rate_k_h
-            out.rate_k_h[k], out.jumps[k] = math.nan if rate is None else rate, report.wear.jumps
+        if full:
+            assert self.last is not None
+            heat.take(self.last)
+        if heat.work() or full:
+            heat.say(self.warmth.model)
 
     @property
-    def same_ns(self) -> Nanos:
-        """Nothing is told anew before it, if no reading comes."""
-        if self._stirred or self.heat is not None:
+    def last(self) -> Sample | None:
+        """The newest second, in the temperature cycle that completed it."""
+        if not self.warmth.beat[Beat.FULL]:
+            return None
+        mean, points = self.warmth.seconds.mean.copy(), len(POINTS)
+        return Sample(
+            mean[:, :points], mean[:, points], mean[:, points + 1], mean[:, points + 2]
+        )  # fmt: skip
+
+    @property
+    def cycles(self) -> int:
+        """How often the windows have advanced."""
+        return int(self.warmth.beat[Beat.CYCLES])
+
+    def tell(self, now: Nanos, limit_ns: NDArray[np.int64], out: Findings) -> None:
+        """Every motor's report into `out`, where one can have changed since the last call.
+
+        limit_ns (N,): how old its temperatures may be.
+        """
+        self._report(now, limit_ns, self.warmth, out)
+
+    @property
+    def alone_ns(self) -> Nanos:
+        """No tick before it needs the model: `hear` and `tell` are all compiled."""
+        if self.heat is None and not self.learning:
+            return FOREVER
+        beat = self.warmth.beat
+        next_ns, left = int(beat[Beat.NEXT_NS]), self.warmth.seconds.every - int(beat[Beat.AT]) - 1
+        if next_ns == NEVER or (self.heat is not None and self.heat.watch.waiting):
             return NEVER
-        push = FOREVER if self.next_push_ns is None else self.next_push_ns
-        return min(push, self._until_ns)
+        return next_ns + left * self.period_ns
 
-    def report(self, drive: int, now: Nanos, stale_ns: Nanos) -> Report:
-        """Evidence for one motor at `now`; `stale_ns` is the age limit of its temperatures."""
-        heard = self.heard_ns[drive]
-        if heard is None:
-            return Report()
-        if now - heard > stale_ns:
-            return Report(reason=Reason.STALE)
-        cached = self._cache.get(drive)
-        if cached is not None and now < cached[0]:
-            return cached[1]
-        found = self._look(drive, now)
-        # Nothing here changes faster than the temperatures come.
-        self._cache[drive] = (now + self.period_ns, found)
-        return found
+    @property
+    def wear(self) -> list[Wear]:
+        """What is known of each motor's degradation, while its temperatures are heard."""
+        heat = self.heat
+        return [
+            heat.wear(k) if heat is not None and heard else Wear()
+            for k, heard in enumerate(self.warmth.fresh.tolist())
+        ]
 
-    def _look(self, drive: int, now: Nanos) -> Report:
-        """Judge one motor anew."""
-        mixed, largest = self._mixed(drive), self.largest
-        wear = self.heat.wear(drive) if self.heat is not None else Wear()
-        fault, sensor = self.sensors.verdict(drive, now)
-        if fault is not FaultClass.NONE:
-            return Report(
-                sensor=Flag.BAD,
-                reason=Reason.NOT_AVAILABLE,
-                fault_class=fault,
-                fault_sensor=sensor,
-                mixed_c=mixed,
-                maisd_k=largest,
-                wear=wear,
-            )
-        seen = Flag.UNKNOWN if self.sensors.booting(drive) else Flag.GOOD
-        good = Report(sensor=seen, mixed_c=mixed, maisd_k=largest, wear=wear)
-        if self.calibration is None:
-            return good._replace(reason=Reason.CONFIG)
+    def report(self, drive: int, now: Nanos, limit_ns: Nanos) -> Report:
+        """Evidence for one motor at `now`; `limit_ns` is the age limit of its temperatures."""
         if self.heat is not None:
-            return self._modelled(drive, self.heat, good)
-        fitted = self.sensors.configured[drive]
-        if not self.known[drive][fitted].all():
-            return good._replace(reason=Reason.STARTING)
-        if not np.isfinite(self.deviation[drive][fitted]).all():
-            return good._replace(reason=Reason.TOO_FEW_DRIVES)
-        return self._judge(drive, good)
+            self.heat.say(self.warmth.model)
+        out = said.findings(len(self.warmth.kept_ns))
+        report_one(drive, now, limit_ns, self.warmth, out)
+        return self.told(drive, out)
 
-    def _modelled(self, drive: int, side: HeatSide, good: Report) -> Report:
-        """What the thermal model of the motor says."""
-        if side.blind(drive):
-            return good._replace(reason=Reason.STALE)
-        if not side.ready(drive):
-            return good._replace(reason=Reason.STARTING)
-        if side.alone(drive):
-            return good._replace(reason=Reason.TOO_FEW_DRIVES)
-        found = side.finding(drive)
-        if found is None and side.undecided(drive):
-            # Who follows the model no longer is not good, although nobody can say yet why.
-            return good._replace(reason=Reason.DIVERGED)
-        if found is None:
-            return good._replace(thermal=Flag.GOOD, reason=Reason.NONE, fault_class=FaultClass.NONE)
-        if found.fault is FaultClass.UNKNOWN:
-            return good._replace(sensor=Flag.UNKNOWN, reason=Reason.DIVERGED)
-        named = good._replace(fault_class=found.fault, fault_sensor=found.sensor)
-        if found.sensor is FaultSensor.NONE:
-            return named._replace(thermal=Flag.BAD, reason=Reason.NONE)
-        return named._replace(sensor=Flag.BAD, reason=Reason.NOT_AVAILABLE)
+    def told(self, drive: int, out: Findings) -> Report:
+        """One motor's of what `tell` has filled, in words."""
+        mixed, largest = out.mixed_c.item(drive), out.maisd_k.item(drive)
+        return Report(
+            Flag(out.thermal.item(drive)), Flag(out.sensor.item(drive)),
+            Reason(out.reason.item(drive)), FaultClass(out.fault_class.item(drive)),
+            FaultSensor(out.fault_sensor.item(drive)), None if math.isnan(mixed) else mixed,
+            None if math.isnan(largest) else largest, self.wear[drive],
+        )  # fmt: skip
 
-    def _judge(self, drive: int, good: Report) -> Report:
-        """MAISD says that the fleet differs; the deviation says which motor it is."""
-        assert self.calibration is not None
-        limit = np.array(self.calibration.maisd_limit_k)
-        beyond = self.deviation[drive] > np.array(self.calibration.deviation_limit_k)
-        hot = beyond & (self.maisd > limit)
-        if not hot.any():
-            return good._replace(thermal=Flag.GOOD, reason=Reason.NONE, fault_class=FaultClass.NONE)
-        stator, drive_end, non_drive_end = hot
-        if stator and (drive_end or non_drive_end):
-            kind = FaultClass.COOLING_LOSS
-        elif stator:
-            kind = FaultClass.OVERHEATING
-        else:
-            kind = FaultClass.BEARING
-        return good._replace(thermal=Flag.BAD, reason=Reason.NONE, fault_class=kind)
 
-    def _mixed(self, drive: int) -> float | None:
-        """Mean of the believed window averages, degC."""
-        rows = zip(self.mean[drive].tolist(), self.known[drive].tolist(), strict=True)
-        believed = [mean for mean, known in rows if known]
-        return sum(believed) / len(believed) if believed else None
+def _averages(
+    ring: NDArray[np.float64], calibration: Calibration | None, nodes: tuple[int, ...]
+) -> warmth.Averages:
+    """An empty window, and how a calibration centres and judges what it holds."""
+    gain, offset = np.ones(ring.shape[1:]), np.zeros(ring.shape[1:])
+    limit_k, apart_k = np.full((2, len(POINTS)), math.inf)
+    if calibration is not None:
+        gain, offset = calibration.centring(nodes)
+        limit_k = np.array(calibration.maisd_limit_k)
+        apart_k = np.array(calibration.deviation_limit_k)
+    return warmth.averages(ring, gain, offset, limit_k, apart_k)
+
+
+def _nothing(drives: int) -> Beside:
+    """Drives that say nothing else."""
+    places = inputs.places([(0, 0, [], NONE, NONE)] * drives, [0] * drives, [0.0] * drives)
+    return Beside(places, channel.channel_state([]), slow.start(drives))

@@ -1,9 +1,9 @@
 """Many ticks of a gateway in few calls: what a replay is made of.
 
-Most ticks hold nothing that only `Gateway.step` can do: no temperatures, no heartbeat, no detector
-but the default. Those are done by one compiled loop over them, others one by one; a tick that turns
-out to need more in its midst is finished by the gateway from there. The same frames go out as of
-single steps, and the same state is left (`tests/unit/test_ticks.py`).
+Most ticks hold nothing that only `Gateway.step` can do: no heartbeat, no second that the thermal
+model waits for, no detector but the default. Those are done by one compiled loop over them, others
+one by one; a tick that turns out to need more in its midst is finished by the gateway from there.
+The same frames go out as of single steps, and the same state is left (`tests/unit/test_ticks.py`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from gateway.health import REJECTED
 from gateway.inbox import MAX_GAP_NS
 from gateway.receiving import NAMES
 from gateway.said import Which
-from gateway.stretch import Filtering, Judging, Receiving, Saying
+from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming
 from gateway.view import Counted
 
 REJECTS: Final = np.array([name in REJECTED for name in NAMES])
@@ -94,7 +94,7 @@ class Ticks:
         gateway = self.gateway
         if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
             return now
-        return min(gateway.thermal.same_ns, gateway.load.window_ns)
+        return min(gateway.thermal.alone_ns, gateway.load.window_ns)
 
     def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
         """As `run`, for ticks before `until`; none if the first wants a step of its own."""
@@ -106,9 +106,9 @@ class Ticks:
         left = self._several(
             block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
             self._receiving(), self._filtering(), self._unscented, self._judging(),
-            self._saying(counted), went,
+            self._warming(), self._saying(counted), went,
         )  # fmt: skip
-        gateway.load.busy_s = left.busy_s
+        gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
         adhesion.note_learnt(left.spread, left.own, left.learn_ns)
         inbox.counts["received"] += went.tally.item(0)
         inbox.counts["decoded"] += went.tally.item(1)
@@ -171,6 +171,11 @@ class Ticks:
             self._detector.sweeps, self._lost, self._known, self._rough, side.learn_ns, LEARN_NS,
             SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
+
+    def _warming(self) -> Warming:
+        gateway, thermal = self.gateway, self.gateway.thermal
+        summed = thermal.learning or thermal.heat is not None
+        return Warming(thermal.warmth, summed, gateway.temperature_limit_ns)
 
     def _saying(self, counted: Counted) -> Saying:
         gateway, outbox = self.gateway, self.gateway.outbox

@@ -62,20 +62,21 @@ class Learner:
 
     def take(self, side: ThermalSide, now: Nanos) -> None:
         """Look at the thermal side once per temperature cycle."""
-        if side.window.seen == self._count:
+        if side.cycles == self._count:
             return
-        self._count = side.window.seen
+        self._count = side.cycles
         if side.last is not None:
             self.seconds[-1].append(side.last)
-            self.dt_s = side.seconds.dt_s
-        values = side.values.copy()
-        fitted = side.sensors.configured
-        if side.known[fitted].all():
+            self.dt_s = side.dt_s
+        points, averages = side.warmth.points, side.warmth.averages
+        values = points.value.copy()
+        fitted = points.configured
+        if averages.known[fitted].all():
             self.fitted = fitted
-            self.means.append(side.mean.copy())
+            self.means.append(averages.mean.copy())
             self.samples += 1
             for j, k in np.argwhere(fitted).tolist():
-                held = now - side.points[j][k].changed_ns
+                held = now - points.changed_ns.item(j, k)
                 self.hold_ns[j, k] = max(self.hold_ns[j, k], held)
             if self._last is not None:
                 self.step_k = np.maximum(self.step_k, np.abs(values - self._last))

@@ -11,7 +11,8 @@ from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
     "take_block", "settle", "busy_s", "look", "tell",
-    "observe_motion", "merge_motion", "compare", "conclude", "teach", "weigh", "decide", "send",
+    "observe_motion", "merge_motion", "compare", "conclude", "teach", "hear", "advance", "report",
+    "weigh", "decide", "send",
 }  # fmt: skip
 FILTERS = {"advance_ekf", "advance_ukf"}
 

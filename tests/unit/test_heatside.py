@@ -1,34 +1,49 @@
 """The thermal model on the bus: seconds, what is learnt and stored, what is said when blind."""
 
 from pathlib import Path
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from estimators.thermal import _watch_kernels, heat
 from estimators.thermal.heat import TYPICAL, Drive, predict
-from gateway import calibration
-from gateway.calibration import Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
+from gateway import calibration, inputs, slow
+from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
+from gateway.channel import ChannelState, channel_state
 from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
 from gateway.drivers.warm import _warm_watch
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
-from gateway.heatside import Sample, Seconds
+from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.heatside import Sample
 from gateway.inbox import Temperatures
 from gateway.results.calibrating import Learner
-from gateway.thermal import ThermalSide
+from gateway.thermal import Beside, ThermalSide
 
 MS = 1_000_000
 NODES = (1, 2, 3)
 
 
-class Line:
-    """A drive's Status and Motion, as fresh as told."""
+class Line(NamedTuple):
+    """A drive's Status and Motion, as fresh as told; None: not sent yet."""
 
-    def __init__(self, irms=10.0, speed=-25.0, fresh=True):
-        self.irms, self.speed = irms, speed
-        self.status = self.motion = SimpleNamespace(fresh=lambda _now: fresh)
+    irms: float | None = 10.0
+    speed: float | None = -25.0
+    fresh: bool = True
+
+
+def beside(lines):
+    """What they have said, channels 2 k and 2 k + 1 of drive k."""
+    n = len(lines)
+    said, state = slow.start(n), channel_state([])
+    state = ChannelState(*(np.zeros(2 * n, dtype=column.dtype) for column in state))
+    state.limit_ns[:] = 1 << 62
+    for k, line in enumerate(lines):
+        said.irms[k], said.command[k] = (np.nan, np.nan) if line.irms is None else (line.irms, 1.0)
+        said.speed[k] = np.nan if line.speed is None else line.speed
+        state.reason[2 * k : 2 * k + 2] = Reason.NONE if line.fresh else Reason.STALE
+    rows = [(2 * k, 2 * k + 2, [], 2 * k, 2 * k + 1) for k in range(n)]
+    return Beside(inputs.places(rows, [0] * n, [0.0] * n), state, said)
 
 
 def reading(drive, t_ns, celsius):
@@ -43,17 +58,17 @@ def shipped():
 
 
 def test_a_second_is_the_mean_of_what_was_known():
-    seconds = Seconds(2, 100 * MS)
-    drives = [Line(), Line(irms=None)]
-    believed = np.array([[True, True, False], [True, True, True]])
+    side = ThermalSide(2, 100 * MS, 5.0, None, (1, 2), [("stator", "drive_end"), POINTS])
+    side.learning = True
+    lines = beside([Line(), Line(irms=None)])
     for k in range(10):
-        for drive in range(2):
-            seconds.note(reading(drive, k, (50, 40, 30, 20)))
-        values = np.array([[50.0 + k, 40, 30], [50, 40, 30]])
-        sample = seconds.look(values, believed, drives, k)
-        assert (sample is None) == (k < 9)
-    assert seconds.dt_s == 1.0
-    np.testing.assert_allclose(sample.temperature, [[54.5, 40, np.nan], [50, 40, 30]])
+        now = (k + 1) * 100 * MS
+        side.take([reading(0, now, (50 + k / 10, 40, 30, 20)), reading(1, now, (50, 40, 30, 20))],
+                  now, lines)  # fmt: skip
+        assert (side.last is None) == (k < 9)
+    assert side.dt_s == 1.0
+    sample = side.last
+    np.testing.assert_allclose(sample.temperature, [[50.45, 40, np.nan], [50, 40, 30]])
     np.testing.assert_allclose(sample.square, [200.0, np.nan], err_msg="amplitude, from rms")
     np.testing.assert_allclose(sample.speed, 25.0)
     np.testing.assert_allclose(sample.ambient, 20.0)
@@ -71,7 +86,7 @@ class Rig:
     def run(self, seconds, drives=None, extra=None):
         """extra (3, 5): heat in the lumps, K/s."""
         n = 10 * seconds
-        drives = drives or [Line(8.0), Line(8.0), Line(8.0)]
+        lines = beside(drives or [Line(8.0), Line(8.0), Line(8.0)])
         inputs = Drive(
             np.full((n, 3), 128.0), np.full(n, 25.0), np.full(n, 20.0), np.arange(n), 0.1
         )  # fmt: skip
@@ -82,7 +97,7 @@ class Rig:
             self.k += 1
             now = self.k * 100 * MS
             noisy = np.round(row + rng.normal(0.0, 0.1, (3, 3)), 1)
-            self.side.take([reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, drives)
+            self.side.take([reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, lines)
         self.last = out[-1]
         return [self.side.report(j, now, 310 * MS) for j in range(3)]
 
@@ -159,7 +174,7 @@ def test_one_motor_without_others_is_unknown():
     rig = Rig()
     rig.run(20)
     rig.side.heat.watch.off[0] = np.nan
-    rig.side._cache.clear()
+    rig.side.warmth.kept_ns[:] = NEVER
     report = rig.side.report(0, rig.k * 100 * MS, 310 * MS)
     assert (report.thermal, report.reason) == (Flag.UNKNOWN, Reason.TOO_FEW_DRIVES)
 
@@ -181,7 +196,7 @@ def test_hot_motor_or_sensor_is_unknown_and_no_guess():
     watch.held[2] = True
     watch.kind[2] = 0.0
     watch.kind[2, 0], watch.kind[2, 5] = 0.9, 0.05
-    rig.side._cache.clear()
+    rig.side.warmth.kept_ns[:] = NEVER
     report = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
     assert (report.thermal, report.sensor) == (Flag.UNKNOWN, Flag.UNKNOWN)
     assert (report.fault_class, report.reason) == (FaultClass.UNKNOWN, Reason.DIVERGED)

@@ -91,7 +91,7 @@ def test_a_sensor_that_is_not_fitted_takes_part_in_nothing():
     assert not rig.side.booting(0)
     assert rig.side.believed(rig.k * 100 * MS).tolist() == [[True, False, True]]
     assert rig.run(20, (0, 40, 0)) == HEALTHY
-    assert rig.side.values[0, 1] == 0.0
+    assert rig.side.points.value[0, 1] == 0.0
     both = rig.run(20, (9, 0, 9))[-1]
     assert both == (FaultClass.SENSOR_BIAS, FaultSensor.NONE), "all that there are"
 

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from estimators import _maisd_kernels, maisd
 from gateway.calibration import Calibration, MotorCalibration
-from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
 from gateway.said import findings
 from gateway.thermal import ThermalSide
@@ -176,7 +176,7 @@ def test_the_compiled_maisd_says_what_its_twin_says(motors):
     plain = maisd.start(7, motors, 3)
     ring, seen = maisd.start(7, motors, 3)
     mean, known = np.zeros((motors, 3)), np.zeros((motors, 3), dtype=bool)
-    spread, deviation = np.empty(3), np.empty((motors, 3))
+    spread, deviation, ranked = np.empty(3), np.empty((motors, 3)), np.empty(motors)
     told = False
     for _ in range(40):
         # Whole degrees: motors that read the same have the same others.
@@ -189,7 +189,7 @@ def test_the_compiled_maisd_says_what_its_twin_says(motors):
         want_mean, want_known = maisd.average(plain)
         np.testing.assert_allclose(mean, want_mean, rtol=1e-12)
         np.testing.assert_array_equal(known, want_known)
-        _maisd_kernels.compare(mean, known, spread, deviation)
+        _maisd_kernels.compare(mean, known, ranked, spread, deviation)
         np.testing.assert_allclose(spread, maisd.maisd(want_mean, want_known), rtol=1e-9)
         np.testing.assert_allclose(
             deviation, maisd.deviation(want_mean, want_known), rtol=1e-9, atol=1e-12
@@ -204,7 +204,7 @@ def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
     rng = np.random.default_rng(seed)
     told, asked = (ThermalSide(3, 100 * MS, 2.0, calibration(), NODES) for _ in range(2))
     out, met, now = findings(3), set(), 0
-    limits = [310 * MS, 310 * MS, 0]
+    limits = np.array([310 * MS, 310 * MS, 0])
     gone = set()
     for tick in range(1500):
         now += int(rng.choice([10, 10, 10, 7, 40])) * MS
@@ -218,14 +218,9 @@ def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
         for side in (told, asked):
             side.take(readings, now)
         told.tell(now, limits, out)
-        for k, limit in enumerate(limits):
+        for k, limit in enumerate(limits.tolist()):
             report = asked.report(k, now, limit)
-            assert told.reports[k] == report
-            heard = asked.heard_ns[k]
-            assert out.heard_ns[k] == (NEVER if heard is None else heard)
-            words = (out.thermal, out.sensor, out.reason, out.fault_class, out.fault_sensor)
-            assert tuple(column[k] for column in words) == report[:5]
-            for column, number in ((out.mixed_c, report.mixed_c), (out.maisd_k, report.maisd_k)):
-                np.testing.assert_equal(column[k], np.nan if number is None else number)
+            assert told.told(k, out) == report
+            assert out.heard_ns[k] == asked.sensors.points.heard_ns[k]
             met.add(report.reason)
     assert {Reason.STALE, Reason.STARTING} < met

@@ -1,0 +1,221 @@
+"""What is remembered of all motors' temperatures, as arrays for the compiled loops.
+
+N drives of P sensors each: stator, drive end, non-drive end. May know: findings. May not know:
+frames, clocks, what a calibration or a thermal model is.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.said import Findings, findings
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Points(NamedTuple):
+    """The sensors; (N, P) and, from `heard_ns` on, (N,). Stamps are `NEVER` before any.
+
+    raw: tenths of a degree, and changed_ns, since when; valid_ns: of the last valid value; value,
+    level: that, and its average, degC; stepped: readings in a row beyond a step's limit; jump: the
+    largest change from one of these to the next, beside the slope until then; slope: K per reading,
+    of the latest ones; full: it has warmed up to `FULL_C`: that it stops there is the wire's doing;
+    bias_k: offset that it has; valid_at, jumped_at: which of the drive's readings, from 1, was its
+    last valid one, and gave it that offset; seen: there was one.
+
+    configured, limit_k, hold_ns: constants, see `SensorSide`. heard_ns, first_ns: stamps of the
+    drive's last and first reading, and how many there were. period_ns: their cycle.
+    """
+
+    raw: Ints
+    changed_ns: Ints
+    valid_ns: Ints
+    value: Array
+    level: Array
+    stepped: Ints
+    jump: Array
+    slope: Array
+    full: Bools
+    bias_k: Array
+    valid_at: Ints
+    jumped_at: Ints
+    seen: Bools
+    configured: Bools
+    limit_k: Array
+    hold_ns: Ints
+    heard_ns: Ints
+    first_ns: Ints
+    readings: Ints
+    period_ns: int
+
+
+class Seconds(NamedTuple):
+    """Sums of a second, (N, P + 3): the points, squared current A^2, speed rad/s, ambient degC.
+
+    number: how many there are of each; mean: of the last second that was complete, NaN where there
+    was none; ambient (N,): as last sent, NaN if not valid; every: temperature cycles in a second.
+    """
+
+    total: Array
+    number: Array
+    mean: Array
+    ambient: Array
+    every: int
+
+
+class Averages(NamedTuple):
+    """MAISD of the temperatures, see `estimators.maisd`.
+
+    ring (s, N, P); mean, known, believed, centred, deviation (N, P), the latter two of means less
+    offset over gain; spread (P,): the MAISD; limit_k, apart_k (P,): of spread and deviation;
+    ranked (N,): room.
+    """
+
+    ring: Array
+    mean: Array
+    known: Bools
+    believed: Bools
+    centred: Array
+    deviation: Array
+    spread: Array
+    gain: Array
+    offset: Array
+    limit_k: Array
+    apart_k: Array
+    ranked: Array
+
+
+class Model(NamedTuple):
+    """What the thermal model says of every motor, (N,): as `Findings`.
+
+    sensor: `AS_IT_IS` where it says nothing of the sensors.
+    """
+
+    thermal: Ints
+    sensor: Ints
+    reason: Ints
+    fault_class: Ints
+    fault_sensor: Ints
+    rate_k_h: Array
+    jumps: Ints
+
+
+class Method(IntEnum):
+    """How motors are judged."""
+
+    UNCALIBRATED = 0
+    MAISD = 1
+    MODEL = 2
+
+
+class Beat(IntEnum):
+    """Index into `Warmth.beat`: where the temperature cycles are."""
+
+    NEXT_NS = 0
+    """When the windows advance next; `NEVER` before the first reading."""
+    CYCLES = 1
+    """So many times they have."""
+    AT = 2
+    """Of them, in this second."""
+    FULL = 3
+    """Whether the last one completed a second."""
+    STIRRED = 4
+    """Something came since reports were last told."""
+    UNTIL_NS = 5
+    """When the first of them is to be told anew, though nothing comes."""
+
+
+AS_IT_IS = -1
+
+
+class Warmth(NamedTuple):
+    """All of it. beat (6,): see `Beat`; period_ns: the temperatures' cycle; method: `Method`.
+
+    kept: reports as last judged, kept_ns (N,): until when they stand; fresh (N,): the drive's
+    temperatures are within their limit, as last told.
+    """
+
+    points: Points
+    seconds: Seconds
+    averages: Averages
+    model: Model
+    kept: Findings
+    kept_ns: Ints
+    fresh: Bools
+    beat: Ints
+    period_ns: int
+    method: int
+
+
+def points(configured: Bools, limit_k: Array, hold_ns: Ints, period_ns: int) -> Points:
+    """Nothing heard yet. Takes (N, P) arrays."""
+    shape = configured.shape
+    (drives, _) = shape
+
+    def ints(value: int = 0) -> Ints:
+        return np.full(shape, value, dtype=np.int64)
+
+    def flags() -> Bools:
+        return np.zeros(shape, dtype=np.bool_)
+
+    value, level, jump, slope, bias_k = (np.zeros(shape) for _ in range(5))
+    heard_ns, first_ns = (np.full(drives, NEVER, dtype=np.int64) for _ in range(2))
+    return Points(
+        ints(-1), ints(), ints(NEVER), value, level, ints(), jump, slope, flags(), bias_k, ints(),
+        ints(), flags(), configured, limit_k, hold_ns, heard_ns, first_ns,
+        np.zeros(drives, dtype=np.int64), period_ns,
+    )  # fmt: skip
+
+
+def seconds(drives: int, width: int, every: int) -> Seconds:
+    """width: P + 3; every: temperature cycles in a second."""
+    total, number = np.zeros((2, drives, width))
+    return Seconds(
+        total, number, np.full((drives, width), np.nan), np.full(drives, np.nan), every
+    )  # fmt: skip
+
+
+def averages(
+    ring: Array, gain: Array, offset: Array, limit_k: Array, apart_k: Array
+) -> Averages:  # fmt: skip
+    """Around an empty window, ring (s, N, P)."""
+    shape = ring.shape[1:]
+    (drives, width) = shape
+    known, believed = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+    return Averages(
+        ring, np.zeros(shape), known, believed, np.zeros(shape), np.full(shape, np.nan),
+        np.full(width, np.nan), gain, offset, limit_k, apart_k, np.zeros(drives),
+    )  # fmt: skip
+
+
+def model(drives: int) -> Model:
+    """No motor has been judged."""
+
+    def each(value: int) -> Ints:
+        return np.full(drives, value, dtype=np.int64)
+
+    return Model(
+        each(Flag.UNKNOWN), each(AS_IT_IS), each(Reason.STARTING), each(FaultClass.UNKNOWN),
+        each(FaultSensor.NONE), np.full(drives, np.nan), each(0),
+    )  # fmt: skip
+
+
+def warmth(
+    points: Points, seconds: Seconds, averages: Averages, period_ns: int, method: Method
+) -> Warmth:
+    """Of parts in which there is nothing yet."""
+    drives = len(points.heard_ns)
+    beat = np.zeros(len(Beat), dtype=np.int64)
+    beat[Beat.NEXT_NS], beat[Beat.STIRRED] = NEVER, True
+    return Warmth(
+        points, seconds, averages, model(drives), findings(drives),
+        np.full(drives, NEVER, dtype=np.int64), np.zeros(drives, dtype=np.bool_), beat, period_ns,
+        int(method),
+    )  # fmt: skip
