@@ -121,12 +121,13 @@ class Ticks:
             room = adhesion.room
             gateway.note(Opinion(room.lost, room.known, left.common), at - self._period_ns)
             gateway.changed = left.changed
+        own = inbox.counts["own"]
+        inbox.count()
         if left.stage == HEARD:
-            own, part = inbox.counts["own"], block.part(left.first, int(ends[done]))
+            part = block.part(left.first, int(ends[done]))
             inbox.note(part, (left.samples, left.seen, left.foreign, left.odd))
             last = gateway.heard(part, inbox.counts["own"] - own, at)
             return done + 1, [*out, block_of(last)]
-        inbox.count()
         if left.stage == FILTERED:
             gateway.doubt.tick(at, 0)
             inbox.motions = left.motions
