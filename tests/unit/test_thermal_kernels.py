@@ -145,4 +145,3 @@ def test_rows_of_frames_and_readings_of_a_recording_are_the_same():
     fast, _ = run("maisd", 4, 3000, heard)
     slow, _ = run("maisd", 4, 3000, taken)
     check(fast, slow)
-
