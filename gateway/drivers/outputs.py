@@ -21,7 +21,7 @@ _OUR_FAULT = (SendResult.REFUSED, SendResult.FAILED)
 MOST_LATE = 2
 """Frames of a message in a row that may come too late to be sent."""
 OFTEN_NS: Nanos = 100 * MS
-"""Longest cycle of a message that is asked whether it comes too late: flags, state and estimates. Of
+"""Longest cycle of a message that is asked whether it comes too late: flags, state, estimates. Of
 what goes out once a second three in a row are no sign that nothing leaves."""
 MOST_NAMED = 3
 """Problems named of one tick; more of them say no more."""

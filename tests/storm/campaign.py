@@ -101,7 +101,9 @@ def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
                 fault.kind, PHASES[honest.phase[k]], 0 if fault.drive is None else fault.drive + 1
             ] += 1
         if stopped or any(f.kind == "process_stop" for f in faults):
-            core.doubt.note_lost(max(waiting.block.size + came.block.size - QUEUE, 0))
+            dropped = max(waiting.block.size + came.block.size - QUEUE, 0)
+            core.doubt.note_lost(dropped)
+            oracle.note_lost(dropped)
             waiting = _queued(waiting, came)
             if any(f.kind == "process_stop" for f in faults):
                 stopped += 1
