@@ -2,14 +2,14 @@
 
     python -m tests.storm --seeds 0-99 --ticks 1000000 -j 2 -o tests/storm/soak.jsonl
 
-Writes a line per seed and prints what all of them came to. Exit code 1 where a rule was broken.
+Writes a line per seed, with the commit of the code that was loaded at the start, and prints what
+all of them came to. Exit code 1 where a rule was broken.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -17,7 +17,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from sim.hostile import KINDS
-from tests.storm.campaign import Result, uncovered, weather
+from tests.storm.campaign import COMMIT, Result, uncovered, weather
+from tests.storm.oracle import COMMON, OF_ALL
 from tests.storm.train import PHASES
 
 STATES = ("unknown", "good", "bad")
@@ -26,7 +27,7 @@ STATES = ("unknown", "good", "bad")
 def _line(result: Result, seconds: float) -> dict:
     return {
         "seed": result.seed,
-        "commit": _commit(),
+        "commit": COMMIT,
         "ticks": result.ticks,
         "frames": result.frames,
         "seconds": round(seconds, 1),
@@ -43,13 +44,6 @@ def _by_phase(met: Counter) -> dict[str, int]:
     for (kind, phase, *_), n in sorted(met.items()):
         out[f"{kind} {phase}"] += n
     return dict(out)
-
-
-def _commit() -> str:
-    said = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    return said.stdout.strip() or "unknown"
 
 
 def _run(seed: int, ticks: int) -> tuple[Result, float]:
@@ -79,6 +73,10 @@ def summary(lines: list[dict]) -> str:
     for flag in ("adhesion", "thermal"):
         cells = " | ".join(f"{said[f'{flag} {state}']:,}" for state in STATES)
         out.append(f"| {flag}, ticks of all drives | {cells} |")
+    # Of older lines only the drives' flags are known.
+    for flag in (*OF_ALL, COMMON):
+        cells = " | ".join(f"{said[f'{flag} {state}']:,}" for state in STATES)
+        out.append(f"| {flag}, ticks | {cells} |")
     out += ["", "| ticks under | " + " | ".join(PHASES) + " |", "|---" * (1 + len(PHASES)) + "|"]
     for kind in KINDS:
         cells = [

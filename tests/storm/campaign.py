@@ -5,6 +5,7 @@ python -m tests.storm --seeds 0-19 --ticks 100000
 
 from __future__ import annotations
 
+import subprocess
 from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +30,27 @@ ENDS = ("decoded", "error_frame", "remote", "own", "canopen", "unknown_id", *REJ
 """Every frame ends in exactly one of these counters."""
 
 
+def commit_of(folder: Path) -> str:
+    """Which commit the code in a repository is of, `-dirty` if it was changed since.
+
+    The soak's own results do not count: they grow by each seed.
+    """
+
+    def git(*words: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=False
+        )
+        return done.stdout.strip()
+
+    paths = ":/", ":(top,exclude)tests/storm/soak.jsonl"
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", *paths)
+    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
+
+
+COMMIT = commit_of(Path(__file__).parent)
+"""Of this process: what it runs is what it has loaded, whatever is committed while it does."""
+
+
 class Result(NamedTuple):
     """What a seed came to.
 
@@ -45,9 +67,9 @@ class Result(NamedTuple):
     rejected: Counter[str]
 
     def text(self) -> str:
-        """The violations, and the command that repeats them."""
+        """The violations, and the command and commit that repeat them."""
         lines = [f"  tick {v.tick} drive {v.drive} {v.rule}: {v.what}" for v in self.found]
-        again = f"python -m tests.storm --seeds {self.seed} --ticks {self.ticks}"
+        again = f"python -m tests.storm --seeds {self.seed} --ticks {self.ticks} # on {COMMIT}"
         return "\n".join([f"seed {self.seed}: {again}", *lines])
 
 
@@ -101,7 +123,9 @@ def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
                 fault.kind, PHASES[honest.phase[k]], 0 if fault.drive is None else fault.drive + 1
             ] += 1
         if stopped or any(f.kind == "process_stop" for f in faults):
-            core.doubt.note_lost(max(waiting.block.size + came.block.size - QUEUE, 0))
+            dropped = max(waiting.block.size + came.block.size - QUEUE, 0)
+            core.doubt.note_lost(dropped)
+            oracle.note_lost(dropped)
             waiting = _queued(waiting, came)
             if any(f.kind == "process_stop" for f in faults):
                 stopped += 1

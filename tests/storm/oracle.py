@@ -1,15 +1,23 @@
 """Who watches the gateway in the storm: bytes on the wire against what really arrived.
 
 Keeps its own books (stamps of genuine frames, flags as last read from the wire) and uses neither
-the gateway's codec nor its counters. Rules, by name:
+the gateway's codec nor its counters. What was last read is what a receiver believes, so it is
+judged in every tick, whether or not a frame went out in it. Rules, by name:
 
-- stale: no flag says good when the newest genuine frame it rests on is older than its limit
-- untracked: `Adhering` only from a drive whose filter says tracking and is near the true speed
+- stale: no flag says good when the newest genuine frame it rests on is older than its limit;
+  no estimate says tracking without fresh samples
+- untracked: `Adhering` only from a drive whose estimate says tracking and is near the true speed;
+  no `EstimatorFault` only while all say so
 - cleared: unknown never clears bad, and good needs its time of good frames
 - hasty: the first good after a start needs its time of good frames
+- overrun: said in the tick after missed ones and for a second, and only then
+- lost: `Adhering` of no drive for five ticks after frames were lost unread
 - form: every frame sent is whole: counter, states 0 to 2, nothing but our identifiers; flags have
   their checksum
 - masquerade: `Adhering` from no drive that two senders speak for, nor in the second after
+
+`SensorFault`, `CommFault` and `EstimatorFault` speak for all drives and name none: bad goes when
+one drive at least has had its time, good comes when all have.
 
 A second sender that is heard where the drive itself has just been silent is believed, until the
 drive speaks again or what it sent is too old: counters and checksums cannot know who it is (see
@@ -27,15 +35,25 @@ from crccheck.crc import Crc8Autosar
 
 from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
-from dbc.frame import ERROR, EXTENDED, MS, REMOTE, Frame
+from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
 from gateway.config import Config
-from gateway.health import Flag, Health
+from gateway.health import Health
 from gateway.said import Said
 from sim.hostile import Arrived, Fault
 from tests.storm.train import TICK
 
 SLOW = ("Motion", "Status", "Temperatures")
 ADHESION, FAULTS, ESTIMATE = 0x1A0, 0x2A0, 0x500
+SENSOR, COMM, ESTIMATOR, OVERRUN = "SensorFault", "CommFault", "EstimatorFault", "Overrun"
+OF_ALL = {SENSOR: 48, COMM: 50, ESTIMATOR: 52, OVERRUN: 54}
+"""States in `Gateway_Faults` that speak for all drives, and their first bits."""
+COMMON = "CommonMode"
+TIMES = {SENSOR: (100, 500), COMM: (10, 10), ESTIMATOR: (0, 20)}
+"""Ticks of good evidence before good, and before bad is cleared: the specification's, once more."""
+OVERRUN_TICKS = 100
+LOST_TICKS = 5
+SPEED_STEP_RAD_S = 0.5 * 2.0 * math.pi / 60.0
+NO_SPEED = 0x7FFF
 UNKNOWN, GOOD, BAD = 0, 1, 2
 ODD = EXTENDED | REMOTE | ERROR
 SECOND_SENDER_TICKS = 10
@@ -90,6 +108,20 @@ class Oracle:
         """First tick of the run of ticks with fresh currents and voltages, up to now."""
         self.good = -(-config.adhesion.good_ms * MS // TICK)
         self.clear = -(-config.adhesion.clear_ms * MS // TICK)
+        self.cool = math.ceil(config.thermal.clear_s * SECOND / TICK)
+        """Ticks of good evidence before a thermal fault is cleared."""
+        self.warm, self.linked, self.tracked = [tick] * self.n, [tick] * self.n, [tick] * self.n
+        """The same with temperatures, with all that was ever heard, and tracking."""
+        self.any_sampled = tick
+        """And with fresh currents and voltages of any drive."""
+        self.whole = dict.fromkeys((*OF_ALL, COMMON), UNKNOWN)
+        self.health = [int(Health.UNKNOWN)] * self.n
+        self.told = [math.nan] * self.n
+        """Speed as last estimated, rad/s."""
+        self.looked = tick - 1
+        self.missed, self.lost = tick - OVERRUN_TICKS - 1, tick - LOST_TICKS
+        """Ticks before which there were missed ones, and in which the loss of frames was known."""
+        self.dropped = False
         self.apart = [0] * self.n
         self.doubled = [0] * self.n
         self.shared = [tick - GUARD_TICKS - 1] * self.n
@@ -112,22 +144,53 @@ class Oracle:
         sampled = fresh[:, : len(self.electrical)].all(axis=1).tolist()
         self._second_senders(faults)
         self._note_lent(arrived, now)
+        self._note_gateway(tick)
         block = arrived.block
         # Behind the tick where the process has stood: the newest are lost then.
         until = -(-int(block.t_ns.max()) // TICK) if block.size else tick
-        for d in range(self.n):
-            if not sampled[d]:
-                self.since[d] = tick + 1
+        self._runs(tick, fresh, sampled)
+        self._estimates(tick, out, said)
         for frame in out:
             self._form(tick, frame)
             if frame.can_id == ADHESION:
                 self._adhesion(tick, frame.data, sampled, min(until, tick))
             elif frame.can_id == FAULTS:
-                self._faults(tick, frame.data, fresh, said)
-        self._tracking(tick, said, speed.tolist())
+                self._faults(tick, frame.data)
+        self._stand(tick, sampled)
+        self._tracking(tick, speed.tolist())
         for name, states in (("adhesion", self.adhesion), ("thermal", self.thermal)):
             for state in states:
                 self.said[name, state] += 1
+        for name, state in self.whole.items():
+            self.said[name, state] += 1
+
+    def note_lost(self, frames: int) -> None:
+        """So many were dropped unread since the last tick."""
+        self.dropped |= frames > 0
+
+    def _note_gateway(self, tick: int) -> None:
+        """Ticks that the gateway has missed, frames that it knows are lost."""
+        if tick - self.looked > 1:
+            self.missed = tick
+        if self.dropped:
+            self.lost = tick
+        self.looked, self.dropped = tick, False
+
+    def _runs(self, tick: int, fresh: np.ndarray, sampled: list[bool]) -> None:
+        """For how long what each drive's flags rest on has been fresh: what is not begins anew."""
+        lent = (tick * TICK - self.lent <= self.limit).reshape(fresh.shape)[:, -1].tolist()
+        known = self.heard.reshape(fresh.shape)
+        linked = (fresh | ~known).all(axis=1) & known[:, : len(self.electrical)].all(axis=1)
+        warm = fresh[:, -1].tolist()
+        for d, link in enumerate(linked.tolist()):
+            if not sampled[d]:
+                self.since[d] = tick + 1
+            if not link:
+                self.linked[d] = tick + 1
+            if not (warm[d] or lent[d] or self.doubled[d]):
+                self.warm[d] = tick + 1
+        if not (any(sampled) or any(self.doubled)):
+            self.any_sampled = tick + 1
 
     def _broken(self, tick: int, rule: str, drive: int, what: str) -> None:
         self.found.append(Violation(tick, rule, drive, what))
@@ -169,8 +232,10 @@ class Oracle:
 
     def _adhesion(self, tick: int, data: bytes, sampled: list[bool], until: int) -> None:
         """until: tick up to which the gateway has heard the bus."""
-        if (data[6] >> 4) & 3 == GOOD and not any(sampled) and not any(self.doubled):
-            self._broken(tick, "stale", 0, "CommonMode says good without fresh samples")
+        alone, common = tick - self.any_sampled, (data[6] >> 4) & 3
+        self._whole(tick, COMMON, common, [alone], (self.good, self.clear))
+        if common == GOOD and tick - self.lost < LOST_TICKS:
+            self._broken(tick, "lost", 0, "CommonMode says good after lost frames")
         for d, state in enumerate(self._states(tick, data)):
             before = self.adhesion[d]
             fine = tick - self.since[d]  # ticks since the first of the fresh ones
@@ -180,6 +245,8 @@ class Oracle:
                 self._broken(tick, "masquerade", d + 1, "Adhering, and two senders speak or spoke")
             if state == GOOD and not sampled[d] and not self.doubled[d]:
                 self._broken(tick, "stale", d + 1, "Adhering without fresh samples")
+            if state == GOOD and tick - self.lost < LOST_TICKS:
+                self._broken(tick, "lost", d + 1, "Adhering after lost frames")
             if before == BAD and state == UNKNOWN:
                 self._broken(tick, "cleared", d + 1, "AdhesionLost went to Unknown")
             if before == BAD and state == GOOD and fine < self.clear:
@@ -188,29 +255,77 @@ class Oracle:
                 self._broken(tick, "hasty", d + 1, f"after {fine} ticks of fresh samples")
             self.adhesion[d] = state
 
-    def _faults(self, tick: int, data: bytes, fresh: np.ndarray, said: Said) -> None:
-        lent = (tick * TICK - self.lent <= self.limit).reshape(fresh.shape)
+    def _faults(self, tick: int, data: bytes) -> None:
         for d, state in enumerate(self._states(tick, data)):
-            aged = not fresh[d, -1] and not lent[d, -1] and not self.doubled[d]
-            if state == GOOD and aged:
-                self._broken(tick, "stale", d + 1, "NoFault without fresh temperatures")
-            if self.thermal[d] == BAD and state == UNKNOWN:
+            before, fine = self.thermal[d], tick - self.warm[d]
+            if before == BAD and state == UNKNOWN:
                 self._broken(tick, "cleared", d + 1, "thermal Fault went to Unknown")
+            if before == BAD and state == GOOD and fine < self.cool:
+                self._broken(tick, "cleared", d + 1, f"after {fine} ticks of fresh temperatures")
             self.thermal[d] = state
-        comm, estimator = (data[6] >> 2) & 3, (data[6] >> 4) & 3
-        if comm == GOOD and not (fresh.ravel() | ~self.heard).all():
-            self._broken(tick, "stale", 0, "CommFault says good")
-        if estimator == GOOD and (said.health != Health.TRACKING).any():
-            self._broken(tick, "untracked", 0, "EstimatorFault says good")
+        word = int.from_bytes(data, "little")
+        for name, began in ((SENSOR, self.warm), (COMM, self.linked), (ESTIMATOR, self.tracked)):
+            state = (word >> OF_ALL[name]) & 3
+            self._whole(tick, name, state, [tick - since for since in began], TIMES[name])
+        self.whole[OVERRUN] = (word >> OF_ALL[OVERRUN]) & 3
 
-    def _tracking(self, tick: int, said: Said, speed: list[float]) -> None:
-        rows = zip(said.adhesion.tolist(), said.health.tolist(), said.speed.tolist(), strict=True)
-        for d, (flag, health, told) in enumerate(rows):
+    def _whole(
+        self, tick: int, name: str, state: int, fine: list[int], times: tuple[int, int]
+    ) -> None:
+        """A state of all drives is read. fine: ticks since the first good one, by drive."""
+        before, (good, clear) = self.whole[name], times
+        if state > BAD:
+            self._broken(tick, "form", 0, f"{name} is {state}")
+        if before == BAD and state != BAD and max(fine) < clear:
+            self._broken(tick, "cleared", 0, f"{name} to {state} after {max(fine)} good ticks")
+        if name == COMMON and before == BAD and state == UNKNOWN:
+            self._broken(tick, "cleared", 0, f"{name} went to Unknown")
+        if before != GOOD and state == GOOD and 0 <= min(fine) < good:
+            rule = "hasty" if before == UNKNOWN else "cleared"
+            self._broken(tick, rule, 0, f"{name} says good after {min(fine)} good ticks")
+        self.whole[name] = state
+
+    def _stand(self, tick: int, sampled: list[bool]) -> None:
+        """What was last read, against what there is now."""
+        for d, state in enumerate(self.thermal):
+            if state == GOOD and self.warm[d] > tick:
+                self._broken(tick, "stale", d + 1, "NoFault without fresh temperatures")
+        if self.whole[SENSOR] == GOOD and max(self.warm) > tick:
+            self._broken(tick, "stale", 0, "SensorFault says good without fresh temperatures")
+        if self.whole[COMM] == GOOD and max(self.linked) > tick:
+            self._broken(tick, "stale", 0, "CommFault says good")
+        if self.whole[COMMON] == GOOD and self.any_sampled > tick:
+            self._broken(tick, "stale", 0, "CommonMode says good without fresh samples")
+        if self.whole[ESTIMATOR] == GOOD and max(self.tracked) > tick:
+            self._broken(tick, "untracked", 0, "EstimatorFault says good")
+        for d, health in enumerate(self.health):
+            if health == Health.TRACKING and not sampled[d] and not self.doubled[d]:
+                self._broken(tick, "stale", d + 1, "Health says tracking without fresh samples")
+        wanted = BAD if tick - self.missed <= OVERRUN_TICKS else GOOD
+        if self.whole[OVERRUN] != wanted:
+            self._broken(tick, "overrun", 0, f"says {self.whole[OVERRUN]}, {wanted} is right")
+
+    def _estimates(self, tick: int, out: list[Frame], said: Said) -> None:
+        """Health and speed: from the wire, and in ticks that send none what would be sent."""
+        sent = {frame.can_id: frame.data for frame in out}
+        health, speed = said.health.tolist(), said.speed.tolist()
+        for d, node in enumerate(self.nodes):
+            data = sent.get(ESTIMATE + node)
+            if data is not None:
+                health[d] = data[1] >> 4
+                raw = int.from_bytes(data[2:4], "little", signed=True)
+                speed[d] = math.nan if raw == NO_SPEED else raw * SPEED_STEP_RAD_S
+            if health[d] != Health.TRACKING:
+                self.tracked[d] = tick + 1
+        self.health, self.told = health, speed
+
+    def _tracking(self, tick: int, speed: list[float]) -> None:
+        for d, (health, told) in enumerate(zip(self.health, self.told, strict=True)):
             if self.adhesion[d] != GOOD:
                 self.apart[d] = 0
                 continue
-            if flag != Flag.GOOD or health != Health.TRACKING:
-                self._broken(tick, "untracked", d + 1, f"Adhering while {Health(health).name}")
+            if health != Health.TRACKING:
+                self._broken(tick, "untracked", d + 1, f"Adhering while Health is {health}")
             off = abs((0.0 if math.isnan(told) else told) - speed[d])
             far = off > max(SPEED_RAD_S, SPEED_SHARE * abs(speed[d]))
             self.apart[d] = self.apart[d] + 1 if far else 0

@@ -6,7 +6,9 @@ that repeats it.
 
 from __future__ import annotations
 
+import subprocess
 from collections import Counter
+from itertools import count as count_up
 
 import numpy as np
 import pytest
@@ -15,12 +17,13 @@ from gateway import _inputs_kernels as kernels
 from gateway import _said_kernels as said_kernels
 from gateway import core
 from gateway.decide import TABLE
-from gateway.health import Flag
+from gateway.health import Flag, Health
 from gateway.outbox import Outbox
+from gateway.said import Which
 from sim.hostile import KINDS, WHOLE_BUS, Fault, HostileBus, plan
 from tests.storm import campaign
-from tests.storm.campaign import FD_SEEDS, QUEUE, weather
-from tests.storm.oracle import Oracle
+from tests.storm.campaign import FD_SEEDS, QUEUE, Result, weather
+from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 
 SEEDS, TICKS = range(20), 100_000
@@ -39,6 +42,8 @@ def test_no_seed_breaks_a_rule(seed, ticks):
     assert result.said["adhesion", Flag.GOOD] > ticks / 2
     assert result.said["adhesion", Flag.BAD] > ticks / 100
     assert result.said["thermal", Flag.GOOD] > ticks / 2
+    for name in ("SensorFault", "CommFault", "EstimatorFault", "CommonMode", "Overrun"):
+        assert result.said[name, Flag.GOOD] > ticks / 5, name
 
 
 def test_the_seeds_bring_every_fault_to_every_phase_and_drive():
@@ -56,6 +61,33 @@ def test_the_seeds_bring_every_fault_to_every_phase_and_drive():
 def test_a_seed_is_the_same_every_time():
     assert weather(5, 3000) == weather(5, 3000)
     assert weather(5, 3000) != weather(6, 3000)
+
+
+def test_a_result_names_the_commit_that_was_loaded(tmp_path):
+    """Its own file may have grown meanwhile; anything else has been changed."""
+
+    def git(*words):
+        who = "-c", "user.name=storm", "-c", "user.email=storm@localhost"
+        words = ["git", "-C", str(tmp_path), *who, *words]
+        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+
+    code, results = tmp_path / "core.py", tmp_path / "tests" / "storm" / "soak.jsonl"
+    results.parent.mkdir(parents=True)
+    assert campaign.commit_of(tmp_path) == "unknown"
+    git("init", "-q")
+    for path in (code, results):
+        path.write_text("1\n")
+    git("add", "-A")
+    git("commit", "-qm", "first")
+    commit = git("rev-parse", "--short", "HEAD")
+    results.write_text("1\n2\n")
+    (tmp_path / "new").write_text("not known to git")
+    assert campaign.commit_of(results.parent) == commit
+    code.write_text("2\n")
+    assert campaign.commit_of(results.parent) == f"{commit}-dirty"
+    broken = [Violation(7, "stale", 1, "Adhering")]
+    said = Result(44, 9, broken, Counter(), Counter(), 0, Counter()).text().splitlines()
+    assert said[0].endswith(f"--seeds 44 --ticks 9 # on {campaign.COMMIT}")
 
 
 DENSE = (3, 16_000, 100.0)
@@ -199,22 +231,183 @@ def frames_are_forgotten(monkeypatch):
     monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * 14)
 
 
+def built(monkeypatch, change):
+    """Every gateway of a storm is changed once it is made."""
+
+    def make(*given):
+        made = core.Gateway(*given)
+        change(made)
+        return made
+
+    monkeypatch.setattr(campaign, "Gateway", make)
+
+
+def at_once(which):
+    """A flag that waits for nothing."""
+
+    def broken(monkeypatch):
+        built(monkeypatch, lambda made: made.rules.timing[which].fill(0))
+
+    return broken
+
+
+def ills(monkeypatch, *which):
+    """Evidence against these flags, of each drive in turn: a storm seldom brings it by itself."""
+    ticks = count_up()
+
+    def weigh(*words):
+        said_kernels.weigh(*words)
+        turn, at = divmod(next(ticks), 900)
+        if 600 < at < 750:
+            for flag in which:
+                words[-2][flag, turn % len(NODES)] = Flag.BAD
+
+    monkeypatch.setattr(core, "weigh", weigh)
+
+
+def ill_at_once(which):
+    def broken(monkeypatch):
+        ills(monkeypatch, which)
+        at_once(which)(monkeypatch)
+
+    return broken
+
+
+def always_good(which):
+    """Whatever the evidence is."""
+
+    def broken(monkeypatch):
+        def weigh(*words):
+            said_kernels.weigh(*words)
+            words[-2][which] = Flag.GOOD
+
+        monkeypatch.setattr(core, "weigh", weigh)
+
+    return broken
+
+
+def changes_are_not_sent(monkeypatch):
+    """Not in their own tick: in the next tenth one."""
+
+    def change(made):
+        sheet = made.outbox.sheet
+        slowest = int(np.argmax(sheet.cycle_ns))
+        made.outbox.sheet = sheet._replace(changing=slowest)
+
+    built(monkeypatch, change)
+
+
+def sent_health(value):
+    """On the wire only: the gateway itself knows better."""
+
+    def broken(monkeypatch):
+        real = Outbox.due
+
+        def due(self, said, now):
+            return real(self, said._replace(health=np.full_like(said.health, value)), now)
+
+        monkeypatch.setattr(Outbox, "due", due)
+
+    return broken
+
+
+STOPS = [Fault("process_stop", at, at + 8, None, 1.0) for at in range(1500, 3000, 150)]
+"""The queue holds nearly all that comes meanwhile, so that samples are fresh afterwards."""
+SENDERS = [Fault("second_sender", at, at + 60, None, 0.5) for at in (2000, 2200, 2400)]
+SILENCE = [Fault("bus_off", 3340, 3360, None, 1.0)]
+"""While no wheel holds."""
+
+
+def unknown_clears_all(monkeypatch):
+    monkeypatch.setattr(campaign, "plan", lambda *_: SILENCE)
+    unknown_clears(monkeypatch)
+
+
+def overruns_are_hidden(monkeypatch):
+    monkeypatch.setattr(core.Doubt, "note_overrun", lambda *_: None)
+
+
+def overruns_are_never_over(monkeypatch):
+    monkeypatch.setattr("gateway.doubt.OVERRUN_HOLD_NS", 1 << 60)
+
+
+def lost_frames_are_forgotten(monkeypatch):
+    monkeypatch.setattr(campaign, "plan", lambda *_: STOPS)
+    monkeypatch.setattr(core.Doubt, "note_lost", lambda *_: None)
+
+
+def two_senders_are_one(monkeypatch):
+    """No frame comes too soon after another where there is no period."""
+    monkeypatch.setattr(campaign, "plan", lambda *_: SENDERS)
+    built(monkeypatch, lambda made: made.inbox.state.period_ns.fill(0))
+
+
+class Found(Exception):
+    """The oracle has noticed."""
+
+
 @pytest.mark.parametrize(
-    ("broken", "rule"),
+    ("broken", "rule", "what"),
     [
-        (stale_is_believed, "stale"),
-        (unknown_clears, "cleared"),
-        (health_is_ignored, "hasty"),
-        (health_is_ignored, "untracked"),
-        (wrong_speed, "untracked"),
-        (counter_stands_still, "form"),
-        (frames_are_forgotten, "counted"),
+        (stale_is_believed, "stale", "Adhering"),
+        (unknown_clears, "cleared", "AdhesionLost went to Unknown"),
+        (unknown_clears_all, "cleared", "CommonMode went to Unknown"),
+        (health_is_ignored, "hasty", "fresh samples"),
+        (health_is_ignored, "untracked", "Adhering while"),
+        (wrong_speed, "untracked", "off the truth"),
+        (counter_stands_still, "form", "counter"),
+        (always_good(Which.SENSOR), "stale", "SensorFault"),
+        (always_good(Which.THERMAL), "stale", "NoFault"),
+        (always_good(Which.COMM), "stale", "CommFault"),
+        (always_good(Which.ESTIMATOR), "untracked", "EstimatorFault"),
+        (at_once(Which.SENSOR), "hasty", "SensorFault"),
+        (at_once(Which.COMM), "hasty", "CommFault"),
+        (at_once(Which.COMM), "cleared", "CommFault"),
+        (ill_at_once(Which.SENSOR), "cleared", "SensorFault"),
+        (ill_at_once(Which.ESTIMATOR), "cleared", "EstimatorFault"),
+        (ill_at_once(Which.THERMAL), "cleared", "fresh temperatures"),
+        (changes_are_not_sent, "stale", "NoFault"),
+        (sent_health(Health.CONVERGING), "untracked", "Adhering while"),
+        (sent_health(Health.TRACKING), "stale", "Health"),
+        (overruns_are_hidden, "overrun", "says 1"),
+        (overruns_are_never_over, "overrun", "says 2"),
+        (lost_frames_are_forgotten, "lost", "Adhering"),
+        (two_senders_are_one, "masquerade", "Adhering"),
     ],
+    ids=lambda part: part if isinstance(part, str) else "",
 )
-def test_the_oracle_finds_a_gateway_that_breaks_its_rule(broken, rule, monkeypatch):
-    monkeypatch.setattr(campaign, "MOST_FOUND", 10_000)
+def test_the_oracle_finds_a_gateway_that_breaks_its_rule(broken, rule, what, monkeypatch):
+    def noticed(_self, _tick, by, _drive, why):
+        if by == rule and what in why:
+            raise Found
+
     broken(monkeypatch)
-    assert rule in {v.rule for v in weather(*DENSE).found}
+    monkeypatch.setattr(Oracle, "_broken", noticed)
+    with pytest.raises(Found):
+        weather(*DENSE)
+
+
+def test_the_oracle_finds_a_gateway_that_does_not_count(monkeypatch):
+    monkeypatch.setattr(campaign, "MOST_FOUND", 10_000)
+    frames_are_forgotten(monkeypatch)
+    assert "counted" in {v.rule for v in weather(3, 500, 100.0).found}
+
+
+@pytest.mark.parametrize("faults", [STOPS, SENDERS, SILENCE], ids=lambda faults: faults[0].kind)
+def test_where_broken_gateways_are_found_a_whole_one_breaks_no_rule(faults, monkeypatch):
+    monkeypatch.setattr(campaign, "plan", lambda *_: faults)
+    result = weather(3, 3600)
+    assert not result.found, result.text()
+    assert result.said["CommonMode", Flag.BAD] > 10
+
+
+def test_with_evidence_against_every_flag_no_rule_is_broken(monkeypatch):
+    """The same illnesses as above, and a gateway that is whole."""
+    ills(monkeypatch, Which.SENSOR, Which.ESTIMATOR, Which.THERMAL)
+    result = weather(3, 6000)
+    assert not result.found, result.text()
+    for name in ("SensorFault", "EstimatorFault", "thermal"):
+        assert result.said[name, Flag.BAD] > 100
 
 
 ONE = [spec.can_id for spec in train().codec.messages if spec.name.startswith("Drive2_")]

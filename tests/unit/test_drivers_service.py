@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ from gateway.config import parse
 from gateway.core import Gateway
 from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.live import LiveSnapshot, Stop, run_live
-from gateway.drivers.outputs import Outputs
+from gateway.drivers.outputs import MOST_LATE, Outputs
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.service import FEEDS, Manager, Overseer
 from gateway.drivers.transport import HEARTBEAT_ID, LinkState, SendResult, Status
@@ -65,6 +66,7 @@ class Rig:
         self.status = Status(state=LinkState.UP)
         self.result = SendResult.SENT
         self.change: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+        self.slow: Callable[[int], bool] = lambda tick: False
         self.at: dict[int, Callable[[], None]] = {}
         self.told: list[tuple[int, str]] = []
         self.sent: list[Frame] = []
@@ -76,7 +78,10 @@ class Rig:
     # What the loop wants of a core, a transport and a clock.
 
     def step(self, frames: Block, now_ns: int) -> list[Frame]:
-        return self.change(self.core.step(frames, now_ns))
+        out = self.change(self.core.step(frames, now_ns))
+        if self.slow(self._tick):
+            self.now += 30 * MS
+        return out
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.core, name)
@@ -226,6 +231,61 @@ def test_a_full_queue_is_said_and_survived(rig: Rig, caplog: pytest.LogCaptureFi
     rig.run(50)
     assert rig.ticks_of("WATCHDOG=1") == [0, 25]
     assert "transmit queue is full" in caplog.text
+
+
+def test_a_loop_that_decides_too_late_is_not_kept_alive(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The loop runs and its heartbeat goes, but not one flag leaves."""
+    rig.at[100] = lambda: setattr(rig, "slow", lambda _: True)
+    rig.run(500)
+    left = [f.can_id for f in rig.sent if f.t_ns > 5 * SECOND + 1000 * MS]
+    # What is sent at the end is the goodbye.
+    assert HEARTBEAT_ID in left
+    assert left.count(ADHESION) == 3
+    assert rig.status.tx_late > 300
+    fed = rig.ticks_of("WATCHDOG=1")
+    assert 75 in fed
+    assert max(fed) <= 100 + 4 * MOST_LATE
+    assert any("1A0 is made, but too late to be sent" in said for _, said in rig.told)
+    assert "this tick does not count" in caplog.text
+
+
+@pytest.mark.parametrize("slow", ["one", "every second", "half"])
+def test_late_ticks_now_and_then_are_harmless(
+    rig: Rig, slow: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One, all that bring what goes out once a second, even half of them: flags still leave."""
+    rig.slow = {
+        "one": lambda tick: tick == 142, "every second": lambda tick: tick > 0 and tick % 100 == 0,
+        "half": lambda tick: tick > 100 and tick // 4 % 2 == 0,
+    }[slow]  # fmt: skip
+    rig.run(500)
+    assert rig.status.tx_late > 0
+    fed = rig.ticks_of("WATCHDOG=1")
+    assert max(later - tick for tick, later in pairwise(fed)) < 40
+    assert max(fed) > 460
+    if slow != "half":
+        assert "this tick does not count" not in caplog.text
+
+
+def test_a_start_is_not_ready_before_its_frames_leave(rig: Rig) -> None:
+    rig.slow = lambda tick: tick < 50
+    rig.run(300)
+    ready = rig.ticks_of("READY=1")
+    assert len(ready) == 1
+    assert ready[0] >= 50
+
+
+@pytest.mark.parametrize("result", [SendResult.DOWN, SendResult.FULL])
+def test_a_bus_that_takes_nothing_restarts_nobody(rig: Rig, result: SendResult) -> None:
+    """Nor does it where a tick was late before, or is in between."""
+    rig.at[100] = lambda: setattr(rig, "result", result)
+    rig.slow = lambda tick: tick in (98, 99, 150)
+    rig.run(500)
+    fed = rig.ticks_of("WATCHDOG=1")
+    assert max(fed) > 460
+    assert max(later - tick for tick, later in pairwise(fed)) < 40
 
 
 def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig: Rig) -> None:

@@ -59,9 +59,23 @@ def test_systemd_finds_nothing_wrong_with_the_units(analyze: str, installed: Pat
         assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
-def test_the_exposure_is_what_was_promised(analyze: str, installed: Path) -> None:
-    good, said = exposure(analyze, installed / GATEWAY)
+@pytest.mark.parametrize(("unit", "most"), [(GATEWAY, MOST_EXPOSED), (LINKS, MOST_EXPOSED - 1)])
+def test_the_exposure_is_what_was_promised(
+    analyze: str, installed: Path, unit: str, most: int
+) -> None:
+    good, said = exposure(analyze, installed / unit, most=most)
     assert good, said
+
+
+def test_links_are_set_up_with_one_right_only() -> None:
+    lines = (UNITS / LINKS).read_text(encoding="utf-8").splitlines()
+    for wanted in (
+        "DynamicUser=yes", "CapabilityBoundingSet=CAP_NET_ADMIN",
+        "AmbientCapabilities=CAP_NET_ADMIN", "SystemCallFilter=~@privileged @resources",
+    ):  # fmt: skip
+        assert wanted in lines
+    # The limit of receive buffers is written below /proc/sys.
+    assert not {"ProtectKernelTunables=yes", "ProcSubset=pid"} & set(lines)
 
 
 @pytest.mark.parametrize("line", ["NoNewPrivileges=yes", "CapabilityBoundingSet="])
