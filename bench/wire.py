@@ -62,10 +62,10 @@ BO_ 3 Switched: 8 A
 MIXED_FRAMES: Final = 200_000
 
 
-def log_of(folder: Path, dbc: str) -> Path:
-    """A minute of three healthy drives."""
+def log_of(folder: Path, dbc: str, seconds: float = SECONDS) -> Path:
+    """A minute of three healthy drives, or so long."""
     log = folder / f"{Path(dbc).stem}.log"
-    quiet("sim", "healthy", "--duration", str(SECONDS), "--dbc", dbc, "-o", str(log))
+    quiet("sim", "healthy", "--duration", str(seconds), "--dbc", dbc, "-o", str(log))
     return log
 
 
