@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._lean import inlined, lean
+from dbc._lean import inlined, unlocked
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
@@ -179,7 +179,7 @@ def _line(
     return at
 
 
-@lean
+@unlocked
 def scan(
     text: Bytes,
     start: int,

@@ -20,6 +20,11 @@ def lean(function: F) -> F:
     return njit(cache=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
 
 
+def unlocked(function: F) -> F:
+    """The same, and other threads go on meanwhile: for what takes milliseconds."""
+    return njit(cache=True, nogil=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
+
+
 def inlined(function: F) -> F:
-    """The same, put in where it is called."""
+    """As `lean`, put in where it is called."""
     return njit(cache=True, forceinline=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]

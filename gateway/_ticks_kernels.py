@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._lean import inlined, lean
+from dbc._lean import inlined, lean, unlocked
 from estimators.detect._kernels import judge_few
 from estimators.detect.reference import Reference
 from estimators.detect.response import Memory
@@ -80,7 +80,7 @@ def _count(tally: Ints, saying: Saying) -> None:
     saying.counts[_C_LOST] = saying.lost + tally[_T_LOST]
 
 
-@lean
+@unlocked
 def several(
     t_ns: Ints, can_id: NDArray[np.uint32], flags: NDArray[np.uint8], length: NDArray[np.uint8],
     data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import threading
 from pathlib import Path
 
 import pytest
@@ -285,6 +286,16 @@ def test_gzip_whole_and_in_members(tmp_path: Path) -> None:
     assert reader.truncated == ""
     assert len(list(reader)) == 4, "a second pass starts anew"
     assert reader.lines == 4
+
+
+def test_a_packed_log_that_is_left_early_leaves_no_thread(tmp_path: Path) -> None:
+    path = tmp_path / "long.log.gz"
+    path.write_bytes(gzip.compress(LAST * 400_000, 1))
+    others, blocks = threading.active_count(), Reader(path).blocks()
+    assert next(blocks).size
+    assert threading.active_count() > others
+    blocks.close()
+    assert threading.active_count() == others
 
 
 def test_gzip_cut_short_gives_what_is_good_and_says_so(tmp_path: Path) -> None:
