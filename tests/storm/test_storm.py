@@ -19,6 +19,7 @@ from gateway import core
 from gateway.decide import TABLE
 from gateway.health import Flag, Health
 from gateway.outbox import Outbox
+from gateway.receiving import NAMES
 from gateway.said import Which
 from sim.hostile import KINDS, WHOLE_BUS, Fault, HostileBus, plan
 from tests.storm import campaign
@@ -228,7 +229,7 @@ def counter_stands_still(monkeypatch):
 
 
 def frames_are_forgotten(monkeypatch):
-    monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * 14)
+    monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * len(NAMES))
 
 
 def built(monkeypatch, change):

@@ -66,5 +66,5 @@ def test_the_priority_is_the_contracts_and_names_every_reason():
 def test_what_counts_as_rejected_is_counted_somewhere():
     assert set(REJECTED) <= set(NAMES)
     assert len(set(REJECTED)) == len(REJECTED)
-    used = {"decoded", "lost", "own", "remote", "error_frame", "unknown_id"}
+    used = {"decoded", "lost", "own", "remote", "error_frame", "unknown_id", "canopen"}
     assert set(NAMES) - set(REJECTED) == used
