@@ -11,7 +11,7 @@ from typing import IO, Final, Self, cast
 import numpy as np
 
 from dbc._logline_kernels import DIGITS, FD_LENGTH, MOST_LINE, write_lines
-from dbc.block import Block
+from dbc.block import ROOM, Block
 from dbc.frame import Frame
 from dbc.logblocks import MOST_NAME
 from dbc.logline import format_frame, name_bytes
@@ -66,6 +66,10 @@ class Writer:
             )  # fmt: skip
             self._stream.write(self._lines[:size].tobytes())
             if not size:
+                # A block keeps no more than this of a frame, and what is cut would look whole.
+                if block.length[row] > ROOM:
+                    msg = f"cannot be written as a candump line: more than {ROOM} bytes"
+                    raise ValueError(msg)
                 self.write(block.frame(row), channel)
                 row += 1
 

@@ -1,9 +1,10 @@
 """Many ticks of a gateway in few calls: what a replay is made of.
 
-Most ticks hold nothing that only `Gateway.step` can do: no heartbeat, no second that the thermal
-model waits for, no detector but the default. Those are done by one compiled loop over them, others
-one by one; a tick that turns out to need more in its midst is finished by the gateway from there.
-The same frames go out as of single steps, and the same state is left (`tests/unit/test_ticks.py`).
+Most ticks hold nothing that only `Gateway.step` can do: no emergency, no heartbeat that is overdue,
+no second that the thermal model waits for, no detector but the default. Those are done by one
+compiled loop over them, others one by one; a tick that turns out to need more in its midst is
+finished by the gateway from there. The same frames go out as of single steps, and the same state is
+left (`tests/unit/test_ticks.py`).
 """
 
 from __future__ import annotations

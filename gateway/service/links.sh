@@ -1,5 +1,5 @@
 #!/bin/sh
-# Sets up one CAN interface, for traction-gateway-links@.service: `links.sh can0`. Run as root.
+# Sets up one CAN interface, for traction-gateway-links@.service: `links.sh can0`. Needs CAP_NET_ADMIN.
 # TYPE, BITRATE and the rest come from /etc/traction-gateway/NAME.env; an interface that is up is
 # left alone, so that a restart of the gateway does not interrupt the bus.
 set -eu

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from dbc import candump, logwriter
 from dbc.block import block_of
 from dbc.candump import LogError, Reader, Writer, format_frame, parse_line
-from dbc.frame import BRS, Frame
+from dbc.frame import BRS, FD, Frame
 from dbc.logline import Verdict
 from tests.fuzz import examples
 from tests.strategies import frames, log_lines
@@ -151,6 +151,7 @@ def test_a_block_is_written_as_its_frames_are(many: list[Frame], channel: str, r
 @settings(max_examples=examples(500))
 @example(Frame(0, 1), Frame(0, 1, bytes(8), BRS))
 @example(Frame(0, 1), Frame(0, 0x800))
+@example(Frame(0, 1), Frame(0, 1, bytes(65), FD))
 def test_what_no_line_can_say_is_refused_in_a_block_too(good: Frame, odd: Frame) -> None:
     """And what stands before it is written."""
     stream = io.BytesIO()
