@@ -29,6 +29,8 @@ LANES: Final = 8
 where there are four drives or fewer."""
 _L = LANES
 _HALF = _L // 2
+_LINE = 8
+"""Numbers in a cache line."""
 STATE: Final = 20
 """Rows of x (5) and of P's upper triangle (15)."""
 _PAR, _Q, _R, _U, _LEAN, _V, _TURN, _Y = 20, 26, 31, 33, 35, 36, 38, 40
@@ -63,9 +65,16 @@ def lanes_room(drives: int) -> LanesRoom:
     blocks = (drives + LANES - 1) // LANES
     P, F, W, L = (np.zeros((5, 5)) for _ in range(4))
     return LanesRoom(
-        np.zeros((blocks, ROWS * LANES)), np.full(blocks * LANES, -1), np.zeros(5), P, F, W, L,
+        _aligned(blocks, ROWS * LANES), np.full(blocks * LANES, -1), np.zeros(5), P, F, W, L,
         np.zeros((5, 2)), np.zeros(2), np.zeros(5), np.zeros((10, 5)),
     )  # fmt: skip
+
+
+def _aligned(rows: int, columns: int) -> Array:
+    """Zeros from a cache line's start on: a vector that lies across two costs a tenth of a step."""
+    room = np.zeros(rows * columns + _LINE)
+    skip = -room.ctypes.data // room.itemsize % _LINE
+    return room[skip : skip + rows * columns].reshape(rows, columns)
 
 
 _TWO_OVER_PI, _PI_2, _PI_2_REST = 2.0 / math.pi, 1.5707963267948966, 6.123233995736766e-17
