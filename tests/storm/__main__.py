@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from sim.hostile import KINDS
-from tests.storm.campaign import COMMIT, Result, uncovered, weather
+from tests.storm.campaign import COMMIT, Result, in_calls, uncovered, weather
 from tests.storm.oracle import COMMON, OF_ALL
 from tests.storm.train import PHASES
 
@@ -28,6 +28,7 @@ def _line(result: Result, seconds: float) -> dict:
     return {
         "seed": result.seed,
         "commit": COMMIT,
+        "calls": in_calls(result.seed),
         "ticks": result.ticks,
         "frames": result.frames,
         "seconds": round(seconds, 1),

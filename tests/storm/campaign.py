@@ -7,25 +7,35 @@ from __future__ import annotations
 
 import subprocess
 from collections import Counter
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import gateway
-from dbc.block import join
-from gateway.config import parse
+from dbc.block import Block, join
+from dbc.frame import Frame
+from gateway.config import Config, parse
 from gateway.core import Gateway
 from gateway.health import REJECTED
-from sim.hostile import KINDS, NOTHING, Arrived, HostileBus, plan
+from gateway.said import Said
+from gateway.ticks import Ticks
+from sim.hostile import KINDS, NOTHING, Arrived, Fault, HostileBus, plan
 from tests.storm.oracle import Oracle, Violation
-from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
+from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, Train, train
 
+Ints = NDArray[np.int64]
 CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
 QUEUE = 278
 """Frames that the kernel keeps for a process that does not read; the newest are lost."""
 MOST_FOUND = 20
 FD_SEEDS = 1000
+MOST_TICKS = 64
+"""Of a gateway that is stepped several ticks in a call."""
+_LENGTHS = 3
+"""Purpose of a random stream: the plan of faults and their chances have the first two."""
 ENDS = ("decoded", "error_frame", "remote", "own", "canopen", "unknown_id", *REJECTED)
 """Every frame ends in exactly one of these counters."""
 
@@ -83,8 +93,100 @@ def config_of(seed: int):
     })  # fmt: skip
 
 
-def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
-    """Run one seed. between: mean ticks from one fault to the next."""
+def in_calls(seed: int) -> bool:
+    """Whether this seed's gateway does several ticks in a call, as in a replay, by default.
+
+    Every filter with every detector is stepped both ways.
+    """
+    return seed // 12 % 2 == 1
+
+
+class Tick(NamedTuple):
+    """What there is at one tick. phase: how far the train's round has come, in ticks."""
+
+    tick: int
+    came: Arrived
+    phase: int
+    faults: list[Fault]
+
+
+class Watched:
+    """A gateway from its start on, an oracle beside it, and what both came to."""
+
+    def __init__(
+        self, config: Config, honest: Train, tick: int, lengths: np.random.Generator | None
+    ) -> None:
+        """tick: the first; lengths: of calls of several ticks, None for single steps."""
+        self._core = Gateway(config, honest.codec, (tick - 1) * TICK)
+        self._oracle = Oracle(honest.codec, config, tick)
+        self._ticks = Ticks(self._core)
+        self._honest, self._lengths, self._length = honest, lengths, 1
+        self._waiting: list[Tick] = []
+
+    @property
+    def found(self) -> list[Violation]:
+        """Rules broken so far, in ticks that are done."""
+        return self._oracle.found
+
+    def stood(self, missed: int, dropped: int) -> None:
+        """Before a tick: the process has stood for so many, and so many frames are lost unread."""
+        self._flush()
+        self._core.doubt.note_lost(dropped)
+        self._oracle.note_lost(dropped)
+        if missed:
+            self._core.doubt.note_overrun(missed)
+
+    def take(self, tick: Tick) -> None:
+        """One tick, or one more of those that wait to be done together."""
+        if self._lengths is None:
+            out = self._core.step(tick.came.block, tick.tick * TICK)
+            self._look(tick, out, self._core.said)
+            return
+        self._waiting.append(tick)
+        if len(self._waiting) >= self._length:
+            self._flush()
+            self._length = int(self._lengths.integers(1, MOST_TICKS + 1))
+
+    def end(self, tick: int) -> tuple[Counter[str], Counter[tuple[str, int]]]:
+        """Frames by what became of them, and ticks by what was said."""
+        self._flush()
+        seen = self._core.inbox.counts
+        if seen["received"] != sum(seen[name] for name in ENDS):
+            self.found.append(Violation(tick, "counted", 0, f"frames do not add up: {dict(seen)}"))
+        return seen, self._oracle.said
+
+    def _flush(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        block, ends = _joined([tick.came.block for tick in waiting])
+        out: dict[int, list[Frame]] = {}
+        done = first = 0
+        while done < len(ends):
+            rest = block.part(first, block.size)
+            at = waiting[done].tick * TICK
+            more, went = self._ticks.run(rest, ends[done:] - first, at)
+            for frame in chain.from_iterable(sent.frames() for sent in went):
+                out.setdefault(frame.t_ns, []).append(frame)
+            done += more
+            first = int(ends[done - 1])
+        for tick in waiting:
+            self._look(tick, out.pop(tick.tick * TICK, []), None)
+        if out:
+            what = f"frames of no tick: {out}"
+            self.found.append(Violation(waiting[-1].tick, "form", 0, what))
+
+    def _look(self, tick: Tick, out: list[Frame], said: Said | None) -> None:
+        speed = self._honest.speed[tick.phase]
+        self._oracle.look(tick.tick, tick.came, out, said, speed, tick.faults)
+
+
+def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None = None) -> Result:
+    """Run one seed.
+
+    between: mean ticks from one fault to the next; several: whether the gateway does several ticks
+    in a call, None for what `in_calls` says.
+    """
     config = config_of(seed)
     honest = train(config.dbc_path)
     ids = [
@@ -93,55 +195,57 @@ def weather(seed: int, ticks: int, between: float = 350.0) -> Result:
         for n in NODES
     ]  # fmt: skip
     bus = HostileBus(plan(seed, ticks, len(NODES), between), ids, seed)
+    several = in_calls(seed) if several is None else several
+    lengths = np.random.default_rng([seed, _LENGTHS]) if several else None
     met: Counter[tuple[str, str, int]] = Counter()
     counts: Counter[str] = Counter()
     found: list[Violation] = []
     said: Counter[tuple[str, int]] = Counter()
 
-    def start(tick: int) -> tuple[Gateway, Oracle]:
-        return Gateway(config, honest.codec, (tick - 1) * TICK), Oracle(honest.codec, config, tick)
-
     def end() -> None:
-        nonlocal counts
-        counts += core.inbox.counts
-        found.extend(oracle.found)
-        said.update(oracle.said)
-        seen = core.inbox.counts
-        if seen["received"] != sum(seen[name] for name in ENDS):
-            found.append(Violation(tick, "counted", 0, f"frames do not add up: {dict(seen)}"))
+        came, told = watched.end(tick)
+        counts.update(came)
+        said.update(told)
+        found.extend(watched.found)
 
-    core, oracle = start(1)
+    watched = Watched(config, honest, 1, lengths)
     waiting, stopped = NOTHING, 0
     tick = 0
     for tick in range(1, ticks + 1):
         now = tick * TICK
         came = bus.carry(honest.sent(tick), lambda: honest.elsewhere(tick), tick, now)  # noqa: B023
-        faults = bus.active(tick)
+        faults = list(bus.active(tick))
         k = (tick - 1) % LOOP_TICKS
+        kinds = {fault.kind for fault in faults}
         for fault in faults:
             met[
                 fault.kind, PHASES[honest.phase[k]], 0 if fault.drive is None else fault.drive + 1
             ] += 1
-        if stopped or any(f.kind == "process_stop" for f in faults):
+        if stopped or "process_stop" in kinds:
             dropped = max(waiting.block.size + came.block.size - QUEUE, 0)
-            core.doubt.note_lost(dropped)
-            oracle.note_lost(dropped)
             waiting = _queued(waiting, came)
-            if any(f.kind == "process_stop" for f in faults):
+            stands = "process_stop" in kinds
+            watched.stood(0 if stands else stopped, dropped)
+            if stands:
                 stopped += 1
                 continue
-            came, waiting = waiting, NOTHING
-            core.doubt.note_overrun(stopped)
-            stopped = 0
+            came, waiting, stopped = waiting, NOTHING, 0
         if any(f.kind == "restart" and f.first == tick for f in faults):
             end()
-            core, oracle = start(tick)
-        out = core.step(came.block, now)
-        oracle.look(tick, came, out, core.said, honest.speed[k], faults)
-        if len(oracle.found) >= MOST_FOUND:
+            watched = Watched(config, honest, tick, lengths)
+        watched.take(Tick(tick, came, k, faults))
+        if len(watched.found) >= MOST_FOUND:
             break
     end()
     return Result(seed, tick, found, said, met, counts["received"], counts)
+
+
+def _joined(blocks: list[Block]) -> tuple[Block, Ints]:
+    """One behind the other, and where each ends. Of channels nobody asks here."""
+    columns = zip(*(block[:6] for block in blocks), strict=True)
+    one = [np.concatenate(column) for column in columns]
+    channel = np.zeros(len(one[0]), dtype=np.uint16)
+    return Block(*one, channel, ["bus"]), np.cumsum([block.size for block in blocks])
 
 
 def _queued(waiting: Arrived, came: Arrived) -> Arrived:

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,12 @@ MOSTLY = 0.9
 GUARD_TICKS = 95
 """For so long after a second sender nothing is believed: a second, less what found it."""
 SPEED_SHARE, SPEED_RAD_S = 0.2, 6.0
+
+
+@lru_cache(maxsize=1 << 14)
+def _checksum(data: bytes) -> int:
+    """Most flag frames say what those sixteen before them said."""
+    return int(Crc8Autosar.calc(data))
 
 
 class Violation(NamedTuple):
@@ -115,7 +122,8 @@ class Oracle:
         self.any_sampled = tick
         """And with fresh currents and voltages of any drive."""
         self.whole = dict.fromkeys((*OF_ALL, COMMON), UNKNOWN)
-        self.health = [int(Health.UNKNOWN)] * self.n
+        self.health: list[int | None] = [None] * self.n
+        """As told in this tick; None where it was not."""
         self.told = [math.nan] * self.n
         """Speed as last estimated, rad/s."""
         self.looked = tick - 1
@@ -127,14 +135,14 @@ class Oracle:
         self.shared = [tick - GUARD_TICKS - 1] * self.n
         """Last tick in which a second sender had been there for long enough."""
         self.found: list[Violation] = []
-        self.said: Counter[tuple[str, int]] = Counter()
-        """Ticks by flag and state, over all drives."""
+        self._read: Counter[tuple[int, ...]] = Counter()
+        """Ticks by all that was said in them: a few dozen different ones."""
 
     def look(
-        self, tick: int, arrived: Arrived, out: list[Frame], said: Said,
+        self, tick: int, arrived: Arrived, out: list[Frame], said: Said | None,
         speed: np.ndarray, faults: list[Fault],
     ) -> None:  # fmt: skip
-        """One tick. speed (N,): true, rad/s."""
+        """One tick. speed (N,): true, rad/s; said: where the gateway was stepped singly."""
         now = tick * TICK
         mine = arrived.genuine
         slots = self.slot[arrived.block.can_id[mine]]
@@ -158,11 +166,17 @@ class Oracle:
                 self._faults(tick, frame.data)
         self._stand(tick, sampled)
         self._tracking(tick, speed.tolist())
-        for name, states in (("adhesion", self.adhesion), ("thermal", self.thermal)):
-            for state in states:
-                self.said[name, state] += 1
-        for name, state in self.whole.items():
-            self.said[name, state] += 1
+        self._read[(*self.adhesion, *self.thermal, *self.whole.values())] += 1
+
+    @property
+    def said(self) -> Counter[tuple[str, int]]:
+        """Ticks by flag and state, over all drives."""
+        names = ["adhesion"] * self.n + ["thermal"] * self.n + list(self.whole)
+        out: Counter[tuple[str, int]] = Counter()
+        for states, ticks in self._read.items():
+            for name, state in zip(names, states, strict=True):
+                out[name, state] += ticks
+        return out
 
     def note_lost(self, frames: int) -> None:
         """So many were dropped unread since the last tick."""
@@ -207,7 +221,7 @@ class Oracle:
         self.counters[frame.can_id] = counter
         if (
             frame.can_id in (ADHESION, FAULTS)
-            and Crc8Autosar.calc(data[1:] + bytes([ids[counter]])) != data[0]
+            and _checksum(data[1:] + bytes([ids[counter]])) != data[0]
         ):
             self._broken(tick, "form", 0, f"{frame.can_id:X}: checksum")
 
@@ -305,17 +319,22 @@ class Oracle:
         if self.whole[OVERRUN] != wanted:
             self._broken(tick, "overrun", 0, f"says {self.whole[OVERRUN]}, {wanted} is right")
 
-    def _estimates(self, tick: int, out: list[Frame], said: Said) -> None:
-        """Health and speed: from the wire, and in ticks that send none what would be sent."""
+    def _estimates(self, tick: int, out: list[Frame], said: Said | None) -> None:
+        """Health and speed: from the wire, and in ticks that send none what would be sent.
+
+        That is known of single steps. Else nothing is, and a drive counts as tracking from its last
+        estimate that says otherwise on.
+        """
         sent = {frame.can_id: frame.data for frame in out}
-        health, speed = said.health.tolist(), said.speed.tolist()
+        health = [None] * self.n if said is None else said.health.tolist()
+        speed = self.told if said is None else said.speed.tolist()
         for d, node in enumerate(self.nodes):
             data = sent.get(ESTIMATE + node)
             if data is not None:
                 health[d] = data[1] >> 4
                 raw = int.from_bytes(data[2:4], "little", signed=True)
                 speed[d] = math.nan if raw == NO_SPEED else raw * SPEED_STEP_RAD_S
-            if health[d] != Health.TRACKING:
+            if health[d] is not None and health[d] != Health.TRACKING:
                 self.tracked[d] = tick + 1
         self.health, self.told = health, speed
 
@@ -324,7 +343,7 @@ class Oracle:
             if self.adhesion[d] != GOOD:
                 self.apart[d] = 0
                 continue
-            if health != Health.TRACKING:
+            if health is not None and health != Health.TRACKING:
                 self._broken(tick, "untracked", d + 1, f"Adhering while Health is {health}")
             off = abs((0.0 if math.isnan(told) else told) - speed[d])
             far = off > max(SPEED_RAD_S, SPEED_SHARE * abs(speed[d]))

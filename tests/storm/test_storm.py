@@ -28,12 +28,13 @@ from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 
 SEEDS, TICKS = range(20), 100_000
-FD_TICKS = 30_000
+FD, FD_TICKS = (6, 7, 8), 30_000
+"""Two seeds of several ticks in a call, one of single steps."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "ticks"), [(s, TICKS) for s in SEEDS] + [(FD_SEEDS + s, FD_TICKS) for s in range(3)]
+    ("seed", "ticks"), [(s, TICKS) for s in SEEDS] + [(FD_SEEDS + s, FD_TICKS) for s in FD]
 )
 def test_no_seed_breaks_a_rule(seed, ticks):
     result = weather(seed, ticks)
@@ -89,6 +90,21 @@ def test_a_result_names_the_commit_that_was_loaded(tmp_path):
     broken = [Violation(7, "stale", 1, "Adhering")]
     said = Result(44, 9, broken, Counter(), Counter(), 0, Counter()).text().splitlines()
     assert said[0].endswith(f"--seeds 44 --ticks 9 # on {campaign.COMMIT}")
+
+
+@pytest.mark.parametrize("seed", [0, 2, 3, FD_SEEDS])
+def test_several_ticks_in_a_call_come_to_the_same(seed):
+    """EKF and UKF with the detector that is compiled, one that is not, and CAN FD."""
+    assert weather(seed, 3000, 60.0, several=True) == weather(seed, 3000, 60.0, several=False)
+
+
+def test_every_filter_meets_every_detector_stepped_either_way():
+    met = {
+        (config.estimator.kind, config.adhesion.detector, campaign.in_calls(seed))
+        for seed in range(24)
+        for config in [campaign.config_of(seed)]
+    }
+    assert len(met) == 2 * 4 * 2
 
 
 DENSE = (3, 16_000, 100.0)
