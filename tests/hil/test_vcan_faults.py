@@ -4,6 +4,7 @@ steps, frames of another kind. The counts are a tenth of what `--counts full` do
 
 from __future__ import annotations
 
+import itertools
 import re
 import signal
 import subprocess
@@ -14,7 +15,13 @@ from typing import TYPE_CHECKING
 import can
 import pytest
 
+from dbc.frame import Frame
 from dbc.protection import protect
+from gateway.config import parse
+from gateway.core import Gateway
+from gateway.drivers.socketcan import SocketCan
+from gateway.drivers.transport import EMCY_ID, HEARTBEAT_ID, SendResult
+from tests.hil.chain import TICK_NS
 from tests.hil.observer import ADHESION, GOOD, Observer, await_stop, end_process
 from tests.hil.site import Site, open_site
 from tests.hil.stable import Stable
@@ -27,6 +34,7 @@ pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 PATTERNS, PHASES = 60, 60
 CURRENTS = 0x181
 CORRUPTED, SEQUENCE, INTRUDER = 3, 4, 10
+OWN, BATCH = 1_000_000, 200
 ATTEMPTS = 3
 """A machine that stands still changes flags, too; a fault of ours does so every time."""
 
@@ -35,6 +43,35 @@ ATTEMPTS = 3
 def site(vcan: Vcan, stable: Stable, request: pytest.FixtureRequest) -> Iterator[Site]:
     with open_site(vcan, stable, request.config) as site:
         yield site
+
+
+def test_a_gateways_own_frames_are_no_intruder(site: Site) -> None:
+    """Sent while the same socket is read, and heard by somebody else (R10)."""
+    codec, name = site.used.codec, site.vcan.name
+    bus, other = SocketCan(name), SocketCan(name)
+    for each in (bus, other):
+        each.open()
+    gateway = Gateway(parse({"drive": [{"node": n} for n in site.used.nodes]}), codec, 0)
+    gateway.doubt.watching = not bus.status.hears_itself
+    assert gateway.doubt.watching
+    ours = [Frame(0, m.can_id, bytes(m.length)) for m in codec.messages if m.is_gateway]
+    ours += [Frame(0, identifier, bytes(8)) for identifier in (EMCY_ID, HEARTBEAT_ID)]
+    ids = itertools.cycle(ours)
+    rounds, heard = site.count(OWN) // BATCH, 0
+    for k in range(rounds):
+        sent = [bus.send(next(ids)) for _ in range(BATCH)]
+        assert set(sent) == {SendResult.SENT}
+        heard += other.take(0.0).size
+        gateway.step(bus.take(0.0), (k + 1) * TICK_NS)
+        assert not gateway.doubt.intruder
+    assert heard == rounds * BATCH == site.count(OWN)
+    assert gateway.inbox.counts["own"] == 0
+    # The same frames of somebody else are found at once.
+    other.send(ours[0])
+    gateway.step(bus.take(1.0), (rounds + 1) * TICK_NS)
+    assert gateway.doubt.intruder
+    for each in (bus, other):
+        each.close()
 
 
 def cangw(rule: str) -> None:

@@ -82,9 +82,9 @@ def told(bank: Bank, samples: Samples, tick: int, n: int):
     return estimates
 
 
-@pytest.mark.parametrize(("kind", "steps"), [("ekf", 10_000_000), ("ukf", 3_000_000)])
-def test_numbers_that_are_none_get_neither_in_nor_out(kind, steps):
-    n = 32
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_numbers_that_are_none_get_neither_in_nor_out(kind):
+    n, steps = 32, 10_000_000
     bank = Bank([BENCH_MOTOR] * n, Estimator(kind=kind), 0.05)
     seconds = ticks_of(loop(n, every=1))
     rng = np.random.default_rng(5)
@@ -110,8 +110,7 @@ def test_numbers_that_are_none_get_neither_in_nor_out(kind, steps):
         with np.errstate(all="ignore"):
             estimates = told(bank, Samples(drive, u, y, n_sub, gap), tick, n)
         diverged += sum(e.health is Health.DIVERGED for e in estimates)
-        if tick % 10 == 0:
-            sound(bank)
+        sound(bank)
     assert diverged > 100, "it was hostile"
     tick = steps // (n * TICK) // SECOND_TICKS * SECOND_TICKS + SECOND_TICKS
     for k in range(tick, tick + AGAIN_TICKS):
@@ -123,14 +122,14 @@ def test_numbers_that_are_none_get_neither_in_nor_out(kind, steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "minutes"), [("ekf", 60), ("ukf", 10)])
-def test_an_hour_of_standstill_leaves_no_trace(kind, minutes):
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_an_hour_of_standstill_leaves_no_trace(kind):
     n = 2
     bank = Bank([BENCH_MOTOR] * n, Estimator(kind=kind), 0.02)
     still, moving = (ticks_of(loop(n, every=16, speed=w)) for w in (0.0, W))
-    for tick in range(60 * minutes * SECOND_TICKS):
+    for tick in range(3600 * SECOND_TICKS):
         said = step(bank, still[tick % SECOND_TICKS], [True] * n, (tick + 1) * 10_000_000)
-        if tick % 1000 == 0:
+        if tick % 100 == 0:
             assert all(e.health is not Health.TRACKING for e in said)
             sound(bank)
     tick += 1
