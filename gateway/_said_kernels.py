@@ -103,7 +103,7 @@ def advance(f: int, k: int, seen: int, timing: int, now: int, rules: Rules, flag
 
 @lean
 def decide(seen: Ints, severe: Bools, now: int, rules: Rules, flags: Flags) -> bool:
-    """One tick of every flag; whether one that is told by drive has changed.
+    """One tick of every flag; whether one has changed.
 
     severe (N,): so little is carried that noise cannot be the cause.
     """
@@ -113,7 +113,7 @@ def decide(seen: Ints, severe: Bools, now: int, rules: Rules, flags: Flags) -> b
         changed |= advance(_ADHESION, k, seen[_ADHESION, k], timing, now, rules, flags)
         changed |= advance(_THERMAL, k, seen[_THERMAL, k], _THERMAL, now, rules, flags)
         for f in (_COMM, _ESTIMATOR, _SENSOR):
-            advance(f, k, seen[f, k], f, now, rules, flags)
+            changed |= advance(f, k, seen[f, k], f, now, rules, flags)
     return changed
 
 

@@ -6,6 +6,7 @@ Every step is the loop that `Gateway.step` calls, in the same order, on the same
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ from gateway.stretch import Left
 if TYPE_CHECKING:
     from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
 
+Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
@@ -78,6 +80,15 @@ def _count(tally: Ints, saying: Saying) -> None:
             rejected += tally[k]
     saying.counts[_C_REJECTED] = saying.rejected + rejected
     saying.counts[_C_LOST] = saying.lost + tally[_T_LOST]
+
+
+@inlined
+def _raise(peak: Array, lost: Array) -> None:
+    """`numpy.fmax` in place: NaN is passed over."""
+    for k in range(peak.shape[0]):
+        # Not `>`: the first number meets a NaN.
+        if not (lost[k] <= peak[k] or math.isnan(lost[k])):
+            peak[k] = lost[k]
 
 
 @unlocked
@@ -209,6 +220,7 @@ def several(
             saying.seen, saying.why, now, saying.flags, inputs, told, lost, known, saying.findings,
             receiving.pairs.sample_ns, _NONE, judging.mode.flag, False, False, saying.said,
         )  # fmt: skip
+        _raise(went.peak, saying.said.lost)
         _count(receiving.scratch.tally, saying)
         frames = send(
             now, saying.said, saying.counts, saying.sheet, saying.form, saying.seal, saying.memory,

@@ -112,7 +112,7 @@ class Gateway:
         self.flags = said.flags(len(nodes), start_ns)
         self.said = said.said(len(nodes), self.adhesion.detector.code)
         self.changed = True
-        """Whether an adhesion or thermal flag is another than in the tick before."""
+        """Whether a flag of any drive is another than in the tick before."""
         self.findings = said.findings(len(nodes))
         self.seen = np.zeros((len(Which), len(nodes)), dtype=np.int64)
         self.why = np.full(len(nodes), Reason.STARTING, dtype=np.int64)

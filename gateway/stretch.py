@@ -137,13 +137,15 @@ class Saying(NamedTuple):
 class Went(NamedTuple):
     """Frames that went out, R at most, `most` of a tick: payload (R, 64), message, tick (R,).
 
-    tally (2,): frames that came, and those of them that came in ticks where all were decoded.
+    tally (2,): frames that came, and those of them that came in ticks where all were decoded;
+    peak (N,): largest probability of loss that was said of each drive, NaN while none was.
     """
 
     payload: NDArray[np.uint8]
     message: Ints
     tick: Ints
     tally: Ints
+    peak: Array
     most: int
 
 
@@ -174,8 +176,8 @@ class Left(NamedTuple):
     learn_ns: int
 
 
-def went(rows: int, most: int) -> Went:
-    """Room for so many rows."""
+def went(rows: int, most: int, n: int) -> Went:
+    """Room for so many rows, and for N drives."""
     message, tick = np.zeros((2, rows), dtype=np.int64)
     payload = np.zeros((rows, 64), dtype=np.uint8)
-    return Went(payload, message, tick, np.zeros(2, dtype=np.int64), most)
+    return Went(payload, message, tick, np.zeros(2, dtype=np.int64), np.full(n, np.nan), most)

@@ -41,6 +41,7 @@ REJECTS: Final = np.array([name in REJECTED for name in NAMES])
 FRAMES: Final = 512
 """Of ours that there is room for in a call."""
 
+Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
@@ -60,7 +61,7 @@ class Ticks:
         self._unscented = True if gateway.config.estimator.kind == "ukf" else None
         self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
         self._rough = np.zeros((3, n))
-        self._went = stretch.went(FRAMES, len(gateway.outbox.heads))
+        self._went = stretch.went(FRAMES, len(gateway.outbox.heads), n)
         # By number of message: a frame of it, which costs what they all cost.
         heads = [
             Frame(0, can_id, bytes(size), flags) for can_id, size, flags in gateway.outbox.heads
@@ -75,7 +76,9 @@ class Ticks:
         Gives their number, and what goes out.
         Tick k takes the frames from ends[k - 1] (0 for the first) to ends[k]. Ends behind the first
         tick in which a flag changed: those that are left are the caller's to ask for again.
+        `peak` is of the ticks that were done.
         """
+        self.peak[:] = np.nan
         gateway, out, done = self.gateway, [], 0  # type: tuple[Gateway, list[Block], int]
         while done < len(ends) and not (done and gateway.changed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self._period_ns
@@ -87,8 +90,15 @@ class Ticks:
             if not whole:
                 whole = 1
                 out.append(block_of(gateway.step(block.part(first, int(ends[done])), at)))
+            # Of a tick that was finished here; of others once more.
+            np.fmax(self.peak, gateway.said.lost, out=self.peak)
             done += whole
         return done, out
+
+    @property
+    def peak(self) -> Array:
+        """(N,) largest probability of loss that the last `run` said of each drive; NaN: none."""
+        return self._went.peak
 
     def _until(self, now: Nanos) -> Nanos:
         """No tick before it needs more than the compiled loop; `now` or less if this one does."""

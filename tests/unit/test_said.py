@@ -34,7 +34,7 @@ def test_flags_in_arrays_go_as_single_ones(seed):
             seen = rng.integers(0, 3, (len(Which), N))
             seen[Which.ADHESION, rng.random(N) < 0.3] = SAME
         severe = rng.random(N) < 0.3
-        before = [[state.flag for state in row] for row in single[:2]]
+        before = [[state.flag for state in row] for row in single]
         changed = _said_kernels.decide(seen, severe, now, RULES, flags)
         for f, row in enumerate(single):
             for k, state in enumerate(row):
@@ -46,7 +46,7 @@ def test_flags_in_arrays_go_as_single_ones(seed):
                 )
                 assert row[k] == tuple(column.item(f, k) for column in flags)
                 met.add((state.flag, row[k].flag))
-        assert changed == (before != [[state.flag for state in row] for row in single[:2]])
+        assert changed == (before != [[state.flag for state in row] for row in single])
     assert len(met) == 8, "all but bad to unknown"
 
 

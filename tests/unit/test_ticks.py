@@ -50,12 +50,26 @@ def stormy(honest, seed, ticks, between):
     return blocks, whole, np.cumsum([block.size for block in blocks])
 
 
-def singly(gateway, blocks):
-    return [f for k, block in enumerate(blocks) for f in gateway.step(block, (k + FIRST) * TICK)]
+def flags(gateway):
+    """All that are told of a drive."""
+    said = gateway.said
+    return repr([said.adhesion, said.thermal, said.sensor, said.comm, said.estimator])
 
 
-def together(gateway, whole, ends, most=200):
-    """Asked for `most` at a time."""
+def singly(gateway, blocks, told=None):
+    """told: of every tick, whether a flag changed and what the losses' probabilities were."""
+    out, before = [], None
+    for k, block in enumerate(blocks):
+        out += gateway.step(block, (k + FIRST) * TICK)
+        assert gateway.changed == (flags(gateway) != before)
+        before = flags(gateway)
+        if told is not None:
+            told.append((gateway.changed, gateway.said.lost.copy()))
+    return out
+
+
+def together(gateway, whole, ends, most=200, told=None):
+    """Asked for `most` at a time. told: of every call, how many ticks it did and their peak."""
     several, out, first, done = Ticks(gateway), [], 0, 0
     while done < len(ends):
         wanted = ends[done : done + most]
@@ -64,7 +78,23 @@ def together(gateway, whole, ends, most=200):
         out += [frame for block in frames for frame in block.frames()]
         done += ticks
         first = int(ends[done - 1])
+        if told is not None:
+            told.append((ticks, several.peak.copy()))
     return out
+
+
+def stops(told, most):
+    """What `together` tells, from what `singly` does."""
+    calls, since = [], 0
+    for k, (changed, _) in enumerate(told):
+        count = k + 1 - since
+        if changed or count == most or k + 1 == len(told):
+            peak = np.full(len(NODES), np.nan)
+            for _, lost in told[since : k + 1]:
+                peak = np.where(np.isnan(lost) | (peak >= lost), peak, lost)
+            calls.append((count, peak))
+            since = k + 1
+    return calls
 
 
 def state(gateway):
@@ -96,8 +126,10 @@ def same(config, honest, seed, ticks, between, most=200, learning=False):
     blocks, whole, ends = stormy(honest, seed, ticks, between)
     one, many = (Gateway(config, honest.codec, 0) for _ in range(2))
     one.thermal.learning = many.thermal.learning = learning
-    assert together(many, whole, ends, most) == singly(one, blocks)
+    calls, each = [], []
+    assert together(many, whole, ends, most, calls) == singly(one, blocks, each)
     assert state(many) == state(one)
+    assert repr(calls) == repr(stops(each, most))
     return one
 
 
