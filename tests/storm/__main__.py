@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from sim.hostile import KINDS
-from tests.storm.campaign import COMMIT, Result, in_calls, uncovered, weather
+from tests.storm.campaign import CODE, COMMIT, Result, in_calls, uncovered, weather
 from tests.storm.oracle import COMMON, OF_ALL
 from tests.storm.train import PHASES
 
@@ -28,6 +28,7 @@ def _line(result: Result, seconds: float) -> dict:
     return {
         "seed": result.seed,
         "commit": COMMIT,
+        "code": CODE,
         "calls": in_calls(result.seed),
         "ticks": result.ticks,
         "frames": result.frames,
@@ -52,6 +53,11 @@ def _run(seed: int, ticks: int) -> tuple[Result, float]:
     return weather(seed, ticks), time.perf_counter() - began
 
 
+def _code(line: dict) -> str:
+    """What ran: older lines know the commit alone."""
+    return str(line.get("code") or line["commit"])
+
+
 def _sum(lines: list[dict], key: str) -> Counter:
     total: Counter = Counter()
     for line in lines:
@@ -66,7 +72,9 @@ def summary(lines: list[dict]) -> str:
     broken = [(line["seed"], v) for line in lines for v in line["violations"]]
     out = [
         f"{len(lines)} seeds, {ticks:,} ticks ({ticks / 360000:.0f} hours of the train), "
-        f"{counts['received']:,} frames: **{len(broken)} violations**.",
+        f"{counts['received']:,} frames: **{len(broken)} violations**; code "
+        + ", ".join(f"{code} {n}" for code, n in Counter(map(_code, lines)).most_common())
+        + ".",
         "",
         "| flag | unknown | good | bad |",
         "|---|---|---|---|",

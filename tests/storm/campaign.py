@@ -5,7 +5,9 @@ python -m tests.storm --seeds 0-19 --ticks 100000
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
+import sys
 from collections import Counter
 from itertools import chain
 from pathlib import Path
@@ -57,8 +59,18 @@ def commit_of(folder: Path) -> str:
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
 
 
+def code_of(folder: Path) -> str:
+    """Hash of the modules below a folder that this process has loaded: commits may share it."""
+    files = {getattr(module, "__file__", None) or "" for module in list(sys.modules.values())}
+    mine = sorted(Path(file) for file in files if file.startswith(f"{folder}/"))
+    inside = (f"{path.relative_to(folder)}\n".encode() + path.read_bytes() for path in mine)
+    return hashlib.sha256(b"\0".join(inside)).hexdigest()[:12]
+
+
 COMMIT = commit_of(Path(__file__).parent)
 """Of this process: what it runs is what it has loaded, whatever is committed while it does."""
+CODE = code_of(Path(__file__).parents[2])
+"""The same of everything that a storm needs, this file and the oracle included."""
 
 
 class Result(NamedTuple):
