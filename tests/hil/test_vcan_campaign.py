@@ -16,8 +16,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import can
 import pytest
 
+from gateway.inbox import ELECTRICAL
 from tests.hil.observer import GOOD, await_stop, end_process
 from tests.hil.site import Site, open_site
 from tests.hil.stable import Stable
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
-DOWNS, DELETIONS, KILLS, STOPS = 500, 200, 200, 200
+DOWNS, DELETIONS, KILLS, STOPS, SILENCES = 500, 200, 200, 200, 200
 LONGEST_AGE_S = 0.1
 """Every electrical message is stale after it: three cycles of 20 ms and a tick, and some room."""
 FIRST_FRAMES = 5
@@ -50,11 +52,11 @@ def round_of(site: Site, what: str, number: int) -> Iterator[None]:
         pytest.fail(f"{what} {number} (see --campaign-seed): {failure}\nthe gateway said: {said}")
 
 
-def told(what: str, seconds: list[float]) -> None:
+def told(what: str, seconds: list[float], then: str = "first flag frame") -> None:
     """A line for the report of the campaign: how long it took until flags were back."""
     ordered = sorted(seconds)
     print(
-        f"{what}: {len(ordered)} times; first flag frame after {statistics.median(ordered):.3f} s "
+        f"{what}: {len(ordered)} times; {then} after {statistics.median(ordered):.3f} s "
         f"(median), {ordered[int(0.99 * (len(ordered) - 1))]:.3f} s (p99), {ordered[-1]:.3f} s"
     )
 
@@ -168,3 +170,39 @@ def test_the_gateway_is_stopped(site: Site) -> None:
                 end_process(site.drives, signal.SIGCONT)
     seen.close()
     told("gateway stopped and continued (its fifth flag frame)", back)
+
+
+def test_the_drives_fall_silent(site: Site) -> None:
+    """How old a drive's last frame is, by the kernel's stamps, when its flag first says unknown."""
+    electrical = [i for i, m in site.used.drives.items() if m.kind in ELECTRICAL]
+    site.run()
+    site.drive()
+    seen = site.observer()
+    only = [{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in electrical]
+    heard = can.Bus(interface="socketcan", channel=site.vcan.name, can_filters=only)
+    age, last = [], dict.fromkeys(electrical, 0.0)
+    for k in range(site.count(SILENCES)):
+        with round_of(site, "silence", k):
+            seen.until(seen.all_good, "every drive adheres")
+            seen.watch(site.rng.uniform(0.0, 0.2))
+            end_process(site.drives, signal.SIGSTOP)
+            await_stop(site.drives)
+            seen.forget()
+            seen.until(lambda: seen.flags and GOOD not in seen.flags[-1].flags, "no flag is good")
+            while (message := heard.recv(0)) is not None:
+                last[message.arbitration_id] = message.timestamp
+            seen.watch(0.05)
+            for d, node in enumerate(site.used.nodes):
+                # As old as the older of the two that a sample is made of.
+                mine = [t for i, t in last.items() if site.used.drives[i].node == node]
+                said = [flag.t_s for flag in seen.flags if flag.flags[d] != GOOD]
+                good = [flag.t_s for flag in seen.flags if flag.flags[d] == GOOD]
+                assert max(good, default=0.0) < min(said), (
+                    f"good after unknown, and nobody sends: {seen.flags}"
+                )
+                age.append(min(said) - min(mine))
+            seen.forget()
+            end_process(site.drives, signal.SIGCONT)
+    heard.shutdown()
+    seen.close()
+    told("drives stopped", age, "first flag that says unknown")
