@@ -33,19 +33,23 @@ class BusLoad:
         for frame in frames:
             self.busy_s += self.cost_s(frame)
 
-    def add_block(self, block: Block, routes: Routes, now: Nanos) -> None:
-        """Count what came in a tick but for the gateway's own; a window closes every second."""
+    def close(self, now: Nanos) -> None:
+        """Before a tick's frames: the window, every second."""
         if now - self.since_ns >= SECOND:
             self.last = min(126.0, 100.0 * self.busy_s * SECOND / (now - self.since_ns))
             self.since_ns = now
             self.busy_s = 0.0
+
+    def add_block(self, block: Block, routes: Routes, now: Nanos) -> None:
+        """Count what came in a tick but for the gateway's own."""
+        self.close(now)
         self.busy_s = self._busy_s(
             self.busy_s, block.can_id, block.flags, block.length, routes, self.classic_s, self.fd_s
         )
 
     @property
     def window_ns(self) -> Nanos:
-        """From when on the next block closes a window."""
+        """From when on a tick closes the window."""
         return self.since_ns + SECOND
 
     def cost_s(self, frame: Frame) -> float:

@@ -101,10 +101,14 @@ class Ticks:
         return self._went.peak
 
     def _until(self, now: Nanos) -> Nanos:
-        """No tick before it needs more than the compiled loop; `now` or less if this one does."""
+        """No tick before it needs more than the compiled loop; `now` or less if this one does.
+
+        Closes the second of the bus load that is over, which else would be such a tick.
+        """
         gateway = self.gateway
         if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
             return now
+        gateway.load.close(now)
         return min(gateway.thermal.alone_ns, gateway.load.window_ns)
 
     def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
