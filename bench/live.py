@@ -108,7 +108,8 @@ def per_frame(ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int) -> li
     rows: list[dict[str, Any]] = [{"node": k} for k in range(1, drives + 1)]
     warm_up(Config.model_validate({"drive": rows}), codec)
     kernel = Pair()
-    bus = SocketCan("pair", kernel=kernel)
+    # As in service: it asks in each tick whether frames of ours still wait.
+    bus = SocketCan("pair", newest=True, kernel=kernel)
     bus.open()
     nodes = tuple(range(1, drives + 1))
     inbox = Inbox(codec, nodes, 10 * MS, Supervision(nodes, 300 * MS))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from dbc.candump import LogError
@@ -22,6 +25,8 @@ def read_any(path: Path) -> Iterator[Frame]:
     """
     import can
 
+    if ".mf4" in path.name.lower():
+        mf4_module()
     count = 0
     try:
         with can.LogReader(path) as reader:
@@ -32,6 +37,18 @@ def read_any(path: Path) -> Iterator[Frame]:
         text = " ".join(str(error).split()) or type(error).__name__
         where = f" after {count} frames" if count else ""
         raise LogError(str(path), 0, f"cannot be read{where}: {text}") from error
+
+
+def mf4_module() -> ModuleType:
+    """`can.io.mf4`, with asammdf: a program that starts on a bus loads python-can without it.
+
+    Loaded again it fills in the same names, which its classes that are known by now look up.
+    """
+    from can.io import mf4
+
+    if getattr(mf4, "asammdf", None) is None and find_spec("asammdf") is not None:
+        importlib.reload(mf4)
+    return mf4
 
 
 def from_message(message: can.Message) -> Frame:

@@ -34,8 +34,8 @@ VERBS = {
     "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
 }
 """Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
-_NO_LOGS = {"run", "demo", "sim", "hil", "check", "warm"}
-"""Verbs that read no log: they are spared what python-can loads for MF4."""
+_DRIVES = {"demo", "sim", "hil"}
+"""Verbs that simulate drives and read no log: they need python-can, without what is for MF4."""
 
 
 def _module(verb: str) -> Any:
@@ -63,20 +63,10 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input reach the user."""
     words = list(sys.argv[1:] if argv is None else argv)
-    # `import can` loads asammdf where it is installed, and that pandas, pyarrow, cryptography: a
-    # second of every start. None makes that import fail, which python-can is prepared for.
-    spared = bool(_NO_LOGS.intersection(words[:1])) and "asammdf" not in sys.modules
-    if spared:
-        sys.modules["asammdf"] = None  # type: ignore[assignment]
-    try:
-        return _main(words)
-    finally:
-        if spared:
-            sys.modules.pop("asammdf", None)
+    from gateway.drivers import kernelcache, leanstart, logs
 
-
-def _main(words: list[str]) -> int:
-    from gateway.drivers import kernelcache, logs
+    if _DRIVES.intersection(words[:1]):
+        leanstart.python_can()
 
     form = _log_format(words)
     limit = logs.begin(logging.WARNING, form)

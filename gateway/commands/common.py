@@ -60,6 +60,9 @@ def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) ->
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
+    from gateway.drivers import leanstart
+
+    leanstart.python_can()
     import can.cli
 
     can.cli.add_bus_arguments(parser)

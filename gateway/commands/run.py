@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbc.frame import SECOND
 from gateway.commands.common import (
@@ -20,6 +20,14 @@ from gateway.commands.common import (
     positive_seconds,
     prepare,
 )
+from gateway.drivers import leanstart
+
+if TYPE_CHECKING:
+    from gateway.config import Config
+    from gateway.core import Gateway
+    from gateway.drivers.live import LiveSnapshot
+    from gateway.drivers.realtime import Ticker
+    from gateway.drivers.transport import Transport
 
 log = logging.getLogger(__name__)
 
@@ -51,21 +59,27 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_bus(parser)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
+class Started(NamedTuple):
+    """What a start makes."""
+
+    config: Config
+    transport: Transport
+    ticker: Ticker
+    gateway: Gateway
+
+
+def _start(options: argparse.Namespace) -> Started:
+    """Load and make everything. Raises ConfigError or DbcMismatch with every problem."""
     from gateway.drivers.kernelcache import Kernels
 
     kernels = Kernels(options.kernels)
+    leanstart.numba()
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
-    from gateway.drivers.canopen_node import CanopenNode
     from gateway.drivers.credentials import flag_authenticator
-    from gateway.drivers.live import LiveSnapshot, Stop, leave_timing, run_live
-    from gateway.drivers.outputs import Outputs
     from gateway.drivers.permission import Mode, allowed
     from gateway.drivers.realtime import Ticker
     from gateway.drivers.scheduling import be_realtime, described, use_given
-    from gateway.drivers.service import Manager, Overseer
     from gateway.drivers.warm import warm_up
 
     config, codec = prepare(options.config, signature=options)
@@ -75,7 +89,6 @@ def run(options: argparse.Namespace) -> int:
     if options.results:
         # Where nothing can be left is said now, not after the run.
         options.results.mkdir(parents=True, exist_ok=True)
-    master = config.canopen.nmt_master
     with patience():
         warm_up(config, codec)
     if options.realtime is not None:
@@ -88,9 +101,21 @@ def run(options: argparse.Namespace) -> int:
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)
-    node = CanopenNode(config.nodes, nmt_master=master)
+    return Started(config, transport, ticker, gateway)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
+    with leanstart.uncollected():
+        config, transport, ticker, gateway = _start(options)
+        from gateway.drivers.canopen_node import CanopenNode
+        from gateway.drivers.live import Stop, leave_timing, run_live
+        from gateway.drivers.outputs import Outputs
+        from gateway.drivers.service import Manager, Overseer
+
+    node = CanopenNode(config.nodes, nmt_master=config.canopen.nmt_master)
     outputs = Outputs(
-        gateway.outbox.specs.values(), lambda: gateway.silent, listening=mode is Mode.LISTEN
+        gateway.outbox.specs.values(), lambda: gateway.silent, listening=options.listen_only
     )
     overseer = Overseer(
         outputs, Manager.from_environment(), options_name(options), round(options.began_s * SECOND)

@@ -38,15 +38,17 @@ def unpack_rows(
     data: Bytes, sizes: NDArray[np.uint32], seen: NDArray[np.int32], control: Bytes,
     control_sizes: NDArray[np.uint64], n: int, native: int, stamp_ns: Ints,
     can_id: NDArray[np.uint32], flags: Bytes, length: Bytes, out: Bytes, dlc: NDArray[np.int8],
-    tally: Ints,
+    channel: NDArray[np.uint16], tally: Ints, real_ns: int, now_ns: int, bound_ns: int,
 ) -> None:  # fmt: skip
     """Read n messages of `sizes` bytes; fills one row for each that is a CAN frame.
 
     data (M, 72); seen (M,): flags of each message; control (M, C) and how much of it is used,
-    which is set back to C; native: bytes of a C long. stamp_ns: of CLOCK_REALTIME, 0 without.
+    which is set back to C; native: bytes of a C long. stamp_ns: `transport.monotonic_stamp` of
+    the kernel's stamp with real_ns, now_ns and bound_ns; now where there is none.
     out (n, 64), zero behind the length. tally (5,): see above.
     """
     row = malformed = errors = 0
+    tally[DROPPED] = 0
     for k in range(n):
         stamp = 0
         at, header = 0, native + 8
@@ -72,7 +74,9 @@ def unpack_rows(
         word = _word(data, k, 0, 4)
         said, raw = int(data[k, 4]), int(data[k, 7])
         extended = word & 0x8000_0000 != 0
-        stamp_ns[row] = stamp
+        age = 0 if stamp == 0 else min(max(real_ns - stamp, 0), bound_ns)
+        stamp_ns[row] = now_ns - age
+        channel[row] = 0
         can_id[row] = word & (0x1FFF_FFFF if extended else 0x7FF)
         kind = _EXTENDED if extended else 0
         if fd:
@@ -100,13 +104,3 @@ def unpack_rows(
             out[row, b] = 0
         row += 1
     tally[FRAMES], tally[MALFORMED], tally[ERRORS] = row, malformed, errors
-
-
-@lean
-def age_rows(stamp_ns: Ints, n: int, real_ns: int, now_ns: int, bound_ns: int) -> None:
-    """`transport.monotonic_stamp` of n stamps, in place; now where there is none."""
-    for k in range(n):
-        if stamp_ns[k] == 0:
-            stamp_ns[k] = now_ns
-        else:
-            stamp_ns[k] = now_ns - min(max(real_ns - stamp_ns[k], 0), bound_ns)

@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import Block, blank
+from dbc.block import ROOM, Block
 from dbc.frame import Nanos
+from gateway._direct import Direct
 from gateway.drivers import _batch_kernels as compiled
 from gateway.drivers.wire import FD_SIZE
 
@@ -66,7 +67,13 @@ class Batch:
         self.sizes: NDArray[np.uint32] = self._messages["size"]
         self.control_sizes: NDArray[np.uint64] = head["control_size"]
         self.flags: NDArray[np.int32] = head["flags"]
+        # To look an address up takes as long as the system call.
+        self._first = self._messages.ctypes.data
         self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
+        self._call.argtypes = (
+            ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
+        )  # fmt: skip
+        self._unpack = Direct(compiled.unpack_rows)
         # Compiled, or loaded, now and not in the first tick.
         self.take(0, 0, 0, "")
 
@@ -79,16 +86,20 @@ class Batch:
         """A new socket: its drop counter starts at 0."""
         self._tally[compiled.LAST_DROPS] = 0
 
-    def read(self, descriptor: int) -> None:
-        """Read what waits. OSError as `recvmsg` raises it; BlockingIOError if nothing waits."""
-        at = self._messages.ctypes.data + self.filled * _MESSAGE.itemsize
-        count = self._call(
-            descriptor, ctypes.c_void_p(at), self.room - self.filled, _DONTWAIT, None
-        )
+    def read(self, descriptor: int) -> bool:
+        """Read what waits. OSError as `recvmsg` raises it; BlockingIOError if nothing waits.
+
+        True if there is room left: nothing waits any more, or there was an error, which the kernel
+        then keeps (`SO_ERROR`).
+        """
+        wanted = self.room - self.filled
+        at = self._first + self.filled * _MESSAGE.itemsize
+        count = self._call(descriptor, at, wanted, _DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
             raise OSError(code, os.strerror(code))
         self.filled += count
+        return bool(count < wanted)
 
     def take(
         self, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos, name: str
@@ -99,16 +110,17 @@ class Batch:
         numbers of messages that were no frames, of error frames, and of frames that the kernel has
         dropped meanwhile.
         """
-        n = self.filled
-        block = blank(n, [name])
-        tally = self._tally
-        tally[compiled.DROPPED] = 0
-        compiled.unpack_rows(
+        n, tally = self.filled, self._tally
+        block = Block(
+            np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.uint8),
+            np.empty(n, np.uint8), np.empty((n, ROOM), np.uint8), np.empty(n, np.int8),
+            np.empty(n, np.uint16), [name],
+        )  # fmt: skip
+        self._unpack(
             self.data, self.sizes, self.flags, self.control, self.control_sizes, n, NATIVE,
             block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
-            tally,
+            block.channel, tally, real_ns, now_ns, bound_ns,
         )  # fmt: skip
         frames, malformed, errors, dropped, _ = tally.tolist()
-        compiled.age_rows(block.t_ns, frames, real_ns, now_ns, bound_ns)
         self.filled = 0
         return block.part(0, frames) if malformed else block, malformed, errors, dropped

@@ -11,11 +11,10 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import can
-
 from dbc.block import Block, block_of
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
 from gateway.config import ConfigError
+from gateway.drivers import leanstart
 from gateway.drivers.transport import (
     RETRY_NS,
     LinkState,
@@ -24,6 +23,9 @@ from gateway.drivers.transport import (
     monotonic_stamp,
 )
 from gateway.drivers.wire import pack
+
+with leanstart.absent("asammdf"):
+    import can
 
 BATCH = 4096
 """Most frames read in one go."""

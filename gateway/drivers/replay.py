@@ -18,6 +18,7 @@ from dbc.block import EMPTY, Block, block_of, in_blocks, join
 from dbc.candump import LogError, Reader
 from dbc.frame import SECOND, Frame, Nanos
 from gateway.core import Gateway
+from gateway.drivers import leanstart
 from gateway.ticks import Ticks
 
 HOLE_NS: Nanos = 10 * SECOND
@@ -216,6 +217,7 @@ def open_log(path: Path, strict: bool) -> Log:
     if path.is_dir():
         msg = f"{path}: a folder, not a log"
         raise BadLogError(msg)
+    leanstart.python_can()
     from can.io.player import MESSAGE_READERS
 
     # Loggers on Windows like capitals.

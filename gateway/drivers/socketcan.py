@@ -284,7 +284,9 @@ class SocketCan:
             if batch.full:
                 break
             try:
-                kernel.read(raw, batch)
+                emptied = kernel.read(raw, batch)
+                if emptied:
+                    break
             except BlockingIOError:
                 emptied = True
                 break

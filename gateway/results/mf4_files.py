@@ -174,8 +174,11 @@ class Mf4Frames(_Mf4):
 
 def _records(name: str, block: Block) -> NDArray[np.void]:
     """ASAM's record of a frame; remote frames have no data."""
-    from can.io import mf4
     from can.util import channel2int, len2dlc
+
+    from dbc.otherlogs import mf4_module
+
+    mf4 = mf4_module()
 
     remote = name == "CAN_RemoteFrame"
     kinds = {"CAN_DataFrame": mf4.STD_DTYPE, "CAN_ErrorFrame": mf4.ERR_DTYPE}

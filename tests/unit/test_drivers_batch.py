@@ -98,17 +98,20 @@ def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full
             batch.read(ours.fileno())
         for k in range(6):
             theirs.send(struct.pack("=IBBBB", 0x180 + k, 2, 0, 0, 0) + bytes([k] * 8))
-        batch.read(ours.fileno())
+        assert not batch.read(ours.fileno())
         assert batch.full
         block, *_ = batch.take(REAL, NOW, SECOND, "x")
         assert [frame.can_id for frame in block.frames()] == [0x180, 0x181, 0x182, 0x183]
         theirs.send(bytes(100))
         theirs.send(bytes(72))
-        batch.read(ours.fileno())
+        assert not batch.read(ours.fileno())
         block, malformed, _, _ = batch.take(REAL, NOW, SECOND, "x")
         assert [frame.can_id for frame in block.frames()] == [0x184, 0x185, 0]
         assert [frame.data for frame in block.frames()] == [b"\4\4", b"\5\5", b""]
         assert malformed == 1
+        theirs.send(bytes(16))
+        assert batch.read(ours.fileno())
+        assert batch.filled == 1
     with pytest.raises(OSError, match="descriptor") as closed:
         batch.read(ours.fileno())
     assert closed.value.errno == errno.EBADF

@@ -7,6 +7,7 @@ import os
 import socket
 import struct
 from collections import deque
+from unittest.mock import Mock
 
 import pytest
 
@@ -71,6 +72,7 @@ class FakeKernel(Kernel):
         self.refuse: OSError | None = None
         self.slept = 0.0
         self.waiting = 0
+        self.reads = 0
 
     def monotonic_ns(self) -> int:
         return self.mono
@@ -92,9 +94,13 @@ class FakeKernel(Kernel):
     def look(self, raw: RawSocket, channel: str) -> Link | None:
         return self.link
 
-    def read(self, raw: RawSocket, batch: Batch) -> None:
+    def read(self, raw: RawSocket, batch: Batch) -> bool:
         assert isinstance(raw, FakeSocket)
+        self.reads += 1
         raw.fill(batch)
+        if raw.to_read and isinstance(raw.to_read[0], OSError):
+            raise raw.to_read.popleft()
+        return not raw.to_read
 
     def wait(self, raw: RawSocket, timeout_ms: int) -> None:
         self.pass_time(timeout_ms * MS)
@@ -141,7 +147,39 @@ def test_a_batch_is_read_at_once_with_reception_times(kernel: FakeKernel, bus: S
     assert [f.can_id for f in frames] == [0x181, 0x182, 0x183, 0x184, 0x185]
     assert {f.channel for f in frames} == {"vcan0"}
     assert bus.status.received == 5
+    assert kernel.reads == 1
     assert bus.receive(0.0) == []
+
+
+def test_a_down_between_two_frames_of_one_read_is_told_and_costs_none(
+    kernel: FakeKernel, bus: SocketCan
+) -> None:
+    kernel.arrive()
+    kernel.sockets[-1].to_read.append(problem(errno.ENETDOWN))
+    kernel.pass_time(MS)
+    arrived = kernel.mono
+    kernel.arrive()
+    kernel.pass_time(3 * MS)
+    assert [f.t_ns for f in bus.receive(0.0)] == [arrived - MS, arrived]
+    assert bus.status.state is LinkState.DOWN
+
+
+def test_an_error_that_the_kernel_keeps_after_a_read_is_raised() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as nobody,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw,
+    ):
+        nobody.bind(("127.0.0.1", 0))
+        raw.setblocking(False)
+        raw.connect(nobody.getsockname())
+        nobody.close()
+        batch = Mock(read=Mock(return_value=True))  # as if it came up in the middle of one
+        assert Kernel().read(raw, batch)
+        raw.send(b"refused")
+        with pytest.raises(ConnectionRefusedError):
+            Kernel().read(raw, batch)
+        assert Kernel().read(raw, batch)
+        assert not Kernel().read(raw, Mock(read=Mock(return_value=False)))
 
 
 @pytest.mark.parametrize("step", [-HOUR, HOUR])

@@ -1,10 +1,21 @@
-"""What a start does not load: cryptography is for those who have a key, MF4 for who reads logs."""
+"""What a start does not load: cryptography is for those who have a key, MF4 for who reads logs.
+
+asammdf, pandas, pyarrow and the others are installed where these tests run.
+"""
 
 from __future__ import annotations
 
+import gc
+import importlib
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+
+import pytest
+
+from gateway.config import ConfigError
+from gateway.drivers import leanstart
 
 RUN = """
 import sys
@@ -33,13 +44,78 @@ def test_run_loads_no_cryptography_unless_something_is_authenticated(tmp_path: P
     assert (tmp_path / "trip").read_text() == "00000001\n"
 
 
-def test_run_loads_nothing_for_mf4(tmp_path: Path) -> None:
-    heavy = "[m for m in ('asammdf', 'pandas', 'pyarrow') if m in sys.modules]"
-    code = RUN.replace('"cryptography" in sys.modules', f"'can' in sys.modules, {heavy}")
+HEAVY = ("asammdf", "pandas", "pyarrow", "matplotlib", "starlette", "textual", "scipy.linalg",
+         "sklearn", "cantools", "cffi", "rich")  # fmt: skip
+
+
+def program(folder: Path, text: str) -> str:
+    """What a program in a process of its own says last."""
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
+        [sys.executable, "-c", text], capture_output=True, text=True, check=False, cwd=folder
     )
-    assert done.stdout.splitlines()[-1] == "True [] 0"
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+def test_run_loads_nothing_for_logs_plots_pages_and_tables(tmp_path: Path) -> None:
+    assert all(map(find_spec, ("asammdf", "pandas", "pyarrow")))
+    text = f"[m for m in {HEAVY} if m in sys.modules], 'can' in sys.modules"
+    said = program(tmp_path, RUN.replace('"cryptography" in sys.modules', text))
+    assert said == "[] True 0"
+
+
+def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path: Path) -> None:
+    text = """
+from pathlib import Path
+from dbc.block import block_of
+from dbc.frame import Frame
+from dbc.otherlogs import read_any
+from gateway.results.mf4_files import Mf4Frames
+assert "asammdf" not in sys.modules
+frames = [Frame(10**18 + k * 10**6, 0x100 + k, bytes([k] * 8)) for k in range(5)]
+{order}
+"""
+    write = "sink = Mf4Frames(Path('x.mf4')); sink.add(block_of(frames)); sink.close()\n"
+    read = (
+        "print([(f.can_id, f.data) for f in read_any(Path('x.mf4'))] == [f[1:3] for f in frames])"
+    )
+    for order in (write + read, read):  # the file is there for the second
+        assert program(tmp_path, RUN + text.format(order=order)) == "True"
+
+
+def test_matrices_are_multiplied_after_a_lean_start(tmp_path: Path) -> None:
+    """scipy.linalg, which numba was told is there, is loaded by whoever needs it."""
+    text = """
+import sys
+from gateway.drivers import leanstart
+leanstart.numba()
+import numba
+import numpy as np
+before = "scipy.linalg" in sys.modules, "scipy.linalg.cython_blas" in sys.modules
+product = numba.njit(lambda a, b: np.linalg.inv(a @ b))
+a = np.array([[2.0, 1.0], [0.0, 4.0]])
+print(before, np.allclose(product(a, a), np.linalg.inv(a @ a)))
+"""
+    assert program(tmp_path, text) == "(False, False) True"
+
+
+def test_what_is_absent_for_a_while_is_there_again() -> None:
+    with leanstart.absent("xdrlib_of_nobody", "json"):
+        assert "json" in sys.modules, "what is loaded stays"
+        with pytest.raises(ImportError):
+            importlib.import_module("xdrlib_of_nobody")
+    assert "xdrlib_of_nobody" not in sys.modules
+
+
+def test_collecting_goes_on_after_a_start_that_failed() -> None:
+    assert gc.isenabled()
+    before = gc.get_freeze_count()
+    start = leanstart.uncollected()
+    start.__enter__()
+    assert not gc.isenabled()
+    assert not start.__exit__(ConfigError, ConfigError("x", []), None)
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == before
 
 
 def test_a_missing_key_is_one_clear_line(tmp_path: Path) -> None:
@@ -54,3 +130,14 @@ def test_a_missing_key_is_one_clear_line(tmp_path: Path) -> None:
     assert "auth.key" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "trip").exists(), "no start is counted that did not happen"
+
+
+def test_a_candump_log_is_replayed_without_mf4(tmp_path: Path) -> None:
+    (tmp_path / "x.log").write_text("(1.000000) can0 123#00\n")
+    text = """
+import sys
+from gateway.cli import main
+code = main(["replay", "x.log", "-o", "y.log"])
+print([m for m in ("asammdf", "pandas", "pyarrow") if m in sys.modules], code)
+"""
+    assert program(tmp_path, text) == "[] 0"
