@@ -126,7 +126,9 @@ class Ticks:
         gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
         adhesion.note_learnt(left.spread, left.own, left.learn_ns)
         inbox.counts["received"] += went.tally.item(0)
-        inbox.counts["decoded"] += went.tally.item(1)
+        # No count of none: single steps leave none either.
+        if decoded := went.tally.item(1):
+            inbox.counts["decoded"] += decoded
         went.tally[:] = 0
         done, out = left.done, [self._frames(left.frames, now)]
         at = now + done * self._period_ns

@@ -8,11 +8,10 @@ from importlib.metadata import version
 from pathlib import Path
 
 from dbc.codec import Codec, DbcMismatch, bind
-from dbc.frame import Frame
 from gateway.config import ConfigError
 from gateway.core import Gateway
 from gateway.drivers.fleet_logs import FOLDER, Job, Settings, fingerprint, shown
-from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
+from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
 from gateway.drivers.warm import warm_up
 from gateway.results.fleet_log import Estimates
 from gateway.results.fleet_table import Row, per_drive
@@ -54,16 +53,13 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
     codec = _codec(config.dbc_path, config.nodes)
     blocks = OneChannel(log.blocks, settings.log_channel)
     recorder = Recorder(None)
-    ended_ns = 0
     with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
 
-        def sink(now: int, _out: list[Frame], gateway: Gateway) -> None:
-            nonlocal ended_ns
-            ended_ns = now
+        def changed(gateway: Gateway) -> None:
             assert gateway.view is not None
             recorder.add(gateway.view)
-            estimates.add(gateway.view)
 
+        sink = Briefly(lambda _out: None, changed, estimates)
         done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
         reader = log.reader
         counts = reader.counts if reader else {}
@@ -74,7 +70,7 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
             first_ns=done.first_ns, last_ns=done.last_ns, frames=done.frames,
             faulty_lines=sum(n for verdict, n in counts.items() if verdict.is_fault),
             counts=dict(done.gateway.inbox.counts),
-            drives=per_drive(recorder.changes, config.nodes, ended_ns),
+            drives=per_drive(recorder.changes, config.nodes, estimates.last_ns),
             took_s=round(time.perf_counter() - began, 3),
         )  # fmt: skip
         said = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +29,37 @@ MOST_TICKS = 4096
 TOLD = 60
 """Characters of a line that is none."""
 
+Array = NDArray[np.float64]
 Sink = Callable[[Nanos, list[Frame], Gateway], None]
 """Told of every tick: now, what goes out, and who says it; its view is made when asked for."""
 Make = Callable[[Nanos], Gateway]
 
 
+class Samples(Protocol):
+    """Who looks at a tick now and then."""
+
+    @property
+    def next_ns(self) -> Nanos:
+        """The first tick at or after it is the last of those that are told of at once."""
+
+    def took(self, now: Nanos, gateway: Gateway, peak: Array) -> None:
+        """Take one tick or many, of which the last was at `now`.
+
+        Only in that one a flag of a drive can have changed. peak (N,): largest probability of loss
+        that was said of each drive in any of them; NaN: none.
+        """
+
+
 class Briefly(NamedTuple):
     """In place of a `Sink`, for who can do without a view of ticks that change nothing.
 
-    write: what goes out, of one tick or of many; changed: the gateway, after a tick in which an
-    adhesion or thermal flag changed.
+    write: what goes out, of one tick or of many; changed: the gateway, after a tick in which a
+    drive's flag changed; samples: who looks at some of the others, too.
     """
 
     write: Callable[[Block], None]
     changed: Callable[[Gateway], None]
+    samples: Samples | None = None
 
 
 class Replayed(NamedTuple):
@@ -124,15 +141,17 @@ def replay(
         out = gateway.step(frames, now)
         ticks += 1
         if isinstance(sink, Briefly):
-            tell(sink, [block_of(out)])
+            tell(sink, [block_of(out)], now, gateway.said.lost)
         else:
             sink(now, out, gateway)
 
-    def tell(sink: Briefly, out: Iterable[Block]) -> None:
+    def tell(sink: Briefly, out: Iterable[Block], last_ns: Nanos, peak: Array) -> None:
         for frames in out:
             sink.write(frames)
         if gateway.changed:
             sink.changed(gateway)
+        if sink.samples is not None:
+            sink.samples.took(last_ns, gateway, peak)
 
     def drop(count: int) -> None:
         gateway.inbox.counts["received"] += count
@@ -146,10 +165,12 @@ def replay(
         done, last = 0, block.t_ns.item(-1)
         while now < last:
             count = min(-((now - last) // period_ns), MOST_TICKS)
+            if sink.samples is not None:
+                count = min(count, 1 + max(0, -((now - sink.samples.next_ns) // period_ns)))
             nows = now + period_ns * np.arange(count)
             ends = np.searchsorted(block.t_ns[done:], nows, "right")
             stepped, out = several.run(block.part(done, block.size), ends, now)
-            tell(sink, out)
+            tell(sink, out, now + (stepped - 1) * period_ns, several.peak)
             now += stepped * period_ns
             ticks += stepped
             done += ends.item(stepped - 1)

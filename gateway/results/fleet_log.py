@@ -7,55 +7,52 @@ Missing is null. The file gets its name only when it is whole.
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from dbc.frame import MS, Nanos
-from gateway.health import FaultClass, FaultSensor, Flag, Health, Reason
+from gateway.health import NEVER, FaultClass, FaultSensor, Health, Reason
 from gateway.results.fleet_table import PART
 from gateway.results.record import ADHESION, FAULT, camel
-from gateway.view import DriveView, GatewayView
+
+if TYPE_CHECKING:
+    from gateway.core import Gateway
 
 EVERY_NS: Final[Nanos] = 100 * MS
 GROUP: Final = 30_000
 """Rows that are kept in memory before they are written."""
 
-Flags = tuple[Flag, Flag, Flag, Flag, Flag]
+Array = NDArray[np.float64]
 
 
 def _words(kind: Iterable[Any]) -> list[str]:
     return [camel(member.name) for member in kind]
 
 
-_WORDS: Final[dict[str, tuple[list[str], Callable[[DriveView], int]]]] = {
-    "adhesion": (list(ADHESION.values()), lambda d: d.adhesion),
-    "thermal": (list(FAULT.values()), lambda d: d.thermal),
-    "sensor": (list(FAULT.values()), lambda d: d.sensor),
-    "comm": (list(FAULT.values()), lambda d: d.comm),
-    "estimator": (list(FAULT.values()), lambda d: d.estimator),
-    "reason": (_words(Reason), lambda d: d.adhesion_reason or d.thermal_reason),
-    "health": (_words(Health), lambda d: d.health),
-    "fault_class": (_words(FaultClass), lambda d: d.fault_class),
-    "fault_sensor": (_words(FaultSensor), lambda d: d.fault_sensor),
+_WORDS: Final[dict[str, list[str]]] = {
+    "adhesion": list(ADHESION.values()),
+    "thermal": list(FAULT.values()),
+    "sensor": list(FAULT.values()),
+    "comm": list(FAULT.values()),
+    "estimator": list(FAULT.values()),
+    "reason": _words(Reason),
+    "health": _words(Health),
+    "fault_class": _words(FaultClass),
+    "fault_sensor": _words(FaultSensor),
 }
-"""Column -> its words in the order of their numbers, and where the number stands."""
-_NUMBERS: Final[dict[str, Callable[[DriveView], float | None]]] = {
-    "speed_rad_s": lambda d: d.speed_rad_s,
-    "load_nm": lambda d: d.load_nm,
-    "load_sigma_nm": lambda d: d.load_sigma_nm,
-    "loss_probability": lambda d: d.loss_probability,
-    "nis": lambda d: d.nis,
-    "mixed_c": lambda d: d.mixed_c,
-    "maisd_k": lambda d: d.maisd_k,
-    "degradation_k_h": lambda d: d.wear.rate_k_h,
-    "degradation_sigma_k_h": lambda d: d.wear.sigma_k_h,
-    "hours_to_limit": lambda d: d.wear.hours,
-}
+"""Column -> its words in the order of their numbers. The first five are a drive's flags."""
+_FLAGS: Final = 5
+_NUMBERS: Final = (
+    "speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability", "nis", "mixed_c", "maisd_k",
+    "degradation_k_h", "degradation_sigma_k_h", "hours_to_limit",
+)  # fmt: skip
 PEAK: Final = "loss_probability_peak"
 """Largest since the row before of the same drive, at any tick."""
 
@@ -69,7 +66,7 @@ def schema(metadata: dict[str, str]) -> pa.Schema:
 
 
 class Estimates:
-    """Takes every tick's view; `finish` gives the file its name. Context manager.
+    """Takes ticks as `replay.Samples`; `finish` gives the file its name. Context manager.
 
     Left without `finish`, nothing remains. Raises OSError where the folder cannot be written.
     """
@@ -78,17 +75,23 @@ class Estimates:
         """path: of the finished file; its folder must be there."""
         self.path = path
         self.rows = 0
+        self.next_ns: Nanos = NEVER
+        """Every drive has a row in the first tick at or after it."""
+        self.last_ns: Nanos = NEVER
+        """The last tick."""
         # Two processes may be at one log for a while: one that was taken for dead goes on.
         self._part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}{PART}")
         self._writer = pq.ParquetWriter(self._part, schema({}), compression="zstd")
-        self._next_ns: Nanos | None = None
-        self._last: list[Flags | None] = [None] * len(nodes)
-        self._peak: list[float | None] = [None] * len(nodes)
-        self._empty()
-
-    def _empty(self) -> None:
-        names = ("t_ns", "drive", *_WORDS, *_NUMBERS, PEAK)
-        self._columns: dict[str, list[float | int | None]] = {name: [] for name in names}
+        n = len(nodes)
+        self._nodes = np.array(nodes, dtype=np.int8)
+        self._flags = np.full((_FLAGS, n), -1, dtype=np.int64)
+        self._peak = np.full(n, np.nan)
+        # (T, columns, N) of T ticks, and which drives have a row in each.
+        ticks = -(-GROUP // n)
+        self._at, self._ticks = 0, np.zeros(ticks, dtype=np.int64)
+        self._codes = np.zeros((ticks, len(_WORDS), n), dtype=np.int8)
+        self._numbers = np.zeros((ticks, len(_NUMBERS) + 1, n))
+        self._mine = np.zeros((ticks, n), dtype=np.bool_)
 
     def __enter__(self) -> Self:
         """Nothing to do."""
@@ -104,47 +107,55 @@ class Estimates:
         self._writer.close()
         self._part.unlink(missing_ok=True)
 
-    def add(self, view: GatewayView) -> None:
-        """Take one tick."""
-        due = self._next_ns is None or view.t_ns >= self._next_ns
+    def took(self, now: Nanos, gateway: Gateway, peak: Array) -> None:
+        """Take one tick or many, see `replay.Samples`."""
+        first = self.last_ns == NEVER
+        self.last_ns = now
+        np.fmax(self._peak, peak, out=self._peak)
+        due = first or now >= self.next_ns
         if due:
-            before = view.t_ns if self._next_ns is None else self._next_ns
-            self._next_ns = before + EVERY_NS * (1 + (view.t_ns - before) // EVERY_NS)
-        for k, d in enumerate(view.drives):
-            lost, peak = d.loss_probability, self._peak[k]
-            if lost is not None and (peak is None or not lost <= peak):
-                self._peak[k] = lost
-            flags = (d.adhesion, d.thermal, d.sensor, d.comm, d.estimator)
-            if due or flags != self._last[k]:
-                self._last[k] = flags
-                self._row(view.t_ns, d, self._peak[k])
-                self._peak[k] = None
-        if len(self._columns["t_ns"]) >= GROUP:
+            before = now if first else self.next_ns
+            self.next_ns = before + EVERY_NS * (1 + (now - before) // EVERY_NS)
+        if due or gateway.changed:
+            self._take(now, gateway, due=due)
+
+    def _take(self, now: Nanos, gateway: Gateway, *, due: bool) -> None:
+        """The rows of a tick: of every drive, or of those of which a flag changed."""
+        said, at = gateway.said, self._at
+        flags = np.array((said.adhesion, said.thermal, said.sensor, said.comm, said.estimator))
+        mine = np.ones(len(self._nodes), np.bool_) if due else (flags != self._flags).any(axis=0)
+        why, warm_why = said.adhesion_reason, said.thermal_reason
+        codes, numbers = self._codes[at], self._numbers[at]
+        self._flags = codes[:_FLAGS] = flags
+        codes[_FLAGS:] = (
+            np.where(why, why, warm_why), said.health, said.fault_class, said.fault_sensor
+        )  # fmt: skip
+        # None is NaN here.
+        wear = np.array([each[:3] for each in gateway.thermal.wear], dtype=np.float64)
+        numbers[:-4] = (
+            said.speed, said.load, said.sigma, said.lost, said.nis, said.mixed_c, said.maisd_k
+        )  # fmt: skip
+        numbers[-4:-1], numbers[-1] = wear.T, self._peak
+        self._peak[mine] = np.nan
+        self._ticks[at], self._mine[at] = now, mine
+        self._at += 1
+        if self._at == len(self._ticks):
             self._flush()
 
-    def _row(self, t_ns: Nanos, drive: DriveView, peak: float | None) -> None:
-        columns = self._columns
-        columns["t_ns"].append(t_ns)
-        columns["drive"].append(drive.node)
-        for name, (_, code) in _WORDS.items():
-            columns[name].append(int(code(drive)))
-        for name, number in _NUMBERS.items():
-            columns[name].append(number(drive))
-        columns[PEAK].append(peak)
-
     def _flush(self) -> None:
-        columns = self._columns
-        self.rows += len(columns["t_ns"])
-        arrays = [pa.array(columns["t_ns"], pa.int64()), pa.array(columns["drive"], pa.int8())]
-        for name, (words, _) in _WORDS.items():
-            codes = pa.array(columns[name], pa.int8())
+        tick, drive = np.nonzero(self._mine[: self._at])
+        self._at = 0
+        self.rows += len(tick)
+        arrays = [pa.array(self._ticks[tick]), pa.array(self._nodes[drive])]
+        for k, words in enumerate(_WORDS.values()):
+            codes = pa.array(self._codes[tick, k, drive])
             arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(words)))
-        # from_pandas: a NaN would be a diverged estimate, which is not known either.
+        # from_pandas: NaN is what is not known, a diverged estimate included.
         arrays += [
-            pa.array(columns[name], pa.float64(), from_pandas=True) for name in (*_NUMBERS, PEAK)
+            pa.array(self._numbers[tick, k, drive], from_pandas=True)
+            for k in range(len(_NUMBERS) + 1)
         ]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema({})))
-        self._empty()
 
     def finish(self, metadata: dict[str, str]) -> None:
         """Write what is left and what is said about the log, then rename. Raises OSError."""
