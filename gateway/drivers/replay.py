@@ -238,17 +238,22 @@ def open_log(path: Path, strict: bool) -> Log:
     if path.is_dir():
         msg = f"{path}: a folder, not a log"
         raise BadLogError(msg)
-    leanstart.python_can()
-    from can.io.player import MESSAGE_READERS
-
     # Loggers on Windows like capitals.
     suffix = Path(path.name.lower().removesuffix(".gz")).suffix
-    if suffix == ".log" or suffix not in MESSAGE_READERS:
+    if suffix == ".log" or not _other(suffix):
         reader = Reader(path, strict=strict)
         return Log(_some(reader, path), reader)
     from dbc.otherlogs import read_any
 
     return Log(in_blocks(read_any(path)), None)
+
+
+def _other(suffix: str) -> bool:
+    """Whether it is a format of python-can, which is loaded for others than candump's only."""
+    leanstart.python_can()
+    from can.io.player import MESSAGE_READERS
+
+    return suffix in MESSAGE_READERS
 
 
 def _some(reader: Reader, path: Path) -> Iterator[Block]:
