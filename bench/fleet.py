@@ -11,9 +11,12 @@ from pathlib import Path
 
 from bench.speed import child, quiet
 
-SIZES = {8: 1, 48: 1}
-"""Logs -> rounds, of which the best counts. Start and end of the command take two seconds."""
-SECONDS = 60.0
+SIZES = ((8, 60, 2), (48, 60, 1), (48, 300, 1))
+"""Logs, seconds of each, rounds, of which the best counts.
+
+A log of a minute takes a third of a second, and every worker three seconds to start and to end,
+whatever there is to do: the first is all start, the last is some hours of recordings.
+"""
 
 
 def fleet(logs: Path, jobs: int, *words: str) -> float:
@@ -37,24 +40,25 @@ def rows() -> list[tuple[str, ...]]:
     """One row per figure: what, one process, two processes, ratio; measured in turns."""
     table = []
     with tempfile.TemporaryDirectory() as name:
-        minute = Path(name) / "minute.log"
-        quiet("sim", "healthy", "--duration", str(SECONDS), "-o", str(minute))
-        for count, rounds in SIZES.items():
-            logs = Path(name) / f"logs{count}"
+        for count, seconds, rounds in SIZES:
+            log = Path(name) / f"{seconds}.log"
+            if not log.exists():
+                quiet("sim", "healthy", "--duration", str(seconds), "-o", str(log))
+            logs = Path(name) / f"logs{count}of{seconds}"
             logs.mkdir()
             for k in range(count):
-                os.link(minute, logs / f"{k}.log")
+                os.link(log, logs / f"{k}.log")
             turns = [[fleet(logs, jobs, "--force") for jobs in (1, 2)] for _ in range(rounds)]
             one, two = (min(times) for times in zip(*turns, strict=True))
-            what = f"fleet of {count} logs of {SECONDS:.0f} s, whole command"
+            what = f"fleet of {count} logs of {seconds} s, whole command"
             table.append((what, f"{one:.2f} s", f"{two:.2f} s", f"{one / two:.2f} x"))
         turns = [[alone(logs, count) for count in (1, 2)] for _ in range(3)]
         single, pair = (min(times) for times in zip(*turns, strict=True))
         again = fleet(logs, 2)
-    what = "plain `replay`, a log per process: what the machine gives"
+    what = f"plain `replay` of {seconds} s, a log per process: what the machine gives"
     ratio = f"{2 * single / pair:.2f} x"
     table.append((what, f"{single:.2f} s for 1", f"{pair:.2f} s for 2", ratio))
-    table.append((f"the fleet of {count} logs again, nothing to do", "", f"{again:.2f} s", ""))
+    table.append((f"the fleet of {count} logs of {seconds} s again, nothing to do", "", f"{again:.2f} s", ""))
     return table
 
 
