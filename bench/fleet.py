@@ -58,7 +58,8 @@ def rows() -> list[tuple[str, ...]]:
     what = f"plain `replay` of {seconds} s, a log per process: what the machine gives"
     ratio = f"{2 * single / pair:.2f} x"
     table.append((what, f"{single:.2f} s for 1", f"{pair:.2f} s for 2", ratio))
-    table.append((f"the fleet of {count} logs of {seconds} s again, nothing to do", "", f"{again:.2f} s", ""))
+    what = f"the fleet of {count} logs of {seconds} s again, nothing to do"
+    table.append((what, "", f"{again:.2f} s", ""))
     return table
 
 
