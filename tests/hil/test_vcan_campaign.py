@@ -181,16 +181,21 @@ def test_the_drives_fall_silent(site: Site) -> None:
     only = [{"can_id": i, "can_mask": 0x7FF, "extended": False} for i in electrical]
     heard = can.Bus(interface="socketcan", channel=site.vcan.name, can_filters=only)
     age, last = [], dict.fromkeys(electrical, 0.0)
+
+    def listen() -> None:
+        while (message := heard.recv(0)) is not None:
+            last[message.arbitration_id] = message.timestamp
+
     for k in range(site.count(SILENCES)):
         with round_of(site, "silence", k):
             seen.until(seen.all_good, "every drive adheres")
             seen.watch(site.rng.uniform(0.0, 0.2))
+            listen()  # or the newest would find no room
             end_process(site.drives, signal.SIGSTOP)
             await_stop(site.drives)
             seen.forget()
             seen.until(lambda: seen.flags and GOOD not in seen.flags[-1].flags, "no flag is good")
-            while (message := heard.recv(0)) is not None:
-                last[message.arbitration_id] = message.timestamp
+            listen()
             seen.watch(0.05)
             for d, node in enumerate(site.used.nodes):
                 # As old as the older of the two that a sample is made of.
