@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import cantools
+import numpy as np
 import pytest
 
 from gateway.config import shipped_dbc
 from gateway.health import (
+    NEVER,
     PRIORITY,
     REJECTED,
     FaultClass,
@@ -68,3 +70,7 @@ def test_what_counts_as_rejected_is_counted_somewhere():
     assert len(set(REJECTED)) == len(REJECTED)
     used = {"decoded", "lost", "own", "remote", "error_frame", "unknown_id", "canopen"}
     assert set(NAMES) - set(REJECTED) == used
+
+
+def test_never_is_no_stamp_and_no_age_that_there_can_be():
+    assert np.iinfo(np.int64).min == NEVER

@@ -21,6 +21,11 @@ RULES = said.rules(TIMING, 0.7, 0.2, TICK)
 NUMBERS = np.array([0.0, -3.5, 0.2, 0.7, 0.69, 1.0, 1.5, np.nan, np.inf])
 
 
+def uncompiled(function):
+    """The same where nothing is compiled (NUMBA_DISABLE_JIT=1)."""
+    return getattr(function, "py_func", function)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_flags_in_arrays_go_as_single_ones(seed):
     """Evidence of all kinds, held for a while or not, in ticks of any length."""
@@ -86,7 +91,7 @@ def test_the_loops_are_the_same_functions_uncompiled(seed):
     made = []
     for kernels in (
         (_said_kernels.weigh, _said_kernels.decide, _said_kernels.tell),
-        (_said_kernels.weigh.py_func, _said_kernels.decide.py_func, _said_kernels.tell.py_func),
+        tuple(map(uncompiled, (_said_kernels.weigh, _said_kernels.decide, _said_kernels.tell))),
     ):
         weigh, decide, tell = kernels
         rng = np.random.default_rng(seed)
@@ -135,7 +140,7 @@ def test_what_is_believed_of_inputs(seed):
         lost, intruder, now = rng.random(N) < 0.2, bool(rng.random() < 0.1), 30
         out, again = inputs.inputs(N), inputs.inputs(N)
         _inputs_kernels.look(now, lost, intruder, places, state, pairs, slow, out)
-        _inputs_kernels.look.py_func(now, lost, intruder, places, state, pairs, slow, again)
+        uncompiled(_inputs_kernels.look)(now, lost, intruder, places, state, pairs, slow, again)
         assert repr(out) == repr(again)
         for k, (first, last, electrical, motion, status) in enumerate(rows):
             suspect = pairs.sum_error[k] > 1.0

@@ -1,0 +1,37 @@
+"""All mutants of some files that cosmic-ray knows, as JSON lines on stdout.
+
+    python tests/mutation/mutants.py gateway/decide.py .. > decide.mutants
+
+Runs in cosmic-ray's own environment, so it imports nothing of this project.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from cosmic_ray.commands.init import _all_work_items
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator
+
+
+def main() -> int:
+    """A line per mutant: where, what, and the whole file as it makes it."""
+    for item in _all_work_items(sys.argv[1:], {}):
+        (spec,) = item.mutations
+        path = Path(spec.module_path)
+        operator = get_operator(spec.operator_name)(**spec.operator_args)
+        code = mutate_code(path.read_text(), operator, spec.occurrence)
+        mutant = {
+            "module": str(path),
+            "line": spec.start_pos[0],
+            "operator": spec.operator_name.rsplit("/", 1)[-1],
+            "code": code,
+        }
+        print(json.dumps(mutant))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
