@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz fuzz-deep soak campaign mutation lint format docs bench calibration changelog dist lock clean-kernels clean
+.PHONY: demo test fuzz fuzz-deep soak campaign coverage mutation lint format docs bench calibration changelog dist lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -42,18 +42,23 @@ campaign: $(VENV)/.ready
 	$(BIN)/pytest tests/hil/test_vcan_campaign.py tests/hil/test_vcan_faults.py --require-vcan \
 		--counts full --campaign-seed $(SEED) -o timeout=7200 -rP $(ARGS)
 
-# Are the tests of what decides a flag tested? Half an hour; works in a copy. What survives is listed.
-# First they must pass with nothing changed (`baseline`): a test that cannot run finds every mutant.
-# cosmic-ray has an environment of its own: it is no dependency.
+# Every line and branch of what decides a flag is run by its own tests, uncompiled; a gate in CI.
+coverage: $(VENV)/.ready
+	$(BIN)/python -m tests.mutation.coverage_gate
+
+# Are these tests tested? An hour or so, of all parts; `make mutation PARTS=said` for one. Goes on where
+# it was stopped, so `rm -r out/mutants` after a change. What survives is listed.
+# cosmic-ray, which makes the mutants, has an environment of its own: it is no dependency.
+PARTS ?= flags doubt protection validity said receive
 MUTANTS := out/mutants
 mutation: $(VENV)/.ready
-	rm -rf $(MUTANTS) && git clone -q . $(MUTANTS) && ln -s $(abspath $(VENV)) $(MUTANTS)/.venv
-	$(PYTHON) -m venv $(MUTANTS)/own && $(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0
-	cd $(MUTANTS) && for part in flags doubt protection validity; do \
-		own/bin/cosmic-ray init tests/mutation/$$part.toml $$part.sqlite && \
-		own/bin/cosmic-ray baseline tests/mutation/$$part.toml && \
-		own/bin/cosmic-ray exec tests/mutation/$$part.toml $$part.sqlite || exit 1; done; \
-		.venv/bin/python -m tests.mutation.survivors *.sqlite
+	test -d $(MUTANTS)/own || { $(PYTHON) -m venv $(MUTANTS)/own && \
+		$(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0; }
+	for part in $(PARTS); do \
+		$(MUTANTS)/own/bin/python tests/mutation/mutants.py $$part >$(MUTANTS)/$$part.mutants && \
+		NUMBA_DISABLE_JIT=1 nice -n 10 $(BIN)/python -W ignore::SyntaxWarning -m tests.mutation.judge \
+			$$part $(MUTANTS)/$$part.mutants $(MUTANTS)/$$part.jsonl || exit 1; done
+	$(BIN)/python -m tests.mutation.survivors $(MUTANTS)/*.jsonl
 
 # The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.
 docs: $(VENV)/.ready

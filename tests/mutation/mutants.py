@@ -1,6 +1,6 @@
-"""All mutants of some files that cosmic-ray knows, as JSON lines on stdout.
+"""All mutants of a part in `parts.toml` that cosmic-ray knows, as JSON lines on stdout.
 
-    python tests/mutation/mutants.py gateway/decide.py .. > decide.mutants
+    python tests/mutation/mutants.py said > said.mutants
 
 Runs in cosmic-ray's own environment, so it imports nothing of this project.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tomllib
 from pathlib import Path
 
 from cosmic_ray.commands.init import _all_work_items
@@ -18,7 +19,8 @@ from cosmic_ray.plugins import get_operator
 
 def main() -> int:
     """A line per mutant: where, what, and the whole file as it makes it."""
-    for item in _all_work_items(sys.argv[1:], {}):
+    parts = tomllib.loads(Path(__file__).with_name("parts.toml").read_text())
+    for item in _all_work_items(parts[sys.argv[1]]["modules"], {}):
         (spec,) = item.mutations
         path = Path(spec.module_path)
         operator = get_operator(spec.operator_name)(**spec.operator_args)

@@ -1,59 +1,51 @@
-"""What cosmic-ray's sessions have found: the score, and every survivor.
+"""What `judge` has found: the score, and every survivor.
 
-    python -m tests.mutation.survivors flags.sqlite ..
+    python -m tests.mutation.survivors flags.jsonl ..
 
-Annotations are never evaluated here (`from __future__ import annotations`), and `is` and `==` are
-the same for the members of an enumeration: such mutants are no others, and are left out.
+Mutants of annotations are none; `is` and `==` are the same for the members of an enumeration:
+such mutants are no others either, and are left out.
 """
 
 from __future__ import annotations
 
+import json
 import re
-import sqlite3
 import sys
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
-QUERY = """
-select spec.module_path, spec.operator_name, spec.start_pos_row, result.test_outcome, result.diff
-from mutation_specs spec join work_results result on spec.job_id = result.job_id
-order by 1, 3
-"""
 SAME = re.compile(r"Comparison\w*_(Is|Eq|IsNot|NotEq)_(Is|Eq|IsNot|NotEq)$")
 WORDS = re.compile(r"\b(Flag|Profile|SmState|Check|Reason|evidence|flag|found)\b")
 
 
-def changed(diff: str) -> tuple[str, str]:
-    """The line before and after."""
-    lines = [line for line in diff.splitlines() if line[:3] not in ("---", "+++")]
-    before = [line[1:].strip() for line in lines if line.startswith("-") and line[1:].strip()]
-    after = [line[1:].strip() for line in lines if line.startswith("+") and line[1:].strip()]
-    return (before or [""])[0], (after or [""])[0]
-
-
-def equivalent(operator: str, before: str, after: str) -> bool:
+def equivalent(row: dict[str, Any]) -> bool:
     """Whether the mutant cannot behave otherwise."""
-    if SAME.search(operator) and WORDS.search(before):
+    if row["outcome"] == "none":
         return True
-    signature = re.match(r"(async )?def |\w+(\.\w+)*: ", before)
-    if "BinaryOperator_BitOr" not in operator or signature is None:
-        return False
-    # Only what stands behind a colon or an arrow, not a default value.
-    return before.rsplit("=", 1)[-1] == after.rsplit("=", 1)[-1] or "=" not in before
+    plain = not row["module"].endswith("_kernels.py")
+    same = SAME.search(row["operator"]) and WORDS.search(row["before"])
+    # Of numbers from arrays, as in the loops, `is` is another.
+    return bool(plain and same and row["outcome"] == "survived")
 
 
 def main() -> int:
     """Score and survivors of all sessions."""
+    modules = defaultdict(list)
     for path in map(Path, sys.argv[1:]):
-        with sqlite3.connect(path) as session:
-            rows = [row for row in session.execute(QUERY) if row[4]]
-        real = [(*row, *changed(row[4])) for row in rows]
-        real = [row for row in real if not equivalent(row[1].split("/")[-1], row[5], row[6])]
-        alive = [row for row in real if "SURVIVED" in str(row[3])]
-        print(f"{path.stem}: {len(real) - len(alive)} of {len(real)} mutants found"
+        for line in path.read_text().splitlines():
+            row = json.loads(line)
+            modules[row["module"]].append(row)
+    for module, rows in modules.items():
+        real = [row for row in rows if not equivalent(row)]
+        alive = [row for row in real if row["outcome"] == "survived"]
+        late = sum(row["outcome"] == "timeout" for row in real)
+        print(f"{module}: {len(rows)} made, {len(rows) - len(real)} are none,"
+              f" {len(real) - len(alive)} of {len(real)} found"
               f" ({100.0 * (1.0 - len(alive) / max(len(real), 1)):.1f} %),"
-              f" {len(rows) - len(real)} others are none")  # fmt: skip
-        for module, _, line, _, _, before, after in alive:
-            print(f"  {module}:{line}: {before}  ->  {after}")
+              f" {late} of them by time")  # fmt: skip
+        for row in alive:
+            print(f"  {row['line']}: {row['before']}  ->  {row['after']}")
     return 0
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from dbc import _receive_kernels as kernels
 from dbc._receive_kernels import crc_fits, cycle, judge
 from dbc.codec import bind
-from dbc.protection import Check, Profile, Receiver, SmState, crc_ok, protect
+from dbc.protection import MAX_DELTA, WINDOW, Check, Profile, Receiver, SmState, crc_ok, protect
 from dbc.receive import guard, window
 from gateway.config import shipped_dbc
 
@@ -75,6 +76,29 @@ def test_verdicts_and_states_equal_the_receiver(c, seed):
         checks.add(check)
     assert checks == set(Check)
     assert states == set(SmState) - {SmState.NO_DATA}
+
+
+def test_the_numbers_are_those_of_the_words():
+    checks = ("OK", "SOME_LOST", "ERROR", "REPEATED", "WRONG_SEQUENCE", "NO_NEW_DATA")
+    assert [getattr(kernels, f"_{name}") for name in checks] == list(Check)
+    assert [getattr(kernels, f"_{state.name}") for state in SmState] == list(SmState)
+    assert (kernels._NONE, kernels._P02) == (Profile.NONE, Profile.P02)
+    assert (kernels._MAX_DELTA, kernels._WINDOW) == (MAX_DELTA, WINDOW)
+
+
+def test_without_protection_every_frame_is_good():
+    """And whatever the last one proved lost is no more."""
+    plain, memory = GUARD._replace(profile=np.zeros(3, dtype=np.int64)), window(3)
+    memory.missed[:] = 2
+    assert judge(rows(b""), 0, 1, plain, memory) == Check.OK
+    assert memory.missed.tolist() == [2, 0, 2]
+
+
+def test_silence_after_the_start_is_no_data():
+    memory = window(3)
+    for check in (Check.NO_NEW_DATA, Check.ERROR):
+        assert cycle(1, int(check), memory) == SmState.NO_DATA
+    assert cycle(1, int(Check.REPEATED), memory) == SmState.INIT
 
 
 def test_compiled_equals_uncompiled():

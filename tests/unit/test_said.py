@@ -133,11 +133,17 @@ def test_what_is_believed_of_inputs(seed):
         rows = [(5 * k, 5 * k + 5, [5 * k, 5 * k + 1], 5 * k + 2, 5 * k + 3) for k in range(N)]
         if rng.random() < 0.2:
             rows[1] = (5, 10, [], NONE, 8)
+        if rng.random() < 0.2:
+            rows[2] = (10, 15, [13], 12, NONE)
         places = inputs.places(rows, [25] * N, [1.0] * N)
         state, pairs, slow = channels(rng, 15), pairs_of(N), slow_of(N)
         pairs.sample_ns[:], pairs.sum_error[:] = rng.integers(-1, 30, N), rng.choice([0.5, 2.0], N)
         slow.speed[:], slow.command[:] = rng.choice(NUMBERS, (2, N))
-        lost, intruder, now = rng.random(N) < 0.2, bool(rng.random() < 0.1), 30
+        lost, intruder, now = (
+            rng.random(N) < 0.2,
+            bool(rng.random() < 0.1),
+            int(rng.choice([12, 30])),
+        )
         out, again = inputs.inputs(N), inputs.inputs(N)
         _inputs_kernels.look(now, lost, intruder, places, state, pairs, slow, out)
         uncompiled(_inputs_kernels.look)(now, lost, intruder, places, state, pairs, slow, again)
