@@ -179,9 +179,10 @@ def bare(code: str) -> str:
 
 
 def equivalent(mutant: dict[str, Any], source: str) -> bool:
-    """Whether a mutant cannot behave otherwise: an annotation, or members of an enumeration.
+    """Whether a mutant cannot behave otherwise.
 
-    `is` and `==` are the same for those. Not for the numbers from arrays in the loops.
+    An annotation; `is` for `==` between members of an enumeration, though not between the numbers
+    from arrays in the loops; a loop that is to be compiled and is not.
     """
     turned = SAME.search(mutant["operator"])
     if (

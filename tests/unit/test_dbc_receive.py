@@ -1,5 +1,7 @@
 """Compiled protection equals the library and `Receiver`, on good, damaged and random frames."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,18 @@ def test_checksum_equals_the_library(c):
         assert crc_fits(rows(payload), 0, c, GUARD) == crc_ok(spec, payload)
         fits += crc_ok(spec, payload)
     assert 1300 < fits < 1400
+
+
+@pytest.mark.parametrize("c", [0, 2])
+def test_checksum_of_every_length_equals_the_library(c):
+    rng = np.random.default_rng(c)
+    for length in range(SPECS[c].length + 1):
+        spec = replace(SPECS[c], length=length)
+        own = guard([spec])
+        for k in range(6 if length > 2 else 0):
+            payload = frame(spec, k, rng)
+            payload[rng.integers(length)] ^= k % 2
+            assert crc_fits(rows(payload), 0, 0, own) == crc_ok(spec, payload) == (k % 2 == 0)
 
 
 def test_frames_shorter_than_their_header_do_not_fit():

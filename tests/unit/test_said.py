@@ -135,9 +135,14 @@ def test_what_is_believed_of_inputs(seed):
             rows[1] = (5, 10, [], NONE, 8)
         if rng.random() < 0.2:
             rows[2] = (10, 15, [13], 12, NONE)
+        if rng.random() < 0.2:
+            rows[0] = (0, 5, [3, 4], *rng.permutation([0, 1]))
         places = inputs.places(rows, [25] * N, [1.0] * N)
         state, pairs, slow = channels(rng, 15), pairs_of(N), slow_of(N)
-        pairs.sample_ns[:], pairs.sum_error[:] = rng.integers(-1, 30, N), rng.choice([0.5, 2.0], N)
+        pairs.sample_ns[:], pairs.sum_error[:] = (
+            rng.integers(-1, 30, N),
+            rng.choice([0.5, 1.0, 2.0], N),
+        )
         slow.speed[:], slow.command[:] = rng.choice(NUMBERS, (2, N))
         lost, intruder, now = (
             rng.random(N) < 0.2,

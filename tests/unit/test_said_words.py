@@ -145,7 +145,7 @@ def weather(rng):
     flags = said.flags(N, 0)
     flags.flag[:] = rng.integers(0, 3, flags.flag.shape)
     flags.flag[rng.random(len(Which)) < 0.4] = rng.integers(0, 3)
-    doubts = [Reason.NONE] * 4 + [Reason.SEQUENCE, Reason.OVERRUN, Reason.INTRUDER]
+    doubts = [Reason.NONE] * 4 + [Reason.SEQUENCE, Reason.OVERRUN, Reason.INTRUDER, Reason.CONFIG]
     return SimpleNamespace(
         flags=flags, lost=rng.choice(NUMBERS, N), known=rng.random(N) < 0.8,
         wrong=rng.random(N) < 0.2, doubt=doubts[rng.integers(len(doubts))],
@@ -185,8 +185,8 @@ def test_evidence_and_words_are_the_contracts(seed):
             assert world.why[k] == why
         _said_kernels.tell(
             world.seen, world.why, world.now, world.flags, come, told, world.lost, world.known,
-            found, world.sample_ns, int(world.doubt), np.array([[world.mode, 9]]), world.silent,
-            world.overrun, words,
+            found, world.sample_ns, int(world.doubt), np.array([[world.mode, 9], [9, 9]]),
+            world.silent, world.overrun, words,
         )  # fmt: skip
         each = [said_of(k, told, found, come, world, before) for k in range(N)]
         for k, row in enumerate(each):
@@ -196,3 +196,8 @@ def test_evidence_and_words_are_the_contracts(seed):
         assert dict(zip(Whole, words.whole.tolist(), strict=True)) == whole_of(each, world)
         met.add((words.whole[Whole.STATE], words.whole[Whole.COMMON_MODE]))
     assert len(met) == 12
+
+
+@pytest.mark.parametrize("age", [0, 7, NEVER])
+def test_a_single_drive_is_the_oldest(age):
+    assert _said_kernels._oldest(np.array([age])) == age
