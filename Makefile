@@ -99,10 +99,11 @@ changelog:
 		out/towncrier/bin/pip install -q towncrier==26.9.0; }
 	out/towncrier/bin/towncrier build --yes --version $$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 
-# Only with a new dependency: needs uv (pip install uv).
+# Only with a new dependency: needs uv (pip install uv). Extras stay in the lock: what is asked for with
+# one, and pinned without, pip takes in its newest version, of which there is no hash.
 lock:
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
-		--generate-hashes --no-emit-index-url --quiet --output-file requirements.lock
+		--generate-hashes --no-strip-extras --no-emit-index-url --quiet --output-file requirements.lock
 
 $(VENV)/.ready: requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
