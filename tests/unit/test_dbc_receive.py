@@ -8,7 +8,17 @@ import pytest
 from dbc import _receive_kernels as kernels
 from dbc._receive_kernels import crc_fits, cycle, judge
 from dbc.codec import bind
-from dbc.protection import MAX_DELTA, WINDOW, Check, Profile, Receiver, SmState, crc_ok, protect
+from dbc.protection import (
+    HEADER_BYTES,
+    MAX_DELTA,
+    WINDOW,
+    Check,
+    Profile,
+    Receiver,
+    SmState,
+    crc_ok,
+    protect,
+)
 from dbc.receive import guard, window
 from gateway.config import shipped_dbc
 
@@ -49,10 +59,10 @@ def test_checksum_equals_the_library(c):
 @pytest.mark.parametrize("c", [0, 2])
 def test_checksum_of_every_length_equals_the_library(c):
     rng = np.random.default_rng(c)
-    for length in range(SPECS[c].length + 1):
+    for length in range(HEADER_BYTES[SPECS[c].profile], SPECS[c].length + 1):
         spec = replace(SPECS[c], length=length)
         own = guard([spec])
-        for k in range(6 if length > 2 else 0):
+        for k in range(6):
             payload = frame(spec, k, rng)
             payload[rng.integers(length)] ^= k % 2
             assert crc_fits(rows(payload), 0, 0, own) == crc_ok(spec, payload) == (k % 2 == 0)
@@ -61,6 +71,11 @@ def test_checksum_of_every_length_equals_the_library(c):
 def test_frames_shorter_than_their_header_do_not_fit():
     short = GUARD._replace(length=np.array([1, 0, 2]))
     assert not any(crc_fits(rows(b"\0\0"), 0, c, short) for c in range(3))
+    # Not even where the checksum of what there is would.
+    one = rows(bytes([kernels.sum_p02(rows(b""), 0, 0, short)]))
+    two = rows(int(kernels.sum_p05(rows(b""), 0, 2, short)).to_bytes(2, "little"))
+    assert not crc_fits(one, 0, 0, short)
+    assert not crc_fits(two, 0, 2, short)
 
 
 @pytest.mark.parametrize("c", range(3))
