@@ -73,14 +73,15 @@ def test_lost_frames_are_held_against_every_flag_for_five_ticks():
     assert doubt.reason is Reason.NONE
 
 
-def test_there_is_no_doubt_once_what_was_noted_is_long_past():
+@pytest.mark.parametrize("at", [TICK, 7 * SECOND])
+def test_there_is_no_doubt_once_what_was_noted_is_long_past(at):
     fresh = told()
     assert fresh.none(0)
     for note, held in (
         (lambda doubt: doubt.note_overrun(1), SECOND),
         (lambda doubt: doubt.note_lost(1), 5 * TICK),
     ):
-        doubt, at = Doubt(TICK), 7 * SECOND
+        doubt = Doubt(TICK)
         note(doubt)
         doubt.tick(at, 0)
         assert doubt.none(at + held + 1) == (held != SECOND), "a late tick, and none behind it yet"
