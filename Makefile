@@ -46,12 +46,13 @@ campaign: $(VENV)/.ready
 coverage: $(VENV)/.ready
 	$(BIN)/python -m tests.mutation.coverage_gate
 
-# Are these tests tested? An hour or so, of all parts; `make mutation PARTS=said` for one. Goes on where
+# Are these tests tested? Some 40 minutes, of all parts; `make mutation PARTS=said` for one. Goes on where
 # it was stopped, so `rm -r out/mutants` after a change. What survives is listed.
 # cosmic-ray, which makes the mutants, has an environment of its own: it is no dependency.
 PARTS ?= flags doubt protection validity said receive
 MUTANTS := out/mutants
 mutation: $(VENV)/.ready
+	mkdir -p $(MUTANTS)
 	test -d $(MUTANTS)/own || { $(PYTHON) -m venv $(MUTANTS)/own && \
 		$(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0; }
 	for part in $(PARTS); do \
