@@ -103,20 +103,27 @@ def main() -> int:
     parser.add_argument("--ticks", type=int, default=100_000, help="of 10 ms, per seed")
     parser.add_argument("-j", type=int, default=1, help="processes")
     parser.add_argument("-o", type=Path, help="a line of JSON per seed")
+    parser.add_argument("--anew", action="store_true", help="also seeds that other code has run")
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     wanted = range(int(first), int(last or first) + 1)
-    lines = []
+    kept: dict[int, dict] = {}
     if options.o is not None and options.o.exists():
-        lines = [json.loads(line) for line in options.o.read_text().splitlines()]
+        kept = {row["seed"]: row for row in map(json.loads, options.o.read_text().splitlines())}
     # A seed that broke a rule ended early, and is run again.
-    done = {x["seed"] for x in lines if x["ticks"] == options.ticks and not x["violations"]}
-    lines = [line for line in lines if line["seed"] in done and line["seed"] in wanted]
+    done = {
+        seed
+        for seed, row in kept.items()
+        if row["ticks"] == options.ticks
+        and not row["violations"]
+        and not (options.anew and _code(row) != CODE)
+    }
     with ProcessPoolExecutor(options.j) as pool:
         jobs = [pool.submit(_run, seed, options.ticks) for seed in wanted if seed not in done]
         for job in as_completed(jobs):
             result, seconds = job.result()
-            lines.append(_line(result, seconds))
+            kept[result.seed] = _line(result, seconds)
+            done.add(result.seed)
             print(
                 f"seed {result.seed}: {len(result.found)} violations, {seconds:.0f} s", flush=True
             )
@@ -124,8 +131,10 @@ def main() -> int:
                 print(result.text(), flush=True)
             if options.o is not None:
                 options.o.parent.mkdir(parents=True, exist_ok=True)
-                with options.o.open("a") as file:
-                    file.write(json.dumps(lines[-1]) + "\n")
+                part = options.o.with_suffix(".part")
+                part.write_text("".join(json.dumps(row) + "\n" for row in kept.values()))
+                part.replace(options.o)
+    lines = [kept[seed] for seed in wanted if seed in done]
     print(summary(lines))
     missing = uncovered(
         Counter({tuple(key.split()): n for x in lines for key, n in x["met"].items()})

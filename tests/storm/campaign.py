@@ -60,8 +60,12 @@ def commit_of(folder: Path) -> str:
 
 
 def code_of(folder: Path) -> str:
-    """Hash of the modules below a folder that this process has loaded: commits may share it."""
-    files = {getattr(module, "__file__", None) or "" for module in list(sys.modules.values())}
+    """Hash of the modules below a folder that this process has loaded: commits may share it.
+
+    Without the program that was started: it only hands out seeds.
+    """
+    loaded = [module for name, module in list(sys.modules.items()) if name != "__main__"]
+    files = {getattr(module, "__file__", None) or "" for module in loaded}
     mine = sorted(Path(file) for file in files if file.startswith(f"{folder}/"))
     inside = (f"{path.relative_to(folder)}\n".encode() + path.read_bytes() for path in mine)
     return hashlib.sha256(b"\0".join(inside)).hexdigest()[:12]
