@@ -74,6 +74,11 @@ def _checksum(data: bytes) -> int:
     return int(Crc8Autosar.calc(data))
 
 
+@lru_cache(maxsize=1 << 10)
+def _two_bits(word: int) -> list[int]:
+    return [(word >> 2 * k) & 3 for k in range(16)]
+
+
 class Violation(NamedTuple):
     """A rule that was broken. drive from 1, 0 for the set."""
 
@@ -192,19 +197,26 @@ class Oracle:
 
     def _runs(self, tick: int, fresh: np.ndarray, sampled: list[bool]) -> None:
         """For how long what each drive's flags rest on has been fresh: what is not begins anew."""
-        lent = (tick * TICK - self.lent <= self.limit).reshape(fresh.shape)[:, -1].tolist()
         known = self.heard.reshape(fresh.shape)
-        linked = (fresh | ~known).all(axis=1) & known[:, : len(self.electrical)].all(axis=1)
+        linked = fresh.all(axis=1)
+        if not known.all():
+            electrical = known[:, : len(self.electrical)].all(axis=1)
+            linked = (fresh | ~known).all(axis=1) & electrical
         warm = fresh[:, -1].tolist()
         for d, link in enumerate(linked.tolist()):
             if not sampled[d]:
                 self.since[d] = tick + 1
             if not link:
                 self.linked[d] = tick + 1
-            if not (warm[d] or lent[d] or self.doubled[d]):
+            if not (warm[d] or self.doubled[d] or self._lent_warmth(tick, d)):
                 self.warm[d] = tick + 1
         if not (any(sampled) or any(self.doubled)):
             self.any_sampled = tick + 1
+
+    def _lent_warmth(self, tick: int, drive: int) -> bool:
+        """Whether temperatures that were another sender's are still fresh."""
+        slot = (drive + 1) * self.kinds - 1
+        return tick * TICK - self.lent.item(slot) <= self.limit.item(slot)
 
     def _broken(self, tick: int, rule: str, drive: int, what: str) -> None:
         self.found.append(Violation(tick, rule, drive, what))
@@ -227,7 +239,7 @@ class Oracle:
 
     def _states(self, tick: int, data: bytes) -> list[int]:
         word = int.from_bytes(data, "little") >> 16
-        states = [(word >> 2 * k) & 3 for k in range(16)]
+        states = _two_bits(word & 0xFFFFFFFF)
         mine = [states[node - 1] for node in self.nodes]
         if 3 in states or sum(states) != sum(mine):
             self._broken(tick, "form", 0, f"states {states}")
@@ -354,6 +366,9 @@ class Oracle:
     def _second_senders(self, faults: list[Fault]) -> None:
         """Ticks that each drive has shared its identifiers, both of them heard."""
         both = [f.drive for f in faults if f.kind == "second_sender"]
+        if not both:
+            self.doubled = [0] * self.n
+            return
         hidden = ("bus_off", "link_loss", "drop", "delay", "clock_step")
         held = any(f.kind in hidden for f in faults)
         # Two of whom no frame arrives whole are one that is disturbed.
