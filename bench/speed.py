@@ -14,6 +14,7 @@ from pathlib import Path
 import can
 import cantools
 
+from bench import restart
 from gateway.cli import main
 from gateway.config import shipped_dbc
 
@@ -129,6 +130,7 @@ def rows() -> list[tuple[str, ...]]:
          f"{usage / bare:.1f}"),
         ("`replay --help`, whole process", f"{verb * 1e3:.0f} ms", "", ""),
         flag_row,
+        restart.row(as_installed()),
     ]  # fmt: skip
 
 

@@ -33,6 +33,8 @@ DOWNS, DELETIONS, KILLS, STOPS, SILENCES = 500, 200, 200, 200, 200
 LONGEST_AGE_S = 0.1
 """Every electrical message is stale after it: three cycles of 20 ms and a tick, and some room."""
 FIRST_FRAMES = 5
+MOST_LATE = 2
+"""Flags of a start that may be decided too late to be sent."""
 
 
 @pytest.fixture
@@ -114,7 +116,7 @@ def test_the_interface_is_deleted_and_made_again(site: Site) -> None:
 def test_the_gateway_is_killed(site: Site) -> None:
     site.drive()
     seen = site.observer()
-    back = []
+    back, late = [], 0
     for k in range(site.count(KILLS)):
         seen.forget()
         pid = site.run()
@@ -123,7 +125,11 @@ def test_the_gateway_is_killed(site: Site) -> None:
             first = seen.flags[:FIRST_FRAMES]
             assert {flag for said in first for flag in said.flags} == {0}, first
             assert 0 not in {said.reason for said in first}, first
-            assert [said.counter for said in first] == list(range(FIRST_FRAMES)), first
+            counters = [said.counter for said in first]
+            # From 0 on, but for frames that a slow first tick has decided too late to be sent.
+            assert counters[0] <= MOST_LATE, first
+            assert counters == list(range(counters[0], counters[0] + FIRST_FRAMES)), first
+            late += counters[0] > 0
             if site.rng.random() < 0.5:
                 seen.until(seen.all_good, "every drive adheres")
             seen.watch(site.rng.uniform(0.0, 0.3))
@@ -134,6 +140,7 @@ def test_the_gateway_is_killed(site: Site) -> None:
     site.gateway = 0
     seen.close()
     told("gateway killed and started (its fifth flag frame)", back)
+    print(f"in {late} of them the first flag was decided too late to be sent")
 
 
 def test_the_gateway_is_stopped(site: Site) -> None:

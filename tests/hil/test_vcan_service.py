@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from numba.core.caching import UserProvidedCacheLocator
 
 import gateway
 from dbc.codec import bind
@@ -25,6 +24,7 @@ from dbc.frame import Frame
 from dbc.protection import crc_ok
 from gateway.config import shipped_dbc
 from gateway.drivers.socketcan import SocketCan
+from tests.hil.kernelcopy import copy_kernels
 
 if TYPE_CHECKING:
     from conftest import Vcan
@@ -50,14 +50,7 @@ def shared() -> Iterator[Path]:
 def kernels(shared: Path) -> Path:
     """What `traction-gateway warm` leaves, made of kernels that are compiled already."""
     folder = shared / "kernels"
-    for package in ("dbc", "estimators", "gateway", "sim"):
-        for index in (ROOT / package).rglob("__pycache__"):
-            name = UserProvidedCacheLocator.get_suitable_cache_subpath(str(index.parent / "x.py"))
-            for file in index.glob("*.nb?"):
-                (folder / name).mkdir(parents=True, exist_ok=True)
-                shutil.copy(file, folder / name)
-    for path in (folder, *folder.rglob("*")):
-        path.chmod(0o555 if path.is_dir() else 0o444)
+    copy_kernels(ROOT, folder)
     return folder
 
 
@@ -122,7 +115,7 @@ def nobodys(vcan: Vcan, manager: Manager, *words: str) -> subprocess.Popen[bytes
     environment = {
         "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin", "HOME": "/nonexistent",
         "TMPDIR": "/dev/shm", "PYTHONDONTWRITEBYTECODE": "1",
-        "NOTIFY_SOCKET": str(manager.path), "WATCHDOG_USEC": "1000000",
+        "NOTIFY_SOCKET": str(manager.path), "WATCHDOG_USEC": "500000",
     }  # fmt: skip
     return vcan.start("unshare", "--mount", "sh", "-c", script, cwd=ROOT, env=environment,
                       stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip

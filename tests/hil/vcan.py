@@ -47,18 +47,21 @@ class Way(NamedTuple):
 def way() -> Way:
     """The best way on this machine, or the reason in one line why there is none."""
     native, why_not = _native()
-    if native:
-        return Way(prefix=native)
+    return Way(prefix=native) if native else guest(f"no real CAN: {why_not}, and ")
+
+
+def guest(so_far: str = "") -> Way:
+    """User-mode-linux, or `so_far` and the reason in one line why it is not possible."""
     kernel = shutil.which("linux.uml")
     missing = [tool for tool in ("insmod", "ip", "poweroff") if not _tool(tool)]
     if kernel is None:
-        return Way(reason=f"no real CAN: {why_not}, and user-mode-linux is not installed")
+        return Way(reason=f"{so_far}user-mode-linux is not installed")
     if missing:
-        return Way(reason=f"no real CAN: {why_not}, and {', '.join(missing)} missing for the guest")
+        return Way(reason=f"{so_far}{', '.join(missing)} missing for the guest")
     if not any(UML_MODULES.glob("*/kernel/drivers/net/can/vcan.ko")):
-        return Way(reason=f"no real CAN: {why_not}, and user-mode-linux has no vcan module")
+        return Way(reason=f"{so_far}user-mode-linux has no vcan module")
     if _has_amx() and not _tool("cc"):
-        return Way(reason=f"no real CAN: {why_not}, and with AMX user-mode-linux needs cc")
+        return Way(reason=f"{so_far}with AMX user-mode-linux needs cc")
     return Way(uml=kernel)
 
 
@@ -93,9 +96,14 @@ def _tool(name: str) -> str | None:
 class Job:
     """A command running where CAN is real; everything it leaves behind is in `directory`."""
 
-    def __init__(self, command: list[str], directory: Path) -> None:
-        """Start it. Raises RuntimeError if there is no way."""
-        chosen = way()
+    def __init__(self, command: list[str], directory: Path, boot: Path = UML_INIT) -> None:
+        """Start it. Raises RuntimeError if there is no way.
+
+        boot: the guest's first process; another than the usual one always gets a guest, in which
+        the host's files are read-only but for the directory.
+        """
+        self._boot = boot
+        chosen = way() if boot == UML_INIT else guest()
         if chosen.reason:
             raise RuntimeError(chosen.reason)
         self.directory = directory
@@ -134,9 +142,10 @@ class Job:
         return [*chosen.prefix, "sh", "-c", inside]
 
     def _uml_command(self, chosen: Way) -> list[str]:
+        may = "rw" if self._boot == UML_INIT else "ro"
         return [
-            *(chosen.uml, f"mem={UML_MEMORY_MB}M", "rootfstype=hostfs", "rootflags=/", "rw"),
-            *("con=null", "con0=fd:0,fd:1", "quiet", f"init={UML_INIT.resolve()}"),
+            *(chosen.uml, f"mem={UML_MEMORY_MB}M", "rootfstype=hostfs", "rootflags=/", may),
+            *("con=null", "con0=fd:0,fd:1", "quiet", f"init={self._boot.resolve()}"),
             *(f"uml_dir={self.directory}/", f"VCAN_JOB={self.directory}"),
         ]
 

@@ -93,7 +93,7 @@ def test_the_measure_notices_what_goes_missing(analyze: str, installed: Path, li
 def test_the_gateway_asks_for_nothing_that_it_is_not_given() -> None:
     lines = (UNITS / GATEWAY).read_text(encoding="utf-8").splitlines()
     for wanted in (
-        "Type=notify", "WatchdogSec=1", "DynamicUser=yes", "CapabilityBoundingSet=",
+        "Type=notify", "WatchdogSec=500ms", "DynamicUser=yes", "CapabilityBoundingSet=",
         "CPUSchedulingPolicy=fifo", "CPUSchedulingResetOnFork=yes", "LimitMEMLOCK=infinity",
         "LogRateLimitIntervalSec=30s",
     ):  # fmt: skip
