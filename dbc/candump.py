@@ -16,6 +16,7 @@ from typing import IO, Final, NamedTuple
 
 import numpy as np
 
+from dbc.ahead import ahead
 from dbc.block import Block, block_of
 from dbc.frame import FD, Frame
 from dbc.logblocks import Lines, Scanner
@@ -173,7 +174,7 @@ class Reader:
         chunk = stream.read(_CHUNK)
         self.bytes_read += len(chunk)
         if isinstance(self._source, Path) and chunk[:2] == b"\x1f\x8b":
-            yield from _ahead(self._unzipped(chunk, stream))
+            yield from ahead(self._unzipped(chunk, stream))
             return
         while chunk:
             yield chunk
@@ -312,18 +313,6 @@ class Reader:
         if self.strict:
             name = problem.verdict.name.lower().replace("_", " ")
             raise LogError(self.name, problem.line, f"{name}: {problem.text}")
-
-
-def _ahead(chunks: Iterator[bytes]) -> Iterator[bytes]:
-    """The same chunks, the next one made by another thread while the last is looked at."""
-    # Here, because only packed logs need it.
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor(1) as pool:
-        following = pool.submit(next, chunks, None)
-        while (chunk := following.result()) is not None:
-            following = pool.submit(next, chunks, None)
-            yield chunk
 
 
 def _remember(names: dict[bytes, str], name: bytes) -> str:

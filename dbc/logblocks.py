@@ -12,7 +12,7 @@ from dbc.block import ROOM, Block, blank
 from dbc.frame import EXTENDED, FD, Frame
 from dbc.logline import tail_of
 
-ROWS: Final = 1 << 13
+ROWS: Final = 1 << 15
 """Most lines of a block."""
 _NAMES: Final = 64
 MOST_NAME: Final = 21

@@ -57,6 +57,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout."""
+    from dbc.ahead import ahead
     from dbc.block import block_of
     from dbc.candump import Writer
     from gateway.core import Gateway
@@ -70,6 +71,8 @@ def run(options: argparse.Namespace) -> int:
     if options.output and options.output.exists() and options.output.samefile(options.log):
         raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
     log = open_log(options.log, options.strict)
+    if log.reader is not None:  # compiled, so it runs beside the core
+        log = log._replace(blocks=ahead(iter(log.blocks)))
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
     left = _reporting(options, config, codec)
     recorder = Recorder(None) if left is None else left.recorder
