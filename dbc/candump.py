@@ -34,7 +34,8 @@ from dbc.text import printable
 
 PROBLEMS_KEPT: Final = 100
 _CHUNK: Final = 1 << 20
-_PIECE: Final = 1 << 12
+_PIECE, _SMALL = 1 << 18, 1 << 12
+"""Bytes unpacked at once: each time both threads want the interpreter; and where one is damaged."""
 _IDS_KEPT: Final = 100_000
 _TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
 
@@ -184,22 +185,30 @@ class Reader:
     def _unzipped(self, chunk: bytes, stream: IO[bytes]) -> Iterator[bytes]:
         """Members of a gzip file; what can be unpacked of a cut one is given, then it ends.
 
-        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut; in
-        small pieces, because a damaged piece is lost whole.
+        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut. A damaged
+        piece is lost whole, so it is tried again in small ones.
         """
         unpack = zlib.decompressobj(wbits=31)
         pending = memoryview(chunk)
+        most = _PIECE
         done: list[bytes] = []
         size = 0
         try:
             while pending:
-                text = unpack.decompress(pending[:_PIECE], _CHUNK)
+                before = unpack.copy() if most > _SMALL else unpack
+                try:
+                    text = unpack.decompress(pending[:most], _CHUNK)
+                except zlib.error:
+                    if most == _SMALL:
+                        raise
+                    unpack, most = before, _SMALL
+                    continue
                 done.append(text)
                 size += len(text)
                 if size >= _CHUNK:
                     yield b"".join(done)
                     done, size = [], 0
-                pending = pending[_PIECE:]
+                pending = pending[most:]
                 if unpack.unconsumed_tail:
                     pending = memoryview(unpack.unconsumed_tail + pending)
                 if unpack.eof:

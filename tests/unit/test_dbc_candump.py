@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import random
 import threading
 from pathlib import Path
 
@@ -319,6 +320,22 @@ def test_gzip_cut_short_gives_what_is_good_and_says_so(tmp_path: Path) -> None:
     damaged = Reader(path)
     assert len(list(damaged)) > 2_000
     assert "damaged" in damaged.truncated
+
+
+def test_of_a_large_damaged_file_little_is_lost(tmp_path: Path) -> None:
+    rng = random.Random(5)
+    lines = b"".join(
+        b"(%d.%06d) can0 123#%016X\n" % (k, rng.randrange(10**6), rng.randrange(1 << 64))
+        for k in range(60_000)
+    )
+    packed = bytearray(gzip.compress(lines))
+    packed[-8] ^= 1  # of the checksum: what is before it is good
+    path = tmp_path / "bus.log.gz"
+    path.write_bytes(bytes(packed))
+    reader = Reader(path)
+    read = sum(block.size for block in reader.blocks())
+    assert "damaged" in reader.truncated
+    assert 59_000 < read < 60_000
 
 
 # ---- strict, missing, real ---------------------------------------------------------------------
