@@ -21,6 +21,7 @@ from typing import Any
 
 import pytest
 
+from tests.hil.kernelcopy import compile_kernels
 from tests.hil.stable import Stable
 
 SILENCE_S = 450.0
@@ -29,15 +30,6 @@ INNER_TIMEOUT_S = 400
 """Limit of one test inside."""
 LONG = 10
 """Both are so many times longer where the campaign runs in full."""
-WARM_UP = """
-from dbc.codec import bind
-from gateway.config import parse
-from gateway.drivers.warm import warm_up
-for name in ("traction.dbc", "traction_fd.dbc"):
-    config = parse({"dbc": {"file": name}})
-    warm_up(config, bind(config.dbc_path, config.nodes))
-"""
-"""Run outside first: numba compiles six times slower in the guest, which then only loads."""
 
 
 def _runner() -> ModuleType:
@@ -118,7 +110,7 @@ class Outside:
         except FileExistsError:
             first = False
         if first:
-            subprocess.run([sys.executable, "-c", WARM_UP], check=True)
+            compile_kernels()
             log = str(self._directory / "warm.log")
             simulate = ("sim", "healthy", "--duration", "0.05", "-o", log)
             subprocess.run([sys.executable, "-m", "gateway", *simulate], check=True)
