@@ -189,7 +189,11 @@ def test_the_log_of_a_verb_as_json(form: str) -> None:
     )  # fmt: skip
     lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
     assert "configuration " in " ".join(line["message"] for line in lines)
-    assert {line["level"] for line in lines} <= {"info", "warning"}
+    # An error where the machine is so busy that a tick comes too late to be sent.
+    assert "info" in {line["level"] for line in lines}
+    late = "this tick does not count"
+    others = [line for line in lines if not line["message"].startswith(late)]
+    assert {line["level"] for line in others} <= {"info", "warning"}
     assert not [line for line in done.stderr.splitlines() if line.startswith(("INFO", "WARNING"))]
 
 
