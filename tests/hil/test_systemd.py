@@ -18,7 +18,7 @@ import pytest
 
 import gateway
 from tests.hil.kernelcopy import PACKAGES, compile_kernels, copy_kernels
-from tests.hil.vcan import Job, guest
+from tests.hil.vcan import Job, guest, way
 
 ROOT = Path(gateway.__path__[0]).parent
 HIL = Path(__file__).parent
@@ -76,8 +76,10 @@ def story(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     why = guest().reason
     if not why and not (SYSTEMD.exists() and shutil.which("udevadm")):
         why = "systemd and udev are not installed (apt-get install systemd udev)"
+    # Who has vcan without a guest need not have one for this.
+    obliged = request.config.getoption("--require-vcan") and not way().prefix
     if why:
-        (pytest.fail if request.config.getoption("--require-vcan") else pytest.skip)(why)
+        (pytest.fail if obliged else pytest.skip)(why)
     compile_kernels()
     folder = tmp_path_factory.mktemp("systemd")
     _lay_out(folder)
