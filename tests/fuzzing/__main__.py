@@ -18,25 +18,15 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from tests.provenance import commit_of
+
 NAMES = ("candump", "frames", "dbc", "config", "scenario")
 UNITS = dict(zip(NAMES, ("lines", "frames", "codecs", "configurations", "scenarios"), strict=True))
 
 
-def _git(*words: str) -> str:
-    done = subprocess.run(["git", *words], capture_output=True, text=True, check=False)
-    return done.stdout.strip()
-
-
-def _commit() -> str:
-    """Of what is fuzzed; the results, which grow by every run, do not count."""
-    rest = (":/", ":(top,exclude)tests/fuzzing/executions.jsonl")
-    changed = _git("status", "--porcelain", "--untracked-files=no", "--", *rest)
-    return (_git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
-
-
 def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
     """One process of one target; what it came to."""
-    commit, work = _commit(), options.work / name
+    commit, work = commit_of(Path(__file__).parent), options.work / name
     work.mkdir(parents=True, exist_ok=True)
     report = work / f"{seed}.json"
     report.unlink(missing_ok=True)

@@ -13,13 +13,13 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Final
 
+from tests.provenance import commit_of
 from tests.soak import real, virtual
 
 RESULTS: Final = Path(__file__).parent / "results.json"
@@ -35,7 +35,7 @@ def main() -> int:
     parser.add_argument("-o", type=Path, default=RESULTS)
     options = parser.parse_args()
     hours = options.hours or HOURS[options.kind]
-    began = time.perf_counter()
+    began, commit = time.perf_counter(), commit_of(RESULTS.parent)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if options.kind == "full":
@@ -45,19 +45,12 @@ def main() -> int:
         else:
             result = real.run(hours * 3600, folder)
     result["machine"] = f"{platform.machine()}, Python {platform.python_version()}"
-    result["commit"] = _commit()
+    result["commit"] = commit
     result["seconds"] = round(time.perf_counter() - began)
     kept = json.loads(options.o.read_text()) if options.o.exists() else {}
     options.o.write_text(json.dumps({**kept, options.kind: result}, indent=1) + "\n")
     print(json.dumps(result, indent=1))
     return int(bool(result["unaccounted"]) or result["rss_mb_per_hour"] > MOST_MB_PER_HOUR)
-
-
-def _commit() -> str:
-    said = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    return said.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":

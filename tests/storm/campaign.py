@@ -5,9 +5,6 @@ python -m tests.storm --seeds 0-19 --ticks 100000
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
-import sys
 from collections import Counter
 from itertools import chain
 from pathlib import Path
@@ -25,6 +22,7 @@ from gateway.health import REJECTED
 from gateway.said import Said
 from gateway.ticks import Ticks
 from sim.hostile import KINDS, NOTHING, Arrived, Fault, HostileBus, plan
+from tests.provenance import code_of, commit_of
 from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, Train, train
 
@@ -40,35 +38,6 @@ _LENGTHS = 3
 """Purpose of a random stream: the plan of faults and their chances have the first two."""
 ENDS = ("decoded", "error_frame", "remote", "own", "canopen", "unknown_id", *REJECTED)
 """Every frame ends in exactly one of these counters."""
-
-
-def commit_of(folder: Path) -> str:
-    """Which commit the code in a repository is of, `-dirty` if it was changed since.
-
-    The soak's own results do not count: they grow by each seed.
-    """
-
-    def git(*words: str) -> str:
-        done = subprocess.run(
-            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=False
-        )
-        return done.stdout.strip()
-
-    paths = ":/", ":(top,exclude)tests/storm/soak.jsonl"
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", *paths)
-    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
-
-
-def code_of(folder: Path) -> str:
-    """Hash of the modules below a folder that this process has loaded: commits may share it.
-
-    Without the program that was started: it only hands out seeds.
-    """
-    loaded = [module for name, module in list(sys.modules.items()) if name != "__main__"]
-    files = {getattr(module, "__file__", None) or "" for module in loaded}
-    mine = sorted(Path(file) for file in files if file.startswith(f"{folder}/"))
-    inside = (f"{path.relative_to(folder)}\n".encode() + path.read_bytes() for path in mine)
-    return hashlib.sha256(b"\0".join(inside)).hexdigest()[:12]
 
 
 COMMIT = commit_of(Path(__file__).parent)

@@ -1,0 +1,46 @@
+"""Which code a long run's row in a file of results is of."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+RESULTS: Final = (
+    "tests/storm/soak.jsonl",
+    "tests/fuzzing/executions.jsonl",
+    "tests/soak/results.json",
+)
+"""They grow by each run, and are no code."""
+ENVIRONMENT: Final = ".venv"
+
+
+def commit_of(folder: Path) -> str:
+    """Which commit the code in a repository is of, `-dirty` if it was changed since."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=False
+        )
+        return done.stdout.strip()
+
+    paths = ":/", *(f":(top,exclude){name}" for name in RESULTS)
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", *paths)
+    return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
+
+
+def code_of(folder: Path) -> str:
+    """Hash of the modules below a folder that this process has loaded: commits may share it.
+
+    Without what cannot change a result: the program that was started, which only hands out work,
+    this file, and the environment, which is locked.
+    """
+    loaded = [module for name, module in list(sys.modules.items()) if name != "__main__"]
+    files = {Path(getattr(module, "__file__", None) or "/") for module in loaded}
+    inside = sorted(path.relative_to(folder) for path in files if path.is_relative_to(folder))
+    mine = [path for path in inside if path.parts[0] != ENVIRONMENT]
+    here = Path(__file__)
+    named = (f"{p}\n".encode() + (folder / p).read_bytes() for p in mine if folder / p != here)
+    return hashlib.sha256(b"\0".join(named)).hexdigest()[:12]

@@ -1,0 +1,80 @@
+"""Rows of results name the code that made them."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests import provenance
+from tests.provenance import RESULTS, code_of, commit_of
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("results", RESULTS)
+def test_results_that_have_grown_are_no_change_of_the_code(tmp_path, results):
+    def git(*words):
+        who = "-c", "user.name=a", "-c", "user.email=a@localhost"
+        words = ["git", "-C", str(tmp_path), *who, *words]
+        return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
+
+    code, grown = tmp_path / "core.py", tmp_path / results
+    grown.parent.mkdir(parents=True)
+    assert commit_of(tmp_path) == "unknown"
+    git("init", "-q")
+    for path in (code, grown):
+        path.write_text("1\n")
+    git("add", "-A")
+    git("commit", "-qm", "first")
+    commit = git("rev-parse", "--short", "HEAD")
+    grown.write_text("1\n2\n")
+    (tmp_path / "new").write_text("not known to git")
+    assert commit_of(grown.parent) == commit
+    code.write_text("2\n")
+    assert commit_of(grown.parent) == f"{commit}-dirty"
+
+
+def test_results_are_kept_where_they_are_looked_for():
+    for name in RESULTS:
+        assert (ROOT / name).is_file()
+
+
+@pytest.fixture
+def loaded(tmp_path, monkeypatch):
+    """Of a folder: a module of its own, and one of its environment."""
+    for path in ("own_code.py", ".venv/lib/library_code.py"):
+        file = tmp_path / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("value = 1\n")
+        monkeypatch.syspath_prepend(str(file.parent))
+        importlib.import_module(file.stem)
+    yield tmp_path
+    for name in ("own_code", "library_code"):
+        del sys.modules[name]
+
+
+def test_code_is_told_by_what_is_loaded_of_a_folder(loaded):
+    before = code_of(loaded)
+    (loaded / "not_loaded.py").write_text("value = 1\n")
+    (loaded / ".venv/lib/library_code.py").write_text("value = 2\n")
+    assert code_of(loaded) == before
+    (loaded / "own_code.py").write_text("value = 2\n")
+    assert code_of(loaded) != before
+
+
+def test_the_same_code_elsewhere_has_the_same_name(loaded, tmp_path_factory, monkeypatch):
+    before = code_of(loaded)
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "own_code.py").write_text("value = 1\n")
+    monkeypatch.setattr(sys.modules["own_code"], "__file__", str(elsewhere / "own_code.py"))
+    assert code_of(elsewhere) == before
+
+
+def test_what_names_the_code_is_not_in_its_name(monkeypatch):
+    before = code_of(ROOT)
+    monkeypatch.delitem(sys.modules, provenance.__name__)
+    assert code_of(ROOT) == before
