@@ -20,7 +20,7 @@ FACTOR ?= 20
 fuzz: $(VENV)/.ready
 	$(BIN)/pytest -n auto tests/unit tests/property -m "not slow" --fuzz $(FACTOR) $(ARGS)
 
-# The readers, loaders and the decoder under coverage-guided fuzzing, SECONDS for each of five targets
+# The readers, loaders and the decoder under coverage-guided fuzzing, SECONDS for each of six targets
 # and each seed; tests/fuzzing/README.md. atheris has a folder of its own: it is no dependency.
 SECONDS ?= 120
 SEEDS ?= 1

@@ -12,6 +12,7 @@ RESULTS: Final = (
     "tests/storm/soak.jsonl",
     "tests/fuzzing/executions.jsonl",
     "tests/soak/results.json",
+    "tests/hil/campaign.jsonl",
 )
 """They grow by each run, and are no code."""
 ENVIRONMENT: Final = ".venv"

@@ -1,4 +1,4 @@
-"""Fuzz the five targets with atheris: `make fuzz-deep SECONDS=600`.
+"""Fuzz the six targets with atheris: `make fuzz-deep SECONDS=600`.
 
     python -m tests.fuzzing --seconds 600 -j 2 -o tests/fuzzing/executions.jsonl
 
@@ -20,8 +20,15 @@ from pathlib import Path
 
 from tests.provenance import commit_of
 
-NAMES = ("candump", "frames", "dbc", "config", "scenario")
-UNITS = dict(zip(NAMES, ("lines", "frames", "codecs", "configurations", "scenarios"), strict=True))
+UNITS = {
+    "candump": "lines",
+    "readers": "lines",
+    "frames": "frames",
+    "dbc": "codecs",
+    "config": "configurations",
+    "scenario": "scenarios",
+}
+NAMES = tuple(UNITS)
 
 
 def _run(name: str, seed: int, options: argparse.Namespace) -> dict:

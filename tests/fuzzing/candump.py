@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
+import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from zlib import crc32
 
 from dbc import candump as module
@@ -12,6 +13,7 @@ from dbc.candump import LogError, Reader
 from dbc.frame import Frame
 from dbc.logline import Verdict, format_frame, parse_line
 from tests.fuzzing.held import Held
+from tests.fuzzing.mutate import mutate
 
 ZIPPED = b"\x1f\x8b"
 READERS = 128
@@ -21,6 +23,9 @@ ZIPS = 8
 WITH_FRAME = frozenset(v for v in Verdict if v <= Verdict.ERROR_FRAME)
 ROUNDS = 4
 """In one input of so many every frame is written and read again."""
+GROWN = 256
+"""Lines that `readers` makes of those of its input."""
+LONGEST_LINE = 160
 Told = tuple[list[Frame], Counter[Verdict], int, list, int, str]
 
 
@@ -60,6 +65,18 @@ def candump(
     else:
         assert told[1] == told[0]
     return len(lines)
+
+
+def readers(data: bytes, tokens: Sequence[bytes], reader: type[Reader] = Reader) -> int:
+    """Every input through both readers, as a log of hundreds of lines. Returns the lines read.
+
+    Of a text most lines are mutations of its own; which, the text says, so that a case repeats.
+    """
+    if data.startswith(ZIPPED):
+        return candump(data, reader=reader, every=1)
+    rng, lines = random.Random(data), data.split(b"\n")
+    grown = (mutate(rng.choice(lines), rng, tokens, lines, LONGEST_LINE) for _ in range(GROWN))
+    return candump(b"\n".join((*grown, data)), reader=reader, every=1)
 
 
 def _read(reader: type[Reader], data: bytes, strict: bool, mark: int) -> Told:

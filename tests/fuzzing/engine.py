@@ -17,6 +17,7 @@ from pathlib import Path
 
 PACKAGES = {
     "candump": ["dbc"],
+    "readers": ["dbc"],
     "frames": ["dbc", "gateway", "tests"],
     "dbc": ["dbc", "cantools", "textparser"],
     "config": ["gateway", "tomllib"],

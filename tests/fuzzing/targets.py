@@ -1,4 +1,4 @@
-"""The five targets: what is called with an input, how long inputs are, words of the grammar."""
+"""The six targets: what is called with an input, how long inputs are, words of the grammar."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from tests.fuzzing.candump import candump
+from tests.fuzzing.candump import candump, readers
 from tests.fuzzing.frames import frames
 from tests.fuzzing.texts import config, dbc, scenario
 
@@ -83,6 +83,8 @@ TARGETS: Final = {
     target.name: target
     for target in (
         Target("candump", candump, "lines", 80, _LOG, partial(candump, every=1), is_slow=False),
+        Target("readers", partial(readers, tokens=_LOG), "lines", 4000, _LOG,
+               partial(readers, tokens=_LOG)),
         Target("frames", frames, "frames", 160, _FRAMES, partial(frames, every=1), is_slow=False),
         Target("dbc", dbc, "codecs", 1500, _DBC, dbc),
         Target("config", config, "configurations", 6000, _CONFIG, partial(config, every=1)),

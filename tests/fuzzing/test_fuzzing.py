@@ -37,7 +37,9 @@ from tests.fuzzing.held import Held
 from tests.fuzzing.mutate import mutate
 from tests.fuzzing.targets import CORPUS, TARGETS
 
-MUTATIONS = {"candump": 600, "frames": 150, "dbc": 60, "config": 250, "scenario": 250}
+MUTATIONS = {
+    "candump": 600, "readers": 40, "frames": 150, "dbc": 60, "config": 250, "scenario": 250,
+}  # fmt: skip
 MOST_BYTES = 100_000
 
 
@@ -127,6 +129,28 @@ def _raises_on_high_bytes(line: bytes):
 )
 def test_a_broken_reader_is_found(broken) -> None:
     _fails(lambda data: candump.candump(data, every=1, **broken), "candump")
+
+
+@pytest.mark.parametrize("broken", [_Miscounts, _NeverStrict])
+def test_a_reader_that_is_broken_on_long_logs_is_found(broken) -> None:
+    tokens = TARGETS["readers"].tokens
+    _fails(lambda data: candump.readers(data, tokens, broken), "readers")
+
+
+def test_a_reader_is_given_the_lines_that_are_said() -> None:
+    read = []
+
+    class Counts(Reader):
+        def blocks(self):
+            yield from super().blocks()
+            read.append(self.lines)
+
+    target = TARGETS["readers"]
+    for data in [data for data in target.corpus() if not data.startswith(candump.ZIPPED)]:
+        read.clear()
+        said = candump.readers(data, target.tokens, Counts)
+        assert said > candump.GROWN
+        assert read[0] in (said, said - 1)  # the last may be empty
 
 
 class _TakesAnyLength(Inbox):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import random
 import signal
+import statistics
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +17,7 @@ import pytest
 from tests.hil.chain import Setting, memory_folder, setting
 from tests.hil.observer import Observer, end_process
 from tests.hil.stable import Stable
+from tests.provenance import commit_of
 
 if TYPE_CHECKING:
     from conftest import Vcan
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 CI_SHARE = 10
 SCENARIO = 'title = "nothing happens"\nseed = 1\nduration_s = 100000\n'
 SEED = "--campaign-seed"
+KEPT = Path(__file__).with_name("campaign.jsonl")
+"""A line per figure of each run in full."""
 
 
 @dataclass
@@ -33,7 +38,10 @@ class Site:
     folder: Path
     stable: Stable
     rng: random.Random
+    seed: int
     share: int
+    messages: str
+    """Which message set is on the bus."""
     gateway: int = 0
     drives: int = 0
     _started: list[int] = field(default_factory=list)
@@ -85,6 +93,27 @@ class Site:
         self._started.remove(pid)
         return self.stable.ended(pid, block=True)
 
+    def note(self, what: str, **figures: float | str) -> None:
+        """A line for the report; of a run in full it is kept."""
+        print(f"{what}: " + ", ".join(f"{name} {value}" for name, value in figures.items()))
+        if self.share == 1:
+            run = {
+                "seed": self.seed,
+                "commit": commit_of(KEPT.parent),
+                "kernel": "user-mode-linux" if self.vcan.own_kernel else "native",
+                "messages": self.messages,
+            }
+            with KEPT.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"what": what, **figures, **run}) + "\n")
+
+    def note_times(self, what: str, seconds: list[float], then: str = "first flag frame") -> None:
+        """How long it took each time until `then`."""
+        ordered = sorted(round(each, 3) for each in seconds)
+        p99_s = ordered[int(0.99 * (len(ordered) - 1))]
+        middle = round(statistics.median(ordered), 3)
+        self.note(what, times=len(ordered), until=then, median_s=middle, p99_s=p99_s,
+                  longest_s=ordered[-1])  # fmt: skip
+
     def observer(self) -> Observer:
         """Somebody else at the bus."""
         return Observer(self.vcan.name, self.used.codec.path, self.used.nodes)
@@ -108,7 +137,9 @@ def open_site(vcan: Vcan, stable: Stable, config: pytest.Config, more: str = "")
     with memory_folder() as folder:
         used = setting(vcan, folder, drives=2, slower=vcan.own_kernel)
         used.config.write_text(used.config.read_text() + more)
-        site = Site(vcan, used, folder, stable, random.Random(config.getoption(SEED)), share)
+        seed = config.getoption(SEED)
+        messages = "traction.dbc" + (", currents every 5 ms" if vcan.own_kernel else "")
+        site = Site(vcan, used, folder, stable, random.Random(seed), seed, share, messages)
         try:
             yield site
         finally:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 import time
@@ -66,7 +67,9 @@ def _lay_out(job: Path) -> None:
     (job / "units/can0.env").unlink()
     # A guest is slow, a tick in it may be late by more than the half second of the unit.
     unit = job / "units/traction-gateway@.service"
-    unit.write_text(unit.read_text("utf-8").replace("WatchdogSec=500ms", "WatchdogSec=2"), "utf-8")
+    text, found = re.subn(r"^WatchdogSec=.*$", "WatchdogSec=2", unit.read_text("utf-8"), flags=re.M)
+    assert found == 1
+    unit.write_text(text, "utf-8")
     (job / "etc").mkdir()
     (job / f"etc/{BUS}.env").write_text("TYPE=vcan\n", encoding="utf-8")
     (job / f"etc/{BUS}.toml").write_text("", encoding="utf-8")

@@ -153,7 +153,7 @@ def test_frames_that_the_kernel_corrupts_are_never_used(site: Site) -> None:
     summary = (site.folder / "gateway.txt").read_text()
     counted = re.search(r"\berror (\d+)", summary)
     assert counted is not None, summary
-    print(f"{corrupted} frames corrupted by the kernel, {counted[1]} counted")
+    site.note("frames corrupted by the kernel", frames=corrupted, counted=int(counted[1]))
     assert corrupted == int(counted[1])
     seen.close()
 
@@ -182,14 +182,13 @@ def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
         site.check_alive()
     assert heard > 0
     assert good == 0
-    print(f"{site.count(PHASES)} second senders; {good} of {heard} flags good while both spoke")
+    site.note("second senders", times=site.count(PHASES), flags=heard, good=good)
     seen.close()
     imitator.close()
 
 
+@pytest.mark.usefixtures("own_clock")
 def test_a_step_of_the_clock_changes_no_flag(site: Site) -> None:
-    if not site.vcan.own_kernel:
-        pytest.skip("the wall clock is set only where it is not the machine's own")
     site.run()
     site.drive()
     seen = site.observer()

@@ -122,11 +122,10 @@ def test_stamps_are_the_time_of_reception_by_the_kernel(
         assert before - slack <= frame.t_ns <= after + slack
 
 
+@pytest.mark.usefixtures("own_clock")
 def test_a_step_of_the_wall_clock_does_not_reach_the_stamps(
-    vcan: Vcan, pair: tuple[SocketCan, SocketCan]
+    pair: tuple[SocketCan, SocketCan],
 ) -> None:
-    if not vcan.own_kernel:
-        pytest.skip("the wall clock is set only where it is not the machine's own")
     a, b = pair
     started = time.monotonic_ns()
     b.receive(0.0)

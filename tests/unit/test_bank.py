@@ -143,6 +143,73 @@ def test_a_doubt_silences_at_once():
     assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
 
 
+def stepped(kind: str, change, rows: Rows | None = None):
+    """(health, error of the load) of drive 0 by tick, from the one on before which it is changed.
+
+    change: of the filters, after 30 ticks of tracking.
+    """
+    truth = steady(100.0, 15.0, seconds=1.0)
+    filters, told = bank(2, kind=kind), []
+    rows = sampled(truth, 16, 2e-4, seed=2) if rows is None else rows
+    for end in range(TICK, 90 * TICK + 1, TICK):
+        mine, other = advance(filters, rows, end)
+        if end > 30 * TICK:
+            off = None if mine.load_nm is None else abs(mine.load_nm - 15.0)
+            told.append((mine.health, off))
+            assert other.health is Health.TRACKING, "the other drive does not notice"
+        if end == 30 * TICK:
+            assert mine.health is Health.TRACKING
+            change(filters)
+    return told
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("by", [2.5, -2.5, 3.1])
+def test_a_filter_on_a_wrong_angle_diverges_and_begins_anew(kind, by):
+    """Never evidence meanwhile; said in the third tick, right again within 300 ms."""
+
+    def turn(filters):
+        filters.x[0, 3] += by
+
+    told = stepped(kind, turn)
+    health = [health for health, _ in told]
+    assert health[:3] == [Health.CONVERGING] * 2 + [Health.DIVERGED]
+    again = health.index(Health.TRACKING)
+    assert again < 30
+    assert set(health[again:]) == {Health.TRACKING}
+    assert set(health[:again]) == {Health.CONVERGING, Health.DIVERGED}
+    assert max(off for _, off in told[again:]) < 2.5
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize(
+    ("column", "by"), [(3, 0.6), (3, 1.2), (2, 100.0), (2, -400.0), (2, 400.0), (4, 60.0)]
+)
+def test_a_smaller_error_is_filtered_out_at_once(kind, column, by):
+    """Angle (rad), speed (rad/s) or load (Nm): gone in the third tick, no reset is needed."""
+
+    def move(filters):
+        filters.x[0, column] += by
+
+    told = stepped(kind, move)
+    assert {health for health, _ in told} == {Health.TRACKING}
+    assert max(off for _, off in told[2:]) < 2.5
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("blind", ["noise", "turned"])
+def test_currents_that_are_none_are_never_tracked(kind, blind):
+    """Of a sensor that is blind, or connected the wrong way round."""
+    rows = sampled(steady(100.0, 15.0, seconds=1.0), 16, 2e-4, seed=2)
+    lost = (rows.drive == 0) & (rows.tick >= 30 * TICK)
+    noise = np.random.default_rng(1).normal(0.0, 10.0, rows.y.shape)
+    wrong = noise if blind == "noise" else -rows.y
+    rows = rows._replace(y=np.where(lost[:, None], wrong, rows.y))
+    assert {health for health, _ in stepped(kind, lambda _: None, rows)} <= {
+        Health.CONVERGING, Health.DIVERGED
+    }  # fmt: skip
+
+
 def test_a_load_that_is_hardly_known_is_no_evidence():
     truth = steady(100.0, 15.0)
     rows = sampled(truth, 16, 2e-4, seed=2)

@@ -127,11 +127,20 @@ def test_samples_of_a_fd_frame(fd_codec: Codec) -> None:
     assert fd_codec.decode(spec, place(65528, 32, 16, 64))["SampleIndex"].validity == VALID
 
 
-def test_two_bit_states_are_antivalent(codec: Codec) -> None:
+@pytest.mark.parametrize(
+    ("message", "own"),
+    [
+        ("Gateway_Adhesion", ()),
+        ("Gateway_Faults", ("SensorFault", "CommFault", "EstimatorFault", "Overrun")),
+    ],
+)
+def test_two_bit_states_are_antivalent(codec: Codec, message: str, own: tuple[str, ...]) -> None:
     """No single flipped bit of a flag frame turns bad into good; empty frames say unknown."""
-    spec = codec.by_name["Gateway_Adhesion"]
-    flags = {f"Adhesion{n}": 2 for n in range(1, 17)}
+    spec = codec.by_name[message]
+    by_drive = message.removeprefix("Gateway_") if not own else "Thermal"
+    flags = dict.fromkeys((*(f"{by_drive}{n}" for n in range(1, 17)), *own), 2)
     frame = codec.encode(spec, flags)
+    assert all(codec.decode(spec, bytes(frame))[name].raw == 2 for name in flags)
     for bit in range(64):
         flipped = bytearray(frame)
         flipped[bit >> 3] ^= 1 << (bit & 7)

@@ -131,33 +131,54 @@ def test_wiring_has_room_for_every_kind():
     assert pairing._MOST_COLUMNS >= 33
 
 
-def second_sender(offset_ns, last, until=400, start=100):
-    """Tick by tick whether currents are believed while another sends them too, from `start` ms."""
+PERIOD_NS = 2 * MS
+"""Of phase currents."""
+PHASES_NS = range(0, PERIOD_NS, PERIOD_NS // 20)
+"""Of a second sender; 0: both at once."""
+
+
+def second_sender(phase_ns, last=500, until=400, start=100):
+    """(ns, whether it is the other's) of each frame in order, while another sends from `start` ms.
+
+    start, last: ms; until: ticks of 10 ms.
+    """
     real, other = (Sender(CODEC, "Drive1_PhaseCurrents") for _ in range(2))
     other.counter = 7
     values = {"Ia": 1.0, "Ib": -0.5, "Ic": -0.5}
-    box = Inbox(CODEC, (1,), 10 * MS, Supervision((1,), 300 * MS))
-    believed = []
-    for tick in range(until):
-        frames = []
-        for k in range(5):
-            t = tick * 10 * MS + 2 * k * MS + MS
-            frames.append(real.frame(t, **values))
-            if start <= tick * 10 < last:
-                frames.append(other.frame(t + offset_ns, **values))
+    frames = [(real.frame(t, **values), False) for t in range(MS, until * 10 * MS, PERIOD_NS)]
+    begin, end = start * MS + MS + phase_ns, last * MS + MS + phase_ns
+    frames += [(other.frame(t, **values), True) for t in range(begin, end, PERIOD_NS)]
+    return sorted(frames, key=lambda frame: frame[0].t_ns)
+
+
+def currents_inbox():
+    return Inbox(CODEC, (1,), 10 * MS, Supervision((1,), 300 * MS))
+
+
+@pytest.mark.parametrize("phase_ns", PHASES_NS)
+def test_a_second_sender_is_believed_no_more_nor_is_the_drive_for_a_second(phase_ns):
+    """Whatever its phase: found within two ticks, guarded for a second after its last."""
+    frames, box, believed = second_sender(phase_ns), currents_inbox(), []
+    for tick in range(400):
         now = (tick + 1) * 10 * MS
-        box.take([f for f in frames if f.t_ns <= now], now)
+        box.take([f for f, _ in frames if now - 10 * MS < f.t_ns <= now], now)
         believed.append(box.drives[0].channels["PhaseCurrents"].fresh(now))
-    return believed
-
-
-@pytest.mark.parametrize("offset_ns", range(100_000, 1_000_000, 100_000))
-def test_a_second_sender_is_believed_no_more_nor_is_the_drive_for_a_second(offset_ns):
-    """Whatever its phase: found within six of its frames, guarded for a second after its last."""
-    believed = second_sender(offset_ns, last=500)
     assert all(believed[2:10])
     assert not any(believed[12:149])
     assert all(believed[151:])
+
+
+@pytest.mark.parametrize("phase_ns", PHASES_NS)
+def test_a_second_sender_is_found_within_six_of_its_frames(phase_ns):
+    """Frame by frame."""
+    box, of_others, believed_after = currents_inbox(), 0, 0
+    for frame, is_other in second_sender(phase_ns, until=20):
+        of_others += is_other
+        box.take([frame], frame.t_ns)
+        if of_others and box.drives[0].channels["PhaseCurrents"].fresh(frame.t_ns):
+            believed_after = of_others
+    assert of_others > 40
+    assert believed_after < 6
 
 
 def test_one_frame_twice_or_a_restart_of_the_sender_is_no_second_sender():
