@@ -120,8 +120,9 @@ def channels(rng, count):
     state = ChannelState(*ints)
     reason = rng.choice([Reason.NONE, Reason.NONE, *Reason], count).astype(np.int64)
     return state._replace(
-        seen_valid=rng.random(count) < 0.7, reason=reason, limit_ns=np.full(count, 20)
-    )
+        seen_valid=rng.random(count) < 0.7, reason=reason, limit_ns=np.full(count, 20),
+        heard_ns=rng.choice([-1, -1, 5, 29], count),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(10))
