@@ -48,7 +48,7 @@ coverage: $(VENV)/.ready
 	$(BIN)/python -m tests.mutation.coverage_gate
 
 # Are these tests tested? Some 40 minutes, of all parts; `make mutation PARTS=said` for one. Goes on where
-# it was stopped, so `rm -r out/mutants` after a change. What survives is listed.
+# it was stopped, so `rm out/mutants/*.jsonl` after a change. What survives is listed, and all is kept.
 # cosmic-ray, which makes the mutants, has an environment of its own: it is no dependency.
 PARTS ?= flags doubt protection validity said receive
 MUTANTS := out/mutants
@@ -60,7 +60,7 @@ mutation: $(VENV)/.ready
 		$(MUTANTS)/own/bin/python tests/mutation/mutants.py $$part >$(MUTANTS)/$$part.mutants && \
 		NUMBA_DISABLE_JIT=1 nice -n 10 $(BIN)/python -W ignore::SyntaxWarning -m tests.mutation.judge \
 			$$part $(MUTANTS)/$$part.mutants $(MUTANTS)/$$part.jsonl || exit 1; done
-	$(BIN)/python -m tests.mutation.survivors $(MUTANTS)/*.jsonl
+	$(BIN)/python -m tests.mutation.survivors -o tests/mutation/outcomes.json $(MUTANTS)/*.jsonl
 
 # The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.
 docs: $(VENV)/.ready

@@ -13,6 +13,7 @@ RESULTS: Final = (
     "tests/fuzzing/executions.jsonl",
     "tests/soak/results.json",
     "tests/hil/campaign.jsonl",
+    "tests/mutation/outcomes.json",
 )
 """They grow by each run, and are no code."""
 ENVIRONMENT: Final = ".venv"
@@ -38,7 +39,8 @@ def code_of(folder: Path) -> str:
     Without what cannot change a result: the program that was started, which only hands out work,
     this file, and the environment, which is locked.
     """
-    loaded = [module for name, module in list(sys.modules.items()) if name != "__main__"]
+    started = sys.modules["__main__"]  # multiprocessing gives it a second name
+    loaded = [module for module in list(sys.modules.values()) if module is not started]
     files = {Path(getattr(module, "__file__", None) or "/") for module in loaded}
     inside = sorted(path.relative_to(folder) for path in files if path.is_relative_to(folder))
     mine = [path for path in inside if path.parts[0] != ENVIRONMENT]

@@ -6,10 +6,12 @@ import gc
 import math
 import os
 import sys
+from array import array
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,19 +22,25 @@ from tests.storm.campaign import ENDS
 PAGE: Final = os.sysconf("SC_PAGE_SIZE")
 SETTLED: Final = 0.2
 """Share of the readings before which slopes are not looked at: caches fill, rings too."""
+MOST_MB_PER_HOUR: Final = 1.0
+MOST_AGE_MS: Final = 100.0
+"""Of the newest sample at the end: a loop that loses one tick in a thousand is 3.6 s behind."""
 
 
 @dataclass
 class Books:
-    """Readings of the process, and what the gateway has sent, by name."""
+    """Readings of the process, and what the gateway has sent, by name.
+
+    In arrays: a number in a list would be one more piece of what is measured.
+    """
 
     codec: Codec
-    hours: list[float] = field(default_factory=list)
+    hours: array[float] = field(default_factory=lambda: array("d"))
     """Time of each reading in the clock that the gateway runs on."""
-    rss_mb: list[float] = field(default_factory=list)
-    blocks: list[int] = field(default_factory=list)
+    rss_mb: array[float] = field(default_factory=lambda: array("d"))
+    blocks: array[int] = field(default_factory=lambda: array("q"))
     """Pieces of memory that Python holds: to the piece, where RSS is to the page."""
-    descriptors: list[int] = field(default_factory=list)
+    descriptors: array[int] = field(default_factory=lambda: array("q"))
     sent: Counter[str] = field(default_factory=Counter)
 
     def read(self, hours: float) -> None:
@@ -49,7 +57,7 @@ class Books:
         by_id = self.codec.by_id
         self.sent.update(by_id[f.can_id].name if f.can_id in by_id else "CANopen" for f in frames)
 
-    def slope(self, readings: list[float] | list[int]) -> float:
+    def slope(self, readings: array[float] | array[int]) -> float:
         """Least squares, per hour, after the first readings; NaN of one (a machine that stood)."""
         first = int(len(readings) * SETTLED)
         hours = np.array(self.hours[first:])
@@ -75,3 +83,25 @@ class Books:
 def unaccounted(counts: Counter[str]) -> int:
     """Frames received that ended in no counter, or in two."""
     return counts["received"] - sum(counts[name] for name in ENDS)
+
+
+def wrong(result: Mapping[str, Any]) -> list[str]:
+    """What of a soak's result may not be; what is not known may not be, either."""
+    sent, memory = result["sent"], result["rss_mb_per_hour"]
+    first, most = result["descriptors_first"], result["descriptors_most"]
+    found = {
+        f"{result['unaccounted']} frames in no counter, or in two": result["unaccounted"] == 0,
+        f"memory grows by {memory} MB/h": memory <= MOST_MB_PER_HOUR,
+        f"{most} descriptors after {first}": most == first,
+        f"{sent.get('Gateway_Adhesion', 0)} flag frames in {result['ticks']} ticks":
+            sent.get("Gateway_Adhesion", 0) == result["ticks"],
+    }  # fmt: skip
+    if "frames_sent_to_it" in result:
+        told, came = result["frames_sent_to_it"], result["frames_received"]
+        drops, age = result["kernel_drops"], result["age_ms_last"]
+        found |= {
+            f"{came} frames received of {told}": came == told == result["counts"]["received"],
+            f"{drops} frames dropped by the kernel": drops == 0,
+            f"the newest sample {age} ms old at the end": age <= MOST_AGE_MS,
+        }
+    return [what for what, holds in found.items() if not holds]

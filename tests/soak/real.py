@@ -12,6 +12,7 @@ import math
 import multiprocessing
 import socket
 import time
+from array import array
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -74,7 +75,7 @@ class Watch:
         """Frames received when all had been sent: what is still in the socket comes after."""
         self.first: Nanos | None = None
         self.due: Nanos = 0
-        self.ages: list[float] = []
+        self.ages = array("d")
         """Age of the newest sample at each reading, ms: grows if the two clocks part."""
         self.decided: Callable[[], Nanos | None] = lambda: None
 
@@ -126,7 +127,7 @@ def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, obje
     counts = core.inbox.counts
     timing = seen.timing
     # Without the first and the last, between which it settles and ends.
-    ages = watch.ages[1:-1] or watch.ages or [math.nan]
+    ages = watch.ages[1:-1] or watch.ages or array("d", [math.nan])
     return {
         **books.summary(),
         "drives": len(DRIVES),

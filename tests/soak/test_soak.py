@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import math
+
 import numpy as np
 import pytest
 
-from tests.soak.books import Books
+from tests.soak.__main__ import RESULTS
+from tests.soak.books import Books, wrong
 from tests.soak.real import run
 from tests.soak.virtual import full_traffic, slow_dbc, slow_messages
 from tests.storm.train import LOOP_TICKS
@@ -40,11 +44,9 @@ def test_slow_messages_keep_the_thermal_flags_good(tmp_path):
 
 def test_the_live_loop_on_a_socket_counts_every_frame(tmp_path):
     result = run(4.0, tmp_path, every_s=0.5)
-    assert result["unaccounted"] == 0
-    assert result["frames_received"] == result["frames_sent_to_it"] == result["counts"]["received"]
-    assert result["kernel_drops"] == 0
-    assert result["sent"]["Gateway_Adhesion"] == result["ticks"]
-    assert result["descriptors_most"] == result["descriptors_first"]
+    # Seconds are too short for a slope of memory.
+    assert wrong(result | {"rss_mb_per_hour": 0.0}) == []
+    assert result["frames_received"] > 20_000
 
 
 def test_the_books_see_a_leak():
@@ -54,3 +56,32 @@ def test_the_books_see_a_leak():
         books.read(hour)
     assert books.slope(books.blocks) == pytest.approx(1000.0, rel=0.1)
     assert np.isfinite(books.slope(books.rss_mb))
+
+
+def test_the_books_hold_nothing_themselves():
+    books = Books(codec=None)
+    for hour in range(200):
+        books.read(hour)
+    assert abs(books.slope(books.blocks)) < 0.2
+
+
+KEPT = json.loads(RESULTS.read_text())
+
+
+@pytest.mark.parametrize("kind", ["full", "slow", "real"])
+def test_the_results_that_are_kept_are_right(kind):
+    assert wrong(KEPT[kind]) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"unaccounted": 1}, {"rss_mb_per_hour": 1.1}, {"rss_mb_per_hour": math.nan},
+        {"descriptors_most": 1 + KEPT["real"]["descriptors_first"]},
+        {"ticks": KEPT["real"]["ticks"] + 1}, {"sent": {}}, {"frames_received": 1},
+        {"frames_sent_to_it": 1 + KEPT["real"]["frames_received"]}, {"kernel_drops": 1},
+        {"age_ms_last": 101.0}, {"age_ms_last": math.nan}, {"counts": {"received": 5}},
+    ],
+)  # fmt: skip
+def test_a_soak_that_went_wrong_says_so(change):
+    assert len(wrong(KEPT["real"] | change)) == 1

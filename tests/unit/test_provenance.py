@@ -54,7 +54,7 @@ def loaded(tmp_path, monkeypatch):
         importlib.import_module(file.stem)
     yield tmp_path
     for name in ("own_code", "library_code"):
-        del sys.modules[name]
+        sys.modules.pop(name, None)
 
 
 def test_code_is_told_by_what_is_loaded_of_a_folder(loaded):
@@ -72,6 +72,14 @@ def test_the_same_code_elsewhere_has_the_same_name(loaded, tmp_path_factory, mon
     (elsewhere / "own_code.py").write_text("value = 1\n")
     monkeypatch.setattr(sys.modules["own_code"], "__file__", str(elsewhere / "own_code.py"))
     assert code_of(elsewhere) == before
+
+
+def test_what_was_started_is_not_in_the_name_of_the_code(loaded, monkeypatch):
+    monkeypatch.setitem(sys.modules, "__main__", sys.modules.pop("own_code"))
+    monkeypatch.setitem(sys.modules, "__mp_main__", sys.modules["__main__"])
+    before = code_of(loaded)
+    (loaded / "own_code.py").write_text("value = 2\n")
+    assert code_of(loaded) == before
 
 
 def test_what_names_the_code_is_not_in_its_name(monkeypatch):
