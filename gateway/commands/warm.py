@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from gateway.commands.common import BAD_INPUT, GOOD, patience, prepare
+from gateway.commands.common import BAD_INPUT, GOOD, patience, prepare, scenario_thermal
 
 HELP = "compile ahead of time, for a service that must not"
 
@@ -36,7 +36,8 @@ def run(options: argparse.Namespace) -> int:
         for path in options.config:
             warm_up(*prepare(path))
         for given in () if options.config else shipped:
-            warm_up(*prepare(None, dbc=given))
+            # Any calibration will do: without one nothing of the thermal side would be compiled.
+            warm_up(*prepare(None, dbc=given, thermal=scenario_thermal()))
     kernels = kernelcache.count(options.kernels)
     if not kernels:
         print(f"nothing was compiled into {options.kernels}: numba was loaded before")

@@ -1,12 +1,13 @@
 """After the warm-up nothing is compiled, or loaded, in the middle of a run."""
 
+import argparse
 import subprocess
 import sys
 import time
 
 import pytest
 
-from gateway.commands import common
+from gateway.commands import common, warm
 
 COMPILED = """
 import sys, time
@@ -79,3 +80,18 @@ def test_nothing_is_compiled_in_mid_run(program):
         [sys.executable, "-c", COMPILED + program], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_without_a_configuration_all_that_ships_is_compiled(monkeypatch, tmp_path):
+    """The thermal side too, of which nothing runs without a calibration."""
+    warmed, made = [], []
+    monkeypatch.setattr(
+        "gateway.drivers.warm.warm_up", lambda config, _codec: warmed.append(config)
+    )
+    monkeypatch.setattr("gateway.drivers.batch.Batch", made.append)
+    monkeypatch.setattr("gateway.drivers.kernelcache.make", made.append)
+    monkeypatch.setattr("gateway.drivers.kernelcache.count", lambda _: 5)
+    assert warm.run(argparse.Namespace(config=[], kernels=tmp_path)) == 0
+    assert made == [tmp_path, 1]
+    assert {config.dbc_path.name for config in warmed} == {"traction.dbc", "traction_fd.dbc"}
+    assert all(config.calibration_path.is_file() for config in warmed)
