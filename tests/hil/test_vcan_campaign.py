@@ -32,7 +32,7 @@ DOWNS, DELETIONS, KILLS, STOPS, SILENCES = 500, 200, 200, 200, 200
 LONGEST_AGE_S = 0.1
 """Every electrical message is stale after it: three cycles of 20 ms and a tick, and some room."""
 LONGEST_GOOD_S = 0.5
-"""No flag says good on what is older: the limit is a tenth of it (R01), the rest is for stamps."""
+"""No flag says good on what is older: ten times its limit (R01)."""
 FIRST_FRAMES = 5
 MOST_LATE = 2
 """Flags of a start that may be decided too late to be sent."""
@@ -131,7 +131,7 @@ def test_the_gateway_is_killed(site: Site) -> None:
         assert seen.heard == 0, "something sends for a gateway that is dead"
     site.gateway = 0
     seen.close()
-    site.note_times("gateway killed and started (its fifth flag frame)", back)
+    site.note_times("gateway killed and started", back, "its fifth flag frame")
     site.note("of these starts the first flag was decided too late to be sent", times=late)
 
 
@@ -168,7 +168,7 @@ def test_the_gateway_is_stopped(site: Site) -> None:
                 assert not old, f"good, said long after it was decided: {old}"
                 end_process(site.drives, signal.SIGCONT)
     seen.close()
-    site.note_times("gateway stopped and continued (its fifth flag frame)", back)
+    site.note_times("gateway stopped and continued", back, "its fifth flag frame")
 
 
 def test_the_drives_fall_silent(site: Site) -> None:

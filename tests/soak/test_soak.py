@@ -62,7 +62,8 @@ def test_the_books_hold_nothing_themselves():
     books = Books(codec=None)
     for hour in range(200):
         books.read(hour)
-    assert abs(books.slope(books.blocks)) < 0.2
+    # In lists it would be three a reading, 450 in all; others' threads hold something, too.
+    assert books.blocks[-1] - books.blocks[50] < 150
 
 
 KEPT = json.loads(RESULTS.read_text())
