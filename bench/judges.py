@@ -112,12 +112,13 @@ def spread(n: int) -> float:
     ring, _ = maisd.start(WINDOW, n, 3)
     values, present = rng.normal(60.0, 1.0, (n, 3)), np.ones((n, 3), dtype=np.bool_)
     mean, known = np.zeros((n, 3)), np.zeros((n, 3), dtype=np.bool_)
+    number = np.zeros((n, 3), dtype=np.int64)
     out, off, ranked = np.empty(3), np.empty((n, 3)), np.empty(n)
     seen = 0
 
     def take() -> None:
         nonlocal seen
-        _maisd_kernels.take(ring, seen, values, present, mean, known)
+        _maisd_kernels.take(ring, seen, values, present, mean, number, known)
         _maisd_kernels.compare(mean, known, ranked, out, off)
         seen += 1
 

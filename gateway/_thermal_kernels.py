@@ -103,7 +103,9 @@ def add_up(
 def _average(cycle: int, values: Array, averages: Averages) -> None:
     """The windows advance."""
     mean, known = averages.mean, averages.known
-    maisd.take(averages.ring, cycle, values, averages.believed, mean, known)
+    maisd.take(
+        averages.ring, cycle, values, averages.believed, mean, averages.number, known
+    )  # fmt: skip
     for j in range(mean.shape[0]):
         for k in range(mean.shape[1]):
             known[j, k] &= averages.believed[j, k]

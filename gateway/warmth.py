@@ -75,11 +75,12 @@ class Averages(NamedTuple):
 
     ring (s, N, P); mean, known, believed, centred, deviation (N, P), the latter two of means less
     offset over gain; spread (P,): the MAISD; limit_k, apart_k (P,): of spread and deviation;
-    ranked (N,): room.
+    number (N, P), ranked (N,): room.
     """
 
     ring: Array
     mean: Array
+    number: Ints
     known: Bools
     believed: Bools
     centred: Array
@@ -189,8 +190,9 @@ def averages(
     shape = ring.shape[1:]
     (drives, width) = shape
     known, believed = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+    number = np.zeros(shape, dtype=np.int64)
     return Averages(
-        ring, np.zeros(shape), known, believed, np.zeros(shape), np.full(shape, np.nan),
+        ring, np.zeros(shape), number, known, believed, np.zeros(shape), np.full(shape, np.nan),
         np.full(width, np.nan), gain, offset, limit_k, apart_k, np.zeros(drives),
     )  # fmt: skip
 

@@ -170,12 +170,13 @@ def test_silence_is_stale():
     assert rig.side.report(0, now, 310 * MS).reason is Reason.STALE
 
 
-@pytest.mark.parametrize("motors", [1, 2, 5, 16, 17])
+@pytest.mark.parametrize("motors", [1, 2, 5, 16, 17, 130])
 def test_the_compiled_maisd_says_what_its_twin_says(motors):
     rng = np.random.default_rng(motors)
     plain = maisd.start(7, motors, 3)
     ring, seen = maisd.start(7, motors, 3)
     mean, known = np.zeros((motors, 3)), np.zeros((motors, 3), dtype=bool)
+    number = np.zeros((motors, 3), dtype=np.int64)
     spread, deviation, ranked = np.empty(3), np.empty((motors, 3)), np.empty(motors)
     told = False
     for _ in range(40):
@@ -183,7 +184,7 @@ def test_the_compiled_maisd_says_what_its_twin_says(motors):
         values, present = rng.normal(60.0, 3.0, (motors, 3)), rng.random((motors, 3)) < 0.6
         values[:, 0] = values[:, 0].round()
         plain = maisd.push(plain, values, present)
-        _maisd_kernels.take(ring, seen, values, present, mean, known)
+        _maisd_kernels.take(ring, seen, values, present, mean, number, known)
         seen += 1
         np.testing.assert_array_equal(ring, plain.ring)
         want_mean, want_known = maisd.average(plain)
