@@ -157,6 +157,7 @@ class Oracle:
         sampled = fresh[:, : len(self.electrical)].all(axis=1).tolist()
         self._second_senders(faults)
         self._note_lent(arrived, now)
+        believable = self._believable(now, sampled)
         self._note_gateway(tick)
         block = arrived.block
         # Behind the tick where the process has stood: the newest are lost then.
@@ -166,10 +167,10 @@ class Oracle:
         for frame in out:
             self._form(tick, frame)
             if frame.can_id == ADHESION:
-                self._adhesion(tick, frame.data, sampled, min(until, tick))
+                self._adhesion(tick, frame.data, believable, min(until, tick))
             elif frame.can_id == FAULTS:
                 self._faults(tick, frame.data)
-        self._stand(tick, sampled)
+        self._stand(tick, believable)
         self._tracking(tick, speed.tolist())
         self._read[(*self.adhesion, *self.thermal, *self.whole.values())] += 1
 
@@ -212,6 +213,14 @@ class Oracle:
                 self.warm[d] = tick + 1
         if not (any(sampled) or any(self.doubled)):
             self.any_sampled = tick + 1
+
+    def _believable(self, now: int, sampled: list[bool]) -> list[bool]:
+        """By drive: fresh currents and voltages, its own or, while two speak for it, anybody's."""
+        newest = np.maximum(self.last, self.lent).reshape(self.n, self.kinds)
+        fresh = now - newest <= self.limit.reshape(newest.shape)
+        heard = fresh[:, : len(self.electrical)].all(axis=1).tolist()
+        return [own or (twice > 0 and any_of) for own, twice, any_of in
+                zip(sampled, self.doubled, heard, strict=True)]  # fmt: skip
 
     def _lent_warmth(self, tick: int, drive: int) -> bool:
         """Whether temperatures that were another sender's are still fresh."""
@@ -256,7 +265,7 @@ class Oracle:
         doubled = (slots >= 0) & np.array(self.doubled, dtype=bool)[slots // self.kinds]
         self.lent[slots[doubled]] = block.t_ns[theirs][doubled]
 
-    def _adhesion(self, tick: int, data: bytes, sampled: list[bool], until: int) -> None:
+    def _adhesion(self, tick: int, data: bytes, believable: list[bool], until: int) -> None:
         """until: tick up to which the gateway has heard the bus."""
         alone, common = tick - self.any_sampled, (data[6] >> 4) & 3
         self._whole(tick, COMMON, common, [alone], (self.good, self.clear))
@@ -269,7 +278,7 @@ class Oracle:
                 self.shared[d] = until
             if state == GOOD and tick - self.shared[d] <= GUARD_TICKS:
                 self._broken(tick, "masquerade", d + 1, "Adhering, and two senders speak or spoke")
-            if state == GOOD and not sampled[d] and not self.doubled[d]:
+            if state == GOOD and not believable[d]:
                 self._broken(tick, "stale", d + 1, "Adhering without fresh samples")
             if state == GOOD and tick - self.lost < LOST_TICKS:
                 self._broken(tick, "lost", d + 1, "Adhering after lost frames")
@@ -311,7 +320,7 @@ class Oracle:
             self._broken(tick, rule, 0, f"{name} says good after {min(fine)} good ticks")
         self.whole[name] = state
 
-    def _stand(self, tick: int, sampled: list[bool]) -> None:
+    def _stand(self, tick: int, believable: list[bool]) -> None:
         """What was last read, against what there is now."""
         for d, state in enumerate(self.thermal):
             if state == GOOD and self.warm[d] > tick:
@@ -325,7 +334,7 @@ class Oracle:
         if self.whole[ESTIMATOR] == GOOD and max(self.tracked) > tick:
             self._broken(tick, "untracked", 0, "EstimatorFault says good")
         for d, health in enumerate(self.health):
-            if health == Health.TRACKING and not sampled[d] and not self.doubled[d]:
+            if health == Health.TRACKING and not believable[d]:
                 self._broken(tick, "stale", d + 1, "Health says tracking without fresh samples")
         wanted = BAD if tick - self.missed <= OVERRUN_TICKS else GOOD
         if self.whole[OVERRUN] != wanted:
