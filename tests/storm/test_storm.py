@@ -337,6 +337,14 @@ def two_senders_are_one(monkeypatch):
     built(monkeypatch, lambda made: made.inbox.state.period_ns.fill(0))
 
 
+def stale_is_believed_of_two(monkeypatch):
+    """While two speak for every drive, the bus is off for a moment."""
+    stale_is_believed(monkeypatch)
+    two_senders_are_one(monkeypatch)
+    faults = [Fault("second_sender", 2000, 3500, None, 0.5), *SILENCE]
+    monkeypatch.setattr(campaign, "plan", lambda *_: faults)
+
+
 class Found(Exception):
     """The oracle has noticed."""
 
@@ -345,6 +353,7 @@ class Found(Exception):
     ("broken", "rule", "what"),
     [
         (stale_is_believed, "stale", "Adhering"),
+        (stale_is_believed_of_two, "stale", "Adhering"),
         (unknown_clears, "cleared", "AdhesionLost went to Unknown"),
         (unknown_clears_all, "cleared", "CommonMode went to Unknown"),
         (health_is_ignored, "hasty", "fresh samples"),
