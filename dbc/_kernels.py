@@ -149,7 +149,7 @@ def _present(
     return True
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator,unused-ignore]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator,unused-ignore]
 def decode_block(
     index: NDArray[np.int32],
     payload: NDArray[np.uint8],

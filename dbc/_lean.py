@@ -17,14 +17,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def lean(function: F) -> F:
     """Compiled, cached, without reference counts."""
-    return njit(cache=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
 
 
 def unlocked(function: F) -> F:
     """The same, and other threads go on meanwhile: for what takes milliseconds."""
-    return njit(cache=True, nogil=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, nogil=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
 
 
 def inlined(function: F) -> F:
     """As `lean`, put in where it is called."""
-    return njit(cache=True, forceinline=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, forceinline=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]

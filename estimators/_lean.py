@@ -12,7 +12,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def lean(function: F) -> F:
     """Compiled, cached, without reference counts: it can make no array."""
-    return njit(cache=True, _nrt=False)(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
 
 
 def fused(function: F) -> F:

@@ -23,6 +23,7 @@ _STEADY = unbalance.STEADY
 _LEAST = unbalance.LEAST
 _MOST_OFFSET = unbalance.MOST_OFFSET
 _MOST_IMAGE = unbalance.MOST_IMAGE
+_LEAST_VARIANCE = unbalance.LEAST_VARIANCE
 _WILD = lock.WILD
 _LINE_S = unbalance.LINE_S
 _LINE_LEAST = unbalance.LINE_LEAST
@@ -122,7 +123,11 @@ def _finish(state: Unbalance, d: int, rated: float) -> None:
     offset = (state.before[d, 0] + state.flat[d, 0] - state.rising[d, 0]) / _TURN
     second = (state.before[d, 1] + state.flat[d, 1] - state.rising[d, 1]) / _TURN
     square = (state.before[d, 2] + state.flat[d, 2] - state.rising[d, 2]) / _TURN
-    image = 0.5 * (second - offset * offset) / (square.real - abs(offset) ** 2)
+    variance = square.real - abs(offset) ** 2
+    # A current that has not turned has none, to within the rounding of the sums: held samples.
+    if not variance > _LEAST_VARIANCE * square.real:
+        return
+    image = 0.5 * (second - offset * offset) / variance
     if not (abs(offset) <= _MOST_OFFSET * rated and abs(image) <= _MOST_IMAGE):
         return
     state.turns[d] = min(state.turns[d] + 1, _REVOLUTIONS)

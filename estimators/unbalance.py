@@ -42,6 +42,9 @@ LEAST: Final = 0.2
 MOST_OFFSET: Final = 0.05
 """Per unit of rated current; more is a fault."""
 MOST_IMAGE: Final = 0.08
+LEAST_VARIANCE: Final = 0.5
+"""Share of the mean square that must be variance; the rest is an offset, whose square is less than
+a tenth where it may be learnt."""
 LINE_S: Final = 0.012
 """Time constant of the mean that tells a line from a circle: before a flag is raised."""
 LINE_TURN: Final = 3.0

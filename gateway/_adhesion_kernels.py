@@ -6,6 +6,7 @@ what is added here are loops over drives, whose twin is the same function uncomp
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from dbc._lean import inlined, lean
 from estimators.detect._reference_kernels import (
+    coasts,
     fuse,
     learn,
     learn_response,
@@ -22,9 +24,10 @@ from estimators.detect._reference_kernels import (
     watch,
 )
 from estimators.detect.reference import Reference
+from estimators.detect.response import OPEN
 from gateway._loads_kernels import prepare
 from gateway._said_kernels import advance, from_probability
-from gateway.loads import FOLLOWING_NS
+from gateway.loads import FOLLOWING_NS, LEAST_LOAD, LOAD_TAU_S, MORE_LOAD
 
 if TYPE_CHECKING:
     from estimators.detect.response import Heard, Memory
@@ -54,14 +57,17 @@ def compare(
 
 @inlined
 def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
-    """Evidence of a loss of all drives at once. One that holds says no; yes needs all known."""
+    """Evidence of a loss of all drives at once. One that holds says no; yes needs all known.
+
+    Drives that coast say nothing.
+    """
     judged, every, some = True, True, False
     lost = 1.0
     for k in range(alone.shape[0]):
         if not at.known[k]:
             every = False
             continue
-        some = True
+        some = some or not coasts(k, heard)
         judged = judged and heard.usable[k]
         lost = min(lost, alone[k])
     if not (some and judged) or not (every or lost <= rules.clear_at):
@@ -69,20 +75,43 @@ def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
     return from_probability(lost, rules)  # type: ignore[no-any-return,unused-ignore]
 
 
+@inlined
+def _enough_load(known: Bools, common: float, tick_s: float, trust: Trust) -> None:
+    """A comparison of drives that carry next to nothing is none."""
+    some = False
+    for k in range(known.shape[0]):
+        some = some or known[k]
+    if not some:
+        trust.common[0] = math.nan
+        return
+    if math.isnan(trust.common[0]):
+        trust.common[0] = common
+    trust.common[0] += min(tick_s / LOAD_TAU_S, 1.0) * (common - trust.common[0])
+    least = LEAST_LOAD if trust.loaded[0] else MORE_LOAD
+    trust.loaded[0] = abs(trust.common[0]) >= least
+    for k in range(known.shape[0]):
+        known[k] = known[k] and trust.loaded[0]
+
+
 @lean
 def conclude(
     lost: Array, known: Bools, common: float, now: int, tick_s: float, response: Memory,
-    at: Instant, heard: Heard, part: float, spreads: float, rules: Rules, mode: Flags,
-    trust: Trust, room: Room,
+    at: Instant, heard: Heard, odd_s: Array, part: float, spreads: float, rules: Rules,
+    mode: Flags, trust: Trust, room: Room,
 ) -> bool:  # fmt: skip
     """The detector's opinion with every drive's own response; who is severely lost; common mode.
 
-    lost, known (N,), common: its opinion; part, spreads: as for `severely`; mode: its first flag is
-    that of all drives' loss. Fills lost, known, severe and since when loads are known. True where a
-    drive's load answers a new command.
+    lost, known (N,), common: its opinion, changed where it rests on too little load; odd_s (N,):
+    for how long a command has been odd (`train`), which accuses nobody; part, spreads: as for
+    `severely`; mode: its first flag is that of all drives' loss. Fills lost, known, severe and
+    since when loads are known. True where a drive's load answers a new command.
     """
     respond(response, heard, tick_s, room.alone, room.meant)
-    fuse(lost, known, room.alone, heard.usable, room.meant, room.lost, room.known)
+    for k in range(lost.shape[0]):
+        if odd_s[k] > 0.0:
+            room.alone[k] = min(room.alone[k], OPEN)
+    _enough_load(known, common, tick_s, trust)
+    fuse(lost, known, room.alone, heard, room.meant, room.lost, room.known)
     # Of what the others carry, or with nobody to compare with, of the command.
     severely(common, heard, room.referred, room.spread, at.known, part, spreads, room.severe)
     answered = False
@@ -98,11 +127,13 @@ def conclude(
 
 @inlined
 def _healthy(
-    now: int, flag: Ints, settled_ns: int, probably: float, trust: Trust, room: Room
-) -> None:
+    now: int, flag: Ints, operating: Bools, settled_ns: int, probably: float, trust: Trust,
+    room: Room,
+) -> None:  # fmt: skip
     """Drives that may be learnt from: none while any is lost, or finds its grip again."""
     for k in range(flag.shape[0]):
-        if flag[k] == _BAD:
+        # A drive that is cut out keeps its flag, and stops nobody from learning.
+        if flag[k] == _BAD and operating[k]:
             trust.bad_ns[0] = now
     shaken = trust.bad_ns[0] != _NEVER and now < trust.bad_ns[0] + FOLLOWING_NS
     for k in range(flag.shape[0]):
@@ -114,7 +145,7 @@ def _healthy(
 
 @lean
 def teach(
-    answered: bool, due: bool, now: int, tick_s: float, common: float, flag: Ints,
+    answered: bool, due: bool, now: int, tick_s: float, common: float, flag: Ints, operating: Bools,
     reference: Reference, response: Memory, at: Instant, heard: Heard, settled_ns: int,
     probably: float, trust: Trust, room: Room,
 ) -> tuple[float, float]:  # fmt: skip
@@ -123,7 +154,7 @@ def teach(
     settled_ns: a load must have been known for so long; probably: a loss more probable than this is
     not learnt from. Gives the new spreads of the reference and of the response.
     """
-    _healthy(now, flag, settled_ns, probably, trust, room)
+    _healthy(now, flag, operating, settled_ns, probably, trust, room)
     spread, own = reference.spread, response.reference.spread
     if answered:
         own = learn_response(response, heard, room.healthy, tick_s, room.answer, room.teaches)

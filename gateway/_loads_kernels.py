@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc._lean import inlined, lean
+from gateway._train_kernels import insert, middle
 from gateway.loads import (
     COASTING,
     ENOUGH_TO_COMPARE,
     FOLLOWING_NS,
     SHARE_FLOOR,
     SHARE_UNKNOWN,
-    TRAIN_MOST,
-    TRAIN_S,
 )
 
 if TYPE_CHECKING:
@@ -31,6 +30,7 @@ Ints = NDArray[np.int64]
 _TRACKING = 2  # Health
 _BAD = 2  # Flag
 _SECOND = 1_000_000_000
+_NEVER = -(1 << 63)
 
 
 @inlined
@@ -40,7 +40,26 @@ def _zero(x: float) -> float:
 
 
 @inlined
-def _shares(slow: SlowState, fresh: Flags, follows: Flags, rotors: Rotors, at: Instant) -> None:
+def _obeys(k: int, now: int, rotors: Rotors) -> bool:
+    """Whether drive k follows its own flag, or followed it just now."""
+    return bool(rotors.lost_ns[k] != _NEVER and now < rotors.lost_ns[k] + FOLLOWING_NS)
+
+
+@inlined
+def _median(now: int, rotors: Rotors) -> float:
+    """Of the loads that are known, of drives that do not follow their own flag; NaN of none."""
+    count = 0
+    for k in range(rotors.load.shape[0]):
+        if not _obeys(k, now, rotors) and not math.isnan(rotors.load[k]):
+            insert(rotors.load[k], count, rotors.rank)
+            count += 1
+    return middle(count, False, rotors.rank)  # type: ignore[no-any-return,unused-ignore]
+
+
+@inlined
+def _shares(
+    now: int, slow: SlowState, fresh: Flags, follows: Flags, rotors: Rotors, at: Instant
+) -> None:
     """Each drive's torque command over the largest one; 1 where that says nothing.
 
     The drives' Status frames are up to a cycle apart, so commands that change with the train
@@ -55,26 +74,15 @@ def _shares(slow: SlowState, fresh: Flags, follows: Flags, rotors: Rotors, at: I
             largest = max(largest, abs(slow.command[k]) / rotors.rated[k])
     if largest <= COASTING:
         return
+    common = _median(now, rotors)
     for k in range(fresh.shape[0]):
-        if fresh[k] and (calm or follows[k]):
-            at.share[k] = abs(slow.command[k]) / rotors.rated[k] / largest
-
-
-@inlined
-def _accelerating(k: int, speed: float, tick_s: float, rotors: Rotors) -> float:
-    """Part of the command that speeds up the drive's own rotor with the train, per unit.
-
-    Slow and bounded, because what a wheel takes that runs away is what is looked for.
-    """
-    if math.isnan(speed):
-        rotors.slow_speed[k] = math.nan
-        return 0.0
-    slow = rotors.slow_speed[k]
-    if math.isnan(slow):
-        slow = speed
-    rotors.slow_speed[k] = slow + tick_s / TRAIN_S * (speed - slow)
-    torque: float = rotors.inertia[k] * (speed - slow) / TRAIN_S / rotors.rated[k]
-    return min(max(torque, -TRAIN_MOST), TRAIN_MOST)
+        if not fresh[k] or not (calm or follows[k]):
+            continue
+        share, load = abs(slow.command[k]) / rotors.rated[k] / largest, rotors.load[k]
+        # A command that makes the load less like the others' is not what the drive obeys.
+        off = abs(load / share - common) if share > 0.0 else math.inf
+        if not abs(load - common) < off:
+            at.share[k] = share
 
 
 @inlined
@@ -110,7 +118,9 @@ def prepare(
     """
     for k in range(fresh.shape[0]):
         at.follows[k] = flag[k] == _BAD or now < since_ns[k] + FOLLOWING_NS
-    _shares(slow, fresh, at.follows, rotors, at)
+        if flag[k] == _BAD:
+            rotors.lost_ns[k] = now
+    _shares(now, slow, fresh, at.follows, rotors, at)
     judged = 0
     for k in range(fresh.shape[0]):
         at.known[k] = told.health[k] == _TRACKING and at.share[k] >= SHARE_UNKNOWN
@@ -120,8 +130,7 @@ def prepare(
         judged += at.known[k]
     for k in range(fresh.shape[0]):
         rated, speed = rotors.rated[k], told.speed[k]
-        taken = _accelerating(k, speed, tick_s, rotors)
-        heard.load[k] = _zero(told.load[k]) / rated + taken
+        heard.load[k] = _zero(told.load[k]) / rated + rotors.taken[k]
         asked = speed if judged < ENOUGH_TO_COMPARE else math.nan
         heard.excess[k] = _excess(k, asked, tick_s, rotors)
         heard.command[k] = _zero(slow.command[k]) / rated

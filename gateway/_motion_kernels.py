@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gateway.tracks import Told
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _STARTING, _NOT_AVAILABLE = 1, 6  # Reason
@@ -146,12 +147,14 @@ def _merge(
 
 @lean
 def merge_motion(
-    measured: Array, sensors: Unbalance, told: Told, memory: Memory, limits: Limits
-) -> None:
+    measured: Array, sensors: Unbalance, until_ns: Ints, now: int, told: Told, memory: Memory,
+    limits: Limits,
+) -> None:  # fmt: skip
     """What each drive is told to be, measured speeds considered; changes `told`.
 
-    measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without. A drive whose input cannot be
-    what it seems is marked in `memory.wrong`.
+    measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; until_ns (N,): until when its
+    values are implausible (`plausibility`). A drive whose input cannot be what it seems is marked
+    in `memory.wrong`.
     """
     any_beyond = False
     for k in range(measured.shape[0]):
@@ -166,10 +169,11 @@ def merge_motion(
         fresh = not math.isnan(measured[k])
         straight = fresh and on_line(sensors, k, limits.pole_pairs[k] * measured[k])
         apart = not memory.beyond[k] and _contradicts(k, measured[k], told, memory, limits)
-        if straight:
+        implausible = now < until_ns[k]
+        if straight or implausible:
             _nothing(k, _INPUT_INVALID, told)
         _merge(k, fresh, any_beyond, told, memory, limits)
         if apart:
             _nothing(k, _INPUT_INVALID, told)
             told.reason[k] = _STARTING
-        memory.wrong[k] = straight or apart
+        memory.wrong[k] = straight or apart or implausible

@@ -49,13 +49,14 @@ def from_probability(lost: float, rules: Rules) -> int:
 
 @lean
 def weigh(
-    inputs: Inputs, wrong: Bools, told: Told, lost: Array, known: Bools, findings: Findings,
-    doubt: int, rules: Rules, seen: Ints, why: Ints,
+    inputs: Inputs, wrong: Bools, uncertain: Bools, told: Told, lost: Array, known: Bools,
+    findings: Findings, doubt: int, rules: Rules, seen: Ints, why: Ints,
 ) -> None:  # fmt: skip
     """Evidence of every flag and drive, fills seen (5, N), and why adhesion is unknown, why (N,).
 
-    wrong (N,): the input cannot be what it seems; lost, known (N,): the detector's opinion; doubt:
-    `Reason` why no adhesion flag can be believed.
+    wrong (N,): the input cannot be what it seems; uncertain (N,): the rotor may be running away,
+    which is no evidence of a loss, and of adhesion less; lost, known (N,): the detector's opinion;
+    doubt: `Reason` why no adhesion flag can be believed.
     """
     for k in range(why.shape[0]):
         cause, health = inputs.cause[k], told.health[k]
@@ -74,6 +75,8 @@ def weigh(
             why[k] = _TOO_FEW
         else:
             adhesion = from_probability(lost[k], rules)
+            if uncertain[k] and adhesion != _BAD:
+                adhesion, why[k] = _UNKNOWN, _RANGE
         seen[_ADHESION, k] = adhesion
         # Temperatures change slowly: of all doubts only an intruder counts against them.
         seen[_THERMAL, k] = _UNKNOWN if doubt == _INTRUDER else findings.thermal[k]

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _MOTION = 3  # pairing.Kind
 _READINGS, _CHANGED = range(2)  # slow.Count
+_OPERATION = 2  # Status.State
+_RADIANS = math.pi / 180.0
 
 
 @inlined
@@ -25,6 +27,9 @@ def keep(
     d, t = wiring.drive[c], scratch.t_ns[row]
     first = scratch.value[row, wiring.columns[c, 0]]
     second = scratch.value[row, wiring.columns[c, 1]]
+    third = math.nan
+    if wiring.points[c] > 2:
+        third = scratch.value[row, wiring.columns[c, 2]]
     slow.came[_CHANGED] += 1
     if wiring.kind[c] == _MOTION:
         n = slow.came[_READINGS]
@@ -32,8 +37,10 @@ def keep(
         slow.speed[d] = first * RPM
         readings.drive[n], readings.t_ns[n] = d, t
         readings.speed[n], readings.torque[n] = slow.speed[d], second
+        readings.angle[n] = third * _RADIANS
         return
     before = first if math.isnan(slow.command[d]) else slow.command[d]
     slow.steady[d] = abs(first - before) <= STEADY_NM + STEADY_SHARE * abs(first)
     slow.command[d], slow.before[d], slow.irms[d] = first, before, second
+    slow.operating[d] = math.isnan(third) or third == _OPERATION
     slow.command_ns[d] = t

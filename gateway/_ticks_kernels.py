@@ -22,10 +22,12 @@ from gateway._inputs_kernels import look
 from gateway._kernels import settle, take_block
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
+from gateway._plausibility_kernels import check_values
 from gateway._route_kernels import busy_s
 from gateway._said_kernels import decide, tell, weigh
 from gateway._sweep_kernels import advance_ekf, advance_ukf
 from gateway._thermal_kernels import advance, hear, report
+from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 from gateway.stretch import Left
 
@@ -170,9 +172,19 @@ def several(
             receiving.readings, motions, filtering.believed.tracks.flux, filtering.motion,
             filtering.limits,
         )  # fmt: skip
+        check_values(
+            taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
+            receiving.slow, now, filtering.believed.chords, filtering.believed.filters, told,
+            filtering.motion, filtering.check, filtering.check_limits,
+        )  # fmt: skip
         merge_motion(
-            inputs.speed, filtering.believed.sensors, told, filtering.motion, filtering.limits
-        )
+            inputs.speed, filtering.believed.sensors, filtering.check.until_ns, now, told,
+            filtering.motion, filtering.limits,
+        )  # fmt: skip
+        assess_train(
+            inputs.speed, inputs.commanded, receiving.slow, judging.flag, judging.tick_s, told,
+            judging.train,
+        )  # fmt: skip
         compare(
             told, receiving.slow, inputs.commanded, judging.flag, judging.since_ns, now,
             judging.tick_s, judging.rotors, reference, judging.passing, judging.at,
@@ -181,17 +193,17 @@ def several(
         common = _opinion(judging)
         answered = conclude(
             judging.lost, judging.known, common, now, judging.tick_s, response, judging.at,
-            judging.heard, judging.part, judging.spreads, judging.rules, judging.mode,
-            judging.trust, judging.room,
+            judging.heard, judging.train.odd_s, judging.part, judging.spreads, judging.rules,
+            judging.mode, judging.trust, judging.room,
         )  # fmt: skip
         due = now >= learn_ns
         if answered or due:
             if due:
                 learn_ns = now + judging.every_ns
             spread, own = teach(
-                answered, due, now, judging.tick_s, common, judging.flag, reference, response,
-                judging.at, judging.heard, judging.settled_ns, judging.probably, judging.trust,
-                judging.room,
+                answered, due, now, judging.tick_s, common, judging.flag, receiving.slow.operating,
+                reference, response, judging.at, judging.heard, judging.settled_ns,
+                judging.probably, judging.trust, judging.room,
             )  # fmt: skip
             # Here and not in a function: one that gives arrays back has to count them.
             reference = Reference(
@@ -212,7 +224,8 @@ def several(
         report(now, warming.limit_ns, warming.warmth, saying.findings)
         lost, known = judging.room.lost, judging.room.known
         weigh(
-            inputs, filtering.motion.wrong, told, lost, known, saying.findings, _NONE,
+            inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
+            saying.findings, _NONE,
             judging.rules, saying.seen, saying.why,
         )  # fmt: skip
         changed = decide(saying.seen, judging.room.severe, now, judging.rules, saying.flags)

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from estimators.detect import Evidence, Opinion, make, reference, response
-from gateway import loads, said
+from gateway import loads, said, train
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._direct import Direct
+from gateway._train_kernels import assess_train
 from gateway.config import Adhesion, Motor
 from gateway.health import NEVER
+from gateway.inputs import Inputs
 from gateway.said import Rules
 from gateway.slow import SlowState
 from gateway.tracks import Told
@@ -56,6 +58,10 @@ class AdhesionSide:
         self.rated = tuple(motor.T_rated for motor in motors)
         n = len(motors)
         self.rotors, self.at, self.heard = loads.rotors(motors), loads.instant(n), loads.heard(n)
+        self.train = train.start(motors)
+        self.rotors = self.rotors._replace(
+            taken=self.train.taken, load=self.train.load, rank=self.train.rank
+        )
         self.rules = rules
         self.tick_s = tick_ns / SECOND
         self.detector = make(config.detector, config.observe)
@@ -68,18 +74,21 @@ class AdhesionSide:
         self.severe = self.room.severe
         """(N,) drives that carry so much less than the others that noise cannot be the cause."""
         self._compare, self._conclude = Direct(compare), Direct(conclude)
-        self._teach = Direct(teach)
+        self._teach, self._assess = Direct(teach), Direct(assess_train)
         self.learn_ns: Nanos = NEVER
 
     def judge(
-        self, told: Told, slow: SlowState, fresh: Flags, flag: Ints, since_ns: Ints, now: Nanos
+        self, told: Told, slow: SlowState, inputs: Inputs, flag: Ints, since_ns: Ints, now: Nanos
     ) -> Opinion:
         """Probabilities of lost adhesion.
 
-        fresh (N,): which drives' commands are known; flag, since_ns (N,): their adhesion flags so
-        far, and since when the evidence of each is the same.
+        inputs: speeds as measured, and which drives' commands are known, changed here where one
+        cannot be right; flag, since_ns (N,): their adhesion flags so far, and since when the
+        evidence of each is the same.
         """
         at, heard, room = self.at, self.heard, self.room
+        fresh = inputs.commanded
+        self._assess(inputs.speed, fresh, slow, flag, self.tick_s, told, self.train)
         self._compare(
             told, slow, fresh, flag, since_ns, now, self.tick_s, self.rotors, self.reference,
             PASSING, at, heard, room,
@@ -89,27 +98,31 @@ class AdhesionSide:
             Evidence(room.referred, room.spread, at.known, speeds)
         )  # fmt: skip
         answered = self._conclude(
-            lost, known, common, now, self.tick_s, self.response, at, heard, SEVERE,
-            SEVERE_SPREADS, self.rules, self.mode, self.trust, room,
+            lost, known, common, now, self.tick_s, self.response, at, heard, self.train.odd_s,
+            SEVERE, SEVERE_SPREADS, self.rules, self.mode, self.trust, room,
         )  # fmt: skip
-        return self.learn(answered, common, flag, now)
+        return self.learn(answered, common, flag, slow.operating, now)
 
-    def learn(self, answered: bool, common: float, flag: Ints, now: Nanos) -> Opinion:
+    def learn(
+        self, answered: bool, common: float, flag: Ints, operating: Flags, now: Nanos
+    ) -> Opinion:
         """Responses from every new command, differences between drives every LEARN_NS.
 
         Gives this tick's opinion.
         """
         if answered or now >= self.learn_ns:
-            self._learn(answered, common, flag, now)
+            self._learn(answered, common, flag, operating, now)
         return Opinion(self.room.lost, self.room.known, common)
 
-    def _learn(self, answered: bool, common: float, flag: Ints, now: Nanos) -> None:
+    def _learn(
+        self, answered: bool, common: float, flag: Ints, operating: Flags, now: Nanos
+    ) -> None:
         due = now >= self.learn_ns
         if due:
             self.learn_ns = now + LEARN_NS
         spread, own = self._teach(
-            answered, due, now, self.tick_s, common, flag, self.reference, self.response, self.at,
-            self.heard, SETTLED_NS, PROBABLY_GOOD, self.trust, self.room,
+            answered, due, now, self.tick_s, common, flag, operating, self.reference, self.response,
+            self.at, self.heard, SETTLED_NS, PROBABLY_GOOD, self.trust, self.room,
         )  # fmt: skip
         self.note_learnt(spread, own, self.learn_ns)
 

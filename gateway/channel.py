@@ -28,7 +28,8 @@ TOO_SOON: Final = 0.75
 """Of the period. Of two senders of one message one always speaks so soon after the other; what is
 out of sequence because frames were lost comes late."""
 
-# The signals the gateway uses of each kind, in the order in which the inbox takes them.
+# The signals the gateway uses of each kind, in the order in which the inbox takes them. Mapped
+# inverters have no `ElectricalAngle` and no `State`.
 USED: Final = {
     "PhaseCurrents": ("Ia", "Ib", "Ic"),
     "StatorVoltages": ("Ualpha", "Ubeta"),
@@ -36,8 +37,8 @@ USED: Final = {
         "SampleIndex",
         *(f"{name}_{k}" for k in range(8) for name in ("Ia", "Ib", "Ualpha", "Ubeta")),
     ),
-    "Motion": ("Speed", "Torque"),
-    "Status": ("TorqueCommand", "Irms"),
+    "Motion": ("Speed", "Torque", "ElectricalAngle"),
+    "Status": ("TorqueCommand", "Irms", "State"),
     "Temperatures": ("Tstator", "Tde", "Tnde", "Tambient"),
 }
 

@@ -22,9 +22,10 @@ from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
-from gateway import calibration, foreign, inputs, said
+from gateway import calibration, foreign, inputs, plausibility, said
 from gateway._direct import Direct
 from gateway._inputs_kernels import look
+from gateway._plausibility_kernels import check_values
 from gateway._said_kernels import decide, tell, weigh
 from gateway.adhesion import AdhesionSide
 from gateway.bank import Bank
@@ -35,7 +36,7 @@ from gateway.decide import Timing
 from gateway.doubt import Doubt
 from gateway.health import REJECTED, Flag, GatewayState, Reason
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
-from gateway.motion import MotionSide, Timebase
+from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
 from gateway.outbox import Outbox
 from gateway.said import Which, Whole
 from gateway.slow import RPM
@@ -80,9 +81,13 @@ class Gateway:
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), config.loop.period_ns)
-        self.motion = MotionSide(
-            motors, config.estimator, _timing(self.inbox.drives), config.loop.period_ns
+        times = _timing(self.inbox.drives)
+        self.motion = MotionSide(motors, config.estimator, times, config.loop.period_ns)
+        self.plausibility = plausibility.start(len(nodes))
+        self.plausibility_limits = plausibility.limits(
+            motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND, SETTLED_READINGS
         )
+        self._check_values = Direct(check_values)
         self.inputs = inputs.inputs(len(nodes))
         self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
         cells = calibration.of(config)
@@ -174,9 +179,16 @@ class Gateway:
         """The rest of a step once the filters have been advanced."""
         inbox, inputs, told = self.inbox, self.inputs, self.bank.told
         self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
-        self.motion.settle(inputs.speed, self.bank.sensors, told)
+        believed = self.bank.believed
+        self._check_values(
+            inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
+            inbox.slow, now, believed.chords, believed.filters, told, self.motion.memory,
+            self.plausibility, self.plausibility_limits,
+        )  # fmt: skip
+        until_ns = self.plausibility.until_ns
+        self.motion.settle(inputs.speed, self.bank.sensors, until_ns, now, told)
         flag, since = self.flags.flag[Which.ADHESION], self.flags.since_ns[Which.ADHESION]
-        opinion = self.adhesion.judge(told, inbox.slow, inputs.commanded, flag, since, now)
+        opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
         return self.judged(opinion, now)
 
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
@@ -187,8 +199,8 @@ class Gateway:
         self.thermal.tell(now, self.temperature_limit_ns, self.findings)
         doubt = int(self.doubt.reason)
         self._weigh(
-            inputs, wrong, told, opinion.lost, opinion.known, self.findings, doubt, self.rules,
-            self.seen, self.why,
+            inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
+            self.findings, doubt, self.rules, self.seen, self.why,
         )  # fmt: skip
         changed = self._decide(self.seen, self.adhesion.severe, now, self.rules, self.flags)
         self.changed = changed or self._opinion is None

@@ -24,11 +24,12 @@ COASTING: Final = 0.05
 SHARE_FLOOR: Final = 0.2
 SHARE_UNKNOWN: Final = 0.1
 """A drive commanded less than a tenth of the others carries too little to be judged."""
-TRAIN_S: Final = 0.5
-"""Time constant of what counts as the train's own acceleration."""
-TRAIN_MOST: Final = 0.15
-"""Most of the rated torque that a rotor takes to accelerate with its train: an emergency brake of
-1.5 m/s^2 for the 350 kW motor, the rotor behind its gear included."""
+LEAST_LOAD: Final = 0.07
+MORE_LOAD: Final = 0.10
+"""Per unit of rated torque that drives carry in common, down to which, and from which on, they are
+compared: with less a lost wheel is as good as one that holds."""
+LOAD_TAU_S: Final = 0.2
+"""Time constant of that common load: noise must not decide."""
 ENOUGH_TO_COMPARE: Final = 2
 """Drives. With fewer a sudden loss is told by the rotor; with more, all of whose loads fall, it may
 be the train's, and the next commands decide."""
@@ -54,13 +55,17 @@ class Instant(NamedTuple):
 class Rotors(NamedTuple):
     """Rated torque and inertia, and what is remembered of each, (N,), NaN where nothing is.
 
-    slow_speed: the train's, as this rotor has it; speed, gain: of the tick before, for a drive that
-    is judged alone.
+    taken, load: what accelerates the rotor with its train, and what it carries in the train's
+    direction, per unit (`train`), rank: scratch; lost_ns: when its flag last said `AdhesionLost`,
+    `NEVER` before; speed, gain: of the tick before, for a drive that is judged alone.
     """
 
     rated: Array
     inertia: Array
-    slow_speed: Array
+    taken: Array
+    load: Array
+    rank: Array
+    lost_ns: Ints
     speed: Array
     gain: Array
 
@@ -68,11 +73,14 @@ class Rotors(NamedTuple):
 class Trust(NamedTuple):
     """known_ns (N,): since when each load is known; bad_ns (1,): when last any wheel was lost.
 
-    `NEVER` where it is not, or never was.
+    `NEVER` where it is not, or never was. loaded (1,): the drives carry enough to be compared;
+    common (1,): smoothed load that they carry in common, per unit, NaN where it is not known.
     """
 
     known_ns: Ints
     bad_ns: Ints
+    loaded: Flags
+    common: Array
 
 
 class Room(NamedTuple):
@@ -101,8 +109,9 @@ def rotors(motors: Sequence[Motor]) -> Rotors:
     """Nothing remembered."""
     n = len(motors)
     return Rotors(
-        np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
-        np.full(n, np.nan), np.full(n, np.nan), np.zeros(n),
+        np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]), np.zeros(n),
+        np.full(n, np.nan), np.zeros(n), np.full(n, NEVER, dtype=np.int64), np.full(n, np.nan),
+        np.zeros(n),
     )  # fmt: skip
 
 
@@ -120,7 +129,8 @@ def heard(n: int) -> Heard:
 
 def trust(n: int) -> Trust:
     """Nothing known yet, and nothing lost."""
-    return Trust(np.full(n, NEVER, dtype=np.int64), np.full(1, NEVER, dtype=np.int64))
+    known_ns, bad_ns = np.full(n, NEVER, dtype=np.int64), np.full(1, NEVER, dtype=np.int64)
+    return Trust(known_ns, bad_ns, np.zeros(1, dtype=np.bool_), np.full(1, np.nan))
 
 
 def room(n: int) -> Room:

@@ -158,11 +158,13 @@ class MotionSide:
         """
         self._read(readings, count, flux, self.memory, self.limits)
 
-    def settle(self, measured: Array, sensors: Unbalance, told: Told) -> Flags:
+    def settle(
+        self, measured: Array, sensors: Unbalance, until_ns: Ints, now: Nanos, told: Told
+    ) -> Flags:
         """Changes `told` to what is to be used; which drives' input cannot be what it seems, (N,).
 
         measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; sensors: who sees that
-        currents do not turn with a rotor that does.
+        currents do not turn with a rotor that does; until_ns (N,): see `plausibility`.
         """
-        self._settle(measured, sensors, told, self.memory, self.limits)
+        self._settle(measured, sensors, until_ns, now, told, self.memory, self.limits)
         return self.memory.wrong

@@ -30,7 +30,8 @@ class Count(IntEnum):
 class SlowState(NamedTuple):
     """Last good values, a row per drive; NaN until the first.
 
-    speed rad/s at the rotor; command and before (the one before that) Nm; irms A;
+    speed rad/s at the rotor; command and before (the one before that) Nm; irms A; operating: its
+    `State` is Operation, or it sends none;
     command_ns: stamp of the last; steady: it has hardly changed since the one before. came (2,):
     how many readings in this tick, and how much of anything.
     """
@@ -39,30 +40,36 @@ class SlowState(NamedTuple):
     command: Array
     before: Array
     irms: Array
+    operating: NDArray[np.bool_]
     command_ns: Ints
     steady: NDArray[np.bool_]
     came: Ints
 
 
 class Readings(NamedTuple):
-    """Measurements of one tick, in order of time: drive, stamp, speed rad/s, torque Nm; (R,)."""
+    """Measurements of one tick, in order of time, (R,).
+
+    drive, stamp, speed rad/s at the rotor, torque Nm, electrical angle rad, NaN where none is sent.
+    """
 
     drive: Ints
     t_ns: Ints
     speed: Array
     torque: Array
+    angle: Array
 
 
 def start(drives: int) -> SlowState:
     """Nothing received yet."""
     speed, command, before, irms = (np.full(drives, np.nan) for _ in range(4))
     return SlowState(
-        speed, command, before, irms, np.zeros(drives, dtype=np.int64),
-        np.ones(drives, dtype=np.bool_), np.zeros(len(Count), dtype=np.int64),
+        speed, command, before, irms, np.ones(drives, dtype=np.bool_),
+        np.zeros(drives, dtype=np.int64), np.ones(drives, dtype=np.bool_),
+        np.zeros(len(Count), dtype=np.int64),
     )  # fmt: skip
 
 
 def readings(rows: int) -> Readings:
     """Room for so many."""
     drive, t_ns = (np.zeros(rows, dtype=np.int64) for _ in range(2))
-    return Readings(drive, t_ns, np.zeros(rows), np.zeros(rows))
+    return Readings(drive, t_ns, np.zeros(rows), np.zeros(rows), np.zeros(rows))

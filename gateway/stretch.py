@@ -14,7 +14,7 @@ from dbc._tables import Tables
 from dbc.receive import Guard, Window
 from dbc.sending import Form
 from estimators.detect import reference, response
-from gateway import loads, motion, sources, tracks
+from gateway import loads, motion, plausibility, sources, tracks, train
 from gateway.channel import ChannelState
 from gateway.inputs import Inputs, Places
 from gateway.pairing import PairState, Samples, Wiring
@@ -65,6 +65,8 @@ class Filtering(NamedTuple):
     room: tracks.Room
     motion: motion.Memory
     limits: motion.Limits
+    check: plausibility.Plausibility
+    check_limits: plausibility.PlausibilityLimits
 
 
 class Judging(NamedTuple):
@@ -77,6 +79,7 @@ class Judging(NamedTuple):
     since_ns: Ints
     tick_s: float
     rotors: loads.Rotors
+    train: train.Train
     reference: reference.Reference
     response: response.Memory
     passing: float

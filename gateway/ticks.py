@@ -147,7 +147,7 @@ class Ticks:
             return done + 1, [*out, block_of(last)]
         if left.stage == FILTERED:
             gateway.doubt.tick(at, 0)
-            inbox.motions = left.motions
+            inbox.motions, inbox.samples = left.motions, inbox.room.first(left.samples)
             gateway.bank.begin(gateway.inputs.cause, gateway.inputs.fresh)
             return done + 1, [*out, block_of(gateway.estimated(at))]
         return done, out
@@ -176,7 +176,7 @@ class Ticks:
         bank, motion = self.gateway.bank, self.gateway.motion
         return Filtering(
             self.gateway.inputs, bank.believed, bank.constants, bank.room, motion.memory,
-            motion.limits,
+            motion.limits, self.gateway.plausibility, self.gateway.plausibility_limits,
         )  # fmt: skip
 
     def _judging(self) -> Judging:
@@ -184,8 +184,8 @@ class Ticks:
         side, flags = self.gateway.adhesion, self.gateway.flags
         return Judging(
             flags.flag[Which.ADHESION], flags.since_ns[Which.ADHESION], side.tick_s, side.rotors,
-            side.reference, side.response, PASSING, SEVERE, SEVERE_SPREADS, side.at, side.heard,
-            side.trust, side.room, side.rules, side.mode, self._detector.table,
+            side.train, side.reference, side.response, PASSING, SEVERE, SEVERE_SPREADS, side.at,
+            side.heard, side.trust, side.room, side.rules, side.mode, self._detector.table,
             self._detector.sweeps, self._lost, self._known, self._rough, side.learn_ns, LEARN_NS,
             SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip

@@ -178,7 +178,7 @@ def judge_few(
     return common
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def judge(
     load: Array, spread: Array, usable: Flags, priors: Array, sweeps: int, lost: Array
 ) -> float:
@@ -213,7 +213,7 @@ def _best_start(
     return common
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def best_start(x: Array, variance: float, priors: Array, sweeps: int, r1: Array) -> float:
     """Start at every load in turn; keep the highest lower bound.
 

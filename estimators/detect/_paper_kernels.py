@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 LOG_2PI = math.log(2.0 * math.pi)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _entropy(r1: Array) -> float:
     total = 0.0
     for p in r1:
@@ -28,7 +28,7 @@ def _entropy(r1: Array) -> float:
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _beta_divergence(alpha: Array, prior: Array) -> float:
     """KL of a beta factor from its prior, both as (2,)."""
     total = alpha[0] + alpha[1]

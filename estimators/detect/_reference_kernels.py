@@ -38,6 +38,7 @@ _FOR_GOOD_S = response.FOR_GOOD_S
 _STEADY = response.STEADY
 _CERTAINLY_GOOD = response.CERTAINLY_GOOD
 _VETOED = response.VETOED
+_SURE = response.SURE
 _SQRT_HALF = 1.0 / math.sqrt(2.0)
 
 
@@ -153,7 +154,6 @@ def respond(
         low = min(command, before, ahead)
         high = max(command, before, ahead)
         least = min(abs(command), abs(before), abs(ahead)) if low > 0.0 or high < 0.0 else 0.0
-        coasting = max(-low, high) < _LEAST_COMMAND
         x = heard.load[i]
         p = 0.0
         sign = 1.0 if command > 0.0 else -1.0
@@ -168,7 +168,7 @@ def respond(
         memory.since_s[i] = memory.since_s[i] + more if p > _CLEAR else 0.0
         if p > _OPEN and not heard.age_s[i] + _LAG_S + dt <= memory.since_s[i]:
             p = _OPEN
-        meant[i] = heard.usable[i] and (least >= _LEAST_COMMAND or coasting)
+        meant[i] = heard.usable[i] and least >= _LEAST_COMMAND
         lost[i] = p if meant[i] else _OPEN
 
 
@@ -207,14 +207,22 @@ def learn_response(
 
 
 @lean
+def coasts(i: int, heard: response.Heard) -> bool:
+    """`response.coasting` of drive i."""
+    command, before = heard.command[i], heard.before[i]
+    return bool(max(abs(command), abs(before), abs(2.0 * command - before)) < _LEAST_COMMAND)
+
+
+@lean
 def fuse(
-    lost: Array, known: Flags, alone: Array, heard: Flags, meant: Flags, out: Array, told: Flags
-) -> None:
+    lost: Array, known: Flags, alone: Array, heard: response.Heard, meant: Flags, out: Array,
+    told: Flags,
+) -> None:  # fmt: skip
     """`response.fuse`; fills out and told (N,)."""
     for i in range(lost.shape[0]):
         both = lost[i]
         if meant[i]:
-            kept = min(both, _VETOED) if alone[i] < _CERTAINLY_GOOD else both
-            both = max(kept, alone[i])
+            outvoted = alone[i] < _CERTAINLY_GOOD and both <= _SURE
+            both = max(min(both, _VETOED) if outvoted else both, alone[i])
         out[i] = both if known[i] else alone[i]
-        told[i] = known[i] or heard[i]
+        told[i] = known[i] or (heard.usable[i] and not coasts(i, heard))

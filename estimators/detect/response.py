@@ -31,7 +31,7 @@ Flags = NDArray[np.bool_]
 THRESHOLD: Final = 0.12
 """Share of the command that must be missing."""
 LEAST_COMMAND: Final = 0.1
-"""Per unit of rated torque; a coasting wheel carries nothing that could be missing."""
+"""Per unit of rated torque; with less, a wheel carries nothing that could be missing."""
 OPEN: Final = 0.7
 """Probability while it is not known whether the command has changed: no flag changes at it."""
 CLEAR: Final = 0.9
@@ -49,9 +49,11 @@ LAG_S: Final = 0.01
 STEADY: Final = 0.05
 """Commands that differ by less may be learnt from."""
 CERTAINLY_GOOD: Final = 0.05
-"""Response that no comparison can outvote."""
+"""Response that outvotes a comparison, unless that is sure."""
 VETOED: Final = 0.4
 """What is left of an accusation that the drive's own response contradicts: not enough to raise."""
+SURE: Final = 0.99
+"""A comparison that nothing outvotes."""
 
 
 class Heard(NamedTuple):
@@ -86,14 +88,13 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
     """What every drive's response says, `dt` s after the last call.
 
     Gives the (N,) probabilities that a wheel does not carry its command, and where they mean
-    something: not while the command is on its way through zero (`OPEN` there).
+    something: not while it coasts, or the command is on its way through zero (`OPEN` there).
     """
     load = memory.reference.referred(heard.load)
     # Between two messages the command may have been anywhere on its way, or further along it.
     ways = np.stack([heard.command, heard.before, 2.0 * heard.command - heard.before])
     one_sign = np.all(ways > 0.0, axis=0) | np.all(ways < 0.0, axis=0)
     least = np.where(one_sign, np.abs(ways).min(axis=0), 0.0)
-    coasting = np.abs(ways).max(axis=0) < LEAST_COMMAND
     missing = least * (1.0 - THRESHOLD) - load * np.sign(heard.command)
     sigma = memory.reference.sigma(heard.load)
     lost = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (missing / sigma).tolist()])
@@ -106,7 +107,7 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
     # Seen first in this tick: it may be a tick old, and the filter's lag older.
     confirmed = heard.age_s + LAG_S + dt <= since
     lost = np.where((lost > OPEN) & ~confirmed, OPEN, lost)
-    meant = heard.usable & ((least >= LEAST_COMMAND) | coasting)
+    meant = heard.usable & (least >= LEAST_COMMAND)
     return Memory(memory.reference, since), np.where(meant, lost, OPEN), meant
 
 
@@ -125,14 +126,23 @@ def learn(memory: Memory, heard: Heard, healthy: Flags, dt: float) -> Memory:
     return memory._replace(reference=learnt)
 
 
-def fuse(opinion: Opinion, alone: Array, heard: Flags, meant: Flags) -> Opinion:
+def coasting(heard: Heard) -> Flags:
+    """(N,) whether a drive is asked for nothing that could be missing, now and between messages."""
+    ways = np.stack([heard.command, heard.before, 2.0 * heard.command - heard.before])
+    coasts: Flags = np.abs(ways).max(axis=0) < LEAST_COMMAND
+    return coasts
+
+
+def fuse(opinion: Opinion, alone: Array, heard: Heard, meant: Flags) -> Opinion:
     """Comparison between drives, and each drive's own response to its command.
 
     Either may accuse a drive; a drive that certainly answers its command is accused by no
-    comparison, which may have taken a slipping majority, or one that reads too much, for normal.
-    Without a command, or other drives, there is only one of the two. alone, meant: of `respond`;
-    heard: `Heard.usable`; all (N,).
+    comparison that is not `SURE`: it may have taken a slipping majority, or one that reads too
+    much, for normal. Without a command, or other drives, there is only one of the two; a drive that
+    coasts is judged by the comparison alone. alone, meant (N,): of `respond`.
     """
-    vetoed = np.where(alone < CERTAINLY_GOOD, np.minimum(opinion.lost, VETOED), opinion.lost)
+    outvoted = (alone < CERTAINLY_GOOD) & (opinion.lost <= SURE)
+    vetoed = np.where(outvoted, np.minimum(opinion.lost, VETOED), opinion.lost)
     both = np.where(meant, np.maximum(vetoed, alone), opinion.lost)
-    return Opinion(np.where(opinion.known, both, alone), opinion.known | heard, opinion.common)
+    known = opinion.known | (heard.usable & ~coasting(heard))
+    return Opinion(np.where(opinion.known, both, alone), known, opinion.common)

@@ -12,7 +12,7 @@ SLOPE = 0.0039
 REFERENCE = 60.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def step(p: Array, square: float, speed: float, ambient: float, extra: Array, dt: float, x: Array
          ) -> None:  # fmt: skip
     """One step of one motor, x (5,) in place; linear parts implicit, so that any dt is stable."""
@@ -37,7 +37,7 @@ def step(p: Array, square: float, speed: float, ambient: float, extra: Array, dt
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def coupling(p: Array, square: float, speed: float, a: Array) -> None:
     """Fill a (5, 5) 1/s: how fast deviations of the lumps change; see `heat.coupling`."""
     a[:] = 0.0
@@ -48,7 +48,7 @@ def coupling(p: Array, square: float, speed: float, a: Array) -> None:
     a[4, 2], a[4, 4] = p[12], -p[12] - p[14]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def simulate(
     parameters: Array,
     square: Array,

@@ -27,20 +27,20 @@ _UNSURE = 0.15
 """Share by which a signature may be off: sizes are tried in steps of 1.4, and models err."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _tails(x: float, nu: float) -> float:
     """Log density of Student's t up to a constant, unit scale."""
     return -0.5 * (nu + 1.0) * math.log1p(x * x / nu)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _unsure(x: float, mean: float, nu: float) -> float:
     """The same around a mean that is known to `_UNSURE` of itself."""
     scale = math.sqrt(1.0 + (_UNSURE * mean) ** 2)
     return _tails((x - mean) / scale, nu) - math.log(scale)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _whitened(
     z: Array, white: Array, share: Array, shapes: Array, sizes: Array, nu: float, out: Array
 ) -> None:
@@ -70,7 +70,7 @@ def _whitened(
             n += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _marginal(
     z: Array, sigma: Array, share: Array, shapes: Array, sizes: Array, nu: float, out: Array
 ) -> None:
@@ -91,7 +91,7 @@ def _marginal(
                 n += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _own(z: Array, white: Array, q: int) -> tuple[float, float]:
     """Point q's deviation from what the other two make likely, and its standard deviation."""
     total, precision = 0.0, 0.0
@@ -104,7 +104,7 @@ def _own(z: Array, white: Array, q: int) -> tuple[float, float]:
     return total / precision, 1.0 / math.sqrt(precision)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _loose(z: float, sigma: float, nu: float, share: float, most_k: float) -> float:
     """Log likelihood ratio of a loose connector's reading to a good one; readings count in full."""
     if not math.isfinite(z):
@@ -114,19 +114,19 @@ def _loose(z: float, sigma: float, nu: float, share: float, most_k: float) -> fl
     return math.log((1.0 - share) * good + share / (2.0 * most_k)) - math.log(max(good, 1e-300))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _kind_of(g: int) -> int:
     """A sensor's two signs are one kind."""
     return g if g < _HEAT else _HEAT + (g - _HEAT) // 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _faulty(g: int, size: float, limit: float) -> bool:
     """A motor that is cooler than the model has no fault; a sensor's error has either sign."""
     return size >= limit or (g >= _HEAT and -size >= limit)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> None:
     """One step of the Markov chain: (S,) probabilities before, after."""
     begin, end, growth, often = rates[0], rates[1], rates[2], rates[6]
@@ -155,7 +155,7 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
         out[0] += (rates[8] - end) * now[n]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def references(u: Array, trusted: Flags, out: Array) -> None:
     """Fill out (M, 3): per motor and point the median of u (M, 3) over the other motors.
 
@@ -204,7 +204,7 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
                     out[m, q] = above if abs(above) < abs(below) else below
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def compare(residual: Array, rate: float, out: Array) -> None:
     """Fill out (K, M, 3): fault-free residuals as `sweep` would look at them, baselines learnt."""
     samples, motors, _ = residual.shape
@@ -222,7 +222,7 @@ def compare(residual: Array, rate: float, out: Array) -> None:
                     baseline[m, q] += rate * off
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sweep(
     z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
     benign: Array, rates: Array, kind: Array, size: Array, rise: Array,
@@ -262,7 +262,7 @@ def sweep(
                     baseline[m, q] += rates[7] * calm * min(max(off[q], -most), most)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _judge(
     p: Array, off: Array, sigma: Array, white: Array, share: Array, shapes: Array,
     sizes: Array, benign: Array, rates: Array, held: int, kind: Array,
@@ -290,7 +290,7 @@ def _judge(
     _tell(p, sizes, benign, held, kind)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None:
     """Probabilities of the kinds, benign sizes left out: heat, sensors, loose connectors.
 
@@ -308,7 +308,7 @@ def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None
         kind[_HEAT + _POINTS + q] = p[1 + (_HEAT + 2 * _POINTS) * count + q]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _mean_sizes(p: Array, sizes: Array) -> tuple[float, float]:
     """K: of the faults that have a size, without sign; of sensors alone, + where they read high.
 

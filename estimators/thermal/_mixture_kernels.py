@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def expect_maximise(x: Array, iterations: int, floor: float, out: Array) -> None:
     """EM from spread quantiles of x (N,); out (3, n): weights, means (ascending), variances."""
     count, n = x.shape[0], out.shape[1]

@@ -32,7 +32,7 @@ _OUTLYING = 0.01
 """Share of blocks that are not what they seem."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _response(rates: Array, dt: float, fade: Array, gain: Array) -> None:
     """What is left after dt s of deviations, and what a steady heat of 1 K/s has made of them.
 
@@ -57,7 +57,7 @@ def _response(rates: Array, dt: float, fade: Array, gain: Array) -> None:
     fade[:], gain[:] = power, total
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _mix(
     mode: Array, mean: Array, cov: Array, begin: float, end: float, sizes: Array,
     weight: Array, mean_out: Array, cov_out: Array,
@@ -90,7 +90,7 @@ def _mix(
         cov_out[g, RATE, RATE] += new * sizes[g, CREEP] ** 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> float:
     """Kalman update by the readings y (3,) that there are, robust; log likelihood of them.
 
@@ -135,14 +135,14 @@ def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> 
     return says
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _warmer(x: Array, p: Array) -> float:
     """Log probability that the size is above 0."""
     below = -x[SIZE] / math.sqrt(2.0 * max(p[SIZE, SIZE], 1e-9))
     return math.log(max(0.5 * math.erfc(below), _LEAST))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def advance(
     mode: Array, mean: Array, cov: Array, y: Array, rates: Array, pushes: Array, heats: Array,
     rise: float, dt: float, sigma: Array, odds: Array, sizes: Array, noise: float, held: bool,
@@ -208,7 +208,7 @@ def advance(
     return float(top + math.log(total))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _warm(x: Array, p: Array, shown: float) -> float:
     """Probability that the reading that shows most is `shown` K too warm."""
     most = 0.0
@@ -218,7 +218,7 @@ def _warm(x: Array, p: Array, shown: float) -> float:
     return most
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tell(mode: Array, mean: Array, cov: Array, limits: Array, shown: float, kind: Array) -> float:
     """Fill kind (8,): probability of every kind with a size beyond its limit; the likely size K.
 

@@ -32,7 +32,7 @@ _SUREST = 0.95
 """Of a loose connector: it has to be forgotten when it is mended."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def begin(p: Array, reading: Array, speed: float, ambient: float, x: Array) -> bool:
     """Lumps x (5,) of a motor with readings (3,), NaN without. False: none at all.
 
@@ -59,7 +59,7 @@ def begin(p: Array, reading: Array, speed: float, ambient: float, x: Array) -> b
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def forget(mode: Array, mean: Array, cov: Array, sigma: Array, sizes: Array) -> None:
     """Filters of a motor that has just begun: nothing is wrong, little is known."""
     mode[:], mean[:], cov[:] = 1e-30, 0.0, 0.0
@@ -73,7 +73,7 @@ def forget(mode: Array, mean: Array, cov: Array, sigma: Array, sizes: Array) -> 
         cov[g, models.RATE, models.RATE] = sizes[g, models.CREEP] ** 2
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def clear(
     m: int, sigma: Array, sizes: Array, ring: Array, jumps: Array, block: Array, raw: Array,
     sums: Array, mode: Array, mean: Array, cov: Array, base: Array, burst: Array, loose: Array,
@@ -89,7 +89,7 @@ def clear(
         steps.start(jumps[m, q])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sample(
     p: Array, reading: Array, square: float, speed: float, ambient: float, dt: float, centre: Array,
     x: Array, sums: Array, ring: Array, jumps: Array, block: Array, raw: Array, at: int,
@@ -116,7 +116,7 @@ def _sample(
         block[q, at] = residual - jumps[q, steps.OFF] if settled else math.nan
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def samples(
     parameters: Array, centre: Array, reading: Array, square: Array, speed: Array, ambient: Array,
     dt: float, hole_s: float, begun: Flags, unknown_s: Array, lumps: Array, half: Array,
@@ -147,7 +147,7 @@ def samples(
             )  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _middle(values: Array, store: Array) -> tuple[float, int]:
     """Median of the numbers in values, NaN of less than a third; how many, first in store."""
     n = 0
@@ -158,7 +158,7 @@ def _middle(values: Array, store: Array) -> tuple[float, int]:
     return (float(np.median(store[:n])) if 3 * n >= len(values) else math.nan), n
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bursts(x: Array, count: int, middle: float, far: float, burst: Array) -> tuple[int, int]:
     """Readings x[:count] of a block that are in bursts, and those that are not.
 
@@ -182,7 +182,7 @@ def _bursts(x: Array, count: int, middle: float, far: float, burst: Array) -> tu
     return odd, count - first - inner - last
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def close(
     block: Array, raw: Array, noise: Array, bursts: Array, base: Array, held: Flags, burst: Array,
     odds: Array, middle: Array, off: Array, before: Flags, shift: Array,
@@ -219,7 +219,7 @@ def close(
     before[:] = trusted
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def directions(p: Array, inputs: Array, unit: Array, rates: Array, pushes: Array, heats: Array
                ) -> float:  # fmt: skip
     """What the mean inputs of a block make of disturbances and faults; returns the frame's rise K.
@@ -248,7 +248,7 @@ def directions(p: Array, inputs: Array, unit: Array, rates: Array, pushes: Array
     return float(rise)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def judge(
     p: Array, inputs: Array, unit: Array, off: Array, bursts: Array, dt: float, sigma: Array,
     odds: Array, sizes: Array, noise: float, limits: Array, shown: float, loose_odds: Array,
@@ -294,7 +294,7 @@ def judge(
     return size, says, ill, held
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def likely(
     parameters: Array, inputs: Array, unit: Array, off: Array, dt: float, sigma: Array, odds: Array,
     sizes: Array, noise: Array,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gateway import _adhesion_kernels as kernels
+from gateway import _train_kernels, inputs, said, slow, tracks
 from gateway import adhesion as module
-from gateway import said, slow, tracks
 from gateway.adhesion import AdhesionSide
 from gateway.config import BENCH_MOTOR, Adhesion
 from gateway.decide import Timing
@@ -41,14 +41,16 @@ def course(seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_loops_equal_themselves_uncompiled(seed, monkeypatch):
     made, met = [], set()
-    names = ("compare", "conclude", "teach")
+    names = ("compare", "conclude", "teach", "assess_train")
     for how in (lambda kernel: kernel, lambda kernel: kernel.py_func):
         for name in names:
-            monkeypatch.setattr(module, name, how(getattr(kernels, name)))
+            kernel = getattr(kernels, name, None) or getattr(_train_kernels, name)
+            monkeypatch.setattr(module, name, how(kernel))
         side, flags, out = AdhesionSide(Adhesion(), [BENCH_MOTOR] * N, RULES, TICK), None, []
         flags = said.flags(N, 0)
         for told, sent, fresh, now in course(seed):
-            opinion = side.judge(told, sent, fresh, flags.flag[0], flags.since_ns[0], now)
+            come = inputs.inputs(N)._replace(commanded=fresh.copy(), speed=told.speed.copy())
+            opinion = side.judge(told, sent, come, flags.flag[0], flags.since_ns[0], now)
             lost = opinion.known & (opinion.lost > 0.7)
             flag = np.where(lost, Flag.BAD, np.where(opinion.known, Flag.GOOD, Flag.UNKNOWN))
             flags.since_ns[0][flags.flag[0] != flag] = now

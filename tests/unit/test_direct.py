@@ -12,7 +12,7 @@ from tests.storm.campaign import FD_SEEDS, weather
 CORE = {
     "take_block", "settle", "busy_s", "look", "tell",
     "observe_motion", "merge_motion", "compare", "conclude", "teach", "hear", "advance", "report",
-    "weigh", "decide", "send",
+    "weigh", "decide", "send", "check_values", "assess_train",
 }  # fmt: skip
 FILTERS = {"advance_ekf", "advance_ukf"}
 

@@ -69,7 +69,7 @@ def tick(motion, *rows, flux=1.0):
     """Readings: drive, stamp, speed, torque."""
     given = readings(8)
     for k, row in enumerate(rows):
-        for column, value in zip(given, row, strict=True):
+        for column, value in zip(given, (*row, math.nan), strict=True):
             column[k] = value
     motion.take(given, len(rows), np.full(len(motion.memory.load), flux))
 
@@ -85,7 +85,7 @@ def merged(motion, estimates, speeds):
             math.nan if x is None else x for x in numbers
         )
     measured = np.array([math.nan if w is None else w for w in speeds])
-    motion.settle(measured, unbalance.start(n), said)
+    motion.settle(measured, unbalance.start(n), np.zeros(n, dtype=np.int64), 0, said)
     return estimates_of(said)
 
 

@@ -101,12 +101,12 @@ def test_the_loops_are_the_same_functions_uncompiled(seed):
         for tick in range(60):
             told, found, come = drawn(rng)
             lost, known = rng.choice(NUMBERS, N), rng.random(N) < 0.8
-            wrong, severe = rng.random((2, N)) < 0.2
+            wrong, uncertain, severe = rng.random((3, N)) < 0.2
             doubt = int(rng.choice([Reason.NONE, Reason.NONE, Reason.SEQUENCE, Reason.INTRUDER]))
             sample_ns = rng.choice([-1, 3, 9], N)
             silent, overrun = (bool(x) for x in rng.random(2) < 0.2)
             now = 100 + tick * TICK
-            weigh(come, wrong, told, lost, known, found, doubt, RULES, seen, why)
+            weigh(come, wrong, uncertain, told, lost, known, found, doubt, RULES, seen, why)
             changed = decide(seen, severe, now, RULES, flags)
             tell(seen, why, now, flags, come, told, lost, known, found, sample_ns, doubt,
                  np.array([[tick % 3]]),                 silent, overrun, words)  # fmt: skip

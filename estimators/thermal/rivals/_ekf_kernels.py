@@ -17,7 +17,7 @@ _FACTOR = 2.0
 """Logarithm of the factor within which the coefficients of a machine stay."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gap(
     loss: float, heat: Array, share: float, speed_square: Array, air: Array, step_s: float
 ) -> tuple[float, float, float]:
@@ -34,7 +34,7 @@ def _gap(
     return decay, warmed * (1.0 - keep) / loss, aired * (1.0 - keep)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def sweep(
     reading: Array, at: Ints, square: Array, speed_square: Array, air: Array, step_s: float,
     model: Array, step: float, doubt: float, out: Array,

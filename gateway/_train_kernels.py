@@ -1,0 +1,198 @@
+"""Compiled side of `train`: loops over drives, so each is its own twin."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._lean import inlined, lean
+from gateway import train as t
+
+if TYPE_CHECKING:
+    from gateway.slow import SlowState
+    from gateway.tracks import Told
+    from gateway.train import Train
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+_UNKNOWN, _TRACKING, _INPUT_INVALID = 0, 2, 5  # Health
+_RANGE, _NOT_AVAILABLE = 5, 6  # Reason
+_GOOD, _BAD = 1, 2  # Flag
+_ACCELERATION_TAU_S, _MOST_TORQUE = t.ACCELERATION_TAU_S, t.MOST_ACCELERATION_TORQUE
+_SINGLE_CREDIT, _LEAST_SPEED = t.SINGLE_CREDIT, t.LEAST_SPEED_RAD_S
+_MOST_CREEP, _LEARN_CREEP = t.MOST_CREEP, t.LEARN_CREEP
+_DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
+_DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
+_UNCOMMANDED, _UNCOMMANDED_RELATIVE = t.UNCOMMANDED, t.UNCOMMANDED_RELATIVE
+_COMMAND_LATE_S, _ODD_S, _MOST_COMMAND = t.COMMAND_LATE_S, t.ODD_S, t.MOST_COMMAND
+_FACTOR, _FACTOR_FLOOR = t.FACTOR, t.FACTOR_FLOOR
+_LOAD_NEAR, _LOAD_NEAR_FLOOR = t.LOAD_NEAR, t.LOAD_NEAR_FLOOR
+
+
+@inlined
+def insert(x: float, count: int, rank: Array) -> None:
+    """One more number into the ascending first `count` of rank."""
+    place = count
+    while place > 0 and rank[place - 1] > x:
+        rank[place] = rank[place - 1]
+        place -= 1
+    rank[place] = x
+
+
+@inlined
+def middle(count: int, upper: bool, rank: Array) -> float:
+    """Median of the first `count`; of an even number the upper or the lower of the two."""
+    if count == 0:
+        return math.nan
+    return float(rank[count // 2 if upper else (count - 1) // 2])
+
+
+@inlined
+def _without(k: int, values: Array, alike: Ints, upper: bool, rank: Array) -> float:
+    """Median of the other drives' values, of those alike; NaN without any."""
+    count = 0
+    for j in range(values.shape[0]):
+        if j != k and alike[j] == alike[k] and not math.isnan(values[j]):
+            insert(values[j], count, rank)
+            count += 1
+    return middle(count, upper, rank)  # type: ignore[no-any-return,unused-ignore]
+
+
+@inlined
+def _note(measured: Array, told: Told, train: Train) -> float:
+    """Speeds and loads of this tick; the train's load, in its direction."""
+    total = 0.0
+    for k in range(measured.shape[0]):
+        tracking = told.health[k] == _TRACKING
+        speed = told.speed[k] if tracking else measured[k]
+        train.speed[k] = speed
+        train.load[k] = math.nan
+        if tracking:
+            train.load[k] = math.copysign(1.0, speed) * told.load[k] / train.rated[k]
+            total += train.load[k]
+    return total
+
+
+@inlined
+def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
+    """What every rotor takes to follow the median of all, per unit of its rated torque."""
+    count = 0
+    for k in range(train.speed.shape[0]):
+        speed = train.speed[k]
+        if math.isnan(speed):
+            train.slow_speed[k] = math.nan
+            continue
+        slow = speed if math.isnan(train.slow_speed[k]) else train.slow_speed[k]
+        train.slow_speed[k] = slow + tick_s / _ACCELERATION_TAU_S * (speed - slow)
+        if abs(slow) >= _LEAST_SPEED:
+            # Relative, so that it is the same for all diameters and gears.
+            insert((speed - slow) / _ACCELERATION_TAU_S / slow, count, train.rank)
+            count += 1
+    rate = middle(count, braking, train.rank)
+    for k in range(train.speed.shape[0]):
+        torque = train.inertia[k] * rate * train.slow_speed[k] / train.rated[k]
+        if math.isnan(torque):
+            torque = 0.0
+        train.taken[k] = min(max(torque, -_MOST_TORQUE), _MOST_TORQUE)
+        train.uncertain[k] = count < 2 and abs(train.taken[k]) > _SINGLE_CREDIT
+
+
+@inlined
+def _compare_speeds(tick_s: float, braking: bool, flag: Ints, train: Train) -> None:
+    """Who turns faster or slower than the others; learns diameters while nobody slips."""
+    lost = False
+    for k in range(flag.shape[0]):
+        lost = lost or flag[k] == _BAD
+        train.speed[k] = abs(train.speed[k]) / train.diameter[k]
+    for k in range(flag.shape[0]):
+        others = _without(k, train.speed, train.motor, braking, train.rank)
+        train.creep[k] = math.nan
+        if not others >= _LEAST_SPEED or math.isnan(train.speed[k]):
+            continue
+        creep = train.speed[k] / others - 1.0
+        train.creep[k] = creep
+        train.uncertain[k] = train.uncertain[k] or abs(creep) > _MOST_CREEP
+    for k in range(flag.shape[0]):
+        settled = train.learnt_s[k] >= _DIAMETER_FIRST_S
+        near = _LEARN_CREEP if settled else _MOST_DIAMETER + _LEARN_CREEP
+        if lost or flag[k] != _GOOD or not abs(train.creep[k]) <= near:
+            continue
+        wanted = train.diameter[k] * (1.0 + train.creep[k])
+        wanted = min(max(wanted, 1.0 - _MOST_DIAMETER), 1.0 + _MOST_DIAMETER)
+        train.learnt_s[k] += tick_s
+        tau = min(max(train.learnt_s[k], 10.0 * tick_s), _DIAMETER_TAU_S)
+        train.diameter[k] += tick_s / tau * (wanted - train.diameter[k])
+
+
+@inlined
+def _uncommanded(k: int, tick_s: float, slow: SlowState, told: Told, train: Train) -> bool:
+    """Whether drive k has carried what it was not asked for, for too long."""
+    load = told.load[k] / train.rated[k] + train.taken[k]
+    sign = 1.0 if load >= 0.0 else -1.0
+    asked = max(sign * slow.command[k], sign * slow.before[k], 0.0) / train.rated[k]
+    beyond = sign * load - asked > _UNCOMMANDED + _UNCOMMANDED_RELATIVE * asked
+    train.uncommanded_s[k] = train.uncommanded_s[k] + tick_s if beyond else 0.0
+    return bool(train.uncommanded_s[k] > _COMMAND_LATE_S)
+
+
+@inlined
+def _odd_command(k: int, tick_s: float, slow: SlowState, commanded: Flags, train: Train) -> bool:
+    """Whether drive k's command is far from the others' although its load is like theirs."""
+    own = abs(slow.command[k]) / train.rated[k]
+    if own > _MOST_COMMAND:
+        return True
+    commands = loads = 0
+    for j in range(commanded.shape[0]):
+        if j != k and commanded[j]:
+            insert(abs(slow.command[j]) / train.rated[j], commands, train.rank)
+            commands += 1
+    others = middle(commands, False, train.rank)
+    for j in range(commanded.shape[0]):
+        if j != k and not math.isnan(train.load[j]):
+            insert(train.load[j], loads, train.rank)
+            loads += 1
+    load = middle(loads, False, train.rank)
+    # Written so that what is not known is not odd.
+    far = own > _FACTOR * others + _FACTOR_FLOOR or own < others / _FACTOR - _FACTOR_FLOOR
+    near = abs(train.load[k] - load) <= _LOAD_NEAR * abs(load) + _LOAD_NEAR_FLOOR
+    train.odd_s[k] = train.odd_s[k] + tick_s if far and near else 0.0
+    return bool(train.odd_s[k] > _ODD_S)
+
+
+@inlined
+def _unjudged(k: int, health: int, reason: int, told: Told) -> None:
+    told.health[k], told.reason[k] = health, reason
+    told.speed[k] = told.load[k] = told.sigma[k] = told.nis[k] = math.nan
+
+
+@lean
+def assess_train(
+    measured: Array, commanded: Flags, slow: SlowState, flag: Ints, tick_s: float, told: Told,
+    train: Train,
+) -> None:  # fmt: skip
+    """Once a tick, after the estimates and before they are compared; see `train`.
+
+    measured (N,): rotor speeds of fresh `Motion`, rad/s, NaN without; flag (N,): adhesion flags so
+    far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
+    are not judged.
+    """
+    braking = _note(measured, told, train) < 0.0
+    _accelerate(tick_s, braking, train)
+    _compare_speeds(tick_s, braking, flag, train)
+    for k in range(flag.shape[0]):
+        if not commanded[k] or told.health[k] != _TRACKING:
+            train.uncommanded_s[k] = 0.0
+        elif slow.operating[k] and _uncommanded(k, tick_s, slow, told, train):
+            commanded[k] = False
+            _unjudged(k, _INPUT_INVALID, _RANGE, told)
+    for k in range(flag.shape[0]):
+        train.odd[k] = commanded[k] and _odd_command(k, tick_s, slow, commanded, train)
+    for k in range(flag.shape[0]):
+        commanded[k] = commanded[k] and not train.odd[k]
+        if not slow.operating[k] and told.health[k] != _INPUT_INVALID:
+            _unjudged(k, _UNKNOWN, _NOT_AVAILABLE, told)

@@ -1,0 +1,100 @@
+"""The train as all its rotors and commands show it together, before any drive is judged.
+
+- **Acceleration**: that of the median rotor, never of the wheel that is judged; of two the slower
+  in traction, the faster in braking. A load is credited with what its own rotor takes of it.
+- **Speed**: a rotor more than `MOST_CREEP` from the median of the others is never `Adhering`. Wheel
+  diameters are learnt, to within `MOST_DIAMETER`.
+- **Commands**: a load that no command asks for, and a command far from all others' beside a load
+  that is not, are errors of the `Status` message: no loss follows from them, and no health.
+- **State**: a drive that is not in Operation is not judged.
+
+May know: numbers. May not know: frames, clocks. Not in paper `adhesion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.config import Motor
+
+ACCELERATION_TAU_S: Final = 0.5
+"""Time constant of a rotor's acceleration."""
+MOST_ACCELERATION_TORQUE: Final = 0.15
+"""Per unit of rated torque: an emergency brake of 1.5 m/s^2 for the 350 kW motor, the wheelset
+behind its gear included."""
+SINGLE_CREDIT: Final = 0.05
+"""Per unit of rated torque: a drive without others that accelerates by more may be running away."""
+LEAST_SPEED_RAD_S: Final = 3.0
+"""At the rotor; below it a share of the speed says nothing."""
+MOST_CREEP: Final = 0.08
+"""Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
+LEARN_CREEP: Final = 0.03
+"""Diameters are learnt while a rotor is no further than this from where it is expected."""
+DIAMETER_FIRST_S: Final = 3.0
+"""Of adhering; until then any diameter is expected."""
+DIAMETER_TAU_S: Final = 60.0
+"""Then so slowly: a slip that grows over seconds is no diameter."""
+MOST_DIAMETER: Final = 0.06
+UNCOMMANDED: Final = 0.12
+UNCOMMANDED_RELATIVE: Final = 0.15
+"""A load beyond the command, per unit of rated torque and of the command, that no motor data off
+their sheet explain."""
+COMMAND_LATE_S: Final = 0.3
+"""For so long: a command is up to 0.1 s old, and a drive follows it with a ramp of its own."""
+FACTOR: Final = 2.0
+FACTOR_FLOOR: Final = 0.1
+"""A command is odd beyond this factor from the median of the others and 0.1 of rated torque."""
+LOAD_NEAR: Final = 0.25
+LOAD_NEAR_FLOOR: Final = 0.05
+"""While its load is this near to the median of the others: relative, per unit of rated torque."""
+ODD_S: Final = 0.15
+MOST_COMMAND: Final = 3.0
+"""Per unit of rated torque; no drive delivers more."""
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+
+class Train(NamedTuple):
+    """Memory of N drives, (N,), NaN where a number is not known.
+
+    rated Nm, inertia kg m2, motor: which of them are equal; slow_speed: smoothed speed of the
+    rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
+    diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
+    uncertain: it may be running away, or braked by something else; uncommanded_s, odd_s: for how
+    long, odd: too long; speed, load, rank: of one tick.
+    """
+
+    rated: Array
+    inertia: Array
+    motor: Ints
+    slow_speed: Array
+    taken: Array
+    diameter: Array
+    learnt_s: Array
+    creep: Array
+    uncertain: Flags
+    uncommanded_s: Array
+    odd_s: Array
+    odd: Flags
+    speed: Array
+    load: Array
+    rank: Array
+
+
+def start(motors: Sequence[Motor]) -> Train:
+    """Nothing known. Speeds are compared between drives with the same motor data."""
+    n = len(motors)
+    kinds = list(dict.fromkeys(motors))
+    unknown = np.full((5, n), np.nan)
+    return Train(
+        np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
+        np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
+        np.ones(n), np.zeros(n), unknown[1], np.zeros(n, dtype=np.bool_), np.zeros(n), np.zeros(n),
+        np.zeros(n, dtype=np.bool_), unknown[2], unknown[3], unknown[4],
+    )  # fmt: skip
