@@ -8,11 +8,13 @@ State of one drive, columns of `x` (N, 10):
     2     w_m               rad/s    6, 7  voltage of the next period, V (alpha, beta)
     3     theta_e           rad      8     integrator of the speed or slip control, Nm
                                      9     torque limiter, 0..1
-Parameters of one drive, columns of `p` (N, 14):
+Parameters of one drive, columns of `p` (N, 18):
     0 R_s  1 L_s  2 psi_pm  3 pole_pairs  4 J  5 B  6 k_p  7 T_max  8 T_cut
     9 share of the train's demand that falls to this drive  10 wheel diameter, 1 = nominal
     11 phase a open (0 or 1)  12 psi_pm that the drive's own control believes in
     13 most torque that the driver demands (the first drive's counts)
+    14 creep that the drive's slip limiter allows (infinite: it has none), 15 the limiter's
+    bandwidth rad/s, 16 rate of its integrator 1/s  17 torque of the friction brake Nm
 Train, `train` (3,): speed at the rotor rad/s, integrator of the driver Nm, last demand Nm.
 
 May know: physics of the drive. May not know: bits, faults by name, sensors.
@@ -35,8 +37,8 @@ SPEED_FLOOR_M_S: Final = 0.5
 """Creep is sliding speed over train speed; the floor keeps it finite at standstill."""
 CURRENT_BANDWIDTH: Final = 1200.0
 SPEED_BANDWIDTH: Final = 120.0
-SLIP_BANDWIDTH: Final = 200.0
 CREEP_LIMIT: Final = 0.05
+"""What a fast slip limiter allows; a wheel beyond it and beyond the curve's peak slides."""
 CREEP_BAND_RAD_S: Final = 0.5
 DRIVER_BANDWIDTH: Final = 1.0
 CUT_PER_S: Final = 7.0
@@ -47,7 +49,11 @@ SHARE: Final = 9
 WHEEL: Final = 10
 PHASE_OPEN: Final = 11
 EFFORT: Final = 13
-PARAMETERS: Final = 14
+CREEP_MAX: Final = 14
+SLIP_BANDWIDTH: Final = 15
+SLIP_RATE: Final = 16
+BRAKE: Final = 17
+PARAMETERS: Final = 18
 
 OUT: Final = 10
 I_ALPHA, I_BETA, U_ALPHA, U_BETA, U_DC, TORQUE, SPEED, ANGLE, LOAD, COMMAND = range(OUT)
@@ -107,14 +113,26 @@ def integrate(
 ) -> None:  # fmt: skip
     """Runge-Kutta 4 of one drive over `steps` x `h` s at constant voltage; `x` in place.
 
-    `on_rail`: the load is the creep torque at the wheel's own speed; else it is `load`.
+    `on_rail`: the load is the creep torque at the wheel's own speed; else it is `load`. The
+    friction brake opposes the rotation: it stops the wheel, never turns it, and holds it while
+    motor and rail together have no more torque than the brake.
     """
+    brake = p[BRAKE]
     if p[PHASE_OPEN] != 0.0:
         x[0] = 0.0
     for _ in range(steps):
         i_a, i_b, w_m, theta = x[0], x[1], x[2], x[3]
         s_a = s_b = s_w = s_t = 0.0
         g_a = g_b = g_w = g_t = 0.0
+        friction = 0.0
+        locked = False
+        if brake > 0.0:
+            turns = w_m
+            if w_m == 0.0:
+                turns = electric(i_a, i_b, w_m, theta, u_a, u_b, p)[2]
+                turns -= rail_torque(w_m, v, radius, load_nm, curve, limit)
+                locked = abs(turns) <= brake
+            friction = math.copysign(brake, turns)
         for stage in range(4):
             k = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
             y_a = i_a + k * h * g_a
@@ -123,7 +141,7 @@ def integrate(
             y_t = theta + k * h * g_t
             g_a, g_b, torque = electric(y_a, y_b, y_w, y_t, u_a, u_b, p)
             t_l = rail_torque(y_w, v, radius, load_nm, curve, limit) if on_rail else load
-            g_w = (torque - t_l - p[5] * y_w) / p[4]
+            g_w = (torque - t_l - friction - p[5] * y_w) / p[4]
             g_t = p[3] * y_w
             weight = 1.0 if stage in (0, 3) else 2.0
             s_a += weight * g_a
@@ -134,6 +152,9 @@ def integrate(
         x[1] = i_b + h / 6.0 * s_b
         x[2] = w_m + h / 6.0 * s_w
         x[3] = theta + h / 6.0 * s_t
+        if brake > 0.0 and (locked or w_m * x[2] < 0.0):
+            x[2] = 0.0
+            x[3] = theta
     turn = 2.0 * math.pi
     x[3] -= turn * math.floor(x[3] / turn)
 
@@ -169,11 +190,18 @@ def current_control(x: Array, torque_ref: float, u_max: float, p: Array) -> None
 
 @njit(cache=True)
 def slip_limit(x: Array, command: float, w_train: float, p: Array) -> float:
-    """Torque reference, Nm: the command unless the wheel leaves the creep band (backstop)."""
-    band = max(CREEP_LIMIT * abs(w_train), CREEP_BAND_RAD_S)
-    gain = SLIP_BANDWIDTH * p[4]
+    """Torque reference, Nm: the command unless the wheel leaves the creep band (backstop).
+
+    Only what is commanded can be limited: a motor that coasts does not act on a wheel that slides.
+    """
+    if command == 0.0:
+        x[8] = 0.0
+    if command == 0.0 or math.isinf(p[CREEP_MAX]):
+        return command
+    band = max(p[CREEP_MAX] * abs(w_train), CREEP_BAND_RAD_S)
+    gain = p[SLIP_BANDWIDTH] * p[4]
     error = (w_train + band - x[2]) if command >= 0.0 else (w_train - band - x[2])
-    x[8] += 30.0 * gain * error * DT
+    x[8] += p[SLIP_RATE] * gain * error * DT
     x[8] = min(max(x[8], min(0.0, command)), max(0.0, command))
     wanted = gain * error + x[8]
     if command >= 0.0:
@@ -211,22 +239,30 @@ def advance(
     """Advance N drives and their train by n control periods; everything in place.
 
     `w_ref` (n,) rotor speed wanted rad/s, `w_acc` (n,) its slope rad/s2, `load` (n,) healthy load
-    per drive Nm (rail: running resistance), `carry` (n, N) share of the train's demand that the
-    rail can carry (1 = all), `cut` (n, N) limiter commanded down, `curves` (n, N, 6) rail,
-    `mass_j` train inertia per drive at the rotor kg m2, `out` (n, N, 10) at the end of each period.
+    per drive Nm (rail: running resistance), `carry` (n, N) share of what is asked of the wheel,
+    motor and friction brake together, that the rail can carry (1 = all), `cut` (n, N) limiter
+    commanded down, `curves` (n, N, 6) rail, `mass_j` train inertia per drive at the rotor kg m2,
+    `out` (n, N, 10) at the end of each period.
     The command that drives report is the train's; what differs between them (`p` 9) is in the
     torque that they deliver. Speeds are those of a rotor with a wheel of nominal diameter.
+    While the friction brake of every drive is applied, the driver's demand falls to 0.
     """
     n, drives = carry.shape
     h = DT / inner
     no_limit = 1e30
+    braking = True
+    for d in range(drives):
+        braking = braking and p[d, BRAKE] > 0.0
     for k in range(n):
         effort = p[0, EFFORT]
         if on_rail:
             error = w_ref[k] - train[0]
             gain = DRIVER_BANDWIDTH * mass_j
             demand = gain * error + train[1] + mass_j * w_acc[k]
-            if abs(demand) < effort:
+            if braking:
+                fall = CUT_PER_S * DT * effort
+                demand = train[2] - min(max(train[2], -fall), fall)
+            elif abs(demand) < effort:
                 train[1] += 0.5 * DRIVER_BANDWIDTH * gain * error * DT
             demand = min(max(demand, -effort), effort)
         else:
@@ -243,7 +279,8 @@ def advance(
                 command = demand * s[9]
                 reference = slip_limit(s, command * q[SHARE], train[0] / q[WHEEL], q)
                 if carry[k, d] < 1.0:
-                    limit = carry[k, d] * abs(demand * q[SHARE])
+                    asked = demand * q[SHARE] - math.copysign(q[BRAKE], train[0])
+                    limit = carry[k, d] * abs(asked)
             else:
                 command = demand * s[9] + q[4] * w_acc[k]
                 reference = speed_control(s, w_ref[k] / q[WHEEL], q)

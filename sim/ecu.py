@@ -5,7 +5,7 @@ May know: bits, CANopen, the drive's readings. May not know: how the plant works
 It obeys the gateway's flag of its own drive (`Gateway_Adhesion`, protection checked): on
 `AdhesionLost` its torque limiter falls to 30 % within 100 ms, on `Adhering` it returns to 100 %
 over 1 s. On unknown, on a bad frame, or when no good flag frame came for 40 ms, the limiter
-returns too and the drive's own slip limit, which is always there, is alone in charge.
+returns too and the drive's own slip limiter, where the scenario gives it one, is alone in charge.
 
 With a verifier it obeys no flag frame that `Gateway_Auth` does not vouch for.
 """

@@ -24,9 +24,12 @@ from sim.random_runs import (
     RAMP_S,
     TAIL_S,
     PerUnit,
+    between,
     random_scenario,
+    sign,
 )
 from sim.scenario import Scenario, parse
+from sim.slides import SLIP_LENGTH_S, braked, slipping
 
 DEVELOPMENT: Final = range(30)
 """Seeds that anything may be tuned on."""
@@ -82,22 +85,14 @@ def draw(family: str, seed: int, motor: str = "bench") -> Scenario:
     return chosen.make(seed, rng, PerUnit(chosen.motor or motor))
 
 
-def _between(rng: Rng, limits: tuple[float, float], digits: int = 4) -> float:
-    return round(float(rng.uniform(*limits)), digits)
-
-
-def _sign(rng: Rng) -> float:
-    return float(rng.choice([-1.0, 1.0]))
-
-
 def _loss(rng: Rng, drive: int, at_s: float, length: tuple[float, float] = LENGTH_S) -> Table:
     return {
         "at_s": round(at_s, 4),
-        "for_s": _between(rng, length),
+        "for_s": between(rng, length),
         "drive": drive,
         "kind": "adhesion_loss",
-        "depth": _between(rng, DEPTH),
-        "ramp_s": _between(rng, (0.0, RAMP_S)),
+        "depth": between(rng, DEPTH),
+        "ramp_s": between(rng, (0.0, RAMP_S)),
     }
 
 
@@ -120,8 +115,8 @@ def _run(what: str, seed: int, unit: PerUnit, table: Table) -> Scenario:
 
 def _steady(rng: Rng, unit: PerUnit) -> Table:
     """Constant speed and preset load, each of either sign."""
-    speed = _between(rng, unit.speed, 3) * _sign(rng)
-    load = unit.nm(_between(rng, LOAD_NM) * _sign(rng))
+    speed = between(rng, unit.speed, 3) * sign(rng)
+    load = unit.nm(between(rng, LOAD_NM) * sign(rng))
     return {"motion": {"speed": speed}, "load": {"kind": "preset", "torque_nm": load}}
 
 
@@ -131,9 +126,9 @@ def _single(seed: int, _rng: Rng, unit: PerUnit) -> Scenario:
 
 def _several(rng: Rng, among: int, count: int, onset: tuple[float, float]) -> list[Table]:
     """`count` of `among` drives lose adhesion within 50 ms of one another, each its own way."""
-    at = _between(rng, onset)
+    at = between(rng, onset)
     who = sorted(rng.choice(among, size=count, replace=False).tolist())
-    return [_loss(rng, int(d) + 1, at + _between(rng, (0.0, 0.05))) for d in who]
+    return [_loss(rng, int(d) + 1, at + between(rng, (0.0, 0.05))) for d in who]
 
 
 def _majority(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
@@ -165,35 +160,35 @@ def _hardest(unit: PerUnit) -> float:
 
 
 def _braking(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-    event = _loss(rng, int(rng.integers(1, 4)), _between(rng, ONSET_S))
+    event = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S))
     low, high = unit.speed
-    first, last = _between(rng, (0.5 * (low + high), high)), _between(rng, (low, 0.4 * high))
-    forward = _sign(rng)
+    first, last = between(rng, (0.5 * (low + high), high)), between(rng, (low, 0.4 * high))
+    forward = sign(rng)
     end = event["at_s"] + event["for_s"] + TAIL_S
     last = max(last, round(first - _hardest(unit) * (end - BRAKE_AT_S), 4))
     table = {
         "event": [event],
         "motion": {"profile": [[BRAKE_AT_S, forward * first], [round(end, 4), forward * last]]},
-        "load": {"kind": "preset", "torque_nm": unit.nm(-forward * _between(rng, LOAD_NM))},
+        "load": {"kind": "preset", "torque_nm": unit.nm(-forward * between(rng, LOAD_NM))},
     }
     return _run("braking", seed, unit, table)
 
 
 def _gradual(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-    event = _loss(rng, int(rng.integers(1, 4)), _between(rng, ONSET_S), (1.0, 2.5))
-    event["ramp_s"] = _between(rng, (0.1, 0.4 * event["for_s"]))
+    event = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S), (1.0, 2.5))
+    event["ramp_s"] = between(rng, (0.1, 0.4 * event["for_s"]))
     return _run("gradual", seed, unit, {"event": [event], **_steady(rng, unit)})
 
 
 def _crawl(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-    forward = _sign(rng)
-    start, rise = _between(rng, (0.2, 0.6)), _between(rng, (0.3, 1.0))
-    top, hold = forward * _between(rng, (3.0, 40.0)), _between(rng, (1.5, 2.5))
+    forward = sign(rng)
+    start, rise = between(rng, (0.2, 0.6)), between(rng, (0.3, 1.0))
+    top, hold = forward * between(rng, (3.0, 40.0)), between(rng, (1.5, 2.5))
     rise = max(rise, round(abs(top) / _hardest(unit), 4))
     points = np.cumsum([start, rise, hold, rise]).round(4).tolist()
     events = []
     if rng.random() < 0.5:
-        at = _between(rng, (1.2, 2.2))
+        at = between(rng, (1.2, 2.2))
         events = [_loss(rng, int(rng.integers(1, 4)), at, (0.3, 1.0))]
     table = {
         "duration_s": points[-1] + 0.5,
@@ -202,7 +197,7 @@ def _crawl(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
             "start": "standstill",
             "profile": [[points[0], 0.0], [points[1], top], [points[2], top], [points[3], 0.0]],
         },
-        "load": {"kind": "preset", "torque_nm": unit.nm(_between(rng, LOAD_NM) * _sign(rng))},
+        "load": {"kind": "preset", "torque_nm": unit.nm(between(rng, LOAD_NM) * sign(rng))},
     }
     return _run("crawl", seed, unit, table)
 
@@ -222,7 +217,7 @@ def _rough_table(rng: Rng, unit: PerUnit) -> Table:
 
 def _rough(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     table = _rough_table(rng, unit)
-    at = _between(rng, ROUGH_ONSET_S)
+    at = between(rng, ROUGH_ONSET_S)
     table["event"].append(_loss(rng, int(rng.integers(1, 4)), at))
     return _run("rough", seed, unit, table)
 
@@ -232,14 +227,14 @@ def _healthy_rough(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
 
 
 def _large(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
-    event = _loss(rng, int(rng.integers(1, 4)), _between(rng, (1.2, 2.0)))
+    event = _loss(rng, int(rng.integers(1, 4)), between(rng, (1.2, 2.0)))
     end = event["at_s"] + event["for_s"] + TAIL_S
-    forward, first = _sign(rng), _between(rng, (0.0, unit.speed[1]))
-    last = min(max(first + end * _between(rng, (-15.0, 15.0)), 0.0), unit.speed[1])
+    forward, first = sign(rng), between(rng, (0.0, unit.speed[1]))
+    last = min(max(first + end * between(rng, (-15.0, 15.0)), 0.0), unit.speed[1])
     table = {
         "event": [event],
         "motion": {"profile": [[0.0, forward * first], [end, forward * round(last, 3)]]},
-        "load": {"kind": "preset", "torque_nm": unit.nm(_between(rng, LOAD_NM) * _sign(rng))},
+        "load": {"kind": "preset", "torque_nm": unit.nm(between(rng, LOAD_NM) * sign(rng))},
     }
     return _run("large", seed, unit, table)
 
@@ -250,18 +245,18 @@ def _all_together(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     What the rail has left is at most three quarters of what was demanded at the onset.
     """
     low, high = unit.speed
-    forward, pull = _sign(rng), _sign(rng)
-    demand = _between(rng, (14.0, 28.0))
-    share = _between(rng, (0.15, 0.7))
-    at, length = _between(rng, (1.0, 2.0)), _between(rng, (0.3, 1.5))
+    forward, pull = sign(rng), sign(rng)
+    demand = between(rng, (14.0, 28.0))
+    share = between(rng, (0.15, 0.7))
+    at, length = between(rng, (1.0, 2.0)), between(rng, (0.3, 1.5))
     kind = rng.choice(["leaves", "wet", "number"], p=[0.4, 0.2, 0.4])
     if kind == "wet":
-        demand = _between(rng, (27.0, 28.0))
+        demand = between(rng, (27.0, 28.0))
     value = round(0.3 * share * demand / WET_NM, 4) if kind == "number" else str(kind)
     end = at + length + 1.5
     # Not faster: dry rail must carry the demand again, and it carries less at speed.
-    speed = _between(rng, (low + 0.2 * (high - low), low + 0.6 * (high - low)), 3)
-    inertial = _between(rng, (0.0, 0.5 if rng.random() < 0.5 else 0.0))
+    speed = between(rng, (low + 0.2 * (high - low), low + 0.6 * (high - low)), 3)
+    inertial = between(rng, (0.0, 0.5 if rng.random() < 0.5 else 0.0))
     slope = pull * _tenable(unit, inertial * demand)
     last = max(speed + slope * end, 0.5 * low)
     table = {
@@ -270,7 +265,7 @@ def _all_together(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
         "event": [{"at_s": at, "for_s": length, "drive": "all", "kind": "rail", "value": value}],
         "motion": {
             "profile": [[0.0, forward * speed], [end, forward * round(last, 3)]],
-            "effort_nm": unit.nm(_between(rng, (1.02, 1.15)) * demand),
+            "effort_nm": unit.nm(between(rng, (1.02, 1.15)) * demand),
         },
         "load": {
             "kind": "rail",
@@ -285,25 +280,25 @@ def _healthy_hard(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
     on_rail = bool(rng.random() < 0.5)
     standing = bool(rng.random() < 0.25)
     low, high = unit.speed
-    forward = _sign(rng)
-    speed = 0.0 if standing else _between(rng, (low, 0.8 * high), 3)
+    forward = sign(rng)
+    speed = 0.0 if standing else between(rng, (low, 0.8 * high), 3)
     profile = [[0.5, forward * speed]]
-    loads = [[0.0, unit.nm(_between(rng, (4.0, 8.0)))]]
+    loads = [[0.0, unit.nm(between(rng, (4.0, 8.0)))]]
     while profile[-1][0] < HARD_S:
         began, now = profile[-1][0], abs(profile[-1][1])
-        for_s = _between(rng, (1.0, 3.0))
-        effort = _between(rng, (-20.0, 20.0)) if now >= low else 18.0
+        for_s = between(rng, (1.0, 3.0))
+        effort = between(rng, (-20.0, 20.0)) if now >= low else 18.0
         then = min(max(now + _tenable(unit, effort) * for_s, min(now, low)), high)
         profile.append([round(began + for_s, 4), forward * round(then, 3)])
-        step = _between(rng, (0.02, 0.5))
-        level = unit.nm(_between(rng, (-8.0, 8.0) if on_rail else (-25.0, 25.0)))
+        step = between(rng, (0.02, 0.5))
+        level = unit.nm(between(rng, (-8.0, 8.0) if on_rail else (-25.0, 25.0)))
         loads += [[round(began + 0.4, 4), loads[-1][1]], [round(began + 0.4 + step, 4), level]]
     curves = [
         {
             "drive": int(rng.integers(1, 4)),
-            "at_s": _between(rng, (0.0, HARD_S)),
-            "for_s": _between(rng, (1.0, 5.0)),
-            "amount": _between(rng, (-0.08, 0.08)),
+            "at_s": between(rng, (0.0, HARD_S)),
+            "for_s": between(rng, (1.0, 5.0)),
+            "amount": between(rng, (-0.08, 0.08)),
         }
         for _ in range(8)
     ]
@@ -328,7 +323,7 @@ def _healthy_hard(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
 def _mismatched(off: Mismatch) -> Callable[[int, Rng, PerUnit], Scenario]:
     def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
         table = _steady(rng, unit)
-        loss = _loss(rng, int(rng.integers(2, 4)), _between(rng, ROUGH_ONSET_S))
+        loss = _loss(rng, int(rng.integers(2, 4)), between(rng, ROUGH_ONSET_S))
         motor, sensors, events = tables(off, unit.amps(1.0))
         table["event"] = [*events, loss if off.phase_open or rng.random() < 0.5 else loss | ON_IT]
         table["mismatch"] = motor
@@ -336,6 +331,18 @@ def _mismatched(off: Mismatch) -> Callable[[int, Rng, PerUnit], Scenario]:
         return _run(off.title, seed, unit, table)
 
     return make
+
+
+def _slipping(limiter: str) -> Callable[[int, Rng, PerUnit], Scenario]:
+    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+        loss = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S), SLIP_LENGTH_S)
+        return _run(f"{limiter} slip limiter", seed, unit, slipping(rng, unit, limiter, loss))
+
+    return make
+
+
+def _braked(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    return _run("friction brakes", seed, unit, braked(rng, unit))
 
 
 FAMILIES: Final[dict[str, Family]] = {
@@ -359,6 +366,11 @@ FAMILIES: Final[dict[str, Family]] = {
 """By name; new ones go to the end, because a family's place is part of its random stream."""
 GROUPS: Final[dict[str, dict[str, Family]]] = {
     "mismatch": {name: Family(off.title, _mismatched(off)) for name, off in MISMATCHES.items()},
+    "slide": {
+        "slide_no_limiter": Family("one wheel runs away, no slip limiter", _slipping("none")),
+        "slide_slow_limiter": Family("one wheel slips, slow slip limiter", _slipping("slow")),
+        "slide_braked": Family("friction brakes lock one wheel, motors coast", _braked),
+    },
 }
 """Families that are asked for by their group's name."""
-ALL: Final[dict[str, Family]] = {**FAMILIES, **GROUPS["mismatch"]}
+ALL: Final[dict[str, Family]] = {**FAMILIES, **GROUPS["mismatch"], **GROUPS["slide"]}

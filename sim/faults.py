@@ -51,6 +51,7 @@ class Schedule:
         self._start_rail = rail(scenario.load.rail)
         self._rated_copper_w = 1.5 * motor.R_s * motor.I_rated**2
         self._scale = motor.T_rated / 30.0
+        self._rated_nm = motor.T_rated
         self._by_kind: dict[str, list[tuple[Event, list[int]]]] = {}
         for event in sorted(scenario.event, key=lambda e: e.at_s):
             who = [d - 1 for d in scenario.drives_of(event.drive)]
@@ -113,6 +114,15 @@ class Schedule:
         out = np.zeros(self._n, np.bool_)
         for _, who in self._active("phase_open", t_s):
             out[who] = True
+        return out
+
+    def brake(self, t_s: float) -> Array:
+        """(N,) torque of the friction brakes, Nm at the motor's shaft."""
+        out = np.zeros(self._n)
+        at = np.array([t_s])
+        for event, who in self._by_kind.get("friction_brake", ()):
+            full_nm = event.number or self._rated_nm * (event.depth or 0.0)
+            out[who] = np.maximum(out[who], full_nm * _shape(event, at))
         return out
 
     def heat(self, t_s: float) -> tuple[Array, Array]:
@@ -204,14 +214,19 @@ class Schedule:
 
 
 def _depth(event: Event, t_s: Array) -> Array:
-    """Depth over time, with the linear edges inside the event."""
+    """Depth over time, (n,)."""
+    return (event.depth or 0.0) * _shape(event, t_s)
+
+
+def _shape(event: Event, t_s: Array) -> Array:
+    """How far the event is in force, 0..1 (n,), with the linear edges inside it."""
     # Half a period of grace: times are multiples of it, the event's are the file's decimals.
     grace = 0.5 * DT
     inside = (t_s >= event.at_s - grace) & (t_s < event.end_s - grace)
     shape = np.ones_like(t_s)
     if event.ramp_s > 0.0:
         shape = np.minimum((t_s - event.at_s), (event.end_s - t_s)) / event.ramp_s
-    return np.where(inside, (event.depth or 0.0) * np.clip(shape, 0.0, 1.0), 0.0)
+    return np.where(inside, np.clip(shape, 0.0, 1.0), 0.0)
 
 
 class WireFaults:

@@ -12,13 +12,16 @@ Two ways to load a drive:
 In both, `carry` (1 = all) is the share of the train's demand that the rail can carry: the load is
 then min(demanded, carry x train's demand), in either sign. A drive whose limiter is at 30 % and
 whose rail still carries 40 % therefore grips again.
+
+On the rail a friction brake may be applied to each wheel, beside the motor. What is then asked of
+the rail is the train's demand and the brake's torque together.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +44,9 @@ from sim._kernels import (
 from sim.adhesion import Rail, available, peak_creep
 
 __all__ = [
-    "ANGLE", "BENCH", "COMMAND", "DT", "I_ALPHA", "I_BETA", "LOAD", "MOTORS", "OUT", "SPEED",
-    "TORQUE", "TRAIN", "U_ALPHA", "U_BETA", "U_DC", "Motor", "Plant", "QuasiStatic", "Train",
+    "ANGLE", "BENCH", "COMMAND", "DT", "I_ALPHA", "I_BETA", "LOAD", "MOTORS", "OUT",
+    "SLIP_LIMITERS", "SPEED", "TORQUE", "TRAIN", "U_ALPHA", "U_BETA", "U_DC", "Motor", "Plant",
+    "QuasiStatic", "SlipLimiter", "Train",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -50,6 +54,30 @@ RAIL_STEPS: Final = 4
 """Runge-Kutta steps per period on the rail: the contact's time constant goes down to 15 us."""
 CUT_LEVEL: Final = 0.3
 """What a drive's torque limiter falls to while the gateway says `AdhesionLost`."""
+
+
+class SlipLimiter(NamedTuple):
+    """A drive's own slip control: a PI control of the wheel's speed that limits the torque.
+
+    `creep`: what it allows, infinite for a drive that has none. `bandwidth` rad/s: torque taken
+    away is bandwidth x J x the speed beyond that; `rate` 1/s of the integrator.
+    """
+
+    creep: float
+    bandwidth: float
+    rate: float
+
+
+SLIP_LIMITERS: Final[dict[str, SlipLimiter]] = {
+    "fast": SlipLimiter(kernels.CREEP_LIMIT, 200.0, 30.0),
+    "slow": SlipLimiter(0.15, 8.0, 8.0),
+    "none": SlipLimiter(math.inf, 0.0, 0.0),
+}
+"""By the name in the scenario. "fast" holds the wheel within some milliseconds. "slow" is an older
+drive that compares axle speeds, filtered and seldom: natural frequency sqrt(8 x 8) = 8 rad/s,
+damping 0.5, so the wheel's excess over 15 % creep peaks after 0.15 s and is gone after 0.5 s, and
+the torque, too, takes about a second to come back. "none": the wheel runs up until the voltage of
+the dc link leaves the motor no torque beyond what the sliding wheel meets."""
 
 
 @dataclass(frozen=True)
@@ -134,11 +162,14 @@ dry rail carries 770 Nm, wet 430 Nm."""
 
 
 def parameters(motor: Motor, drives: int) -> Array:
-    """(N, 14) parameters as the kernels take them: all drives as the data sheet says."""
+    """(N, 18) parameters as the kernels take them: all drives as the data sheet says.
+
+    Their slip limiters are fast, their friction brakes released.
+    """
     row = [
         motor.R_s, motor.L_s, motor.psi_pm, motor.pole_pairs, motor.J, motor.B, motor.k_p,
         1.5 * motor.T_rated, CUT_LEVEL, 1.0, 1.0, 0.0, motor.psi_pm,
-        1.5 * motor.T_rated,
+        1.5 * motor.T_rated, *SLIP_LIMITERS["fast"], 0.0,
     ]  # fmt: skip
     return np.tile(row, (drives, 1))
 
@@ -159,7 +190,7 @@ class Plant:
     ) -> None:
         """Rolling at `w_0` rad/s (rotor) with angles `theta_0` (N,), the load `load_0` Nm met.
 
-        `p` (N, 14): the drives' own parameters, default all as `motor` (see `parameters`).
+        `p` (N, 18): the drives' own parameters, default all as `motor` (see `parameters`).
         """
         n = len(theta_0)
         self.motor, self.train, self.on_rail = motor, train, on_rail
@@ -201,15 +232,19 @@ class Plant:
         """Which drives have phase a open from now on, (N,)."""
         self.p[:, kernels.PHASE_OPEN] = phase_a
 
-    def slips(self, drive: int, condition: Rail) -> bool:
-        """True when this rail cannot carry the train's demand of this drive.
+    def set_brake(self, torque: Array) -> None:
+        """Torque of the friction brakes from now on, Nm at the motor shaft, (N,), 0 = released."""
+        self.p[:, kernels.BRAKE] = torque
 
-        Either the demand is more than the curve gives within the slip limit, or the wheel slides
-        beyond the curve's peak. Never so under a preset load.
+    def slips(self, drive: int, condition: Rail) -> bool:
+        """True when this rail cannot carry what is asked of this drive's wheel.
+
+        Either that is more than the curve gives within the drive's slip limit (without a limit: at
+        its peak), or the wheel slides beyond the curve's peak. Never so under a preset load.
         """
         if not self.on_rail:
             return False
-        if abs(self._demand(drive)) > self._limit(drive, condition):
+        if abs(self._asked(drive)) > self._limit(drive, condition):
             return True
         v = float(self.train_state[0]) * self.train.wheel_radius_m
         radius = self.train.wheel_radius_m * float(self.p[drive, kernels.WHEEL])
@@ -218,23 +253,33 @@ class Plant:
         return creep > kernels.CREEP_LIMIT and creep > peak_creep(condition, v)
 
     def shortage(self, drive: int, condition: Rail, load: float) -> float:
-        """Share of the train's demand that a drive which `slips` does not get onto the rail.
+        """Share of what is asked that a drive which `slips` does not get onto the rail.
 
         Of what the rail can carry, or of `load` Nm that it carries now, what is less; 0..1.
         """
-        demand = abs(self._demand(drive))
-        if demand <= 0.0:
+        asked = abs(self._asked(drive))
+        if asked <= 0.0:
             return 0.0
         carried = min(self._limit(drive, condition), abs(load))
-        return min(max(1.0 - carried / demand, 0.0), 1.0)
+        return min(max(1.0 - carried / asked, 0.0), 1.0)
 
-    def _demand(self, drive: int) -> float:
-        return self.demand_nm * float(self.p[drive, kernels.SHARE])
+    def _asked(self, drive: int) -> float:
+        """The train's demand and, while the train moves, the friction brake's torque, Nm.
+
+        A brake on a train that stands holds: it asks nothing of the rail. A train stands when a
+        locked wheel's creep is within 5 %: below 25 mm/s.
+        """
+        asked = self.demand_nm * float(self.p[drive, kernels.SHARE])
+        v = float(self.train_state[0]) * self.train.wheel_radius_m
+        if abs(v) > kernels.CREEP_LIMIT * kernels.SPEED_FLOOR_M_S:
+            asked -= math.copysign(float(self.p[drive, kernels.BRAKE]), v)
+        return asked
 
     def _limit(self, drive: int, condition: Rail) -> float:
-        """Most that this rail carries within the slip limit, Nm."""
+        """Most that this rail carries within the drive's slip limit, Nm."""
         v = float(self.train_state[0]) * self.train.wheel_radius_m
-        most = available(condition, v, kernels.CREEP_LIMIT)
+        creep = float(self.p[drive, kernels.CREEP_MAX])
+        most = available(condition, v, peak_creep(condition, v) if math.isinf(creep) else creep)
         return self.wheel_load_nm * float(self.p[drive, kernels.SHARE]) * most
 
 

@@ -50,6 +50,16 @@ class PerUnit:
         return bench_var * self._current**2
 
 
+def between(rng: np.random.Generator, limits: tuple[float, float], digits: int = 4) -> float:
+    """A uniform draw, rounded."""
+    return round(float(rng.uniform(*limits)), digits)
+
+
+def sign(rng: np.random.Generator) -> float:
+    """-1 or 1."""
+    return float(rng.choice([-1.0, 1.0]))
+
+
 def random_scenario(
     seed: int,
     *,

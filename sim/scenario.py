@@ -33,6 +33,7 @@ MAX_DRIVES: Final = 16
 Kind = Literal[
     "adhesion_loss", "rail", "overheating", "cooling_loss", "bearing", "sensor_stuck",
     "sensor_bias", "sensor_lost", "silent", "frame_loss", "corrupt", "phase_open",
+    "friction_brake",
 ]  # fmt: skip
 Sensor = Literal["stator", "drive_end", "non_drive_end", "ambient", "current"]
 
@@ -40,8 +41,12 @@ NEEDS: Final[dict[str, str]] = {
     "adhesion_loss": "depth", "rail": "value", "overheating": "either", "cooling_loss": "depth",
     "bearing": "either", "sensor_stuck": "none", "sensor_bias": "value", "sensor_lost": "none",
     "silent": "none", "frame_loss": "depth", "corrupt": "depth", "phase_open": "none",
+    "friction_brake": "either",
 }  # fmt: skip
 """Which of `depth` and `value` an event of this kind must carry."""
+NEEDS_RAIL: Final = (
+    "slip_limiter and friction_brake need a wheel on the rail: load.kind = 'rail', traffic = 'full'"
+)
 SENSOR_KINDS: Final = ("sensor_stuck", "sensor_bias", "sensor_lost")
 
 
@@ -57,8 +62,8 @@ class ScenarioError(Exception):
 class Event(Strict):
     """One `[[event]]`. Active from `at_s` for `for_s` (to the end when left out).
 
-    - `adhesion_loss` `depth`: the rail carries (1 - depth) of the train's demand; `ramp_s` makes
-      both edges linear, inside the event
+    - `adhesion_loss` `depth`: the rail carries (1 - depth) of what is asked of the wheel; `ramp_s`
+      makes both edges linear, inside the event
     - `rail` `value` "dry" | "wet" | "leaves" or a friction coefficient
     - `overheating` `value` W more in the winding, or `depth` x rated copper loss
     - `cooling_loss` `depth`: share of the air cooling lost (the last tenth always stays)
@@ -70,6 +75,10 @@ class Event(Strict):
     - `corrupt` `depth`: probability that 1 to 3 bits flip after the checksum was made
     - `phase_open`: phase a carries no current (begins and ends on a grid of 10 ms); the drive goes
       on as if nothing were, and reports the voltage that it commands
+    - `friction_brake` `value` Nm at the motor's shaft, or `depth` x rated torque: brakes the wheel
+      beside the motor and can lock it; `ramp_s` as above; in steps of 10 ms. While the brakes of
+      all drives are applied, the motors coast (traction interlock: the demand falls to 0 within
+      150 ms). A brake on some drives only drags: the driver does not know of it
     """
 
     at_s: float = Field(ge=0)
@@ -99,8 +108,10 @@ class Event(Strict):
                 rail(self.value)
             except ValueError as error:
                 wrong.append(str(error))
-        if self.ramp_s and self.kind != "adhesion_loss":
-            wrong.append("ramp_s belongs to adhesion_loss")
+        if self.ramp_s and self.kind not in ("adhesion_loss", "friction_brake"):
+            wrong.append("ramp_s belongs to adhesion_loss and friction_brake")
+        if self.kind == "friction_brake" and self.number < 0.0:
+            wrong.append("value of friction_brake must be 0 or more: friction drives no wheel")
         if self.for_s is not None and 2 * self.ramp_s > self.for_s:
             wrong.append("two ramps do not fit into for_s")
         if self.sensor and self.kind not in (*SENSOR_KINDS, "bearing"):
@@ -153,6 +164,9 @@ class Scenario(Strict):
     drives: int = Field(3, ge=1, le=MAX_DRIVES)
     traffic: Literal["full", "slow"] = "full"
     """"slow": only Motion, Status, Temperatures, from a quasi-static plant."""
+    slip_limiter: Literal["none", "slow", "fast"] = "fast"
+    """The drives' own slip control: "fast" holds a wheel at 5 % creep at once, "slow" at 15 % after
+    0.5 s, "none" lets it run away. With a load on the rail only."""
     event: list[Event] = Field(default_factory=list)
     expect: list[Expect] = Field(default_factory=list)
     motor: MotorChoice = MotorChoice()
@@ -195,6 +209,13 @@ class Scenario(Strict):
             or any(e.kind == "phase_open" for e in self.event)
         ):
             raise ValueError("traffic = 'slow' knows no mismatch, share, wheel or phase_open")
+        return self
+
+    @model_validator(mode="after")
+    def _creep_needs_a_rail(self) -> Self:
+        slides = self.slip_limiter != "fast" or any(e.kind == "friction_brake" for e in self.event)
+        if slides and (self.load.kind != "rail" or self.traffic == "slow"):
+            raise ValueError(NEEDS_RAIL)
         return self
 
     def drives_of(self, who: int | str) -> tuple[int, ...]:

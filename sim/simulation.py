@@ -25,7 +25,7 @@ from sim.faults import Schedule, WireFaults
 from sim.plant import MOTORS, TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
 from sim.profile import Profile
 from sim.readings import SAMPLES_PER_FRAME, VALID, Readings, Values
-from sim.scenario import Event, Scenario
+from sim.scenario import NEEDS_RAIL, Event, Scenario
 from sim.thermal import ThermalTrain
 from sim.truth import Truth
 from sim.variety import Variety
@@ -115,6 +115,8 @@ class Simulation:
         """
         if event.kind == "phase_open" and self._plant is None:
             raise ValueError("traffic = 'slow' knows no phase_open")
+        if event.kind == "friction_brake" and (self._plant is None or not self._plant.on_rail):
+            raise ValueError(NEEDS_RAIL)
         self._schedule.add(event)
         for wire in self._wires:
             wire.look_again()
@@ -174,6 +176,7 @@ class Simulation:
             self._rails = self._schedule.rails(float(t_s[0]))
             self._plant.set_share(self._variety.share(float(t_s[0])))
             self._plant.set_open(self._schedule.open_phase(float(t_s[0])))
+            self._plant.set_brake(self._schedule.brake(float(t_s[0])))
         w_ref, w_acc, load = self._profile.at(t_s)
         cut = np.stack([ecu.cut(at_ns) for ecu in self._ecus], axis=1)
         rails = np.repeat(rail_array(self._rails)[None], count, axis=0)

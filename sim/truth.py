@@ -9,19 +9,22 @@ class Truth(NamedTuple):
     """One drive at one instant, every 10 ms.
 
     `drive` is the node number, `speed_rad_s` the rotor's (mechanical), `angle_rad` electrical in
-    [0, 2 pi), `load_nm` the torque on the rail, `fault_class` the contract's number (1 none).
+    [0, 2 pi), `load_nm` the torque on the rail (the motor's load is this and the friction brake's
+    torque), `fault_class` the contract's number (1 none).
 
-    `lost`: the adhesion at hand is below what the train demands of the drive. That is: an adhesion
-    loss is active with depth > 0, or the rail cannot carry the demand within 5 % creep, or the
-    wheel slides beyond the peak of its creep curve. The demand is the one before the drive's
-    limiter: a drive that was cut and grips again stays `lost` until the rail is back.
+    `lost`: the adhesion at hand is below what is asked of the wheel: the train's demand and the
+    friction brake. That is: an adhesion loss is active with depth > 0, or the rail cannot carry
+    what is asked within the creep that the drive's slip limiter allows (fast 5 %, slow 15 %, none:
+    the peak of the creep curve), or the wheel slides by more than 5 % and beyond that peak. The
+    demand is the one before the drive's limiter: a drive that was cut and grips again stays `lost`
+    until the rail is back.
 
     `true_effect_k`: what the fault changes at the drive's temperature readings, the largest of the
     four, noise aside: against a fault-free twin of the motor under the same currents, sensor bias
     and the error of a stuck value included; 0 for a lost sensor.
 
-    `depth`: while `lost`, the share of the demand that does not reach the rail, 0..1; else 0. Not
-    in the truth file.
+    `depth`: while `lost`, the share of what is asked that does not reach the rail, 0..1; else 0.
+    Not in the truth file.
     """
 
     t_s: float

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import _kernels as kernels
-from sim.plant import Motor, parameters
+from sim.plant import SLIP_LIMITERS, Motor, parameters
 from sim.scenario import Scenario
 from sim.sensors import PHASES
 from sim.tables import Curve, Factors
@@ -28,12 +28,14 @@ class Variety:
         self._seed, self._n = scenario.seed, scenario.drives
         m, load, sensors = scenario.mismatch, scenario.load, scenario.sensors
         self.p = parameters(motor, self._n)
-        """(N, 14) parameters of the plant."""
+        """(N, 18) parameters of the plant."""
         self.p[:, 0] *= self._factors(m.R_s, m.R_s_within, _R_S)
         self.p[:, 1] *= self._factors(m.L_s, m.L_s_within, _L_S)
         self.p[:, 2] *= self._factors(m.psi_pm, m.psi_pm_within, _PSI)
         self.p[:, kernels.SHARE] = self._factors(load.share, load.share_within, _SHARE)
         self.p[:, kernels.WHEEL] = self._factors(load.wheel, load.wheel_within, _WHEEL)
+        limiter = SLIP_LIMITERS[scenario.slip_limiter]
+        self.p[:, kernels.CREEP_MAX : kernels.SLIP_RATE + 1] = limiter
         if scenario.motion.effort_nm is not None:
             self.p[:, kernels.EFFORT] = scenario.motion.effort_nm
         self.torque_scale: Array = motor.psi_pm / self.p[:, 2]

@@ -68,6 +68,7 @@ _SCENARIO = _words(
     "[mismatch] [motion] [sensors] [thermal] [bus] [[load.disturbance]] [[load.curve]] at_s for_s "
     'drive kind depth value ramp_s sensor "all" "others" "rail" "bearing" "adhesion_loss"'
     ' "phase_open" "sensor_bias" "dry" "current" flag is after_s within_ms never '
+    '"friction_brake" slip_limiter "none" "slow" '
     'share wheel R_s points "ambient" "equilibrium" start_c'
 )
 _DBC = _words(

@@ -1,9 +1,12 @@
 """Every shipped scenario on the virtual clock: what it expects, holds."""
 
+import numpy as np
 import pytest
 
+from dbc.frame import MS
 from gateway.commands.common import prepare, scenario_thermal
 from gateway.drivers.bench import run_virtual
+from gateway.health import Flag
 from gateway.results.record import Recorder
 from sim.scenario import builtin, builtin_names, parse
 
@@ -28,6 +31,33 @@ def test_expectations_hold(name):
     assert not [v for v in outcome.verdicts if not v.passed]
     counts = outcome.gateway.inbox.counts
     assert counts["received"] > 100
+
+
+@pytest.mark.parametrize(
+    "name", ["runaway_gradual", "runaway_sudden", "slow_limiter", "brake_slide", "brake_lock"]
+)
+def test_a_wheel_that_slides_is_not_called_good_for_200_ms(name):
+    """Beyond 10 % creep, whatever its load: the wheel's speed is the evidence."""
+    speed, since, longest = {}, {}, {}
+
+    def really(rows):
+        speed.update((row.drive, row.speed_rad_s) for row in rows)
+
+    def watch(now, _rx, _tx, view):
+        if not speed:
+            return
+        train = float(np.median(list(speed.values())))
+        for drive in view.drives:
+            slides = abs(speed[drive.node] - train) > 0.1 * abs(train)
+            if not (slides and drive.adhesion is Flag.GOOD):
+                since[drive.node] = now
+            beyond = (now - since.get(drive.node, now)) // MS
+            longest[drive.node] = max(beyond, longest.get(drive.node, 0))
+
+    config, codec = prepare(None, thermal=scenario_thermal())
+    run_virtual(builtin(name), config, codec, [watch], truth=really)
+    assert len(longest) == 3
+    assert max(longest.values()) <= 200, longest
 
 
 def test_a_wrong_expectation_fails():

@@ -161,6 +161,24 @@ def test_crawl_stands_and_moves():
     assert speed.max() > 0.5
 
 
+def test_slides_are_of_every_kind_and_pure_functions_of_the_seed():
+    group = GROUPS["slide"]
+    assert not set(group) & (set(FAMILIES) | set(GROUPS["mismatch"]))
+    for motor in ("bench", "traction_350kw"):
+        for name in group:
+            runs = [draw(name, seed, motor) for seed in SEEDS]
+            assert runs == [draw(name, seed, motor) for seed in SEEDS]
+            assert len({run.model_dump_json() for run in runs}) == len(runs)
+            assert {np.sign(run.motion.speed) for run in runs} == {-1.0, 1.0}
+    limiters = {name: {draw(name, seed).slip_limiter for seed in SEEDS} for name in group}
+    assert limiters == {
+        "slide_no_limiter": {"none"}, "slide_slow_limiter": {"slow"}, "slide_braked": {"fast"},
+    }  # fmt: skip
+    grows = [draw("slide_no_limiter", seed).event[0].ramp_s > 0.1 for seed in SEEDS]
+    assert 0.25 < np.mean(grows) < 0.75
+    assert all(draw("slide_braked", s).event[0].drive == "all" for s in SEEDS)
+
+
 def test_mismatches_are_the_same_runs_but_for_what_is_off():
     group = GROUPS["mismatch"]
     assert not set(group) & set(FAMILIES)

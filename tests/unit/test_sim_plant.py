@@ -70,13 +70,33 @@ def test_drive_agrees_with_scipy_in_dq(motor, w_m):
     assert math.cos(x[3] - y[3]) == pytest.approx(1.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("w_m", [25.0, 0.02, 0.0, -0.02])
+@pytest.mark.parametrize("brake", [2.0, 60.0])
+def test_compiled_brake_equals_plain_python(w_m, brake):
+    plants = [build(on_rail=True, w_0=w_m, drives=1) for _ in range(2)]
+    for plant, integrate in zip(
+        plants, (_kernels.integrate, _kernels.integrate.py_func), strict=True
+    ):
+        plant.set_brake(np.array([brake]))
+        curve = rail_array([RAILS["dry"]])[0]
+        for _ in range(5):
+            integrate(plant.x[0], 3.0, -2.0, plant.p[0], DT / 4, 4, True, 0.0, 0.1, 0.2, 94.0,
+                      curve, 1e30)  # fmt: skip
+    np.testing.assert_allclose(plants[0].x, plants[1].x, rtol=1e-12, atol=1e-12)
+
+
 def test_compiled_loop_equals_plain_python():
     n = 40
     rails = np.tile(rail_array([RAILS["wet"]] * 2), (n, 1, 1))
     speed, load = np.full(n, 25.0), np.full(n, 18.0)
     args = (speed, np.zeros(n), load, np.ones((n, 2)), np.zeros((n, 2), bool), rails)
-    for on_rail in (False, True):
+    for on_rail, limiter, brake in [
+        (False, "fast", 0.0), (True, "fast", 0.0), (True, "slow", 0.0), (True, "none", 9.0),
+    ]:  # fmt: skip
         fast, plain = (build(on_rail=on_rail, drives=2) for _ in range(2))
+        for plant in (fast, plain):
+            plant.p[:, _kernels.CREEP_MAX : _kernels.SLIP_RATE + 1] = c.SLIP_LIMITERS[limiter]
+            plant.set_brake(np.array([0.0, brake]))
         out = fast.advance(*args)
         twin = np.empty_like(out)
         _kernels.advance.py_func(
