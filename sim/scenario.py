@@ -162,11 +162,15 @@ class Scenario(Strict):
     seed: int = Field(1, ge=0)
     duration_s: float = Field(gt=0)
     drives: int = Field(3, ge=1, le=MAX_DRIVES)
-    traffic: Literal["full", "slow"] = "full"
-    """"slow": only Motion, Status, Temperatures, from a quasi-static plant."""
-    slip_limiter: Literal["none", "slow", "fast"] = "fast"
-    """The drives' own slip control: "fast" holds a wheel at 5 % creep at once, "slow" at 15 % after
-    0.5 s, "none" lets it run away. With a load on the rail only."""
+    traffic: Literal["full", "slow"] = Field(
+        "full",
+        description='"slow": only Motion, Status, Temperatures, from a quasi-static plant.',
+    )
+    slip_limiter: Literal["none", "slow", "fast"] = Field(
+        "fast",
+        description="The drives' own slip control, on the rail: fast holds a wheel at 5 % creep "
+        "within milliseconds, slow at 15 % after half a second, none lets it run away.",
+    )
     event: list[Event] = Field(default_factory=list)
     expect: list[Expect] = Field(default_factory=list)
     motor: MotorChoice = MotorChoice()

@@ -54,7 +54,10 @@ def slipping(rng: Rng, unit: PerUnit, limiter: str, loss: Table) -> Table:
 
 
 def braked(rng: Rng, unit: PerUnit) -> Table:
-    """Friction brakes on all wheels, the motors coasting; one wheel comes onto a poor rail."""
+    """Friction brakes on all wheels, the motors coasting; one wheel comes onto a poor rail.
+
+    The load that a motor can know is here not the rail's: the brake takes it up.
+    """
     brake = between(rng, BRAKE_NM)
     at, length = between(rng, (1.0, 2.0)), between(rng, (0.8, 1.5))
     poor = {

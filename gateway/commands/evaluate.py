@@ -19,7 +19,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", default="development", metavar="SET",
                         help="development (default), reporting, or A-B")  # fmt: skip
     parser.add_argument("--family", nargs="+", metavar="NAME",
-                        help="kinds of runs, or the group `mismatch` (default: all kinds; "
+                        help="kinds of runs, or a group: `mismatch`, `slide` (default: all kinds; "
                         "a wrong name lists them)")  # fmt: skip
     parser.add_argument("--detector", nargs="+", metavar="NAME",
                         help="detectors (default: all)")  # fmt: skip
