@@ -15,8 +15,11 @@ from dbc._lean import inlined, unlocked
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
-PLAIN, OTHER = 0, 1
-"""What a row is: a frame, or a line that Python must judge (it is text[can_id:t_ns] then)."""
+PLAIN, OTHER, BLANK, COMMENT, MALFORMED = 0, 1, 2, 3, 4
+"""What a row is: a frame, or a line that Python must judge, or one that is certainly no frame.
+
+All but frames have their place in the text instead of numbers: text[can_id:t_ns].
+"""
 
 _FD_FLAG, _BRS, _ESI = 8, 16, 32  # dbc.frame
 _BAD = 255
@@ -27,7 +30,9 @@ HEX[ord("A") : ord("F") + 1] = HEX[ord("a") : ord("f") + 1] = np.arange(10, 16)
 FD_LENGTH = np.zeros(65, dtype=np.bool_)
 FD_LENGTH[[*range(9), 12, 16, 20, 24, 32, 48, 64]] = True
 _SPACE, _OPEN, _CLOSE, _DOT, _HASH, _NEWLINE, _RETURN = 32, 40, 41, 46, 35, 10, 13
-_DELETE, _R, _T = 127, 82, 84
+_DELETE, _R, _T, _TAB, _SEMICOLON, _SLASH, _D = 127, 82, 84, 9, 59, 47, 68
+_SHORTEST = 17
+"""Characters of the shortest frame, `(0.000000) a 123#`; a DROPCOUNT has more."""
 _MOST_NAME = 21
 _MOST_GAP = 21
 
@@ -179,6 +184,24 @@ def _line(
     return at
 
 
+@inlined
+def _no_frame(text: Bytes, start: int, end: int) -> int:
+    """What text[start:end] is, without its line end: see `dbc.logline.parse_line`."""
+    if end > start and text[end - 1] == _RETURN:
+        end -= 1
+    at = start
+    while at < end and (text[at] == _SPACE or text[at] == _TAB):
+        at += 1
+    if at == end:
+        return BLANK
+    first = text[start]
+    if first in (_HASH, _SEMICOLON):
+        return COMMENT
+    if first == _SLASH and end > start + 1 and text[start + 1] == _SLASH:
+        return COMMENT
+    return OTHER if end - start >= _SHORTEST and first in (_OPEN, _D) else MALFORMED
+
+
 @unlocked
 def scan(
     text: Bytes,
@@ -197,7 +220,7 @@ def scan(
 ) -> tuple[int, int]:
     """Lines of text[start:], a row each, until the rows or the line ends run out.
 
-    `what` (R,) says PLAIN or OTHER; the latter has its place in the text instead of numbers.
+    `what` (R,) says what each is: PLAIN, or one of those that have no numbers.
     names (K, 21), sizes (K,): the interface names met. Returns the number of rows and the place
     behind the last line read.
     """
@@ -216,7 +239,7 @@ def scan(
                 end += 1
             if end == total:
                 break
-            what[row] = OTHER
+            what[row] = _no_frame(text, at, end)
             can_id[row] = at
             t_ns[row] = end
         row += 1

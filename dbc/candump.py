@@ -6,6 +6,7 @@ nothing here raises on bytes (in strict mode: LogError with the line number).
 
 from __future__ import annotations
 
+import re
 import zlib
 from binascii import a2b_hex
 from collections import Counter
@@ -16,6 +17,8 @@ from typing import IO, Final, NamedTuple
 
 import numpy as np
 
+from dbc._candump_kernels import MALFORMED, OTHER
+from dbc._candump_kernels import PLAIN as PLAIN_ROW
 from dbc.ahead import ahead
 from dbc.block import Block, block_of
 from dbc.frame import FD, Frame
@@ -37,6 +40,11 @@ _CHUNK: Final = 1 << 20
 _PIECE, _SMALL = 1 << 18, 1 << 12
 """Bytes unpacked at once: each time both threads want the interpreter; and where one is damaged."""
 _IDS_KEPT: Final = 100_000
+_LINE_ENDS: Final = re.compile(rb"\n+")
+_VERDICTS: Final = np.array(
+    [Verdict.OK, Verdict.OK, Verdict.BLANK, Verdict.COMMENT, Verdict.MALFORMED], dtype=np.uint8
+)
+"""Of the rows of a scan that nobody judges one by one."""
 _TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
 
 
@@ -122,7 +130,13 @@ class Reader:
                     continue
                 self._judge(_TOO_LONG, tails)
             text = np.frombuffer(piece, dtype=np.uint8)
-            while (lines := scanner.read(text, start)).rows.size:
+            while True:
+                if (run := _LINE_ENDS.match(piece, start)) is not None:
+                    # Gigabytes of them pack into a megabyte.
+                    self._count(run.end() - start, Verdict.BLANK)
+                    start = run.end()
+                if not (lines := scanner.read(text, start)).rows.size:
+                    break
                 block, fault = self._accept(scanner, lines, piece, tails)
                 if block.size:
                     yield block
@@ -143,29 +157,32 @@ class Reader:
         self, scanner: Scanner, lines: Lines, text: bytes, tails: dict[bytes, int]
     ) -> tuple[Block, LogError | None]:
         """Judge the lines that are not plain; all frames, or those before the fault."""
-        kept = np.ones(lines.rows.size, dtype=np.bool_)
-        fd = np.cumsum(lines.rows.flags & FD != 0)
+        what = lines.what
+        kept = what == PLAIN_ROW
+        by_hand = what == OTHER
+        if self.strict or len(self.problems) < PROBLEMS_KEPT:
+            by_hand |= what == MALFORMED
         fault = None
-        done = 0
-        for k in [*lines.others, lines.rows.size]:
-            if k > done:
-                long = int(fd[k - 1] - (fd[done - 1] if done else 0))
-                self._count(k - done - long)
-                self._count(long, Verdict.FD)
+        done, last = 0, what.size
+        for k in np.flatnonzero(by_hand).tolist():
+            self.lines += k - done
             done = k + 1
-            if k == lines.rows.size:
-                break
             line = lines.line(text, k)
             try:
                 frame = self._judge(line, tails)
             except LogError as raised:
                 fault = raised
                 kept[k:] = False
+                done = last = k
                 break
-            if frame is None:
-                kept[k] = False
-            else:
+            if frame is not None:
+                kept[k] = True
                 scanner.put(lines, k, frame, line)
+        self.lines += last - done
+        verdicts = _VERDICTS[what]
+        verdicts[(what == PLAIN_ROW) & (lines.rows.flags & FD != 0)] = Verdict.FD
+        counts = np.bincount(verdicts[:last][~by_hand[:last]])
+        self.counts.update({Verdict(v): n for v, n in enumerate(counts.tolist()) if n})
         return scanner.finish(lines, kept), fault
 
     def _chunks(self, stack: ExitStack) -> Iterator[bytes]:

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._candump_kernels import FD_LENGTH, HEX, OTHER, scan
+from dbc._candump_kernels import FD_LENGTH, HEX, scan
 from dbc.block import ROOM, Block, blank
 from dbc.frame import EXTENDED, FD, Frame
 from dbc.logline import tail_of
@@ -23,12 +23,12 @@ _NAMES_KEPT: Final = 40_000
 class Lines(NamedTuple):
     """Consecutive lines of a text.
 
-    rows: a row per line; others: the rows that are not plain (their text: `line`); place: behind
-    the last line; tail (n,): characters after the `#`.
+    rows: a row per line; what (n,): PLAIN for frames, the others' text is `line`; place: behind the
+    last line; tail (n,): characters after the `#`.
     """
 
     rows: Block
-    others: list[int]
+    what: NDArray[np.uint8]
     place: int
     tail: NDArray[np.int64]
 
@@ -64,7 +64,7 @@ class Scanner:
             self.names.append(name.decode("utf-8", "surrogateescape"))
         rows = rows.part(0, n)
         tail = np.where(rows.flags & FD, 2, 0) + 2 * rows.length.astype(np.int64)
-        return Lines(rows, np.flatnonzero(what[:n] == OTHER).tolist(), place, tail)
+        return Lines(rows, what[:n], place, tail)
 
     def put(self, lines: Lines, k: int, frame: Frame, line: bytes) -> None:
         """Enter the frame of a line that was not plain."""

@@ -64,22 +64,30 @@ PLAIN_LINES = st.builds(
     st.sampled_from([b"", b" R", b" T", b"\r", b" R\r", b"  R", b" ", b"\t", b"A", b"_9", b"\r\r"]),
 )
 """Lines that are plain, or nearly."""
+NO_FRAMES = st.sampled_from([
+    b"", b"\n\n\n", b"\r", b" \t", b"\t\r", b"\r\r", b"\x0b", b"#", b"#x", b";", b"//", b"/", b" #",
+    b"D", b"D" * 20, b"a", b"a" * 20, b"(1.000000) a 12#", b"(1.000000) a 123#",
+    b"(0.000000) a 123#\r",
+])  # fmt: skip
+"""Blank lines, comments and others, of which there may be many."""
 
 
 @given(
-    st.lists(PLAIN_LINES | frames().map(format_frame) | log_lines(), max_size=20),
+    st.lists(PLAIN_LINES | frames().map(format_frame) | log_lines() | NO_FRAMES, max_size=20),
     st.booleans(),
     st.booleans(),
     st.integers(1, 200),
+    st.sampled_from([0, 1, 3, 100]),
 )
 @settings(max_examples=examples(1000))
 def test_blocks_say_the_same(
-    lines: list[bytes], terminated: bool, strict: bool, chunk: int
+    lines: list[bytes], terminated: bool, strict: bool, chunk: int, problems: int
 ) -> None:
     """The compiled scan equals the plain reader: frames, verdicts, counts, the fault in strict."""
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(candump, "_CHUNK", chunk)
+        patch.setattr(candump, "PROBLEMS_KEPT", problems)
         plain, fast = (Reader(io.BytesIO(data), strict=strict) for _ in range(2))
         blocks = (frame for block in fast.blocks() for frame in block.frames())
         said = []

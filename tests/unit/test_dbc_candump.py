@@ -178,6 +178,39 @@ def test_reader_gives_the_same_as_parse_line() -> None:
     assert [(p.line, p.verdict) for p in reader.problems] == faults[:100]
 
 
+class Many(io.RawIOBase):
+    """The same line again and again; a gigabyte of it packs into a megabyte."""
+
+    def __init__(self, line: bytes, size: int) -> None:
+        self.piece, self.left = line * (1 << 20), size
+
+    def read(self, size: int = -1) -> bytes:
+        data = self.piece[: min(size, self.left)]
+        self.left -= len(data)
+        return data
+
+
+@pytest.mark.timeout(120)  # of a minute and more each where every line is judged by itself
+@pytest.mark.parametrize(
+    ("line", "size", "verdict"),
+    [
+        pytest.param(b"\n", 1 << 31, Verdict.BLANK, marks=pytest.mark.slow),
+        (b"\r\n", 1 << 27, Verdict.BLANK),
+        (b"#\n", 1 << 27, Verdict.COMMENT),
+        (b"a\n", 1 << 27, Verdict.MALFORMED),
+    ],
+    ids=["2 GiB of newlines", "blank", "comments", "no frames"],
+)
+def test_a_bomb_of_short_lines_is_read_and_counted(
+    line: bytes, size: int, verdict: Verdict
+) -> None:
+    reader = Reader(Many(line, size))
+    assert sum(block.size for block in reader.blocks()) == 0
+    assert +reader.counts == {verdict: size // len(line)}
+    assert reader.lines == size // len(line)
+    assert len(reader.problems) == (100 if verdict.is_fault else 0)
+
+
 # ---- the end of the file -----------------------------------------------------------------------
 
 
