@@ -116,7 +116,7 @@ $(VENV)/.ready: requirements.lock pyproject.toml
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	touch $@
 
-# Compiled kernels are cached by their own file's age only.
+# Nothing needs this: what is stale is compiled anew by itself.
 clean-kernels:
 	find dbc estimators gateway sim -name '*.nb[ic]' -delete
 

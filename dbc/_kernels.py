@@ -19,9 +19,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dbc._kernelcache import njit
 from dbc._lean import inlined
 
 FIRST, SIGNALS, SIMPLE, SELECTOR, THERE = range(5)

@@ -10,21 +10,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from numba import njit
+from dbc._kernelcache import njit
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def lean(function: F) -> F:
     """Compiled, cached, without reference counts."""
-    return njit(cache=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, _nrt=False, error_model="numpy")(function)
 
 
 def unlocked(function: F) -> F:
     """The same, and other threads go on meanwhile: for what takes milliseconds."""
-    return njit(cache=True, nogil=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, nogil=True, _nrt=False, error_model="numpy")(function)
 
 
 def inlined(function: F) -> F:
     """As `lean`, put in where it is called."""
-    return njit(cache=True, forceinline=True, _nrt=False, error_model="numpy")(function)  # type: ignore[no-any-return,call-overload]
+    return njit(cache=True, forceinline=True, _nrt=False, error_model="numpy")(function)

@@ -63,15 +63,13 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input reach the user."""
     words = list(sys.argv[1:] if argv is None else argv)
-    from gateway.drivers import kernelcache, leanstart, logs
+    from gateway.drivers import leanstart, logs
 
     if _DRIVES.intersection(words[:1]):
         leanstart.python_can()
 
     form = _log_format(words)
     limit = logs.begin(logging.WARNING, form)
-    if words[:1] not in (["run"], ["warm"]):  # these say themselves where compiled code is
-        kernelcache.Kernels()
     parser = _parser(words)
     options = parser.parse_args(words)
     if options.version:

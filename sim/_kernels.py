@@ -26,8 +26,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from dbc._kernelcache import njit
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from estimators._lean import njit
 from estimators.detect._kernels import digamma
 
 Array = NDArray[np.float64]

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from estimators._lean import njit
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

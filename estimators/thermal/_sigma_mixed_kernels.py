@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from estimators._lean import njit
 from estimators.thermal._mixture_kernels import expect_maximise
 
 Array = NDArray[np.float64]

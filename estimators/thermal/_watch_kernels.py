@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from estimators._lean import njit
 from estimators.thermal import _models_kernels as models
 from estimators.thermal import _steps_kernels as steps
 from estimators.thermal._heat_kernels import REFERENCE as WARM

@@ -70,10 +70,11 @@ class Started(NamedTuple):
 
 def _start(options: argparse.Namespace) -> Started:
     """Load and make everything. Raises ConfigError or DbcMismatch with every problem."""
-    from gateway.drivers.kernelcache import Kernels
-
-    kernels = Kernels(options.kernels)
     leanstart.numba()
+    from gateway.drivers import kernelcache
+
+    if options.kernels:
+        kernelcache.use(options.kernels)
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
     from gateway.drivers.credentials import flag_authenticator
@@ -97,7 +98,8 @@ def _start(options: argparse.Namespace) -> Started:
         use_given()
     log.info("user %d, %s", os.geteuid(), described())
     transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
-    kernels.tell()  # the transport has some as well
+    if options.kernels:
+        kernelcache.tell()  # the transport has some as well
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)

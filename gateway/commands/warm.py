@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
     """Compile, or find compiled, what the configurations need."""
     from gateway.drivers import kernelcache
 
-    kernelcache.make(options.kernels)
+    made = kernelcache.make(options.kernels)
     from gateway.drivers.batch import Batch
     from gateway.drivers.warm import warm_up
 
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> int:
         for given in () if options.config else shipped:
             # Any calibration will do: without one nothing of the thermal side would be compiled.
             warm_up(*prepare(None, dbc=given, thermal=scenario_thermal()))
-    kernels = kernelcache.count(options.kernels)
-    if not kernels:
-        print(f"nothing was compiled into {options.kernels}: numba was loaded before")
+    kernels, lost = kernelcache.count(made), kernelcache.lost()
+    if lost:
+        print(f"{lost} kernels could not be kept in {made}: make room, and repeat this")
         return BAD_INPUT
-    print(f"{kernels} kernels in {options.kernels}, {time.monotonic() - began:.0f} s")
+    print(f"{kernels} kernels in {made}, {time.monotonic() - began:.0f} s")
     return GOOD

@@ -1,75 +1,92 @@
-"""Where compiled kernels are kept, and that a place which is read-only stops nobody.
+"""A folder of kernels that were compiled ahead (`warm`), for a service that only reads it (`run`).
 
-numba looks for a folder that it can write to: `__pycache__` beside the code, else one at home;
-with neither the first import of a kernel fails. An installed service has neither. It gets a folder
-that was prepared (`traction-gateway warm`) and copies it to a temporary one of its own: what was
-prepared stays read-only, and what is missing in it is compiled, and said. To be made before
-anything that imports numba.
+In it is one folder per program, named by a hash over everything that compiled code depends on. A
+service takes the one of its own name or does not start: other code must never decide its flags.
+How a compiled function is kept, and checked when it is read, is `dbc._kernelcache`.
 """
 
 from __future__ import annotations
 
-import atexit
+import hashlib
 import logging
-import os
+import re
 import shutil
-import tempfile
 from pathlib import Path
 from typing import Final
 
-import gateway
+from gateway.drivers import leanstart
 
 log = logging.getLogger(__name__)
 
-VARIABLE: Final = "NUMBA_CACHE_DIR"
-CURE: Final = "`traction-gateway warm -o DIR`, and `run --kernels DIR`"
+KEPT: Final = 3
+"""Programs in one folder: the newest, and some to go back to."""
 
 
-class Kernels:
-    """The folder in use, removed at the end of the program if it is a temporary one."""
+def identity() -> str:
+    """16 hex digits: of all sources, the versions of numba, llvmlite and NumPy, the processor."""
+    leanstart.numba()
+    from numba.core.registry import cpu_target
 
-    def __init__(self, prepared: Path | None = None) -> None:
-        """Take those in `prepared`, if given; else wherever numba can write."""
-        self._own: Path | None = None
-        self._before = 0
-        if prepared is None and _can_keep():
-            return
-        self._own = Path(tempfile.mkdtemp(prefix="traction-gateway-"))
-        atexit.register(shutil.rmtree, self._own, ignore_errors=True)
-        os.environ[VARIABLE] = str(self._own)
-        if prepared is None:
-            log.warning("compiled code cannot be kept, so every start compiles: see %s", CURE)
-            return
-        try:
-            _copy(prepared, self._own)
-        except OSError as error:
-            log.warning("compiled code cannot be used: %s", error)
-        self._before = count(self._own)
+    import gateway
+    from dbc._kernelcache import PRODUCT, VERSIONS, sources
 
-    def tell(self) -> None:
-        """After the warm-up: say what had to be compiled; a service should have nothing to."""
-        if self._own is None:
-            return
-        new = count(self._own) - self._before
-        if new:
-            log.warning("%d of %d kernels were compiled in this start, which is slow: see %s",
-                        new, new + self._before, CURE)  # fmt: skip
-        else:
-            log.info("%d kernels were ready", self._before)
+    root = str(Path(gateway.__path__[0]).parent)
+    processor = cpu_target.target_context.codegen().magic_tuple()
+    total = hashlib.sha256(f"{VERSIONS} {processor}".encode())
+    for package in PRODUCT:
+        for module, file in sorted(sources(root, package).items()):
+            digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            total.update(f"\n{module} {digest}".encode())
+    return total.hexdigest()[:16]
 
 
-def make(folder: Path) -> None:
-    """Have everything that is compiled from now on kept in `folder`. Raises OSError."""
-    folder.mkdir(parents=True, exist_ok=True)
-    os.environ[VARIABLE] = str(folder.resolve())
+def make(folder: Path) -> Path:
+    """Have everything that is compiled from now on kept in `folder`, and return where there.
+
+    Of other programs' kernels the newest stay. Raises OSError.
+    """
+    from dbc._kernelcache import Settings
+
+    Settings.folder = place = (folder / identity()).resolve()
+    place.mkdir(parents=True, exist_ok=True)
+    place.touch()
+    old = sorted(_programs(folder), key=lambda path: path.stat().st_mtime_ns)
+    for path in old[:-KEPT]:
+        shutil.rmtree(path, ignore_errors=True)
+    return place
 
 
-def _copy(prepared: Path, own: Path) -> None:
-    """Contents only: what was prepared may be read-only, and numba writes beside what is new."""
-    for folder in sorted(prepared.iterdir()):
-        (own / folder.name).mkdir()
-        for file in sorted(folder.iterdir()):
-            shutil.copyfile(file, own / folder.name / file.name)
+def use(folder: Path) -> None:
+    """Take compiled functions from what `make` left in `folder`, and write nothing.
+
+    Raises ConfigError if that has nothing for this program.
+    """
+    from gateway.config import ConfigError
+
+    wanted = identity()
+    if not (folder / wanted).is_dir():
+        others = ", ".join(sorted(path.name for path in _programs(folder))) or "nothing"
+        raise ConfigError(str(folder), [
+            f"no kernels of this program, numba, NumPy and processor ({wanted}; there: {others}): "
+            f"make them with `traction-gateway warm -o {folder} [CONFIG]`"
+        ])  # fmt: skip
+    from dbc._kernelcache import Settings
+
+    Settings.folder, Settings.write = folder / wanted, False
+
+
+def tell() -> None:
+    """After the warm-up: say what `use` had not; a service should have to compile nothing."""
+    from dbc._kernelcache import Settings
+
+    if Settings.folder is None:
+        return
+    if Settings.compiled:
+        log.warning("%d kernels were compiled in this start, which is slow: they are missing or "
+                    "damaged in %s; repeat `traction-gateway warm`",
+                    Settings.compiled, Settings.folder)  # fmt: skip
+    else:
+        log.info("%d kernels were ready", count(Settings.folder))
 
 
 def count(folder: Path) -> int:
@@ -77,17 +94,15 @@ def count(folder: Path) -> int:
     return sum(1 for _ in folder.rglob("*.nbc"))
 
 
-def _can_keep() -> bool:
-    """Whether numba finds a folder by itself."""
-    beside = Path(gateway.__path__[0]) / "__pycache__"
-    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - never raises
-    named = os.environ.get(VARIABLE)
-    places = [beside, Path(home) / "numba", *([Path(named)] if named else [])]
-    return any(map(_writable, places))
+def lost() -> int:
+    """Functions that were compiled and could not be kept."""
+    from dbc._kernelcache import Settings
+
+    return Settings.lost
 
 
-def _writable(folder: Path) -> bool:
-    """Whether files can be made in it, or it can be made."""
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+def _programs(folder: Path) -> list[Path]:
+    """What `make` left there, now or earlier."""
+    if not folder.is_dir():
+        return []
+    return [path for path in folder.iterdir() if re.fullmatch("[0-9a-f]{16}", path.name)]

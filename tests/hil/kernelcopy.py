@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from numba.core.caching import UserProvidedCacheLocator
+from gateway.drivers.kernelcache import identity
 
 PACKAGES = ("dbc", "estimators", "gateway", "sim")
 
@@ -30,17 +30,15 @@ def compile_kernels() -> None:
     subprocess.run([sys.executable, "-c", _WARM_UP], check=True)
 
 
-def copy_kernels(root: Path, target: Path, seen_as: Path | None = None) -> None:
+def copy_kernels(root: Path, target: Path) -> None:
     """Fill a folder that nobody may write to, as `traction-gateway warm` would.
 
-    root: where the packages are; seen_as: where they will be for who uses the kernels.
+    root: where the packages are.
     """
+    place = target / identity()
+    place.mkdir(parents=True)
     for package in PACKAGES:
-        for cache in (root / package).rglob("__pycache__"):
-            beside = (seen_as or root) / cache.relative_to(root).parent / "x.py"
-            name = UserProvidedCacheLocator.get_suitable_cache_subpath(str(beside))
-            for file in cache.glob("*.nb?"):
-                (target / name).mkdir(parents=True, exist_ok=True)
-                shutil.copy(file, target / name)
+        for file in (root / package).rglob("*.nbc"):
+            shutil.copy(file, place)
     for path in (target, *target.rglob("*")):
         path.chmod(0o555 if path.is_dir() else 0o444)

@@ -59,7 +59,7 @@ def _lay_out(job: Path) -> None:
     (opt / "pyvenv.cfg").write_text(f"home = {own}/bin\n", encoding="utf-8")
     script = (ROOT / "gateway/service/links.sh").read_text(encoding="utf-8")
     _program(opt / "libexec/links.sh", script)
-    copy_kernels(ROOT, opt / "kernels", OPT / "src")
+    copy_kernels(ROOT, opt / "kernels")
     binds = [(ROOT / package, f"src/{package}") for package in PACKAGES]
     binds += [(Path(sys.prefix) / "lib", "lib")] + [(base, "base")] * (own != base)
     (job / "binds").write_text("".join(f"{a} {b}\n" for a, b in binds), encoding="utf-8")

@@ -1,7 +1,8 @@
-"""Compiled code made ahead, read-only, incomplete, or with no place to be kept."""
+"""Compiled code made ahead: of this program or refused, read-only, incomplete, damaged."""
 
 from __future__ import annotations
 
+import argparse
 import logging
 import os
 import subprocess
@@ -10,108 +11,137 @@ from pathlib import Path
 
 import pytest
 
+from dbc._kernelcache import Settings
+from gateway.commands import warm
+from gateway.config import ConfigError
 from gateway.drivers import kernelcache
-from gateway.drivers.kernelcache import Kernels, count
+from gateway.drivers.kernelcache import count, identity, make, tell, use
+
+NO_TEMPORARY = """
+import sys, tempfile
+tempfile._candidate_tempdir_list = lambda: ["/nonexistent"]
+from gateway.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
 
 
-def program(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False,
-        env={**os.environ, **environment},
+def program(*words: str, start: tuple[str, ...] = ("-m", "gateway")) -> tuple[int, str, str]:
+    done = subprocess.run(
+        [sys.executable, *start, *words], capture_output=True, text=True, check=False,
     )  # fmt: skip
+    return done.returncode, done.stdout, done.stderr
 
 
 @pytest.mark.slow
-def test_what_warm_made_is_used_and_what_is_missing_is_said(tmp_path: Path) -> None:
+def test_what_warm_made_is_used_and_what_is_missing_or_damaged_is_said(tmp_path: Path) -> None:
     kernels = tmp_path / "kernels"
     # One drive and one message set are enough, and half of the time.
     config = tmp_path / "train.toml"
     config.write_text("[[drive]]\nnode = 1\n")
-    place = {"TMPDIR": str(tmp_path)}
-    made = program("warm", str(config), "-o", str(kernels), **place)
-    assert made.returncode == 0, made.stderr
+    code, said, errors = program("warm", str(config), "-o", str(kernels))
+    assert code == 0, errors
     number = count(kernels)
     assert number > 20
-    assert f"{number} kernels in {kernels}" in made.stdout
-    start = ("run", "-v", "--quiet", "--config", str(config), "-i", "virtual", "-c", "kernels",
+    assert f"{number} kernels in {kernels}" in said
+    run = ("run", "-v", "--quiet", "--config", str(config), "-i", "virtual", "-c", "kernels",
              "--duration", "0.05", "--kernels", str(kernels))  # fmt: skip
-    ready = program(*start, **place)
-    assert ready.returncode == 0, ready.stderr
-    assert f"{number} kernels were ready" in ready.stderr
-    assert "compiled" not in ready.stderr
-    (one,) = kernels.rglob("*.decode_block-*.1.nbc")
-    one.unlink()
+    # Nothing is copied, so a full or missing folder for temporary files stops nobody.
+    code, _, errors = program(*run, start=("-c", NO_TEMPORARY))
+    assert code == 0, errors
+    assert f"{number} kernels were ready" in errors
+    assert "compiled" not in errors
+    (one,) = kernels.rglob("*.decode_block.*.nbc")
+    one.write_bytes(one.read_bytes()[:1000])
+    (two,) = kernels.rglob("*.receive.*.nbc")
+    two.unlink()
     before = {path: path.stat().st_mtime_ns for path in kernels.rglob("*")}
-    missing = program(*start, **place)
-    assert missing.returncode == 0, missing.stderr
-    assert f"of {number} kernels were compiled in this start" in missing.stderr
+    code, _, errors = program(*run)
+    assert code == 0, errors
+    assert "2 kernels were compiled in this start" in errors
     assert {path: path.stat().st_mtime_ns for path in kernels.rglob("*")} == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kernels", "train.toml"]
 
 
-@pytest.fixture
-def variable(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv(kernelcache.VARIABLE, "")
-    monkeypatch.delenv(kernelcache.VARIABLE)
-    monkeypatch.setattr(kernelcache.tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(kernelcache.atexit, "register", lambda *_, **__: None)
-
-
-@pytest.mark.usefixtures("variable")
-def test_where_numba_can_write_nothing_is_changed(caplog: pytest.LogCaptureFixture) -> None:
-    Kernels().tell()
-    assert kernelcache.VARIABLE not in os.environ
-    assert not caplog.records
-
-
-@pytest.mark.usefixtures("variable")
-def test_without_a_place_a_temporary_one_is_used_and_said(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+@pytest.mark.parametrize("kind", ["absent", "a file", "empty", "another program's"])
+def test_run_refuses_other_kernels_in_one_line_that_says_what_to_do(
+    kind: str, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(kernelcache.os, "access", lambda *_: False)
-    kernels = Kernels()
-    own = Path(os.environ[kernelcache.VARIABLE])
-    assert own.parent == tmp_path
-    assert "every start compiles" in caplog.text
-    (own / "a").mkdir()
-    (own / "a" / "f.1.nbc").touch()
-    kernels.tell()
-    assert "1 of 1 kernels were compiled in this start" in caplog.text
-
-
-@pytest.mark.usefixtures("variable")
-@pytest.mark.parametrize("kind", ["absent", "a file", "a file in it"])
-def test_a_folder_that_is_none_is_said_and_survived(
-    kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    prepared = tmp_path / "prepared"
+    kernels = tmp_path / "kernels"
     if kind == "a file":
-        prepared.touch()
-    elif kind == "a file in it":
-        prepared.mkdir()
-        (prepared / "README").touch()
-    with caplog.at_level(logging.INFO):
-        Kernels(prepared).tell()
-    assert "cannot be used" in caplog.text
-    assert str(prepared) in caplog.text
-    assert Path(os.environ[kernelcache.VARIABLE]).is_dir()
+        kernels.touch()
+    elif kind != "absent":
+        kernels.mkdir()
+    if kind == "another program's":
+        (kernels / "0123456789abcdef").mkdir()
+    code, said, errors = program("run", "-i", "virtual", "-c", "x", "--duration", "0.05",
+                                 "--kernels", str(kernels))  # fmt: skip
+    assert code == 2
+    assert not said
+    assert len(errors.splitlines()) == 1
+    assert f"traction-gateway warm -o {kernels}" in errors
+    if kind == "another program's":
+        assert "0123456789abcdef" in errors
 
 
-def test_read_only_folders_are_copied_to_writable_ones(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.fixture
+def settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("folder", "write", "compiled", "lost"):
+        monkeypatch.setattr(Settings, name, getattr(Settings, name))
+
+
+@pytest.mark.usefixtures("settings")
+def test_a_program_finds_what_it_made_and_no_other_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setenv(kernelcache.VARIABLE, "")
-    monkeypatch.setattr(kernelcache.tempfile, "tempdir", str(tmp_path))
-    folder = tmp_path / "kernels" / "gateway_0123"
-    folder.mkdir(parents=True)
-    (folder / "f.1.nbc").write_bytes(b"code")
-    (folder / "f.1.nbc").chmod(0o444)
-    folder.chmod(0o555)
+    place = make(tmp_path)
+    (place / "f.nbc").touch()
+    use(tmp_path)
+    Settings.compiled = 0
     with caplog.at_level(logging.INFO):
-        Kernels(tmp_path / "kernels").tell()
-    copy = Path(os.environ[kernelcache.VARIABLE]) / "gateway_0123"
-    assert copy.stat().st_mode & 0o200
-    assert (copy / "f.1.nbc").stat().st_mode & 0o200
-    assert (copy / "f.1.nbc").read_bytes() == b"code"
+        tell()
     assert "1 kernels were ready" in caplog.text
-    folder.chmod(0o755)
+    monkeypatch.setattr("dbc._kernelcache.VERSIONS", "of tomorrow")
+    with pytest.raises(ConfigError, match=place.name):
+        use(tmp_path)
+
+
+@pytest.mark.parametrize("what", ["VERSIONS", "sources", "processor"])
+def test_the_name_of_a_folder_depends_on(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = identity()
+    assert before == identity()
+    if what == "processor":
+        asked = "import gateway.drivers.kernelcache as k; print(k.identity())"
+        other = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+        after = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True,
+                               check=True, env={**os.environ, **other}).stdout.strip()  # fmt: skip
+    else:
+        other_one = "0" if what == "VERSIONS" else lambda root, top: {top: __file__}
+        monkeypatch.setattr(f"dbc._kernelcache.{what}", other_one)
+        after = identity()
+    assert len(after) == len(before) == 16
+    assert after != before
+
+
+@pytest.mark.usefixtures("settings")
+def test_old_programs_do_not_pile_up_and_nothing_else_is_deleted(tmp_path: Path) -> None:
+    for n in range(5):
+        (tmp_path / f"{n:016x}").mkdir()
+        os.utime(tmp_path / f"{n:016x}", (n, n))
+    (tmp_path / "notes").mkdir()
+    mine = make(tmp_path).name
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"notes", mine, f"{3:016x}", f"{4:016x}"}
+
+
+@pytest.mark.usefixtures("settings")
+def test_warm_fails_where_it_could_not_keep_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def lose(*_: object) -> None:
+        Settings.lost += 1
+
+    monkeypatch.setattr("gateway.drivers.warm.warm_up", lose)
+    monkeypatch.setattr("gateway.drivers.batch.Batch", lambda _: None)
+    assert warm.run(argparse.Namespace(config=[], kernels=tmp_path)) == 2
+    assert "2 kernels could not be kept" in capsys.readouterr().out
+    assert kernelcache.lost() == 2
