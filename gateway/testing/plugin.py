@@ -23,7 +23,8 @@ MARK = (
     "hil(scenario=NAME or FILE, config=FILE, settle=True, drives=3, motion={..}, load={..}, ..): "
     "what the bench of the test is: a scenario, or tables of one; settle: run until all is good"
 )
-GLOBS = ("hil_*.toml", "test_*.toml")
+GLOBS = ("hil_*.toml",)
+"""Nothing wider: pytest loads this in any project of the environment, which has TOML of its own."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -92,7 +93,7 @@ def gateway_flags(hil_bench: HilBench) -> GatewayFlags:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    """A scenario that is named on the command line, or that has the name of a test."""
+    """A scenario that is named on the command line, or whose name `hil_scenarios` has."""
     if file_path.suffix != ".toml":
         return None
     named = parent.session.isinitpath(file_path)

@@ -69,7 +69,8 @@ def failures(tmp_path_factory) -> str:
     scenario = (EXAMPLE / "hil_wet_rail.toml").read_text()
     (folder / "hil_hasty.toml").write_text(scenario.replace("within_ms = 100", "within_ms = 10"))
     (folder / "hil_empty.toml").write_text('title = "nothing"\nduration_s = 1\n')
-    (folder / "other.toml").write_text("not = 'a scenario'")
+    for name in ("other", "test_data", "a_test", "hill"):
+        (folder / f"{name}.toml").write_text("not = 'a scenario'")
     done = run_pytest(folder, "--continue-on-collection-errors", "-rA")
     assert done.returncode == 1, done.stdout + done.stderr
     return done.stdout
@@ -93,7 +94,8 @@ def test_a_scenario_that_fails_says_so(failures):
     assert "FAILED hil_hasty.toml::0-adhesion-3-bad" in failures
     assert "PASSED hil_hasty.toml::1-adhesion-others-never-bad" in failures
     assert "no [[expect]]: nothing would be tested" in failures
-    assert "other.toml" not in failures
+    for name in ("other", "test_data", "a_test", "hill"):
+        assert f"{name}.toml" not in failures
 
 
 def test_mistakes_of_a_test_are_named(failures):
@@ -101,6 +103,18 @@ def test_mistakes_of_a_test_are_named(failures):
     assert "drive 9 is none of (1, 2, 3)" in failures
     assert "PASSED test_suite.py::test_no_such_fault" in failures
     assert "PASSED test_suite.py::test_unknown_at_first" in failures
+
+
+def test_toml_of_another_project_is_none_of_ours_unless_it_says_so(tmp_path):
+    """The plugin is loaded wherever this package is installed."""
+    (tmp_path / "test_data.toml").write_text("[table]\nof = 'somebody else'\n")
+    (tmp_path / "test_one.py").write_text("def test_one():\n    pass\n")
+    done = run_pytest(tmp_path)
+    assert done.returncode == 0, done.stdout
+    assert "1 passed" in done.stdout
+    done = run_pytest(tmp_path, "-o", "hil_scenarios=test_*.toml")
+    assert done.returncode == 2
+    assert "test_data.toml" in done.stdout
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path):
