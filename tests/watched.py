@@ -75,12 +75,12 @@ class FakeSource:
 
 
 @contextmanager
-def server_of(feed, *, stuck_ms=None, port=0, **limits):
+def server_of(feed, *, stuck_ms=None, port=0, request_s=5.0, **limits):
     """A real one, by default on a port of its own: (server, port)."""
     made = bind(Listen("127.0.0.1", port))
     if stuck_ms is not None:
         made.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, stuck_ms)
-    server = make_server(make_app(feed, Access(), **limits))
+    server = make_server(make_app(feed, Access(), **limits), feed.counts, request_s)
     thread = threading.Thread(target=server.run, args=([made],))
     thread.start()
     try:

@@ -10,6 +10,7 @@ import asyncio
 import json
 import logging
 import socket
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -29,6 +30,7 @@ from gateway.config import ConfigError
 from gateway.monitor.access import Access, Listen
 from gateway.monitor.feed import Feed, Picture
 from gateway.monitor.guard import Guard
+from gateway.monitor.request_timeout import REQUEST_S, timed_protocol
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
@@ -259,14 +261,17 @@ def is_loopback(where: Listen) -> bool:
     return ipaddress.ip_address(address[0].partition("%")[0]).is_loopback
 
 
-def make_server(app: ASGIApp) -> uvicorn.Server:
-    """Uvicorn with this server's limits; it is run with sockets of `bind`."""
+def make_server(app: ASGIApp, counts: Counter[str], request_s: float = REQUEST_S) -> uvicorn.Server:
+    """Uvicorn with this server's limits; it is run with sockets of `bind`.
+
+    counts: gets `half_sent`, connections without a whole request after request_s.
+    """
     # It logs requests with what is in the address line, tokens too.
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     return uvicorn.Server(
         uvicorn.Config(
-            app, http="h11", ws="websockets-sansio", lifespan="on", log_config=None,
-            access_log=False, server_header=False, proxy_headers=False,
+            app, http=timed_protocol(counts, request_s), ws="websockets-sansio", lifespan="on",
+            log_config=None, access_log=False, server_header=False, proxy_headers=False,
             limit_concurrency=CONNECTIONS, backlog=CONNECTIONS, ws_max_size=REQUEST_BYTES,
             ws_per_message_deflate=False, ws_ping_interval=5.0, ws_ping_timeout=STUCK_MS / 1e3,
             timeout_keep_alive=5, timeout_graceful_shutdown=2, h11_max_incomplete_event_size=8192,
@@ -289,9 +294,8 @@ def serve(
         errors.append(error)
         server.should_exit = True
 
-    server = make_server(
-        make_app(feed, access, page=page, metrics_only=metrics_only, ended=ended)
-    )  # fmt: skip
+    app = make_app(feed, access, page=page, metrics_only=metrics_only, ended=ended)
+    server = make_server(app, feed.counts)
     server.run(sockets=list(sockets))
     if errors:
         raise errors[0]

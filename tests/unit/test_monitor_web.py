@@ -371,6 +371,78 @@ def test_large_messages_of_a_viewer_are_not_taken():
         assert not feed.counts
 
 
+HOST = b"Host: localhost\r\n"
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"", b"G", b"GET / HTTP/1.1\r\n", b"GET / HTTP/1.1\r\n" + HOST,
+        b"GET / HTTP/1.1\r\n" + HOST + b"Content-Length: 9\r\n\r\nabc",
+        b"GET /look HTTP/1.1\r\n" + HOST + b"Upgrade: websocket\r\nConnection: Upg",
+        b"GET / HTTP/1.1\r\n" + HOST + b"\r\nGET /metr",
+    ],
+    ids=["nothing", "a byte", "a line", "a header", "a body", "an upgrade", "the second request"],
+)  # fmt: skip
+def test_a_request_that_is_never_whole_is_given_up(sent):
+    """Also of one that drips on: only a whole request counts."""
+    feed = Feed(FakeSource())
+    with server_of(feed, request_s=0.3) as (server, port):
+        with socket.create_connection(("127.0.0.1", port), timeout=20.0) as half:
+            half.sendall(sent)
+            half.setblocking(False)
+            until(lambda: drips(half))
+        until(lambda: not server.server_state.connections)
+    assert feed.counts == {"half_sent": 1}
+
+
+def drips(half):
+    """Send one more byte and read on; whether the other end has closed."""
+    try:
+        half.send(b"x")
+    except OSError:
+        return True
+    try:
+        while half.recv(65536):
+            pass
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def test_all_connections_half_sent_keep_nobody_out_for_long():
+    feed = Feed(FakeSource())
+    with server_of(feed, request_s=0.3) as (_, port):
+        halves = [socket.create_connection(("127.0.0.1", port)) for _ in range(web.CONNECTIONS)]
+        for half in halves:
+            half.sendall(b"GET / HT")
+        until(lambda: feed.counts["half_sent"] == web.CONNECTIONS)
+        with opened(port, 4096):
+            until(lambda: feed.viewers == 1)
+        for half in halves:
+            half.close()
+    assert feed.counts == {"half_sent": web.CONNECTIONS}
+
+
+def test_whole_requests_and_pauses_between_them_are_no_half_sent_ones():
+    feed = Feed(FakeSource())
+    ask = b"GET /metrics HTTP/1.1\r\n" + HOST + b"\r\n"
+    with server_of(feed, request_s=0.3) as (_, port), opened(port, 65536):
+        until(lambda: feed.viewers == 1)
+        with socket.create_connection(("127.0.0.1", port), timeout=20.0) as asker:
+            for _ in range(2):
+                for part in (ask[:10], ask[10:]):
+                    asker.sendall(part)
+                assert asker.recv(12) == b"HTTP/1.1 200"
+                before = feed.picture.number
+                until(lambda before=before: feed.picture.number > before + 5)
+                asker.recv(1 << 20)
+        assert feed.viewers == 1
+        assert not feed.counts
+
+
 def test_loopback_is_told_from_what_others_can_reach():
     for host in ("127.0.0.1", "127.8.9.1", "localhost", "::1"):
         assert is_loopback(Listen(host, 1)), host
