@@ -63,6 +63,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input reach the user."""
     words = list(sys.argv[1:] if argv is None else argv)
+    from dbc.text import printable
     from gateway.drivers import leanstart, logs
 
     if _DRIVES.intersection(words[:1]):
@@ -100,6 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not _is_users(error):
             raise
         text = " ".join(str(error).split())
+        text = printable(text, len(text))  # it may quote names of files
         logs.say(text if form == "json" else f"traction-gateway: {text}", form)
         return 2
     finally:

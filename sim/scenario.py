@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from dbc.text import TomlError, printable, read_toml
 from sim.adhesion import rail
@@ -158,7 +158,8 @@ class Expect(Strict):
 class Scenario(Strict):
     """A whole scenario."""
 
-    title: str
+    title: Annotated[str, AfterValidator(printable)]
+    """Control characters in it are escaped: it goes to terminals, HTML and JUnit."""
     seed: int = Field(1, ge=0)
     duration_s: float = Field(gt=0)
     drives: int = Field(3, ge=1, le=MAX_DRIVES)

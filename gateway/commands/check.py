@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dbc.text import printable
 from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, console, prepare
 from gateway.config import ConfigError
 from gateway.stuffing import bits_of
@@ -44,7 +45,10 @@ def run(options: argparse.Namespace) -> int:
     foreign.fitted(codec, planned)
     word = calibration.config_hash(config, codec.digest, calibration.of(config))
     print(f"configuration  good, hash {word:06x}")
-    print(f"message set    {codec.path.name}: {len(codec.messages)} messages fit the contract")
+    print(
+        f"message set    {printable(codec.path.name)}: "
+        f"{len(codec.messages)} messages fit the contract"
+    )
     for plan in planned:
         print("\n".join(told(plan)))
     percent = bus_load(codec, config, planned)

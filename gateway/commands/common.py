@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from dbc.text import printable
 from gateway.config import Config, ConfigError, load
 
 if TYPE_CHECKING:
@@ -169,6 +170,11 @@ def _bar(log: Log, path: Path, what: str) -> Iterator[Block]:
         for block in log.blocks:
             progress.update(task, completed=log.reader.bytes_read if log.reader else 0)
             yield block
+
+
+def shown(path: Path) -> str:
+    """A path for the terminal, control characters in it escaped."""
+    return printable(str(path))
 
 
 def out_file(path: Path) -> Path:

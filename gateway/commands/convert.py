@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dbc.text import printable
 from gateway.commands.common import (
     BAD_INPUT,
     GOOD,
@@ -15,6 +16,7 @@ from gateway.commands.common import (
     console,
     patience,
     prepare,
+    shown,
     track_file,
 )
 
@@ -88,10 +90,12 @@ def run(options: argparse.Namespace) -> int:
         raise BadLogError(f"{options.log}: {error}{advice} ({', '.join(left)})") from None
     _summary(log, done, decoder)
     seconds = time.perf_counter() - began
-    console().print(f"{options.output}: {done.read} frames in {seconds:.2f} s", markup=False)
+    console().print(f"{shown(options.output)}: {done.read} frames in {seconds:.2f} s", markup=False)
     if done.cut:
-        console().print(f"traction-gateway: {done.cut}; {options.output} ends there",
-                        markup=False, soft_wrap=True)  # fmt: skip
+        console().print(
+            f"traction-gateway: {printable(done.cut)}; {shown(options.output)} ends there",
+            markup=False, soft_wrap=True,
+        )  # fmt: skip
         return BAD_INPUT
     return GOOD
 

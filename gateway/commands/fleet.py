@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dbc.text import printable
 from gateway.commands.common import FAILED, GOOD, add_config, console
 
 if TYPE_CHECKING:
@@ -101,10 +102,15 @@ def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path])
     faults = sum(row.total("thermal_faults") for row in rows)
     print(f"{hours:.3f} h of logs: {losses} adhesion losses, {faults} thermal faults")
     for row in bad[:BAD_SHOWN]:
-        print(f"bad: {row.path}: {row.error}")
+        print(bad_line(row))
     if len(bad) > BAD_SHOWN:
         print(f"bad: {len(bad) - BAD_SHOWN} more, see {files[1]}")
     print(f"written: {', '.join(str(path) for path in files)}")
+
+
+def bad_line(row: Row) -> str:
+    """Why a log was left out. Whoever names logs cannot write to the terminal."""
+    return printable(f"bad: {row.path}: {row.error}")
 
 
 @contextmanager
@@ -130,8 +136,6 @@ def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[
             ended += 1
             progress.update(task, advance=sizes[one], ended=ended)
             if row.status == BAD:
-                progress.console.print(
-                    f"bad: {row.path}: {row.error}", markup=False, soft_wrap=True
-                )
+                progress.console.print(bad_line(row), markup=False, soft_wrap=True)
 
         yield after

@@ -187,10 +187,11 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
     if not sys.stderr.isatty():
         yield []
         return
+    from rich.markup import escape
     from rich.progress import Progress
 
     with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(scenario.title, total=scenario.duration_s)
+        task = progress.add_task(escape(scenario.title), total=scenario.duration_s)
 
         def look(now: int, *_: Any) -> None:
             if now % 500_000_000 == 0:

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dbc.text import printable
 from gateway.commands.common import (
     GOOD,
     add_config,
@@ -110,9 +111,9 @@ def run(options: argparse.Namespace) -> int:
     span = (done.last_ns - done.first_ns) / 1e9
     _summary(log.reader, done, recorder)
     console().print(
-        f"replayed {span:.2f} s of {done.channel or 'the log'} in {seconds:.2f} s "
-        f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks"
-    )
+        f"replayed {span:.2f} s of {printable(done.channel) or 'the log'} in {seconds:.2f} s "
+        f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks", markup=False,
+    )  # fmt: skip
     if left is not None:
         print(f"report: {_report(options, left, done, log.reader)}")
     return GOOD

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, out_file, prepare
+from gateway.commands.common import GOOD, out_file, prepare, shown
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     path = out_file(options.output or default_signature(options.config))
     path.write_text(text, encoding="ascii")
     word = calibration.config_hash(config, codec.digest, cells)
-    print(f"{path}: signed, hash {word:06x}")
+    print(f"{shown(path)}: signed, hash {word:06x}")
     for role, seal in seals.items():
         print(f"  {role:12} {seal}")
     return GOOD

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, add_signature, prepare
+from gateway.commands.common import GOOD, add_signature, prepare, shown
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,5 +20,8 @@ def run(options: argparse.Namespace) -> int:
 
     config, codec = prepare(options.config, signature=options)
     word = calibration.config_hash(config, codec.digest, calibration.of(config))
-    print(f"{options.config}: signed by the owner of {options.public_key}, hash {word:06x}")
+    print(
+        f"{shown(options.config)}: signed by the owner of {shown(options.public_key)}, "
+        f"hash {word:06x}"
+    )
     return GOOD

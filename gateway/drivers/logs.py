@@ -16,6 +16,8 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final, TextIO
 
+from dbc.text import printable
+
 MOST: Final = 10
 WINDOW_S: Final = 60.0
 _LEVELS: Final = {
@@ -69,6 +71,15 @@ class Marked(logging.Formatter):
         """`<4>name: message`; further lines, of a traceback, get the level too."""
         mark = f"<{_LEVELS.get(record.levelno, 5)}>"
         return "\n".join(mark + line for line in self._inner.format(record).splitlines())
+
+
+class Text(logging.Formatter):
+    """A line to a message; names of others in it cannot end the line or move the cursor."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """Control characters are escaped."""
+        record.message = printable(record.message, len(record.message))
+        return super().formatMessage(record)
 
 
 class Json(logging.Formatter):
@@ -127,5 +138,5 @@ def _formatter(form: str) -> logging.Formatter:
     if form == "text":
         # The journal has the level of its own.
         level = "" if journal else "%(levelname)s "
-        made = logging.Formatter(level + "%(name)s: %(message)s")
+        made = Text(level + "%(name)s: %(message)s")
     return Marked(made) if journal else made

@@ -230,13 +230,16 @@ class Log(NamedTuple):
 def open_log(path: Path, strict: bool) -> Log:
     """A log: python-can's formats by their suffix, candump's text with any other.
 
-    Raises BadLogError for a file that is not there or not readable.
+    Raises BadLogError for what is not there or no file: a FIFO or a device may never end.
     """
     if not path.exists():
         msg = f"{path}: no such file"
         raise BadLogError(msg)
     if path.is_dir():
         msg = f"{path}: a folder, not a log"
+        raise BadLogError(msg)
+    if not path.is_file():
+        msg = f"{path}: a FIFO, device or socket, not a log; write a file first"
         raise BadLogError(msg)
     # Loggers on Windows like capitals.
     suffix = Path(path.name.lower().removesuffix(".gz")).suffix

@@ -97,7 +97,7 @@ def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
     for name in figures:
         inside = base64.b64encode((folder / f"{name}.svg").read_bytes()).decode()
         body = body.replace(f'src="{name}.svg"', f'src="data:image/svg+xml;base64,{inside}"')
-    whole = PAGE.replace("TITLE", html.escape(title), 1).replace("BODY", body, 1)
+    whole = PAGE.replace("TITLE", html.escape(printable(title)), 1).replace("BODY", body, 1)
     (folder / "report.html").write_text(whole, encoding="utf-8")
 
 
