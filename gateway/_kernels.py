@@ -39,7 +39,7 @@ _GOOD, _MISSING, _OUTSIDE = 0, 1, 2  # pairing.Row
 _UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
 _SUM_SMOOTHING = 0.05
-_REMOTE, _ERROR_FRAME, _FD = 2, 4, 8  # dbc.frame
+_EXTENDED, _REMOTE, _ERROR_FRAME, _FD = 1, 2, 4, 8  # dbc.frame
 _OK, _SOME_LOST, _ERROR, _REPEATED, _WRONG_SEQUENCE, _NO_NEW_DATA = range(6)  # protection.Check
 _SM_VALID, _SM_INVALID = 2, 3  # protection.SmState
 _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(7)  # Reason
@@ -51,6 +51,7 @@ _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(
 _OWN, _SUPERVISED = -2, -3  # receiving
 _HEARTBEAT = supervision.HEARTBEAT_BASE
 _note_beat = inlined(supervision.note_beat)
+_note_guarding = inlined(supervision.note_guarding)
 
 
 @inlined
@@ -320,6 +321,8 @@ def take_block(
     for r in range(t_ns.shape[0]):
         if flags[r] & (_ERROR_FRAME | _REMOTE):
             scratch.tally[_T_ERROR_FRAME if flags[r] & _ERROR_FRAME else _T_REMOTE] += 1
+            if not flags[r] & (_ERROR_FRAME | _EXTENDED):
+                _note_guarding(np.int64(can_id[r]), beats)
             continue
         c = route(can_id[r], flags[r], routes)
         if c == _OWN:

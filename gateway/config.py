@@ -198,6 +198,22 @@ class Canopen(Strict):
     """`[canopen]`: only with `nmt_master` does the gateway ever send NMT, node-addressed."""
 
     nmt_master: bool = False
+    heartbeat_ms: int | None = Field(
+        None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as it is heard"
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a period a configuration has the hash that it had before there was the key."""
+        out: dict[str, Any] = handler(self)
+        if self.heartbeat_ms is None:
+            out.pop("heartbeat_ms", None)
+        return out
+
+    @property
+    def heartbeat_ns(self) -> int:
+        """Configured period of the drives' heartbeats, ns; 0: as it is heard."""
+        return 1_000_000 * (self.heartbeat_ms or 0)
 
 
 class Authentication(Strict):

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from dbc.authentication import Authenticator
 
 HEARTBEAT_LIMIT_NS: Final = 300 * MS
+"""Shortest time-out of a drive's heartbeat; three of its periods if that is longer."""
 COMM_CLEAR_NS: Final = 100 * MS
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
@@ -72,7 +73,7 @@ class Gateway:
         motors = [config.motors[d.motor] for d in config.drive]
         self.config = config
         self.nodes = nodes
-        self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS)
+        self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS, config.canopen.heartbeat_ns)
         planned = foreign.plans(config)
         taken = foreign.fitted(codec, planned)
         self.translator = Translator(planned, taken) if planned else None
@@ -129,7 +130,7 @@ class Gateway:
         told_apart = config.on_intruder == "tell" and authenticator is not None
         self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
         self.lost = np.zeros(len(nodes), dtype=np.bool_)
-        """(N,) drives whose heartbeat was seen and has stopped."""
+        """(N,) drives that are supervised by their heartbeat, and it has stopped."""
         self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None

@@ -60,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
             print("timing         as if all drives spoke our message set: without translation")
         _tell_loads(codec, config, frames)
         _tell_timing(times_us, config.loop.period_ns / 1e3)
+    print(f"heartbeats     {_heartbeats(config)}")
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
@@ -95,6 +96,21 @@ def _tell_machine(options: argparse.Namespace, config: Config) -> None:
         print(f"{what:<14} {said}{'' if cure else ', good'}")
         if cure:
             print(f"{'':<14} cure: {cure}")
+
+
+def _heartbeats(config: Config) -> str:
+    """What the gateway expects of the drives' heartbeats."""
+    from gateway.core import HEARTBEAT_LIMIT_NS
+    from gateway.supervision import TIMEOUT_PERIODS
+
+    shortest = HEARTBEAT_LIMIT_NS // 1_000_000
+    if (period := config.canopen.heartbeat_ms) is None:
+        return (
+            "of any period, or none: from its second one on a drive is lost after "
+            f"{TIMEOUT_PERIODS} of the periods heard, at least {shortest} ms"
+        )
+    limit = max(shortest, TIMEOUT_PERIODS * period)
+    return f"every {period} ms: from its second one on a drive is lost after {limit} ms of silence"
 
 
 def _authentication(config: Config) -> str:
@@ -147,7 +163,8 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
         used = spec.node in native or spec.name in ours or spec.key in theirs
         if spec.cycle_ns and used:
             busy += frame_seconds(spec, bus.bitrate, bus.data_bitrate) * 1e9 / spec.cycle_ns
-    heartbeats = (47 + 8 + (33 + 8) // 4) / bus.bitrate * 10 * (len(config.nodes) + 1)
+    theirs_hz = 1e3 / (config.canopen.heartbeat_ms or 100)
+    heartbeats = (47 + 8 + (33 + 8) // 4) / bus.bitrate * (10 + theirs_hz * len(config.nodes))
     return 100.0 * (busy + heartbeats)
 
 

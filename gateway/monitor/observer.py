@@ -82,7 +82,9 @@ class Observer:
             for n in config.nodes
         }
         self._quiet_ns = max([QUIET_NS, *(t.limit_ns for t in self.tracks.values())]) + SECOND
-        self._supervision = Supervision((*config.nodes, GATEWAY_NODE), HEARTBEAT_LIMIT_NS)
+        self._supervision = Supervision(
+            (*config.nodes, GATEWAY_NODE), HEARTBEAT_LIMIT_NS, config.canopen.heartbeat_ns
+        )
         self._emergencies = dict.fromkeys(self._supervision.nodes, 0)
         self._happenings = Happenings()
         self._recent = Recent(config.nodes)

@@ -193,6 +193,25 @@ def test_a_report_of_the_timing_needs_a_folder(capsys, tmp_path):
     assert "lateness" in (results / "timing.csv").read_text()
 
 
+@pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        ("", "after 3 of the periods heard, at least 300 ms"),
+        (
+            "[canopen]\nheartbeat_ms = 1000\n",
+            "every 1000 ms: from its second one on a drive is lost after 3000 ms of silence",
+        ),
+        ("[canopen]\nheartbeat_ms = 50\n", "after 300 ms of silence"),
+    ],
+)
+def test_check_says_what_it_expects_of_heartbeats(capsys, tmp_path, section, expected):
+    path = tmp_path / "train.toml"
+    path.write_text(section)
+    assert main(["check", str(path), "--no-timing"]) == 0
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("heartbeats "))
+    assert expected in line
+
+
 def test_check_knows_the_bus_load_of_the_contract(capsys, tmp_path):
     path = tmp_path / "t.toml"
 

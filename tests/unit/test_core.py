@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from dbc.frame import ERROR, EXTENDED, REMOTE, Frame
+from dbc.frame import ERROR, EXTENDED, REMOTE, SECOND, Frame
 from gateway.config import Config, Drive
 from gateway.core import Gateway
 from gateway.health import REJECTED, Flag, Health, Reason
@@ -241,6 +241,50 @@ def test_a_heartbeat_that_was_seen_and_stops_is_a_communication_fault():
     assert view.comm is Flag.BAD
     assert view.drives[0].adhesion is Flag.UNKNOWN
     assert view.drives[1].adhesion is Flag.GOOD
+
+
+def canopen(node, every, until=1 << 62, states=b"\x05", ask=False):
+    """What node sends at 0x700 + node every so many ticks: `states` in turn, ns `until`."""
+
+    def touch(frames, now):
+        if now % (every * TICK) or now > until:
+            return frames
+        state = states[now // (every * TICK) % len(states)]
+        asked = [Frame(now - MS, 0x700 + node, b"", REMOTE, "", 1)] if ask else []
+        return [*frames, *asked, Frame(now, 0x700 + node, bytes([state]))]
+
+    return touch
+
+
+@pytest.mark.parametrize("sections", [{}, {"canopen": {"heartbeat_ms": 1000}}])
+def test_a_heartbeat_every_second_is_no_fault_until_it_stops(sections):
+    bench = Bench(gateway(**sections), drives())
+    beat = canopen(2, 100, until=4 * SECOND)
+    bench.run(60, beat)
+    for _ in range(640):
+        assert bench.run(1, beat).comm is Flag.GOOD
+    view = bench.run(2, beat)
+    assert view.comm is Flag.BAD, "three periods of silence"
+    assert view.drives[1].adhesion is Flag.UNKNOWN
+    assert view.drives[0].adhesion is Flag.GOOD
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        canopen(1, 10, until=100 * MS, states=b"\x00"),
+        canopen(1, 10, until=100 * MS),
+        canopen(1, 50, until=4 * SECOND, states=b"\x05\x85"),
+        canopen(1, 50, until=4 * SECOND, states=b"\x05\x85", ask=True),
+        canopen(1, 50, until=SECOND, states=b"\x05", ask=True),
+    ],
+    ids=["boot-up", "one heartbeat", "node guarding", "requests seen too", "two answers"],
+)
+def test_what_is_no_heartbeat_is_not_supervised(touch):
+    bench = Bench(gateway(), drives())
+    bench.run(60, touch)
+    for _ in range(700):
+        assert bench.run(1, touch).comm is Flag.GOOD
 
 
 def test_a_message_that_was_heard_and_never_valid_is_not_known_to_be_good():

@@ -10,6 +10,8 @@ from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, Frame
 from gateway.supervision import Life, NodeState, Supervision
 
 TIMEOUT = 300 * MS
+SECOND = 1000 * MS
+GUARD_REQUEST = Frame(0, 0x701, b"", REMOTE, "", 1)
 
 
 @pytest.fixture
@@ -25,11 +27,27 @@ def emcy(node: int, code: int, t_ns: int = 0, register: int = 1) -> Frame:
     return Frame(t_ns, 0x080 + node, struct.pack("<HB5s", code, register, b"maker"))
 
 
+def heard(watch: Supervision, *times_ms: float, state: int = 5) -> int:
+    """Heartbeats of node 1; returns the stamp of the last, ns."""
+    for at in times_ms:
+        watch.observe(beat(1, round(at * MS), state))
+    return round(times_ms[-1] * MS)
+
+
+def silence_until_lost(watch: Supervision, since_ns: int) -> int:
+    """Ms of silence after which node 1 is lost; -1: not within three minutes."""
+    lost = (ms for ms in range(0, 180_000, 50) if watch.any_lost(since_ns + ms * MS + 1))
+    ms = next(lost, -1)
+    assert ms < 0 or watch.life(1, since_ns + ms * MS + 1) is Life.LOST
+    return ms
+
+
 def test_never_seen_is_not_supervised(watch: Supervision) -> None:
     assert watch.states(10**15) == dict.fromkeys((1, 2, 16), NodeState(Life.NEVER_SEEN, -1, -1))
 
 
 def test_alive_until_the_timeout_has_passed_and_again_after(watch: Supervision) -> None:
+    watch.observe(beat(2, 1000 - 100 * MS))
     watch.observe(beat(2, 1000))
     assert watch.life(2, 1000 + TIMEOUT) is Life.ALIVE
     assert watch.life(2, 1001 + TIMEOUT) is Life.LOST
@@ -59,13 +77,113 @@ def test_the_toggle_bit_of_node_guarding_is_left_out(watch: Supervision) -> None
 
 
 @pytest.mark.parametrize(
+    ("period_ms", "silence_ms"),
+    [(20, 300), (100, 300), (250, 750), (1000, 3000), (60_000, 180_000)],
+)
+def test_the_time_out_is_three_of_the_periods_that_are_heard(
+    watch: Supervision, period_ms: int, silence_ms: int
+) -> None:
+    last = heard(watch, *range(0, 20 * period_ms, period_ms))
+    assert not watch.any_lost(last + silence_ms * MS)
+    assert watch.life(1, last + silence_ms * MS) is Life.ALIVE
+    assert watch.any_lost(last + silence_ms * MS + 1)
+    assert watch.life(1, last + silence_ms * MS + 1) is Life.LOST
+
+
+def test_one_heartbeat_is_not_enough_and_the_second_is(watch: Supervision) -> None:
+    last = heard(watch, 0)
+    assert silence_until_lost(watch, last) == -1
+    last = heard(watch, 1000)
+    assert silence_until_lost(watch, last) == 3000
+
+
+@pytest.mark.parametrize(
+    ("times_ms", "silence_ms"),
+    [
+        ((0, 1000, 2000, 4000, 5000), 3000),  # one lost
+        ((0, 2000, 3000, 4000), 3000),  # the second one lost
+        ((0, 100, 200, 60_200, 60_300), 300),  # a stop of a minute
+        ((0, 90_000, 90_100), 300),  # longer than any heartbeat period
+        ((0, 1000, 2000, 3000, 3500, 4000), 3000),  # one too many
+        ((0, 0.2, 1000, 1000.2, 2000, 2000.2), 3000),  # repeated by the controller
+        ((0, 1000, 2900, 3100, 4000), 3000),  # one late
+        ((0, 100, 200, 300, 1300, 2300, 3300), 3000),  # another period was written
+        ((0, 1000, 2000, 3000, 3100, 3200, 3300), 300),
+    ],
+)
+def test_the_period_outlives_what_is_lost_late_or_repeated(
+    watch: Supervision, times_ms: tuple[float, ...], silence_ms: int
+) -> None:
+    assert silence_until_lost(watch, heard(watch, *times_ms)) == silence_ms
+
+
+def test_a_configured_period_is_not_learnt() -> None:
+    for period_ms, silence_ms in ((1000, 3000), (50, 300)):
+        watch = Supervision((1,), TIMEOUT, period_ms * MS)
+        last = heard(watch, 0)
+        assert silence_until_lost(watch, last) == -1
+        last = heard(watch, 100, 200, 300)
+        assert silence_until_lost(watch, last) == silence_ms
+
+
+def test_a_boot_up_is_no_heartbeat(watch: Supervision) -> None:
+    watch.observe(beat(1, 0, 0))
+    watch.observe(beat(1, 100 * MS, 0))
+    assert silence_until_lost(watch, 100 * MS) == -1
+    last = heard(watch, 150, 250)
+    assert silence_until_lost(watch, last) == 300
+    for k in range(1, 10):
+        watch.observe(beat(1, last + k * 100 * MS, 0))
+    assert watch.any_lost(last + 301 * MS), "it boots again and again"
+
+
+def test_a_change_of_state_is_told_at_once_and_says_nothing_of_the_period(
+    watch: Supervision,
+) -> None:
+    heard(watch, 0, state=127)
+    assert silence_until_lost(watch, heard(watch, 120)) == -1
+    assert silence_until_lost(watch, heard(watch, 1120)) == 3000
+
+
+@pytest.mark.parametrize("requests", [True, False])
+def test_a_node_that_answers_node_guarding_is_not_supervised(
+    watch: Supervision, requests: bool
+) -> None:
+    """Nor once the guarding ends, whether or not the requests were recorded, some answers lost."""
+    for k in range(40):
+        if requests:
+            watch.observe(GUARD_REQUEST)
+        if k % 7 != 5:
+            watch.observe(beat(1, k * SECOND, 0x05 | (k % 2) << 7))
+    assert watch.malformed == 0
+    assert silence_until_lost(watch, 39 * SECOND) == -1
+    last = heard(watch, *range(40_000, 40_500, 100))
+    assert silence_until_lost(watch, last) == 300, "the master has turned to heartbeats"
+
+
+def test_the_first_answers_to_node_guarding_are_no_heartbeats(watch: Supervision) -> None:
+    """Toggle bit 0 twice, because the one between was lost; then the guarding ends."""
+    for at in (0, 2 * SECOND):
+        watch.observe(GUARD_REQUEST)
+        watch.observe(beat(1, at))
+    assert silence_until_lost(watch, 2 * SECOND) == -1
+
+
+def test_a_request_to_one_who_does_not_answer_ends_no_supervision(watch: Supervision) -> None:
+    last = heard(watch, 0, 100, 200)
+    watch.observe(GUARD_REQUEST)
+    assert silence_until_lost(watch, last) == 300
+    last = heard(watch, 300, 400)
+    assert silence_until_lost(watch, last) == 300
+
+
+@pytest.mark.parametrize(
     "frame",
     [
         Frame(0, 0x701, b""),
         Frame(0, 0x701, b"\x05\x00"),
         Frame(0, 0x701, b"\x03"),
         Frame(0, 0x701, b"\x05", FD),
-        Frame(0, 0x701, b"", REMOTE, "", 1),
         Frame(0, 0x081, bytes(7)),
         Frame(0, 0x081, bytes(8), FD),
         Frame(0, 0x081, b"", REMOTE, "", 8),
