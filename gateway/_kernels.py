@@ -186,14 +186,25 @@ def take_rows(
 
 
 @inlined
+def _is_latest(data: Bytes, row: int, c: int, guard: Guard, state: ChannelState) -> bool:
+    """Whether a frame is the last one of channel c byte for byte; the next is compared with it."""
+    same = True
+    for k in range(guard.length[c]):
+        same = same and data[row, k] == state.latest[c, k]
+        state.latest[c, k] = data[row, k]
+    return same
+
+
+@inlined
 def _admit(
-    data: Bytes, row: int, c: int, t: int, before: int, guard: Guard, memory: Window,
-    state: ChannelState, tally: Ints,
+    data: Bytes, row: int, c: int, t: int, guard: Guard, memory: Window, state: ChannelState,
+    tally: Ints,
 ) -> bool:  # fmt: skip
     """Whether a frame of channel c may be used: checksum, counter, and a valid receiver.
 
-    A rejected frame updates nothing but counters and reasons. before: stamp of the last one.
+    A rejected frame updates nothing but counters and reasons.
     """
+    last = memory.counter[c]
     check = judge(data, row, c, guard, memory)
     if guard.profile[c] == 0:
         state.last_ns[c] = t
@@ -202,6 +213,11 @@ def _admit(
     for _ in range(memory.missed[c]):
         cycle(c, _NO_NEW_DATA, memory)
     valid = cycle(c, check, memory) == _SM_VALID
+    if check != _ERROR:
+        copy = _is_latest(data, row, c, guard, state) and check == _REPEATED
+        ahead = (memory.counter[c] - last) % guard.modulus[c]
+        turn = guard.modulus[c] if check == _REPEATED else ahead
+        note_foul(c, t, turn if last >= 0 else 1, copy, state)
     if check <= _SOME_LOST:
         state.last_ns[c] = t
         tally[_T_LOST] += memory.missed[c]
@@ -211,8 +227,6 @@ def _admit(
         state.seen_valid[c] |= valid
         return not invalid
     blame = _CORRUPTED if check == _ERROR else _SEQUENCE
-    if blame == _SEQUENCE:
-        note_foul(c, t, before, state)
     state.cause[c] = blame
     state.blame[c] = blame
     tally[_T_CRC + check - _ERROR] += 1
@@ -347,14 +361,14 @@ def take_block(
         if t < 0 or t > now or t < state.last_ns[c]:
             scratch.tally[_T_TIME_BACK] += 1
             continue
-        before, state.heard_ns[c] = state.heard_ns[c], t
+        state.heard_ns[c] = t
         if length[r] != guard.length[c] or flags[r] & _FD != guard.fd[c]:
             # One with our id that cannot be our message is as bad as a wrong checksum.
             scratch.tally[_T_WRONG_LENGTH] += 1
             cycle(c, _ERROR, memory)
             state.cause[c] = _CORRUPTED
             state.blame[c] = _CORRUPTED
-        elif _admit(data, r, c, t, before, guard, memory, state, scratch.tally):
+        elif _admit(data, r, c, t, guard, memory, state, scratch.tally):
             scratch.channel[m] = c
             scratch.message[m] = wiring.message[c]
             scratch.t_ns[m] = t

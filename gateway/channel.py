@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.block import ROOM
 from dbc.frame import SECOND, Nanos
 from dbc.spec import MessageSpec
 from gateway.health import Reason
@@ -21,12 +22,15 @@ SAMPLE_NS: Final[Nanos] = 125_000
 """Spacing of the eight samples in a FD frame, and the filters' sub-step."""
 
 GUARD_NS: Final[Nanos] = SECOND
-"""After the last sign of a second sender nothing of that message is believed for so long."""
+"""After the last sign of a second sender no frame of that message is used for so long."""
 SECOND_SENDER: Final = 3
-"""Signs of it, each within `GUARD_NS` of the one before. A controller may repeat one frame."""
+"""Signs of it, each within `GUARD_NS` of the one before. A restart of the sender is one."""
 TOO_SOON: Final = 0.75
-"""Of the period. Of two senders of one message one always speaks so soon after the other; what is
-out of sequence because frames were lost comes late."""
+"""Of the time that a counter's steps take, one period each. Of two senders at least one counter a
+period jumps ahead, or stands still, sooner; what jumps because frames were lost comes late."""
+COPIES: Final = 6
+"""Sum at which identical frames are a sign: each repeated one adds 2, each new one takes 1 away. So
+five in a row, or two senders in step with equal values; not a controller that repeats some."""
 
 # The signals the gateway uses of each kind, in the order in which the inbox takes them. Mapped
 # inverters have no `ElectricalAngle` and no `State`.
@@ -50,8 +54,9 @@ class ChannelState(NamedTuple):
     could be used; cause: why the last values could not be (Reason); blame: what last went wrong
     in the protection; reason: why the channel is not believed now; seen_valid: it once was.
 
-    Against a second sender: period_ns; fouls: frames out of sequence that came too soon after
-    another, foul_ns the last of them; guarded_ns: until then nothing is believed.
+    Against a second sender: period_ns; counted_ns: stamp of the frame that the next counter is
+    compared with, latest (C, 64) its bytes; copies: see `COPIES`; fouls: signs, foul_ns the last
+    of them; guarded_ns: until then no frame is used.
     """
 
     heard_ns: Ints
@@ -63,6 +68,9 @@ class ChannelState(NamedTuple):
     seen_valid: NDArray[np.bool_]
     limit_ns: Ints
     period_ns: Ints
+    counted_ns: Ints
+    latest: NDArray[np.uint8]
+    copies: Ints
     fouls: Ints
     foul_ns: Ints
     guarded_ns: Ints
@@ -116,16 +124,23 @@ class Channel:
 
 def channel_state(channels: Sequence[Channel]) -> ChannelState:
     """Nothing received yet; each channel is given its row."""
-    n = len(channels)
-    heard, last, good, foul, guarded = (np.full(n, -1, dtype=np.int64) for _ in range(5))
-    cause, blame = (np.full(n, Reason.NONE, dtype=np.int64) for _ in range(2))
-    reason = np.full(n, Reason.STARTING, dtype=np.int64)
-    limit = np.array([channel.limit_ns for channel in channels], dtype=np.int64).reshape(n)
-    period = np.array([channel.period_ns for channel in channels], dtype=np.int64).reshape(n)
-    state = ChannelState(
-        heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit, period,
-        np.zeros(n, dtype=np.int64), foul, guarded,
-    )  # fmt: skip
+    limits, periods = [c.limit_ns for c in channels], [c.period_ns for c in channels]
+    state = blank_state(limits, periods)
     for row, channel in enumerate(channels):
         channel.seat(row, state)
     return state
+
+
+def blank_state(limits_ns: Sequence[Nanos], periods_ns: Sequence[Nanos]) -> ChannelState:
+    """State of so many channels before their first frame."""
+    n = len(limits_ns)
+    heard, last, good, counted, foul, guarded = (np.full(n, -1, dtype=np.int64) for _ in range(6))
+    cause, blame = (np.full(n, Reason.NONE, dtype=np.int64) for _ in range(2))
+    reason = np.full(n, Reason.STARTING, dtype=np.int64)
+    limit = np.array(limits_ns, dtype=np.int64).reshape(n)
+    period = np.array(periods_ns, dtype=np.int64).reshape(n)
+    latest, (copies, fouls) = np.zeros((n, ROOM), dtype=np.uint8), np.zeros((2, n), dtype=np.int64)
+    return ChannelState(
+        heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit, period,
+        counted, latest, copies, fouls, foul, guarded,
+    )  # fmt: skip

@@ -12,10 +12,11 @@ from typing import Final
 
 from dbc.codec import VALID, Codec, Match, MessageSpec
 from dbc.frame import MS, Nanos
-from dbc.protection import WINDOW, Check, Profile, Receiver, SmState
+from dbc.protection import COUNTERS, WINDOW, Check, Profile, Receiver, SmState, counter_of
 from dbc.spec import Reading
 from dbc.text import printable
-from gateway.channel import GUARD_NS, SECOND_SENDER, TOO_SOON
+from gateway._guard_kernels import note_counter
+from gateway.channel import blank_state
 
 LEAST_LIMIT_NS: Final[Nanos] = 100 * MS
 """A flag frame comes every 10 ms; ten of them missing are not a hiccup of this monitor."""
@@ -70,8 +71,8 @@ class Track:
     """One message: what was last believed of it, and why its frames are not."""
 
     __slots__ = (
-        "_codec", "_foul_ns", "_fouls", "_guarded_ns", "_receiver", "_seen", "data", "good_ns",
-        "heard_ns", "limit_ns", "lost", "rejected", "spec",
+        "_codec", "_latest", "_receiver", "_seen", "_state", "data", "good_ns", "heard_ns",
+        "limit_ns", "lost", "rejected", "spec",
     )  # fmt: skip
 
     def __init__(self, codec: Codec, spec: MessageSpec, tick_ns: Nanos) -> None:
@@ -84,8 +85,9 @@ class Track:
         self.rejected = 0
         self._receiver = Receiver(spec)
         self._seen: Seen | None = None
-        self._fouls = 0
-        self._foul_ns = self._guarded_ns = NEVER
+        self._latest = b""
+        """The last frame with a right checksum."""
+        self._state = blank_state([self.limit_ns], [spec.cycle_ns])
 
     def take(self, match: Match, data: bytes, t_ns: Nanos) -> str | None:
         """Judge a frame; gives why it is not believed, or None if it is. Never raises.
@@ -116,26 +118,24 @@ class Track:
         for _ in range(receiver.missed):
             receiver.cycle(Check.NO_NEW_DATA)
         state = receiver.cycle(check)
+        if check is not Check.ERROR:
+            self._note_counter(check, data, t_ns)
         if (cause := _CHECK.get(check)) is not None:
-            if check is not Check.ERROR:
-                self._foul(t_ns, before)
             return cause
         return None if state is SmState.VALID and not self.doubled(t_ns) else "not_yet_valid"
 
-    def _foul(self, t_ns: Nanos, before: Nanos) -> None:
-        """A frame out of sequence; so soon after another it is a second sender's."""
-        if before < 0 or t_ns - before >= TOO_SOON * self.spec.cycle_ns:
-            return
-        if t_ns - self._foul_ns > GUARD_NS:
-            self._fouls = 0
-        self._fouls += 1
-        self._foul_ns = t_ns
-        if self._fouls >= SECOND_SENDER:
-            self._guarded_ns = t_ns + GUARD_NS
+    def _note_counter(self, check: Check, data: bytes, t_ns: Nanos) -> None:
+        """Look for signs of a second sender in a frame with a right checksum."""
+        repeated, turn = check is Check.REPEATED, COUNTERS[self.spec.profile]
+        before, counter = counter_of(self.spec, self._latest), counter_of(self.spec, data)
+        ahead = 1 if before is None or counter is None else (counter - before) % turn
+        copy = repeated and data == self._latest
+        note_counter(0, t_ns, turn if repeated else ahead, copy, self._state)
+        self._latest = data
 
     def doubled(self, now: Nanos) -> bool:
         """True while two seem to send this message."""
-        return now < self._guarded_ns
+        return now < self._state.guarded_ns.item(0)
 
     def fresh(self, now: Nanos) -> bool:
         """True while what was last believed may still be."""

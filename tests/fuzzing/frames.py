@@ -14,8 +14,17 @@ import numpy as np
 
 from dbc.codec import Match
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from dbc.protection import Check, Receiver, SmState, protect
-from gateway.channel import GUARD_NS, SECOND_SENDER, TOO_SOON
+from dbc.protection import (
+    COUNTERS,
+    MAX_DELTA,
+    Check,
+    Profile,
+    Receiver,
+    SmState,
+    counter_of,
+    protect,
+)
+from gateway.channel import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 from gateway.config import parse
 from gateway.core import Gateway
 from gateway.inbox import OWN_CANOPEN, Inbox
@@ -74,7 +83,8 @@ class Twin:
         }
         self.own = {m.key for m in codec.messages if m.is_gateway} | OWN_CANOPEN
         self.last: dict[int, int] = {}
-        self.heard: dict[int, int] = {}
+        self.latest: dict[int, Frame] = {}
+        self.copies: Counter[int] = Counter()
         self.fouls: dict[int, list[int]] = {}
         self.guarded: dict[int, int] = {}
         self.limit = {m.key: 3 * m.cycle_ns + tick_ns for m in codec.messages}
@@ -99,7 +109,6 @@ class Twin:
             return "foreign" if 0 <= frame.t_ns <= now else "time_back"
         if frame.t_ns > now or frame.t_ns < self.last.get(key, 0):
             return "time_back"
-        before, self.heard[key] = self.heard.get(key, -1), frame.t_ns
         match, spec = self.codec.match(frame)
         if match is not Match.OK:
             receiver.cycle(Check.ERROR)
@@ -110,13 +119,31 @@ class Twin:
         state = receiver.cycle(check)
         if check is Check.ERROR:
             return "error"
+        self._order(key, frame, spec)
         if check in (Check.REPEATED, Check.WRONG_SEQUENCE):
-            if before >= 0 and frame.t_ns - before < TOO_SOON * spec.cycle_ns:
-                self._foul(key, frame.t_ns)
             return check.name.lower()
         self.last[key] = frame.t_ns
         doubted = state is SmState.INVALID or frame.t_ns < self.guarded.get(key, -1)
         return "not_yet_valid" if doubted else "used"
+
+    def _order(self, key: int, frame: Frame, spec) -> None:
+        """What the counter of a frame with a right checksum says of who sends."""
+        last = self.latest.setdefault(key, frame)
+        if last is frame or spec.profile is Profile.NONE:
+            return
+        turn = COUNTERS[spec.profile]
+        ahead = (counter_of(spec, frame.data) - counter_of(spec, last.data)) % turn
+        if frame.data == last.data:
+            self.copies[key] = min(self.copies[key] + 2, COPIES + 1)
+            if self.copies[key] >= COPIES:
+                self.fouls[key] = [frame.t_ns] * SECOND_SENDER
+                self.guarded[key] = min(frame.t_ns + GUARD_NS, LAST)
+            return
+        self.latest[key] = frame
+        if 1 <= ahead <= MAX_DELTA:
+            self.copies[key] = max(self.copies[key] - 1, 0)
+        elif frame.t_ns - last.t_ns < TOO_SOON * (ahead or turn) * spec.cycle_ns:
+            self._foul(key, frame.t_ns)
 
     def _foul(self, key: int, t_ns: int) -> None:
         """A sign of a second sender; a run of them is doubted for a while."""

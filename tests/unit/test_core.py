@@ -243,6 +243,34 @@ def test_a_heartbeat_that_was_seen_and_stops_is_a_communication_fault():
     assert view.drives[1].adhesion is Flag.GOOD
 
 
+@pytest.mark.parametrize("shift_ms", [0.05, 0.45, 1.6])
+@pytest.mark.parametrize("ahead", [0, 1, 2, 8, 15])
+def test_a_drive_that_two_send_for_is_unknown_until_a_second_after(ahead, shift_ms):
+    """The other sends currents and voltages of a drive that carries as much as its neighbours."""
+    bench, other = Bench(gateway(), drives()), SteadyDrive(CODEC, 1, 100.0, 20.0, theta=1.0)
+    assert bench.run(60).drives[0].adhesion is Flag.GOOD
+
+    def both(frames, now):
+        first = (now - TICK) // (2 * MS)
+        for k in range(first, first + 5):
+            other.currents.counter = other.voltages.counter = k + ahead
+            for frame in other.frames(k)[:2]:
+                frames.append(frame._replace(t_ns=frame.t_ns + round(shift_ms * MS)))
+        return [frame for frame in frames if frame.t_ns <= now]
+
+    def silent(frames, _now):
+        return frames
+
+    bench.run(5, both)
+    for touch in [both] * 60 + [silent] * 98:
+        view = bench.run(1, touch)
+        assert view.drives[0].adhesion is Flag.UNKNOWN
+        assert view.adhesion_reason is Reason.SEQUENCE
+        assert named(bench.sent)["Gateway_Adhesion"]["Adhesion1"] == 0
+        assert view.drives[1].adhesion is Flag.GOOD
+    assert bench.run(60).drives[0].adhesion is Flag.GOOD
+
+
 def canopen(node, every, until=1 << 62, states=b"\x05", ask=False):
     """What node sends at 0x700 + node every so many ticks: `states` in turn, ns `until`."""
 

@@ -15,8 +15,8 @@ CODEC = codec_for()
 
 
 HELPERS = (
-    "_verdict", "_gap", "route", "note_foul", "_admit", "_unbelieved", "keep", "_note", "settle",
-    "take_rows", "judge", "cycle",
+    "_verdict", "_gap", "route", "note_foul", "_is_latest", "_admit", "_unbelieved", "keep",
+    "_note", "settle", "take_rows", "judge", "cycle",
 )  # fmt: skip
 
 
@@ -129,70 +129,3 @@ def test_hole_longer_than_the_limit_starts_anew():
 
 def test_wiring_has_room_for_every_kind():
     assert pairing._MOST_COLUMNS >= 33
-
-
-PERIOD_NS = 2 * MS
-"""Of phase currents."""
-PHASES_NS = range(0, PERIOD_NS, PERIOD_NS // 20)
-"""Of a second sender; 0: both at once."""
-
-
-def second_sender(phase_ns, last=500, until=400, start=100):
-    """(ns, whether it is the other's) of each frame in order, while another sends from `start` ms.
-
-    start, last: ms; until: ticks of 10 ms.
-    """
-    real, other = (Sender(CODEC, "Drive1_PhaseCurrents") for _ in range(2))
-    other.counter = 7
-    values = {"Ia": 1.0, "Ib": -0.5, "Ic": -0.5}
-    frames = [(real.frame(t, **values), False) for t in range(MS, until * 10 * MS, PERIOD_NS)]
-    begin, end = start * MS + MS + phase_ns, last * MS + MS + phase_ns
-    frames += [(other.frame(t, **values), True) for t in range(begin, end, PERIOD_NS)]
-    return sorted(frames, key=lambda frame: frame[0].t_ns)
-
-
-def currents_inbox():
-    return Inbox(CODEC, (1,), 10 * MS, Supervision((1,), 300 * MS))
-
-
-@pytest.mark.parametrize("phase_ns", PHASES_NS)
-def test_a_second_sender_is_believed_no_more_nor_is_the_drive_for_a_second(phase_ns):
-    """Whatever its phase: found within two ticks, guarded for a second after its last."""
-    frames, box, believed = second_sender(phase_ns), currents_inbox(), []
-    for tick in range(400):
-        now = (tick + 1) * 10 * MS
-        box.take([f for f, _ in frames if now - 10 * MS < f.t_ns <= now], now)
-        believed.append(box.drives[0].channels["PhaseCurrents"].fresh(now))
-    assert all(believed[2:10])
-    assert not any(believed[12:149])
-    assert all(believed[151:])
-
-
-@pytest.mark.parametrize("phase_ns", PHASES_NS)
-def test_a_second_sender_is_found_within_six_of_its_frames(phase_ns):
-    """Frame by frame."""
-    box, of_others, believed_after = currents_inbox(), 0, 0
-    for frame, is_other in second_sender(phase_ns, until=20):
-        of_others += is_other
-        box.take([frame], frame.t_ns)
-        if of_others and box.drives[0].channels["PhaseCurrents"].fresh(frame.t_ns):
-            believed_after = of_others
-    assert of_others > 40
-    assert believed_after < 6
-
-
-def test_one_frame_twice_or_a_restart_of_the_sender_is_no_second_sender():
-    sender = Sender(CODEC, "Drive1_PhaseCurrents")
-    values = {"Ia": 1.0, "Ib": -0.5, "Ic": -0.5}
-    box = Inbox(CODEC, (1,), 10 * MS, Supervision((1,), 300 * MS))
-    for tick in range(200):
-        frames = [sender.frame((tick * 10 + 2 * k + 1) * MS, **values) for k in range(5)]
-        if tick in (50, 80):
-            frames.insert(3, frames[2]._replace(t_ns=frames[2].t_ns + MS // 5))
-        if tick == 120:
-            sender.counter += 9
-        now = (tick + 1) * 10 * MS
-        box.take(frames, now)
-        if tick > 2 and not 120 <= tick <= 122:
-            assert box.drives[0].channels["PhaseCurrents"].fresh(now), tick
-    assert box.counts["repeated"] == 2
