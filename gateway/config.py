@@ -57,10 +57,10 @@ class Bus(Strict):
     send_on: tuple[str, ...] | None = Field(
         None, description="channels on which the gateway may send; None: the one it is given"
     )
-    on_intruder: Literal["stop", "go_on", "tell"] | None = Field(
+    on_intruder: Literal["unknown", "stop", "go_on", "tell"] | None = Field(
         None, description="when somebody else sends with the gateway's identifiers"
     )
-    """None: "stop"; "tell" where flags are authenticated."""
+    """None: "unknown"; "tell" where flags are authenticated."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -276,10 +276,10 @@ class Config(Strict):
     def on_intruder(self) -> str:
         """What follows when somebody else sends with our identifiers.
 
-        Where receivers can tell our frames from others', stopping would only let one forged
-        frame silence us.
+        Where receivers can tell our frames from others', unknown flags would only let one forged
+        frame blind them.
         """
-        return self.bus.on_intruder or ("tell" if self.authentication else "stop")
+        return self.bus.on_intruder or ("tell" if self.authentication else "unknown")
 
     @property
     def motors(self) -> dict[str, Motor]:

@@ -33,7 +33,7 @@ from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
 from gateway.decide import Timing
-from gateway.doubt import Doubt
+from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.health import REJECTED, Flag, GatewayState, Reason
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
@@ -128,13 +128,17 @@ class Gateway:
         self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         told_apart = config.on_intruder == "tell" and authenticator is not None
-        self.doubt = Doubt(config.loop.period_ns, told_apart=told_apart)
+        for_good = config.on_intruder in ("stop", "go_on")
+        self.doubt = Doubt(
+            config.loop.period_ns, told_apart=told_apart,
+            intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
+        )  # fmt: skip
         self.lost = np.zeros(len(nodes), dtype=np.bool_)
         """(N,) drives that are supervised by their heartbeat, and it has stopped."""
         self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
-        self.stops = config.on_intruder != "go_on" and not told_apart
+        self.stops = config.on_intruder == "stop"
         self.silent = False
         """Nothing is sent any more."""
         self.start_ns = start_ns

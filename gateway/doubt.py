@@ -1,7 +1,8 @@
 """What the driver knows against all drives at once: missed ticks, lost frames, a second gateway.
 
-May know: reasons and `now`. May not know: frames, clocks. An intruder is never forgotten: which of
-the two gateways a receiver believes is chance, so somebody has to look.
+May know: reasons and `now`. May not know: frames, clocks. The intruder state is latched until
+restart: receivers cannot tell the two senders apart, so an operator must look. How long the flags
+are unknown is the configuration's choice (docs/threats.md).
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ OVERRUN_HOLD_NS: Final[Nanos] = SECOND
 """An overrun is said for so long."""
 LATE_IN_A_ROW: Final = 3
 """Late ticks in a row after which nothing is believed."""
+INTRUDER_HOLD_NS: Final[Nanos] = 10 * SECOND
+"""With `on_intruder = "unknown"`: after the last frame of an intruder flags are unknown so long."""
 LOST_TICKS: Final = 5
 """After frames that nobody read in time: what was lost may be of any drive."""
 
@@ -22,12 +25,17 @@ LOST_TICKS: Final = 5
 class Doubt:
     """Notes of the driver before a step, and what they come to; `tick` once per step."""
 
-    def __init__(self, tick_ns: Nanos, *, told_apart: bool = False) -> None:
+    def __init__(
+        self, tick_ns: Nanos, *, told_apart: bool = False, intruder_hold_ns: Nanos | None = None
+    ) -> None:
         """tick_ns: period of the loop.
 
         told_apart: receivers can tell our frames from an intruder's, so ours are still good.
+        intruder_hold_ns: flags are unknown for so long after its last frame; None: until restart.
         """
         self._told_apart = told_apart
+        self._intruder_hold_ns = intruder_hold_ns
+        self._intruder_ns: Nanos = 0
         self.deadline_misses = 0
         self.intruder = False
         """Somebody else sends with our identifiers. Latched."""
@@ -59,7 +67,8 @@ class Doubt:
         if self._lost:
             self._lost_ns = now
         self._missed = self._lost = 0
-        self.intruder |= self.watching and own > 0
+        if self.watching and own > 0:
+            self.intruder, self._intruder_ns = True, now
 
     def none(self, now: Nanos) -> bool:
         """Whether there is no doubt from `now` on until something is noted, whoever is heard."""
@@ -79,7 +88,9 @@ class Doubt:
 
         Of the reasons only an intruder counts against thermal flags, which change slowly.
         """
-        if self.intruder and not self._told_apart:
+        hold = self._intruder_hold_ns
+        held = hold is None or self._now - self._intruder_ns <= hold
+        if self.intruder and held and not self._told_apart:
             return Reason.INTRUDER
         if self._late_in_a_row > LATE_IN_A_ROW:
             return Reason.OVERRUN

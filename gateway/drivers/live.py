@@ -32,8 +32,9 @@ FAREWELL = 3
 """Ticks with unknown flags before the gateway goes silent on purpose."""
 INTRUDER = (
     "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
-    "the frames of one): flags have stopped, or say unknown, or go on if they are authenticated; "
-    "see [bus] on_intruder"
+    "the frames of one). Flags are unknown until 10 s after the last such frame, unless [bus] "
+    "on_intruder is set or flags are authenticated; CommFault stays Fault until a restart: find "
+    "the other sender, then restart the gateway"
 )
 OLDEST = 2
 """Ticks after which what a step has decided is not said any more: this process stood still between

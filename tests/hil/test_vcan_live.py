@@ -87,10 +87,12 @@ def test_a_hung_gateway_is_silent_and_an_ended_one_says_unknown(
     assert codec.by_id[STATUS].signals[2].labels[int(final["State"].raw)] == "Silent"
 
 
-def test_a_second_sender_of_our_identifiers_silences_the_gateway(
-    vcan: Vcan, watcher: Watcher
+def test_a_second_sender_of_our_identifiers_silences_a_gateway_that_shall_stop(
+    vcan: Vcan, watcher: Watcher, tmp_path: Path
 ) -> None:
-    process = run(vcan)
+    config = tmp_path / "stop.toml"
+    config.write_text('[bus]\non_intruder = "stop"\n')
+    process = run(vcan, "--config", str(config))
     watcher.until(lambda: len(watcher.of(ADHESION)) > 50)
     vcan.send("1A0#0000000000000000")
     watcher.until(lambda: any(f.data[:2] == b"\x50\x81" for f in watcher.of(EMERGENCY)))

@@ -208,14 +208,17 @@ def test_who_wants_to_stop_stops() -> None:
 
 
 def test_who_has_no_key_has_nothing_to_go_on_with() -> None:
-    """Such as a bench that reads the train's configuration."""
+    """Such as a bench that reads the train's configuration: unknown, as without authentication."""
     gateway, out = intruded(authenticated(), None)
-    assert gateway.silent
-    assert out == []
+    assert [f.can_id for f in out][:1] == [ADHESION]
+    view = gateway.view
+    assert view is not None
+    assert {d.adhesion for d in view.drives} == {Flag.UNKNOWN}
+    assert view.adhesion_reason is Reason.INTRUDER
 
 
 def test_going_on_untouched_needs_authentication() -> None:
     with pytest.raises(ConfigError, match=r"'tell' needs \[authentication\]"):
         parse({"bus": {"on_intruder": "tell"}})
-    assert parse({}).on_intruder == "stop"
+    assert parse({}).on_intruder == "unknown"
     assert authenticated().on_intruder == "tell"

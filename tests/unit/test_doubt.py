@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from dbc.frame import SECOND, Frame
+from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame
 from gateway.commands.run import active_errors
-from gateway.doubt import Doubt
+from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.drivers.canopen_node import GatewayError
 from gateway.drivers.pythoncan import PythonCan
 from gateway.health import Flag, GatewayState, Reason
@@ -125,6 +125,21 @@ def test_a_bus_that_gives_back_what_is_sent_says_so(options, echo):
     assert PythonCan(options).status.hears_itself is echo
 
 
+def test_unknown_lasts_as_long_as_the_intruder_and_ten_seconds_more():
+    doubt = Doubt(TICK, intruder_hold_ns=INTRUDER_HOLD_NS)
+    doubt.watching = True
+    for k in range(300):
+        doubt.tick(k * TICK, int(k % 100 == 0))
+        assert doubt.reason is Reason.INTRUDER
+    doubt.tick(200 * TICK + 10 * SECOND, 0)
+    assert doubt.reason is Reason.INTRUDER
+    doubt.tick(201 * TICK + 10 * SECOND, 0)
+    assert doubt.reason is Reason.NONE
+    assert doubt.intruder, "it was there, all the same"
+    doubt.tick(60 * SECOND, 1)
+    assert doubt.reason is Reason.INTRUDER, "it is back"
+
+
 def with_own(frames, now):
     return [*frames, Frame(now, OWN, bytes(8))]
 
@@ -137,8 +152,51 @@ def running(**sections):
     return bench
 
 
-def test_one_foreign_frame_with_our_identifier_silences_us_for_good():
+@pytest.mark.parametrize(
+    ("frame", "is_ours"),
+    [
+        (Frame(0, OWN, b""), True),
+        (Frame(0, OWN, bytes(8)), True),
+        (Frame(0, OWN, bytes(64), FD), True),
+        (Frame(0, 0x720, b"\x05"), True),
+        (Frame(0, 0x0A0, bytes(8)), True),
+        (Frame(0, 0x501, bytes(8)), True),
+        (Frame(0, OWN, bytes(8), ERROR), False),
+        (Frame(0, OWN, bytes(8), EXTENDED), False),
+        (Frame(0, OWN, b"", REMOTE, "", 8), False),
+        (Frame(0, 0x721, b"\x05"), False),
+        (Frame(0, 0x511, bytes(8)), False),
+    ],
+)
+def test_what_counts_as_a_frame_of_ours(frame, is_ours):
     bench = running()
+    view = bench.run(1, lambda frames, now: [*frames, frame._replace(t_ns=now)])
+    assert (view.adhesion_reason is Reason.INTRUDER) == bench.core.doubt.intruder == is_ours
+
+
+@pytest.mark.parametrize("sections", [{}, {"bus": {"on_intruder": "unknown"}}])
+def test_one_foreign_frame_makes_flags_unknown_for_ten_seconds_and_comm_bad_for_good(sections):
+    bench = running(**sections)
+    for k in range(1, 1200):
+        view = bench.run(1, with_own if k in (1, 101) else lambda frames, _now: frames)
+        flags = [d.adhesion for d in view.drives]
+        sent = named(bench.sent)
+        assert view.comm is Flag.BAD
+        assert sent.get("Gateway_Faults", {"CommFault": 2})["CommFault"] == 2
+        said = [sent["Gateway_Adhesion"][f"Adhesion{n}"] for n in (1, 2, 3)]
+        if k <= 1101:
+            assert flags == [Flag.UNKNOWN, Flag.BAD, Flag.UNKNOWN], "unknown does not clear bad"
+            assert sent["Gateway_Adhesion"]["Reason"] == 10
+            assert said == [0, 2, 0]
+            assert {d.thermal for d in view.drives} == {Flag.UNKNOWN}
+        if k > 1101 + 10:
+            assert said == [1, 2, 1]
+            assert view.state is GatewayState.RUNNING
+    assert GatewayError.INTRUDER in active_errors(bench.core)
+
+
+def test_who_stops_falls_silent_for_good_at_one_foreign_frame():
+    bench = running(bus={"on_intruder": "stop"})
     view = bench.run(1, with_own)
     assert view.comm is Flag.BAD
     assert view.adhesion_reason is Reason.INTRUDER

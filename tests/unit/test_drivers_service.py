@@ -70,7 +70,7 @@ class Rig:
         self.at: dict[int, Callable[[], None]] = {}
         self.told: list[tuple[int, str]] = []
         self.sent: list[Frame] = []
-        config = parse({})
+        config = parse({"bus": {"on_intruder": "stop"}})
         self.core = Gateway(config, bind(config.dbc_path, config.nodes), self.now)
         self.node = CanopenNode(config.nodes)
         self._tick = 0
