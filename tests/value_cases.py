@@ -1,4 +1,4 @@
-"""One drive's values are wrong while counters and checksums are right: what the gateway makes of it.
+"""One drive's values are wrong, counters and checksums right: what the gateway makes of it.
 
     python -m tests.value_cases                      every kind, speed, motor, filter and bus
     python -m tests.value_cases --kinds held,late --motors bench --filters ekf --bus classic
@@ -45,7 +45,7 @@ NODES = (1, 2, 3)
 
 
 class Case(NamedTuple):
-    """One case. speed: electrical, rad/s; drive: from 0; begin: tick, 0 from the start of the log."""
+    """One case. speed: electrical, rad/s; drive: from 0; begin: tick, 0: the log begins so."""
 
     kind: str
     speed: float = 200.0
@@ -132,7 +132,8 @@ def run_case(case: Case) -> Outcome:
         block = faults.apply([(case.kind, case.drive)] if now else [], sent)
         try:
             core.step(block, tick * TICK)
-        except Exception as error:  # noqa: BLE001 - the table says what raised and where
+        except Exception as error:
+            # The table says what raised and where.
             place = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{place.filename.rsplit('/', 1)[-1]}:{place.lineno}"
             return Outcome(case, rows, f"{type(error).__name__} {where} tick {tick}")
@@ -216,8 +217,11 @@ def cases(kinds, speeds, motors, filters, buses, begin: int = BEGIN_TICK) -> Ite
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.value_cases", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.value_cases",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--kinds", default=",".join(("none", *VALUE_KINDS)))
     parser.add_argument("--speeds", default=",".join(f"{w:.0f}" for w in SPEEDS))
     parser.add_argument("--motors", default=",".join(MOTOR_NAMES))
