@@ -3,7 +3,8 @@
 `HostileBus.carry` takes the frames that the drives sent in a tick and gives those that arrive. Like
 everything in `sim` it is pure: faults come from a plan, chance from the seed, time from the caller.
 Besides the frames it tells which of them are genuine: sent by a drive, whole, and not a copy; a
-copy that is whole, of a frame that was spoilt, is as good as that.
+copy that is whole, of a frame that was spoilt, is as good as that. A frame with wrong values
+(`value_faults`) is genuine, too.
 """
 
 from __future__ import annotations
@@ -16,15 +17,18 @@ from numpy.typing import NDArray
 
 from dbc.block import EMPTY, Block, blank, join
 from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Nanos
+from sim.value_faults import VALUE_KINDS, ValueFaults
 
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-KINDS: Final = (
+BUS_KINDS: Final = (
     "drop", "duplicate", "reorder", "delay", "corrupt", "second_sender", "flood", "bus_off",
     "link_loss", "clock_step", "process_stop", "restart",
 )  # fmt: skip
 """`process_stop` and `restart` happen to the gateway; who runs it has to do them."""
+KINDS: Final = (*BUS_KINDS, *VALUE_KINDS)
+"""What a bus does to frames, and what a drive does to the values in them."""
 WHOLE_BUS: Final = ("flood", "bus_off", "link_loss", "clock_step", "process_stop", "restart")
 """Kinds that hit every drive."""
 _PLAN, _CHANCE = 1, 2
@@ -61,18 +65,27 @@ class Arrived(NamedTuple):
 NOTHING: Final = Arrived(EMPTY, np.zeros(0, dtype=np.bool_))
 
 
-def plan(seed: int, ticks: int, drives: int, between: float = 350.0) -> list[Fault]:
-    """Random faults of all kinds, in order of time; `between`: mean ticks from one to the next.
+def plan(
+    seed: int,
+    ticks: int,
+    drives: int,
+    between: float = 350.0,
+    kinds: Sequence[str] = BUS_KINDS,
+) -> list[Fault]:
+    """Random faults of these kinds, in order of time; `between`: mean ticks from one to the next.
 
-    They last 1 to 1000 ticks, short ones as often as long ones, and may overlap.
+    They last 1 to 1000 ticks, short ones as often as long ones, and may overlap. A kind that is
+    added to `kinds` changes what a seed brings. Wrong values are always one drive's.
     """
     rng = np.random.default_rng([seed, _PLAN])
     out: list[Fault] = []
     at = 0.0
     while (at := at + rng.exponential(between)) < ticks:
-        kind = KINDS[int(rng.integers(len(KINDS)))]
+        kind = kinds[int(rng.integers(len(kinds)))]
         last = round(at + 10.0 ** rng.uniform(0.0, 3.0)) + 1
         drive = int(rng.integers(drives)) if rng.random() < 0.8 and kind not in WHOLE_BUS else None
+        if kind in VALUE_KINDS and drive is None:
+            drive = int(rng.integers(drives))
         # The edges matter as much as what lies between them.
         amount = float(rng.choice([0.02, 0.5, 1.0, rng.random()]))
         out.append(Fault(kind, int(at), last, drive, amount))
@@ -82,8 +95,18 @@ def plan(seed: int, ticks: int, drives: int, between: float = 350.0) -> list[Fau
 class HostileBus:
     """Carries the frames of one tick after the other; what is late is kept for later ticks."""
 
-    def __init__(self, faults: Sequence[Fault], ids: Sequence[Collection[int]], seed: int) -> None:
-        """faults: in order of time; ids: identifiers of each drive's frames."""
+    def __init__(
+        self,
+        faults: Sequence[Fault],
+        ids: Sequence[Collection[int]],
+        seed: int,
+        values: ValueFaults | None = None,
+    ) -> None:
+        """faults: in order of time; ids: identifiers of each drive's frames.
+
+        values: who makes values wrong; without, faults of these kinds do nothing.
+        """
+        self._values = values
         self._coming = list(faults)[::-1]
         self._active: list[Fault] = []
         self._ids = [np.array(sorted(each), dtype=np.uint32) for each in ids]
@@ -105,6 +128,9 @@ class HostileBus:
         other: gives frames of the same drives at some other time, for a second sender.
         """
         faults = self.active(tick)
+        if self._values is not None:
+            wrong = [(f.kind, f.drive) for f in faults if f.drive is not None]
+            sent = self._values.apply(wrong, sent)
         came = Arrived(sent, np.ones(sent.size, dtype=np.bool_))
         if not faults and not self._late.block.size:
             return came
@@ -239,7 +265,7 @@ _ACTS: Final[dict[str, Act]] = {
     "clock_step": _stepped,
 }  # fmt: skip
 _ORDER: Final = {kind: k for k, kind in enumerate(("second_sender", *_ACTS))} | dict.fromkeys(
-    ("process_stop", "restart"), 0
+    ("process_stop", "restart", *VALUE_KINDS), 0
 )
 """Who speaks, what becomes of it on the way, and what the receiver's clock says of it."""
 

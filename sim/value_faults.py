@@ -36,6 +36,16 @@ SEQUENCE: Final = ("Crc", "Counter", "SampleIndex")
 """Signals that a hung converter does not stop: they are the communication layer's own."""
 
 
+class Error(NamedTuple):
+    """How far what is sent is off the honest values in a tick: root mean square over its frames.
+
+    current_a, speed_rpm (N,): of the phase currents, A, and of the drive's measured speed, rpm.
+    """
+
+    current_a: NDArray[np.float64]
+    speed_rpm: NDArray[np.float64]
+
+
 class _Message(NamedTuple):
     """A message of a drive. drive: from 0; values: all signals but those of the sequence."""
 
@@ -71,6 +81,9 @@ class ValueFaults:
         """The honest frames of the tick before."""
         self._kept: dict[tuple[str, int], int] = {}
         """What is held of a message, by kind and identifier, as an integer of its payload."""
+        self._none = Error(np.zeros(self._drives), np.zeros(self._drives))
+        self.error = self._none
+        """Of the last tick."""
 
     def apply(self, faults: Sequence[tuple[str, int]], sent: Block) -> Block:
         """The frames of a tick with these faults, (kind, drive from 0) each; others pass unchanged.
@@ -86,11 +99,12 @@ class ValueFaults:
                 for key, value in self._kept.items()
                 if (key[0], self._messages[key[1]].drive) in going
             }
-        out = sent
+        out, self.error = sent, self._none
         if mine:
             out = sent._replace(data=sent.data.copy())
             for kind, drive in mine:
                 self._make_wrong(kind, drive, sent, out)
+            self.error = self._error({drive for _, drive in mine}, sent, out)
         self._before = sent
         return out
 
@@ -123,6 +137,20 @@ class ValueFaults:
                 payload = bytearray(new.to_bytes(spec.length, "little"))
                 protect(spec, payload, _counter(spec, payload))
                 out.data[k, : spec.length] = np.frombuffer(payload, dtype=np.uint8)
+
+    def _error(self, drives: set[int], sent: Block, out: Block) -> Error:
+        error = Error(np.zeros(self._drives), np.zeros(self._drives))
+        for can_id, message in self._messages.items():
+            if message.drive not in drives:
+                continue
+            for signals, column in ((message.currents, error.current_a),
+                                    (message.motion[:1], error.speed_rpm)):  # fmt: skip
+                if signals:
+                    pairs = zip(_words(sent, can_id), _words(out, can_id), strict=True)
+                    off = [_get(a, s) - _get(b, s) for a, b in pairs for s in signals if a != b]
+                    size = float(np.mean(np.square(off))) ** 0.5 if off else 0.0
+                    column[message.drive] = size * signals[0].scale
+        return error
 
     def _held(self, kind: str, can_id: int, signals: Sequence[SignalSpec], word: int) -> int:
         """The frame with the values from before the fault, or from its first such frame."""

@@ -58,6 +58,8 @@ class Case(NamedTuple):
     drive: int = 1
     load: float = LOAD
     nodes: tuple[int, ...] = NODES
+    gains: float = 0.0
+    """Electrical rad/s2, from the fault's begin on."""
 
 
 class Row(NamedTuple):
@@ -75,11 +77,17 @@ class Row(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """rows[drive][tick - 1]; raised: where `step` raised, else empty."""
+    """rows[drive][tick - 1]; raised: where `step` raised, else empty.
+
+    off, off_rpm: by tick of the fault, how far currents (per unit of rated) and measured speed of
+    the drive are off the honest ones, root mean square.
+    """
 
     case: Case
     rows: list[list[Row]]
     raised: str
+    off: list[float]
+    off_rpm: list[float]
 
     @property
     def mine(self) -> list[Row]:
@@ -98,14 +106,28 @@ class Outcome(NamedTuple):
 
 
 @cache
-def honest(speed: float, motor: str, fd: bool, ticks: int, load: float = LOAD,
-           nodes: tuple[int, ...] = NODES) -> list[Block]:  # fmt: skip
-    """Frames of the ticks of drives that turn steadily; nobody obeys a flag."""
+def honest(
+    speed: float,
+    motor: str,
+    fd: bool,
+    ticks: int,
+    load: float = LOAD,
+    nodes: tuple[int, ...] = NODES,
+    gains: float = 0.0,
+    begin: int = 0,
+) -> list[Block]:
+    """Frames of the ticks of drives that turn steadily; nobody obeys a flag.
+
+    gains: electrical rad/s2 from tick `begin` on.
+    """
+    first, last = begin * TICK / SECOND, ticks * TICK / SECOND
+    profile = [(0.0, speed), (first + 0.01, speed), (last + 0.02, speed + gains * (last - first))]
     world = scenario({
-        "title": "steady", "seed": 11, "duration_s": ticks * TICK / SECOND, "drives": len(nodes),
+        "title": "steady", "seed": 11, "duration_s": last, "drives": len(nodes),
         "motor": {"name": motor},
-        "motion": {"start": "rolling", "speed": speed},
+        "motion": {"start": "rolling", "profile": profile},
         "load": {"torque_nm": load * MOTORS[motor].T_rated},
+        "bus": {"bitrate": 0 if len(nodes) > len(NODES) else 1_000_000},
     })  # fmt: skip
     simulation = Simulation(world, codec(nodes, FD_FILE if fd else CLASSIC), nodes=nodes)
     return [block_of(simulation.step((), k * TICK)) for k in range(1, ticks + 1)]
@@ -123,23 +145,33 @@ def config_of(case: Case) -> Config:
 def run_case(case: Case) -> Outcome:
     """Play the honest frames through the fault into a gateway; never raises what `step` raises."""
     ticks = case.begin + case.ticks + case.tail
-    frames = honest(case.speed, case.motor, case.fd, ticks, case.load, case.nodes)
+    begin = case.begin if case.gains else 0
+    frames = honest(
+        case.speed, case.motor, case.fd, ticks, case.load, case.nodes, case.gains, begin
+    )
     bound = codec(case.nodes, FD_FILE if case.fd else CLASSIC)
     core, faults = Gateway(config_of(case), bound, 0), ValueFaults(bound, case.nodes)
     rows: list[list[Row]] = [[] for _ in case.nodes]
+    off: list[float] = []
+    off_rpm: list[float] = []
+    rated = MOTORS[case.motor].I_rated / math.sqrt(2.0)
     for tick, sent in enumerate(frames, start=1):
         now = case.begin < tick <= case.begin + case.ticks
         block = faults.apply([(case.kind, case.drive)] if now else [], sent)
+        if now:
+            off.append(faults.error.current_a.item(case.drive) / rated)
+            off_rpm.append(faults.error.speed_rpm.item(case.drive))
         try:
             core.step(block, tick * TICK)
         except Exception as error:
             # The table says what raised and where.
             place = traceback.extract_tb(error.__traceback__)[-1]
             where = f"{place.filename.rsplit('/', 1)[-1]}:{place.lineno}"
-            return Outcome(case, rows, f"{type(error).__name__} {where} tick {tick}")
+            raised = f"{type(error).__name__} {where} tick {tick}"
+            return Outcome(case, rows, raised, off, off_rpm)
         for row, drive in zip(rows, core.view.drives, strict=True):
             row.append(_row(tick, drive))
-    return Outcome(case, rows, "")
+    return Outcome(case, rows, "", off, off_rpm)
 
 
 def _row(tick: int, drive) -> Row:
@@ -152,11 +184,12 @@ def _row(tick: int, drive) -> Row:
 class Summary(NamedTuple):
     """Of one case. times in ms, None for never.
 
-    left: until the flag was not Adhering, or the sensor's fault was said; lost: until AdhesionLost
-    was said; again: after the fault, until the drive is Adhering for good; others: what flags of
-    other drives said beside Adhering.
+    off: of the currents, percent of rated; left: until the flag was not Adhering, or the sensor's
+    fault was said; lost: until AdhesionLost was said; again: after the fault, until the drive is
+    Adhering for good; others: what flags of other drives said beside Adhering.
     """
 
+    off: str
     left: int | None
     said: str
     lost: int | None
@@ -187,6 +220,7 @@ def summary(outcome: Outcome) -> Summary:
         if r.flag is not Flag.GOOD
     }
     return Summary(
+        f"{100.0 * sum(outcome.off) / max(len(outcome.off), 1):.0f}",
         (first.tick - begin) * 10 if first else None,
         said,
         (lost[0].tick - begin) * 10 if lost else None,
@@ -196,8 +230,10 @@ def summary(outcome: Outcome) -> Summary:
     )
 
 
-HEAD = ("bus", "motor", "filter", "rad/s", "kind", "left ms", "said first", "lost ms", "good ms",
-        "again ms", "others", "raised")  # fmt: skip
+HEAD = (
+    "bus", "motor", "filter", "rad/s", "kind", "off %", "left ms", "said first", "lost ms",
+    "good ms", "again ms", "others", "raised",
+)  # fmt: skip
 
 
 def cells(outcome: Outcome) -> tuple[str, ...]:
@@ -234,7 +270,7 @@ def main() -> None:
         options.motors.split(","), options.filters.split(","),
         [bus == "fd" for bus in options.bus.split(",")], options.begin,
     )  # fmt: skip
-    widths = (8, 15, 7, 6, 12, 8, 38, 8, 8, 9, 24, 1)
+    widths = (8, 15, 7, 6, 12, 6, 8, 38, 8, 8, 9, 24, 1)
     print(*(name.ljust(w) for name, w in zip(HEAD, widths, strict=True)), sep="")
     for case in wanted:
         row = cells(run_case(case))

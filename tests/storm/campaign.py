@@ -6,6 +6,7 @@ python -m tests.storm --seeds 0-19 --ticks 100000
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -21,10 +22,12 @@ from gateway.core import Gateway
 from gateway.health import REJECTED
 from gateway.said import Said
 from gateway.ticks import Ticks
-from sim.hostile import KINDS, NOTHING, Arrived, Fault, HostileBus, plan
+from sim.hostile import BUS_KINDS, KINDS, NOTHING, Arrived, Fault, HostileBus, plan
+from sim.value_faults import Error, ValueFaults
 from tests.provenance import code_of, commit_of
 from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, Train, train
+from tests.storm.values import truth_at
 
 Ints = NDArray[np.int64]
 CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
@@ -32,10 +35,15 @@ QUEUE = 278
 """Frames that the kernel keeps for a process that does not read; the newest are lost."""
 MOST_FOUND = 20
 FD_SEEDS = 1000
+VALUE_SEEDS = range(2000, 3000)
+"""Seeds whose drives also send wrong values, on a train of which every other has no slip limit.
+
+Those of before bring what they always did: a seed in a report or a test stays the same storm.
+"""
 MOST_TICKS = 64
 """Of a gateway that is stepped several ticks in a call."""
-_LENGTHS = 3
-"""Purpose of a random stream: the plan of faults and their chances have the first two."""
+_LENGTHS, _FIRST = 3, 4
+"""Purposes of random streams: the plan of faults and their chances have the first two."""
 ENDS = ("decoded", "error_frame", "remote", "own", "canopen", "unknown_id", *REJECTED)
 """Every frame ends in exactly one of these counters."""
 
@@ -69,9 +77,13 @@ class Result(NamedTuple):
 
 
 def config_of(seed: int):
-    """EKF and UKF, all detectors, classic CAN and, from seed 1000 on, CAN FD: by seed."""
+    """EKF and UKF, all detectors, by seed.
+
+    Classic CAN, from seed 1000 on CAN FD, of those with wrong values half and half.
+    """
+    fd = seed // 24 % 2 == 1 if seed in VALUE_SEEDS else seed >= FD_SEEDS
     return parse({
-        "dbc": {"file": "traction_fd.dbc" if seed >= FD_SEEDS else "traction.dbc"},
+        "dbc": {"file": "traction_fd.dbc" if fd else "traction.dbc"},
         "estimator": {"kind": ("ekf", "ekf", "ukf")[seed % 3]},
         "adhesion": {"detector": ("vb", "median", "kmeans", "vmp")[seed // 3 % 4]},
         "thermal": {"calibration": str(CALIBRATION)},
@@ -86,13 +98,40 @@ def in_calls(seed: int) -> bool:
     return seed // 12 % 2 == 1
 
 
+def train_of(seed: int) -> Train:
+    """The honest train of a seed: of those with wrong values, wheels of every other run away."""
+    creeps = seed in VALUE_SEEDS and seed // 48 % 2 == 1
+    return train(config_of(seed).dbc_path, creeps)
+
+
+def first_of(seed: int) -> int:
+    """First tick: short storms with wrong values begin anywhere in the train's round."""
+    if seed not in VALUE_SEEDS:
+        return 1
+    return 1 + int(np.random.default_rng([seed, _FIRST]).integers(LOOP_TICKS))
+
+
+def faults_of(seed: int, ticks: int, between: float = 350.0) -> list[Fault]:
+    """The plan of a seed, from its first tick on."""
+    kinds = KINDS if seed in VALUE_SEEDS else BUS_KINDS
+    ahead = first_of(seed) - 1
+    return [
+        fault._replace(first=fault.first + ahead, last=fault.last + ahead)
+        for fault in plan(seed, ticks, len(NODES), between, kinds)
+    ]
+
+
 class Tick(NamedTuple):
-    """What there is at one tick. phase: how far the train's round has come, in ticks."""
+    """What there is at one tick.
+
+    phase: how far the train's round has come, in ticks; error: of the values that drives sent.
+    """
 
     tick: int
     came: Arrived
     phase: int
     faults: list[Fault]
+    error: Error
 
 
 class Watched:
@@ -162,8 +201,8 @@ class Watched:
             self.found.append(Violation(waiting[-1].tick, "form", 0, what))
 
     def _look(self, tick: Tick, out: list[Frame], said: Said | None) -> None:
-        speed = self._honest.speed[tick.phase]
-        self._oracle.look(tick.tick, tick.came, out, said, speed, tick.faults)
+        truth = truth_at(self._honest, tick.phase, tick.error)
+        self._oracle.look(tick.tick, tick.came, out, said, truth, tick.faults)
 
 
 def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None = None) -> Result:
@@ -172,14 +211,14 @@ def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None 
     between: mean ticks from one fault to the next; several: whether the gateway does several ticks
     in a call, None for what `in_calls` says.
     """
-    config = config_of(seed)
-    honest = train(config.dbc_path)
+    config, honest = config_of(seed), train_of(seed)
     ids = [
         [spec.can_id for spec in honest.codec.messages if spec.name.startswith(f"Drive{n}_")
          and not spec.is_gateway]
         for n in NODES
     ]  # fmt: skip
-    bus = HostileBus(plan(seed, ticks, len(NODES), between), ids, seed)
+    values = ValueFaults(honest.codec, NODES)
+    bus = HostileBus(faults_of(seed, ticks, between), ids, seed, values)
     several = in_calls(seed) if several is None else several
     lengths = np.random.default_rng([seed, _LENGTHS]) if several else None
     met: Counter[tuple[str, str, int]] = Counter()
@@ -193,10 +232,11 @@ def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None 
         said.update(told)
         found.extend(watched.found)
 
-    watched = Watched(config, honest, 1, lengths)
+    first = first_of(seed)
+    watched = Watched(config, honest, first, lengths)
     waiting, stopped = NOTHING, 0
-    tick = 0
-    for tick in range(1, ticks + 1):
+    tick = first - 1
+    for tick in range(first, first + ticks):
         now = tick * TICK
         came = bus.carry(honest.sent(tick), lambda: honest.elsewhere(tick), tick, now)  # noqa: B023
         faults = list(bus.active(tick))
@@ -218,11 +258,12 @@ def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None 
         if any(f.kind == "restart" and f.first == tick for f in faults):
             end()
             watched = Watched(config, honest, tick, lengths)
-        watched.take(Tick(tick, came, k, faults))
+        watched.take(Tick(tick, came, k, faults, values.error))
         if len(watched.found) >= MOST_FOUND:
             break
     end()
-    return Result(seed, tick, found, said, met, counts["received"], counts)
+    done = tick - first + 1
+    return Result(seed, done, found, said, met, counts["received"], counts)
 
 
 def _joined(blocks: list[Block]) -> tuple[Block, Ints]:
@@ -238,7 +279,7 @@ def _queued(waiting: Arrived, came: Arrived) -> Arrived:
     return Arrived(block, np.concatenate([waiting.genuine, came.genuine])[:QUEUE])
 
 
-def uncovered(met: Counter[tuple]) -> list[tuple[str, str]]:
+def uncovered(met: Counter[tuple], kinds: Sequence[str] = BUS_KINDS) -> list[tuple[str, str]]:
     """Pairs of fault and phase that were never met."""
     seen = {(kind, phase) for kind, phase, *_ in met}
-    return [(kind, phase) for kind in KINDS for phase in PHASES if (kind, phase) not in seen]
+    return [(kind, phase) for kind in kinds for phase in PHASES if (kind, phase) not in seen]

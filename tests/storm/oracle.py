@@ -15,6 +15,7 @@ judged in every tick, whether or not a frame went out in it. Rules, by name:
 - form: every frame sent is whole: counter, states 0 to 2, nothing but our identifiers; flags have
   their checksum
 - masquerade: `Adhering` from no drive that two senders speak for, nor in the second after
+- wrong_values, false_loss, others, creep: see `tests.storm.values`
 
 `SensorFault`, `CommFault` and `EstimatorFault` speak for all drives and name none: bad goes when
 one drive at least has had its time, good comes when all have.
@@ -42,6 +43,7 @@ from gateway.health import Health
 from gateway.said import Said
 from sim.hostile import Arrived, Fault
 from tests.storm.train import TICK
+from tests.storm.values import Truth, ValueRules
 
 SLOW = ("Motion", "Status", "Temperatures")
 ADHESION, FAULTS, ESTIMATE = 0x1A0, 0x2A0, 0x500
@@ -139,15 +141,16 @@ class Oracle:
         self.doubled = [0] * self.n
         self.shared = [tick - GUARD_TICKS - 1] * self.n
         """Last tick in which a second sender had been there for long enough."""
+        self._values = ValueRules(config, tick)
         self.found: list[Violation] = []
         self._read: Counter[tuple[int, ...]] = Counter()
         """Ticks by all that was said in them: a few dozen different ones."""
 
     def look(
         self, tick: int, arrived: Arrived, out: list[Frame], said: Said | None,
-        speed: np.ndarray, faults: list[Fault],
+        truth: Truth, faults: list[Fault],
     ) -> None:  # fmt: skip
-        """One tick. speed (N,): true, rad/s; said: where the gateway was stepped singly."""
+        """One tick. said: where the gateway was stepped singly."""
         now = tick * TICK
         mine = arrived.genuine
         slots = self.slot[arrived.block.can_id[mine]]
@@ -171,7 +174,8 @@ class Oracle:
             elif frame.can_id == FAULTS:
                 self._faults(tick, frame.data)
         self._stand(tick, believable)
-        self._tracking(tick, speed.tolist())
+        self._tracking(tick, truth.speed.tolist())
+        self._values.look(tick, self.adhesion, self.whole[SENSOR], truth, faults, self._broken)
         self._read[(*self.adhesion, *self.thermal, *self.whole.values())] += 1
 
     @property

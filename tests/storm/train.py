@@ -16,6 +16,8 @@ import numpy as np
 from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND
+from sim._kernels import SPEED_FLOOR_M_S
+from sim.plant import TRAIN
 from sim.scenario import parse
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, codec
@@ -26,11 +28,15 @@ LOOP_TICKS = LOOP_S * 100
 LOOP_NS = LOOP_S * SECOND
 NODES = (1, 2, 3)
 PHASES = ("start", "standstill", "traction", "braking", "slip")
+LEAST_RAD_S = SPEED_FLOOR_M_S / TRAIN.wheel_radius_m
+"""Speed of the train, at the rotor, below which creep is not a share of it."""
+MOST_TORQUE = 7
+"""Column of the plant's parameters."""
 SHIFT = 1337
 """Ticks from which a second sender's frames are taken."""
 
 
-def _scenario():
+def _scenario(creeps: bool):
     """Two rounds: the first brings motors and stamps into their stride."""
     speed = [(0.0, 0.0), (6.0, 0.0), (20.0, 110.0), (40.0, 110.0), (62.0, 0.0)]
     # The first load is what the motors are warm from, about as warm as the rounds keep them.
@@ -42,6 +48,12 @@ def _scenario():
         (14.0, 1.0, 1, 1.0), (24.0, 1.0, 2, 1.0), (29.0, 0.8, 1, 0.6), (33.0, 0.8, "all", 0.8),
         (48.0, 1.0, 3, 1.0), (54.0, 0.6, 2, 0.7),
     ]  # fmt: skip
+    if creeps:
+        losses = [
+            (12.0, 0.6, 3, 0.05), (17.0, 0.5, 1, 0.1), (22.0, 0.8, 2, 0.05), (27.0, 0.4, 3, 0.15),
+            (32.0, 0.5, "all", 0.1), (45.0, 0.8, 1, 0.04), (50.0, 0.5, 2, 0.1),
+            (54.0, 0.4, 3, 0.15),
+        ]  # fmt: skip
     rounds = (0.0, float(LOOP_S))
     return parse({
         "title": "storm",
@@ -64,13 +76,16 @@ def _scenario():
 class Train(NamedTuple):
     """A round of the train: frames of its ticks, and what is so.
 
-    speed rad/s, lost: (LOOP_TICKS, N); phase (LOOP_TICKS,) index into PHASES.
+    speed rad/s, load Nm, lost, creep (share of the train's speed): (LOOP_TICKS, N); phase
+    (LOOP_TICKS,) index into PHASES.
     """
 
     codec: Codec
     frames: list[Block]
     speed: np.ndarray
     lost: np.ndarray
+    load: np.ndarray
+    creep: np.ndarray
     phase: np.ndarray
 
     def sent(self, tick: int) -> Block:
@@ -87,18 +102,38 @@ class Train(NamedTuple):
 
 
 @cache
-def train(dbc: Path = CLASSIC) -> Train:
-    """Recorded once per process."""
+def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
+    """Recorded once per process. creeps: no drive limits its slip, so wheels run away."""
     bound = codec(NODES, dbc)
-    simulation = Simulation(_scenario(), bound, nodes=NODES)
-    frames = []
+    simulation = Simulation(_scenario(creeps), bound, nodes=NODES)
+    frames, rolling = [], []
     for k in range(1, 2 * LOOP_TICKS + 1):
+        if creeps:
+            _free(simulation)
         block = block_of(simulation.step((), k * TICK))
         frames.append(block._replace(t_ns=block.t_ns - LOOP_NS))
+        rolling.append(simulation._plant.train_state[0])
     rows = simulation.truth_rows()[-LOOP_TICKS * len(NODES) :]
-    speed = np.array([row.speed_rad_s for row in rows]).reshape(LOOP_TICKS, len(NODES))
-    lost = np.array([row.lost for row in rows], dtype=bool).reshape(LOOP_TICKS, len(NODES))
-    return Train(bound, frames[LOOP_TICKS:], speed, lost, _phases(speed, lost))
+
+    def of(name: str, kind: type) -> np.ndarray:
+        column = [getattr(row, name) for row in rows]
+        return np.array(column, dtype=kind).reshape(LOOP_TICKS, len(NODES))
+
+    speed, lost = of("speed_rad_s", float), of("lost", bool)
+    v = np.array(rolling[LOOP_TICKS:])[:, None]
+    creep = np.abs(speed - v) / np.maximum(np.abs(v), LEAST_RAD_S)
+    phase = _phases(speed, lost)
+    return Train(bound, frames[LOOP_TICKS:], speed, lost, of("load_nm", float), creep, phase)
+
+
+def _free(simulation: Simulation) -> None:
+    """Torque as demanded, whatever the wheel does: the slip limit is overruled.
+
+    It takes back at most half of the drive's largest torque, so that is made minus twice the
+    demand.
+    """
+    plant = simulation._plant
+    plant.p[:, MOST_TORQUE] = -2.0 * abs(plant.demand_nm)
 
 
 def _phases(speed: np.ndarray, lost: np.ndarray) -> np.ndarray:

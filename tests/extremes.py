@@ -1,0 +1,294 @@
+"""Drives' frames of extreme but legal raw values, headers right, for tests that nothing raises.
+
+A run changes between honest frames, so that filters and detectors are in the middle of their work,
+and stretches in which a rule makes the values of some messages of some drives.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dbc.block import Block
+from dbc.codec import Codec
+from dbc.protection import protect
+from dbc.spec import MessageSpec, SignalSpec
+from gateway.config import Config, parse
+from gateway.core import Gateway
+from tests.simrun import CLASSIC, FD_FILE, codec
+from tests.value_cases import TICK, honest
+
+HEADER = ("Crc", "Counter", "SampleIndex", "Quality")
+HONEST_TICKS, STRETCH_TICKS, AGAIN_TICKS = 60, 30, 40
+MESSAGES = ("electrical", "PhaseCurrents", "StatorVoltages", "Samples", "Motion", "Status",
+            "Temperatures", "all")  # fmt: skip
+
+
+class At(NamedTuple):
+    """Where a frame stands. k: number of this message's frame in the stretch; raws: honest ones;
+    first: those of the first frame of the stretch."""
+
+    k: int
+    raws: list[int]
+    first: list[int]
+    rng: np.random.Generator
+
+
+Rule = Callable[[At, Sequence[SignalSpec]], list[int]]
+
+
+def _all(pick: Callable[[SignalSpec], int]) -> Rule:
+    return lambda _at, signals: [_legal(s, pick(s)) for s in signals]
+
+
+def _legal(s: SignalSpec, raw: int) -> int:
+    return min(max(raw, s.raw_min), s.raw_max)
+
+
+def _pattern(*values: float) -> Rule:
+    """Every signal goes through parts of its highest value, the next signal a step behind."""
+
+    def rule(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+        n = len(values)
+        return [_legal(s, round(values[(at.k - j) % n] * s.raw_max)) for j, s in enumerate(signals)]
+
+    return rule
+
+
+def _ends(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+    return [int(at.rng.choice([s.raw_min, s.raw_max])) for s in signals]
+
+
+def _any_legal(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+    return [int(at.rng.integers(s.raw_min, s.raw_max, endpoint=True)) for s in signals]
+
+
+def _any_bits(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+    return [int(at.rng.integers(0, 1 << s.length)) for s in signals]
+
+
+def _edges(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+    return [
+        int(at.rng.choice([s.raw_min, s.raw_max, 0, 1, -1, s.not_available or 0, s.start_raw]))
+        for s in signals
+    ]
+
+
+def _sometimes(rule: Rule, share: float) -> Rule:
+    return lambda at, signals: rule(at, signals) if at.rng.random() < share else at.raws
+
+
+def _axis(*parts: float) -> Rule:
+    """Currents (or whatever there is) in fixed proportions: on one axis."""
+
+    def rule(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+        return [_legal(s, round(parts[j % len(parts)] * at.raws[0])) for j, s in enumerate(signals)]
+
+    return rule
+
+
+RULES: dict[str, Rule] = {
+    "zero": _all(lambda _: 0),
+    "one": _all(lambda _: 1),
+    "minus one": _all(lambda _: -1),
+    "highest": _all(lambda s: s.raw_max),
+    "lowest": _all(lambda s: s.raw_min),
+    "below highest": _all(lambda s: s.raw_max - 1),
+    "thousand": _all(lambda _: 1000),
+    "not available": lambda _at, signals: [
+        s.raw_max if s.not_available is None else s.not_available for s in signals
+    ],
+    "held": lambda at, _: at.first,
+    "held but for a bit": lambda at, _: [raw ^ (at.k & 1) for raw in at.first],
+    "alternating ends": lambda at, signals: [
+        s.raw_max if (at.k + j) % 2 else s.raw_min for j, s in enumerate(signals)
+    ],
+    "alternating together": lambda at, signals: [
+        s.raw_max if at.k % 2 else s.raw_min for s in signals
+    ],
+    "alternating inside": lambda at, signals: [
+        (s.raw_max - 1 if at.k % 2 else s.raw_min + 1) // 2 for s in signals
+    ],
+    "three": _pattern(0.25, -0.125, -0.125),
+    "four": _pattern(0.25, 0.0, -0.25, 0.0),
+    "four high": _pattern(0.999, 0.0, -0.999, 0.0),
+    "six": _pattern(0.1, 0.1, 0.0, -0.1, -0.1, 0.0),
+    "twelve": _pattern(*(0.02 * np.cos(np.arange(12) * np.pi / 6.0))),
+    "ends": _ends,
+    "any": _any_legal,
+    "any bits": _any_bits,
+    "edges": _edges,
+    "now and then": _sometimes(_edges, 0.2),
+    "axis a": _axis(1.0, -0.5, -0.5),
+    "axis b": _axis(0.0, 1.0, -1.0),
+    "axis ab": _axis(1.0, -1.0, 0.0),
+    "reversed": lambda at, signals: [_legal(s, -r) for s, r in zip(signals, at.raws, strict=True)],
+}
+
+
+class Setup(NamedTuple):
+    """A gateway and its drives."""
+
+    drives: int = 3
+    kind: str = "ekf"
+    fd: bool = False
+    speed: float = 200.0
+    motor: str = "bench"
+    detector: str = "vb"
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """CANopen numbers."""
+        return tuple(range(1, self.drives + 1))
+
+    @property
+    def codec(self) -> Codec:
+        """Bound for these drives."""
+        return codec(self.nodes, FD_FILE if self.fd else CLASSIC)
+
+    def config(self, **more) -> Config:
+        """Of the gateway."""
+        return parse({
+            "dbc": {"file": "traction_fd.dbc" if self.fd else "traction.dbc"},
+            "drive": [{"node": node, "motor": self.motor} for node in self.nodes],
+            "estimator": {"kind": self.kind}, "adhesion": {"detector": self.detector}, **more,
+        })  # fmt: skip
+
+
+class Stretch(NamedTuple):
+    """What happens to which messages, and to the drives (from 0) of which."""
+
+    rule: str
+    message: str
+    drives: tuple[int, ...]
+
+
+def stretches(setup: Setup) -> list[Stretch]:
+    """All rules, on each message and on all of them; of one drive and of all."""
+    names = {spec.kind for spec in setup.codec.messages if spec.node and not spec.is_gateway}
+    everyone = tuple(range(setup.drives))
+    messages = [m for m in MESSAGES if m in names or m in ("all", "electrical")]
+    return [
+        Stretch(rule, message, drives)
+        for rule in RULES
+        for message in messages
+        for drives in dict.fromkeys(((0,), everyone))
+    ]
+
+
+def fits(spec: MessageSpec, message: str) -> bool:
+    """Whether a stretch changes this message."""
+    if message == "electrical":
+        return spec.kind in ("PhaseCurrents", "StatorVoltages", "Samples")
+    return message in ("all", spec.kind)
+
+
+def changed(setup: Setup, stretch: Stretch, blocks: Sequence[Block], seed: int) -> Iterator[Block]:
+    """Honest frames of consecutive ticks, their values made by the stretch's rule."""
+    specs = {
+        spec.can_id: spec
+        for spec in setup.codec.messages
+        if spec.node in setup.nodes and not spec.is_gateway and fits(spec, stretch.message)
+        and spec.node - 1 in stretch.drives
+    }  # fmt: skip
+    signals = {
+        key: [s for s in spec.signals if s.name not in HEADER] for key, spec in specs.items()
+    }
+    rng = np.random.default_rng([seed, 1])
+    count: dict[int, int] = {}
+    first: dict[int, list[int]] = {}
+    for block in blocks:
+        out = block._replace(data=block.data.copy())
+        for k, can_id in enumerate(block.can_id.tolist()):
+            spec = specs.get(can_id)
+            if spec is None:
+                continue
+            word = int.from_bytes(block.data[k, : spec.length].tobytes(), "little")
+            raws = [_raw(word, s) for s in signals[can_id]]
+            at = At(count.get(can_id, 0), raws, first.setdefault(can_id, raws), rng)
+            count[can_id] = at.k + 1
+            new = RULES[stretch.rule](at, signals[can_id])
+            for s, raw in zip(signals[can_id], new, strict=True):
+                mask = (1 << s.length) - 1
+                word = word & ~(mask << s.start) | (raw & mask) << s.start
+            payload = bytearray(word.to_bytes(spec.length, "little"))
+            counter = payload[2] if spec.is_fd else payload[1] & 15
+            protect(spec, payload, counter)
+            out.data[k, : spec.length] = np.frombuffer(payload, dtype=np.uint8)
+        yield out
+
+
+def _raw(word: int, s: SignalSpec) -> int:
+    raw = word >> s.start & ((1 << s.length) - 1)
+    return raw - (1 << s.length) if s.is_signed and raw >> s.length - 1 else raw
+
+
+class Raised(NamedTuple):
+    """Where `step` raised, and what it was given."""
+
+    place: str
+    error: str
+    setup: Setup
+    stretch: Stretch
+    tick: int
+
+
+def run(setup: Setup, wanted: Sequence[Stretch], seed: int = 1, gateway=Gateway) -> list[Raised]:
+    """One stretch after the other, honest frames between; who raised is replaced."""
+    period = STRETCH_TICKS + AGAIN_TICKS
+    ticks = HONEST_TICKS + period * 8
+    frames = honest(setup.speed, setup.motor, setup.fd, ticks, 0.6, setup.nodes)
+    out: list[Raised] = []
+    core = None
+    for number, stretch in enumerate(wanted):
+        at = number % 8
+        if at == 0 or core is None:
+            # The log begins anew, and with it the gateway.
+            core = gateway(setup.config(), setup.codec, 0)
+            first = 0
+        begin = HONEST_TICKS + at * period
+        tick = first
+        try:
+            for tick in range(first, begin):
+                core.step(frames[tick], (tick + 1) * TICK)
+            bad = changed(setup, stretch, frames[begin : begin + STRETCH_TICKS], seed + number)
+            for tick, block in enumerate(bad, start=begin):
+                core.step(block, (tick + 1) * TICK)
+            first = begin + period
+            for tick in range(begin + STRETCH_TICKS, first):
+                core.step(frames[tick], (tick + 1) * TICK)
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            name = "/".join(last.filename.split("/")[-2:])
+            what = f"{type(error).__name__}: {error}"
+            out.append(Raised(f"{name}:{last.lineno}", what, setup, stretch, tick - begin))
+            core = None
+    return out
+
+
+def main() -> None:
+    """Print where anything raises, by place."""
+    import itertools
+    import sys
+
+    sizes = [int(x) for x in (sys.argv[1] if len(sys.argv) > 1 else "1,2,3").split(",")]
+    seen: dict[str, list[Raised]] = {}
+    for n, kind, fd, speed in itertools.product(
+        sizes, ("ekf", "ukf"), (False, True), (100.0, 290.0)
+    ):
+        setup = Setup(n, kind, fd, speed)
+        for raised in run(setup, stretches(setup)):
+            known = seen.setdefault(f"{raised.place} {raised.error}", [])
+            known.append(raised)
+            if len(known) <= 3:
+                print(raised, flush=True)
+    for place, cases in seen.items():
+        rules = sorted({(c.stretch.rule, c.stretch.message) for c in cases})
+        print(f"{place}: {len(cases)} cases; {rules}")
+
+
+if __name__ == "__main__":
+    main()
