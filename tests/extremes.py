@@ -6,6 +6,8 @@ and stretches in which a rule makes the values of some messages of some drives.
 
 from __future__ import annotations
 
+import argparse
+import itertools
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -22,7 +24,11 @@ from tests.simrun import CLASSIC, FD_FILE, codec
 from tests.value_cases import TICK, honest
 
 HEADER = ("Crc", "Counter", "SampleIndex", "Quality")
-HONEST_TICKS, STRETCH_TICKS, AGAIN_TICKS = 60, 30, 40
+HONEST_TICKS = 60
+LENGTHS = 30, 40
+"""Ticks of a stretch, and of honest frames after it: most drives are tracked again by then."""
+TOGETHER = 8
+"""Stretches of one gateway, if none raises."""
 MESSAGES = ("electrical", "PhaseCurrents", "StatorVoltages", "Samples", "Motion", "Status",
             "Temperatures", "all")  # fmt: skip
 
@@ -236,30 +242,28 @@ class Raised(NamedTuple):
     tick: int
 
 
-def run(setup: Setup, wanted: Sequence[Stretch], seed: int = 1, gateway=Gateway) -> list[Raised]:
-    """One stretch after the other, honest frames between; who raised is replaced."""
-    period = STRETCH_TICKS + AGAIN_TICKS
-    ticks = HONEST_TICKS + period * 8
+def run(
+    setup: Setup, wanted: Sequence[Stretch], seed: int = 1, lengths: tuple[int, int] = LENGTHS,
+    gateway: type[Gateway] = Gateway,
+) -> list[Raised]:  # fmt: skip
+    """One stretch after the other, honest frames between; a gateway that raised is replaced."""
+    long, period = lengths[0], sum(lengths)
+    ticks = HONEST_TICKS + period * TOGETHER
     frames = honest(setup.speed, setup.motor, setup.fd, ticks, 0.6, setup.nodes)
     out: list[Raised] = []
-    core = None
+    core, first = None, 0
     for number, stretch in enumerate(wanted):
-        at = number % 8
-        if at == 0 or core is None:
+        if number % TOGETHER == 0 or core is None:
             # The log begins anew, and with it the gateway.
-            core = gateway(setup.config(), setup.codec, 0)
-            first = 0
-        begin = HONEST_TICKS + at * period
+            core, first = gateway(setup.config(), setup.codec, 0), 0
+        begin = HONEST_TICKS + number % TOGETHER * period
+        bad = changed(setup, stretch, frames[begin : begin + long], seed + number)
+        after = frames[begin + long : begin + period]
         tick = first
         try:
-            for tick in range(first, begin):
-                core.step(frames[tick], (tick + 1) * TICK)
-            bad = changed(setup, stretch, frames[begin : begin + STRETCH_TICKS], seed + number)
-            for tick, block in enumerate(bad, start=begin):
+            for tick, block in enumerate([*frames[first:begin], *bad, *after], start=first):
                 core.step(block, (tick + 1) * TICK)
             first = begin + period
-            for tick in range(begin + STRETCH_TICKS, first):
-                core.step(frames[tick], (tick + 1) * TICK)
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]
             name = "/".join(last.filename.split("/")[-2:])
@@ -271,20 +275,32 @@ def run(setup: Setup, wanted: Sequence[Stretch], seed: int = 1, gateway=Gateway)
 
 def main() -> None:
     """Print where anything raises, by place."""
-    import itertools
-    import sys
-
-    sizes = [int(x) for x in (sys.argv[1] if len(sys.argv) > 1 else "1,2,3").split(",")]
+    parser = argparse.ArgumentParser(prog="python -m tests.extremes", description=__doc__)
+    parser.add_argument("--drives", default="1,2,3")
+    parser.add_argument("--filters", default="ekf,ukf")
+    parser.add_argument("--bus", default="classic,fd")
+    parser.add_argument("--speeds", default="100,290")
+    parser.add_argument("--messages", default=",".join(MESSAGES))
+    parser.add_argument("--rules", default=",".join(RULES))
+    parser.add_argument("--ticks", default="30,40", help="of a stretch, and of honest ones after")
+    options = parser.parse_args()
+    long, again = map(int, options.ticks.split(","))
     seen: dict[str, list[Raised]] = {}
-    for n, kind, fd, speed in itertools.product(
-        sizes, ("ekf", "ukf"), (False, True), (100.0, 290.0)
-    ):
-        setup = Setup(n, kind, fd, speed)
-        for raised in run(setup, stretches(setup)):
-            known = seen.setdefault(f"{raised.place} {raised.error}", [])
-            known.append(raised)
-            if len(known) <= 3:
+    setups = itertools.product(
+        map(int, options.drives.split(",")), options.filters.split(","), options.bus.split(","),
+        map(float, options.speeds.split(",")),
+    )  # fmt: skip
+    for drives, kind, bus, speed in setups:
+        setup = Setup(drives, kind, bus == "fd", speed)
+        wanted = [
+            s for s in stretches(setup)
+            if s.rule in options.rules.split(",") and s.message in options.messages.split(",")
+        ]  # fmt: skip
+        for raised in run(setup, wanted, lengths=(long, again)):
+            seen.setdefault(f"{raised.place} {raised.error}", []).append(raised)
+            if len(seen[f"{raised.place} {raised.error}"]) <= 3:
                 print(raised, flush=True)
+        print(f"{setup}: {len(wanted)} stretches", flush=True)
     for place, cases in seen.items():
         rules = sorted({(c.stretch.rule, c.stretch.message) for c in cases})
         print(f"{place}: {len(cases)} cases; {rules}")

@@ -24,6 +24,7 @@ UNITS = {
     "candump": "lines",
     "readers": "lines",
     "frames": "frames",
+    "values": "ticks",
     "dbc": "codecs",
     "config": "configurations",
     "scenario": "scenarios",

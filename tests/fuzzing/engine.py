@@ -19,6 +19,7 @@ PACKAGES = {
     "candump": ["dbc"],
     "readers": ["dbc"],
     "frames": ["dbc", "gateway", "tests"],
+    "values": ["gateway", "sim", "tests"],
     "dbc": ["dbc", "cantools", "textparser"],
     "config": ["gateway", "tomllib"],
     "scenario": ["sim", "tomllib"],

@@ -1,4 +1,4 @@
-"""The six targets: what is called with an input, how long inputs are, words of the grammar."""
+"""The seven targets: what is called with an input, how long inputs are, words of the grammar."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 from tests.fuzzing.candump import candump, readers
 from tests.fuzzing.frames import frames
 from tests.fuzzing.texts import config, dbc, scenario
+from tests.fuzzing.values import values
 
 CORPUS: Final = Path(__file__).with_name("corpus")
 
@@ -51,6 +52,7 @@ _FRAMES = tuple(
         (0x41, 4), (0x41, 2), (0x41, 8), (0x42, 7), (0x43, 1, 0), (0x7F, 0xFF), (0, 0x80, 8),
     )
 )  # fmt: skip
+_VALUES = tuple(bytes((what, 0, 0, 31)) for what in range(12))
 _TOML = (
     "[ ] [[ ]] = { } , ' \" ''' \"\"\" # \\u0000 \\u000a \\U0010ffff true false inf nan -inf "
     "1979-05-27T07:32:00Z 07:32:00 0x7fffffffffffffff a.b.c ~=~ ^ [x]^ x~=~1^ \\n é "
@@ -87,6 +89,7 @@ TARGETS: Final = {
         Target("readers", partial(readers, tokens=_LOG), "lines", 4000, _LOG,
                partial(readers, tokens=_LOG)),
         Target("frames", frames, "frames", 160, _FRAMES, partial(frames, every=1), is_slow=False),
+        Target("values", values, "ticks", 33, _VALUES, values),
         Target("dbc", dbc, "codecs", 1500, _DBC, dbc),
         Target("config", config, "configurations", 6000, _CONFIG, partial(config, every=1)),
         Target("scenario", scenario, "scenarios", 6000, _SCENARIO, scenario),

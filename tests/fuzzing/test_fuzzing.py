@@ -30,7 +30,7 @@ from gateway.supervision import Life, Supervision
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
 from tests.dbc_text import write
-from tests.fuzzing import candump, frames, texts
+from tests.fuzzing import candump, frames, texts, values
 from tests.fuzzing.__main__ import NAMES, UNITS, summary
 from tests.fuzzing.engine import PACKAGES
 from tests.fuzzing.held import Held
@@ -38,7 +38,8 @@ from tests.fuzzing.mutate import mutate
 from tests.fuzzing.targets import CORPUS, TARGETS
 
 MUTATIONS = {
-    "candump": 600, "readers": 40, "frames": 150, "dbc": 60, "config": 250, "scenario": 250,
+    "candump": 600, "readers": 40, "frames": 150, "values": 12, "dbc": 60, "config": 250,
+    "scenario": 250,
 }  # fmt: skip
 MOST_BYTES = 100_000
 
@@ -194,6 +195,18 @@ def test_a_broken_decoder_is_found(broken) -> None:
 @pytest.mark.parametrize("broken", [_Repeats, _Unprotected])
 def test_a_broken_core_is_found(broken) -> None:
     _fails(lambda data: frames.frames(data, gateway=broken, every=1), "frames")
+
+
+class _Divides(Gateway):
+    """By what a current has moved in a tick."""
+
+    def estimated(self, now):
+        assert 1.0 / float(np.ptp(self.inbox.samples.y[:5, 0])) > 0.0
+        return super().estimated(now)
+
+
+def test_a_gateway_that_divides_by_a_value_is_found() -> None:
+    _fails(lambda data: values.values(data, gateway=_Divides), "values")
 
 
 def _bare_cantools(path: Path, nodes, contract):

@@ -36,7 +36,7 @@ QUEUE = 278
 MOST_FOUND = 20
 FD_SEEDS = 1000
 VALUE_SEEDS = range(2000, 3000)
-"""Seeds whose drives also send wrong values, on a train of which every other has no slip limit.
+"""Seeds whose drives also send wrong values, half of them on a train without a slip limit.
 
 Those of before bring what they always did: a seed in a report or a test stays the same storm.
 """
@@ -98,10 +98,14 @@ def in_calls(seed: int) -> bool:
     return seed // 12 % 2 == 1
 
 
+def creeps(seed: int) -> bool:
+    """Whether no drive of this seed's train limits its slip, so that wheels run away."""
+    return seed in VALUE_SEEDS and seed // 48 % 2 == 1
+
+
 def train_of(seed: int) -> Train:
-    """The honest train of a seed: of those with wrong values, wheels of every other run away."""
-    creeps = seed in VALUE_SEEDS and seed // 48 % 2 == 1
-    return train(config_of(seed).dbc_path, creeps)
+    """The honest train of a seed."""
+    return train(config_of(seed).dbc_path, creeps(seed))
 
 
 def first_of(seed: int) -> int:
