@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -273,8 +274,8 @@ def run(
     return out
 
 
-def main() -> None:
-    """Print where anything raises, by place."""
+def main() -> int:
+    """Print where anything raises, by place; 1 if anything does."""
     parser = argparse.ArgumentParser(prog="python -m tests.extremes", description=__doc__)
     parser.add_argument("--drives", default="1,2,3")
     parser.add_argument("--filters", default="ekf,ukf")
@@ -304,7 +305,8 @@ def main() -> None:
     for place, cases in seen.items():
         rules = sorted({(c.stretch.rule, c.stretch.message) for c in cases})
         print(f"{place}: {len(cases)} cases; {rules}")
+    return int(bool(seen))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -20,7 +20,8 @@ from gateway.health import Flag, Health
 from gateway.outbox import Outbox
 from gateway.receiving import NAMES
 from gateway.said import Which
-from sim.hostile import KINDS, WHOLE_BUS, Fault, HostileBus, plan
+from sim.hostile import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
+from sim.value_faults import ValueFaults
 from tests.storm import campaign
 from tests.storm.campaign import FD_SEEDS, QUEUE, Result, weather
 from tests.storm.oracle import Oracle, Violation
@@ -54,8 +55,8 @@ def test_the_seeds_bring_every_fault_to_every_phase_and_drive():
         for fault in plan(seed, TICKS, len(NODES)):
             for tick in range(fault.first, min(fault.last, TICKS)):
                 met[fault.kind, PHASES[train_phase[(tick - 1) % LOOP_TICKS]], fault.drive] += 1
-    drives = {kind: (None,) if kind in WHOLE_BUS else (None, 0, 1, 2) for kind in KINDS}
-    wanted = {(kind, phase, d) for kind in KINDS for phase in PHASES for d in drives[kind]}
+    drives = {kind: (None,) if kind in WHOLE_BUS else (None, 0, 1, 2) for kind in BUS_KINDS}
+    wanted = {(kind, phase, d) for kind in BUS_KINDS for phase in PHASES for d in drives[kind]}
     assert wanted == set(met)
 
 
@@ -421,7 +422,8 @@ def carried(kind, amount=1.0, ticks=40, drive=1):
     """Ticks of a running train under one fault from tick 11 to 30; (arrived, sent) per tick."""
     honest = train()
     ids = [[0x181], ONE, [0x183]]
-    bus = HostileBus([Fault(kind, 11, 31, drive, amount)], ids, 1)
+    values = ValueFaults(honest.codec, NODES)
+    bus = HostileBus([Fault(kind, 11, 31, drive, amount)], ids, 1, values)
     out = []
     for k in range(1, ticks + 1):
         tick = k + 2000

@@ -1,0 +1,105 @@
+"""No number on the wire raises: extreme but legal raw values through the whole core.
+
+Compiled, and uncompiled, where a root, a logarithm or a conversion that compiled code answers with
+NaN raises as well. `python -m tests.extremes` runs all of them.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from itertools import product
+
+import numpy as np
+import pytest
+
+from gateway.core import Gateway
+from tests import extremes
+from tests.extremes import RULES, Setup, Stretch, changed, run, stretches
+from tests.value_cases import honest
+
+SETUPS = [
+    Setup(drives, kind, fd, speed)
+    for drives, kind, fd, speed in product((1, 2, 3), ("ekf", "ukf"), (False, True), (100.0, 290.0))
+] + [Setup(16, kind, fd, 200.0) for kind, fd in product(("ekf", "ukf"), (False, True))]
+QUICK = {Setup(1, "ekf", False, 290.0), Setup(2, "ukf", True, 100.0)}
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [
+        pytest.param(s, marks=() if s in QUICK else pytest.mark.slow, id="-".join(map(str, s[:4])))
+        for s in SETUPS
+    ],
+)
+def test_nothing_that_drives_say_raises(setup):
+    wanted = stretches(setup)
+    if setup.drives > 3:
+        wanted = [s for s in wanted if s.message in ("electrical", "all")]
+    assert not run(setup, wanted)
+
+
+@pytest.mark.parametrize("detector", ["median", "kmeans", "vmp"])
+def test_nor_with_another_detector(detector):
+    setup = Setup(2, "ekf", False, 290.0, detector=detector)
+    assert not run(setup, [s for s in stretches(setup) if s.message in ("electrical", "all")])
+
+
+def uncompiled(*options: str) -> subprocess.CompletedProcess:
+    """`python -m tests.extremes` without compiled code."""
+    return subprocess.run(
+        [sys.executable, "-W", "ignore", "-m", "tests.extremes", *options],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("bus", ["classic", "fd"])
+def test_nothing_raises_uncompiled_either(bus):
+    done = uncompiled(
+        "--drives", "1", "--filters", "ekf", "--bus", bus, "--speeds", "290", "--ticks", "30,5",
+        "--messages", "PhaseCurrents,Samples,all", "--rules", "held,zero,alternating ends",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "6 stretches" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bus", ["classic", "fd"])
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_nothing_at_all_raises_uncompiled_either(kind, bus):
+    done = uncompiled("--drives", "1,2", "--filters", kind, "--bus", bus, "--speeds", "290",
+                      "--ticks", "30,15")  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+class _Divides(Gateway):
+    """By what a current has moved in a tick."""
+
+    def estimated(self, now):
+        assert 1.0 / float(np.ptp(self.inbox.samples.y[:5, 0])) > 0.0
+        return super().estimated(now)
+
+
+def test_a_gateway_that_raises_is_found_and_the_stretch_is_named():
+    setup = Setup(1)
+    wanted = [Stretch("held", "PhaseCurrents", (0,)), Stretch("ends", "Motion", (0,))]
+    (raised,) = run(setup, wanted, gateway=_Divides)
+    assert raised.stretch == wanted[0]
+    assert raised.error.startswith("ZeroDivisionError")
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("rule", RULES)
+def test_what_is_changed_is_decoded_and_counts_on(rule, fd):
+    setup = Setup(1, fd=fd)
+    blocks = honest(setup.speed, setup.motor, fd, 40, 0.6, setup.nodes)
+    core = Gateway(setup.config(), setup.codec, 0)
+    made = list(changed(setup, Stretch(rule, "all", (0,)), blocks, 1))
+    assert any((a.data != b.data).any() for a, b in zip(made, blocks, strict=True))
+    for tick, block in enumerate(made, start=1):
+        core.inbox.take(block, tick * extremes.TICK)
+    counts = core.inbox.counts
+    used = counts["decoded"] + counts["not_available"] + counts["range"]
+    assert used >= 0.95 * (counts["received"] - counts["canopen"])
+    assert not counts["error"] + counts["repeated"] + counts["wrong_sequence"]
