@@ -11,10 +11,12 @@ import itertools
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+import gateway
 from dbc.block import Block
 from dbc.codec import Codec
 from dbc.protection import protect
@@ -24,6 +26,7 @@ from gateway.core import Gateway
 from tests.simrun import CLASSIC, FD_FILE, codec
 from tests.value_cases import TICK, honest
 
+CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
 HEADER = ("Crc", "Counter", "SampleIndex", "Quality")
 HONEST_TICKS = 60
 LENGTHS = 30, 40
@@ -145,6 +148,8 @@ class Setup(NamedTuple):
     speed: float = 200.0
     motor: str = "bench"
     detector: str = "vb"
+    thermal: bool = False
+    """With the bench's calibration, so that temperatures are judged by the model."""
 
     @property
     def nodes(self) -> tuple[int, ...]:
@@ -156,8 +161,9 @@ class Setup(NamedTuple):
         """Bound for these drives."""
         return codec(self.nodes, FD_FILE if self.fd else CLASSIC)
 
-    def config(self, **more) -> Config:
+    def config(self) -> Config:
         """Of the gateway."""
+        more = {"thermal": {"calibration": str(CALIBRATION)}} if self.thermal else {}
         return parse({
             "dbc": {"file": "traction_fd.dbc" if self.fd else "traction.dbc"},
             "drive": [{"node": node, "motor": self.motor} for node in self.nodes],
@@ -245,7 +251,7 @@ class Raised(NamedTuple):
 
 def run(
     setup: Setup, wanted: Sequence[Stretch], seed: int = 1, lengths: tuple[int, int] = LENGTHS,
-    gateway: type[Gateway] = Gateway,
+    made: type[Gateway] = Gateway,
 ) -> list[Raised]:  # fmt: skip
     """One stretch after the other, honest frames between; a gateway that raised is replaced."""
     long, period = lengths[0], sum(lengths)
@@ -256,7 +262,7 @@ def run(
     for number, stretch in enumerate(wanted):
         if number % TOGETHER == 0 or core is None:
             # The log begins anew, and with it the gateway.
-            core, first = gateway(setup.config(), setup.codec, 0), 0
+            core, first = made(setup.config(), setup.codec, 0), 0
         begin = HONEST_TICKS + number % TOGETHER * period
         bad = changed(setup, stretch, frames[begin : begin + long], seed + number)
         after = frames[begin + long : begin + period]

@@ -46,6 +46,14 @@ def test_nor_with_another_detector(detector):
     assert not run(setup, [s for s in stretches(setup) if s.message in ("electrical", "all")])
 
 
+@pytest.mark.slow
+def test_nor_with_a_thermal_model():
+    """Readings of temperatures come ten times a second: for longer."""
+    setup = Setup(3, thermal=True)
+    wanted = [s for s in stretches(setup) if s.message in ("Temperatures", "Status", "all")]
+    assert not run(setup, wanted, lengths=(200, 100))
+
+
 def uncompiled(*options: str) -> subprocess.CompletedProcess:
     """`python -m tests.extremes` without compiled code."""
     return subprocess.run(
@@ -84,7 +92,7 @@ class _Divides(Gateway):
 def test_a_gateway_that_raises_is_found_and_the_stretch_is_named():
     setup = Setup(1)
     wanted = [Stretch("held", "PhaseCurrents", (0,)), Stretch("ends", "Motion", (0,))]
-    (raised,) = run(setup, wanted, gateway=_Divides)
+    (raised,) = run(setup, wanted, made=_Divides)
     assert raised.stretch == wanted[0]
     assert raised.error.startswith("ZeroDivisionError")
 
