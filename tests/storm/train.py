@@ -30,8 +30,6 @@ NODES = (1, 2, 3)
 PHASES = ("start", "standstill", "traction", "braking", "slip")
 LEAST_RAD_S = SPEED_FLOOR_M_S / TRAIN.wheel_radius_m
 """Speed of the train, at the rotor, below which creep is not a share of it."""
-MOST_TORQUE = 7
-"""Column of the plant's parameters."""
 SHIFT = 1337
 """Ticks from which a second sender's frames are taken."""
 
@@ -60,6 +58,7 @@ def _scenario(creeps: bool):
         "seed": 7,
         "duration_s": 2 * LOOP_S,
         "drives": len(NODES),
+        "slip_limiter": "none" if creeps else "fast",
         "motion": {
             "start": "standstill",
             "profile": [(t + r, w) for r in rounds for t, w in speed],
@@ -108,8 +107,6 @@ def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
     simulation = Simulation(_scenario(creeps), bound, nodes=NODES)
     frames, rolling = [], []
     for k in range(1, 2 * LOOP_TICKS + 1):
-        if creeps:
-            _free(simulation)
         block = block_of(simulation.step((), k * TICK))
         frames.append(block._replace(t_ns=block.t_ns - LOOP_NS))
         rolling.append(simulation._plant.train_state[0])
@@ -124,16 +121,6 @@ def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
     creep = np.abs(speed - v) / np.maximum(np.abs(v), LEAST_RAD_S)
     phase = _phases(speed, lost)
     return Train(bound, frames[LOOP_TICKS:], speed, lost, of("load_nm", float), creep, phase)
-
-
-def _free(simulation: Simulation) -> None:
-    """Torque as demanded, whatever the wheel does: the slip limit is overruled.
-
-    It takes back at most half of the drive's largest torque, so that is made minus twice the
-    demand.
-    """
-    plant = simulation._plant
-    plant.p[:, MOST_TORQUE] = -2.0 * abs(plant.demand_nm)
 
 
 def _phases(speed: np.ndarray, lost: np.ndarray) -> np.ndarray:
