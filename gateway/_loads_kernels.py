@@ -123,7 +123,8 @@ def prepare(
     _shares(now, slow, fresh, at.follows, rotors, at)
     judged = 0
     for k in range(fresh.shape[0]):
-        at.known[k] = told.health[k] == _TRACKING and at.share[k] >= SHARE_UNKNOWN
+        sound = told.health[k] == _TRACKING and not rotors.above[k]
+        at.known[k] = sound and at.share[k] >= SHARE_UNKNOWN
         at.share[k] = max(at.share[k], SHARE_FLOOR)
         forward = 1.0 if _zero(told.speed[k]) >= 0.0 else -1.0
         at.load[k] = forward * _zero(told.load[k]) / rotors.rated[k]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dbc._lean import inlined, lean
 from gateway import plausibility as p
+from gateway._bank_kernels import forget
 
 if TYPE_CHECKING:
     from estimators.lock import LockState
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from gateway.pairing import Samples
     from gateway.plausibility import Plausibility, PlausibilityLimits
     from gateway.slow import Readings, SlowState
-    from gateway.tracks import Filters, Told
+    from gateway.tracks import Filters, Told, Tracks
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +28,7 @@ _TRACKING = 2  # Health
 _W_E, _THETA = 2, 3  # pmsm
 _OBSERVED_LOAD = 1  # observer.LoadState
 _HISTORY, _REPEATS, _IN_A_ROW, _LEARN = p.HISTORY, p.REPEATS, p.IN_A_ROW, p.LEARN
-_HELD_NS, _LATE_NS, _DOUBT_NS = p.HELD_NS, p.LATE_NS, p.DOUBT_NS
+_HELD_NS, _LATE_NS, _DOUBT_NS, _RESTART_NS = p.HELD_NS, p.LATE_NS, p.DOUBT_NS, p.RESTART_NS
 _LEAST_CURRENT, _LEAST_TORQUE = p.LEAST_CURRENT, p.LEAST_TORQUE
 _LOAD_OFF, _LOAD_OFF_RELATIVE, _LOADS_IN_A_ROW = p.LOAD_OFF, p.LOAD_OFF_RELATIVE, p.LOADS_IN_A_ROW
 _TORQUE_OFF, _TORQUE_OFF_RELATIVE = p.TORQUE_OFF, p.TORQUE_OFF_RELATIVE
@@ -40,6 +41,7 @@ _SPEED_MOVED, _SPEED_MOVED_RAD_S = p.SPEED_MOVED, p.SPEED_MOVED_RAD_S
 @inlined
 def _until(k: int, now: int, hold_ns: int, check: Plausibility) -> None:
     check.until_ns[k] = max(check.until_ns[k], now + hold_ns)
+    check.restart[k] = check.restart[k] or hold_ns >= _HELD_NS
 
 
 @inlined
@@ -250,11 +252,12 @@ def _electrical_speed(k: int, measured: Array, chords: LockState, pole_pairs: Ar
 @lean
 def check_values(
     samples: Samples, sample_ns: Ints, readings: Readings, count: int, measured: Array,
-    slow: SlowState, now: int, chords: LockState, filters: Filters, told: Told, motion: Memory,
-    check: Plausibility, limits: PlausibilityLimits,
+    slow: SlowState, now: int, chords: LockState, filters: Filters, tracks: Tracks, told: Told,
+    motion: Memory, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """A tick's samples and the first `count` readings; sets `check.until_ns`.
 
+    Filters begin anew where the input was implausible.
     sample_ns (N,): stamp of each drive's newest sample; measured (N,): rotor speed of fresh
     `Motion`, rad/s, NaN without; told: of the filters, before `merge_motion`; motion: after the
     same readings. Never raises on numbers.
@@ -278,3 +281,9 @@ def check_values(
         load = told.load[k] if told.health[k] == _TRACKING else math.nan
         off = _load_off(k, load, motion, limits.settled_readings, limits.rated_nm[k])
         _count(off, 0, _LOADS_IN_A_ROW, check.load_off, k, now, check)
+    for k in range(measured.shape[0]):
+        if check.restart[k] and now + _RESTART_NS >= check.until_ns[k]:
+            # What the filter has learnt meanwhile is of no use.
+            forget(k, filters, tracks)
+            filters.lean[k] = 0.0
+            check.restart[k] = now < check.until_ns[k]

@@ -174,8 +174,9 @@ def several(
         )  # fmt: skip
         check_values(
             taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
-            receiving.slow, now, filtering.believed.chords, filtering.believed.filters, told,
-            filtering.motion, filtering.check, filtering.check_limits,
+            receiving.slow, now, filtering.believed.chords, filtering.believed.filters,
+            filtering.believed.tracks, told, filtering.motion, filtering.check,
+            filtering.check_limits,
         )  # fmt: skip
         merge_motion(
             inputs.speed, filtering.believed.sensors, filtering.check.until_ns, now, told,

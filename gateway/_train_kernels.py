@@ -28,6 +28,7 @@ _SINGLE_CREDIT, _LEAST_SPEED = t.SINGLE_CREDIT, t.LEAST_SPEED_RAD_S
 _MOST_CREEP, _LEARN_CREEP = t.MOST_CREEP, t.LEARN_CREEP
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
+_SPEEDS_APART, _SPEEDS_APART_RAD_S = t.SPEEDS_APART, t.SPEEDS_APART_RAD_S
 _UNCOMMANDED, _UNCOMMANDED_RELATIVE = t.UNCOMMANDED, t.UNCOMMANDED_RELATIVE
 _COMMAND_LATE_S, _ODD_S, _MOST_COMMAND = t.COMMAND_LATE_S, t.ODD_S, t.MOST_COMMAND
 _FACTOR, _FACTOR_FLOOR = t.FACTOR, t.FACTOR_FLOOR
@@ -68,13 +69,17 @@ def _note(measured: Array, told: Told, train: Train) -> float:
     """Speeds and loads of this tick; the train's load, in its direction."""
     total = 0.0
     for k in range(measured.shape[0]):
-        tracking = told.health[k] == _TRACKING
-        speed = told.speed[k] if tracking else measured[k]
-        train.speed[k] = speed
+        tracking, speed = told.health[k] == _TRACKING, measured[k]
         train.load[k] = math.nan
         if tracking:
-            train.load[k] = math.copysign(1.0, speed) * told.load[k] / train.rated[k]
+            # Where the two speeds differ, neither is a measure for others.
+            apart = abs(speed - told.speed[k]) > _SPEEDS_APART * abs(speed) + _SPEEDS_APART_RAD_S
+            speed = math.nan if apart else told.speed[k]
+            train.load[k] = math.copysign(1.0, told.speed[k]) * told.load[k] / train.rated[k]
             total += train.load[k]
+        elif told.health[k] == _INPUT_INVALID:
+            speed = math.nan
+        train.speed[k] = speed
     return total
 
 
@@ -141,27 +146,31 @@ def _uncommanded(k: int, tick_s: float, slow: SlowState, told: Told, train: Trai
 
 
 @inlined
+def _like_others(k: int, train: Train) -> bool:
+    """Whether drive k's load is near the median of the other drives'; false without any."""
+    loads = 0
+    for j in range(train.load.shape[0]):
+        if j != k and not math.isnan(train.load[j]):
+            insert(train.load[j], loads, train.rank)
+            loads += 1
+    load = middle(loads, False, train.rank)
+    return bool(abs(train.load[k] - load) <= _LOAD_NEAR * abs(load) + _LOAD_NEAR_FLOOR)
+
+
+@inlined
 def _odd_command(k: int, tick_s: float, slow: SlowState, commanded: Flags, train: Train) -> bool:
     """Whether drive k's command is far from the others' although its load is like theirs."""
     own = abs(slow.command[k]) / train.rated[k]
-    if own > _MOST_COMMAND:
-        return True
-    commands = loads = 0
+    commands = 0
     for j in range(commanded.shape[0]):
         if j != k and commanded[j]:
             insert(abs(slow.command[j]) / train.rated[j], commands, train.rank)
             commands += 1
     others = middle(commands, False, train.rank)
-    for j in range(commanded.shape[0]):
-        if j != k and not math.isnan(train.load[j]):
-            insert(train.load[j], loads, train.rank)
-            loads += 1
-    load = middle(loads, False, train.rank)
     # Written so that what is not known is not odd.
     far = own > _FACTOR * others + _FACTOR_FLOOR or own < others / _FACTOR - _FACTOR_FLOOR
-    near = abs(train.load[k] - load) <= _LOAD_NEAR * abs(load) + _LOAD_NEAR_FLOOR
-    train.odd_s[k] = train.odd_s[k] + tick_s if far and near else 0.0
-    return bool(train.odd_s[k] > _ODD_S)
+    train.odd_s[k] = train.odd_s[k] + tick_s if far and _like_others(k, train) else 0.0
+    return bool(train.odd_s[k] > _ODD_S or own > _MOST_COMMAND)
 
 
 @inlined
@@ -185,11 +194,14 @@ def assess_train(
     _accelerate(tick_s, braking, train)
     _compare_speeds(tick_s, braking, flag, train)
     for k in range(flag.shape[0]):
+        train.above[k] = False
         if not commanded[k] or told.health[k] != _TRACKING:
             train.uncommanded_s[k] = 0.0
         elif slow.operating[k] and _uncommanded(k, tick_s, slow, told, train):
             commanded[k] = False
             _unjudged(k, _INPUT_INVALID, _RANGE, told)
+        else:
+            train.above[k] = train.uncommanded_s[k] > 0.0 and not _like_others(k, train)
     for k in range(flag.shape[0]):
         train.odd[k] = commanded[k] and _odd_command(k, tick_s, slow, commanded, train)
     for k in range(flag.shape[0]):

@@ -60,7 +60,10 @@ class AdhesionSide:
         self.rotors, self.at, self.heard = loads.rotors(motors), loads.instant(n), loads.heard(n)
         self.train = train.start(motors)
         self.rotors = self.rotors._replace(
-            taken=self.train.taken, load=self.train.load, rank=self.train.rank
+            taken=self.train.taken,
+            load=self.train.load,
+            above=self.train.above,
+            rank=self.train.rank,
         )
         self.rules = rules
         self.tick_s = tick_ns / SECOND

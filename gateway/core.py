@@ -187,7 +187,8 @@ class Gateway:
         believed = self.bank.believed
         self._check_values(
             inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
-            inbox.slow, now, believed.chords, believed.filters, told, self.motion.memory,
+            inbox.slow, now, believed.chords, believed.filters, believed.tracks, told,
+            self.motion.memory,
             self.plausibility, self.plausibility_limits,
         )  # fmt: skip
         until_ns = self.plausibility.until_ns

@@ -56,7 +56,8 @@ class Rotors(NamedTuple):
     """Rated torque and inertia, and what is remembered of each, (N,), NaN where nothing is.
 
     taken, load: what accelerates the rotor with its train, and what it carries in the train's
-    direction, per unit (`train`), rank: scratch; lost_ns: when its flag last said `AdhesionLost`,
+    direction, per unit; above: more than its command and than the others (`train`), so that it is
+    no measure for them; rank: scratch; lost_ns: when its flag last said `AdhesionLost`,
     `NEVER` before; speed, gain: of the tick before, for a drive that is judged alone.
     """
 
@@ -64,6 +65,7 @@ class Rotors(NamedTuple):
     inertia: Array
     taken: Array
     load: Array
+    above: Flags
     rank: Array
     lost_ns: Ints
     speed: Array
@@ -110,8 +112,8 @@ def rotors(motors: Sequence[Motor]) -> Rotors:
     n = len(motors)
     return Rotors(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]), np.zeros(n),
-        np.full(n, np.nan), np.zeros(n), np.full(n, NEVER, dtype=np.int64), np.full(n, np.nan),
-        np.zeros(n),
+        np.full(n, np.nan), np.zeros(n, dtype=np.bool_), np.zeros(n),
+        np.full(n, NEVER, dtype=np.int64), np.full(n, np.nan), np.zeros(n),
     )  # fmt: skip
 
 

@@ -36,6 +36,8 @@ rated current (noise)."""
 HELD_NS: Final[Nanos] = 200 * MS
 LATE_NS: Final[Nanos] = SECOND
 """How long an input stays implausible after the last sign."""
+RESTART_NS: Final[Nanos] = 20 * MS
+"""So long before the end of that the filter begins anew."""
 DOUBT_NS: Final[Nanos] = 15 * MS
 """After a single reading that does not fit: no loss is raised before the next one."""
 IN_A_ROW: Final = 3
@@ -81,7 +83,8 @@ class Plausibility(NamedTuple):
 
     vector (N, 8, 2): the last currents, A, a ring; samples (N,): how many there were; equal,
     equal_s (N,): repeated vectors in a row, and for how long; block (N,): samples in a row that are
-    those of eight before; until_ns (N,): implausible until then; base (N,): learnt angle as a mean
+    those of eight before; until_ns (N,): implausible until then; restart (N,): the filter has to
+    begin anew after it; base (N,): learnt angle as a mean
     unit vector, from learnt (N,) readings; deviation (N,) rad: of late; off, torque_off, load_off,
     motion_held (N,): readings in a row that do not fit; off_ns (N,): since when the angle does not.
 
@@ -95,6 +98,7 @@ class Plausibility(NamedTuple):
     equal_s: Array
     block: Ints
     until_ns: Ints
+    restart: Flags
     base: NDArray[np.complex128]
     learnt: Ints
     deviation: Array
@@ -139,7 +143,8 @@ def start(n: int) -> Plausibility:
 
     return Plausibility(
         vector=np.zeros((n, HISTORY, 2)), samples=zero(), equal=zero(), equal_s=np.zeros(n),
-        block=zero(), until_ns=zero(), base=np.zeros(n, dtype=np.complex128), learnt=zero(),
+        block=zero(), until_ns=zero(), restart=np.zeros(n, dtype=np.bool_),
+        base=np.zeros(n, dtype=np.complex128), learnt=zero(),
         deviation=np.zeros(n), off=zero(), torque_off=zero(), load_off=zero(),
         motion_held=zero(), off_ns=zero(), speed=none(),
         torque=none(), changed_ns=zero(), own=none(), command=none(),

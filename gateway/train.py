@@ -30,6 +30,10 @@ SINGLE_CREDIT: Final = 0.05
 """Per unit of rated torque: a drive without others that accelerates by more may be running away."""
 LEAST_SPEED_RAD_S: Final = 3.0
 """At the rotor; below it a share of the speed says nothing."""
+SPEEDS_APART: Final = 0.05
+SPEEDS_APART_RAD_S: Final = 1.0
+"""A speed by the currents that differs by more from `Motion`, at the rotor, is no measure for
+others; `Motion` is up to 10 ms old."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
 LEARN_CREEP: Final = 0.03
@@ -67,7 +71,8 @@ class Train(NamedTuple):
     rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
     uncertain: it may be running away, or braked by something else; uncommanded_s, odd_s: for how
-    long, odd: too long; speed, load, rank: of one tick.
+    long, odd: too long; above: carries more than its command and than the others, in this tick;
+    speed, load, rank: of one tick.
     """
 
     rated: Array
@@ -82,6 +87,7 @@ class Train(NamedTuple):
     uncommanded_s: Array
     odd_s: Array
     odd: Flags
+    above: Flags
     speed: Array
     load: Array
     rank: Array
@@ -96,5 +102,6 @@ def start(motors: Sequence[Motor]) -> Train:
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
         np.ones(n), np.zeros(n), unknown[1], np.zeros(n, dtype=np.bool_), np.zeros(n), np.zeros(n),
-        np.zeros(n, dtype=np.bool_), unknown[2], unknown[3], unknown[4],
+        np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_), unknown[2], unknown[3],
+        unknown[4],
     )  # fmt: skip
