@@ -33,6 +33,7 @@ _LEAST_CURRENT, _LEAST_TORQUE = p.LEAST_CURRENT, p.LEAST_TORQUE
 _LOAD_OFF, _LOAD_OFF_RELATIVE, _LOADS_IN_A_ROW = p.LOAD_OFF, p.LOAD_OFF_RELATIVE, p.LOADS_IN_A_ROW
 _TORQUE_OFF, _TORQUE_OFF_RELATIVE = p.TORQUE_OFF, p.TORQUE_OFF_RELATIVE
 _ANGLE_OFF, _ANGLE_OFF_SAMPLES, _LEAST_PERIOD_S = p.ANGLE_OFF, p.ANGLE_OFF_SAMPLES, p.LEAST_PERIOD_S
+_MOST_TURN = p.MOST_TURN
 _KEEP, _COHERENT, _LEARN_ANEW_NS = p.KEEP, p.COHERENT, p.LEARN_ANEW_NS
 _MOTION_HELD_NS, _COMMAND_MOVED = p.MOTION_HELD_NS, p.COMMAND_MOVED
 _SPEED_MOVED, _SPEED_MOVED_RAD_S = p.SPEED_MOVED, p.SPEED_MOVED_RAD_S
@@ -157,11 +158,11 @@ def _check_reading(
     """Currents against torque and angle as measured at the same instant."""
     k, torque, angle = readings.drive[r], readings.torque[r], readings.angle[r]
     row, later = _nearest(k, readings.t_ns[r], newest_ns, samples, limits.dt_s)
-    if row < 0 or abs(later) > 1.5 * limits.period_s:
+    w_e = limits.pole_pairs[k] * readings.speed[r]
+    if row < 0 or abs(later) > 1.5 * limits.period_s or abs(w_e) * limits.period_s > _MOST_TURN:
         return
     current = complex(samples.y[row, 0], samples.y[row, 1])
     size = abs(current)
-    w_e = limits.pole_pairs[k] * readings.speed[r]
     if not (size >= _LEAST_CURRENT * limits.rated_a[k]) and not (
         abs(torque) >= _LEAST_TORQUE * limits.rated_nm[k]
     ):

@@ -57,6 +57,8 @@ ANGLE_OFF: Final = 0.06
 ANGLE_OFF_SAMPLES: Final = 0.3
 """Largest step of the angle, rad, and in turns of a sample period, at least of 0.5 ms: stamps
 jitter."""
+MOST_TURN: Final = 0.63
+"""Turn between two samples, rad, beyond which nobody rests on the currents: ten a revolution."""
 LEAST_PERIOD_S: Final = 0.5e-3
 LEARN: Final = 20
 """Readings before the constant part of the angle is known."""

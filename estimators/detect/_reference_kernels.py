@@ -220,9 +220,11 @@ def fuse(
 ) -> None:  # fmt: skip
     """`response.fuse`; fills out and told (N,)."""
     for i in range(lost.shape[0]):
-        both = lost[i]
+        both, asked = lost[i], heard.usable[i] and not coasts(i, heard)
         if meant[i]:
             outvoted = alone[i] < _CERTAINLY_GOOD and both <= _SURE
             both = max(min(both, _VETOED) if outvoted else both, alone[i])
+        elif asked:
+            both = min(both, _OPEN)
         out[i] = both if known[i] else alone[i]
-        told[i] = known[i] or (heard.usable[i] and not coasts(i, heard))
+        told[i] = known[i] or asked
