@@ -6,8 +6,9 @@ May know: file names and numbers. May not know: buses, clocks, the DBC's content
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import (
     BaseModel,
@@ -20,8 +21,12 @@ from pydantic import (
     model_validator,
 )
 
+from dbc.bounds import within
 from dbc.text import TomlError, printable, read_toml
+from gateway.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.signals import Signals
+
+__all__ = ["BENCH_MOTOR", "TRACTION_350KW", "Config", "ConfigError", "Motor", "load", "parse"]
 
 BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
 
@@ -41,9 +46,21 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-Positive = Annotated[float, Field(gt=0)]
+Milliseconds = Annotated[
+    int, within(0, 500, "ms", "a loss that is told half a second late helps no control")
+]
+Hold = Annotated[int, within(0, 5000, "ms", "good evidence is there in every tick: give it in ms")]
+Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
+Bitrate = Annotated[int, within(10_000, 1_000_000, "bit/s", "CAN has up to 1 Mbit/s: in bit/s")]
 SensorName = Literal["stator", "drive_end", "non_drive_end"]
-Variances = tuple[Positive, Positive, Positive, Positive, Positive]
+_NOISE = "far from 1e-4, 1e-4, 1e-5, 1e-6, 0.1 no filter follows the motor: variance per 125 us"
+Variances = tuple[
+    Annotated[float, within(1e-8, 1, "A2", _NOISE)],
+    Annotated[float, within(1e-8, 1, "A2", _NOISE)],
+    Annotated[float, within(1e-9, 0.1, "(rad/s)2", _NOISE)],
+    Annotated[float, within(1e-10, 0.01, "rad2", _NOISE)],
+    Annotated[float, within(1e-5, 1000, "Nm2", _NOISE)],
+]
 
 
 class Bus(Strict):
@@ -51,9 +68,12 @@ class Bus(Strict):
 
     interface: str | None = None
     channel: str | None = None
-    bitrate: int = Field(1_000_000, gt=0)
+    bitrate: Bitrate = 1_000_000
     fd: bool = False
-    data_bitrate: int = Field(5_000_000, gt=0)
+    data_bitrate: Annotated[
+        int,
+        within(10_000, 20_000_000, "bit/s", "CAN FD has up to 8 Mbit/s, CAN SIC XL 20: in bit/s"),
+    ] = 5_000_000
     send_on: tuple[str, ...] | None = Field(
         None, description="channels on which the gateway may send; None: the one it is given"
     )
@@ -72,14 +92,15 @@ class Bus(Strict):
 class Loop(Strict):
     """`[loop]`."""
 
-    rate_hz: int = Field(100, ge=100, le=1000)
+    rate_hz: int = 100
 
-    @model_validator(mode="after")
-    def _divides(self) -> Self:
-        if self.rate_hz % 100 or 1000 % self.rate_hz:
-            msg = "rate_hz must be 100, 200, 500 or 1000 (a multiple of 100 that divides 1000)"
+    @field_validator("rate_hz")
+    @classmethod
+    def _divides(cls, rate_hz: int) -> int:
+        if rate_hz not in (100, 200, 500, 1000):
+            msg = "expected 100, 200, 500 or 1000 Hz (a multiple of 100 that divides 1000)"
             raise ValueError(msg)
-        return self
+        return rate_hz
 
     @property
     def period_ns(self) -> int:
@@ -93,34 +114,10 @@ class Dbc(Strict):
     file: str = "traction.dbc"
 
 
-class Motor(Strict):
-    """`[motor.NAME]`: SI units; noise and thresholds are per unit of the rated values."""
-
-    R_s: float = Field(gt=0)
-    L_s: float = Field(gt=0)
-    psi_pm: float = Field(gt=0)
-    pole_pairs: int = Field(gt=0, le=1000)
-    J: float = Field(gt=0)
-    B: float = Field(0.0, ge=0)
-    k_p: float = Field(1.5, gt=0)
-    I_rated: float = Field(gt=0)
-    T_rated: float = Field(gt=0)
-
-
-BENCH_MOTOR = Motor(
-    R_s=0.28, L_s=3.465e-3, psi_pm=0.1989, pole_pairs=4, J=0.04, I_rated=25.0, T_rated=30.0
-)
-"""The motor of the adhesion paper (its constants are not in the paper: docs/papers.md)."""
-TRACTION_350KW = Motor(
-    R_s=0.08, L_s=3.02e-3, psi_pm=1.104, pole_pairs=2, J=11.0, I_rated=240.4, T_rated=796.0
-)
-"""The thermal paper's 350 kW, 1443 V, 170 A, 140 Hz as a magnet machine: see sim/plant.py."""
-
-
 class Drive(Strict):
     """`[[drive]]`: one inverter on the bus."""
 
-    node: int = Field(ge=1, le=16)
+    node: Annotated[int, within(1, 16, "", "the n of Drive{n}_PhaseCurrents")]
     motor: str = "bench"
     sensors: tuple[SensorName, ...] = get_args(SensorName)
     """Temperature sensors that the motor has; the others' signals are never looked at."""
@@ -151,16 +148,16 @@ class Estimator(Strict):
     """`[estimator]`: filter kind and noise, for a motor of 25 A and 30 Nm (scaled to others)."""
 
     kind: Literal["ekf", "ukf"] = "ekf"
-    current_noise_var: float = Field(2e-4, gt=0, description="A^2, before quantisation")
-    process_noise: tuple[Positive, Positive, Positive, Positive, Positive] = (
-        1e-4,
-        1e-4,
-        1e-5,
-        1e-6,
-        0.1,
-    )
+    current_noise_var: Annotated[
+        float, within(1e-8, 1, "A2", "variance of a sensor's noise for a motor of 25 A")
+    ] = 2e-4
+    """A^2, before quantisation."""
+    process_noise: Variances = (1e-4, 1e-4, 1e-5, 1e-6, 0.1)
     """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
-    min_speed_rad_s: float = Field(20.0, gt=0, description="electrical; below: not observable")
+    min_speed_rad_s: Annotated[
+        float, within(1, 300, "rad/s", "electrical; below it flags stay unknown")
+    ] = 20.0
+    """Electrical; below: not observable."""
 
 
 class Adhesion(Strict):
@@ -170,13 +167,23 @@ class Adhesion(Strict):
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
-    spread_nm: float = Field(0.7, gt=0, description="load spread of healthy drives, at 30 Nm")
-    raise_probability: float = Field(0.9, gt=0.5, lt=1)
-    clear_probability: float = Field(0.5, gt=0, lt=1)
-    raise_ms: int = Field(20, ge=0)
-    raise_severe_ms: int = Field(10, ge=0, description="where a third of the load is missing")
-    clear_ms: int = Field(30, ge=0)
-    good_ms: int = Field(50, ge=0, description="good evidence needed before the first `Adhering`")
+    spread_nm: Annotated[
+        float,
+        within(0.01, 6, "Nm", "for 30 Nm rated; a wider spread hides the loss of half a load"),
+    ] = 0.7
+    """Load spread of healthy drives, at 30 Nm."""
+    raise_probability: Annotated[
+        float, within(0.71, 0.999, "", "0.7 is said of a drive as long as nobody knows")
+    ] = 0.9
+    clear_probability: Annotated[
+        float, within(0.01, 0.69, "", "0.7 is said of a drive as long as nobody knows")
+    ] = 0.5
+    raise_ms: Milliseconds = 20
+    raise_severe_ms: Milliseconds = 10
+    """Where a third of the load is missing."""
+    clear_ms: Hold = 30
+    good_ms: Hold = 50
+    """Good evidence needed before the first `Adhering`."""
 
 
 class Thermal(Strict):
@@ -186,12 +193,12 @@ class Thermal(Strict):
     method: Literal["model", "maisd"] = Field(
         "model", description="a thermal model of each motor, or only how they differ"
     )
-    limit_k: float = Field(
-        10.0, gt=0, le=300, description="that a motor may grow warmer than the others"
-    )
-    window_s: float = Field(5.0, gt=0, le=3600, description="causal moving average")
-    raise_s: float = Field(1.0, ge=0, le=3600)
-    clear_s: float = Field(5.0, ge=0, le=3600)
+    limit_k: Annotated[float, within(0.1, 300, "K", "that a motor may grow warmer")] = 10.0
+    """That a motor may grow warmer than the others."""
+    window_s: Annotated[float, within(0.1, 3600, "s", "of the moving average, in seconds")] = 5.0
+    """Causal moving average."""
+    raise_s: Seconds = 1.0
+    clear_s: Seconds = 5.0
 
 
 class Canopen(Strict):
@@ -256,8 +263,6 @@ class Config(Strict):
                     f"drive.{position}.motor: no [motor.{drive.motor}]; "
                     f"known: {', '.join(sorted(self.motors))}"
                 )
-        if self.adhesion.clear_probability > self.adhesion.raise_probability:
-            problems.append("adhesion.clear_probability: must not exceed raise_probability")
         if self.adhesion.observe != "torque" and "paper_vb" not in self.adhesion.detector:
             problems.append(
                 f"adhesion.observe: detector {self.adhesion.detector!r} compares torque only; "
@@ -327,6 +332,9 @@ def shipped_dbc(name: str) -> Path:
     return Path(dbc.__path__[0]) / name
 
 
+_KEY: Final = re.compile(r"[A-Za-z]\w*: ")
+
+
 def _lines(error: ValidationError) -> list[str]:
     """One line per problem: path, what is wrong, what was given."""
     lines = []
@@ -335,7 +343,10 @@ def _lines(error: ValidationError) -> list[str]:
         text = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
             text = "unknown key; remove it or correct its name"
-        lines += [f"{path}: {part}" if path else part for part in text.split("\n")]
+        for part in text.split("\n"):
+            # A model names its key, or speaks of itself.
+            joint = "." if _KEY.match(part) else ": "
+            lines.append(f"{path}{joint}{part}" if path else part)
     return lines
 
 

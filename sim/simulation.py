@@ -55,12 +55,14 @@ class Simulation:
         self_start: bool = True,
         start_ns: Nanos = 0,
         verifier: Callable[[], Verifier] | None = None,
+        motor: Motor | None = None,
     ) -> None:
         """Build the world at rest in time `start_ns`.
 
         `nodes`: CANopen numbers of drives 1..n, default 1..n. With `self_start` the drives go
         Operational by themselves, else an NMT master has to start them. `verifier` makes each
-        drive's receiver of authenticated flags; None: flags are believed without.
+        drive's receiver of authenticated flags; None: flags are believed without. `motor`: of all
+        drives, in place of the scenario's.
 
         Raises ValueError when there are fewer nodes than drives, when the DBC lacks messages of a
         drive, or when a cycle time is not a multiple of 125 us.
@@ -72,7 +74,7 @@ class Simulation:
         if len(self.nodes) < n:
             msg = f"{n} drives need as many nodes, got {self.nodes}"
             raise ValueError(msg)
-        motor = MOTORS[scenario.motor.name]
+        motor = motor or MOTORS[scenario.motor.name]
         self._schedule = Schedule(scenario, motor)
         self._profile = Profile(scenario, motor.pole_pairs)
         self._wires = [WireFaults(self._schedule, scenario.seed, k) for k in range(n)]

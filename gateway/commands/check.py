@@ -38,6 +38,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work."""
     from gateway import calibration, foreign
+    from gateway.commands import check_loss
     from gateway.commands.check_signals import told
 
     config, codec = prepare(options.config, signature=options)
@@ -61,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
         _tell_loads(codec, config, frames)
         _tell_timing(times_us, config.loop.period_ns / 1e3)
     print(f"heartbeats     {_heartbeats(config)}")
+    unfound = check_loss.tell(config, codec)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
@@ -76,8 +78,9 @@ def run(options: argparse.Namespace) -> int:
             f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
             "the DBC (GenMsgCycleTime), fewer drives on this bus, or CAN FD", markup=False,
         )  # fmt: skip
-        return BAD_INPUT
-    return GOOD
+    if unfound:
+        console().print("no loss would be told: " + "; ".join(unfound), markup=False)
+    return BAD_INPUT if unfound or percent > LOAD_LIMIT_PERCENT else GOOD
 
 
 def _tell_machine(options: argparse.Namespace, config: Config) -> None:

@@ -40,13 +40,13 @@ def test_consistency_is_checked_across_sections():
     found = problems(
         {
             "drive": [{"node": 1}, {"node": 1, "motor": "big"}],
-            "adhesion": {"raise_probability": 0.6, "clear_probability": 0.7},
+            "adhesion": {"observe": "speed"},
         }
     )
     text = "\n".join(found)
     assert "node 1 stands twice" in text
     assert "no [motor.big]" in text
-    assert "clear_probability" in text
+    assert "adhesion.observe" in text
 
 
 @pytest.mark.parametrize("rate", [100, 200, 500, 1000])
