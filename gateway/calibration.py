@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
+from dbc.bounds import within
 from dbc.text import read_toml
 from estimators.thermal import heat
 from estimators.thermal.watch import Known
@@ -21,7 +23,17 @@ from gateway.config import Config, ConfigError, Strict, check_seal
 POINTS = ("stator", "drive_end", "non_drive_end")
 
 
-Three = tuple[float, float, float]
+Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
+Noise = Annotated[float, within(0, 100, "K", "calibrate anew")]
+Limit = Annotated[
+    float, within(0.01, 100, "K", "beyond that no fault would be told: calibrate anew")
+]
+Gain = Annotated[float, within(0.01, 100, "", "no motor warms like that: calibrate anew")]
+Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate anew")]
+Held = Annotated[float, within(0, 1e7, "s", "calibrate anew")]
+Step = Annotated[float, within(0, 400, "K", "calibrate anew")]
+Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
+Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
 class MotorHeat(Strict):
@@ -31,10 +43,10 @@ class MotorHeat(Strict):
     differs from the others by in health; noise_k: of readings a second long.
     """
 
-    rates: tuple[float, ...] = Field(min_length=heat.RATES, max_length=heat.RATES)
+    rates: tuple[Rate, ...] = Field(min_length=heat.RATES, max_length=heat.RATES)
     offset_k: Three
     centre_k: Three
-    noise_k: Three
+    noise_k: tuple[Noise, Noise, Noise]
 
 
 class FleetHeat(Strict):
@@ -44,8 +56,8 @@ class FleetHeat(Strict):
     A^2, cooling and heating K/s of the runs that it was learnt from: sizes of faults are for them.
     """
 
-    scale: float = Field(gt=0)
-    duty: tuple[float, float, float, float]
+    scale: Annotated[float, within(1e-6, 1e6, "", "calibrate anew")]
+    duty: tuple[Duty, Duty, Duty, Duty]
 
 
 class MotorCalibration(Strict):
@@ -55,11 +67,11 @@ class MotorCalibration(Strict):
     place's, the gain the cooling's (3 % less air is 3 % more rise, whatever the duty).
     """
 
-    node: int = Field(ge=1, le=16)
-    gain: tuple[float, float, float]
-    offset_k: tuple[float, float, float]
-    longest_hold_s: tuple[float, float, float]
-    largest_step_k: tuple[float, float, float]
+    node: Annotated[int, within(1, 16, "", "the n of Drive{n}_Temperatures")]
+    gain: tuple[Gain, Gain, Gain]
+    offset_k: Three
+    longest_hold_s: tuple[Held, Held, Held]
+    largest_step_k: tuple[Step, Step, Step]
     heat: MotorHeat | None = None
 
 
@@ -70,9 +82,9 @@ class Calibration(Strict):
     maisd_limit_k, deviation_limit_k: (stator, drive end, non-drive end).
     """
 
-    window_s: float = Field(gt=0)
-    maisd_limit_k: tuple[float, float, float]
-    deviation_limit_k: tuple[float, float, float]
+    window_s: Annotated[float, within(0.1, 3600, "s", "that of [thermal] in the configuration")]
+    maisd_limit_k: tuple[Limit, Limit, Limit]
+    deviation_limit_k: tuple[Limit, Limit, Limit]
     motor: tuple[MotorCalibration, ...]
     heat: FleetHeat | None = None
 
@@ -120,6 +132,14 @@ def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
     return config.hash24(dbc + theirs, cells.checksum() if cells else "")
 
 
+def problems_of(error: ValidationError) -> list[str]:
+    """A line per number that cannot be."""
+    return [
+        f"{'.'.join(map(str, item['loc']))}: {item['msg'].removeprefix('Value error, ')}"
+        for item in error.errors()
+    ]
+
+
 def load(
     path: Path, nodes: tuple[int, ...], window_s: float, sealed: str | None = None
 ) -> Calibration:
@@ -138,8 +158,7 @@ def load(
         problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
         raise ConfigError(str(path), [problem]) from None
     except ValidationError as error:
-        lines = [f"{'.'.join(str(p) for p in e['loc'])}: {e['msg']}" for e in error.errors()]
-        raise ConfigError(str(path), lines) from None
+        raise ConfigError(str(path), problems_of(error)) from None
     except (OSError, ValueError) as error:
         # ValueError: no UTF-8, no TOML, or a NUL in the name.
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None

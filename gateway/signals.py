@@ -6,6 +6,8 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from dbc.bounds import within
+
 Quantity = Literal[
     "Ia", "Ib", "Ic", "Ialpha", "Ibeta", "Id", "Iq", "ElectricalAngle", "Ualpha", "Ubeta", "Ud",
     "Uq", "Counter", "Speed", "Torque", "TorqueCommand", "Irms", "Tstator", "Tde", "Tnde",
@@ -26,18 +28,21 @@ VOLTAGES: Final = (("Ualpha", "Ubeta"), ("Ud", "Uq"))
 """Forms of the same thing: one of them is mapped, whole."""
 
 
+LEAST_SCALE: Final = 1e-9
+Raw = Annotated[int, within(-(2**63), 2**64 - 1, "", "raw, as the DBC's signal holds it")]
+
+
 class Source(BaseModel):
     """Where a quantity comes from; a plain string in TOML is its `signal`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     signal: str = Field(pattern=r"^\w+\.\w+$", description='"Message.Signal" of that DBC')
-    scale: float = 1.0
-    offset: float = 0.0
-    not_available: tuple[int, ...] = Field((), description="raw values that mean no value")
-    settle_ms: float = Field(
-        0.0, ge=0, le=60_000, description="after power-up, or a silence, not believed for so long"
-    )
+    scale: Annotated[float, within(-1e6, 1e6, "", "so large a unit is none")] = 1.0
+    offset: Annotated[float, within(-1e6, 1e6, "", "so large a number is none of a drive's")] = 0.0
+    not_available: tuple[Raw, ...] = Field((), description="raw values that mean no value")
+    settle_ms: Annotated[float, within(0, 60_000, "ms", "after power-up, or a silence")] = 0.0
+    """Not believed for so long."""
 
     @model_validator(mode="before")
     @classmethod
@@ -46,8 +51,8 @@ class Source(BaseModel):
 
     @model_validator(mode="after")
     def _some_scale(self) -> Source:
-        if self.scale == 0.0:
-            msg = "scale: 0 leaves nothing of the signal"
+        if abs(self.scale) < LEAST_SCALE:
+            msg = f"scale: {self.scale:g} leaves nothing of the signal"
             raise ValueError(msg)
         return self
 
@@ -68,8 +73,11 @@ class Signals(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     dbc: str = Field(min_length=1, description="file, beside this one")
-    id_offset: int = Field(0, description="added to every identifier of that file")
-    cycle_ms: dict[str, Annotated[float, Field(gt=0, le=3_600_000)]] = Field(
+    id_offset: Annotated[int, within(-(2**29), 2**29, "", "identifiers have up to 29 bits")] = 0
+    """Added to every identifier of that file."""
+    cycle_ms: dict[
+        str, Annotated[float, within(0.1, 3_600_000, "ms", "no frame is shorter: give it in ms")]
+    ] = Field(
         default_factory=dict, description="by message, where that file has no GenMsgCycleTime"
     )
     use: dict[Quantity, Source] = Field(min_length=1, description="our names: that file's signals")

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
+from dbc.bounds import within
 from dbc.text import TomlError, printable, read_toml
 from sim.adhesion import rail
 from sim.tables import (
@@ -24,9 +25,12 @@ from sim.tables import (
     Mismatch,
     Motion,
     MotorChoice,
+    Number,
     Sensors,
+    Span,
     Strict,
     ThermalStart,
+    Time,
 )
 
 MAX_DRIVES: Final = 16
@@ -81,13 +85,13 @@ class Event(Strict):
       150 ms). A brake on some drives only drags: the driver does not know of it
     """
 
-    at_s: float = Field(ge=0)
-    for_s: float | None = Field(None, gt=0)
+    at_s: Time
+    for_s: Span | None = None
     drive: int | Literal["all"] = "all"
     kind: Kind
     depth: float | None = Field(None, ge=0, le=1)
-    value: float | str | None = None
-    ramp_s: float = Field(0.0, ge=0)
+    value: Number | str | None = None
+    ramp_s: Time = 0.0
     sensor: Sensor | None = None
 
     @model_validator(mode="after")
@@ -144,8 +148,8 @@ class Expect(Strict):
     flag: Literal["adhesion", "thermal", "common_mode", "comm", "sensor"]
     is_: Literal["good", "bad", "unknown"] = Field(alias="is")
     drive: int | Literal["all", "others"] = "all"
-    after_s: float = Field(0.0, ge=0)
-    within_ms: float | None = Field(None, gt=0)
+    after_s: Time = 0.0
+    within_ms: Annotated[float, within(1, 1e9, "ms", "flags are sent every 10 ms")] | None = None
     never: bool = False
 
     @model_validator(mode="after")
@@ -160,8 +164,8 @@ class Scenario(Strict):
 
     title: Annotated[str, AfterValidator(printable)]
     """Control characters in it are escaped: it goes to terminals, HTML and JUnit."""
-    seed: int = Field(1, ge=0)
-    duration_s: float = Field(gt=0)
+    seed: Annotated[int, within(0, 2**64 - 1, "", "a whole number of 64 bits")] = 1
+    duration_s: Annotated[float, within(0.01, 1e7, "s", "a tick is 0.01 s")]
     drives: int = Field(3, ge=1, le=MAX_DRIVES)
     traffic: Literal["full", "slow"] = Field(
         "full",
@@ -194,6 +198,16 @@ class Scenario(Strict):
             )
             for k, drive in enumerate(items)
             if isinstance(drive, int) and not 1 <= drive <= self.drives
+        ]
+        wrong += [
+            f"{where}[{k}].{key}: {at:g} s is not before the end at {self.duration_s:g} s: nothing "
+            "would come of it"
+            for where, key, times in (
+                ("event", "at_s", [e.at_s for e in self.event]),
+                ("expect", "after_s", [e.after_s for e in self.expect]),
+            )
+            for k, at in enumerate(times)
+            if at >= self.duration_s
         ]
         lists = {f"mismatch.{k}": getattr(self.mismatch, k) for k in ("R_s", "L_s", "psi_pm")}
         lists |= {"load.share": self.load.share, "load.wheel": self.load.wheel}
@@ -302,7 +316,7 @@ def _problems(error: ValidationError) -> list[str]:
         for part in item["loc"]:
             if isinstance(part, int):
                 path += f"[{part}]"
-            elif part not in _BRANCHES:
+            elif part not in _BRANCHES and not part.startswith(_CHECKED):
                 path += f".{part}" if path else part
         message = item["msg"].removeprefix("Value error, ")
         known = item["type"] != "extra_forbidden"
@@ -318,4 +332,5 @@ _BRANCHES: Final = frozenset({
     "int", "float", "str", "constrained-float", "list[constrained-float]",
     "literal['all']", "literal['all','others']", "literal['equilibrium','ambient']",
 })  # fmt: skip
+_CHECKED: Final = ("function-after[", "list[function-after[")
 """Names pydantic adds to a location inside a union; they are no keys of the file."""

@@ -5,19 +5,29 @@ May know: names and numbers. May not know: bits, buses, how anything is simulate
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from dbc.bounds import Within as Bounds
+from dbc.bounds import within
 from sim.adhesion import rail
 from sim.plant import MOTORS
 
-Points = Annotated[list[tuple[float, float]], Field(min_length=1)]
-Factor = Annotated[float, Field(gt=0)]
+Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")]
+Span = Annotated[
+    float, within(0.001, 1e7, "s", "give it in seconds; what is shorter has no effect")
+]
+Number = Annotated[float, within(-1e6, 1e6, "", "nothing on a train is as large")]
+Points = Annotated[list[tuple[Time, Number]], Field(min_length=1)]
+Factor = Annotated[float, within(0.01, 100, "", "a factor, 1 leaves the number as it is")]
 Factors = Factor | list[Factor]
 """One number for all drives, or one per drive."""
 Within = Annotated[float, Field(ge=0, lt=1)]
 """Largest deviation of a factor drawn from the seed."""
+
+
+_BITRATE: Final = Bounds(10_000, 1_000_000, "bit/s", "in bit/s; 0 for a bus without one, as vcan")
 
 
 class Strict(BaseModel):
@@ -45,9 +55,9 @@ class Disturbance(Strict):
     """`[[load.disturbance]]`, preset loads only: minus `amplitude_nm` x sin over half a period."""
 
     drive: int = Field(ge=1)
-    at_s: float = Field(ge=0)
-    for_s: float = Field(gt=0)
-    amplitude_nm: float
+    at_s: Time
+    for_s: Span
+    amplitude_nm: Number
 
 
 class Curve(Strict):
@@ -57,8 +67,8 @@ class Curve(Strict):
     """
 
     drive: int = Field(ge=1)
-    at_s: float = Field(ge=0)
-    for_s: float = Field(gt=0)
+    at_s: Time
+    for_s: Span
     amount: float = Field(ge=-0.5, le=0.5)
 
 
@@ -78,10 +88,10 @@ class Load(Strict):
     """
 
     kind: Literal["rail", "preset"] = "rail"
-    torque_nm: float = 18.0
+    torque_nm: Number = 18.0
     profile: Points | None = None
     transition: Literal["linear", "normal_cdf"] = "linear"
-    smooth_s: float = Field(0.00375, gt=0)
+    smooth_s: Annotated[float, within(1e-6, 1e4, "s", "of the normal distribution")] = 0.00375
     rail: float | str = "dry"
     disturbance: list[Disturbance] = []
     curve: list[Curve] = []
@@ -114,12 +124,12 @@ class Motion(Strict):
     `effort_nm`: the most that the driver demands of each drive on the rail, else 1.5 T_rated.
     """
 
-    speed: float = 100.0
+    speed: Number = 100.0
     profile: Points | None = None
     unit: Literal["rad_s", "rpm"] = "rad_s"
     start: Literal["rolling", "standstill"] = "rolling"
-    angle_rad: float | None = None
-    effort_nm: float | None = Field(None, gt=0)
+    angle_rad: Number | None = None
+    effort_nm: Annotated[float, within(0.01, 1e6, "Nm", "torque of each drive")] | None = None
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -136,14 +146,14 @@ class Sensors(Strict):
     and the spread of constant offsets, both one sigma.
     """
 
-    current_noise_var: float = Field(2e-4, ge=0)
-    current_offset_a: float = 0.0
-    current_gain: float = Field(1.0, gt=0)
-    current_offset_within_a: float = Field(0.0, ge=0)
+    current_noise_var: Annotated[float, within(0, 1e6, "A2", "a variance, of each phase")] = 2e-4
+    current_offset_a: Number = 0.0
+    current_gain: Factor = 1.0
+    current_offset_within_a: Annotated[float, within(0, 1e6, "A", "up to +- that")] = 0.0
     current_gain_within: Within = 0.0
-    current_range_a: float = Field(600.0, gt=0)
-    temperature_noise_k: float = Field(0.15, ge=0)
-    temperature_offset_k: float = Field(0.3, ge=0)
+    current_range_a: Annotated[float, within(0.1, 1e6, "A", "where the sensors saturate")] = 600.0
+    temperature_noise_k: Annotated[float, within(0, 100, "K", "one sigma")] = 0.15
+    temperature_offset_k: Annotated[float, within(0, 100, "K", "one sigma")] = 0.3
 
 
 class Mismatch(Strict):
@@ -170,8 +180,11 @@ class ThermalStart(Strict):
     `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
     """
 
-    start: Literal["equilibrium", "ambient"] | float = "equilibrium"
-    ambient_c: float = Field(20.0, ge=-40, le=60)
+    start: (
+        Literal["equilibrium", "ambient"]
+        | Annotated[float, within(-60, 300, "degC", "of all nodes")]
+    ) = "equilibrium"
+    ambient_c: Annotated[float, within(-40, 60, "degC", "of the air around the train")] = 20.0
     ambient_profile: Points | None = None
     train_seed: int = Field(1, ge=0)
 
@@ -179,5 +192,12 @@ class ThermalStart(Strict):
 class BusModel(Strict):
     """`[bus]`: stamps follow arbitration at this bit rate; 0 = a bus without one, as vcan."""
 
-    bitrate: int = Field(1_000_000, ge=0)
-    data_bitrate: int = Field(5_000_000, gt=0)
+    bitrate: int = 1_000_000
+    data_bitrate: Annotated[
+        int, within(10_000, 20_000_000, "bit/s", "CAN FD has up to 8 Mbit/s: in bit/s")
+    ] = 5_000_000
+
+    @field_validator("bitrate")
+    @classmethod
+    def _none_or_real(cls, bitrate: int) -> int:
+        return int(_BITRATE(bitrate)) if bitrate else 0

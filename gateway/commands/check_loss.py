@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dbc.codec import bind
 from gateway import foreign
 from gateway.commands.common import patience
+from gateway.config import shipped_dbc
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -19,7 +21,11 @@ def tell(config: Config, codec: Codec) -> list[str]:
     """
     with patience():
         from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS, losses, never
+        from gateway.drivers.warm import warm_up
 
+        ours = config.unmapped()
+        own = codec if ours is config else bind(shipped_dbc("traction.dbc"), config.nodes)
+        warm_up(ours, own)
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
     for node, why in blind.items():
         if node not in _mapped(config):  # of those it is said above
@@ -30,13 +36,12 @@ def tell(config: Config, codec: Codec) -> list[str]:
     problems = []
     what = f"A loss of {100 * DEPTH:.0f} % on drive"
     try:
-        with patience():
-            for found in losses(config, codec):
-                if found.after_ms is not None:
-                    _line(f"{what} {found.node} is found after {found.after_ms:.0f} ms.")
-                    continue
-                _line(f"{what} {found.node} is not found within {WITHIN_NS / 1e9:g} s.")
-                problems.append(f"drive {found.node}: {found.problem}")
+        for found in losses(config, codec):
+            if found.after_ms is not None:
+                _line(f"{what} {found.node} is found after {found.after_ms:.0f} ms.")
+                continue
+            _line(f"{what} {found.node} is not found within {WITHIN_NS / 1e9:g} s.")
+            problems.append(f"drive {found.node}: {found.problem}")
     except ValueError as error:
         _line(f"not tried: these messages cannot be simulated: {error}")
     return problems

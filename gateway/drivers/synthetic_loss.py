@@ -235,7 +235,7 @@ def _judge(
     """The gateway over what was sent; the loss of drive `node` begins at `begin`."""
     gateway = Gateway(config, codec, 0)
     place, period = config.nodes.index(node), config.loop.period_ns
-    most, before = 0.0, None
+    most = 0.0
     waiting: list[Frame] = []
     for now in range(period, begin + WITHIN_NS + period, period):
         if now % CHUNK_NS == period % CHUNK_NS:
@@ -249,14 +249,14 @@ def _judge(
         wrong = [d.node for d in drives if d.adhesion is Flag.BAD and d.node != node]
         if wrong or (now <= begin and drives[place].adhesion is Flag.BAD):
             return Found(node, None, _false(wrong or [node], (now - begin) / MS, config))
-        if now <= begin:
-            before = drives[place]
+        if now < begin:
             continue
+        if now == begin and drives[place].adhesion is not Flag.GOOD:
+            return Found(node, None, _unknown(drives[place], "before the loss"))
         if drives[place].adhesion is Flag.BAD:
             return Found(node, (now - begin) / MS)
         most = max(most, drives[place].loss_probability or 0.0)
-    assert before is not None
-    return Found(node, None, _cause(before, drives[place], most, config))
+    return Found(node, None, _cause(drives[place], most, config))
 
 
 def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
@@ -270,17 +270,20 @@ def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
     )
 
 
-def _cause(before: DriveView, after: DriveView, most: float, config: Config) -> str:
-    """Why a loss was not found: of the drive before it, at the end of it, its probability."""
+def _unknown(view: DriveView, when: str) -> str:
+    why = view.adhesion_reason
+    return (
+        f"the drive is Unknown {when}, reason {why.name.title().replace('_', '')}: "
+        f"{_CURES.get(why, _FILTER)}"
+    )
+
+
+def _cause(view: DriveView, most: float, config: Config) -> str:
+    """Why a loss was not found: what is known at the end of it, the highest probability of it."""
     a = config.adhesion
-    for view, when in ((before, "before the loss"), (after, "in the loss")):
-        if view.adhesion is Flag.UNKNOWN:
-            why = view.adhesion_reason
-            return (
-                f"the drive is Unknown {when}, reason {why.name.title().replace('_', '')}: "
-                f"{_CURES.get(why, _FILTER)}"
-            )
-    signals = {drive.node: drive.signals for drive in config.drive}[after.node]
+    if view.adhesion is Flag.UNKNOWN:
+        return _unknown(view, "in the loss")
+    signals = {drive.node: drive.signals for drive in config.drive}[view.node]
     if signals is not None and "TorqueCommand" not in signals.use:
         return (
             "its torque stands for the command, and falls with the load: map TorqueCommand to the "

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from dbc.frame import Nanos
 from estimators import maisd
@@ -17,7 +18,14 @@ from estimators.thermal.identify import SCALED_SIGMA, identify, scaled
 from estimators.thermal.model_method import learn
 from estimators.thermal.record import Record, split
 from estimators.thermal.watch import Known
-from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat
+from gateway.calibration import (
+    POINTS,
+    Calibration,
+    FleetHeat,
+    MotorCalibration,
+    MotorHeat,
+    problems_of,
+)
 from gateway.config import ConfigError
 from gateway.heatside import Sample
 from gateway.thermal import ThermalSide
@@ -97,14 +105,22 @@ class Learner:
         # NaN: a sensor that is not there, or that no other motor has. The floors stand then.
         spread = np.nan_to_num(spreads).max(axis=0)
         limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))
+        try:
+            return self._calibration(gain, offset, margin * spread, margin * limit)
+        except ValidationError as error:
+            raise ConfigError("calibrate", problems_of(error)) from None
 
+    def _calibration(
+        self, gain: np.ndarray, offset: np.ndarray, spread: np.ndarray, limit: np.ndarray
+    ) -> Calibration:
+        """Raises ValidationError where what was learnt cannot be."""
         known = self._known()
         fleet = known and FleetHeat(scale=known.scale, duty=tuple(known.duty.tolist()))
         return Calibration(
             heat=fleet,
             window_s=self.window_s,
-            maisd_limit_k=_three(np.maximum(margin * spread, FLOOR_K[0])),
-            deviation_limit_k=_three(np.maximum(margin * limit, FLOOR_K[1])),
+            maisd_limit_k=_three(np.maximum(spread, FLOOR_K[0])),
+            deviation_limit_k=_three(np.maximum(limit, FLOOR_K[1])),
             motor=tuple(
                 MotorCalibration(
                     node=node,

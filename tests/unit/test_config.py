@@ -131,3 +131,22 @@ def test_a_drive_has_all_sensors_unless_told_which():
 def test_sensors_are_refused_in_one_line(sensors, said):
     (line,) = problems({"drive": [{"node": 1, "sensors": sensors}]})
     assert line.startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("0.500, 0.400", "0.500, 1e6", "maisd_limit_k.1: expected 0.01 to 100 K, got 1000000.0"),
+        ("1.000, 0.900", "0.0, 0.900", "deviation_limit_k.0: expected 0.01 to 100 K, got 0.0"),
+        ("gain = [1.000", "gain = [0.0", "motor.0.gain.0: expected 0.01 to 100, got 0.0"),
+        ("window_s = 5.0", "window_s = 1e13", "window_s: expected 0.1 to 3600 s"),
+    ],
+)
+def test_a_calibration_by_which_no_fault_is_ever_told_is_refused(old, new, said, tmp_path):
+    path = tmp_path / "c.toml"
+    text = to_toml(CELLS)
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ConfigError) as refused:
+        load_calibration(path, (1,), 5.0)
+    assert any(line.startswith(said) for line in refused.value.problems), refused.value.problems

@@ -156,7 +156,7 @@ def test_speed_profile():
 def test_ramped_loss_lies_inside_its_event():
     event = {"at_s": 1.0, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 0.8,
              "ramp_s": 0.2}  # fmt: skip
-    s = Schedule(parse({**MINIMAL, "event": [event]}), BENCH)
+    s = Schedule(parse({**MINIMAL, "duration_s": 3.0, "event": [event]}), BENCH)
     t = np.array([0.99, 1.1, 1.2, 1.5, 1.9, 2.0])
     carry = s.carry(t, np.full(6, 18.0))
     np.testing.assert_allclose(carry[:, 0], [1, 0.6, 0.2, 0.2, 0.6, 1], atol=1e-9)
@@ -179,3 +179,34 @@ def test_random_scenarios_are_reproducible_and_cover_their_ranges():
         assert 0.25 < sign.mean() < 0.75
     assert {r.event[0].drive for r in runs} == {1, 2, 3}
     assert random_scenario(3, healthy=True).event == []
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        ({"event": [{"at_s": 5, "kind": "silent"}]}, "event[0].at_s: 5 s is not before the end"),
+        (
+            {"expect": [{"flag": "comm", "is": "bad", "after_s": 7, "never": True}]},
+            "expect[0].after_s: 7 s is not before the end at 5 s: nothing would come of it",
+        ),
+        (
+            {"event": [{"at_s": 1, "for_s": 1e-9, "kind": "silent"}]},
+            "event[0].for_s: expected 0.001",
+        ),
+        (
+            {"event": [{"at_s": 1, "kind": "overheating", "value": 1e300}]},
+            "event[0].value: expected -1000000 to 1000000, got 1e+300",
+        ),
+        ({"bus": {"bitrate": 5}}, "bus.bitrate: expected 10000 to 1000000 bit/s, got 5"),
+        ({"load": {"share": 0.0}}, "load.share: expected 0.01 to 100, got 0.0"),
+        ({"load": {"share": [1, 1, 1e9]}}, "load.share[2]: expected 0.01 to 100"),
+        ({"motion": {"profile": [[0, 1e9]]}}, "motion.profile[0][1]: expected -1000000 to"),
+        ({"thermal": {"start": 1e6}}, "expected -60 to 300 degC, got 1000000.0"),
+        ({"duration_s": 1e9}, "duration_s: expected 0.01 to 10000000 s"),
+        ({"seed": 2**70}, "seed: expected 0 to "),
+    ],
+)
+def test_a_number_that_makes_a_run_say_nothing_is_refused(extra, said):
+    with pytest.raises(ScenarioError) as refused:
+        parse({"title": "x", "duration_s": 5, **extra})
+    assert any(said in line for line in refused.value.problems), refused.value.problems

@@ -192,7 +192,7 @@ def test_the_driver_asks_for_no_more_than_his_effort():
     [
         ({"mismatch": {"R_s": [1.0, 2.0]}}, "mismatch.R_s: 2 numbers for 3 drives"),
         ({"load": {"share": [1.0]}}, "load.share: 1 numbers for 3 drives"),
-        ({"mismatch": {"L_s": -1.0}}, "mismatch.L_s: Input should be greater than 0"),
+        ({"mismatch": {"L_s": -1.0}}, "mismatch.L_s: expected 0.01 to 100, got -1.0"),
         ({"mismatch": {"J": 1.0}}, "mismatch.J: unknown key"),
         ({"load": {"share_within": 1.0}}, "load.share_within: "),
         ({"load": {"curve": [{"drive": 4, "at_s": 0, "for_s": 1, "amount": 0}]}}, "load.curve[0]"),
