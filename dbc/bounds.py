@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from typing import Final
 
 from pydantic import AfterValidator
 
@@ -10,7 +11,8 @@ LONGEST: Final = 24
 """Characters of a number that are quoted."""
 
 
-class Within(NamedTuple):
+@dataclass(frozen=True)
+class Within:
     """low to high, both allowed, in `unit`; cure: what to do with a number outside.
 
     Called with a number it gives it back, or raises ValueError with one line.
