@@ -283,6 +283,8 @@ def check_values(
         off = _load_off(k, load, motion, limits.settled_readings, limits.rated_nm[k])
         _count(off, 0, _LOADS_IN_A_ROW, check.load_off, k, now, check)
     for k in range(measured.shape[0]):
+        if check.motion_held[k] >= _IN_A_ROW:
+            measured[k] = math.nan
         if check.restart[k] and now + _RESTART_NS >= check.until_ns[k]:
             # What the filter has learnt meanwhile is of no use.
             forget(k, filters, tracks)

@@ -77,8 +77,6 @@ def _note(measured: Array, told: Told, train: Train) -> float:
             speed = math.nan if apart else told.speed[k]
             train.load[k] = math.copysign(1.0, told.speed[k]) * told.load[k] / train.rated[k]
             total += train.load[k]
-        elif told.health[k] == _INPUT_INVALID:
-            speed = math.nan
         train.speed[k] = speed
     return total
 
