@@ -17,6 +17,9 @@ class Direct:
 
     Each place has its own: types are those of its first call, and whoever calls keeps to them
     (arrays contiguous). No other type is noticed here; `tests/keptypes.py` notices it in tests.
+
+    What it gives must not be of a class of Python's, such as a named tuple: numba calls the class
+    and goes on with nothing where that raises, as it does when a signal comes meanwhile.
     """
 
     __slots__ = ("_call", "_compiled")

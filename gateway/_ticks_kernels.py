@@ -7,7 +7,7 @@ Every step is the loop that `Gateway.step` calls, in the same order, on the same
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,6 @@ from gateway._sweep_kernels import advance_ekf, advance_ukf
 from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
-from gateway.stretch import Left
 
 if TYPE_CHECKING:
     from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
@@ -99,11 +98,12 @@ def several(
     data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,
     filtering: Filtering, unscented: bool | None, judging: Judging, warming: Warming,
     saying: Saying, went: Went,
-) -> Left:  # fmt: skip
+) -> tuple[Any, ...]:  # fmt: skip
     """Ticks from `now` on, one for each of ends (K,), before `until`; stops behind a change.
 
     The first five are columns of a `Block`; tick k takes its rows from ends[k - 1] to ends[k].
-    unscented: None for the EKF. Fills `went`.
+    unscented: None for the EKF. Fills `went`. Gives the fields of `Left`, not one of these: see
+    `Direct`.
     """
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
     busy, common, out, first = receiving.busy_s, 0.0, 0, 0
@@ -251,7 +251,7 @@ def several(
         now += period
         if changed:
             break
-    return Left(
+    return (
         done, stage, first, samples, seen, foreign, odd, motions, changed, out, busy, common,
         reference.spread, response.reference.spread, learn_ns,
     )  # fmt: skip

@@ -1,4 +1,8 @@
-"""The command line: verbs only. Exit codes: 0 good, 1 an expectation failed, 2 bad input."""
+"""The command line: verbs only.
+
+Exit codes: 0 good, 1 an expectation failed or more than 1 % of the input was dropped, 2 bad input,
+130, 143, 141 ended by Ctrl-C, SIGTERM, a broken pipe.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +40,9 @@ VERBS = {
 """Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
 _DRIVES = {"demo", "sim", "hil"}
 """Verbs that simulate drives and read no log: they need python-can, without what is for MF4."""
+_SERVICES = (["run"], ["monitor"])
+"""Verbs that go on until they are told to stop: a signal is how they end, and they say how it was.
+"""
 
 
 def _module(verb: str) -> Any:
@@ -61,8 +68,48 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; never lets a traceback of bad input reach the user."""
+    """Entry point; never lets a traceback of bad input or of a signal reach the user."""
     words = list(sys.argv[1:] if argv is None else argv)
+    from gateway.drivers import endings
+
+    with endings.raised() as note:
+        try:
+            code = _printed(words)
+        except KeyboardInterrupt as error:
+            code = endings.ended_by(error).code
+        except BrokenPipeError:
+            code = endings.BROKEN_PIPE
+        except Exception:
+            if note.ended is None:
+                raise
+            code = note.ended.code  # somebody has made another error of it
+        if note.ended is not None and words[:1] not in _SERVICES:
+            code = note.ended.code
+        endings.silence()
+    return code
+
+
+def _printed(words: list[str]) -> int:
+    """As `_run`, and what it has printed is handed over: none of that may be lost in silence."""
+    from gateway.drivers import endings
+
+    try:
+        code = _run(words)
+    except SystemExit:  # of argparse
+        endings.flush()
+        raise
+    try:
+        endings.flush()
+    except BrokenPipeError:
+        return code or endings.BROKEN_PIPE
+    except OSError as error:
+        sys.stderr.write(f"traction-gateway: standard output: {error}\n")
+        return 2
+    return code
+
+
+def _run(words: list[str]) -> int:
+    """Do what the words say. Raises what ends the program from outside, and faults of ours."""
     from dbc.text import printable
     from gateway.drivers import leanstart, logs
 
@@ -91,12 +138,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.whole = lambda: _parser(tuple(VERBS))
     try:
         return int(command.run(options))
-    except KeyboardInterrupt:
-        return 0
     except BrokenPipeError:
-        # The reader of a pipe has left; there is nobody to tell.
-        sys.stderr.close()
-        return 0
+        raise
     except Exception as error:
         if not _is_users(error):
             raise

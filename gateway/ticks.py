@@ -34,7 +34,7 @@ from gateway.health import REJECTED
 from gateway.inbox import MAX_GAP_NS
 from gateway.receiving import NAMES
 from gateway.said import Which
-from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming
+from gateway.stretch import Filtering, Judging, Left, Receiving, Saying, Warming
 from gateway.view import Counted
 
 REJECTS: Final = np.array([name in REJECTED for name in NAMES])
@@ -118,11 +118,11 @@ class Ticks:
         inbox.begin()
         counted = gateway.counted(now)
         outbox.note_counts(counted)
-        left = self._several(
+        left = Left(*self._several(
             block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
             self._receiving(), self._filtering(), self._unscented, self._judging(),
             self._warming(), self._saying(counted), went,
-        )  # fmt: skip
+        ))  # fmt: skip
         gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
         adhesion.note_learnt(left.spread, left.own, left.learn_ns)
         inbox.counts["received"] += went.tally.item(0)

@@ -10,11 +10,12 @@ from dbc.block import Block
 from dbc.codec import Codec
 from dbc.frame import Frame
 from gateway.calibration import to_toml
-from gateway.commands.common import GOOD, add_config, out_file, prepare, track_file
+from gateway.commands.common import GOOD, add_config, prepare, track_file
 from gateway.config import Config
 from gateway.core import Gateway
 from gateway.drivers.replay import OneChannel, open_log, replay
 from gateway.results.calibrating import Learner
+from gateway.results.whole import write_text
 from gateway.thermal import NO_MODEL
 
 HELP = "thermal limits from fault-free logs"
@@ -42,8 +43,8 @@ def run(options: argparse.Namespace) -> int:
         learner.begin()
         _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
     result = learner.finish(MARGIN)
-    path = out_file(options.output)
-    path.write_text(to_toml(result), encoding="utf-8")
+    path = options.output
+    write_text(path, to_toml(result))
     limits = ", ".join(f"{v:.2f}" for v in result.maisd_limit_k)
     model = "thermal models learnt" if result.heat else NO_MODEL
     motors = len(config.nodes)

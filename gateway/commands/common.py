@@ -142,7 +142,13 @@ def console() -> Console:
     """Where people are told things; results go to stdout."""
     from rich.console import Console
 
-    return Console(stderr=True)
+    class Told(Console):
+        """Leaves it to the command line what a broken pipe is: rich ends the program with 1."""
+
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return Told(stderr=True)
 
 
 @contextmanager
@@ -175,9 +181,3 @@ def _bar(log: Log, path: Path, what: str) -> Iterator[Block]:
 def shown(path: Path) -> str:
     """A path for the terminal, control characters in it escaped."""
     return printable(str(path))
-
-
-def out_file(path: Path) -> Path:
-    """The same path, its folder made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return path

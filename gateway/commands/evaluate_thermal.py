@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import GOOD, console
+from gateway.results.whole import write_text
 
 if TYPE_CHECKING:
     from gateway.drivers.thermal_trials import Trial
@@ -68,9 +69,8 @@ def run(options: argparse.Namespace) -> int:
         title = f"# Thermal methods, {options.seeds} seeds, {options.base} base"
         missing = "".join(f"\n\n{method}: its library is not installed." for method in left_out)
         folder: Path = options.output
-        folder.mkdir(parents=True, exist_ok=True)
         path = folder / "evaluation.md"
-        path.write_text(f"{title}\n\n{text}\n\n{NOTE}{missing}\n", encoding="utf-8")
+        write_text(path, f"{title}\n\n{text}\n\n{NOTE}{missing}\n")
         say.print(f"written: {path}", markup=False)
     return GOOD
 

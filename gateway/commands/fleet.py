@@ -82,11 +82,11 @@ def run(options: argparse.Namespace) -> int:
     said = {"settings": settings.key, "version": settings.version}
     files = write(settings.folder, table, {**said, "config": config.model_dump_json()})
     _summary(table, len(planned.before), len(planned.jobs), files)
-    if isinstance(ended, OSError):
-        raise ended
-    if ended is not None:
+    if isinstance(ended, KeyboardInterrupt):
         console().print("stopped; the same command goes on where this ended")
-    return FAILED if ended or any(row.status == BAD for row in table) else GOOD
+    if ended is not None:
+        raise ended
+    return FAILED if any(row.status == BAD for row in table) else GOOD
 
 
 def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path]) -> None:

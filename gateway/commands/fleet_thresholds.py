@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, console, out_file
+from gateway.commands.common import GOOD, console
 from gateway.commands.fleet import need
 
 
@@ -21,11 +21,12 @@ def run(options: argparse.Namespace) -> int:
     """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
     need("pyarrow")
     from gateway.results.fleet_thresholds import measure, to_toml
+    from gateway.results.whole import write_text
 
     measured = measure(options.results, force=options.force)
     if measured.bad:
         console().print(f"{measured.bad} bad logs left out")
     text = to_toml(measured)
-    out_file(options.output).write_text(text, encoding="utf-8")
+    write_text(options.output, text)
     print(text, end="")
     return GOOD

@@ -19,7 +19,6 @@ from gateway.commands.common import (
     add_signature,
     console,
     fitting,
-    out_file,
 )
 
 if TYPE_CHECKING:
@@ -66,9 +65,10 @@ def run(options: argparse.Namespace) -> int:
             print(f"     {'ok  ' if v.passed else 'FAIL'} {v.text}: {v.detail}")
         _suite(suites, scenario.title, verdicts, seconds, word)
     if options.junit:
-        path = options.junit
-        path.parent.mkdir(parents=True, exist_ok=True)
-        ET.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)
+        from gateway.results.whole import whole
+
+        with whole(options.junit) as part:
+            ET.ElementTree(suites).write(part, encoding="utf-8", xml_declaration=True)
     if runs:
         from gateway.drivers.reporting import leave
 
@@ -101,11 +101,8 @@ def _one(
     else:
         from gateway.drivers.reporting import Reporting
 
-        left = Reporting(folder, config, codec)
-        try:
+        with Reporting(folder, config, codec) as left:
             outcome = _outcome(options, name, scenario, config, codec, left)
-        finally:
-            left.close()
         runs.append(_kept(options, name, scenario, left, outcome))
     return outcome.verdicts, outcome.gateway.outbox.config_hash
 
@@ -167,18 +164,15 @@ def _outcome(
 def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
     """Writes all frames. paired: each Auth frame stays behind its flag frame."""
     from dbc.candump import Writer
-
-    writer = Writer(out_file(path))
+    from gateway.results.whole import whole
 
     def record(_now: int, received: list[Any], sent: list[Any], _view: Any) -> None:
         ours = sent if paired else sorted(sent)
         for frame in sorted([*received, *ours], key=lambda frame: frame.t_ns):
             writer.write(frame._replace(channel="vcan0"))
 
-    try:
+    with whole(path) as part, Writer(part) as writer:
         yield record
-    finally:
-        writer.close()
 
 
 @contextmanager

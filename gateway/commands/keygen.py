@@ -6,7 +6,7 @@ import argparse
 import secrets
 from pathlib import Path
 
-from gateway.commands.common import GOOD, out_file
+from gateway.commands.common import GOOD
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +28,8 @@ def run(options: argparse.Namespace) -> int:
     """Write the keys. Raises OSError where a file of that name exists."""
     from gateway.drivers.signing import make_keys, write_private
 
-    private = out_file(options.output)
+    private = options.output
+    private.parent.mkdir(parents=True, exist_ok=True)
     if options.flags:
         write_private(private, secrets.token_hex(16).encode("ascii") + b"\n")
         print(f"{private}: key for the flags of one bus; give it to the gateway and its receivers")

@@ -6,7 +6,7 @@ import argparse
 import socket
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,10 +64,12 @@ def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Sour
         alone = [ports[w] for what, w in wanted.items() if what == "metrics" and page]
         if page and len(ports) == 1:
             alone = []
-        serve(
-            Feed(opened, waits=page), Access(token, names if token else ()),
-            list(sockets.values()), page=page, metrics_only=alone,
-        )  # fmt: skip
+        # The server ends in good order, and then has its signal once more.
+        with suppress(KeyboardInterrupt):
+            serve(
+                Feed(opened, waits=page), Access(token, names if token else ()),
+                list(sockets.values()), page=page, metrics_only=alone,
+            )  # fmt: skip
     return GOOD
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,6 @@ from gateway.commands.common import (
     add_config,
     add_signature,
     console,
-    out_file,
     prepare,
     track_file,
 )
@@ -64,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.core import Gateway
     from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
     from gateway.results.record import Recorder
+    from gateway.results.whole import whole
 
     changes: dict[str, Any] = (
         {"adhesion": {"detector": options.detector}} if options.detector else {}
@@ -77,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
     left = _reporting(options, config, codec)
     recorder = Recorder(None) if left is None else left.recorder
-    writer = Writer(out_file(options.output)) if options.output else None
+    writer: Writer | None = None
 
     def make(start: int) -> Gateway:
         gateway = Gateway(config, codec, start)
@@ -101,12 +102,11 @@ def run(options: argparse.Namespace) -> int:
 
     sink = Briefly(write, changed) if left is None else every
     began = time.perf_counter()
-    try:
+    with ExitStack() as stack:
+        stack.enter_context(recorder)
+        if options.output:
+            writer = stack.enter_context(Writer(stack.enter_context(whole(options.output))))
         done = replay(blocks, make, config.loop.period_ns, sink)
-    finally:
-        recorder.close()
-        if writer is not None:
-            writer.close()
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
     _summary(log.reader, done, recorder)

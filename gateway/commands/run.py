@@ -109,7 +109,11 @@ def _start(options: argparse.Namespace) -> Started:
 def run(options: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM or the duration; says unknown thrice, then stops."""
     with leanstart.uncollected():
-        config, transport, ticker, gateway = _start(options)
+        try:
+            config, transport, ticker, gateway = _start(options)
+        except KeyboardInterrupt:
+            log.info("stopped before it began")
+            return GOOD
         from gateway.drivers.canopen_node import CanopenNode
         from gateway.drivers.live import Stop, leave_timing, run_live
         from gateway.drivers.outputs import Outputs

@@ -22,6 +22,7 @@ from gateway.results.pictures import Span
 from gateway.results.reproduction_loads import Filter, Record
 from gateway.results.reproduction_paths import Course
 from gateway.results.reproduction_report import StandingStart
+from gateway.results.whole import whole
 from sim import plant as columns
 from sim.faults import Schedule
 from sim.plant import MOTORS, Plant, rail_array
@@ -175,13 +176,10 @@ def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
     from dbc.candump import Writer
 
     simulation = Simulation(scenario, _codec(bus.dbc))
-    writer = Writer(path, "vcan0")
-    try:
+    with whole(path) as part, Writer(part, "vcan0") as writer:
         for tick in range(round(scenario.duration_s * 100) + 1):
             for frame in simulation.step((), tick * 10_000_000):
                 writer.write(frame)
-    finally:
-        writer.close()
 
 
 def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:

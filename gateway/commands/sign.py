@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, out_file, prepare, shown
+from gateway.commands.common import GOOD, prepare, shown
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,13 +21,14 @@ def run(options: argparse.Namespace) -> int:
     """Check what is signed, then write the signature. Raises ConfigError."""
     from gateway import calibration
     from gateway.drivers.signing import check_digest, default_signature, sign
+    from gateway.results.whole import write_text
 
     config, codec = prepare(options.config)
     cells = calibration.of(config)
     text, seals = sign(options.config, config, options.key)
     check_digest(config.model_copy(update={"sealed": seals}), codec.digest)
-    path = out_file(options.output or default_signature(options.config))
-    path.write_text(text, encoding="ascii")
+    path = options.output or default_signature(options.config)
+    write_text(path, text)
     word = calibration.config_hash(config, codec.digest, cells)
     print(f"{shown(path)}: signed, hash {word:06x}")
     for role, seal in seals.items():

@@ -8,15 +8,15 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from gateway.commands.common import (
     GOOD,
     add_bus,
     console,
-    out_file,
     patience,
     positive_seconds,
 )
@@ -77,14 +77,12 @@ def run(options: argparse.Namespace) -> int:
         verifier=_verifier(options),
     )  # fmt: skip
     seconds = scenario.duration_s if options.duration is None else options.duration
-    truth = _Truth(options.truth and out_file(options.truth))
-    try:
+    # What drives on a bus did cannot be had again, so it is kept where a signal ends them.
+    with _truth(options.truth, keep=on_bus) as truth:
         if on_bus:
             _on_bus(options, simulation, seconds, truth)
         else:
             _into_log(options, simulation, seconds, truth)
-    finally:
-        truth.close()
     return GOOD
 
 
@@ -103,9 +101,8 @@ def _verifier(options: argparse.Namespace) -> Callable[[], Verifier] | None:
 class _Truth:
     """The truth file; without a path the rows are only taken out of the simulation."""
 
-    def __init__(self, path: Path | None) -> None:
-        self._file = path.open("w", newline="", encoding="utf-8") if path else None
-        self._writer = csv.writer(self._file, lineterminator="\n") if self._file else None
+    def __init__(self, file: TextIO | None) -> None:
+        self._writer = csv.writer(file, lineterminator="\n") if file else None
         if self._writer:
             self._writer.writerow(TRUTH_HEADER)
 
@@ -114,23 +111,34 @@ class _Truth:
         if self._writer:
             self._writer.writerows(row.text() for row in rows)
 
-    def close(self) -> None:
-        if self._file:
-            self._file.close()
+
+@contextmanager
+def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
+    """The truth file, whole at the end."""
+    from gateway.results.whole import whole
+
+    if path is None:
+        yield _Truth(None)
+        return
+    with (
+        whole(path, keep=keep) as part,
+        part.open("w", newline="", encoding="utf-8") as file,
+    ):
+        yield _Truth(file)
 
 
 def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
     from dbc.candump import Writer
+    from gateway.results.whole import whole
 
-    writer = Writer(out_file(options.output) if options.output else sys.stdout.buffer)
     step = 10_000_000
-    try:
+    with ExitStack() as stack:
+        target = stack.enter_context(whole(options.output)) if options.output else None
+        writer = stack.enter_context(Writer(target or sys.stdout.buffer))
         for tick in _progress(round(seconds * 100) + 1, "simulating"):
             for frame in simulation.step((), tick * step):
                 writer.write(frame._replace(channel="vcan0"))
             truth.take(simulation)
-    finally:
-        writer.close()
 
 
 def _progress(total: int, what: str) -> Iterator[int]:
@@ -143,6 +151,7 @@ def _progress(total: int, what: str) -> Iterator[int]:
 
 def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
     from gateway.drivers.bus import open_transport
+    from gateway.drivers.live import Stop
     from gateway.drivers.permission import drives_only
     from gateway.drivers.simbus import run_on_bus
 
@@ -156,7 +165,8 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
         truth.take(simulation)
         _say_failures(simulation)
 
-    overwritten = run_on_bus(simulation, transport, seconds, after_step)
+    stop = Stop()
+    overwritten = run_on_bus(simulation, transport, seconds, after_step, stop)
     for node, verifier in simulation.verifiers.items():
         print(
             f"drive {node}: {verifier.accepted} flags genuine, {verifier.failed} failed, "
@@ -164,6 +174,8 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
         )
     if overwritten:
         console().print(f"{overwritten} frames were too old to be sent: this machine stalled")
+    if stop.ended is not None:
+        raise stop.ended
 
 
 def _say_failures(simulation: Any) -> None:

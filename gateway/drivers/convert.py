@@ -1,10 +1,8 @@
-"""From one file to another: what is at an ending, the frames of it, and a file that is whole."""
+"""From one file to another: what is at an ending, the frames of it, and a file that is written."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -15,6 +13,7 @@ from gateway.config import ConfigError
 from gateway.drivers.replay import BadLogError, Log, LogError, OneChannel, open_log
 from gateway.results import frame_files
 from gateway.results.frame_files import Sink
+from gateway.results.whole import whole
 
 if TYPE_CHECKING:
     from gateway.results.signals import Decoder
@@ -140,19 +139,6 @@ def comments_of(codec: Codec) -> dict[str, str]:
         for signal in message.signals:
             said[f"{message.name}.{signal.name}"] = signal.comment or ""
     return {name: text for name, text in said.items() if text}
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A name to write to, which becomes `path` at the end; after an exception nothing is left."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # The ending stays: writers go by it.
-    part = path.with_name(f".part-{os.getpid()}-{path.name}")
-    try:
-        yield part
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def convert(

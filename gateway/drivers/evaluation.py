@@ -169,10 +169,9 @@ def _workers(jobs: int) -> Iterator[Run]:
     if jobs <= 1:
         yield lambda tasks: map(_task, tasks)
         return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
+    from gateway.drivers.workers import workers
 
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         yield lambda tasks: pool.map(_task, tasks)
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.config import Config, ConfigError
-from gateway.results.fleet_table import PART, TABLE, TEXT, Row, metadata_of
+from gateway.results.fleet_table import TABLE, TEXT, Row, metadata_of
+from gateway.results.whole import PART
 
 FOLDER: Final = "estimates"
 """Of the logs' files, below the one that was named."""

@@ -56,7 +56,7 @@ def run_on_real_bus(
     codec: Codec,
     left: Reporting | None = None,
 ) -> Outcome:
-    """Run in real time, until the drives have left.
+    """Run in real time, until the drives have left. Raises `Ended` where a signal came first.
 
     Scenario time starts with the first frame heard from a drive; what is said after its end, when
     the drives are leaving, is not judged. left: what keeps the run for a report, and the truth
@@ -97,10 +97,14 @@ def run_on_real_bus(
         if child.poll() is None:
             child.terminate()
         child.wait(timeout=10)
+    if stop.ended is not None:
+        raise stop.ended  # what was not seen to its end has no verdict
+    if child.returncode:
+        msg = f"the simulated drives' process ended early, with exit code {child.returncode}"
+        raise ChildProcessError(msg)
     if left is not None:
         left.take_timing(seen, ticker.period_ns)
-        if child.returncode == 0:  # or its last row may be half of one
-            left.read_truth(left.folder / TRUTH)
+        left.read_truth(left.folder / TRUTH)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
     return Outcome(scenario, verdicts, gateway)

@@ -21,6 +21,7 @@ from dbc.block import Block
 from dbc.frame import Frame, Nanos
 from gateway.doubt import Doubt
 from gateway.drivers.canopen_node import CanopenNode, meant
+from gateway.drivers.endings import Ended
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.timing import Timing
 from gateway.drivers.transport import LinkState, SendResult, Status, Transport
@@ -91,6 +92,8 @@ class Stop:
     def __init__(self) -> None:
         """Not requested yet."""
         self.requested = False
+        self.ended: Ended | None = None
+        """The signal that requested it."""
 
     def __call__(self) -> None:
         """Request the end."""
@@ -107,7 +110,8 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
         for kind, handler in before.items():
             signal.signal(kind, handler)
 
-    def handle(_number: int, _frame: FrameType | None) -> None:
+    def handle(number: int, _frame: FrameType | None) -> None:
+        stop.ended = Ended(number)
         stop()
         restore()
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
 
 from dbc.codec import Codec
 from gateway import calibration
@@ -24,6 +25,7 @@ from gateway.results.timing import tables
 from gateway.results.toml_text import dump
 from gateway.results.trace import Trace
 from gateway.results.truth import Truth, rows
+from gateway.results.whole import write_text
 from gateway.view import GatewayView
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ Facts = list[tuple[str, str]]
 
 
 class Reporting:
-    """Everything that is kept of one run. `add` each tick, `close` in any case, then `run`."""
+    """Everything that is kept of one run: a context manager to `add` each tick in, then `run`."""
 
     def __init__(self, folder: Path, config: Config, codec: Codec) -> None:
         """folder: for tables and pictures; made here, so that one that cannot be is told early."""
@@ -82,9 +84,18 @@ class Reporting:
         if path.is_file():
             self.add_truth(rows(path))
 
-    def close(self) -> None:
-        """Finish the tables."""
-        self.recorder.close()
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Finish the tables, or take them away. Raises OSError."""
+        self.recorder.__exit__(kind, error, trace)
 
     def run(
         self,
@@ -102,7 +113,7 @@ class Reporting:
         if self.truth is not None:
             self.truth.close()
         word = f"ConfigHash {gateway.outbox.config_hash:06x}\n"
-        (self.folder / "configuration.txt").write_text(word, encoding="ascii")
+        write_text(self.folder / "configuration.txt", word)
         names = run_figures.draw(
             self.folder, self.trace, self.truth, config.adhesion.raise_probability
         )

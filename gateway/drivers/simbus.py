@@ -40,7 +40,7 @@ def run_on_bus(
     after_step: Callable[[], None],
     stop: Stop | None = None,
 ) -> int:
-    """Run for `seconds` or until SIGINT or SIGTERM; then close the transport.
+    """Run for `seconds` or until SIGINT or SIGTERM (`stop` knows which); close the transport.
 
     Missed ticks are caught up by the simulation itself: it always advances to the true time.
     Returns how many frames stalls of this process have made too old to be sent.

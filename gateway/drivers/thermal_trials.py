@@ -182,10 +182,9 @@ def evaluate(
     if jobs <= 1:
         yield from (trials(*task) for task in tasks)
         return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
+    from gateway.drivers.workers import workers
 
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+    with workers(jobs) as pool:
         yield from pool.map(_task, tasks)
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from gateway.results.evaluation import BINS, COLUMNS, Line, reliability, roc, row
+from gateway.results.whole import whole, write_text
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colour-blind safe (Okabe-Ito); the lines also differ by dashes."""
@@ -54,7 +55,7 @@ def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
     """All files into `folder`, made if need be; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     text = folder / "evaluation.md"
-    text.write_text(f"# {title}\n\n{table(lines)}\n\n{LEGEND}\n", encoding="utf-8")
+    write_text(text, f"# {title}\n\n{table(lines)}\n\n{LEGEND}\n")
     written = [text]
     for name, rows in (
         ("evaluation.csv", _numbers(lines)),
@@ -62,7 +63,10 @@ def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
         ("roc.csv", _curves(lines)),
         ("reliability.csv", _bins(lines)),
     ):
-        with (folder / name).open("w", newline="", encoding="utf-8") as file:
+        with (
+            whole(folder / name) as part,
+            part.open("w", newline="", encoding="utf-8") as file,
+        ):
             csv.writer(file, lineterminator="\n").writerows(rows)
         written.append(folder / name)
     for name, draw, what in (("roc", _draw_roc, "ROC"), ("reliability", _draw_bins, "Calibration")):
@@ -145,8 +149,10 @@ def _picture(
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels) or 1)
         figure.suptitle(title)
         paths = [stem.with_suffix(".png"), stem.with_suffix(".svg")]
-        figure.savefig(paths[0], dpi=110, metadata={"Software": None})
-        figure.savefig(paths[1], metadata={"Date": None})
+        with whole(paths[0]) as part:
+            figure.savefig(part, dpi=110, metadata={"Software": None})
+        with whole(paths[1]) as part:
+            figure.savefig(part, metadata={"Date": None})
         plt.close(figure)
     return paths
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, Nanos
 from gateway.health import NEVER, FaultClass, FaultSensor, Health, Reason
-from gateway.results.fleet_table import PART
 from gateway.results.record import ADHESION, FAULT, camel
+from gateway.results.whole import PART
 
 if TYPE_CHECKING:
     from gateway.core import Gateway

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.health import REJECTED
+from gateway.results.whole import whole
 
 TABLE, TEXT = "fleet.parquet", "fleet.csv"
 DONE, BAD = "done", "bad"
-PART: Final = ".part"
-"""End of the name of a file that is not whole."""
 STATES: Final = {
     ("adhesion", "Unknown"): "adhesion_unknown_s",
     ("adhesion", "Adhering"): "adhering_s",
@@ -148,14 +146,12 @@ def write(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> list[P
     columns["drives"] = [list(row.drives) if row.status == DONE else None for row in rows]
     arrow = pa.table(columns, schema=pa.schema(fields, metadata=metadata))
     paths = [folder / TABLE, folder / TEXT]
-    parts = [path.with_name(f".{path.name}.{os.getpid()}{PART}") for path in paths]
-    pq.write_table(arrow, parts[0], compression="zstd")
-    with parts[1].open("w", newline="", encoding="utf-8") as file:
-        lines = csv.DictWriter(file, names, lineterminator="\n")
-        lines.writeheader()
-        lines.writerows(table)
-    for part, path in zip(parts, paths, strict=True):
-        part.replace(path)
+    with whole(paths[0]) as columns_part, whole(paths[1]) as text_part:
+        pq.write_table(arrow, columns_part, compression="zstd")
+        with text_part.open("w", newline="", encoding="utf-8") as file:
+            lines = csv.DictWriter(file, names, lineterminator="\n")
+            lines.writeheader()
+            lines.writerows(table)
     return paths
 
 

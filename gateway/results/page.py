@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from dbc.text import printable
+from gateway.results.whole import write_text
 
 _SPECIAL: Final = re.compile(r"([!-/:-@\[-`{-~])")
 _HARMLESS: Final = frozenset(",.:;/'%=?@-+()\"&")
@@ -85,7 +86,7 @@ def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
     """
     from markdown_it import MarkdownIt
 
-    (folder / "report.md").write_text(text, encoding="utf-8")
+    write_text(folder / "report.md", text)
     reader = MarkdownIt("commonmark").enable("table")
     tokens = reader.parse(text)
     anchors = Anchors()
@@ -97,8 +98,8 @@ def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
     for name in figures:
         inside = base64.b64encode((folder / f"{name}.svg").read_bytes()).decode()
         body = body.replace(f'src="{name}.svg"', f'src="data:image/svg+xml;base64,{inside}"')
-    whole = PAGE.replace("TITLE", html.escape(printable(title)), 1).replace("BODY", body, 1)
-    (folder / "report.html").write_text(whole, encoding="utf-8")
+    page = PAGE.replace("TITLE", html.escape(printable(title)), 1).replace("BODY", body, 1)
+    write_text(folder / "report.html", page)
 
 
 PAGE: Final = """<!DOCTYPE html>

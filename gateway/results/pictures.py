@@ -6,6 +6,7 @@ line style, height or hatch as well. The same run gives the same bytes.
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ import numpy as np
 from dbc.text import printable
 from gateway.health import Flag
 from gateway.results.trace import RANK, Curve, Trace
+from gateway.results.whole import whole, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,13 +84,15 @@ class Panel(NamedTuple):
 def save(figure: Figure, path: Path) -> None:
     """PNG or, by its suffix, SVG: without dates, references and digits that nobody sees."""
     if path.suffix != ".svg":
-        figure.savefig(path, dpi=110, metadata={"Software": None})
+        with whole(path) as part:
+            figure.savefig(part, dpi=110, metadata={"Software": None})
         return
-    figure.savefig(path, metadata={"Date": None})
-    text = _METADATA.sub("", _DOCTYPE.sub("", path.read_text(encoding="utf-8")))
+    drawn = io.StringIO()
+    figure.savefig(drawn, format="svg", metadata={"Date": None})
+    text = _METADATA.sub("", _DOCTYPE.sub("", drawn.getvalue()))
     # A hundredth of a point is finer than any printer.
     text = _PATH.sub(lambda found: _DIGITS.sub(r"\1", found[0]), text)
-    path.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 @contextmanager

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import csv
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TextIO
+from types import TracebackType
+from typing import Self
 
 from gateway.health import FaultClass, Flag, Health, Reason
+from gateway.results.whole import whole
 from gateway.view import DriveView, GatewayView
 
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
 FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
+FLAGS, ESTIMATES = "flags.csv", "estimates.csv"
 FLAGS_HEADER = ("t_s", "drive", "adhesion", "thermal", "reason")
 ESTIMATES_HEADER = (
     "t_s", "drive", "health", "speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability",
@@ -25,19 +29,26 @@ def camel(name: str) -> str:
 
 
 class Recorder:
-    """Collects views tick by tick; writes both tables while it goes."""
+    """Collects views tick by tick; writes both tables while it goes. Context manager.
+
+    The tables get their names when it is left; after an exception there are none.
+    """
 
     def __init__(self, folder: Path | None) -> None:
         """folder: where the tables go, None for none."""
         self.changes: list[tuple[int, int, str, str]] = []
         self._last: dict[int, tuple[Flag, Flag]] = {}
-        self._files: list[TextIO] = []
+        self._files = ExitStack()
         self._flags = self._estimates = None
         if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-            for name in ("flags.csv", "estimates.csv"):
-                self._files.append((folder / name).open("w", newline="", encoding="utf-8"))
-            self._flags, self._estimates = (csv.writer(f, lineterminator="\n") for f in self._files)
+            parts = [self._files.enter_context(whole(folder / n)) for n in (FLAGS, ESTIMATES)]
+            self._flags, self._estimates = (
+                csv.writer(
+                    self._files.enter_context(part.open("w", newline="", encoding="utf-8")),
+                    lineterminator="\n",
+                )
+                for part in parts
+            )
             self._flags.writerow(FLAGS_HEADER)
             self._estimates.writerow(ESTIMATES_HEADER)
 
@@ -72,10 +83,18 @@ class Recorder:
         if drive.thermal is not thermal:
             self.changes.append((t_ns, drive.node, "thermal", FAULT[drive.thermal]))
 
-    def close(self) -> None:
-        """Finish the tables."""
-        for file in self._files:
-            file.close()
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Finish the tables, or take them away. Raises OSError."""
+        self._files.__exit__(kind, error, trace)
 
 
 def _text(value: float | None, digits: int) -> str:

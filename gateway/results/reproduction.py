@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.detect import GLOBAL_ESTIMATES, paper, paper_vb
+from gateway.results.whole import whole
 
 Array = NDArray[np.float64]
 
@@ -214,7 +215,7 @@ def _reason(method: str, drive: int, statistic: str, zero_agrees: bool) -> str:
 
 def write_table(path: Path, cells: Sequence[Cell]) -> None:
     """`table1.csv`: a row per cell. Raises OSError."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(
             (

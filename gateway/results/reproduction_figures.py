@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from estimators.detect import GLOBAL_ESTIMATES
 from gateway.results.pictures import BLUE, GREEN, GREY, ORANGE, Span
 from gateway.results.reproduction import METHODS, differences
+from gateway.results.whole import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -140,8 +141,9 @@ def save(figure: Figure, stem: Path) -> None:
     import matplotlib as mpl
     from matplotlib import pyplot as plt
 
-    figure.savefig(stem.with_suffix(".png"), dpi=110, metadata={"Software": None})
+    with whole(stem.with_suffix(".png")) as part:
+        figure.savefig(part, dpi=110, metadata={"Software": None})
     figure.set_layout_engine("none")  # laid out once, and it is most of the time
-    with mpl.rc_context({"svg.hashsalt": "section 5"}):
-        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    with mpl.rc_context({"svg.hashsalt": "section 5"}), whole(stem.with_suffix(".svg")) as part:
+        figure.savefig(part, metadata={"Date": None})
     plt.close(figure)

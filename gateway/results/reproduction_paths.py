@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gateway.results import reproduction as table_1
 from gateway.results.reproduction import METHODS, STATISTICS, Table
 from gateway.results.reproduction_loads import rmse
+from gateway.results.whole import whole
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -154,7 +155,7 @@ def _known_from(path: Course) -> int:
 
 def write_paths(path: Path, comparison: Comparison) -> None:
     """`table1_paths.csv`: Table 1 of every path, a row per number. Raises OSError."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(("path", "filter", "method", "drive", "statistic", "value_nm"))
         for seen in comparison.seen:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from gateway.results.whole import whole
+
 HEADER: Final = ("stage", "from_us", "below_us", "count")
 _COLUMNS: Final = 2
 _SHOWN_NS: Final = 1024
@@ -39,7 +41,10 @@ def leave(
 def tables(folder: Path, stages: Sequence[Stage], period_ns: int) -> None:
     """Write timing.csv and timing.svg. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "timing.csv").open("w", newline="", encoding="utf-8") as file:
+    with (
+        whole(folder / "timing.csv") as part,
+        part.open("w", newline="", encoding="utf-8") as file,
+    ):
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(HEADER)
         for stage in stages:
