@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -16,13 +17,11 @@ from numpy.typing import NDArray
 
 from dbc.block import EMPTY, Block, block_of, in_blocks, join
 from dbc.candump import LogError, Reader
-from dbc.frame import SECOND, Frame, Nanos
+from dbc.frame import Frame, Nanos
 from gateway.core import Gateway
 from gateway.drivers import leanstart
+from gateway.drivers.logtime import HOLE_NS, LogTime
 from gateway.ticks import Ticks
-
-HOLE_NS: Nanos = 10 * SECOND
-"""A longer hole is skipped to the next frame once no flag says good."""
 
 MOST_TICKS = 4096
 """Asked for at once."""
@@ -31,7 +30,10 @@ TOLD = 60
 
 Array = NDArray[np.float64]
 Sink = Callable[[Nanos, list[Frame], Gateway], None]
-"""Told of every tick: now, what goes out, and who says it; its view is made when asked for."""
+"""Told of every tick: now, what goes out, and who says it; its view is made when asked for.
+
+`now` never goes back; what goes out has the log's own time, as `Briefly.write` gets it.
+"""
 Make = Callable[[Nanos], Gateway]
 
 
@@ -63,7 +65,7 @@ class Briefly(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """What a replay did."""
+    """What a replay did. last_ns: of the last frame, as ticks have it; clock: of the log."""
 
     first_ns: Nanos
     last_ns: Nanos
@@ -71,6 +73,12 @@ class Replayed(NamedTuple):
     ticks: int
     channel: str
     gateway: Gateway
+    clock: LogTime
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were left out for their time."""
+        return self.gateway.inbox.counts["time_back"]
 
 
 class BadLogError(Exception):
@@ -122,8 +130,8 @@ def replay(
 ) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
 
-    Frames whose time goes back are dropped and counted. The last tick is the first at or
-    after the last frame. Who is told briefly gets many ticks at a time, much sooner. Raises
+    Frames whose time is wrong are dropped and counted, see `LogTime`. The last tick is the first at
+    or after the last frame. Who is told briefly gets many ticks at a time, much sooner. Raises
     BadLogError for a log without frames.
     """
     stream = iter(blocks)
@@ -133,8 +141,8 @@ def replay(
         raise BadLogError(msg)
     first = block.frame(0)
     gateway = make(first.t_ns)
-    now = latest = first.t_ns
-    total, ticks = block.size, 0
+    clock = LogTime(first.t_ns, period_ns)
+    now, ticks = first.t_ns, 0
 
     def step(frames: Block) -> None:
         nonlocal ticks
@@ -143,11 +151,15 @@ def replay(
         if isinstance(sink, Briefly):
             tell(sink, [block_of(out)], now, gateway.said.lost)
         else:
+            shift = clock.shift_ns(now)
+            if shift:
+                out = [frame._replace(t_ns=frame.t_ns - shift) for frame in out]
             sink(now, out, gateway)
 
     def tell(sink: Briefly, out: Iterable[Block], last_ns: Nanos, peak: Array) -> None:
+        shift = clock.shift_ns(last_ns)
         for frames in out:
-            sink.write(frames)
+            sink.write(frames._replace(t_ns=frames.t_ns - shift) if shift else frames)
         if gateway.changed:
             sink.changed(gateway)
         if sink.samples is not None:
@@ -177,10 +189,9 @@ def replay(
         return done
 
     held = EMPTY
-    while True:
-        block, dropped, latest = forward(block, latest)
+    for new, dropped in clock.steady(chain([block], stream)):
         dropped += held.size
-        block = join(held, block)
+        block = join(held, new)
         even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())
         done = many(block, sink) if isinstance(sink, Briefly) and even else 0
         stamps = block.t_ns.tolist()
@@ -201,12 +212,10 @@ def replay(
         # More frames of this tick may stand in the next block.
         drop(len(dropped))
         held = block.part(done, block.size)
-        if (more := next(stream, None)) is None:
-            break
-        block = more
-        total += block.size
     step(held)
-    return Replayed(first.t_ns, latest, total, ticks, first.channel, gateway)
+    return Replayed(
+        first.t_ns, clock.last_ns, clock.frames, ticks, first.channel, gateway, clock
+    )  # fmt: skip
 
 
 def forward(block: Block, latest: Nanos) -> tuple[Block, NDArray[np.int64], Nanos]:

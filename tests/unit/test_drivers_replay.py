@@ -2,6 +2,7 @@
 
 import io
 
+import numpy as np
 import pytest
 
 from dbc.block import in_blocks
@@ -113,3 +114,157 @@ def test_text_and_frames_give_the_same():
         lambda now, out, _view: said.append((now, out)),
     )
     assert said == run(frames, 10_000)[1]
+
+
+def healthy(seconds=8.0, skip=()):
+    """Frames of three drives from a scenario, as a list."""
+    from sim.scenario import parse
+    from sim.simulation import Simulation
+
+    scenario = parse({"title": "t", "seed": 4, "duration_s": seconds, "drives": 3}, "t")
+    simulation = Simulation(scenario, CODEC, nodes=(1, 2, 3))
+    frames = [f for k in range(round(100 * seconds)) for f in simulation.step((), k * 10 * MS)]
+    return [f._replace(t_ns=f.t_ns + START, channel="can0") for f in frames]
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return healthy(3.0)
+
+
+def moved(frames, by_ns):
+    return [f._replace(t_ns=f.t_ns + by_ns) for f in frames]
+
+
+def flags_of(said):
+    """(stamp, Adhesion1..3) of every flag frame that went out, in its order."""
+    spec = next(m for m in CODEC.messages if m.name == "Gateway_Adhesion")
+    rows = []
+    for _, out in said:
+        for frame in out:
+            if frame.can_id == spec.can_id:
+                values = CODEC.decode(spec, frame.data)
+                rows.append((frame.t_ns, [values[f"Adhesion{n}"].raw for n in (1, 2, 3)]))
+    return rows
+
+
+def counts_of(done):
+    return done.gateway.inbox.counts
+
+
+@pytest.mark.parametrize(
+    "ahead_ns", [200 * MS, 6 * SECOND, 3600 * SECOND, 80 * 365 * 86400 * SECOND]
+)
+@pytest.mark.parametrize("size", [1, 64, 10_000])
+def test_one_frame_from_the_future_costs_one_frame(drives, ahead_ns, size):
+    plain, wanted = run(drives, 10_000)
+    frames = list(drives)
+    frames.insert(5000, frames[5000]._replace(t_ns=frames[5000].t_ns + ahead_ns, can_id=0x7F0))
+    done, said = run(frames, size)
+    assert counts_of(done)["time_back"] == done.dropped == 1
+    assert counts_of(done)["decoded"] == counts_of(plain)["decoded"]
+    assert done.last_ns == plain.last_ns
+    assert [row[1] for row in flags_of(said)] == [row[1] for row in flags_of(wanted)]
+
+
+@pytest.mark.parametrize("by_ns", [-3600 * SECOND, -SECOND, 3600 * SECOND, 5 * SECOND])
+@pytest.mark.parametrize("size", [1, 97, 10_000])
+def test_a_clock_that_is_set_costs_no_frame_and_no_flag_is_good_across_it(drives, by_ns, size):
+    half = len(drives) // 2
+    frames = drives[:half] + moved(drives[half:], by_ns)
+    done, said = run(frames, size)
+    assert counts_of(done)["time_back"] == 0
+    assert counts_of(done)["received"] == len(frames)
+    flags = flags_of(said)
+    at, after = drives[half].t_ns, drives[half].t_ns + by_ns
+    step = next(k for k, (t_ns, _) in enumerate(flags) if k > 150 and abs(t_ns - after) <= 10 * MS)
+    assert flags[100][1] == [1, 1, 1]
+    # Unknown is what was said last on the old time, and what is said first on the new one.
+    assert abs(flags[step - 1][0] - at) < max(abs(by_ns), SECOND)
+    assert flags[step - 1][1] == flags[step][1] == [0, 0, 0]
+    assert flags[-1][1] == [1, 1, 1]
+    assert abs(flags[-1][0] - frames[-1].t_ns) <= 10 * MS, "on the log's own time"
+    assert all((t_ns - frames[0].t_ns) % (10 * MS) == 0 for t_ns, _ in flags)
+    nows = [now for now, _ in said]
+    assert nows == sorted(nows)
+    assert len(said) < 1000
+    assert (done.clock.steps, len(done.clock.backs)) == ((1, 1) if by_ns < 0 else (0, 0))
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_few_frames_on_another_time_are_dropped(drives, count):
+    stray = moved(drives[:count], -86400 * SECOND)
+    done, said = run(drives[:4000] + stray + drives[4000:], 100)
+    assert counts_of(done)["time_back"] == count
+    assert flags_of(said) == flags_of(run(drives, 10_000)[1])
+
+
+def test_stamps_that_agree_on_nothing_are_dropped_and_time_stands_still(drives):
+    rng = np.random.default_rng(3)
+    noise = [f._replace(t_ns=int(t)) for f, t in zip(
+        drives[3000:], rng.integers(0, START - SECOND, len(drives)), strict=False)]  # fmt: skip
+    done, said = run(drives[:3000] + noise, 512)
+    assert counts_of(done)["time_back"] > 0.95 * len(noise)
+    assert counts_of(done)["received"] == len(drives)
+    assert len(said) < 2000
+
+
+@pytest.mark.parametrize("period_s", [0.15, 1.0, 60.0])
+def test_a_slow_log_is_no_clock_that_is_set(period_s):
+    frames = [f._replace(t_ns=START + round(k * period_s * SECOND)) for k, f in enumerate(log(40))]
+    done, _ = run(frames, 7)
+    assert counts_of(done)["time_back"] == 0
+    assert done.last_ns == frames[-1].t_ns
+
+
+def wild(seed, count=600):
+    """A log whose clock is set, runs ahead, stands still and has odd stamps."""
+    rng = np.random.default_rng(seed)
+    frames, shift = [], 0
+    for f in log(count // 6):
+        if rng.random() < 0.01:
+            shift += int(rng.choice([-3600, -20, -2, -0.05, 0.05, 2, 20, 3600]) * SECOND)
+        odd = int(rng.normal(0, 30) * SECOND) if rng.random() < 0.02 else 0
+        frames.append(f._replace(t_ns=max(0, f.t_ns + shift + odd)))
+    return frames
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_wild_clock_gives_the_same_however_the_log_is_cut_and_ticked(seed, tmp_path):
+    """Blocks of any size, text, gzip, and many ticks at once: the same bytes, the same counts."""
+    from dbc.block import block_of
+    from dbc.candump import Writer
+    from gateway.config import parse
+    from gateway.drivers.replay import Briefly
+
+    frames = wild(seed)
+    whole, said = run(frames, 10_000)
+    wanted = [format_frame(f, "can0") for _, out in said for f in out]
+    counts = counts_of(whole)
+    assert counts["received"] == len(frames)
+    for size in (1, 2, 13, 100):
+        done, again = run(frames, size)
+        assert again == said
+        assert counts_of(done) == counts
+    for name in ("a.log", "a.log.gz"):
+        with Writer(tmp_path / name) as writer:
+            writer.write_block(block_of(frames))
+        given = []
+        done = replay(
+            OneChannel(open_log(tmp_path / name, strict=True).blocks, None),
+            lambda start: Gateway(parse({}), CODEC, start),
+            10 * MS,
+            Briefly(lambda out: given.extend(out.frames()), lambda _gateway: None),
+        )
+        assert [format_frame(f, "can0") for f in given] == wanted
+        assert counts_of(done) == counts
+        assert done.clock.backs == whole.clock.backs
+
+
+def test_a_clock_that_goes_to_the_end_of_time_and_back_is_no_overflow():
+    end, frames = (1 << 62) - SECOND, log(30)
+    for k in range(6):
+        frames += moved(log(3), end - START if k % 2 else 0)
+    done, said = run(frames, 50)
+    assert counts_of(done)["received"] == len(frames)
+    assert all(now < 1 << 62 for now, _ in said)
