@@ -64,7 +64,9 @@ def commands() -> str:
     out = [
         "# Commands",
         "",
-        "Exit codes: 0 good, 1 an expectation failed, 2 bad input or configuration.",
+        "Exit codes: 0 good, 1 an expectation failed or more than 1 % of a log was dropped, 2 bad "
+        "input or configuration, 130, 143, 141 ended by Ctrl-C, SIGTERM, a broken pipe. `run` and "
+        "`monitor` end with 0 after a signal: it is how they are stopped.",
         "",
     ]
     for verb in cli.VERBS:

@@ -6,7 +6,7 @@ import argparse
 import math
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from dbc.block import Block
+    from dbc.candump import Reader
     from dbc.codec import Codec
     from gateway.drivers.replay import Log
     from sim.scenario import Scenario
@@ -149,6 +150,25 @@ def console() -> Console:
             raise BrokenPipeError
 
     return Told(stderr=True)
+
+
+def faults(reader: Reader | None) -> dict[str, int]:
+    """Lines of a log that are none, by cause; of other formats nobody knows."""
+    counts = {} if reader is None else reader.counts
+    return {verdict.name.lower(): n for verdict, n in counts.items() if verdict.is_fault}
+
+
+def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
+    """The exit code for what was left out of a log; says on stderr if that is too much.
+
+    dropped: cause -> lines or frames; used: those that were not.
+    """
+    from gateway.results.dropped import warning
+
+    text = warning(dropped, used)
+    if text:
+        console().print(f"warning: {text}", markup=False, soft_wrap=True)
+    return FAILED if text else GOOD
 
 
 @contextmanager

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 from dbc.text import printable
 from gateway.commands.common import (
     BAD_INPUT,
-    GOOD,
     add_config,
     console,
+    faults,
     patience,
     prepare,
     shown,
     track_file,
+    verdict_of_input,
 )
 
 if TYPE_CHECKING:
@@ -53,7 +54,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Convert; counts on stdout. Exit 2 too if the log ended in a fault and OUT is a part of it."""
+    """Convert; counts on stdout. Exit 2 too if the log ended in a fault and OUT is a part of it.
+
+    Exit 1 if more than 1 % of its lines are none.
+    """
     from gateway.drivers import convert
     from gateway.drivers.replay import BadLogError
     from gateway.results.signals import Decoder
@@ -97,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
             markup=False, soft_wrap=True,
         )  # fmt: skip
         return BAD_INPUT
-    return GOOD
+    return verdict_of_input(faults(log.reader), done.read)
 
 
 def _codec(options: argparse.Namespace) -> Codec:

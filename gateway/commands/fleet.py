@@ -31,7 +31,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-j", "--jobs", type=_jobs, default=os.cpu_count() or 1, metavar="N",
                         help="local processes (default: one per CPU)")  # fmt: skip
     parser.add_argument("--scheduler", metavar="ADDRESS",
-                        help="Dask scheduler instead, tcp://HOST:PORT")  # fmt: skip
+                        help="Dask scheduler instead, tls://HOST:PORT")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
     parser.add_argument("--force", action="store_true", help="do again what is done")
 
@@ -53,7 +53,10 @@ def need(*modules: str) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do the logs, write the tables, say what came out. Exit 1 if any log is bad or left over."""
+    """Do the logs, write the tables, say what came out.
+
+    Exit 1 if any log is bad, left over, or more than 1 % of it was dropped.
+    """
     need("distributed", "pyarrow")
     from gateway.config import load
     from gateway.drivers import fleet
@@ -86,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
         console().print("stopped; the same command goes on where this ended")
     if ended is not None:
         raise ended
-    return FAILED if any(row.status == BAD for row in table) else GOOD
+    return FAILED if any(row.status == BAD or row.dropped for row in table) else GOOD
 
 
 def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path]) -> None:
@@ -105,6 +108,11 @@ def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path])
         print(bad_line(row))
     if len(bad) > BAD_SHOWN:
         print(f"bad: {len(bad) - BAD_SHOWN} more, see {files[1]}")
+    warned = [row for row in rows if row.warning]
+    for row in warned[:BAD_SHOWN]:
+        console().print(f"warning: {row.path}: {row.warning}", markup=False, soft_wrap=True)
+    if len(warned) > BAD_SHOWN:
+        console().print(f"warning: {len(warned) - BAD_SHOWN} more logs, see {files[1]}")
     print(f"written: {', '.join(str(path) for path in files)}")
 
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from dbc.text import printable
 from gateway.commands.common import (
-    GOOD,
     add_config,
     add_signature,
     console,
+    faults,
     prepare,
     track_file,
+    verdict_of_input,
 )
 from gateway.config import ConfigError
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from gateway.results.record import Recorder
 
 HELP = "run the gateway over a recorded log, as fast as the machine can"
+SHOWN = 5
+"""Faults of one kind of which a line tells."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +60,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay; tables and counts on stdout."""
+    """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
     from dbc.ahead import ahead
     from dbc.block import block_of
     from dbc.candump import Writer
@@ -116,7 +119,9 @@ def run(options: argparse.Namespace) -> int:
     )  # fmt: skip
     if left is not None:
         print(f"report: {_report(options, left, done, log.reader)}")
-    return GOOD
+    return verdict_of_input(
+        {"time_back": done.dropped, **faults(log.reader)}, done.frames - done.dropped
+    )
 
 
 def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Reporting | None:
@@ -161,9 +166,16 @@ def _summary(reader: Reader | None, done: Replayed, recorder: Recorder) -> None:
     if reader is not None:
         lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
         print("lines: " + ", ".join(f"{name} {n}" for name, n in lines))
-        for number, verdict, text in reader.problems[:5]:
+        for number, verdict, text in reader.problems[:SHOWN]:
             console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
     print(f"configuration: {done.gateway.outbox.config_hash:06x}")
+    for back in done.clock.backs[:SHOWN]:
+        console().print(
+            f"the log's clock was set back by {(back.before_ns - back.after_ns) / 1e9:.3f} s, "
+            f"from {back.before_ns / 1e9:.3f} to {back.after_ns / 1e9:.3f}", markup=False,
+        )  # fmt: skip
+    if done.clock.steps > SHOWN:
+        console().print(f"and {done.clock.steps - SHOWN} times more")
     counts = done.gateway.inbox.counts
     print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
     for t_ns, node, what, word in recorder.changes:

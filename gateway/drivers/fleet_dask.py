@@ -1,4 +1,8 @@
-"""Sending the logs of a fleet to Dask: local processes, or a scheduler that is there already."""
+"""Sending the logs of a fleet to Dask: local processes, or a scheduler that is there already.
+
+Who reaches a scheduler runs code as its user. Local ones speak TLS with a certificate that is made
+for this run and kept in memory; a named one is reached as Dask's own configuration says.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Final
 
 import dask
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, LocalCluster, Security, as_completed
 from distributed.scheduler import KilledWorker
 
 from gateway.config import ConfigError
@@ -23,6 +27,16 @@ ALLOWED_DEATHS: Final = 1
 RETRIES: Final = 2
 """Of a task that raises: ours give a bad row, so it was Dask that failed."""
 DIED: Final = "every worker that tried this log died"
+STARTS: Final = 3
+"""Times that local processes are started, if they do not come up."""
+ALONE: Final = 3
+"""Times that a suspected log gets its turn alone: what kills workers may have been something else.
+"""
+SECURE: Final = ("tls://", "wss://", "inproc://")
+CERTIFICATE: Final = (
+    "needs certificates: name them in Dask's configuration, `distributed.comm.tls.ca-file` and "
+    "`distributed.comm.tls.client.cert`, `.key` (variables DASK_DISTRIBUTED__COMM__TLS__CA_FILE ..)"
+)
 PATIENCE_S: Final = 30
 """To reach a scheduler and see a worker of it."""
 _THREADS: Final = (
@@ -41,9 +55,30 @@ log = logging.getLogger(__name__)
 After = Callable[[Job, Row], None]
 
 
+def _local(jobs: int, level: int) -> LocalCluster:
+    """Local processes. One that is killed while it starts is no reason to give up."""
+    for left in reversed(range(STARTS)):
+        try:
+            # No limit of memory: a replay's does not grow with its log.
+            return LocalCluster(
+                n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
+                dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                silence_logs=level, host="127.0.0.1", protocol="tls://",
+                security=Security.temporary(),
+            )  # fmt: skip
+        except (RuntimeError, OSError) as error:
+            if not left:
+                raise OSError(f"the local processes do not start: {error}") from error
+    raise AssertionError
+
+
 @contextmanager
 def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
-    """A client of local processes with a thread each, or of the named scheduler."""
+    """A client of local processes with a thread each, or of the named scheduler.
+
+    Raises ConfigError for an address or certificate that cannot be used, OSError where nobody
+    answers.
+    """
     # What becomes of each log is said by us; `-v` shows what Dask says itself.
     level = logging.INFO if log.isEnabledFor(logging.INFO) else logging.CRITICAL
     for name in ("distributed", "distributed.client"):
@@ -51,18 +86,16 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_LOCAL))
-            # No limit of memory: a replay's does not grow with its log.
-            cluster = LocalCluster(
-                n_workers=jobs, threads_per_worker=1, processes=True, memory_limit=None,
-                dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                silence_logs=level,
-            )  # fmt: skip
-            yield stack.enter_context(Client(stack.enter_context(cluster)))
+            yield stack.enter_context(Client(stack.enter_context(_local(jobs, level))))
             return
+        if not scheduler.startswith(SECURE):
+            log.warning("%s: not encrypted; whoever reaches it can run code there", scheduler)
         try:
             client = stack.enter_context(Client(scheduler, timeout=PATIENCE_S))
         except ValueError as error:
             raise ConfigError("--scheduler", [f"{scheduler!r}: {error}"]) from None
+        except TypeError:  # what Dask raises without a certificate
+            raise ConfigError("--scheduler", [f"{scheduler}: {CERTIFICATE}"]) from None
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError:
@@ -82,8 +115,8 @@ def send(
     """Do all of `todo`, a task each; see `gateway.drivers.fleet.run`.
 
     A worker takes one log at a time, so that one that dies takes no other log with it. Where
-    workers kept dying, the logs they were at are tried once more, one by one, after all others: a
-    log whose worker dies then is a bad one.
+    workers kept dying, the logs they were at are tried again, one by one, after all others: a log
+    at which workers die `ALONE` times more is a bad one.
     """
     suspects: list[Job] = []
 
@@ -93,23 +126,21 @@ def send(
         else:
             after(one, bad(one, outcome) if isinstance(outcome, BaseException) else outcome)
 
-    def ended_alone(one: Job, outcome: Row | BaseException) -> None:
-        if isinstance(outcome, KilledWorker):
-            after(one, bad(one, DIED))
-        else:
-            ended(one, outcome)
-
     try:
         with _client(jobs, scheduler) as client:
             _prepare(client, settings)
-            _flow(client, todo, settings, work, None, ended)
-            # A row is lost with the worker that has it, although the log's file may be there.
-            found = {one: done_before(one, settings) for one in suspects}
-            for one, row in found.items():
-                if row is not None:
-                    after(one, row)
-            left = [one for one, row in found.items() if row is None]
-            _flow(client, left, settings, work, 1, ended_alone)
+            _flow(client, todo, settings, work, 0, ended)
+            for turn in range(1, ALONE + 1):
+                # A row is lost with the worker that has it, although the log's file may be there.
+                found = {one: done_before(one, settings) for one in suspects}
+                for one, row in found.items():
+                    if row is not None:
+                        after(one, row)
+                suspects.clear()
+                left = [one for one, row in found.items() if row is None]
+                _flow(client, left, settings, work, turn, ended)
+            for one in suspects:
+                after(one, bad(one, DIED))
     except Exception as error:
         if _interrupted(error):
             raise KeyboardInterrupt from None
@@ -127,8 +158,9 @@ def _interrupted(error: BaseException | None) -> bool:
 
 def _prepare(client: Client, settings: Settings) -> None:
     """Get all workers ready at once; ConfigError with what is wrong with any of them."""
-    said: dict[str, str] = client.run(ready, settings)
-    problems = [text for text in said.values() if text]
+    # Of a worker that dies meanwhile there is an error: the next one gets ready at its first log.
+    said: dict[str, object] = client.run(ready, settings, on_error="return")
+    problems = [text for text in said.values() if isinstance(text, str) and text]
     if problems:
         raise ConfigError("fleet", list(dict.fromkeys(problems)))
 
@@ -138,19 +170,19 @@ def _flow(
     todo: Sequence[Job],
     settings: Settings,
     work: Work,
-    width: int | None,
+    turn: int,
     ended: Callable[[Job, Row | BaseException], None],
 ) -> None:
-    """Keep `width` tasks going (None: as many as there are threads) until all have ended."""
+    """Keep as many tasks going as there are threads, in a later `turn` one, until all ended."""
     waiting = deque(todo)
     going: dict[str, Job] = {}
     tasks = as_completed([])
 
     def fill() -> None:
-        most = width or max(1, sum(client.nthreads().values()))
+        most = 1 if turn else max(1, sum(client.nthreads().values()))
         while waiting and len(going) < most:
             one = waiting.popleft()
-            key = f"log-{one.name}-{width}"
+            key = f"log-{one.name}-{turn}"
             going[key] = one
             tasks.add(client.submit(work, one, settings, key=key, pure=False, retries=RETRIES))
 

@@ -62,17 +62,18 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
         sink = Briefly(lambda _out: None, changed, estimates)
         done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
         reader = log.reader
-        counts = reader.counts if reader else {}
+        faulty = sum(n for v, n in reader.counts.items() if v.is_fault) if reader else 0
         row = Row(
             path=shown(one.path), warning=(reader.truncated or None) if reader else None,
             file=f"{FOLDER}/{one.name}", size_bytes=int(mark["size_bytes"]),
             channel=done.channel.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
             first_ns=done.first_ns, last_ns=done.last_ns, frames=done.frames,
-            faulty_lines=sum(n for verdict, n in counts.items() if verdict.is_fault),
+            faulty_lines=faulty,
             counts=dict(done.gateway.inbox.counts),
             drives=per_drive(recorder.changes, config.nodes, estimates.last_ns),
             took_s=round(time.perf_counter() - began, 3),
         )  # fmt: skip
+        row = row._replace(warning="; ".join(filter(None, (row.warning, row.dropped))) or None)
         said = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}
         estimates.finish({**said, **mark})
     return row

@@ -189,8 +189,8 @@ def replay(
         return done
 
     held = EMPTY
-    for new, dropped in clock.steady(chain([block], stream)):
-        dropped += held.size
+    for new, without in clock.steady(chain([block], stream)):
+        dropped = without + held.size
         block = join(held, new)
         even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())
         done = many(block, sink) if isinstance(sink, Briefly) and even else 0
@@ -216,17 +216,6 @@ def replay(
     return Replayed(
         first.t_ns, clock.last_ns, clock.frames, ticks, first.channel, gateway, clock
     )  # fmt: skip
-
-
-def forward(block: Block, latest: Nanos) -> tuple[Block, NDArray[np.int64], Nanos]:
-    """The frames whose time does not go back behind `latest`, and the new latest time.
-
-    Of every other one it gives how many good ones stand before it.
-    """
-    highest = np.maximum(np.maximum.accumulate(block.t_ns), latest)
-    good = block.t_ns == highest
-    dropped = np.cumsum(good)[~good]
-    return block.pick(good) if len(dropped) else block, dropped, highest.item(-1)
 
 
 class Log(NamedTuple):

@@ -84,6 +84,10 @@ class Reporting:
         if path.is_file():
             self.add_truth(rows(path))
 
+    def close(self) -> None:
+        """Finish the tables. Raises OSError."""
+        self.recorder.close()
+
     def __enter__(self) -> Self:
         """Itself."""
         return self

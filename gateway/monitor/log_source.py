@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from dbc.block import EMPTY, Block
-from dbc.frame import SECOND, Nanos
+import numpy as np
+
+from dbc.block import EMPTY
+from dbc.frame import MS, SECOND, Nanos
 from dbc.text import printable
-from gateway.drivers.replay import BadLogError, OneChannel, forward, open_log
+from gateway.drivers.logtime import LogTime, Steady
+from gateway.drivers.replay import BadLogError, OneChannel, open_log
 from gateway.monitor.observer import Observer
 from gateway.monitor.snapshot import Snapshot
 
@@ -20,6 +24,8 @@ PIECE_NS: Final[Nanos] = SECOND // 4
 """Read in one go, so that patience is kept."""
 HOLE_NS: Final[Nanos] = 15 * SECOND
 """Playing through a longer hole goes on behind it, after so long, when all has become unknown."""
+STEP_NS: Final[Nanos] = 10 * MS
+"""Where the log's clock was set back: by a whole number of it, as in a replay at 100 Hz."""
 CHECKPOINT_NS: Final[Nanos] = 5 * SECOND
 CHECKPOINTS: Final = 64
 """More of them: every second one goes, and they are made half as often."""
@@ -30,13 +36,13 @@ class Checkpoint(NamedTuple):
 
     t_ns: Nanos
     frames: int
-    """Read from the log before."""
+    """Read from the log before, those that were left out as well."""
     latest_ns: Nanos
     observer: Observer
 
 
 class LogSource:
-    """A log that replay can read. Time in it is counted from its first frame."""
+    """A log that replay can read. Time in it is counted from its first frame, as ticks have it."""
 
     def __init__(
         self, path: Path, make: Callable[[], Observer], channel: str | None = None
@@ -51,9 +57,10 @@ class LogSource:
         self._path = path
         self._channel = channel
         first, latest = None, 0
-        for block in self._open():
-            first = block.t_ns.item(0) if first is None else first
-            latest = max(latest, int(block.t_ns.max()))
+        for block, _ in self._open():
+            if block.size:
+                first = block.t_ns.item(0) if first is None else first
+                latest = block.t_ns.item(-1)
         if first is None:
             msg = "no frame in the log (or none on this channel)"
             raise BadLogError(msg)
@@ -102,30 +109,37 @@ class LogSource:
     def close(self) -> None:
         """See Source. The file is closed with the iterator that reads it."""
         self._blocks = self._open()
-        self._held = EMPTY
+        self._held = _NOTHING
 
     def _aim(self, t_ns: Nanos) -> None:
         self._target_ns = min(max(t_ns, self._first_ns), self._last_ns)
 
     def _following_ns(self) -> Nanos:
         """Stamp of the next frame, as far as it is known."""
-        return self._held.t_ns.item(0) if self._held.size else self._at_ns
+        held = self._held.block
+        return held.t_ns.item(0) if held.size else self._at_ns
 
-    def _open(self) -> Iterator[Block]:
-        return iter(OneChannel(open_log(self._path, strict=False).blocks, self._channel))
+    def _open(self) -> Iterator[Steady]:
+        """The log as replay reads it: a frame whose time is wrong is left out."""
+        blocks = iter(OneChannel(open_log(self._path, strict=False).blocks, self._channel))
+        first = next(blocks, EMPTY)
+        if first.size:
+            yield from LogTime(first.t_ns.item(0), STEP_NS).steady(chain([first], blocks))
 
     def _restore(self, checkpoint: Checkpoint) -> None:
         self._observer = checkpoint.observer.copy()
         self._at_ns, self._latest_ns = checkpoint.t_ns, checkpoint.latest_ns
         self._frames = checkpoint.frames
         self._blocks = self._open()
-        self._held = EMPTY
+        self._held = _NOTHING
         skip = checkpoint.frames
-        for block in self._blocks:
-            if block.size > skip:
-                self._held = block.part(skip, block.size)
+        for read in self._blocks:
+            total = read.block.size + len(read.dropped)
+            if total > skip:
+                gone = int((read.dropped + np.arange(len(read.dropped)) < skip).sum())
+                self._held = _rest(read, skip - gone, gone)
                 break
-            skip -= block.size
+            skip -= total
 
     def _work(self, patience_s: float | None) -> Snapshot:
         until = None if patience_s is None else time.monotonic() + patience_s
@@ -144,25 +158,22 @@ class LogSource:
     def _read(self, to_ns: Nanos) -> None:
         """Give the observer everything up to a time."""
         while True:
-            if not self._held.size and (following := next(self._blocks, None)) is not None:
+            if _is_empty(self._held) and (following := next(self._blocks, None)) is not None:
                 self._held = following
-            if not self._held.size:
+            if _is_empty(self._held):
                 break
-            # As replay does: a frame whose time goes back is left out.
-            block, dropped, latest = forward(self._held, self._latest_ns)
+            block, dropped = self._held
             now = int((block.t_ns <= to_ns).sum())
-            if now < block.size:
-                # Those that go back and stand before the first that is later.
-                early = int((dropped <= now).sum())
-                done = now + early
-            else:
-                early, done = len(dropped), self._held.size
-            self._observer.note_dropped(early)
-            self._observer.take(block.part(0, now), to_ns if now < block.size else latest)
+            # Those that were left out and stand before the first that is later.
+            early = int((dropped <= now).sum()) if now < block.size else len(dropped)
             self._latest_ns = block.t_ns.item(now - 1) if now else self._latest_ns
-            self._frames += done
-            self._held = self._held.part(done, self._held.size)
-            if self._held.size:
+            self._observer.note_dropped(early)
+            self._observer.take(
+                block.part(0, now), to_ns if now < block.size else self._latest_ns
+            )  # fmt: skip
+            self._frames += now + early
+            self._held = _rest(self._held, now, early)
+            if not _is_empty(self._held):
                 break
         self._observer.take(EMPTY, to_ns)
 
@@ -171,3 +182,16 @@ class LogSource:
         if len(self._checkpoints) > CHECKPOINTS:
             self._checkpoints = self._checkpoints[::2]
             self._every_ns *= 2
+
+
+_NOTHING: Final = Steady(EMPTY, np.zeros(0, dtype=np.int64))
+
+
+def _is_empty(held: Steady) -> bool:
+    return not held.block.size and not len(held.dropped)
+
+
+def _rest(held: Steady, frames: int, gone: int) -> Steady:
+    """Without the first so many frames, and the first so many of those that were left out."""
+    block = held.block.part(frames, held.block.size)
+    return Steady(block, held.dropped[gone:] - frames)

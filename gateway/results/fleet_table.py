@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.health import REJECTED
+from gateway.results.dropped import warning
 from gateway.results.whole import whole
 
 TABLE, TEXT = "fleet.parquet", "fleet.csv"
@@ -68,6 +69,13 @@ class Row(NamedTuple):
         if self.first_ns is None or self.last_ns is None:
             return None
         return (self.last_ns - self.first_ns) / 1e9
+
+    @property
+    def dropped(self) -> str:
+        """A warning if more of the log was dropped than `dropped.MOST`, else empty."""
+        back = (self.counts or {}).get("time_back", 0)
+        dropped = {"time_back": back, "faulty_lines": self.faulty_lines or 0}
+        return warning(dropped, (self.frames or 0) - back)
 
     def total(self, name: str) -> float | int:
         """Of one of the drives' numbers, over all drives."""

@@ -83,6 +83,10 @@ class Recorder:
         if drive.thermal is not thermal:
             self.changes.append((t_ns, drive.node, "thermal", FAULT[drive.thermal]))
 
+    def close(self) -> None:
+        """Finish the tables. Raises OSError."""
+        self._files.close()
+
     def __enter__(self) -> Self:
         """Itself."""
         return self

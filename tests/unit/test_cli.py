@@ -292,3 +292,55 @@ def test_a_log_may_have_any_name(folder, capsys, tmp_path):
     odd.write_bytes((folder / "s.log").read_bytes())
     assert main(["replay", str(odd)]) == 0
     assert "AdhesionLost" in capsys.readouterr().out
+
+
+def test_much_that_is_dropped_is_a_warning_and_exit_1(folder, capsys, tmp_path):
+    """Of every cause: lines that are none, stamps that go back; in `replay`, `convert`, `fleet`."""
+    lines = (folder / "s.log").read_text().splitlines()
+    assert len(lines) > 2000
+    stray = [f"(0.000001) {line.split(' ', 1)[1]}" for line in lines]
+
+    def with_odd(name, odd, share):
+        """After every so many lines an odd one."""
+        path, every, text = tmp_path / name, round(1 / share), []
+        for k, line in enumerate(lines):
+            text += [line, odd[k]] if k % every == every - 1 else [line]
+        path.write_text("\n".join(text) + "\n")
+        return path
+
+    noise = ["no line of a log"] * len(lines)
+    for name, odd, cause in (("noise", noise, "malformed"), ("back", stray, "time_back")):
+        few, many = with_odd(f"{name}.few.log", odd, 0.005), with_odd(f"{name}.log", odd, 0.03)
+        assert main(["replay", str(few)]) == 0
+        assert "dropped" not in capsys.readouterr().err
+        assert main(["replay", str(many)]) == 1
+        out, err = capsys.readouterr()
+        assert "2.9 % of the input was dropped, which is more than 1%" in err
+        assert f"{cause} {len(lines) // 33}" in err
+        assert "AdhesionLost" in out, "what is there is judged all the same"
+        lost = 1 if cause == "malformed" else 0
+        assert main(["convert", str(many), str(tmp_path / "o.csv")]) == lost
+        assert ("dropped" in capsys.readouterr().err) == bool(lost)
+        assert main(["convert", str(few), str(tmp_path / "o.csv")]) == 0
+        capsys.readouterr()
+
+
+def test_a_clock_that_was_set_back_is_told(folder, capsys, tmp_path):
+    lines = (folder / "s.log").read_text().splitlines()
+    stamps = [float(line[1 : line.index(")")]) for line in lines]
+    half = len(lines) // 2
+    rest = [
+        f"({t + 5000 - 3600:.6f}){line[line.index(')') + 1 :]}"
+        for t, line in zip(stamps[half:], lines[half:], strict=True)
+    ]
+    first = [f"({t + 5000:.6f}){line[line.index(')') + 1 :]}"
+             for t, line in zip(stamps[:half], lines[:half], strict=True)]  # fmt: skip
+    path = tmp_path / "set.log"
+    path.write_text("\n".join([*first, *rest]) + "\n")
+    assert main(["replay", str(path), "-o", str(tmp_path / "o.log")]) == 0
+    out, err = capsys.readouterr()
+    assert "set back by 3600" in err.replace("3599.99", "3600")
+    assert "time_back" not in out
+    sent = [float(line[1 : line.index(")")]) for line in (tmp_path / "o.log").open()]
+    assert sent[0] == pytest.approx(5000 + stamps[0], abs=0.02)
+    assert sent[-1] == pytest.approx(5000 - 3600 + stamps[-1], abs=0.02)

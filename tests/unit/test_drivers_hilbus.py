@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,7 @@ from dbc.frame import MS, SECOND, Frame
 from gateway.config import Config, parse
 from gateway.drivers import hilbus
 from gateway.drivers.bench import Outcome
+from gateway.drivers.endings import Ended, raised
 from gateway.drivers.hilbus import bus_arguments, run_on_real_bus
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.reporting import Reporting, leave
@@ -126,6 +129,42 @@ def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(
     assert outcome.gateway.view.comm == 2  # it was said, after the end
     assert world.now_ns < world.ended_ns + 200 * MS
     assert not world.terminated
+
+
+class Interrupted(World):
+    """Half-way through a signal comes."""
+
+    number = signal.SIGINT
+
+    def poll(self) -> int | None:
+        if LATE_NS + 500 * MS < self.now_ns < LATE_NS + 520 * MS:
+            os.kill(os.getpid(), self.number)
+        return super().poll()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_a_signal_ends_has_no_verdict(
+    run: Callable[..., Outcome], number: signal.Signals
+) -> None:
+    scenario = parse_text(SCENARIO, "nothing")
+    config = parse({"drive": [{"node": 1}, {"node": 2}]})
+    codec = bind(config.dbc_path, config.nodes)
+    world = Interrupted(scenario, codec)
+    world.number = number
+    with raised(), pytest.raises(Ended) as ended:
+        run(world, scenario, config, codec)
+    assert ended.value.number == number
+    assert world.terminated
+
+
+def test_drives_that_fail_give_no_verdict(run: Callable[..., Outcome]) -> None:
+    scenario = parse_text(SCENARIO, "nothing")
+    config = parse({"drive": [{"node": 1}, {"node": 2}]})
+    codec = bind(config.dbc_path, config.nodes)
+    world = World(scenario, codec)
+    world.returncode = 2
+    with pytest.raises(ChildProcessError, match="exit code 2"):
+        run(world, scenario, config, codec)
 
 
 def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(

@@ -254,7 +254,7 @@ def test_a_wild_clock_gives_the_same_however_the_log_is_cut_and_ticked(seed, tmp
             OneChannel(open_log(tmp_path / name, strict=True).blocks, None),
             lambda start: Gateway(parse({}), CODEC, start),
             10 * MS,
-            Briefly(lambda out: given.extend(out.frames()), lambda _gateway: None),
+            Briefly(lambda out, kept=given: kept.extend(out.frames()), lambda _gateway: None),
         )
         assert [format_frame(f, "can0") for f in given] == wanted
         assert counts_of(done) == counts

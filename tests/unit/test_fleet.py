@@ -338,3 +338,94 @@ def test_bad_settings_are_refused_before_anything_is_done(logs, tmp_path, capsys
     assert not (tmp_path / "out" / "fleet.parquet").exists()
     assert main([*words, "--scheduler", "wrong://host"]) == 2
     assert "--scheduler" in capsys.readouterr().err
+
+
+def test_nobody_else_reaches_the_local_processes():
+    """Who does runs code as their user, and loopback is there for every account of the machine."""
+    from distributed import Client, Security
+
+    from gateway.drivers.fleet_dask import _client
+
+    with _client(1, None) as client:
+        workers = client.scheduler_info()["workers"]
+        nannies = [worker["nanny"] for worker in workers.values()]
+        address = client.scheduler.address
+        assert len(workers) == 1
+        for place in (address, *workers, *nannies):
+            assert place.startswith("tls://127.0.0.1:")
+        with pytest.raises(OSError, match=r"closed|reset"):
+            Client(address.replace("tls:", "tcp:"), timeout=20)
+        with pytest.raises(TypeError, match="TLS"):
+            Client(address, timeout=20)
+        with pytest.raises(OSError, match="certificate"):
+            Client(address, security=Security.temporary(), timeout=20)
+        assert client.submit(sum, (1, 2)).result() == 3
+
+
+def test_a_named_scheduler_is_used_as_its_owner_secured_it(logs, tmp_path, capsys):
+    import dask
+    from distributed import LocalCluster, Security
+
+    security = Security.temporary()
+    certificate = security.get_tls_config_for_role("client")
+    log, out = str(logs / "logs" / "good.log"), str(tmp_path / "out")
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, security=security, dashboard_address="127.0.0.1:0",
+        scheduler_kwargs={"dashboard": False}, silence_logs=50,
+    ) as cluster:  # fmt: skip
+        words = ["fleet", log, "-o", out, "--scheduler", cluster.scheduler_address]
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert "needs certificates" in said
+        assert said.count("\n") == 1
+        assert not list((tmp_path / "out" / FOLDER).iterdir())
+        owners = {"ca-file": certificate["ca_file"], "client": {
+            "cert": certificate["cert"], "key": certificate["key"]}}  # fmt: skip
+        with dask.config.set({"distributed.comm.tls": owners}):
+            assert main(words) == 0
+    assert "1 done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_workers_that_are_killed_at_any_moment_cost_nothing(logs, ran, tmp_path, seed):
+    import random
+    import threading
+
+    import psutil
+
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for k in range(6):
+        shutil.copy(logs / "logs" / ("good.log" if k % 2 else "deep/lost.log"), folder / f"{k}.log")
+    asked = settings(tmp_path / "out")
+    planned = fleet.plan(find([str(folder)], tmp_path / "out"), asked, force=False)
+    draw, over, killed = random.Random(seed), threading.Event(), []
+
+    def kill():
+        """So few that no log could be suspected for good, at moments that nobody chose."""
+        while len(killed) < 6 and not over.wait(draw.uniform(0.1, 4.0)):
+            workers = [p for p in psutil.Process().children() if "spawn_main" in str(p.cmdline())]
+            if workers:
+                victim = draw.choice(workers)
+                victim.kill()
+                killed.append(victim.pid)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    ended = []
+    try:
+        fleet.run(planned, asked, 2, None, lambda one, row: ended.append((one, row)))
+    finally:
+        over.set()
+        killer.join()
+    assert sorted(one.name for one, _ in ended) == sorted(one.name for one in planned.jobs)
+    wanted = rows(ran)
+    for one, row in ended:
+        like = wanted[int(one.path.stem) % 2]
+        assert (row.status, row.frames) == (DONE, like["frames"])
+        assert row.total("adhesion_losses") == like["adhesion_losses"]
+        mine = pq.read_table(tmp_path / "out" / FOLDER / one.name)
+        assert mine.equals(pq.read_table(ran / like["file"]))
+    assert sorted(p.name for p in (tmp_path / "out" / FOLDER).iterdir()) == sorted(
+        one.name for one in planned.jobs
+    )
