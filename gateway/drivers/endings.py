@@ -1,7 +1,8 @@
 """How a program is ended from outside: Ctrl-C, SIGTERM, a reader that has left its pipe.
 
-A signal is noted and raised between two steps of Python; a compiled call is finished first. The
-note decides the exit code, so that an exception which something has swallowed counts as well.
+A signal is noted and raised between two steps of Python; a compiled call is finished first. Where
+Python can raise nothing (callbacks of libraries, finalisers) it is raised a moment later. The note
+decides the exit code, so that an exception which something has swallowed counts as well.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ OF_A_SIGNAL: Final = 128
 """Exit code of a program that signal n has ended, less n, as shells have it."""
 BROKEN_PIPE: Final = OF_A_SIGNAL + 13
 """As SIGPIPE, which Python ignores; systems without it have no number for it."""
+AGAIN_S: Final = 0.02
+"""After so long a signal comes once more that was swallowed."""
 _KINDS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -65,13 +68,29 @@ def raised() -> Iterator[Note]:
         note.ended = note.ended or error
         raise error
 
+    timers: list[threading.Timer] = []
+    usual = sys.unraisablehook
+
+    def swallowed(lost: sys.UnraisableHookArgs) -> None:
+        if not isinstance(lost.exc_value, Ended):
+            usual(lost)
+            return
+        again = (threading.main_thread().ident, lost.exc_value.number)
+        timers[:] = [threading.Timer(AGAIN_S, signal.pthread_kill, again)]
+        timers[0].daemon = True
+        timers[0].start()
+
     before = {kind: signal.getsignal(kind) for kind in _KINDS}
     mine = [kind for kind in _KINDS if before[kind] is not signal.SIG_IGN]
     for kind in mine:
         signal.signal(kind, handle)
+    sys.unraisablehook = swallowed
     try:
         yield note
     finally:
+        sys.unraisablehook = usual
+        for timer in timers:
+            timer.cancel()
         for kind in mine:
             signal.signal(kind, before[kind])
 
