@@ -27,9 +27,9 @@ ALLOWED_DEATHS: Final = 1
 RETRIES: Final = 2
 """Of a task that raises: ours give a bad row, so it was Dask that failed."""
 DIED: Final = "every worker that tried this log died"
-STARTS: Final = 3
+STARTS: Final = 6
 """Times that local processes are started, if they do not come up."""
-ALONE: Final = 3
+ALONE: Final = 2
 """Times that a suspected log gets its turn alone: what kills workers may have been something else.
 """
 SECURE: Final = ("tls://", "wss://", "inproc://")

@@ -295,7 +295,7 @@ def test_a_log_may_have_any_name(folder, capsys, tmp_path):
 
 
 def test_much_that_is_dropped_is_a_warning_and_exit_1(folder, capsys, tmp_path):
-    """Of every cause: lines that are none, stamps that go back; in `replay`, `convert`, `fleet`."""
+    """Of every cause: lines that are none, stamps that go back."""
     lines = (folder / "s.log").read_text().splitlines()
     assert len(lines) > 2000
     stray = [f"(0.000001) {line.split(' ', 1)[1]}" for line in lines]
@@ -312,7 +312,7 @@ def test_much_that_is_dropped_is_a_warning_and_exit_1(folder, capsys, tmp_path):
     for name, odd, cause in (("noise", noise, "malformed"), ("back", stray, "time_back")):
         few, many = with_odd(f"{name}.few.log", odd, 0.005), with_odd(f"{name}.log", odd, 0.03)
         assert main(["replay", str(few)]) == 0
-        assert "dropped" not in capsys.readouterr().err
+        assert "was dropped" not in capsys.readouterr().err
         assert main(["replay", str(many)]) == 1
         out, err = capsys.readouterr()
         assert "2.9 % of the input was dropped, which is more than 1%" in err
@@ -320,7 +320,7 @@ def test_much_that_is_dropped_is_a_warning_and_exit_1(folder, capsys, tmp_path):
         assert "AdhesionLost" in out, "what is there is judged all the same"
         lost = 1 if cause == "malformed" else 0
         assert main(["convert", str(many), str(tmp_path / "o.csv")]) == lost
-        assert ("dropped" in capsys.readouterr().err) == bool(lost)
+        assert ("was dropped" in capsys.readouterr().err) == bool(lost)
         assert main(["convert", str(few), str(tmp_path / "o.csv")]) == 0
         capsys.readouterr()
 
