@@ -26,6 +26,10 @@ ACCELERATION_TAU_S: Final = 0.5
 MOST_ACCELERATION_TORQUE: Final = 0.15
 """Per unit of rated torque: an emergency brake of 1.5 m/s^2 for the 350 kW motor, the wheelset
 behind its gear included."""
+ROTATING_SHARE: Final = 0.08
+ROTATING_FLOOR: Final = 0.02
+"""And never more than this share of the load, plus a hill's part per unit of rated torque: what
+turns is a few percent of a train's inertia. All wheels that run away together need more."""
 SINGLE_CREDIT: Final = 0.05
 """Per unit of rated torque: a drive without others that accelerates by more may be running away."""
 LEAST_SPEED_RAD_S: Final = 3.0
