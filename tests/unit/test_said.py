@@ -116,7 +116,7 @@ def test_the_loops_are_the_same_functions_uncompiled(seed):
 
 
 def channels(rng, count):
-    ints = rng.integers(-1, 30, (12, count))
+    ints = rng.integers(-1, 30, (len(ChannelState._fields), count))
     state = ChannelState(*ints)
     reason = rng.choice([Reason.NONE, Reason.NONE, *Reason], count).astype(np.int64)
     return state._replace(

@@ -173,8 +173,8 @@ def test_evidence_and_words_are_the_contracts(seed):
         world.why = rng.integers(0, len(Reason), N)
         before = said.Said(*(column.copy() for column in words))
         _said_kernels.weigh(
-            come, world.wrong, told, world.lost, world.known, found, int(world.doubt), RULES,
-            world.seen, world.why,
+            come, world.wrong, np.zeros(N, dtype=np.bool_), told, world.lost, world.known, found,
+            int(world.doubt), RULES, world.seen, world.why,
         )  # fmt: skip
         for k in range(N):
             adhesion, why = adhesion_of(k, told, come, world)
