@@ -52,7 +52,7 @@ def test_what_warm_made_is_used_and_what_is_missing_or_damaged_is_said(tmp_path:
     assert "compiled" not in errors
     (one,) = kernels.rglob("*.decode_block.*.nbc")
     one.write_bytes(one.read_bytes()[:1000])
-    (two,) = kernels.rglob("*.receive.*.nbc")
+    (two,) = kernels.rglob("*.merge_motion.*.nbc")
     two.unlink()
     before = {path: path.stat().st_mtime_ns for path in kernels.rglob("*")}
     code, _, errors = program(*run)
