@@ -7,9 +7,9 @@ versions of Python, numba, llvmlite and NumPy. A stamp over all sources would ne
 then every edit would compile everything anew, which takes minutes; a kernel's module imports 0 to
 97 of 300.
 
-A file is the stamp, a hash over stamp, key and content, and the content (one pickle). What is
-missing, stale, cut short or garbage is compiled anew; what cannot be written stays in memory, and
-that is logged once.
+A file is the stamp, a hash over stamp, key and content, the content (one pickle) and the key, for
+people. What is missing, stale, cut short or garbage is compiled anew; what cannot be written stays
+in memory, and that is logged once.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class KernelCache(caching._Cache):
                 return None
             key = self._key(sig, target_context.codegen())
             data = self._path(folder, key).read_bytes()
-            head, content = data[: 2 * SIZE], data[2 * SIZE :]
+            head, content = data[: 2 * SIZE], data[2 * SIZE :].removesuffix(key)
             if head != self._head(key, content):
                 return None
             return CompileResult._rebuild(target_context, *pickle.loads(content))  # noqa: S301 - who writes there may run code here: docs/threats.md
@@ -126,7 +126,7 @@ class KernelCache(caching._Cache):
         new = path.with_name(f"{path.name}.tmp.{uuid.uuid4().hex}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            new.write_bytes(head + content)
+            new.write_bytes(head + content + key)
             new.replace(path)
             for other in path.parent.glob(f"{glob.escape(self._name)}.*.nbc"):
                 with other.open("rb") as file:

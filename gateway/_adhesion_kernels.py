@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from gateway.said import Flags, Rules
     from gateway.slow import SlowState
     from gateway.tracks import Told
+    from gateway.train import Train
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -96,22 +97,22 @@ def _enough_load(known: Bools, common: float, tick_s: float, trust: Trust) -> No
 @lean
 def conclude(
     lost: Array, known: Bools, common: float, now: int, tick_s: float, response: Memory,
-    at: Instant, heard: Heard, odd_s: Array, part: float, spreads: float, rules: Rules,
+    at: Instant, heard: Heard, train: Train, part: float, spreads: float, rules: Rules,
     mode: Flags, trust: Trust, room: Room,
 ) -> bool:  # fmt: skip
     """The detector's opinion with every drive's own response; who is severely lost; common mode.
 
-    lost, known (N,), common: its opinion, changed where it rests on too little load; odd_s (N,):
-    for how long a command has been odd (`train`), which accuses nobody; part, spreads: as for
-    `severely`; mode: its first flag is that of all drives' loss. Fills lost, known, severe and
-    since when loads are known. True where a drive's load answers a new command.
+    lost, known (N,), common: its opinion, changed where it rests on too little load; train: who
+    runs away, and whose command is odd, which accuses nobody; part, spreads: as for `severely`;
+    mode: its first flag is that of all drives' loss. Fills lost, known, severe and since when loads
+    are known. True where a drive's load answers a new command.
     """
     respond(response, heard, tick_s, room.alone, room.meant)
     for k in range(lost.shape[0]):
-        if odd_s[k] > 0.0:
+        if train.odd_s[k] > 0.0:
             room.alone[k] = min(room.alone[k], OPEN)
     _enough_load(known, common, tick_s, trust)
-    fuse(lost, known, room.alone, heard, room.meant, room.lost, room.known)
+    fuse(lost, known, room.alone, heard, train.away, room.meant, room.lost, room.known)
     # Of what the others carry, or with nobody to compare with, of the command.
     severely(common, heard, room.referred, room.spread, at.known, part, spreads, room.severe)
     answered = False

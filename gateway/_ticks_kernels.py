@@ -194,7 +194,7 @@ def several(
         common = _opinion(judging)
         answered = conclude(
             judging.lost, judging.known, common, now, judging.tick_s, response, judging.at,
-            judging.heard, judging.train.odd_s, judging.part, judging.spreads, judging.rules,
+            judging.heard, judging.train, judging.part, judging.spreads, judging.rules,
             judging.mode, judging.trust, judging.room,
         )  # fmt: skip
         due = now >= learn_ns

@@ -55,14 +55,19 @@ def middle(count: int, upper: bool, rank: Array) -> float:
 
 
 @inlined
-def _without(k: int, values: Array, alike: Ints, upper: bool, rank: Array) -> float:
-    """Median of the other drives' values, of those alike; NaN without any."""
+def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
+    """Median speed of the other drives with the same motor, the `tracked` ones only or all.
+
+    NaN without any.
+    """
     count = 0
-    for j in range(values.shape[0]):
-        if j != k and alike[j] == alike[k] and not math.isnan(values[j]):
-            insert(values[j], count, rank)
+    for j in range(train.speed.shape[0]):
+        alike = j != k and train.motor[j] == train.motor[k]
+        counts = not math.isnan(train.speed[j]) and not (tracked and math.isnan(train.load[j]))
+        if alike and counts:
+            insert(train.speed[j], count, train.rank)
             count += 1
-    return middle(count, upper, rank)  # type: ignore[no-any-return,unused-ignore]
+    return middle(count, upper, train.rank)  # type: ignore[no-any-return,unused-ignore]
 
 
 @inlined
@@ -89,7 +94,9 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
     for k in range(train.speed.shape[0]):
         speed = train.speed[k]
         if math.isnan(speed):
-            train.slow_speed[k] = math.nan
+            # Beside `Motion` that is apart the drive is still followed.
+            if math.isnan(train.load[k]):
+                train.slow_speed[k] = math.nan
             continue
         slow = speed if math.isnan(train.slow_speed[k]) else train.slow_speed[k]
         train.slow_speed[k] = slow + tick_s / _ACCELERATION_TAU_S * (speed - slow)
@@ -109,6 +116,19 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
 
 
 @inlined
+def _runs_away(k: int, effort: float, train: Train) -> bool:
+    """Whether drive k's wheel has left the others for the side that the effort takes it to.
+
+    It has where its own speed has changed, not theirs; until it is back. effort: 1, braking -1.
+    """
+    slip = effort * train.creep[k]
+    if train.away[k]:
+        return bool(slip > _LEARN_CREEP)
+    own = train.speed[k] * train.diameter[k] / abs(train.slow_speed[k]) - 1.0
+    return bool(slip > _MOST_CREEP and effort * own > _LEARN_CREEP)
+
+
+@inlined
 def _compare_speeds(tick_s: float, braking: bool, flag: Ints, train: Train) -> None:
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
     lost = False
@@ -116,13 +136,16 @@ def _compare_speeds(tick_s: float, braking: bool, flag: Ints, train: Train) -> N
         lost = lost or flag[k] == _BAD
         train.speed[k] = abs(train.speed[k]) / train.diameter[k]
     for k in range(flag.shape[0]):
-        others = _without(k, train.speed, train.motor, braking, train.rank)
+        others = _others(k, True, braking, train)
+        if math.isnan(others):
+            others = _others(k, False, braking, train)
         train.creep[k] = math.nan
         if not others >= _LEAST_SPEED or math.isnan(train.speed[k]):
             continue
         creep = train.speed[k] / others - 1.0
         train.creep[k] = creep
         train.uncertain[k] = train.uncertain[k] or abs(creep) > _MOST_CREEP
+        train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
     for k in range(flag.shape[0]):
         settled = train.learnt_s[k] >= _DIAMETER_FIRST_S
         near = _LEARN_CREEP if settled else _MOST_DIAMETER + _LEARN_CREEP

@@ -101,7 +101,7 @@ class AdhesionSide:
             Evidence(room.referred, room.spread, at.known, speeds)
         )  # fmt: skip
         answered = self._conclude(
-            lost, known, common, now, self.tick_s, self.response, at, heard, self.train.odd_s,
+            lost, known, common, now, self.tick_s, self.response, at, heard, self.train,
             SEVERE, SEVERE_SPREADS, self.rules, self.mode, self.trust, room,
         )  # fmt: skip
         return self.learn(answered, common, flag, slow.operating, now)

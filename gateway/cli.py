@@ -76,7 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             code = _printed(words)
         except KeyboardInterrupt as error:
-            code = endings.ended_by(error).code
+            # A service that is told to stop before it serves has done so.
+            code = 0 if words[:1] in _SERVICES else endings.ended_by(error).code
         except BrokenPipeError:
             code = endings.BROKEN_PIPE
         except Exception:

@@ -74,6 +74,7 @@ class Train(NamedTuple):
     rated Nm, inertia kg m2, motor: which of them are equal; slow_speed: smoothed speed of the
     rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
+    away: left the others for the side that the effort takes it to, and is not back yet;
     uncertain: it may be running away, or braked by something else; uncommanded_s, odd_s: for how
     long, odd: too long; above: carries more than its command and than the others, in this tick;
     speed, load, rank: of one tick.
@@ -87,6 +88,7 @@ class Train(NamedTuple):
     diameter: Array
     learnt_s: Array
     creep: Array
+    away: Flags
     uncertain: Flags
     uncommanded_s: Array
     odd_s: Array
@@ -102,10 +104,10 @@ def start(motors: Sequence[Motor]) -> Train:
     n = len(motors)
     kinds = list(dict.fromkeys(motors))
     unknown = np.full((5, n), np.nan)
+    away, uncertain, odd, above = np.zeros((4, n), dtype=np.bool_)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], np.zeros(n, dtype=np.bool_), np.zeros(n), np.zeros(n),
-        np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_), unknown[2], unknown[3],
-        unknown[4],
+        np.ones(n), np.zeros(n), unknown[1], away, uncertain, np.zeros(n), np.zeros(n), odd, above,
+        unknown[2], unknown[3], unknown[4],
     )  # fmt: skip

@@ -215,8 +215,8 @@ def coasts(i: int, heard: response.Heard) -> bool:
 
 @lean
 def fuse(
-    lost: Array, known: Flags, alone: Array, heard: response.Heard, meant: Flags, out: Array,
-    told: Flags,
+    lost: Array, known: Flags, alone: Array, heard: response.Heard, away: Flags, meant: Flags,
+    out: Array, told: Flags,
 ) -> None:  # fmt: skip
     """`response.fuse`; fills out and told (N,)."""
     for i in range(lost.shape[0]):
@@ -225,6 +225,6 @@ def fuse(
             outvoted = alone[i] < _CERTAINLY_GOOD and both <= _SURE
             both = max(min(both, _VETOED) if outvoted else both, alone[i])
         elif asked:
-            both = min(both, _OPEN)
+            both = max(both, alone[i]) if away[i] else min(both, _OPEN)
         out[i] = both if known[i] else alone[i]
         told[i] = known[i] or asked

@@ -133,20 +133,21 @@ def coasting(heard: Heard) -> Flags:
     return coasts
 
 
-def fuse(opinion: Opinion, alone: Array, heard: Heard, meant: Flags) -> Opinion:
+def fuse(opinion: Opinion, alone: Array, heard: Heard, away: Flags, meant: Flags) -> Opinion:
     """Comparison between drives, and each drive's own response to its command.
 
     Either may accuse a drive; a drive that certainly answers its command is accused by no
     comparison that is not `SURE`: it may have taken a slipping majority, or one that reads too
     much, for normal. Without a command, or other drives, there is only one of the two; a drive that
     coasts is judged by the comparison alone. While a command is on its way through zero, drives do
-    not follow it at quite the same instant, and no comparison accuses. alone, meant (N,): of
-    `respond`.
+    not follow it at quite the same instant, and no comparison accuses; of a rotor that runs `away`
+    (N,) none clears. alone, meant (N,): of `respond`.
     """
     outvoted = (alone < CERTAINLY_GOOD) & (opinion.lost <= SURE)
     vetoed = np.where(outvoted, np.minimum(opinion.lost, VETOED), opinion.lost)
     asked = heard.usable & ~coasting(heard)
-    compared = np.where(asked, np.minimum(opinion.lost, OPEN), opinion.lost)
+    passing = np.where(away, np.maximum(opinion.lost, alone), np.minimum(opinion.lost, OPEN))
+    compared = np.where(asked, passing, opinion.lost)
     both = np.where(meant, np.maximum(vetoed, alone), compared)
     known = opinion.known | asked
     return Opinion(np.where(opinion.known, both, alone), known, opinion.common)

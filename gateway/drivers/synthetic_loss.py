@@ -281,14 +281,14 @@ def _unknown(view: DriveView, when: str) -> str:
 def _cause(view: DriveView, most: float, config: Config) -> str:
     """Why a loss was not found: what is known at the end of it, the highest probability of it."""
     a = config.adhesion
-    if view.adhesion is Flag.UNKNOWN:
-        return _unknown(view, "in the loss")
     signals = {drive.node: drive.signals for drive in config.drive}[view.node]
     if signals is not None and "TorqueCommand" not in signals.use:
         return (
             "its torque stands for the command, and falls with the load: map TorqueCommand to the "
             "torque that the inverter is asked for"
         )
+    if view.adhesion is Flag.UNKNOWN:
+        return _unknown(view, "in the loss")
     if most >= a.raise_probability:
         return (
             f"its loss probability reaches {most:.3g}, but does not hold for "
@@ -307,6 +307,7 @@ _FILTER: Final = (
 )
 _CURES: Final = {
     Reason.RANGE: "signals of the DBC cannot hold 60 % of I_rated and T_rated of its motor: "
-    "correct [motor], or give those signals a larger factor",
+    "correct [motor], or give those signals a larger factor; or its currents and its torque "
+    "contradict each other: compare estimator.process_noise with the default",
     Reason.STALE: "messages come less often than GenMsgCycleTime of the DBC says",
 }

@@ -166,7 +166,7 @@ def test_a_mapped_inverter_is_tried_in_its_own_words(tmp_path):
 
 
 def test_a_torque_in_place_of_the_command_hides_half_a_load(tmp_path):
-    for one in tried(mapped(tmp_path, "phases", 2, drives=2)):
+    for one in tried(mapped(tmp_path, "phases", 2, drives=3)):
         assert one.after_ms is None
         assert "map TorqueCommand" in one.problem
 

@@ -86,23 +86,29 @@ def test_fusing():
         n = 5
         compared = Opinion(rng.random(n), rng.random(n) < 0.7, 0.6)
         alone, meant = rng.random(n) ** 4, rng.random(n) < 0.7
-        now = next(heard(rng, n))
-        plain = response.fuse(compared, alone, now, meant)
+        now, away = next(heard(rng, n)), rng.random(n) < 0.5
+        plain = response.fuse(compared, alone, now, away, meant)
         lost, known = np.empty(n), np.empty(n, dtype=bool)
-        compiled.fuse(compared.lost, compared.known, alone, now, meant, lost, known)
+        compiled.fuse(compared.lost, compared.known, alone, now, away, meant, lost, known)
         np.testing.assert_array_equal(lost, plain.lost)
         np.testing.assert_array_equal(known, plain.known)
 
 
 def test_a_response_outvotes_a_comparison_only_where_it_is_sure():
-    compared = Opinion(np.array([0.99, 0.99, 0.99, 0.1, 0.995]), np.ones(5, dtype=bool), 0.6)
-    alone = np.array([0.01, 0.2, 0.01, 0.99, 0.01])
-    zero, asked = np.zeros(5), np.full(5, 0.6)
-    everyone = response.Heard(asked, zero, asked, asked, zero, np.ones(5, dtype=bool))
-    meant = np.array([True, True, False, True, True])
-    fused = response.fuse(compared, alone, everyone, meant)
-    # The third command is on its way through zero: nothing accuses, nothing clears.
-    assert fused.lost.tolist() == [response.VETOED, 0.99, response.OPEN, 0.99, 0.995]
+    compared = Opinion(
+        np.array([0.99, 0.99, 0.99, 0.1, 0.995, 0.99, 0.01]), np.ones(7, dtype=bool), 0.6
+    )
+    alone = np.array([0.01, 0.2, 0.01, 0.99, 0.01, response.OPEN, response.OPEN])
+    zero, asked = np.zeros(7), np.full(7, 0.6)
+    everyone = response.Heard(asked, zero, asked, asked, zero, np.ones(7, dtype=bool))
+    meant = np.array([True, True, False, True, True, False, False])
+    away = np.array([False, False, False, False, False, True, True])
+    fused = response.fuse(compared, alone, everyone, away, meant)
+    # The third command is on its way through zero: nothing accuses. So are the last two, but their
+    # rotors run away: what accuses does, nothing clears.
+    assert fused.lost.tolist() == [
+        response.VETOED, 0.99, response.OPEN, 0.99, 0.995, 0.99, response.OPEN,
+    ]  # fmt: skip
 
 
 def test_a_drive_that_coasts_is_known_by_the_comparison_only():
@@ -110,8 +116,8 @@ def test_a_drive_that_coasts_is_known_by_the_comparison_only():
     zero, asked = np.zeros(2), np.full(2, 0.05)
     coasts = response.Heard(zero, zero, asked, asked, zero, np.ones(2, dtype=bool))
     alone, meant = np.full(2, response.OPEN), np.zeros(2, dtype=bool)
-    assert response.fuse(compared, alone, coasts, meant).known.tolist() == [True, False]
-    assert response.fuse(compared, alone, coasts, meant).lost[0] == 0.2
+    assert response.fuse(compared, alone, coasts, meant, meant).known.tolist() == [True, False]
+    assert response.fuse(compared, alone, coasts, meant, meant).lost[0] == 0.2
 
 
 def test_referred_loads_and_severe_losses_are_those_of_the_array_forms():
