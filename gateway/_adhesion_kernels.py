@@ -113,6 +113,10 @@ def conclude(
             room.alone[k] = min(room.alone[k], OPEN)
     _enough_load(known, common, tick_s, trust)
     fuse(lost, known, room.alone, heard, train.away, room.meant, room.lost, room.known)
+    for k in range(lost.shape[0]):
+        if now < train.doubt_ns[k] and room.lost[k] > OPEN:
+            room.lost[k] = OPEN
+            train.uncertain[k] = True
     # Of what the others carry, or with nobody to compare with, of the command.
     severely(common, heard, room.referred, room.spread, at.known, part, spreads, room.severe)
     answered = False

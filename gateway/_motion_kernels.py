@@ -18,6 +18,7 @@ from estimators.observer import LoadState, Mechanics
 
 if TYPE_CHECKING:
     from estimators.unbalance import Unbalance
+    from gateway.inputs import Inputs
     from gateway.motion import Limits, Memory
     from gateway.slow import Readings
     from gateway.tracks import Told
@@ -127,7 +128,7 @@ def _fade(k: int, observed: bool, told: Told, memory: Memory, limits: Limits) ->
 
 @inlined
 def _merge(
-    k: int, fresh: bool, any_beyond: bool, told: Told, memory: Memory, limits: Limits
+    k: int, fresh: bool, sampled: bool, any_beyond: bool, told: Told, memory: Memory, limits: Limits
 ) -> None:
     """The estimate of drive k to use; one whose input cannot be believed stays what it is.
 
@@ -139,6 +140,9 @@ def _merge(
     observed = memory.beyond[k] or (any_beyond and ready)
     if observed and not invalid:
         _by_observer(k, fresh, told, memory, limits)
+        # It goes on with `Motion` alone, but nothing shows any more that this is plausible.
+        if not sampled and told.health[k] == _TRACKING:
+            told.health[k] = _PREDICTING
     if invalid or math.isnan(told.load[k]) or told.health[k] != _TRACKING:
         memory.load[k] = math.nan
     else:
@@ -147,15 +151,16 @@ def _merge(
 
 @lean
 def merge_motion(
-    measured: Array, sensors: Unbalance, until_ns: Ints, now: int, told: Told, memory: Memory,
+    inputs: Inputs, sensors: Unbalance, until_ns: Ints, now: int, told: Told, memory: Memory,
     limits: Limits,
 ) -> None:  # fmt: skip
     """What each drive is told to be, measured speeds considered; changes `told`.
 
-    measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; until_ns (N,): until when its
-    values are implausible (`plausibility`). A drive whose input cannot be what it seems is marked
-    in `memory.wrong`.
+    inputs: speeds of fresh `Motion`, and whose currents are fresh; until_ns (N,): until when a
+    drive's values are implausible (`plausibility`). A drive whose input cannot be what it seems is
+    marked in `memory.wrong`.
     """
+    measured = inputs.speed
     any_beyond = False
     for k in range(measured.shape[0]):
         w = measured[k]
@@ -172,7 +177,7 @@ def merge_motion(
         implausible = now < until_ns[k]
         if straight or implausible:
             _nothing(k, _INPUT_INVALID, told)
-        _merge(k, fresh, any_beyond, told, memory, limits)
+        _merge(k, fresh, inputs.fresh[k], any_beyond, told, memory, limits)
         if apart:
             _nothing(k, _INPUT_INVALID, told)
             told.reason[k] = _STARTING

@@ -32,6 +32,7 @@ _HELD_NS, _LATE_NS, _DOUBT_NS, _RESTART_NS = p.HELD_NS, p.LATE_NS, p.DOUBT_NS, p
 _LEAST_CURRENT, _LEAST_TORQUE = p.LEAST_CURRENT, p.LEAST_TORQUE
 _LOAD_OFF, _LOAD_OFF_RELATIVE, _LOADS_IN_A_ROW = p.LOAD_OFF, p.LOAD_OFF_RELATIVE, p.LOADS_IN_A_ROW
 _TORQUE_OFF, _TORQUE_OFF_RELATIVE = p.TORQUE_OFF, p.TORQUE_OFF_RELATIVE
+_TORQUE_DOUBT, _TORQUE_DOUBT_RELATIVE = p.TORQUE_DOUBT, p.TORQUE_DOUBT_RELATIVE
 _ANGLE_OFF, _ANGLE_OFF_SAMPLES, _LEAST_PERIOD_S = p.ANGLE_OFF, p.ANGLE_OFF_SAMPLES, p.LEAST_PERIOD_S
 _MOST_TURN = p.MOST_TURN
 _KEEP, _COHERENT, _LEARN_ANEW_NS = p.KEEP, p.COHERENT, p.LEARN_ANEW_NS
@@ -94,9 +95,14 @@ def _nearest(k: int, t_ns: int, newest_ns: int, samples: Samples, dt_s: float) -
 
 
 @inlined
-def _torque_off(made: float, reported: float, rated: float) -> bool:
-    most = _TORQUE_OFF * rated + _TORQUE_OFF_RELATIVE * abs(reported)
-    return bool(abs(made - reported) > most)
+def _torque_off(
+    k: int, made: float, reported: float, rated: float, now: int, check: Plausibility
+) -> bool:
+    """Whether two torques are further apart than motor data explain; notes a lesser doubt."""
+    apart = abs(made - reported)
+    if apart > _TORQUE_DOUBT * rated + _TORQUE_DOUBT_RELATIVE * abs(reported):
+        check.doubt_ns[k] = now + _DOUBT_NS
+    return bool(apart > _TORQUE_OFF * rated + _TORQUE_OFF_RELATIVE * abs(reported))
 
 
 @inlined
@@ -174,7 +180,7 @@ def _check_reading(
         back = (newest_ns - readings.t_ns[r]) * 1e-9 - later
         theta = filters.x[k, _THETA] - w_e * back
         made = limits.k_torque[k] * (current * complex(math.cos(theta), -math.sin(theta))).imag
-        off = _torque_off(made, torque, limits.rated_nm[k])
+        off = _torque_off(k, made, torque, limits.rated_nm[k], now, check)
     if not math.isnan(angle) and size > 0.0 and abs(torque) >= _LEAST_TORQUE * limits.rated_nm[k]:
         theta = angle + w_e * later
         turned = current * complex(math.cos(theta), -math.sin(theta))
@@ -183,7 +189,7 @@ def _check_reading(
         if check.learnt[k] >= _LEARN:
             base = check.base[k] / max(abs(check.base[k]), 1e-9)
             made = sign * limits.k_torque[k] * size * (unit * base.conjugate()).real
-            off = off or _torque_off(made, torque, limits.rated_nm[k])
+            off = _torque_off(k, made, torque, limits.rated_nm[k], now, check) or off
         apart = _angle_off(
             k, unit, w_e, readings.t_ns[r], tracking and not off, check, limits.period_s
         )
@@ -205,7 +211,7 @@ def _motion_held(
     """Whether `Motion` of drive k stands still while something that it must follow has changed."""
     if now - check.changed_ns[k] <= _MOTION_HELD_NS or math.isnan(measured[k]):
         return False
-    if _moved(own, check.own[k]):
+    if _moved(own, check.own[k]) or _moved(own, measured[k]):
         return True
     if abs(slow.command[k] - check.command[k]) > _COMMAND_MOVED * rated_nm and (
         now - slow.command_ns[k] > _MOTION_HELD_NS
@@ -289,4 +295,5 @@ def check_values(
             # What the filter has learnt meanwhile is of no use.
             forget(k, filters, tracks)
             filters.lean[k] = 0.0
+            tracks.flux[k] = math.nan
             check.restart[k] = now < check.until_ns[k]

@@ -179,7 +179,7 @@ def several(
             filtering.check_limits,
         )  # fmt: skip
         merge_motion(
-            inputs.speed, filtering.believed.sensors, filtering.check.until_ns, now, told,
+            inputs, filtering.believed.sensors, filtering.check.until_ns, now, told,
             filtering.motion, filtering.limits,
         )  # fmt: skip
         assess_train(

@@ -25,7 +25,8 @@ _RANGE, _NOT_AVAILABLE = 5, 6  # Reason
 _GOOD, _BAD = 1, 2  # Flag
 _ACCELERATION_TAU_S, _MOST_TORQUE = t.ACCELERATION_TAU_S, t.MOST_ACCELERATION_TORQUE
 _ROTATING_FLOOR, _ROTATING_SHARE = t.ROTATING_FLOOR, t.ROTATING_SHARE
-_SINGLE_CREDIT, _LEAST_SPEED = t.SINGLE_CREDIT, t.LEAST_SPEED_RAD_S
+_SINGLE_CREDIT, _SINGLE_CHANGE = t.SINGLE_CREDIT, t.SINGLE_CHANGE
+_LEAST_SPEED = t.LEAST_SPEED_RAD_S
 _MOST_CREEP, _LEARN_CREEP = t.MOST_CREEP, t.LEARN_CREEP
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
@@ -112,7 +113,9 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
         load = 0.0 if math.isnan(train.load[k]) else abs(train.load[k])
         most = min(_MOST_TORQUE, _ROTATING_FLOOR + _ROTATING_SHARE * load)
         train.taken[k] = min(max(torque, -most), most)
-        train.uncertain[k] = count < 2 and abs(train.taken[k]) > _SINGLE_CREDIT
+        train.uncertain[k] = count < 2 and (
+            abs(train.taken[k]) > _SINGLE_CREDIT or abs(rate) * _ACCELERATION_TAU_S > _SINGLE_CHANGE
+        )
 
 
 @inlined

@@ -84,7 +84,6 @@ class Gateway:
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), config.loop.period_ns)
         times = _timing(self.inbox.drives)
         self.motion = MotionSide(motors, config.estimator, times, config.loop.period_ns)
-        self.plausibility = plausibility.start(len(nodes))
         self.plausibility_limits = plausibility.limits(
             motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND, SETTLED_READINGS
         )
@@ -115,6 +114,7 @@ class Gateway:
         tick_ns = config.loop.period_ns
         self.rules = said.rules(timing, a.raise_probability, a.clear_probability, tick_ns)
         self.adhesion = AdhesionSide(a, motors, self.rules, tick_ns)
+        self.plausibility = plausibility.start(len(nodes), self.adhesion.train.doubt_ns)
         self.flags = said.flags(len(nodes), start_ns)
         self.said = said.said(len(nodes), self.adhesion.detector.code)
         self.changed = True
@@ -192,7 +192,7 @@ class Gateway:
             self.plausibility, self.plausibility_limits,
         )  # fmt: skip
         until_ns = self.plausibility.until_ns
-        self.motion.settle(inputs.speed, self.bank.sensors, until_ns, now, told)
+        self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
         flag, since = self.flags.flag[Which.ADHESION], self.flags.since_ns[Which.ADHESION]
         opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
         return self.judged(opinion, now)

@@ -22,6 +22,7 @@ from estimators.unbalance import Unbalance
 from gateway._direct import Direct
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway.config import Estimator, Motor
+from gateway.inputs import Inputs
 from gateway.slow import Readings
 from gateway.tracks import Told
 
@@ -159,12 +160,12 @@ class MotionSide:
         self._read(readings, count, flux, self.memory, self.limits)
 
     def settle(
-        self, measured: Array, sensors: Unbalance, until_ns: Ints, now: Nanos, told: Told
+        self, inputs: Inputs, sensors: Unbalance, until_ns: Ints, now: Nanos, told: Told
     ) -> Flags:
         """Changes `told` to what is to be used; which drives' input cannot be what it seems, (N,).
 
-        measured (N,): rotor speed of fresh `Motion`, rad/s, NaN without; sensors: who sees that
+        inputs: speeds of fresh `Motion`, and whose currents are fresh; sensors: who sees that
         currents do not turn with a rotor that does; until_ns (N,): see `plausibility`.
         """
-        self._settle(measured, sensors, until_ns, now, told, self.memory, self.limits)
+        self._settle(inputs, sensors, until_ns, now, told, self.memory, self.limits)
         return self.memory.wrong

@@ -49,6 +49,9 @@ TORQUE_OFF: Final = 0.15
 TORQUE_OFF_RELATIVE: Final = 0.3
 """Largest difference of two torques, per unit of rated, and of the reported one: magnets may be a
 fifth off the data sheet."""
+TORQUE_DOUBT: Final = 0.06
+TORQUE_DOUBT_RELATIVE: Final = 0.22
+"""From here on currents are no evidence of a loss."""
 LOAD_OFF: Final = 0.25
 LOAD_OFF_RELATIVE: Final = 0.3
 LOADS_IN_A_ROW: Final = 4
@@ -86,8 +89,8 @@ class Plausibility(NamedTuple):
     vector (N, 8, 2): the last currents, A, a ring; samples (N,): how many there were; equal,
     equal_s (N,): repeated vectors in a row, and for how long; block (N,): samples in a row that are
     those of eight before; until_ns (N,): implausible until then; restart (N,): the filter has to
-    begin anew after it; base (N,): learnt angle as a mean
-    unit vector, from learnt (N,) readings; deviation (N,) rad: of late; off, torque_off, load_off,
+    begin anew after it; doubt_ns (N,): until then nobody is accused by the currents; base (N,):
+    learnt angle as a mean unit vector, from learnt (N,) readings; deviation (N,) rad: of late; off, torque_off, load_off,
     motion_held (N,): readings in a row that do not fit; off_ns (N,): since when the angle does not.
 
     Of `Motion`: speed, torque (N,) as last sent, changed_ns (N,) when they last changed, and what
@@ -101,6 +104,7 @@ class Plausibility(NamedTuple):
     block: Ints
     until_ns: Ints
     restart: Flags
+    doubt_ns: Ints
     base: NDArray[np.complex128]
     learnt: Ints
     deviation: Array
@@ -134,8 +138,8 @@ class PlausibilityLimits(NamedTuple):
     settled_readings: int
 
 
-def start(n: int) -> Plausibility:
-    """Nothing received."""
+def start(n: int, doubt_ns: Ints) -> Plausibility:
+    """Nothing received. doubt_ns (N,): where doubts are noted, for who judges."""
 
     def none() -> Array:
         return np.full(n, np.nan)
@@ -146,6 +150,7 @@ def start(n: int) -> Plausibility:
     return Plausibility(
         vector=np.zeros((n, HISTORY, 2)), samples=zero(), equal=zero(), equal_s=np.zeros(n),
         block=zero(), until_ns=zero(), restart=np.zeros(n, dtype=np.bool_),
+        doubt_ns=doubt_ns,
         base=np.zeros(n, dtype=np.complex128), learnt=zero(),
         deviation=np.zeros(n), off=zero(), torque_off=zero(), load_off=zero(),
         motion_held=zero(), off_ns=zero(), speed=none(),

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.config import Motor
+from gateway.health import NEVER
 
 ACCELERATION_TAU_S: Final = 0.5
 """Time constant of a rotor's acceleration."""
@@ -32,6 +33,9 @@ ROTATING_FLOOR: Final = 0.02
 turns is a few percent of a train's inertia. All wheels that run away together need more."""
 SINGLE_CREDIT: Final = 0.05
 """Per unit of rated torque: a drive without others that accelerates by more may be running away."""
+SINGLE_CHANGE: Final = 0.3
+"""And one that is so far from its own speed of late, as a share of it; a train of 1 m/s^2 is beyond
+1.7 m/s when it is not."""
 LEAST_SPEED_RAD_S: Final = 3.0
 """At the rotor; below it a share of the speed says nothing."""
 SPEEDS_APART: Final = 0.05
@@ -75,9 +79,9 @@ class Train(NamedTuple):
     rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
     away: left the others for the side that the effort takes it to, and is not back yet;
-    uncertain: it may be running away, or braked by something else; uncommanded_s, odd_s: for how
-    long, odd: too long; above: carries more than its command and than the others, in this tick;
-    speed, load, rank: of one tick.
+    uncertain: it may be running away, or braked by something else; doubt_ns: until then its
+    currents accuse nobody; uncommanded_s, odd_s: for how long, odd: too long; above: carries more
+    than its command and than the others, in this tick; speed, load, rank: of one tick.
     """
 
     rated: Array
@@ -90,6 +94,7 @@ class Train(NamedTuple):
     creep: Array
     away: Flags
     uncertain: Flags
+    doubt_ns: Ints
     uncommanded_s: Array
     odd_s: Array
     odd: Flags
@@ -105,9 +110,11 @@ def start(motors: Sequence[Motor]) -> Train:
     kinds = list(dict.fromkeys(motors))
     unknown = np.full((5, n), np.nan)
     away, uncertain, odd, above = np.zeros((4, n), dtype=np.bool_)
+    doubt_ns = np.full(n, NEVER, dtype=np.int64)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], away, uncertain, np.zeros(n), np.zeros(n), odd, above,
+        np.ones(n), np.zeros(n), unknown[1], away, uncertain, doubt_ns,
+        np.zeros(n), np.zeros(n), odd, above,
         unknown[2], unknown[3], unknown[4],
     )  # fmt: skip

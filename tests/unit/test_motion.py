@@ -10,6 +10,7 @@ from estimators import unbalance
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Flag, Health, Reason
+from gateway.inputs import inputs
 from gateway.motion import MotionSide, Timebase
 from gateway.slow import RPM, readings
 from gateway.tracks import told
@@ -74,7 +75,7 @@ def tick(motion, *rows, flux=1.0):
     motion.take(given, len(rows), np.full(len(motion.memory.load), flux))
 
 
-def merged(motion, estimates, speeds):
+def merged(motion, estimates, speeds, sampled=True):
     """What the bank told, and what becomes of it."""
     n = len(estimates)
     said = told(n)
@@ -84,8 +85,10 @@ def merged(motion, estimates, speeds):
         said.speed[k], said.load[k], said.sigma[k], said.nis[k] = (
             math.nan if x is None else x for x in numbers
         )
-    measured = np.array([math.nan if w is None else w for w in speeds])
-    motion.settle(measured, unbalance.start(n), np.zeros(n, dtype=np.int64), 0, said)
+    given = inputs(n)
+    given.speed[:] = [math.nan if w is None else w for w in speeds]
+    given.fresh[:] = sampled
+    motion.settle(given, unbalance.start(n), np.zeros(n, dtype=np.int64), 0, said)
     return estimates_of(said)
 
 
