@@ -77,8 +77,8 @@ def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
 
 
 @inlined
-def _enough_load(known: Bools, common: float, tick_s: float, trust: Trust) -> None:
-    """A comparison of drives that carry next to nothing is none."""
+def _enough_load(lost: Array, known: Bools, common: float, tick_s: float, trust: Trust) -> None:
+    """A comparison of drives that carry next to nothing is none, and with little accuses nobody."""
     some = False
     for k in range(known.shape[0]):
         some = some or known[k]
@@ -90,8 +90,10 @@ def _enough_load(known: Bools, common: float, tick_s: float, trust: Trust) -> No
     trust.common[0] += min(tick_s / LOAD_TAU_S, 1.0) * (common - trust.common[0])
     least = LEAST_LOAD if trust.loaded[0] else MORE_LOAD
     trust.loaded[0] = abs(trust.common[0]) >= least
+    little = min(abs(trust.common[0]), abs(common)) < MORE_LOAD
     for k in range(known.shape[0]):
-        known[k] = known[k] and trust.loaded[0]
+        accused = little and lost[k] > OPEN
+        known[k] = known[k] and trust.loaded[0] and not accused
 
 
 @lean
@@ -111,7 +113,7 @@ def conclude(
     for k in range(lost.shape[0]):
         if train.odd_s[k] > 0.0:
             room.alone[k] = min(room.alone[k], OPEN)
-    _enough_load(known, common, tick_s, trust)
+    _enough_load(lost, known, common, tick_s, trust)
     fuse(lost, known, room.alone, heard, train.away, room.meant, room.lost, room.known)
     for k in range(lost.shape[0]):
         if now < train.doubt_ns[k] and room.lost[k] > OPEN:

@@ -35,8 +35,10 @@ _TORQUE_OFF, _TORQUE_OFF_RELATIVE = p.TORQUE_OFF, p.TORQUE_OFF_RELATIVE
 _TORQUE_DOUBT, _TORQUE_DOUBT_RELATIVE = p.TORQUE_DOUBT, p.TORQUE_DOUBT_RELATIVE
 _ANGLE_OFF, _ANGLE_OFF_SAMPLES, _LEAST_PERIOD_S = p.ANGLE_OFF, p.ANGLE_OFF_SAMPLES, p.LEAST_PERIOD_S
 _MOST_TURN = p.MOST_TURN
-_KEEP, _COHERENT, _LEARN_ANEW_NS = p.KEEP, p.COHERENT, p.LEARN_ANEW_NS
+_KEEP, _COHERENT = p.KEEP, p.COHERENT
+_LEARN_ANEW_NS, _ANGLE_GAP_NS = p.LEARN_ANEW_NS, p.ANGLE_GAP_NS
 _MOTION_HELD_NS, _COMMAND_MOVED = p.MOTION_HELD_NS, p.COMMAND_MOVED
+_SPEED_OFF = p.SPEED_OFF
 _SPEED_MOVED, _SPEED_MOVED_RAD_S = p.SPEED_MOVED, p.SPEED_MOVED_RAD_S
 
 
@@ -124,7 +126,9 @@ def _angle_off(
         check.base[k] = 0.0
         return False
     apart = turned * check.base[k].conjugate()
-    check.deviation[k] += 0.5 * (math.atan2(apart.imag, apart.real) - check.deviation[k])
+    follows = 0.5 if t_ns - check.angle_ns[k] <= _ANGLE_GAP_NS else 1.0
+    check.angle_ns[k] = t_ns
+    check.deviation[k] += follows * (math.atan2(apart.imag, apart.real) - check.deviation[k])
     most = _ANGLE_OFF + _ANGLE_OFF_SAMPLES * abs(w_e) * max(period_s, _LEAST_PERIOD_S)
     if abs(check.deviation[k]) <= most:
         check.off_ns[k] = t_ns
@@ -157,9 +161,19 @@ def _load_off(k: int, load: float, motion: Memory, settled: int, rated: float) -
 
 
 @inlined
+def _note_speed(r: int, own: float, readings: Readings, now: int, check: Plausibility) -> None:
+    """Doubt about a speed by the currents that `Motion` does not follow. NaN is none."""
+    k, speed = readings.drive[r], readings.speed[r]
+    # `Motion` lags by what it has changed by since the reading before.
+    most = _SPEED_OFF * abs(speed) + _SPEED_MOVED_RAD_S + abs(speed - check.speed[k])
+    if abs(own - speed) > most:
+        check.doubt_ns[k] = now + _DOUBT_NS
+
+
+@inlined
 def _check_reading(
     r: int, now: int, samples: Samples, newest_ns: int, readings: Readings, health: int,
-    filters: Filters, check: Plausibility, limits: PlausibilityLimits,
+    filters: Filters, flux: float, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """Currents against torque and angle as measured at the same instant."""
     k, torque, angle = readings.drive[r], readings.torque[r], readings.angle[r]
@@ -174,12 +188,13 @@ def _check_reading(
     ):
         return
     off, tracking = False, health == _TRACKING
+    k_torque = limits.k_torque[k] * (1.0 if math.isnan(flux) else flux)
     sign = 1.0 if torque >= 0.0 else -1.0
     if tracking:
         # The filter's angle at the newest sample, taken back to this one.
         back = (newest_ns - readings.t_ns[r]) * 1e-9 - later
         theta = filters.x[k, _THETA] - w_e * back
-        made = limits.k_torque[k] * (current * complex(math.cos(theta), -math.sin(theta))).imag
+        made = k_torque * (current * complex(math.cos(theta), -math.sin(theta))).imag
         off = _torque_off(k, made, torque, limits.rated_nm[k], now, check)
     if not math.isnan(angle) and size > 0.0 and abs(torque) >= _LEAST_TORQUE * limits.rated_nm[k]:
         theta = angle + w_e * later
@@ -188,7 +203,7 @@ def _check_reading(
         unit = turned * complex(0.0, -sign) / size
         if check.learnt[k] >= _LEARN:
             base = check.base[k] / max(abs(check.base[k]), 1e-9)
-            made = sign * limits.k_torque[k] * size * (unit * base.conjugate()).real
+            made = sign * k_torque * size * (unit * base.conjugate()).real
             off = _torque_off(k, made, torque, limits.rated_nm[k], now, check) or off
         apart = _angle_off(
             k, unit, w_e, readings.t_ns[r], tracking and not off, check, limits.period_s
@@ -279,9 +294,19 @@ def check_values(
     for r in range(count):
         k = readings.drive[r]
         _check_reading(
-            r, now, samples, sample_ns[k], readings, told.health[k], filters, check, limits
+            r,
+            now,
+            samples,
+            sample_ns[k],
+            readings,
+            told.health[k],
+            filters,
+            tracks.flux[k],
+            check,
+            limits,
         )
         own = _own_speed(k, filters, told, limits)
+        _note_speed(r, own, readings, now, check)
         _note_motion(r, readings, measured, slow, own, check)
         held = _motion_held(k, now, measured, slow, own, check, limits.rated_nm[k])
         _count(held, 0, _IN_A_ROW, check.motion_held, k, now, check)

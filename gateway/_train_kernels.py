@@ -30,6 +30,7 @@ _LEAST_SPEED = t.LEAST_SPEED_RAD_S
 _MOST_CREEP, _LEARN_CREEP = t.MOST_CREEP, t.LEARN_CREEP
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
+_NEAR_S = t.NEAR_S
 _SPEEDS_APART, _SPEEDS_APART_RAD_S = t.SPEEDS_APART, t.SPEEDS_APART_RAD_S
 _UNCOMMANDED, _UNCOMMANDED_RELATIVE = t.UNCOMMANDED, t.UNCOMMANDED_RELATIVE
 _COMMAND_LATE_S, _ODD_S, _MOST_COMMAND = t.COMMAND_LATE_S, t.ODD_S, t.MOST_COMMAND
@@ -144,10 +145,14 @@ def _compare_speeds(tick_s: float, braking: bool, flag: Ints, train: Train) -> N
             others = _others(k, False, braking, train)
         train.creep[k] = math.nan
         if not others >= _LEAST_SPEED or math.isnan(train.speed[k]):
+            # Nobody sees whether it is back.
+            train.uncertain[k] = train.uncertain[k] or train.apart[k]
             continue
         creep = train.speed[k] / others - 1.0
         train.creep[k] = creep
-        train.uncertain[k] = train.uncertain[k] or abs(creep) > _MOST_CREEP
+        train.near_s[k] = 0.0 if abs(creep) > _MOST_CREEP else train.near_s[k] + tick_s
+        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < _NEAR_S)
+        train.uncertain[k] = train.uncertain[k] or train.apart[k]
         train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
     for k in range(flag.shape[0]):
         settled = train.learnt_s[k] >= _DIAMETER_FIRST_S
@@ -173,14 +178,20 @@ def _uncommanded(k: int, tick_s: float, slow: SlowState, told: Told, train: Trai
 
 
 @inlined
-def _like_others(k: int, train: Train) -> bool:
-    """Whether drive k's load is near the median of the other drives'; false without any."""
+def _others_load(k: int, train: Train) -> float:
+    """Median load of the other drives, per unit; NaN without any."""
     loads = 0
     for j in range(train.load.shape[0]):
         if j != k and not math.isnan(train.load[j]):
             insert(train.load[j], loads, train.rank)
             loads += 1
-    load = middle(loads, False, train.rank)
+    return middle(loads, False, train.rank)  # type: ignore[no-any-return,unused-ignore]
+
+
+@inlined
+def _like_others(k: int, train: Train) -> bool:
+    """Whether drive k's load is near the median of the other drives'; false without any."""
+    load = _others_load(k, train)
     return bool(abs(train.load[k] - load) <= _LOAD_NEAR * abs(load) + _LOAD_NEAR_FLOOR)
 
 
@@ -228,7 +239,10 @@ def assess_train(
             commanded[k] = False
             _unjudged(k, _INPUT_INVALID, _RANGE, told)
         else:
-            train.above[k] = train.uncommanded_s[k] > 0.0 and not _like_others(k, train)
+            # A wheel that slides under its load is no measure for those that hold.
+            slides = train.apart[k] and abs(train.load[k]) > abs(_others_load(k, train))
+            above = train.uncommanded_s[k] > 0.0 and not _like_others(k, train)
+            train.above[k] = slides or above
     for k in range(flag.shape[0]):
         train.odd[k] = commanded[k] and _odd_command(k, tick_s, slow, commanded, train)
     for k in range(flag.shape[0]):

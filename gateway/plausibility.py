@@ -50,7 +50,7 @@ TORQUE_OFF_RELATIVE: Final = 0.3
 """Largest difference of two torques, per unit of rated, and of the reported one: magnets may be a
 fifth off the data sheet."""
 TORQUE_DOUBT: Final = 0.06
-TORQUE_DOUBT_RELATIVE: Final = 0.22
+TORQUE_DOUBT_RELATIVE: Final = 0.15
 """From here on currents are no evidence of a loss."""
 LOAD_OFF: Final = 0.25
 LOAD_OFF_RELATIVE: Final = 0.3
@@ -70,8 +70,12 @@ KEEP: Final = 0.98
 COHERENT: Final = 0.95
 """Length of the mean of unit vectors, below which angle and current have nothing to do with one
 another: another frame, another direction."""
-LEARN_ANEW_NS: Final[Nanos] = 5 * SECOND
+LEARN_ANEW_NS: Final[Nanos] = 60 * SECOND
 """An angle that has been off for so long is the drive's new one."""
+SPEED_OFF: Final = 0.05
+"""Nor are they beside a measured speed that is so far from theirs, and 1 rad/s."""
+ANGLE_GAP_NS: Final[Nanos] = 100 * MS
+"""After so long without a reading the angle of late is that of the next one."""
 MOTION_HELD_NS: Final[Nanos] = 100 * MS
 SPEED_MOVED: Final = 0.03
 SPEED_MOVED_RAD_S: Final = 1.0
@@ -90,8 +94,9 @@ class Plausibility(NamedTuple):
     equal_s (N,): repeated vectors in a row, and for how long; block (N,): samples in a row that are
     those of eight before; until_ns (N,): implausible until then; restart (N,): the filter has to
     begin anew after it; doubt_ns (N,): until then nobody is accused by the currents; base (N,):
-    learnt angle as a mean unit vector, from learnt (N,) readings; deviation (N,) rad: of late; off, torque_off, load_off,
-    motion_held (N,): readings in a row that do not fit; off_ns (N,): since when the angle does not.
+    learnt angle as a mean unit vector, from learnt (N,) readings; deviation (N,) rad: of late, at
+    angle_ns (N,); off, torque_off, load_off, motion_held (N,): readings in a row that do not fit;
+    off_ns (N,): since when the angle does not.
 
     Of `Motion`: speed, torque (N,) as last sent, changed_ns (N,) when they last changed, and what
     was so then: own, command (N,), others (N, N) speeds.
@@ -113,6 +118,7 @@ class Plausibility(NamedTuple):
     load_off: Ints
     motion_held: Ints
     off_ns: Ints
+    angle_ns: Ints
     speed: Array
     torque: Array
     changed_ns: Ints
@@ -153,7 +159,7 @@ def start(n: int, doubt_ns: Ints) -> Plausibility:
         doubt_ns=doubt_ns,
         base=np.zeros(n, dtype=np.complex128), learnt=zero(),
         deviation=np.zeros(n), off=zero(), torque_off=zero(), load_off=zero(),
-        motion_held=zero(), off_ns=zero(), speed=none(),
+        motion_held=zero(), off_ns=zero(), angle_ns=zero(), speed=none(),
         torque=none(), changed_ns=zero(), own=none(), command=none(),
         others=np.full((n, n), np.nan),
     )  # fmt: skip

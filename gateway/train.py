@@ -44,6 +44,8 @@ SPEEDS_APART_RAD_S: Final = 1.0
 others; `Motion` is up to 10 ms old."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
+NEAR_S: Final = 0.1
+"""A rotor that was further away is back after so long: one that turns backwards passes by."""
 LEARN_CREEP: Final = 0.03
 """Diameters are learnt while a rotor is no further than this from where it is expected."""
 DIAMETER_FIRST_S: Final = 3.0
@@ -78,10 +80,11 @@ class Train(NamedTuple):
     rated Nm, inertia kg m2, motor: which of them are equal; slow_speed: smoothed speed of the
     rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
-    away: left the others for the side that the effort takes it to, and is not back yet;
-    uncertain: it may be running away, or braked by something else; doubt_ns: until then its
-    currents accuse nobody; uncommanded_s, odd_s: for how long, odd: too long; above: carries more
-    than its command and than the others, in this tick; speed, load, rank: of one tick.
+    apart: beyond `MOST_CREEP` when that was last known, near_s: for how long it has not been; away:
+    left the others for the side that the effort takes it to, and is not back yet; uncertain: it may
+    be running away, or braked by something else; doubt_ns: until then its currents accuse nobody;
+    uncommanded_s, odd_s: for how long, odd: too long; above: carries more than its command and than
+    the others, in this tick; speed, load, rank: of one tick.
     """
 
     rated: Array
@@ -92,6 +95,8 @@ class Train(NamedTuple):
     diameter: Array
     learnt_s: Array
     creep: Array
+    apart: Flags
+    near_s: Array
     away: Flags
     uncertain: Flags
     doubt_ns: Ints
@@ -109,12 +114,12 @@ def start(motors: Sequence[Motor]) -> Train:
     n = len(motors)
     kinds = list(dict.fromkeys(motors))
     unknown = np.full((5, n), np.nan)
-    away, uncertain, odd, above = np.zeros((4, n), dtype=np.bool_)
+    apart, away, uncertain, odd, above = np.zeros((5, n), dtype=np.bool_)
     doubt_ns = np.full(n, NEVER, dtype=np.int64)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], away, uncertain, doubt_ns,
+        np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), away, uncertain, doubt_ns,
         np.zeros(n), np.zeros(n), odd, above,
         unknown[2], unknown[3], unknown[4],
     )  # fmt: skip

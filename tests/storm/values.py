@@ -9,7 +9,8 @@
 Wrong values count while the drive turns and carries something, and the currents (or the measured
 speed) that are sent are far enough off the true ones. Other faults of the bus take turns with them:
 what is rejected says nothing, so the times begin anew behind them, and who is spoken for by a
-second sender is not judged at all (R09).
+second sender is not judged at all (R09). Currents that are late or another drive's since the gateway
+began cannot be known from right ones: there is no place of the current's angle that they have left.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ CURRENT_ERROR: Final = 0.15
 """Per unit of the rated current, root mean square."""
 SPEED_ERROR_RPM: Final = 10.0
 """Of a speed that stands while the true one does not."""
+BY_ANGLE: Final = frozenset({"late", "other_drive"})
+LEARN_TICKS: Final = 60
+"""These show by a step of the current's angle only, for which its place must have been learnt."""
 FEWEST: Final = 2
 """Drives without which the others cannot be compared."""
 
@@ -86,6 +90,10 @@ class ValueRules:
         self.creeping = [0] * n
         self.last_wrong = [never] * n
         """Last tick with a value fault, whether it mattered or not."""
+        self.right = [0] * n
+        """Ticks with right values of a drive that turns and carries something."""
+        self.blind = [never] * n
+        """Last tick with a fault that nobody can know, for it came before the right values."""
         self.doubled = [never] * n
         """Last tick with a second sender."""
         self.disturbed = tick
@@ -104,10 +112,11 @@ class ValueRules:
             if flag == GOOD and self.creeping[d] > REACTION_TICKS and apart:
                 what = f"Adhering, creep {100 * truth.creep[d]:.0f} % for {self.creeping[d]} ticks"
                 broken(tick, "creep", d + 1, what)
-            if flag == GOOD and self.wrong[d] > REACTION_TICKS and sensor != BAD and apart:
+            told = apart and tick - self.blind[d] > AFTER_TICKS
+            if flag == GOOD and self.wrong[d] > REACTION_TICKS and sensor != BAD and told:
                 broken(tick, "wrong_values", d + 1, f"Adhering after {self._of(d, faults)}")
             before = self.before[d]
-            if before != BAD and flag == BAD and apart and self._innocent(tick, d):
+            if before != BAD and flag == BAD and told and self._innocent(tick, d):
                 broken(tick, "false_loss", d + 1, f"AdhesionLost of {self._of(d, faults)}")
             if before == GOOD and flag != GOOD and self._untouched(tick, d):
                 broken(tick, "others", d + 1, f"from Adhering to {flag}, and its values are right")
@@ -132,6 +141,10 @@ class ValueRules:
         for d in range(self.n):
             if d in any_wrong:
                 self.last_wrong[d] = tick
+            by_angle = any(f.kind in BY_ANGLE and f.drive == d for f in faults)
+            if by_angle and self.right[d] < LEARN_TICKS:
+                self.blind[d] = tick
+            self.right[d] += bool(turns[d] and carries[d] and d not in any_wrong)
             if any(f.kind == "second_sender" and f.drive in (None, d) for f in faults):
                 self.doubled[d] = tick
             matters = (d in of_current and far[d]) or (d in any_wrong and apart[d])

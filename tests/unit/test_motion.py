@@ -128,6 +128,17 @@ def test_input_that_cannot_be_believed_stays_so():
         assert merged(motion, [wrong], [w_m]) == [wrong]
 
 
+def test_motion_alone_goes_on_as_a_prediction():
+    """Currents that do not come any more show no longer whether it is plausible."""
+    motion, seen = side(), []
+    w_m = 2.0 * LIMIT_W_E / 4.0
+    for k in range(12):
+        tick(motion, (0, k * 10 * MS, w_m, 20.0))
+        (state,) = merged(motion, [DriveEstimate(Health.CONVERGING)], [w_m], sampled=k != 10)
+        seen.append(state.health)
+    assert seen[9:] == [Health.TRACKING, Health.PREDICTING, Health.TRACKING]
+
+
 def test_a_hole_starts_the_observer_anew():
     motion = side()
     w_m = 2.0 * LIMIT_W_E / 4.0
