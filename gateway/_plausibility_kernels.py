@@ -38,7 +38,6 @@ _MOST_TURN = p.MOST_TURN
 _KEEP, _COHERENT = p.KEEP, p.COHERENT
 _LEARN_ANEW_NS, _ANGLE_GAP_NS = p.LEARN_ANEW_NS, p.ANGLE_GAP_NS
 _MOTION_HELD_NS, _COMMAND_MOVED = p.MOTION_HELD_NS, p.COMMAND_MOVED
-_SPEED_OFF = p.SPEED_OFF
 _SPEED_MOVED, _SPEED_MOVED_RAD_S = p.SPEED_MOVED, p.SPEED_MOVED_RAD_S
 
 
@@ -158,16 +157,6 @@ def _load_off(k: int, load: float, motion: Memory, settled: int, rated: float) -
         return False
     observed = motion.observer[k, _OBSERVED_LOAD]
     return bool(abs(load - observed) > _LOAD_OFF * rated + _LOAD_OFF_RELATIVE * abs(observed))
-
-
-@inlined
-def _note_speed(r: int, own: float, readings: Readings, now: int, check: Plausibility) -> None:
-    """Doubt about a speed by the currents that `Motion` does not follow. NaN is none."""
-    k, speed = readings.drive[r], readings.speed[r]
-    # `Motion` lags by what it has changed by since the reading before.
-    most = _SPEED_OFF * abs(speed) + _SPEED_MOVED_RAD_S + abs(speed - check.speed[k])
-    if abs(own - speed) > most:
-        check.doubt_ns[k] = now + _DOUBT_NS
 
 
 @inlined
@@ -294,19 +283,10 @@ def check_values(
     for r in range(count):
         k = readings.drive[r]
         _check_reading(
-            r,
-            now,
-            samples,
-            sample_ns[k],
-            readings,
-            told.health[k],
-            filters,
-            tracks.flux[k],
-            check,
-            limits,
-        )
+            r, now, samples, sample_ns[k], readings, told.health[k], filters, tracks.flux[k],
+            check, limits,
+        )  # fmt: skip
         own = _own_speed(k, filters, told, limits)
-        _note_speed(r, own, readings, now, check)
         _note_motion(r, readings, measured, slow, own, check)
         held = _motion_held(k, now, measured, slow, own, check, limits.rated_nm[k])
         _count(held, 0, _IN_A_ROW, check.motion_held, k, now, check)

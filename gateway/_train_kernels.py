@@ -30,7 +30,7 @@ _LEAST_SPEED = t.LEAST_SPEED_RAD_S
 _MOST_CREEP, _LEARN_CREEP = t.MOST_CREEP, t.LEARN_CREEP
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
-_NEAR_S = t.NEAR_S
+_NEAR_S, _SLIDES_S, _AGAINST = t.NEAR_S, t.SLIDES_S, t.AGAINST
 _SPEEDS_APART, _SPEEDS_APART_RAD_S = t.SPEEDS_APART, t.SPEEDS_APART_RAD_S
 _UNCOMMANDED, _UNCOMMANDED_RELATIVE = t.UNCOMMANDED, t.UNCOMMANDED_RELATIVE
 _COMMAND_LATE_S, _ODD_S, _MOST_COMMAND = t.COMMAND_LATE_S, t.ODD_S, t.MOST_COMMAND
@@ -152,7 +152,7 @@ def _compare_speeds(tick_s: float, braking: bool, flag: Ints, train: Train) -> N
         train.creep[k] = creep
         train.near_s[k] = 0.0 if abs(creep) > _MOST_CREEP else train.near_s[k] + tick_s
         train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < _NEAR_S)
-        train.uncertain[k] = train.uncertain[k] or train.apart[k]
+        train.uncertain[k] = train.uncertain[k] or abs(creep) > _MOST_CREEP
         train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
     for k in range(flag.shape[0]):
         settled = train.learnt_s[k] >= _DIAMETER_FIRST_S
@@ -193,6 +193,19 @@ def _like_others(k: int, train: Train) -> bool:
     """Whether drive k's load is near the median of the other drives'; false without any."""
     load = _others_load(k, train)
     return bool(abs(train.load[k] - load) <= _LOAD_NEAR * abs(load) + _LOAD_NEAR_FLOOR)
+
+
+@inlined
+def _slides(k: int, flag: int, tick_s: float, train: Train) -> bool:
+    """Whether drive k's wheel slides under its load: no measure for those that hold.
+
+    Nor is one that turns backwards; but a lost one that carries more is one that grips again.
+    """
+    load, others = train.load[k], _others_load(k, train)
+    more = train.apart[k] and flag != _BAD and abs(load) > abs(others)
+    train.slides_s[k] = train.slides_s[k] + tick_s if more else 0.0
+    against = train.apart[k] and load * others < -_AGAINST * others * others
+    return bool(train.slides_s[k] > _SLIDES_S or against)
 
 
 @inlined
@@ -239,10 +252,9 @@ def assess_train(
             commanded[k] = False
             _unjudged(k, _INPUT_INVALID, _RANGE, told)
         else:
-            # A wheel that slides under its load is no measure for those that hold.
-            slides = train.apart[k] and abs(train.load[k]) > abs(_others_load(k, train))
             above = train.uncommanded_s[k] > 0.0 and not _like_others(k, train)
-            train.above[k] = slides or above
+            slides = _slides(k, flag[k], tick_s, train)
+            train.above[k] = above or slides
     for k in range(flag.shape[0]):
         train.odd[k] = commanded[k] and _odd_command(k, tick_s, slow, commanded, train)
     for k in range(flag.shape[0]):

@@ -72,8 +72,6 @@ COHERENT: Final = 0.95
 another: another frame, another direction."""
 LEARN_ANEW_NS: Final[Nanos] = 60 * SECOND
 """An angle that has been off for so long is the drive's new one."""
-SPEED_OFF: Final = 0.05
-"""Nor are they beside a measured speed that is so far from theirs, and 1 rad/s."""
 ANGLE_GAP_NS: Final[Nanos] = 100 * MS
 """After so long without a reading the angle of late is that of the next one."""
 MOTION_HELD_NS: Final[Nanos] = 100 * MS

@@ -46,6 +46,11 @@ MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
 NEAR_S: Final = 0.1
 """A rotor that was further away is back after so long: one that turns backwards passes by."""
+SLIDES_S: Final = 0.2
+"""A rotor that is apart and carries more than the others for so long slides under its load; one
+that loses or finds its grip is sooner through."""
+AGAINST: Final = 0.25
+"""Share of the others' load that one which is apart carries against them: it turns backwards."""
 LEARN_CREEP: Final = 0.03
 """Diameters are learnt while a rotor is no further than this from where it is expected."""
 DIAMETER_FIRST_S: Final = 3.0
@@ -80,11 +85,12 @@ class Train(NamedTuple):
     rated Nm, inertia kg m2, motor: which of them are equal; slow_speed: smoothed speed of the
     rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
-    apart: beyond `MOST_CREEP` when that was last known, near_s: for how long it has not been; away:
-    left the others for the side that the effort takes it to, and is not back yet; uncertain: it may
-    be running away, or braked by something else; doubt_ns: until then its currents accuse nobody;
-    uncommanded_s, odd_s: for how long, odd: too long; above: carries more than its command and than
-    the others, in this tick; speed, load, rank: of one tick.
+    apart: beyond `MOST_CREEP` when that was last known, near_s: for how long it has not been,
+    slides_s: for how long it has carried more than the others meanwhile; away: left the others for
+    the side that the effort takes it to, and is not back yet; uncertain: it may be running away, or
+    braked by something else; doubt_ns: until then its currents accuse nobody; uncommanded_s, odd_s:
+    for how long, odd: too long; above: carries more than its command and than the others, in this
+    tick; speed, load, rank: of one tick.
     """
 
     rated: Array
@@ -97,6 +103,7 @@ class Train(NamedTuple):
     creep: Array
     apart: Flags
     near_s: Array
+    slides_s: Array
     away: Flags
     uncertain: Flags
     doubt_ns: Ints
@@ -119,7 +126,7 @@ def start(motors: Sequence[Motor]) -> Train:
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), away, uncertain, doubt_ns,
+        np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), np.zeros(n), away, uncertain, doubt_ns,
         np.zeros(n), np.zeros(n), odd, above,
         unknown[2], unknown[3], unknown[4],
     )  # fmt: skip

@@ -9,8 +9,8 @@
 Wrong values count while the drive turns and carries something, and the currents (or the measured
 speed) that are sent are far enough off the true ones. Other faults of the bus take turns with them:
 what is rejected says nothing, so the times begin anew behind them, and who is spoken for by a
-second sender is not judged at all (R09). Currents that are late or another drive's since the gateway
-began cannot be known from right ones: there is no place of the current's angle that they have left.
+second sender is not judged at all (R09). Currents that are late or another drive's since the
+gateway began cannot be known from right ones: they have left no place of the current's angle.
 """
 
 from __future__ import annotations
