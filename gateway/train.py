@@ -126,7 +126,6 @@ def start(motors: Sequence[Motor]) -> Train:
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), np.zeros(n), away, uncertain, doubt_ns,
-        np.zeros(n), np.zeros(n), odd, above,
-        unknown[2], unknown[3], unknown[4],
+        np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), np.zeros(n), away, uncertain,
+        doubt_ns, np.zeros(n), np.zeros(n), odd, above, unknown[2], unknown[3], unknown[4],
     )  # fmt: skip
