@@ -96,11 +96,31 @@ def _nearest(k: int, t_ns: int, newest_ns: int, samples: Samples, dt_s: float) -
 
 
 @inlined
+def _torque_apart(
+    k: int, reported: float, theta: float, w_e: float, k_torque: float, samples: Samples,
+    dt_s: float,
+) -> float:  # fmt: skip
+    """Least difference of a tick's torques by the currents from the reported one; it may be as old.
+
+    theta: electrical angle at the newest sample, rad; k_torque: Nm per A.
+    """
+    least, t = math.inf, 0.0
+    for i in range(samples.drive.shape[0]):
+        row = samples.drive.shape[0] - 1 - i
+        if samples.drive[row] == k:
+            then = theta - w_e * t
+            # Along q: the imaginary part in the rotor's frame.
+            along = samples.y[row, 1] * math.cos(then) - samples.y[row, 0] * math.sin(then)
+            least = min(least, abs(k_torque * along - reported))
+            t += (samples.steps[row] + samples.gap[row]) * dt_s
+    return least
+
+
+@inlined
 def _torque_off(
-    k: int, made: float, reported: float, rated: float, now: int, check: Plausibility
+    k: int, apart: float, reported: float, rated: float, now: int, check: Plausibility
 ) -> bool:
     """Whether two torques are further apart than motor data explain; notes a lesser doubt."""
-    apart = abs(made - reported)
     if apart > _TORQUE_DOUBT * rated + _TORQUE_DOUBT_RELATIVE * abs(reported):
         check.doubt_ns[k] = now + _DOUBT_NS
     return bool(apart > _TORQUE_OFF * rated + _TORQUE_OFF_RELATIVE * abs(reported))
@@ -180,20 +200,20 @@ def _check_reading(
     k_torque = limits.k_torque[k] * (1.0 if math.isnan(flux) else flux)
     sign = 1.0 if torque >= 0.0 else -1.0
     if tracking:
-        # The filter's angle at the newest sample, taken back to this one.
-        back = (newest_ns - readings.t_ns[r]) * 1e-9 - later
-        theta = filters.x[k, _THETA] - w_e * back
-        made = k_torque * (current * complex(math.cos(theta), -math.sin(theta))).imag
-        off = _torque_off(k, made, torque, limits.rated_nm[k], now, check)
+        far = _torque_apart(
+            k, torque, filters.x[k, _THETA], w_e, k_torque, samples, limits.dt_s
+        )  # fmt: skip
+        off = _torque_off(k, far, torque, limits.rated_nm[k], now, check)
     if not math.isnan(angle) and size > 0.0 and abs(torque) >= _LEAST_TORQUE * limits.rated_nm[k]:
         theta = angle + w_e * later
         turned = current * complex(math.cos(theta), -math.sin(theta))
         # Along q in the torque's direction is 1.
         unit = turned * complex(0.0, -sign) / size
         if check.learnt[k] >= _LEARN:
-            base = check.base[k] / max(abs(check.base[k]), 1e-9)
-            made = sign * k_torque * size * (unit * base.conjugate()).real
-            off = _torque_off(k, made, torque, limits.rated_nm[k], now, check) or off
+            newest = angle + w_e * (newest_ns - readings.t_ns[r]) * 1e-9
+            newest += math.atan2(check.base[k].imag, check.base[k].real)
+            far = _torque_apart(k, torque, newest, w_e, k_torque, samples, limits.dt_s)
+            off = _torque_off(k, far, torque, limits.rated_nm[k], now, check) or off
         apart = _angle_off(
             k, unit, w_e, readings.t_ns[r], tracking and not off, check, limits.period_s
         )

@@ -112,11 +112,11 @@ class ValueRules:
             if flag == GOOD and self.creeping[d] > REACTION_TICKS and apart:
                 what = f"Adhering, creep {100 * truth.creep[d]:.0f} % for {self.creeping[d]} ticks"
                 broken(tick, "creep", d + 1, what)
-            told = apart and tick - self.blind[d] > AFTER_TICKS
-            if flag == GOOD and self.wrong[d] > REACTION_TICKS and sensor != BAD and told:
+            knowable = apart and tick - self.blind[d] > AFTER_TICKS
+            if flag == GOOD and self.wrong[d] > REACTION_TICKS and sensor != BAD and knowable:
                 broken(tick, "wrong_values", d + 1, f"Adhering after {self._of(d, faults)}")
             before = self.before[d]
-            if before != BAD and flag == BAD and told and self._innocent(tick, d):
+            if before != BAD and flag == BAD and knowable and self._innocent(tick, d):
                 broken(tick, "false_loss", d + 1, f"AdhesionLost of {self._of(d, faults)}")
             if before == GOOD and flag != GOOD and self._untouched(tick, d):
                 broken(tick, "others", d + 1, f"from Adhering to {flag}, and its values are right")

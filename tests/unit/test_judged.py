@@ -124,3 +124,18 @@ def test_a_drive_that_is_cut_out_is_unknown_and_says_why(state, drives):
 def test_a_wheel_lost_while_its_command_reads_zero_is_never_adhering():
     rows = judged(with_status(recorded(0.6, 3, lost=True), factor=0.0, begin=0.0), 3)
     assert Flag.GOOD not in flags(rows, 0, 1.6, 3.0)
+
+
+def test_a_loss_beside_motion_that_is_stamped_late_is_told_a_tick_later_at_most():
+    """A service that reads once a tick stamps what was measured at its begin at its end."""
+    ids = {codec((1, 2, 3)).by_name[f"Drive{n}_Motion"].can_id for n in (1, 2, 3)}
+
+    def tick_of_loss(late: bool) -> int:
+        frames = [
+            [f._replace(t_ns=(k + 1) * TICK) if late and f.can_id in ids else f for f in tick]
+            for k, tick in enumerate(recorded(0.6, 3, lost=True))
+        ]
+        return [row[0].adhesion for row in judged(frames, 3)].index(Flag.BAD)
+
+    assert 150 <= tick_of_loss(late=False) <= 153
+    assert tick_of_loss(late=True) <= tick_of_loss(late=False) + 1
