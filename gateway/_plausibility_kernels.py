@@ -128,15 +128,16 @@ def _torque_off(
 
 @inlined
 def _angle_off(
-    k: int, turned: complex, w_e: float, t_ns: int, tracking: bool, check: Plausibility,
+    k: int, turned: complex, w_e: float, t_ns: int, right: bool, check: Plausibility,
     period_s: float,
 ) -> bool:  # fmt: skip
     """Whether the current's angle has left its learnt place; learns it where it has not.
 
-    turned: unit vector of the current in the rotor's frame, in the torque's direction.
+    turned: unit vector of the current in the rotor's frame, in the torque's direction; right:
+    nothing speaks against it, so that it may be learnt from.
     """
     if check.learnt[k] < _LEARN:
-        if tracking:
+        if right:
             check.learnt[k] += 1
             check.base[k] += (turned - check.base[k]) / check.learnt[k]
         return False
@@ -151,7 +152,7 @@ def _angle_off(
     most = _ANGLE_OFF + _ANGLE_OFF_SAMPLES * abs(w_e) * max(period_s, _LEAST_PERIOD_S)
     if abs(check.deviation[k]) <= most:
         check.off_ns[k] = t_ns
-        if tracking:
+        if right:
             check.base[k] += (1.0 - _KEEP) * (turned - check.base[k])
         return False
     if t_ns - check.off_ns[k] > _LEARN_ANEW_NS:
@@ -214,10 +215,11 @@ def _check_reading(
             newest += math.atan2(check.base[k].imag, check.base[k].real)
             far = _torque_apart(k, torque, newest, w_e, k_torque, samples, limits.dt_s)
             off = _torque_off(k, far, torque, limits.rated_nm[k], now, check) or off
-        apart = _angle_off(
-            k, unit, w_e, readings.t_ns[r], tracking and not off, check, limits.period_s
-        )
-        _count(apart, _DOUBT_NS, _IN_A_ROW, check.off, k, now, check)
+        # What is implausible is not learnt; a small current may have turned over since the torque.
+        if size >= _LEAST_CURRENT * limits.rated_a[k]:
+            right = tracking and not off and now >= check.until_ns[k]
+            apart = _angle_off(k, unit, w_e, readings.t_ns[r], right, check, limits.period_s)
+            _count(apart, _DOUBT_NS, _IN_A_ROW, check.off, k, now, check)
     _count(off, _DOUBT_NS, _IN_A_ROW, check.torque_off, k, now, check)
 
 
