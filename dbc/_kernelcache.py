@@ -128,15 +128,21 @@ class KernelCache(caching._Cache):
             path.parent.mkdir(parents=True, exist_ok=True)
             new.write_bytes(head + content + key)
             new.replace(path)
-            for other in path.parent.glob(f"{glob.escape(self._name)}.*.nbc"):
-                with other.open("rb") as file:
-                    if file.read(SIZE) == head[:SIZE]:
-                        continue
-                other.unlink(missing_ok=True)
         except OSError as error:
             _lost(error.strerror or str(error))
             with suppress(OSError):
                 new.unlink()
+            return
+        self._sweep(path.parent, head[:SIZE])
+
+    def _sweep(self, folder: Path, stamp: bytes) -> None:
+        """Delete this function's files with another stamp, as far as nobody else is about it."""
+        for other in folder.glob(f"{glob.escape(self._name)}.*.nbc"):
+            with suppress(OSError):
+                with other.open("rb") as file:
+                    stale = file.read(SIZE) != stamp
+                if stale:
+                    other.unlink()
 
     def _key(self, sig: Any, codegen: Any) -> bytes:
         """Types of the arguments, processor, and what a function of a function holds."""
