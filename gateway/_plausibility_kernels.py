@@ -219,7 +219,10 @@ def _check_reading(
         if size >= _LEAST_CURRENT * limits.rated_a[k]:
             right = tracking and not off and now >= check.until_ns[k]
             apart = _angle_off(k, unit, w_e, readings.t_ns[r], right, check, limits.period_s)
-            _count(apart, _DOUBT_NS, _IN_A_ROW, check.off, k, now, check)
+            if apart:
+                # One reading may have waited for the bus: it accuses nobody, and is no fault yet.
+                check.doubt_ns[k] = now + _DOUBT_NS
+            _count(apart, 0, _IN_A_ROW, check.off, k, now, check)
     _count(off, _DOUBT_NS, _IN_A_ROW, check.torque_off, k, now, check)
 
 
@@ -243,12 +246,15 @@ def _motion_held(
         now - slow.command_ns[k] > _MOTION_HELD_NS
     ):
         return True
+    if not math.isnan(own):
+        # By its currents it turns as steadily as it says.
+        return False
     moved = others = 0
     for j in range(measured.shape[0]):
         if j != k and not math.isnan(measured[j]) and not math.isnan(check.others[k, j]):
             others += 1
             moved += _moved(measured[j], check.others[k, j])
-    return bool(2 * moved > others)
+    return moved == others and others > 0
 
 
 @inlined
