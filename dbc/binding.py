@@ -21,6 +21,7 @@ from dbc.e2e import HEADER_BYTES, Profile
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
 from dbc.refusal import explained, placed
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
+from dbc.text import read_bytes
 
 if TYPE_CHECKING:
     from cantools.database import Database
@@ -49,7 +50,7 @@ def load(path: Path, *, strict: bool = True) -> Database:
     from cantools.database.errors import Error
 
     try:
-        text = path.read_bytes()
+        text = read_bytes(path)
         impossible = list(oversized(text))
     except FileNotFoundError:
         raise DbcMismatch(path, ["no such file"]) from None
@@ -86,7 +87,7 @@ def specs_of(
     """Every message of the file as a spec. Raises DbcMismatch with all objections."""
     problems: list[str] = []
     try:
-        specs = prepared.recall(path.read_bytes())
+        specs = prepared.recall(read_bytes(path))
     except (OSError, ValueError):
         # `load` says what is wrong with it.
         specs = None

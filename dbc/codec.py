@@ -33,6 +33,7 @@ from dbc.spec import (
     SignalSpec,
     Validity,
 )
+from dbc.text import read_bytes
 
 PAYLOAD: Final = 64
 """Width of a row of payload bytes, whatever the message's length."""
@@ -250,7 +251,7 @@ def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> 
 def _digest(path: Path) -> str:
     """SHA-256 of a file; empty where it cannot be read, which `specs_of` explains."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return hashlib.sha256(read_bytes(path)).hexdigest()
     except (OSError, ValueError):
         return ""
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import tomllib
+from pathlib import Path
 from typing import Any, Final
 
 MOST: Final = 1000
+MOST_BYTES: Final = 64 << 20
+"""Of a configuration, a scenario or a DBC: a device such as /dev/zero has no end."""
 
 
 class TomlError(ValueError):
@@ -23,6 +27,15 @@ def printable(text: str, most: int = MOST) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def read_bytes(path: Path) -> bytes:
+    """A whole file. Raises OSError, for one of more than `MOST_BYTES` too."""
+    with path.open("rb") as file:
+        content = file.read(MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise OSError(errno.EFBIG, f"larger than {MOST_BYTES >> 20} MiB", str(path))
+    return content
 
 
 def read_toml(text: str) -> dict[str, Any]:

@@ -116,7 +116,9 @@ def conclude(
     _enough_load(lost, known, common, tick_s, trust)
     fuse(lost, known, room.alone, heard, train.away, room.meant, room.lost, room.known)
     for k in range(lost.shape[0]):
-        if now < train.doubt_ns[k] and room.lost[k] > OPEN:
+        # Nor is one lost that carries more than it is asked to.
+        doubted = now < train.doubt_ns[k] or train.uncommanded_s[k] > 0.0
+        if doubted and room.lost[k] > OPEN:
             room.lost[k] = OPEN
             train.uncertain[k] = True
     # Of what the others carry, or with nobody to compare with, of the command.

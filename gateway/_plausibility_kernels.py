@@ -129,7 +129,7 @@ def _torque_off(
 @inlined
 def _angle_off(
     k: int, turned: complex, w_e: float, t_ns: int, right: bool, check: Plausibility,
-    period_s: float,
+    limits: PlausibilityLimits,
 ) -> bool:  # fmt: skip
     """Whether the current's angle has left its learnt place; learns it where it has not.
 
@@ -146,10 +146,16 @@ def _angle_off(
         check.base[k] = 0.0
         return False
     apart = turned * check.base[k].conjugate()
-    follows = 0.5 if t_ns - check.angle_ns[k] <= _ANGLE_GAP_NS else 1.0
+    passed = t_ns - check.angle_ns[k]
+    follows = 0.5 if passed <= _ANGLE_GAP_NS else 1.0
     check.angle_ns[k] = t_ns
-    check.deviation[k] += follows * (math.atan2(apart.imag, apart.real) - check.deviation[k])
-    most = _ANGLE_OFF + _ANGLE_OFF_SAMPLES * abs(w_e) * max(period_s, _LEAST_PERIOD_S)
+    # A frame that waited for the bus is stamped when it came, and so is off the grid of its cycle.
+    cycle = limits.motion_ns
+    waited_s = abs(passed - (passed + cycle // 2) // cycle * cycle) * 1e-9
+    angle = math.atan2(apart.imag, apart.real)
+    angle -= min(max(angle, -abs(w_e) * waited_s), abs(w_e) * waited_s)
+    check.deviation[k] += follows * (angle - check.deviation[k])
+    most = _ANGLE_OFF + _ANGLE_OFF_SAMPLES * abs(w_e) * max(limits.period_s, _LEAST_PERIOD_S)
     if abs(check.deviation[k]) <= most:
         check.off_ns[k] = t_ns
         if right:
@@ -218,7 +224,7 @@ def _check_reading(
         # What is implausible is not learnt; a small current may have turned over since the torque.
         if size >= _LEAST_CURRENT * limits.rated_a[k]:
             right = tracking and not off and now >= check.until_ns[k]
-            apart = _angle_off(k, unit, w_e, readings.t_ns[r], right, check, limits.period_s)
+            apart = _angle_off(k, unit, w_e, readings.t_ns[r], right, check, limits)
             _count(apart, _DOUBT_NS, _IN_A_ROW, check.off, k, now, check)
     _count(off, _DOUBT_NS, _IN_A_ROW, check.torque_off, k, now, check)
 
@@ -243,12 +249,15 @@ def _motion_held(
         now - slow.command_ns[k] > _MOTION_HELD_NS
     ):
         return True
+    if not math.isnan(own):
+        # By its currents it turns as steadily as it says.
+        return False
     moved = others = 0
     for j in range(measured.shape[0]):
         if j != k and not math.isnan(measured[j]) and not math.isnan(check.others[k, j]):
             others += 1
             moved += _moved(measured[j], check.others[k, j])
-    return bool(2 * moved > others)
+    return moved == others and others > 0
 
 
 @inlined

@@ -27,7 +27,7 @@ _ACCELERATION_TAU_S, _MOST_TORQUE = t.ACCELERATION_TAU_S, t.MOST_ACCELERATION_TO
 _ROTATING_FLOOR, _ROTATING_SHARE = t.ROTATING_FLOOR, t.ROTATING_SHARE
 _SINGLE_CREDIT, _SINGLE_CHANGE = t.SINGLE_CREDIT, t.SINGLE_CHANGE
 _LEAST_SPEED = t.LEAST_SPEED_RAD_S
-_MOST_CREEP, _LEARN_CREEP = t.MOST_CREEP, t.LEARN_CREEP
+_MOST_CREEP, _LEARN_CREEP, _MOST_APART = t.MOST_CREEP, t.LEARN_CREEP, t.MOST_APART
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
 _NEAR_S, _SLIDES_S, _AGAINST = t.NEAR_S, t.SLIDES_S, t.AGAINST
@@ -133,16 +133,32 @@ def _runs_away(k: int, effort: float, train: Train) -> bool:
 
 
 @inlined
-def _compare_speeds(tick_s: float, braking: bool, flag: Ints, train: Train) -> None:
+def _speed_of_others(k: int, braking: bool, train: Train) -> float:
+    """Median speed of the others that are followed, else of all; NaN without any."""
+    others = _others(k, True, braking, train)
+    return _others(k, False, braking, train) if math.isnan(others) else others  # type: ignore[no-any-return,unused-ignore]
+
+
+@inlined
+def _compare_speeds(
+    tick_s: float, braking: bool, flag: Ints, operating: Flags, train: Train
+) -> None:
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
     lost = False
     for k in range(flag.shape[0]):
-        lost = lost or flag[k] == _BAD
-        train.speed[k] = abs(train.speed[k]) / train.diameter[k]
+        # A drive that is cut out keeps its flag, and stops nobody from learning.
+        lost = lost or (flag[k] == _BAD and operating[k])
+        train.speed[k] = abs(train.speed[k])
     for k in range(flag.shape[0]):
-        others = _others(k, True, braking, train)
-        if math.isnan(others):
-            others = _others(k, False, braking, train)
+        if train.learnt_s[k] < _DIAMETER_FIRST_S:
+            # What has been learnt so far may be a slip that grows.
+            others = _speed_of_others(k, braking, train)
+            far = others >= _LEAST_SPEED and abs(train.speed[k] / others - 1.0) > _MOST_APART
+            train.uncertain[k] = train.uncertain[k] or far
+    for k in range(flag.shape[0]):
+        train.speed[k] /= train.diameter[k]
+    for k in range(flag.shape[0]):
+        others = _speed_of_others(k, braking, train)
         train.creep[k] = math.nan
         if not others >= _LEAST_SPEED or math.isnan(train.speed[k]):
             # Nobody sees whether it is back.
@@ -243,7 +259,7 @@ def assess_train(
     """
     braking = _note(measured, told, train) < 0.0
     _accelerate(tick_s, braking, train)
-    _compare_speeds(tick_s, braking, flag, train)
+    _compare_speeds(tick_s, braking, flag, slow.operating, train)
     for k in range(flag.shape[0]):
         train.above[k] = False
         if not commanded[k] or told.health[k] != _TRACKING:

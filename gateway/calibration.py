@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from dbc.bounds import within
-from dbc.text import read_toml
+from dbc.text import read_bytes, read_toml
 from estimators.thermal import heat
 from estimators.thermal.watch import Known
 from gateway.config import Config, ConfigError, Strict, check_seal
@@ -148,7 +148,7 @@ def load(
     sealed: SHA-256 that a signature vouches for; a file with another one is not even parsed.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
         if sealed is not None:
             check_seal(path, content, sealed)
         table = read_toml(content.decode("utf-8"))

@@ -22,7 +22,7 @@ from pydantic import (
 )
 
 from dbc.bounds import within
-from dbc.text import TomlError, printable, read_toml
+from dbc.text import TomlError, printable, read_bytes, read_toml
 from gateway.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.signals import Signals
 
@@ -378,7 +378,7 @@ def load(
     if path is None:
         return parse(changes, "command line")
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
         if sealed is not None:
             check_seal(path, content, sealed["config"])
         raw = read_toml(content.decode("utf-8"))

@@ -85,8 +85,9 @@ class Gateway:
         times = _timing(self.inbox.drives)
         self.motion = MotionSide(motors, config.estimator, times, config.loop.period_ns)
         self.plausibility_limits = plausibility.limits(
-            motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND, SETTLED_READINGS
-        )
+            motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND,
+            times.period_ns, SETTLED_READINGS,
+        )  # fmt: skip
         self._check_values = Direct(check_values)
         self.inputs = inputs.inputs(len(nodes))
         self.places = self.inbox.places([0.1 * m.I_rated for m in motors])

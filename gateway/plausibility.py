@@ -59,7 +59,7 @@ LOADS_IN_A_ROW: Final = 4
 ANGLE_OFF: Final = 0.06
 ANGLE_OFF_SAMPLES: Final = 0.3
 """Largest step of the angle, rad, and in turns of a sample period, at least of 0.5 ms: stamps
-jitter."""
+jitter, and more by as much as a frame of `Motion` is off the grid of its cycle."""
 MOST_TURN: Final = 0.63
 """Turn between two samples, rad, beyond which nobody rests on the currents: ten a revolution."""
 LEAST_PERIOD_S: Final = 0.5e-3
@@ -129,7 +129,7 @@ class PlausibilityLimits(NamedTuple):
     """Constants of N drives, (N,), and dt_s: the sub-step.
 
     k_torque: Nm per A at the data sheet's flux; least_moved_a: see `LEAST_STEPS`; period_s: between
-    two current samples.
+    two current samples; motion_ns: between two `Motion`.
     """
 
     pole_pairs: Array
@@ -139,6 +139,7 @@ class PlausibilityLimits(NamedTuple):
     least_moved_a: Array
     period_s: float
     dt_s: float
+    motion_ns: int
     settled_readings: int
 
 
@@ -164,8 +165,9 @@ def start(n: int, doubt_ns: Ints) -> Plausibility:
 
 
 def limits(
-    motors: Sequence[Motor], step_a: float, period_s: float, dt_s: float, settled: int
-) -> PlausibilityLimits:
+    motors: Sequence[Motor], step_a: float, period_s: float, dt_s: float, motion_ns: Nanos,
+    settled: int,
+) -> PlausibilityLimits:  # fmt: skip
     """step_a: resolution of the currents on the bus; period_s: between two samples.
 
     settled: readings after which the load by `Motion` is known.
@@ -175,5 +177,6 @@ def limits(
         np.array([float(m.pole_pairs) for m in motors]),
         np.array([m.k_p * m.pole_pairs * m.psi_pm for m in motors]),
         rated_a, np.array([m.T_rated for m in motors]),
-        np.maximum(LEAST_STEPS * step_a, LEAST_SHARE * rated_a), period_s, dt_s, settled,
+        np.maximum(LEAST_STEPS * step_a, LEAST_SHARE * rated_a), period_s, dt_s,
+        motion_ns, settled,
     )  # fmt: skip

@@ -44,6 +44,8 @@ SPEEDS_APART_RAD_S: Final = 1.0
 others; `Motion` is up to 10 ms old."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
+MOST_APART: Final = 0.1
+"""The same while its diameter is not known yet, diameters included."""
 NEAR_S: Final = 0.1
 """A rotor that was further away is back after so long: one that turns backwards passes by."""
 SLIDES_S: Final = 0.2
@@ -82,8 +84,8 @@ Ints = NDArray[np.int64]
 class Train(NamedTuple):
     """Memory of N drives, (N,), NaN where a number is not known.
 
-    rated Nm, inertia kg m2, motor: which of them are equal; slow_speed: smoothed speed of the
-    rotor, rad/s; taken: what accelerates the rotor with its train, per unit of rated torque;
+    rated Nm, inertia kg m2, motor: which of them have equal ratings; slow_speed: smoothed speed
+    of the rotor, rad/s; taken: what accelerates it with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
     apart: beyond `MOST_CREEP` when that was last known, near_s: for how long it has not been,
     slides_s: for how long it has carried more than the others meanwhile; away: left the others for
@@ -117,15 +119,19 @@ class Train(NamedTuple):
 
 
 def start(motors: Sequence[Motor]) -> Train:
-    """Nothing known. Speeds are compared between drives with the same motor data."""
+    """Nothing known. Speeds are compared between drives whose motors have the same ratings.
+
+    What was measured on each motor, such as its flux, may differ.
+    """
     n = len(motors)
-    kinds = list(dict.fromkeys(motors))
+    ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
+    kinds = list(dict.fromkeys(ratings))
     unknown = np.full((5, n), np.nan)
     apart, away, uncertain, odd, above = np.zeros((5, n), dtype=np.bool_)
     doubt_ns = np.full(n, NEVER, dtype=np.int64)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
-        np.array([kinds.index(m) for m in motors], dtype=np.int64), unknown[0], np.zeros(n),
+        np.array([kinds.index(m) for m in ratings], dtype=np.int64), unknown[0], np.zeros(n),
         np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), np.zeros(n), away, uncertain,
         doubt_ns, np.zeros(n), np.zeros(n), odd, above, unknown[2], unknown[3], unknown[4],
     )  # fmt: skip

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from dbc.bounds import within
-from dbc.text import TomlError, printable, read_toml
+from dbc.text import TomlError, printable, read_bytes, read_toml
 from sim.adhesion import rail
 from sim.tables import (
     BusModel,
@@ -286,7 +286,7 @@ def load(path: Path | str) -> Scenario:
     """Scenario from a file. Raises ScenarioError (also when the file cannot be read)."""
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bytes(path).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(str(path), [f"cannot be read: {error}"]) from None
     return parse_text(text, str(path))

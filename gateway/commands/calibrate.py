@@ -10,7 +10,7 @@ from dbc.block import Block
 from dbc.codec import Codec
 from dbc.frame import Frame
 from gateway.calibration import to_toml
-from gateway.commands.common import GOOD, add_config, prepare, track_file
+from gateway.commands.common import GOOD, add_config, prepare, shown, track_file
 from gateway.config import Config
 from gateway.core import Gateway
 from gateway.drivers.replay import OneChannel, open_log, replay
@@ -48,7 +48,8 @@ def run(options: argparse.Namespace) -> int:
     limits = ", ".join(f"{v:.2f}" for v in result.maisd_limit_k)
     model = "thermal models learnt" if result.heat else NO_MODEL
     motors = len(config.nodes)
-    print(f"{path}: {learner.samples} samples of {motors} motors; MAISD limits {limits} K; {model}")
+    seen = f"{learner.samples} samples of {motors} motors"
+    print(f"{shown(path)}: {seen}; MAISD limits {limits} K; {model}")
     return GOOD
 
 

@@ -56,7 +56,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Convert; counts on stdout. Exit 2 too if the log ended in a fault and OUT is a part of it.
 
-    Exit 1 if more than 1 % of its lines are none.
+    Exit 1 if more than 1 % of its lines are none, or of its frames are left out for their time.
     """
     from gateway.drivers import convert
     from gateway.drivers.replay import BadLogError
@@ -101,7 +101,8 @@ def run(options: argparse.Namespace) -> int:
             markup=False, soft_wrap=True,
         )  # fmt: skip
         return BAD_INPUT
-    return verdict_of_input(faults(log.reader), done.read)
+    late = done.time_faults
+    return verdict_of_input(faults(log.reader) | late, done.read - sum(late.values()))
 
 
 def _codec(options: argparse.Namespace) -> Codec:
@@ -125,6 +126,11 @@ def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     left = dict(done.sink.left_out)
     if decoder is not None:
         left |= {match.name.lower(): n for match, n in decoder.counts.items() if match}
+    if done.steps:
+        print(
+            f"time: the log's clock was set back {done.steps} times; all later times are moved "
+            "forward by that"
+        )
     if any(left.values()):
         words = (f"{cause} {n}" for cause, n in sorted(left.items()) if n)
         print("not written: " + ", ".join(words))

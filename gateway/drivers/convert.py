@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dbc.block import Block, in_blocks
 from dbc.codec import Codec
+from dbc.frame import MS
 from gateway.config import ConfigError
+from gateway.drivers.logtime import LogTime
 from gateway.drivers.replay import BadLogError, Log, LogError, OneChannel, open_log
 from gateway.results import frame_files
 from gateway.results.frame_files import Sink
@@ -22,15 +25,27 @@ FRAMES: Final = (".log", ".log.gz", ".asc", ".blf", ".trc")
 """Endings that hold frames and nothing else."""
 SIGNALS: Final = (".parquet", ".mf4", ".csv", ".csv.gz")
 """Endings that hold decoded signals, or frames where asked for."""
+ASCENDING: Final = (".asc", ".blf", ".trc", ".mf4")
+"""Endings of formats in which time only goes forward."""
 _EXTRA: Final = {".parquet": ("pyarrow", "parquet"), ".mf4": ("asammdf", "mf4")}
 
 
 class Done(NamedTuple):
-    """What became of a log. read: frames; cut: why reading ended early, else empty."""
+    """What became of a log.
+
+    read: frames; cut: why reading ended early, else empty; steps: times that the log's clock was
+    set back, after which all later times are moved forward.
+    """
 
     read: int
     sink: Sink
     cut: str
+    steps: int
+
+    @property
+    def time_faults(self) -> dict[str, int]:
+        """Frames that were not written because of their time, by cause."""
+        return {cause: self.sink.left_out[cause] for cause in ("time_back", "before_the_first")}
 
 
 def ending(path: Path) -> str:
@@ -141,6 +156,43 @@ def comments_of(codec: Codec) -> dict[str, str]:
     return {name: text for name, text in said.items() if text}
 
 
+class _Source:
+    """A log's blocks, counted. forward: so that time goes forward, but for little disorder.
+
+    One wrong stamp then costs itself, and a clock that was set back moves later times forward.
+    """
+
+    def __init__(self, blocks: Iterable[Block], forward: bool) -> None:
+        self._blocks, self._forward = blocks, forward
+        self.read = self.dropped = self.steps = 0
+        self.cut: LogError | None = None
+
+    def __iter__(self) -> Iterator[Block]:
+        """Ends where the log has a fault, which is `cut` then."""
+        blocks = self._counted()
+        first = next(blocks, None)
+        if first is None:
+            return
+        if not self._forward:
+            yield from chain([first], blocks)
+            return
+        time = LogTime(first.t_ns.item(0), MS, disorder=True)
+        for steady in time.steady(chain([first], blocks)):
+            self.dropped += steady.dropped.size
+            self.steps = time.steps
+            if steady.block.size:
+                yield steady.block
+
+    def _counted(self) -> Iterator[Block]:
+        try:
+            for block in self._blocks:
+                self.read += block.size
+                if block.size:
+                    yield block
+        except LogError as error:
+            self.cut = error
+
+
 def convert(
     blocks: Iterable[Block], path: Path, make: Callable[[Path], Sink], *, strict: bool
 ) -> Done:
@@ -149,25 +201,23 @@ def convert(
     Raises LogError with `strict`, or if nothing was read; BadLogError if there is nothing to
     write: then no file is left.
     """
+    source = _Source(blocks, ending(path) in ASCENDING)
     with whole(path) as part:
         sink = make(part)
-        read, cut = 0, ""
         try:
-            try:
-                for block in blocks:
-                    read += block.size
-                    sink.add(block)
-            except LogError as error:
-                if strict or not read:
-                    raise
-                cut = str(error)
-            if not read:
+            for block in source:
+                sink.add(block)
+            if source.cut is not None and (strict or not source.read):
+                raise source.cut
+            if not source.read:
                 raise BadLogError("no frame in the log (or none on this channel)")
         finally:
             sink.close()
+        sink.left_out["time_back"] += source.dropped
         if not sink.written:
-            raise NothingWrittenError(read, sink)
-    return Done(read, sink, cut)
+            raise NothingWrittenError(source.read, sink)
+    cut = "" if source.cut is None else str(source.cut)
+    return Done(source.read, sink, cut, source.steps)
 
 
 class NothingWrittenError(BadLogError):

@@ -52,8 +52,12 @@ class Back(NamedTuple):
 class LogTime:
     """The stamps of one log, in one direction. The same for the same log, however it is cut."""
 
-    def __init__(self, first_ns: Nanos, period_ns: Nanos) -> None:
-        """first_ns: stamp of the first frame; period_ns: steps back are whole numbers of it."""
+    def __init__(self, first_ns: Nanos, period_ns: Nanos, *, disorder: bool = False) -> None:
+        """first_ns: stamp of the first frame; period_ns: steps back are whole numbers of it.
+
+        disorder: frames that go back by no more than `NEAR_NS` count as well, as they are.
+        """
+        self._disorder = disorder
         self.frames = 0
         """Read so far."""
         self.steps = 0
@@ -107,9 +111,9 @@ class LogTime:
             latest = self._latest_ns
             if -NEAR_NS <= t_ns - latest <= NEAR_NS:
                 waiting = 0
-                if latest <= t_ns <= LATEST_NS - self._shift_ns:
+                if t_ns <= LATEST_NS - self._shift_ns and (t_ns >= latest or self._disorder):
                     kept[k] = True
-                    self._latest_ns = t_ns
+                    self._latest_ns = max(t_ns, latest)
                 continue
             follows = waiting > 0 and _agree(stamps[k - 1], t_ns, latest)
             waiting = waiting + 1 if follows else 1

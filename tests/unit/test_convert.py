@@ -288,13 +288,37 @@ def test_time_that_goes_back(tmp_path: Path, capsys: pytest.CaptureFixture) -> N
     frames = [Frame(T0 + d * 1000, 0x381, bytes(8), 0, "can0") for d in (5, 9, 7, 3, 9, 10)]
     log = log_of(tmp_path / "in.log", frames)
     for kind, left in ((".mf4", "time_back 2"), (".asc", "before_the_first 1")):
-        assert run(log, tmp_path / f"out{kind}") == 0
-        assert f"not written: {left}\n" in capsys.readouterr().out
+        assert run(log, tmp_path / f"out{kind}") == 1
+        said = capsys.readouterr()
+        assert f"not written: {left}\n" in said.out
+        assert f"of the input was dropped, which is more than 1%: {left}" in said.err
     with MDF(tmp_path / "out.mf4") as mdf:
         assert len(mdf.get("Drive1_Motion.Counter").timestamps) == 4
     assert run(log, tmp_path / "out.parquet") == 0
     times = pq.read_table(tmp_path / "out.parquet")["time"].cast("int64").to_pylist()
     assert times == [f.t_ns for f in frames]
+
+
+@pytest.mark.parametrize("kind", [".mf4", ".asc", ".blf", ".trc"])
+def test_one_wrong_stamp_and_a_clock_that_is_set_back_cost_next_to_nothing(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """In formats that know no time that goes back; what comes after is what came before."""
+    stamps = [T0 + k * 10_000_000 for k in range(2000)]
+    stamps[300] += 6_000_000_000
+    stamps[1000:] = [t_ns - 3600_000_000_000 for t_ns in stamps[1000:]]
+    log = log_of(tmp_path / "in.log", [Frame(t, 0x381, bytes(8), 0, "can0") for t in stamps])
+    out = tmp_path / f"out{kind}"
+    assert run(log, out, "--frames") == 0
+    said = capsys.readouterr().out
+    assert "not written: time_back 1\n" in said
+    assert "the log's clock was set back 1 times" in said
+    times = [frame.t_ns for block in open_log(out, strict=False).blocks for frame in block.frames()]
+    assert len(times) == 1999
+    steps = np.diff(times)
+    assert (steps > 9_000_000).all()
+    # One for the frame that is missing, one for the hole where the clock was set.
+    assert np.flatnonzero(steps > 11_000_000).tolist() == [299, 998]
 
 
 def test_one_channel(tmp_path: Path) -> None:

@@ -61,6 +61,34 @@ def no_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", "{}"],
+        ["sim", "{}", "-o", "out.log"],
+        ["hil", "{}"],
+        ["replay", "a", "--config", "{}"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_device_without_an_end_is_no_configuration(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    endless = tmp_path / "endless.toml"
+    endless.symlink_to("/dev/zero")
+    assert main([word.format(endless) for word in words]) == 2
+    assert "larger than 64 MiB" in capsys.readouterr().err
+
+
+def test_a_dbc_without_an_end_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "endless.dbc").symlink_to("/dev/zero")
+    (tmp_path / "train.toml").write_text('dbc = {file = "endless.dbc"}\ndrive = [{node = 1}]\n')
+    assert main(["check", str(tmp_path / "train.toml")]) == 2
+    assert "larger than 64 MiB" in capsys.readouterr().err
+
+
 @pytest.mark.timeout(120)  # who opens a FIFO that nobody writes to waits for ever
 @pytest.mark.parametrize("verb", ["replay", "convert", "calibrate", "monitor"])
 def test_what_is_no_file_is_refused_in_words(

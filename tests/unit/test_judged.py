@@ -121,6 +121,30 @@ def test_a_drive_that_is_cut_out_is_unknown_and_says_why(state, drives):
         assert flags(rows, other, 1.0, SECONDS) == {Flag.GOOD}
 
 
+@pytest.mark.parametrize("drives", [1, 2, 3])
+def test_a_command_of_the_wrong_sign_is_invalid_input_and_no_loss(drives):
+    rows = judged(with_status(recorded(0.6, drives), factor=-1.0), drives)
+    assert flags(rows, 0, 2.5, 4.0) == {Flag.UNKNOWN}
+    assert rows[350][0].health is Health.INPUT_INVALID
+    for drive in range(drives):
+        assert Flag.BAD not in flags(rows, drive, 0.0, SECONDS)
+
+
+def test_a_drive_cut_out_while_it_is_lost_keeps_its_flag_and_stops_nobody_from_learning():
+    """The contract: unknown never clears bad. Diameters of the others are learnt meanwhile."""
+    frames = with_status(recorded(0.6, 3, lost=True), state=0)
+    core = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec((1, 2, 3)), 0)
+    learnt = []
+    for k, tick in enumerate(frames, 1):
+        core.step(tick, k * TICK)
+        learnt.append(core.adhesion.train.learnt_s.tolist())
+        if 220 <= k < 400:
+            assert core.view.drives[0].adhesion is Flag.BAD
+    assert core.view.drives[0].adhesion is Flag.GOOD, "and it clears when the drive is back"
+    for other in (1, 2):
+        assert learnt[390][other] > learnt[220][other] + 1.0
+
+
 def test_a_wheel_lost_while_its_command_reads_zero_is_never_adhering():
     rows = judged(with_status(recorded(0.6, 3, lost=True), factor=0.0, begin=0.0), 3)
     assert Flag.GOOD not in flags(rows, 0, 1.6, 3.0)

@@ -1,0 +1,101 @@
+"""Wheels that run away beside others are never `Adhering` for long; steady ones are no liars."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.config import parse
+from gateway.core import Gateway
+from gateway.health import Flag
+from sim.plant import MOTORS
+from sim.simulation import Simulation
+from tests.simrun import FD_FILE, TICK, codec, scenario
+
+MOST_TICKS = 20
+
+
+def loss(drive: int, at_s: float) -> dict:
+    """A quarter, within 6 s: the load alone shows it late."""
+    return {"at_s": at_s, "drive": drive, "kind": "adhesion_loss", "depth": 0.25, "ramp_s": 6.0}
+
+
+def flags_and_speeds(seconds: float, events: list[dict], drives: int, nm: float = 18.0, **config):
+    """Flags (ticks, N) and true rotor speeds (ticks, N); nothing limits the slip."""
+    nodes = tuple(range(1, drives + 1))
+    run = scenario(
+        seed=5, duration_s=seconds, drives=drives, slip_limiter="none", event=events,
+        motion={"profile": [(0.0, 200.0)]}, load={"torque_nm": nm},
+    )  # fmt: skip
+    simulation = Simulation(run, codec(nodes), nodes=nodes)
+    core = Gateway(parse({"drive": [{"node": node} for node in nodes], **config}), codec(nodes), 0)
+    flags = []
+    for k in range(1, round(seconds * 100) + 1):
+        core.step(simulation.step((), k * TICK), k * TICK)
+        flags.append([drive.adhesion for drive in core.view.drives])
+    speeds = np.reshape([row.speed_rad_s for row in simulation.truth_rows()], (-1, drives))
+    return np.array(flags), np.abs(speeds[: len(flags)])
+
+
+def longest_good(flags, speeds, drive: int, train: int) -> int:
+    """Ticks in a row: drive is called adhering and more than 10 % from a wheel that holds."""
+    longest = now = 0
+    apart = np.abs(speeds[:, drive] / speeds[:, train] - 1.0) > 0.1
+    for wrong in (flags[: len(apart), drive] == Flag.GOOD) & apart:
+        now = now + 1 if wrong else 0
+        longest = max(longest, now)
+    return longest
+
+
+@pytest.mark.parametrize("drives", [3, 4])
+def test_two_wheels_that_run_away_together(drives):
+    """Those that hold say the same speed and torque all the time, and are right."""
+    flags, speeds = flags_and_speeds(8.0, [loss(1, 4.0), loss(2, 4.0)], drives)
+    assert speeds[-1, 0] > 1.5 * speeds[-1, -1]
+    for drive in (0, 1):
+        assert longest_good(flags, speeds, drive, drives - 1) <= MOST_TICKS
+        assert (flags[200:400, drive] == Flag.GOOD).all()
+    assert not (flags[:, 2:] == Flag.BAD).any()
+
+
+@pytest.mark.parametrize("nm", [18.0, -18.0])
+def test_one_of_two_in_the_first_seconds_of_adhering(nm):
+    """Its diameter is not known yet, and the slip is not learnt for one."""
+    flags, speeds = flags_and_speeds(4.0, [loss(1, 1.0)], 2, nm)
+    assert abs(speeds[-1, 0] / speeds[-1, 1] - 1.0) > 0.2
+    assert longest_good(flags, speeds, 0, 1) <= MOST_TICKS
+
+
+def test_a_motor_measured_a_little_unlike_the_others():
+    keys = ("R_s", "L_s", "psi_pm", "pole_pairs", "J", "I_rated", "T_rated")
+    motor = {key: getattr(MOTORS["bench"], key) for key in keys}
+    motor["psi_pm"] *= 1.001
+    drives = [{"node": 1, "motor": "measured"}, {"node": 2}, {"node": 3}]
+    flags, speeds = flags_and_speeds(
+        9.0, [loss(1, 4.0)], 3, motor={"measured": motor}, drive=drives
+    )
+    assert speeds[-1, 0] > 1.5 * speeds[-1, 2]
+    assert longest_good(flags, speeds, 0, 2) <= MOST_TICKS
+
+
+@pytest.mark.parametrize(
+    ("motor", "nm", "speed"),
+    [("bench", 18.0, 320.0), ("bench", 18.0, 400.0), ("traction_350kw", 480.0, 800.0)],
+)
+def test_an_honest_train_on_can_fd_is_adhering_at_every_speed(motor, nm, speed):
+    """One of ten `Motion` frames waits for the bus by a millisecond: no sign of a late current."""
+    nodes = (1, 2, 3)
+    run = scenario(
+        seed=11, duration_s=2.0, motor={"name": motor}, load={"torque_nm": nm},
+        motion={"start": "rolling", "profile": [[0.0, speed]]},
+    )  # fmt: skip
+    simulation = Simulation(run, codec(nodes, FD_FILE), nodes=nodes)
+    config = {"dbc": {"file": "traction_fd.dbc"}, "drive": [
+        {"node": node, "motor": motor} for node in nodes
+    ]}  # fmt: skip
+    core = Gateway(parse(config), codec(nodes, FD_FILE), 0)
+    flags = []
+    for k in range(1, 201):
+        core.step(simulation.step((), k * TICK), k * TICK)
+        flags.append([drive.adhesion for drive in core.view.drives])
+    assert (np.array(flags)[50:] == Flag.GOOD).all()
