@@ -129,6 +129,9 @@ def test_without_protection_every_frame_is_good():
     state["missed"] = 2
     assert e2e_check(rows(b""), 0, 1, plain, state) == Check.OK
     assert state["missed"].tolist() == [2, 0, 2]
+    assert state["counter"].tolist() == [-1, -1, -1]
+    pointer = ffi.from_buffer("struct e2e_config[]", plain)
+    assert lib.e2e_crc_fits(ffi.addressof(pointer[0]), b"") == 1
     three = rows(b"\1\2\3")
     e2e_protect(three, 0, 1, 7, plain)
     assert (three == rows(b"\1\2\3")).all()
