@@ -110,11 +110,15 @@ calibration: $(VENV)/.ready
 	$(BIN)/traction-gateway calibrate out/calibration_*.log --config examples/train16.toml \
 		-o gateway/bench_calibration.toml
 
-# Wheel and sdist. What an earlier build left would otherwise be packed as well.
+# Wheels for two processors (glibc 2.17 or newer, any Python from 3.11 on), and the sdist. What an earlier
+# build left would otherwise be packed as well.
+ZIG = $(abspath $(BIN))/python -m ziglang cc -target $$what-linux-gnu.2.17
 dist: $(VENV)/.ready
 	rm -rf build dist
-	for what in sdist wheel; do $(BIN)/python -c "import sys; import core_build; \
-		getattr(core_build, 'build_' + sys.argv[1])('dist')" $$what >/dev/null || exit 1; done
+	$(PIP) --require-hashes -r requirements-compiler.lock
+	$(BIN)/python -c "import core_build; core_build.build_sdist('dist')" >/dev/null
+	for what in x86_64 aarch64; do rm -rf build; CC="$(ZIG)" LDSHARED="$(ZIG) -shared" \
+		$(BIN)/python setup.py -q bdist_wheel --plat-name manylinux2014_$$what -d dist || exit 1; done
 	ls dist
 
 # What stands in changelog.d goes into CHANGELOG.md, under the version in pyproject.toml. towncrier has
