@@ -30,7 +30,7 @@ _LEAST_SPEED = t.LEAST_SPEED_RAD_S
 _MOST_CREEP, _LEARN_CREEP, _MOST_APART = t.MOST_CREEP, t.LEARN_CREEP, t.MOST_APART
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
-_NEAR_S, _SLIDES_S, _AGAINST = t.NEAR_S, t.SLIDES_S, t.AGAINST
+_NEAR_S, _SLIDES_S, _AGAINST, _GRIPS = t.NEAR_S, t.SLIDES_S, t.AGAINST, t.GRIPS
 _SPEEDS_APART, _SPEEDS_APART_RAD_S = t.SPEEDS_APART, t.SPEEDS_APART_RAD_S
 _UNCOMMANDED, _UNCOMMANDED_RELATIVE = t.UNCOMMANDED, t.UNCOMMANDED_RELATIVE
 _COMMAND_LATE_S, _ODD_S, _MOST_COMMAND = t.COMMAND_LATE_S, t.ODD_S, t.MOST_COMMAND
@@ -221,7 +221,8 @@ def _slides(k: int, flag: int, tick_s: float, train: Train) -> bool:
     more = train.apart[k] and flag != _BAD and abs(load) > abs(others)
     train.slides_s[k] = train.slides_s[k] + tick_s if more else 0.0
     against = train.apart[k] and load * others < -_AGAINST * others * others
-    return bool(train.slides_s[k] > _SLIDES_S or against)
+    grips = train.away[k] and more and abs(load) > abs(others) + _GRIPS
+    return bool(train.slides_s[k] > _SLIDES_S or against or grips)
 
 
 @inlined

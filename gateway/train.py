@@ -51,6 +51,8 @@ NEAR_S: Final = 0.1
 SLIDES_S: Final = 0.2
 """A rotor that is apart and carries more than the others for so long slides under its load; one
 that loses or finds its grip is sooner through."""
+GRIPS: Final = 0.1
+"""Per unit of rated torque that one which has run away carries more than the others: at once."""
 AGAINST: Final = 0.25
 """Share of the others' load that one which is apart carries against them: it turns backwards."""
 LEARN_CREEP: Final = 0.03
