@@ -4,7 +4,12 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: demo test fuzz fuzz-deep soak campaign coverage mutation lint format docs bench calibration changelog dist lock clean-kernels clean
+# The compiled core.
+CORE_C := $(wildcard dbc/*.c estimators/*.c gateway/core/*.c)
+CORE_H := $(wildcard dbc/*.h estimators/*.h gateway/core/*.h)
+WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
+
+.PHONY: demo test test-all fuzz fuzz-deep soak campaign coverage sanitize mutation lint format docs bench calibration changelog dist lock clean-kernels clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -14,6 +19,10 @@ demo: $(VENV)/.ready
 test: $(VENV)/.ready
 	$(BIN)/pytest -n auto --dist worksteal --ignore=tests/hil $(ARGS)
 	$(BIN)/pytest tests/hil $(ARGS)
+
+# What takes longer than the gate may: the whole test suite on a core with the sanitizers in it.
+test-all: test
+	$(BIN)/python -m tests.core_variants sanitize -n auto --dist worksteal --ignore=tests/hil --ignore=tests/web tests
 
 # Random examples, many more of them than the gate looks at: `make fuzz FACTOR=100`.
 FACTOR ?= 20
@@ -45,12 +54,17 @@ campaign: $(VENV)/.ready
 
 # Every line and branch of what decides a flag is run by its own tests, uncompiled; a gate in CI.
 coverage: $(VENV)/.ready
+	$(BIN)/python -m tests.core_variants coverage
 	$(BIN)/python -m tests.mutation.coverage_gate
+
+# The core's own tests under AddressSanitizer and UndefinedBehaviorSanitizer.
+sanitize: $(VENV)/.ready
+	$(BIN)/python -m tests.core_variants sanitize $(ARGS)
 
 # Are these tests tested? Some 40 minutes, of all parts; `make mutation PARTS=said` for one. Goes on where
 # it was stopped, so `rm out/mutants/*.jsonl` after a change. What survives is listed, and all is kept.
 # cosmic-ray, which makes the mutants, has an environment of its own: it is no dependency.
-PARTS ?= flags doubt protection validity said receive
+PARTS ?= flags doubt validity said
 MUTANTS := out/mutants
 mutation: $(VENV)/.ready
 	mkdir -p $(MUTANTS)
@@ -61,12 +75,17 @@ mutation: $(VENV)/.ready
 		NUMBA_DISABLE_JIT=1 nice -n 10 $(BIN)/python -W ignore::SyntaxWarning -m tests.mutation.judge \
 			$$part $(MUTANTS)/$$part.mutants $(MUTANTS)/$$part.jsonl || exit 1; done
 	$(BIN)/python -m tests.mutation.survivors -o tests/mutation/outcomes.json $(MUTANTS)/*.jsonl
+	$(BIN)/python -m tests.mutation.core
 
 # The documents as a site, in out/site; NO_MKDOCS_2_WARNING: an advertisement of its theme's authors.
 docs: $(VENV)/.ready
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build $(ARGS)
 
 lint: $(VENV)/.ready
+	$(BIN)/clang-format --dry-run -Werror $(CORE_C) $(CORE_H)
+	! command -v gcc >/dev/null || gcc $(WARNINGS) -fsyntax-only $(CORE_C)
+	$(BIN)/clang-tidy --quiet $(CORE_C) -- $(WARNINGS)
+	$(BIN)/cppcheck --quiet --std=c11 -I. --error-exitcode=1 --enable=warning,style,performance,portability $(CORE_C)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -74,6 +93,7 @@ lint: $(VENV)/.ready
 	$(BIN)/python -m dbc.build --check
 
 format: $(VENV)/.ready
+	$(BIN)/clang-format -i $(CORE_C) $(CORE_H)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
@@ -90,11 +110,15 @@ calibration: $(VENV)/.ready
 	$(BIN)/traction-gateway calibrate out/calibration_*.log --config examples/train16.toml \
 		-o gateway/bench_calibration.toml
 
-# Wheel and sdist. What an earlier build left would otherwise be packed as well.
+# Wheels for two processors (glibc 2.17 or newer, any Python from 3.11 on), and the sdist. What an earlier
+# build left would otherwise be packed as well.
+ZIG = $(abspath $(BIN))/python -m ziglang cc -target $$what-linux-gnu.2.17
 dist: $(VENV)/.ready
 	rm -rf build dist
-	for what in sdist wheel; do $(BIN)/python -c "import sys; from setuptools import build_meta; \
-		getattr(build_meta, 'build_' + sys.argv[1])('dist')" $$what >/dev/null || exit 1; done
+	$(PIP) --require-hashes -r requirements-compiler.lock
+	$(BIN)/python -c "import core_build; core_build.build_sdist('dist')" >/dev/null
+	for what in x86_64 aarch64; do rm -rf build; CC="$(ZIG)" LDSHARED="$(ZIG) -shared" \
+		$(BIN)/python setup.py -q bdist_wheel --plat-name manylinux2014_$$what -d dist || exit 1; done
 	ls dist
 
 # What stands in changelog.d goes into CHANGELOG.md, under the version in pyproject.toml. towncrier has
@@ -110,10 +134,17 @@ lock:
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
 		--generate-hashes --no-strip-extras --no-emit-index-url --quiet --output-file requirements.lock
 
-$(VENV)/.ready: requirements.lock pyproject.toml
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+
+# A machine without a C compiler gets one from pip.
+$(VENV)/.dependencies: requirements.lock requirements-compiler.lock
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(PIP) --require-hashes -r requirements.lock
+	command -v cc >/dev/null || $(PIP) --require-hashes -r requirements-compiler.lock
+	touch $@
+
+$(VENV)/.ready: $(VENV)/.dependencies pyproject.toml setup.py core_build.py $(CORE_C) $(CORE_H)
+	$(PIP) --no-deps --no-build-isolation -e .
 	touch $@
 
 # Nothing needs this: what is stale is compiled anew by itself.
@@ -121,4 +152,4 @@ clean-kernels:
 	find dbc estimators gateway sim -name '*.nb[ic]' -delete
 
 clean:
-	rm -rf $(VENV) build dist out *.egg-info
+	rm -rf $(VENV) build dist out *.egg-info _traction_core*.so

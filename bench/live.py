@@ -24,8 +24,8 @@ from bench.judges import verdict_of
 from bench.kernels import call_of
 from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
+from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
-from dbc.protection import protect
 from estimators._lanes_kernels import ekf_lanes
 from gateway.config import Config, ConfigError, shipped_dbc
 from gateway.core import Gateway

@@ -3,7 +3,8 @@
 numba's own cache looks at the function's own file only: after a change of a constant or a helper
 in another module the old machine code goes on running. Here the stamp is a hash over all sources
 of the product that the function's module imports, directly or through others, and over the
-versions of Python, numba, llvmlite and NumPy. A stamp over all sources would need fewer lines, but
+versions of Python, numba, llvmlite and NumPy, and the layout of the compiled core's records. A
+stamp over all sources would need fewer lines, but
 then every edit would compile everything anew, which takes minutes; a kernel's module imports 0 to
 97 of 300.
 
@@ -36,12 +37,16 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 
+from dbc.records import LAYOUT
+
 F = TypeVar("F", bound=Callable[..., Any])
 log = logging.getLogger(__name__)
 
 PRODUCT: Final = ("dbc", "estimators", "gateway", "sim")
 SIZE: Final = hashlib.sha256().digest_size
-VERSIONS: Final = f"{sys.version} {numba.__version__} {llvmlite.__version__} {np.__version__}"
+VERSIONS: Final = (
+    f"{sys.version} {numba.__version__} {llvmlite.__version__} {np.__version__} {LAYOUT}"
+)
 _IMPORTS: Final = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|.*)|import[ \t]+(.*))", re.MULTILINE
 )

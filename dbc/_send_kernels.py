@@ -1,6 +1,6 @@
 """Compiled encoding: numbers to payload bytes, counter and checksum of one frame.
 
-Twins: `dbc.codec.Codec.encode` and `dbc.protection.protect`.
+Twin of encoding: `dbc.codec.Codec.encode`.
 """
 
 from __future__ import annotations
@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._e2e_kernels import e2e_protect
 from dbc._lean import inlined, lean
-from dbc._receive_kernels import sum_p02, sum_p05
 
 if TYPE_CHECKING:
-    from dbc.receive import Guard
+    from dbc.records import Records
     from dbc.sending import Form
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_NONE, _P02 = 0, 1  # dbc.protection.Profile
 _BYTE, _COUNT, _SHIFT, _BIG, _FLOAT = range(5)  # dbc.sending.Form.place
 _MASK, _ABSENT, _START, _LOW, _HIGH = range(5)  # dbc.sending.Form.bits
 _EIGHT = np.uint64(8)
@@ -69,29 +68,15 @@ def encode(m: int, value: Array, row: int, form: Form, payload: Bytes) -> None:
             at += step
 
 
-@inlined
-def seal(payload: Bytes, row: int, m: int, counter: int, guard: Guard) -> None:
-    """Write counter (modulo its width) and checksum of message m into the header."""
-    if guard.profile[m] == _NONE:
-        return
-    if guard.profile[m] == _P02:
-        payload[row, 1] = (payload[row, 1] & 0xF0) | (counter & 0x0F)
-        payload[row, 0] = sum_p02(payload, row, m, guard)
-    else:
-        payload[row, 2] = counter & 0xFF
-        wide = sum_p05(payload, row, m, guard)
-        payload[row, 0], payload[row, 1] = wide & 0xFF, wide >> 8
-
-
 @lean
 def encode_rows(
-    message: NDArray[np.int64], value: Array, counter: NDArray[np.int64], form: Form, guard: Guard,
-    payload: Bytes,
+    message: NDArray[np.int64], value: Array, counter: NDArray[np.int64], form: Form,
+    config: Records, payload: Bytes,
 ) -> None:  # fmt: skip
-    """N frames: message (n,) their numbers in form and guard, value (n, S), counter (n,).
+    """N frames: message (n,) their numbers in form and config, value (n, S), counter (n,).
 
     Fills payload (n, 64).
     """
     for row in range(message.shape[0]):
         encode(message[row], value, row, form, payload)
-        seal(payload, row, message[row], counter[row], guard)
+        e2e_protect(payload, row, message[row], counter[row] & 0xFF, config)

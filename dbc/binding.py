@@ -17,8 +17,8 @@ from dbc import contract as expected
 from dbc import prepared
 from dbc.contract import Contract, Direction, MessageNeed, SignalNeed
 from dbc.dataids import p02_data_ids
+from dbc.e2e import HEADER_BYTES, Profile
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
-from dbc.protection import HEADER_BYTES, Profile
 from dbc.refusal import explained, placed
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 from dbc.text import read_bytes

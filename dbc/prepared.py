@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from dbc.protection import Profile
+from dbc.e2e import Profile
 from dbc.spec import MessageSpec, SignalSpec
 
 TABLE: Final = Path(__file__).with_name("prepared.json")

@@ -1,6 +1,6 @@
 """Messages that are sent every tick, as arrays for the compiled encoder.
 
-`dbc.codec.Codec.encode` and `dbc.protection.protect` say the same for one message, and are what
+`dbc.codec.Codec.encode` and `dbc.e2e.protect` say the same for one message, and are what
 tests compare this with.
 """
 

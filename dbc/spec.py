@@ -9,8 +9,8 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from dbc.e2e import Profile
 from dbc.frame import Nanos
-from dbc.protection import Profile
 from dbc.text import printable
 
 VALID: Final = 0

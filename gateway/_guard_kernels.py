@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dbc._lean import inlined
-from dbc.protection import MAX_DELTA
+from dbc.e2e import MAX_DELTA
 from gateway.channel import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 
 if TYPE_CHECKING:

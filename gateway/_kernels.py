@@ -1,7 +1,7 @@
 """Compiled loops of the inbox: which frames are ours and good, and the samples they make.
 
 Scalar by nature, so their twins are the same functions uncompiled (`.py_func`); protection is
-compared with `dbc.protection.Receiver` as well.
+in C (`dbc/e2e.c`) already.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._e2e_kernels import e2e_check, e2e_sm_check
 from dbc._kernels import decode_block
 from dbc._lean import inlined, lean
-from dbc._receive_kernels import cycle, judge
+from dbc.e2e import Check, SmState
 from gateway import supervision
 from gateway._guard_kernels import note_foul
 from gateway._route_kernels import route
@@ -22,7 +23,7 @@ from gateway._slow_kernels import keep
 
 if TYPE_CHECKING:
     from dbc._tables import Tables
-    from dbc.receive import Guard, Window
+    from dbc.records import Records
     from gateway.channel import ChannelState
     from gateway.pairing import PairState, Samples, Wiring
     from gateway.receiving import Routes, Scratch
@@ -40,8 +41,9 @@ _UNPAIRED, _LATE, _ANY = 0, 1, 2  # pairing.Trouble
 _SQRT3 = math.sqrt(3.0)
 _SUM_SMOOTHING = 0.05
 _EXTENDED, _REMOTE, _ERROR_FRAME, _FD = 1, 2, 4, 8  # dbc.frame
-_OK, _SOME_LOST, _ERROR, _REPEATED, _WRONG_SEQUENCE, _NO_NEW_DATA = range(6)  # protection.Check
-_SM_VALID, _SM_INVALID = 2, 3  # protection.SmState
+_SOME_LOST, _ERROR, _NO_NEW_DATA = map(int, (Check.OK_SOME_LOST, Check.ERROR, Check.NO_NEW_DATA))
+_REPEATED = int(Check.REPEATED)
+_SM_VALID, _SM_INVALID = int(SmState.VALID), int(SmState.INVALID)
 _FINE, _STARTING, _STALE, _CORRUPTED, _SEQUENCE, _RANGE, _MISSING_VALUE = range(7)  # Reason
 (
     _T_DECODED, _T_ERROR_FRAME, _T_REMOTE, _T_OWN, _T_TIME_BACK, _T_WRONG_LENGTH, _T_CRC,
@@ -186,10 +188,10 @@ def take_rows(
 
 
 @inlined
-def _is_latest(data: Bytes, row: int, c: int, guard: Guard, state: ChannelState) -> bool:
+def _is_latest(data: Bytes, row: int, c: int, length: int, state: ChannelState) -> bool:
     """Whether a frame is the last one of channel c byte for byte; the next is compared with it."""
     same = True
-    for k in range(guard.length[c]):
+    for k in range(length):
         same = same and data[row, k] == state.latest[c, k]
         state.latest[c, k] = data[row, k]
     return same
@@ -197,32 +199,29 @@ def _is_latest(data: Bytes, row: int, c: int, guard: Guard, state: ChannelState)
 
 @inlined
 def _admit(
-    data: Bytes, row: int, c: int, t: int, guard: Guard, memory: Window, state: ChannelState,
+    data: Bytes, row: int, c: int, t: int, config: Records, e2e: Records, state: ChannelState,
     tally: Ints,
 ) -> bool:  # fmt: skip
     """Whether a frame of channel c may be used: checksum, counter, and a valid receiver.
 
     A rejected frame updates nothing but counters and reasons.
     """
-    last = memory.counter[c]
-    check = judge(data, row, c, guard, memory)
-    if guard.profile[c] == 0:
+    check = e2e_check(data, row, c, config, e2e)
+    if config[c]["profile"] == 0:
         state.last_ns[c] = t
         state.seen_valid[c] = True
         return True
-    for _ in range(memory.missed[c]):
-        cycle(c, _NO_NEW_DATA, memory)
-    valid = cycle(c, check, memory) == _SM_VALID
+    for _ in range(e2e[c]["missed"]):
+        e2e_sm_check(c, _NO_NEW_DATA, e2e)
+    valid = e2e_sm_check(c, check, e2e) == _SM_VALID
     if check != _ERROR:
-        copy = _is_latest(data, row, c, guard, state) and check == _REPEATED
-        ahead = (memory.counter[c] - last) % guard.modulus[c]
-        turn = guard.modulus[c] if check == _REPEATED else ahead
-        note_foul(c, t, turn if last >= 0 else 1, copy, state)
+        copy = _is_latest(data, row, c, config[c]["length"], state) and check == _REPEATED
+        note_foul(c, t, int(e2e[c]["step"]), copy, state)
     if check <= _SOME_LOST:
         state.last_ns[c] = t
-        tally[_T_LOST] += memory.missed[c]
+        tally[_T_LOST] += e2e[c]["missed"]
         # While it is invalid nothing gets in; at the start good frames do, and are not believed.
-        invalid = memory.state[c] == _SM_INVALID or t < state.guarded_ns[c]
+        invalid = e2e[c]["state"] == _SM_INVALID or t < state.guarded_ns[c]
         tally[_T_NOT_YET_VALID] += invalid
         state.seen_valid[c] |= valid
         return not invalid
@@ -234,7 +233,7 @@ def _admit(
 
 
 @inlined
-def _unbelieved(c: int, now: int, guard: Guard, memory: Window, state: ChannelState) -> int:
+def _unbelieved(c: int, now: int, config: Records, e2e: Records, state: ChannelState) -> int:
     """Why channel c is not believed at `now`; 0 if it is."""
     heard, last, cause = state.heard_ns[c], state.last_ns[c], state.cause[c]
     if heard < 0:
@@ -243,23 +242,23 @@ def _unbelieved(c: int, now: int, guard: Guard, memory: Window, state: ChannelSt
         return _STALE
     if now < state.guarded_ns[c]:
         return _SEQUENCE
-    if guard.profile[c] != 0 and memory.state[c] != _SM_VALID:
+    if config[c]["profile"] != 0 and e2e[c]["state"] != _SM_VALID:
         # Single good frames do not end it; the last thing that went wrong is why.
         if state.blame[c] != _FINE:
             return int(state.blame[c])
-        return _STALE if memory.state[c] == _SM_INVALID else _STARTING
+        return _STALE if e2e[c]["state"] == _SM_INVALID else _STARTING
     if last < 0 or now - last > state.limit_ns[c]:
         return int(cause) if cause != _FINE else _STALE
     return int(cause) if cause in (_RANGE, _MISSING_VALUE) else _FINE
 
 
 @inlined
-def settle(now: int, guard: Guard, memory: Window, state: ChannelState) -> None:
+def settle(now: int, config: Records, e2e: Records, state: ChannelState) -> None:
     """End of a tick: notice silence, and say why each channel is not believed (`reason`)."""
     for c in range(state.reason.shape[0]):
         if state.last_ns[c] >= 0 and now - state.last_ns[c] > state.limit_ns[c]:
-            cycle(c, _NO_NEW_DATA, memory)
-        state.reason[c] = _unbelieved(c, now, guard, memory, state)
+            e2e_sm_check(c, _NO_NEW_DATA, e2e)
+        state.reason[c] = _unbelieved(c, now, config, e2e, state)
 
 
 @inlined
@@ -309,8 +308,8 @@ def take_block(
     data: Bytes,
     now: int,
     routes: Routes,
-    guard: Guard,
-    memory: Window,
+    config: Records,
+    e2e: Records,
     state: ChannelState,
     tables: Tables,
     wiring: Wiring,
@@ -362,13 +361,13 @@ def take_block(
             scratch.tally[_T_TIME_BACK] += 1
             continue
         state.heard_ns[c] = t
-        if length[r] != guard.length[c] or flags[r] & _FD != guard.fd[c]:
+        if length[r] != config[c]["length"] or flags[r] & _FD != config[c]["fd"]:
             # One with our id that cannot be our message is as bad as a wrong checksum.
             scratch.tally[_T_WRONG_LENGTH] += 1
-            cycle(c, _ERROR, memory)
+            e2e_sm_check(c, _ERROR, e2e)
             state.cause[c] = _CORRUPTED
             state.blame[c] = _CORRUPTED
-        elif _admit(data, r, c, t, guard, memory, state, scratch.tally):
+        elif _admit(data, r, c, t, config, e2e, state, scratch.tally):
             scratch.channel[m] = c
             scratch.message[m] = wiring.message[c]
             scratch.t_ns[m] = t
@@ -391,7 +390,7 @@ def take_block(
             if _note(row, channel[row], wiring, state, scratch, slow, readings):
                 scratch.seen[seen] = row
                 seen += 1
-    settle(now, guard, memory, state)
+    settle(now, config, e2e, state)
     odd = scratch.tally[_T_DECODED] != t_ns.shape[0]
     for k in range(_T_DECODED + 1, scratch.tally.shape[0]):
         odd = odd or scratch.tally[k] != 0

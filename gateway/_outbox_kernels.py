@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._e2e_kernels import e2e_protect
 from dbc._lean import inlined, lean
-from dbc._send_kernels import encode, seal
+from dbc._send_kernels import encode
 
 if TYPE_CHECKING:
-    from dbc.receive import Guard
+    from dbc.records import Records
     from dbc.sending import Form
     from gateway.said import Said
     from gateway.sources import Memory, Room, Sheet
@@ -110,7 +111,7 @@ def _changed(said: Said, memory: Memory) -> bool:
 
 @lean
 def send(
-    now: int, said: Said, counted: Array, sheet: Sheet, form: Form, guard: Guard, memory: Memory,
+    now: int, said: Said, counted: Array, sheet: Sheet, form: Form, config: Records, memory: Memory,
     room: Room,
 ) -> int:  # fmt: skip
     """Encode what is due; fills payload and message of `room`, gives the number of frames."""
@@ -129,7 +130,7 @@ def send(
             if form.given[m, c]:
                 room.value[rows, c] = value_of(sheet.source[m, c], sheet.drive[m, c], said, counted)
         encode(m, room.value, rows, form, room.payload)
-        seal(room.payload, rows, m, memory.counter[m], guard)
+        e2e_protect(room.payload, rows, m, memory.counter[m] & 0xFF, config)
         memory.counter[m] += 1
         room.message[rows] = m
         rows += 1

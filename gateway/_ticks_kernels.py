@@ -120,7 +120,7 @@ def several(
         if last > first:
             samples, seen, foreign, odd = take_block(
                 t_ns[first:last], can_id[first:last], flags[first:last], length[first:last],
-                data[first:last], now, receiving.routes, receiving.guard, receiving.memory,
+                data[first:last], now, receiving.routes, receiving.e2e_config, receiving.e2e_state,
                 receiving.state, receiving.tables, receiving.wiring, receiving.hole_ns,
                 receiving.pairs, receiving.slow, receiving.scratch, receiving.readings,
                 receiving.out, receiving.beats,
@@ -128,7 +128,7 @@ def several(
             if samples < 0:
                 break
         else:
-            settle(now, receiving.guard, receiving.memory, receiving.state)
+            settle(now, receiving.e2e_config, receiving.e2e_state, receiving.state)
         if (
             foreign or receiving.pairs.trouble[_ANY] or samples > filtering.room.nis.shape[0]
             or _any_lost(now, receiving.beats)
@@ -237,8 +237,8 @@ def several(
         _raise(went.peak, saying.said.lost)
         _count(receiving.scratch.tally, saying)
         frames = send(
-            now, saying.said, saying.counts, saying.sheet, saying.form, saying.seal, saying.memory,
-            saying.room,
+            now, saying.said, saying.counts, saying.sheet, saying.form, saying.e2e_config,
+            saying.memory, saying.room,
         )  # fmt: skip
         for i in range(frames):
             message = saying.room.message[i]

@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 from dbc.binding import read
 from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
+from dbc.e2e import Profile
 from dbc.frame import MS, Nanos
-from dbc.protection import Profile
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 from gateway.config import Config, ConfigError, Drive, Motor
 from gateway.signals import Signals, Source

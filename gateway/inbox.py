@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dbc import receive
+from dbc import e2e
 from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
@@ -125,8 +125,8 @@ class Inbox:
                     self.channels.append(channel)
             drive.settled()
         self.state = channel_state(self.channels)
-        self.guard = receive.guard([channel.spec for channel in self.channels])
-        self.memory = receive.window(len(self.channels))
+        self.e2e_config = e2e.configs([channel.spec for channel in self.channels])
+        self.e2e_state = e2e.states(len(self.channels))
         self.routes = receiving.routes(keys, own, supervision.ids)
         self.wiring = pairing.wiring(self.channels)
         self._take, self._settle = Direct(take_block), Direct(settle)
@@ -166,7 +166,7 @@ class Inbox:
         block = frames if isinstance(frames, Block) else block_of(frames)
         if not block.size:
             self.samples = self.room.first(0)
-            self._settle(now, self.guard, self.memory, self.state)
+            self._settle(now, self.e2e_config, self.e2e_state, self.state)
             return block
         if block.size > self.rows:
             self._make_room(2 * block.size)
@@ -199,7 +199,7 @@ class Inbox:
         """See `take_block`."""
         return self._take(  # type: ignore[no-any-return]
             block.t_ns, block.can_id, block.flags, block.length, block.data,
-            now, self.routes, self.guard, self.memory, self.state, self.codec.tables,
+            now, self.routes, self.e2e_config, self.e2e_state, self.state, self.codec.tables,
             self.wiring, MAX_GAP_NS, self.pairs, self.slow, self.scratch, self.readings,
             self.room, self.supervision.beats,
         )  # fmt: skip

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from dbc import receive
 from dbc.codec import PAYLOAD, Codec, MessageSpec
+from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
-from dbc.protection import protect
 from dbc.sending import form
 from gateway._direct import Direct
 from gateway._outbox_kernels import send
@@ -60,7 +59,7 @@ class Outbox:
             self.form = form(codec, given)
         except ValueError as error:
             raise ConfigError(str(codec.path), [str(error)]) from None
-        self.guard = receive.guard(specs)
+        self.e2e_config = configs(specs)
         width = self.form.given.shape[1]
         source, drive = np.zeros((2, len(specs), width), dtype=np.int64)
         for m, (spec, row) in enumerate(zip(specs, rows, strict=True)):
@@ -122,7 +121,7 @@ class Outbox:
         """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
         self.begin(now)
         count = self._send(
-            now, said, self.counts, self.sheet, self.form, self.guard, self.memory, self.room
+            now, said, self.counts, self.sheet, self.form, self.e2e_config, self.memory, self.room
         )
         self.note_sent(now)
         if not count:

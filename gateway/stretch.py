@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc._tables import Tables
-from dbc.receive import Guard, Window
+from dbc.records import Records
 from dbc.sending import Form
 from estimators.detect import reference, response
 from gateway import loads, motion, plausibility, sources, tracks, train
@@ -37,8 +37,8 @@ class Receiving(NamedTuple):
 
     period_ns: int
     routes: Routes
-    guard: Guard
-    memory: Window
+    e2e_config: Records
+    e2e_state: Records
     state: ChannelState
     tables: Tables
     wiring: Wiring
@@ -128,7 +128,7 @@ class Saying(NamedTuple):
     counts: Array
     sheet: sources.Sheet
     form: Form
-    seal: Guard
+    e2e_config: Records
     memory: sources.Memory
     room: sources.Room
     cost_s: Array

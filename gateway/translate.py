@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 
 from dbc.block import Block, block_of
 from dbc.codec import Codec
+from dbc.e2e import protect
 from dbc.frame import ERROR, EXTENDED, FD, MS, Frame, Nanos
-from dbc.protection import protect
 from dbc.spec import EXTENDED_KEY, Match, MessageSpec, Validity
 from gateway.foreign import BASES, CARRIES, LEAST_NS, Plan
 from gateway.signals import Source

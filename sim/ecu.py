@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.codec import Codec
+from dbc.e2e import Check, Receiver, SmState, crc_ok, protect
 from dbc.frame import BRS, FD, MS, Frame, Nanos
-from dbc.protection import Check, Receiver, SmState, crc_ok, protect
 from dbc.spec import MessageSpec
 from sim.canopen_ecu import CanopenNode
 from sim.faults import EMERGENCY, WireFaults

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dbc.block import EMPTY, Block
 from dbc.codec import Codec
-from dbc.protection import protect
+from dbc.e2e import protect
 from dbc.spec import MessageSpec, SignalSpec
 
 Raws = list[int]

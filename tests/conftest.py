@@ -35,6 +35,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="fail where the tests of the page would be skipped for want of a browser",
     )
+    parser.getgroup("core", "tests of the compiled core").addoption(
+        "--require-ziglang",
+        action="store_true",
+        help="fail where tests for another processor would be skipped for want of ziglang",
+    )
     parser.getgroup("fuzz").addoption(
         "--fuzz",
         type=int,

@@ -19,7 +19,7 @@ import numpy as np
 import gateway
 from dbc.block import Block
 from dbc.codec import Codec
-from dbc.protection import protect
+from dbc.e2e import protect
 from dbc.spec import MessageSpec, SignalSpec
 from gateway.config import Config, parse
 from gateway.core import Gateway

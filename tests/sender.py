@@ -9,8 +9,8 @@ import numpy as np
 
 import dbc
 from dbc.codec import Codec, bind
+from dbc.e2e import protect
 from dbc.frame import BRS, FD, Frame
-from dbc.protection import protect
 
 CLASSIC = Path(dbc.__path__[0]) / "traction.dbc"
 FD_FILE = Path(dbc.__path__[0]) / "traction_fd.dbc"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import dbc
 from dbc.codec import Codec, bind
+from dbc.e2e import protect
 from dbc.frame import Frame
-from dbc.protection import protect
 from sim.scenario import Scenario, parse
 from sim.simulation import Simulation
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from dbc.e2e import Check, Receiver
 from dbc.frame import MS, Frame, Nanos
-from dbc.protection import Check, Receiver
 from dbc.spec import MessageSpec
 from gateway.drivers.canopen_node import HEARTBEAT_NS
 from gateway.drivers.transport import HEARTBEAT_ID, SendResult

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dbc.codec import Codec
+from dbc.e2e import protect
 from dbc.frame import MS, Frame
-from dbc.protection import protect
 from estimators.detect import Evidence
 from estimators.thermal.watch import Watch
 from gateway.config import Config

@@ -18,8 +18,8 @@ from typing import Final
 
 from dbc.block import EMPTY, Block, block_of, join
 from dbc.codec import Codec, Match
+from dbc.e2e import counter_of
 from dbc.frame import ERROR, FD, REMOTE, SECOND, Frame, Nanos
-from dbc.protection import counter_of
 from dbc.spec import EXTENDED_KEY, MessageSpec
 from gateway.busload import BusLoad
 from gateway.config import Config

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Final
 
 from dbc.codec import VALID, Codec, Match, MessageSpec
+from dbc.e2e import COUNTERS, WINDOW, Check, Profile, Receiver, SmState, counter_of
 from dbc.frame import MS, Nanos
-from dbc.protection import COUNTERS, WINDOW, Check, Profile, Receiver, SmState, counter_of
 from dbc.spec import Reading
 from dbc.text import printable
 from gateway._guard_kernels import note_counter

@@ -13,8 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from dbc.codec import Match
-from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from dbc.protection import (
+from dbc.e2e import (
     COUNTERS,
     MAX_DELTA,
     Check,
@@ -24,6 +23,7 @@ from dbc.protection import (
     counter_of,
     protect,
 )
+from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from gateway.channel import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 from gateway.config import parse
 from gateway.core import Gateway
@@ -74,7 +74,7 @@ class _Bytes:
 
 
 class Twin:
-    """The receive path in plain Python, by `Codec.match` and `dbc.protection.Receiver`."""
+    """The receive path in plain Python, by `Codec.match` and `dbc.e2e.Receiver`."""
 
     def __init__(self, codec, tick_ns: int) -> None:
         self.codec = codec

@@ -18,9 +18,9 @@ from dbc.block import blank
 from dbc.candump import LogError, Reader
 from dbc.codec import bind
 from dbc.contract import ANY
+from dbc.e2e import protect
 from dbc.frame import BRS, FD, MS, Frame
 from dbc.logline import Verdict, parse_line
-from dbc.protection import protect
 from dbc.spec import DbcMismatch
 from gateway import calibration
 from gateway.config import Config, ConfigError, load, parse

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from itertools import islice
 
-from dbc.protection import Receiver
+from dbc.e2e import Receiver
 from gateway.core import Gateway
 from sim.value_faults import VALUE_KINDS, ValueFaults
 from tests.extremes import MESSAGES, RULES, Setup, Stretch, changed

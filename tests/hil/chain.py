@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import gateway
 from dbc.candump import Reader
 from dbc.codec import Codec, bind
+from dbc.e2e import COUNTERS, MAX_DELTA, Check, Receiver, counter_of, crc_ok
 from dbc.frame import Frame
-from dbc.protection import COUNTERS, MAX_DELTA, Check, Receiver, counter_of, crc_ok
 from dbc.spec import MessageSpec
 from gateway.config import shipped_dbc
 from gateway.drivers.transport import EMCY_ID, HEARTBEAT_ID

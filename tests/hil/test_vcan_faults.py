@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import can
 import pytest
 
+from dbc.e2e import protect
 from dbc.frame import Frame
-from dbc.protection import protect
 from gateway.config import parse
 from gateway.core import Gateway
 from gateway.drivers.socketcan import SocketCan

@@ -20,8 +20,8 @@ import pytest
 
 import gateway
 from dbc.codec import bind
+from dbc.e2e import crc_ok
 from dbc.frame import Frame
-from dbc.protection import crc_ok
 from gateway.config import shipped_dbc
 from gateway.drivers.socketcan import SocketCan
 from tests.hil.kernelcopy import copy_kernels

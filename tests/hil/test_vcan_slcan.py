@@ -18,8 +18,8 @@ from typing import NamedTuple
 import pytest
 
 from dbc.codec import bind
+from dbc.e2e import WINDOW, Check, Receiver, SmState, protect
 from dbc.frame import ERROR, SECOND, Frame
-from dbc.protection import WINDOW, Check, Receiver, SmState, protect
 from gateway.config import shipped_dbc
 from gateway.drivers import socketcan
 from gateway.drivers.bus import open_transport

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from dbc._send_kernels import encode_rows
 from dbc.codec import Codec, bind
 from dbc.contract import ANY
-from dbc.protection import protect
-from dbc.receive import guard
+from dbc.e2e import configs, protect
 from dbc.sending import DOUBLE, WIDEST, form
 from gateway.config import shipped_dbc
 from tests.dbc_text import of_layout
@@ -37,7 +36,7 @@ def compiled(codec: Codec, given: dict[str, list[str]], value: np.ndarray, count
     payload = np.full((n, 64), 0xAA, dtype=np.uint8)
     encode_rows(
         np.arange(n), value, np.full(n, counter), form(codec, given),
-        guard([codec.by_name[name] for name in given]), payload,
+        configs([codec.by_name[name] for name in given]), payload,
     )  # fmt: skip
     return payload.tobytes()
 
@@ -112,7 +111,7 @@ def test_it_is_the_same_function_uncompiled() -> None:
         specs = [codec.by_name[name] for name in given]
         with np.errstate(over="ignore"):
             kernel(
-                np.arange(2), value, np.array([5, 21]), form(codec, given), guard(specs), payload
+                np.arange(2), value, np.array([5, 21]), form(codec, given), configs(specs), payload
             )
         made.append(payload.tobytes())
     assert (

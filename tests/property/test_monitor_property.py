@@ -7,8 +7,8 @@ import json
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc.e2e import protect
 from dbc.frame import Frame
-from dbc.protection import protect
 from gateway.health import Flag
 from gateway.monitor.observer import Observer
 from gateway.monitor.snapshot import as_json

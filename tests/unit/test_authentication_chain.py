@@ -10,8 +10,8 @@ import pytest
 
 from dbc.authentication import Authenticator
 from dbc.codec import bind
+from dbc.e2e import crc_ok, protect
 from dbc.frame import EXTENDED, FD, Frame
-from dbc.protection import crc_ok, protect
 from dbc.verifier import Verifier
 from gateway.config import Config, ConfigError, parse, shipped_dbc
 from gateway.core import Gateway

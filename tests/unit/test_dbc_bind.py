@@ -12,7 +12,7 @@ from dbc.binding import load
 from dbc.codec import DbcMismatch, bind
 from dbc.contract import ANY, CLASSIC, FD
 from dbc.dataids import p02_data_ids
-from dbc.protection import Profile
+from dbc.e2e import Profile
 from tests.dbc_text import message, signal, write
 
 FOLDER = Path(build.__file__).parent

@@ -12,7 +12,7 @@ import pytest
 from dbc import binding, build, prepared
 from dbc.codec import Codec, bind, load
 from dbc.dataids import p02_data_ids
-from dbc.protection import Profile
+from dbc.e2e import Profile
 
 FOLDER = Path(build.__file__).parent
 FILES = ("traction.dbc", "traction_fd.dbc")

@@ -231,7 +231,7 @@ def imported(root: Path, module: str) -> set[str]:
 
 @pytest.mark.parametrize(
     "module",
-    ["dbc._receive_kernels", "estimators._lanes_kernels", "gateway._said_kernels", "sim._kernels"],
+    ["dbc._e2e_kernels", "estimators._lanes_kernels", "gateway._said_kernels", "sim._kernels"],
 )
 def test_a_real_kernel_is_stamped_by_all_that_it_imports_and_nothing_else(
     module: str, tmp_path: Path
@@ -242,7 +242,8 @@ def test_a_real_kernel_is_stamped_by_all_that_it_imports_and_nothing_else(
 
     def file(name: str) -> Path:
         path = tmp_path.joinpath(*name.split("."))
-        return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        module = path.with_suffix(".py")
+        return module if module.exists() else path / "__init__.py"
 
     def stamped() -> bytes | None:
         for found in (_kernelcache.stamp, _kernelcache.sources, _kernelcache._source):

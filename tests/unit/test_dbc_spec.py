@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dbc import _kernels, spec
-from dbc.protection import Profile
+from dbc.e2e import Profile
 from dbc.spec import DbcMismatch, Match, MessageSpec, SignalSpec, Validity
 
 SIGNED = SignalSpec(

@@ -6,8 +6,8 @@ from functools import cache
 
 import pytest
 
+from dbc.e2e import protect
 from dbc.frame import Frame
-from dbc.protection import protect
 from gateway.config import parse
 from gateway.core import Gateway
 from gateway.health import Flag, Health, Reason

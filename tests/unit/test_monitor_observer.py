@@ -6,8 +6,8 @@ from collections import Counter, deque
 
 import pytest
 
+from dbc.e2e import protect
 from dbc.frame import ERROR, Frame
-from dbc.protection import protect
 from gateway._direct import Direct
 from gateway.drivers.wire import BusState
 from gateway.health import Flag, Health, Reason

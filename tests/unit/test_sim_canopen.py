@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
+from dbc.e2e import protect
 from dbc.frame import Frame
-from dbc.protection import protect
 from sim.canopen_ecu import EDS, OBJECTS, CanopenNode
 from sim.simulation import Simulation
 from tests.simrun import FD_FILE, TICK, codec, run, scenario

@@ -4,8 +4,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from dbc.e2e import crc_ok
 from dbc.frame import BRS, FD
-from dbc.protection import crc_ok
 from dbc.spec import Validity
 from sim.scenario import builtin, builtin_names
 from sim.simulation import Simulation

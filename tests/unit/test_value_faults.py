@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from dbc.protection import crc_ok
+from dbc.e2e import crc_ok
 from gateway.health import Flag
 from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, ValueFaults
 from tests.simrun import CLASSIC, FD_FILE, codec

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from dbc.dataids import p02_data_ids
-from dbc.protection import Check, Profile, Receiver, SmState, protect
+from dbc.e2e import Check, Profile, Receiver, SmState, protect
 from tests.strategies import checks
 
 

@@ -1,31 +1,24 @@
-"""AUTOSAR E2E Profiles 2 and 5: protect, check, and the receiver's state machine. Pure.
+"""AUTOSAR E2E profiles 2 and 5 in Python, which `dbc/e2e.c` is compared with.
 
-The library `autosar-e2e` does the checksum; it accepts the same frame twice, so the counter
-check and the state machine are here. E2E is against faults, not against an attacker.
+The library `autosar-e2e` computes the checksum; it accepts the same frame twice, so the counter
+check and the state machine are here.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from e2e.p02 import e2e_p02_check, e2e_p02_protect
 from e2e.p05 import e2e_p05_check, e2e_p05_protect
 
+from dbc.e2e import Profile, Protected
 from dbc.frame import Nanos
 
 MAX_DELTA: Final = 3
 """Counter steps accepted between two frames: up to two frames may be lost in a row."""
 WINDOW: Final = 5
 """Receiver cycles the state machine looks back."""
-
-
-class Profile(IntEnum):
-    """Protection of a message. The numbers are those of the DBC attribute `E2EProfile`."""
-
-    NONE = 0
-    P02 = 1
-    P05 = 2
 
 
 HEADER_BYTES: Final = {Profile.NONE: 0, Profile.P02: 2, Profile.P05: 3}
@@ -79,18 +72,6 @@ _IS_OK: Final = tuple(int(check in (Check.OK, Check.OK_SOME_LOST)) for check in 
 _IS_ERROR: Final = tuple(int(check is Check.ERROR) for check in Check)
 
 
-class Protected(Protocol):
-    """Anything that says how it is protected, `MessageSpec` first of all."""
-
-    @property
-    def profile(self) -> Profile:
-        """Which profile."""
-
-    @property
-    def data_ids(self) -> bytes:
-        """P02: 16 bytes, indexed by the counter. P05: the id, two bytes, big endian."""
-
-
 def protect(spec: Protected, payload: bytearray, counter: int) -> None:
     """Write counter (modulo its width) and checksum into the header, in place.
 
@@ -120,14 +101,6 @@ def crc_ok(spec: Protected, data: bytes | bytearray) -> bool:
     if profile is Profile.P02:
         return e2e_p02_check(data, spec.data_ids)
     return e2e_p05_check(data, int.from_bytes(spec.data_ids, "big"))
-
-
-def counter_of(spec: Protected, data: bytes | bytearray) -> int | None:
-    """Counter of a frame; None without protection or where the data are too short."""
-    profile = spec.profile
-    if profile is Profile.NONE or len(data) < HEADER_BYTES[profile]:
-        return None
-    return data[1] & 0x0F if profile is Profile.P02 else data[2]
 
 
 class Receiver:
@@ -178,7 +151,7 @@ class Receiver:
         self.errors_seen = 0
         self.state = SmState.NO_DATA
 
-    def check(self, data: bytes, t_ns: Nanos = 0) -> Check:  # noqa: ARG002 - see docstring
+    def check(self, data: bytes, t_ns: Nanos = 0) -> Check:
         """Judge one frame. Never raises, whatever the bytes.
 
         `t_ns` is not used: only the counter counts here, ages are the caller's.

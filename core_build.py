@@ -1,0 +1,77 @@
+"""Build of the compiled core: a setuptools backend, and what cffi is told.
+
+The core is C11 in `dbc/`, `estimators/` and `gateway/core/`, one file per station. cffi reads the
+headers as they are, so no layout and no prototype is written twice. The result is one module,
+`_traction_core`, for every Python from 3.11 on. Without a C compiler ziglang brings one, from pip.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from setuptools import build_meta
+from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
+
+ROOT = Path(__file__).parent
+HEADERS = ("gateway/core/records.h", "dbc/e2e.h")
+"""In the order in which they build on one another."""
+SOURCES = ("dbc/crc.c", "dbc/e2e.c")
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
+"""No contraction: the same bytes whatever instructions a machine has."""
+
+
+def declarations() -> str:
+    """The headers as cffi reads them: without includes and include guards."""
+    text = "\n".join((ROOT / header).read_text() for header in HEADERS)
+    kept = [
+        line for line in text.splitlines()
+        if not line.startswith("#") or re.match(r"#define \w+ +\d", line)
+    ]  # fmt: skip
+    return re.sub(r"/\*.*?\*/", "", "\n".join(kept), flags=re.DOTALL)
+
+
+def compiler() -> list[str]:
+    """The C compiler, as a command: CC, `cc`, or the one in ziglang."""
+    if given := os.environ.get("CC"):
+        return given.split()
+    if shutil.which("cc"):
+        return ["cc"]
+    return [sys.executable, "-m", "ziglang", "cc"]
+
+
+def builder() -> Any:
+    """What setuptools builds `_traction_core` by."""
+    from cffi import FFI
+
+    made = FFI()
+    made.cdef(declarations())
+    includes = "\n".join(f'#include "{header}"' for header in HEADERS)
+    made.set_source(
+        "_traction_core", includes, sources=list(SOURCES), include_dirs=["."],
+        depends=[*HEADERS, "dbc/crc.h"], extra_compile_args=list(FLAGS), py_limited_api=True,
+    )  # fmt: skip
+    command = " ".join(compiler())
+    os.environ.setdefault("CC", command)
+    os.environ.setdefault("LDSHARED", f"{command} -shared")
+    return made
+
+
+def _more(asked: list[str]) -> list[str]:
+    need = shutil.which("cc") is None and "CC" not in os.environ and find_spec("ziglang") is None
+    return [*asked, "ziglang==0.17.1"] if need else asked
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """A compiler too, where there is none."""
+    return _more(build_meta.get_requires_for_build_wheel(config_settings))
+
+
+def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
+    """The same."""
+    return _more(build_meta.get_requires_for_build_editable(config_settings))

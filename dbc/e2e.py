@@ -1,0 +1,200 @@
+"""AUTOSAR E2E, profiles 02 and 05: protect a frame, check one, and the receiver's state machine.
+
+The rules are in `dbc/e2e.c`; here they are for one message at a time. E2E protects against faults,
+not against an attacker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any, Final, Protocol
+
+import numpy as np
+from _traction_core import ffi, lib
+
+from dbc.frame import FD, Nanos
+from dbc.records import E2E_CONFIG, E2E_STATE, Records
+
+MAX_DELTA: Final[int] = lib.E2E_MAX_DELTA
+"""Counter steps accepted between two frames: up to two frames may be lost in a row."""
+WINDOW: Final[int] = lib.E2E_WINDOW
+"""Receiver cycles the state machine looks back."""
+
+
+class Profile(IntEnum):
+    """Protection of a message. The numbers are those of the DBC attribute `E2EProfile`."""
+
+    NONE = lib.E2E_PROFILE_NONE
+    P02 = lib.E2E_PROFILE_02
+    P05 = lib.E2E_PROFILE_05
+
+
+HEADER_BYTES: Final = {Profile.NONE: 0, Profile.P02: 2, Profile.P05: 3}
+COUNTERS: Final = {Profile.NONE: 1, Profile.P02: 16, Profile.P05: 256}
+"""How many values the counter has before it wraps to 0."""
+
+
+class Check(IntEnum):
+    """Result of one receiver cycle (AUTOSAR: E2E_PCheckStatusType)."""
+
+    OK = lib.E2E_P_OK
+    OK_SOME_LOST = lib.E2E_P_OK_SOME_LOST
+    ERROR = lib.E2E_P_ERROR
+    REPEATED = lib.E2E_P_REPEATED
+    WRONG_SEQUENCE = lib.E2E_P_WRONG_SEQUENCE
+    NO_NEW_DATA = lib.E2E_P_NO_NEW_DATA
+
+
+class SmState(IntEnum):
+    """State of the receiver (AUTOSAR: E2E_SMStateType)."""
+
+    NO_DATA = lib.E2E_SM_NO_DATA
+    INIT = lib.E2E_SM_INIT
+    VALID = lib.E2E_SM_VALID
+    INVALID = lib.E2E_SM_INVALID
+
+
+class Protected(Protocol):
+    """Anything that says how it is protected, `MessageSpec` first of all."""
+
+    @property
+    def profile(self) -> Profile:
+        """Which profile."""
+
+    @property
+    def data_ids(self) -> bytes:
+        """P02: 16 bytes, indexed by the counter. P05: the id, two bytes, big endian."""
+
+
+class ProtectedFrame(Protected, Protocol):
+    """The same of a message whose frames all have one length."""
+
+    @property
+    def length(self) -> int:
+        """Bytes."""
+
+    @property
+    def is_fd(self) -> bool:
+        """Whether its frames are CAN FD."""
+
+
+def configs(specs: Sequence[ProtectedFrame]) -> Records:
+    """Protection of these messages, (N,) of `struct e2e_config`."""
+    found = np.zeros(len(specs), E2E_CONFIG)
+    for row, spec in zip(found, specs, strict=True):
+        own = spec.data_ids[::-1] if spec.profile is Profile.P05 else spec.data_ids
+        row["length"], row["profile"] = spec.length, spec.profile
+        row["fd"] = FD if spec.is_fd else 0
+        row["data_id"][: len(own)] = list(own)
+    return found
+
+
+def states(messages: int) -> Records:
+    """Receivers that have received nothing, (N,) of `struct e2e_state`."""
+    found = np.zeros(messages, E2E_STATE)
+    for state in ffi.from_buffer("struct e2e_state[]", found):
+        lib.e2e_reset(ffi.addressof(state))
+    return found
+
+
+@lru_cache(maxsize=1024)
+def _config(profile: Profile, data_ids: bytes, length: int) -> Any:
+    own = data_ids[::-1] if profile is Profile.P05 else data_ids
+    given = {"profile": profile, "length": length, "data_id": own.ljust(16, b"\0")}
+    return ffi.new("struct e2e_config *", given)
+
+
+def protect(spec: Protected, payload: bytearray, counter: int) -> None:
+    """Write counter (modulo its width) and checksum into the header, in place.
+
+    Raises ValueError for a payload shorter than the header.
+    """
+    if len(payload) < HEADER_BYTES[spec.profile]:
+        msg = f"{len(payload)} bytes are too short for {spec.profile.name}"
+        raise ValueError(msg)
+    config = _config(spec.profile, spec.data_ids, len(payload))
+    lib.e2e_protect(config, ffi.from_buffer("uint8_t[]", payload), counter & 0xFF)
+
+
+def crc_ok(spec: Protected, data: bytes | bytearray) -> bool:
+    """Whether the checksum fits; False for data shorter than the header, True without one."""
+    config = _config(spec.profile, spec.data_ids, len(data))
+    return bool(lib.e2e_crc_fits(config, ffi.from_buffer("uint8_t[]", data)))
+
+
+def counter_of(spec: Protected, data: bytes | bytearray) -> int | None:
+    """Counter of a frame; None without protection or where the data are too short."""
+    profile = spec.profile
+    if profile is Profile.NONE or len(data) < HEADER_BYTES[profile]:
+        return None
+    return data[1] & 0x0F if profile is Profile.P02 else data[2]
+
+
+class Receiver:
+    """Counter check and state machine of one message.
+
+    `check` checks a frame, `cycle` feeds the state machine once per receiver cycle (with
+    NO_NEW_DATA when nothing came). The first good frame sets the counter; a jump sets it anew, so
+    a restarted sender costs one WRONG_SEQUENCE. Counts: ok (OK_SOME_LOST included), error,
+    repeated, wrong_sequence, lost (frames that the counter proves missing); `missed` is what the
+    last check added to lost.
+    """
+
+    __slots__ = ("_data_ids", "_profile", "_state", "counts", "lost")
+
+    def __init__(self, spec: Protected) -> None:
+        """Start in NO_DATA with an empty window."""
+        self._profile, self._data_ids = spec.profile, spec.data_ids
+        self.counts = [0] * len(Check)
+        """Frames by result; OK_SOME_LOST is in `ok` as well."""
+        self.lost = 0
+        self._state = states(1)
+
+    def check(self, data: bytes, t_ns: Nanos = 0) -> Check:  # noqa: ARG002 - see docstring
+        """Check one frame. Never raises, whatever the bytes.
+
+        `t_ns` is not used: only the counter counts here, ages are the caller's.
+        """
+        config = _config(self._profile, self._data_ids, len(data))
+        frame = ffi.from_buffer("uint8_t[]", data)
+        found = lib.e2e_check(config, ffi.from_buffer("struct e2e_state *", self._state), frame)
+        self.counts[found] += 1
+        self.lost += self.missed
+        return Check(found)
+
+    def cycle(self, check: Check) -> SmState:
+        """Feed the result of one receiver cycle; returns the new state."""
+        state = ffi.from_buffer("struct e2e_state *", self._state)
+        return SmState(lib.e2e_sm_check(state, check))
+
+    @property
+    def state(self) -> SmState:
+        """Of the state machine."""
+        return SmState(self._state[0]["state"])
+
+    @property
+    def missed(self) -> int:
+        """Frames that the last frame proves lost."""
+        return int(self._state[0]["missed"])
+
+    @property
+    def ok(self) -> int:
+        """Frames accepted."""
+        return self.counts[Check.OK] + self.counts[Check.OK_SOME_LOST]
+
+    @property
+    def error(self) -> int:
+        """Frames with a wrong checksum."""
+        return self.counts[Check.ERROR]
+
+    @property
+    def repeated(self) -> int:
+        """Frames with the counter of the one before."""
+        return self.counts[Check.REPEATED]
+
+    @property
+    def wrong_sequence(self) -> int:
+        """Frames whose counter jumped."""
+        return self.counts[Check.WRONG_SEQUENCE]

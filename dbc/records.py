@@ -1,0 +1,36 @@
+"""NumPy types of the core's records, made from `gateway/core/records.h` by the compiler's layout.
+
+A record is read by name, `state[c]["counter"]`; its fields, units and meanings stand in that file.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from _traction_core import ffi
+from numpy.typing import NDArray
+
+Records = NDArray[np.void]
+"""One record per row."""
+
+
+def dtype_of(ctype: Any) -> Any:
+    """The NumPy type of a C type: struct, array, integer or floating-point number."""
+    if ctype.kind == "struct":
+        fields = ctype.fields
+        return np.dtype({
+            "names": [name for name, _ in fields],
+            "formats": [dtype_of(field.type) for _, field in fields],
+            "offsets": [field.offset for _, field in fields],
+            "itemsize": ffi.sizeof(ctype),
+        })  # fmt: skip
+    if ctype.kind == "array":
+        return np.dtype((dtype_of(ctype.item), (ctype.length,)))
+    return np.dtype(ctype.cname.removesuffix("_t"))
+
+
+E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
+E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
+LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
+"""What compiled loops depend on that address these records."""

@@ -1,0 +1,106 @@
+"""The compiled core built in another way, and tests that run on it.
+
+    python -m tests.core_variants sanitize [pytest arguments]
+    python -m tests.core_variants coverage
+
+`sanitize`: AddressSanitizer and UndefinedBehaviorSanitizer; the first finding ends the run.
+`coverage`: fails unless the core's own tests run every line and branch of it (gcov). Both need gcc.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from core_build import SOURCES
+
+OUT = Path("out/core").absolute()
+OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit/test_records.py",
+       "tests/property/test_e2e_property.py")  # fmt: skip
+"""Tests that answer for the core; they run in every variant."""
+SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
+FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}
+
+
+def build(name: str) -> Path:
+    """A folder with the core in this variant."""
+    if shutil.which("gcc") is None:
+        sys.exit(f"core variants: {name} needs gcc (Debian: apt-get install gcc)")
+    place = OUT / name
+    shutil.rmtree(place, ignore_errors=True)
+    command = [sys.executable, "setup.py", "-q", "build_ext", "--force", f"--build-lib={place}",
+               f"--build-temp={place / 'objects'}"]  # fmt: skip
+    environment = {"CC": "gcc", "LDSHARED": f"gcc -shared {FLAGS[name]}", "CFLAGS": FLAGS[name]}
+    subprocess.run(command, env={**os.environ, **environment}, check=True)
+    # Imported before Python looks into the checkout, where the core lies as it is delivered.
+    (place / "sitecustomize.py").write_text("import _traction_core  # noqa: F401\n")
+    return place
+
+
+def run(place: Path, tests: list[str], **environment: str) -> int:
+    """Exit status of pytest on the core in this folder."""
+    paths = os.pathsep.join([str(place), str(Path.cwd())])
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *tests]
+    return subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": paths, **environment}, check=False
+    ).returncode
+
+
+def sanitize(arguments: list[str]) -> int:
+    """Run tests, the core's own if none are named."""
+    place = build("sanitize")
+    library = subprocess.run(
+        ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    # Python itself frees nothing at its end.
+    return run(place, arguments or list(OWN), LD_PRELOAD=library,
+               ASAN_OPTIONS="detect_leaks=0", UBSAN_OPTIONS="print_stacktrace=1")  # fmt: skip
+
+
+def unreached(place: Path, source: str) -> tuple[int, list[str]]:
+    """Lines of code in a source, and the lines and branches of it that nothing has run."""
+    data = place / "objects" / Path(source).with_suffix(".gcda")
+    if not data.exists():
+        return 0, [f"{source}: not run at all"]
+    told = subprocess.run(
+        ["gcov", "--json-format", "--branch-probabilities", "--stdout", str(data)],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    (file,) = (f for f in json.loads(told)["files"] if f["file"] == source)
+    left = []
+    for line in file["lines"]:
+        at = f"{source}:{line['line_number']}"
+        if line["count"] == 0:
+            left.append(f"{at}: never run")
+        left += [
+            f"{at}: branch {k} never taken"
+            for k, branch in enumerate(line["branches"])
+            if branch["count"] == 0
+        ]
+    return len(file["lines"]), left
+
+
+def coverage() -> int:
+    """0 if the core's own tests pass and run all of it."""
+    place = build("coverage")
+    code = run(place, list(OWN))
+    bad = code != 0
+    for source in SOURCES:
+        lines, left = unreached(place, source)
+        print(f"{source:24} {lines:5} lines, {len(left)} lines or branches not run")
+        print("".join(f"  {one}\n" for one in left), end="")
+        bad |= bool(left)
+    return int(bad)
+
+
+if __name__ == "__main__":
+    what, *more = sys.argv[1:] or [""]
+    if what == "sanitize":
+        sys.exit(sanitize(more))
+    if what == "coverage":
+        sys.exit(coverage())
+    sys.exit(__doc__)

@@ -1,0 +1,195 @@
+"""Mutants of the compiled core: each compiled by itself, and judged by the core's own tests.
+
+    python -m tests.mutation.core            # all, into core.json; a few minutes
+    python -m tests.mutation.core --sample 12 --seed 3   # exit 1 if one is found no more
+
+A mutant changes one operator, one number or one condition, or leaves out one statement. One whose
+machine code is that of the original is none. Outcomes: killed, survived, none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+from core_build import FLAGS, HEADERS, SOURCES, builder, compiler
+
+ROOT = Path(__file__).parents[2]
+KEPT = Path(__file__).with_name("core.json")
+TESTS = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
+LIMIT_S = 120
+SWAPS = {
+    "==": "!=", "!=": "==", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "+": "-", "-": "+",
+    "&": "|", "|": "&", "^": "&", "<<": ">>", ">>": "<<", "&&": "||", "||": "&&", "%": "*",
+    "+=": "-=",
+}  # fmt: skip
+TOKEN = re.compile(r"->|\+\+|--|<<|>>|&&|\|\||[-+*/%&|^!=<>]=|[-+%&|^<>]|\b(?:0x[0-9A-F]+|\d+)\b")
+STATEMENT = re.compile(r"\s+(?:[\w\->.\[\]]+ [-+|&]?= .*|\w+\(.*\)|break);")
+CONDITION = re.compile(r"\b(?:if|while) \((.*)\)")
+
+
+class Mutant(NamedTuple):
+    """One line of a source, changed."""
+
+    source: str
+    line: int
+    before: str
+    after: str
+
+
+def code_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Lines of code, from 1: without comments, tables, includes and names of constants."""
+    blank = re.sub(r"/\*.*?\*/", lambda m: re.sub(r"[^\n]", " ", m.group()), text, flags=re.DOTALL)
+    inside = False
+    for number, line in enumerate(blank.splitlines(), 1):
+        inside = inside or line.startswith("{")
+        table = line.startswith("    [")
+        if (inside or table) and line.strip() not in ("", "{", "}"):
+            yield number, line.rstrip()
+        inside = inside and not line.startswith("}")
+
+
+def changes(line: str) -> Iterator[str]:
+    """Every change of a line of code."""
+    for found in TOKEN.finditer(line):
+        token = found.group()
+        if token[0].isdigit():
+            number = int(token, 0)
+            new = [str(number + 1), *([str(number - 1)] if number > 0 else [])]
+        else:
+            # A pointer's star, an address and a minus before a number have no blank behind.
+            binary = line[found.end() : found.end() + 1] == " "
+            new = [SWAPS[token]] if binary and token in SWAPS else []
+        for one in new:
+            yield line[: found.start()] + one + line[found.end() :]
+    for found in CONDITION.finditer(line):
+        yield f"{line[: found.start(1)]}!({found.group(1)}){line[found.end(1) :]}"
+    if STATEMENT.fullmatch(line):
+        yield ";"
+
+
+def mutants() -> list[Mutant]:
+    """Of all sources of the core."""
+    return [
+        Mutant(source, number, line.strip(), after.strip())
+        for source in SOURCES
+        for number, line in code_lines((ROOT / source).read_text())
+        for after in changes(line)
+    ]
+
+
+class Bench:
+    """A folder in which all objects lie; each mutant replaces one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.cc = compiler()
+        for header in (*HEADERS, "dbc/crc.h"):
+            (folder / header).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / header, folder / header)
+        glue = folder / "_traction_core.c"
+        builder().emit_c_code(str(glue))
+        import sysconfig
+
+        include = sysconfig.get_path("include")
+        self.objects = {"": folder / "glue.o"}
+        self._compile(glue, self.objects[""], f"-I{include}", "-DPy_LIMITED_API=0x030b0000")
+        for source in SOURCES:
+            self.objects[source] = folder / f"{Path(source).stem}.o"
+            self._compile(ROOT / source, self.objects[source])
+
+    def _compile(self, source: Path, to: Path, *more: str) -> bool:
+        command = [*self.cc, *FLAGS, "-fPIC", f"-I{self.folder}", *more, "-c", str(source), "-o",
+                   str(to)]  # fmt: skip
+        return not subprocess.run(command, capture_output=True, check=False).returncode
+
+    def judge(self, mutant: Mutant) -> str:
+        """Its outcome."""
+        with tempfile.TemporaryDirectory(dir=self.folder) as name:
+            place = Path(name)
+            lines = (ROOT / mutant.source).read_text().splitlines()
+            lines[mutant.line - 1] = mutant.after
+            source, changed = place / "mutant.c", place / "mutant.o"
+            source.write_text("\n".join(lines) + "\n")
+            same = self.objects[mutant.source]
+            if not self._compile(source, changed) or code(changed) == code(same):
+                return "none"
+            objects = [str(o) for s, o in self.objects.items() if s != mutant.source]
+            subprocess.run([*self.cc, "-shared", *objects, str(changed), "-o",
+                            str(place / "_traction_core.abi3.so")], check=True)  # fmt: skip
+            (place / "sitecustomize.py").write_text("import _traction_core\n")
+            paths = os.pathsep.join([str(place), str(ROOT)])
+            command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *TESTS]
+            try:
+                done = subprocess.run(
+                    command, cwd=ROOT, capture_output=True, timeout=LIMIT_S, check=False,
+                    env={**os.environ, "PYTHONPATH": paths},
+                )  # fmt: skip
+            except subprocess.TimeoutExpired:
+                return "killed"
+            return "killed" if done.returncode else "survived"
+
+
+def code(path: Path) -> bytes:
+    """Machine code and data of an object, without names of files."""
+    text = path.with_suffix(".text")
+    subprocess.run(["objcopy", "-O", "binary", "-j", ".text*", "-j", ".rodata*", str(path),
+                    str(text)], check=True)  # fmt: skip
+    return text.read_bytes()
+
+
+def digest() -> str:
+    """Of everything that the outcomes depend on."""
+    total = hashlib.sha256()
+    for name in (*HEADERS, "dbc/crc.h", *SOURCES):
+        total.update((ROOT / name).read_bytes())
+    return total.hexdigest()
+
+
+def main() -> int:
+    """Judge all mutants and keep it, or some of the kept ones."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation.core", description=__doc__)
+    parser.add_argument("--sample", type=int)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    chosen = mutants()
+    if options.sample:
+        kept = json.loads(KEPT.read_text())["mutants"]
+        killed = [Mutant(*row[:4]) for row in kept if row[4] == "killed"]
+        chosen = random.Random(options.seed).sample(killed, options.sample)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        bench = Bench(Path(folder))
+        outcomes = list(pool.map(bench.judge, chosen))
+    rows = [[*mutant, outcome] for mutant, outcome in zip(chosen, outcomes, strict=True)]
+    for row in rows:
+        if row[4] == "survived":
+            print(f"{row[0]}:{row[1]}: {row[2]}  ->  {row[3]}")
+    counts = {name: outcomes.count(name) for name in ("killed", "survived", "none")}
+    print(counts)
+    if options.sample:
+        return int(counts["killed"] < len(rows))
+    old = {tuple(row[:4]): row[5] for row in _kept() if len(row) > 5}
+    rows = [[*row, old[tuple(row[:4])]] if tuple(row[:4]) in old else row for row in rows]
+    text = ",\n".join(json.dumps(row) for row in rows)
+    KEPT.write_text(f'{{"digest": "{digest()}", "mutants": [\n{text}\n]}}\n')
+    return 0
+
+
+def _kept() -> list[list[object]]:
+    return json.loads(KEPT.read_text())["mutants"] if KEPT.exists() else []
+
+
+if __name__ == "__main__":
+    sys.exit(main())
