@@ -22,6 +22,8 @@ ROOT = Path(__file__).parent
 HEADERS = ("gateway/core/records.h", "dbc/e2e.h")
 """In the order in which they build on one another."""
 SOURCES = ("dbc/crc.c", "dbc/e2e.c")
+DEPENDS = (*HEADERS, "dbc/crc.h")
+"""All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""
 
@@ -54,7 +56,7 @@ def builder() -> Any:
     includes = "\n".join(f'#include "{header}"' for header in HEADERS)
     made.set_source(
         "_traction_core", includes, sources=list(SOURCES), include_dirs=["."],
-        depends=[*HEADERS, "dbc/crc.h"], extra_compile_args=list(FLAGS), py_limited_api=True,
+        depends=list(DEPENDS), extra_compile_args=list(FLAGS), py_limited_api=True,
     )  # fmt: skip
     command = " ".join(compiler())
     os.environ.setdefault("CC", command)

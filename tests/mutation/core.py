@@ -24,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from core_build import FLAGS, HEADERS, SOURCES, builder, compiler
+from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
@@ -96,7 +96,7 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.cc = compiler()
-        for header in (*HEADERS, "dbc/crc.h"):
+        for header in DEPENDS:
             (folder / header).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / header, folder / header)
         glue = folder / "_traction_core.c"
@@ -153,7 +153,7 @@ def code(path: Path) -> bytes:
 def digest() -> str:
     """Of everything that the outcomes depend on."""
     total = hashlib.sha256()
-    for name in (*HEADERS, "dbc/crc.h", *SOURCES):
+    for name in (*DEPENDS, *SOURCES):
         total.update((ROOT / name).read_bytes())
     return total.hexdigest()
 
