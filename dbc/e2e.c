@@ -1,7 +1,8 @@
 /* E2E protection of CAN frames: AUTOSAR profiles 02 and 05 (PRS_E2EProtocol), and the receiver's
  * state machine (SWS_E2ELibrary).
  *
- * No function here can fail, whatever a record holds: every index is masked or bounded by a
+ * No function here can fail, whatever a record holds but for `length`, which is that of the frame:
+ * no frame shorter than its header is looked at, every other index is masked or bounded by a
  * constant, and the only divisor is the constant number of counter values. */
 #include "dbc/e2e.h"
 
@@ -12,31 +13,40 @@ enum { HEADER_02 = 2, HEADER_05 = 3 }; /* bytes: checksum, counter */
 /* Profile 02: over all bytes behind the checksum, then the data id that the counter selects. */
 static uint8_t crc_profile_02(const struct e2e_config *config, const uint8_t *data)
 {
-    uint8_t crc = CRC8_H2F_START;
-    for (unsigned k = 1; k < config->length; k++)
-        crc = crc8_h2f(crc, data[k]);
-    crc = crc8_h2f(crc, config->data_id[data[1] & 0x0F]);
+    uint8_t crc = crc8_h2f(CRC8_H2F_START, data + 1, config->length - 1u);
+    crc = crc8_h2f(crc, &config->data_id[data[1] & 0x0F], 1);
     return (uint8_t)(crc ^ CRC8_H2F_START);
 }
 
 /* Profile 05: over all bytes behind the checksum, then the data id, low byte first. */
 static uint16_t crc_profile_05(const struct e2e_config *config, const uint8_t *data)
 {
-    uint16_t crc = CRC16_START;
-    for (unsigned k = 2; k < config->length; k++)
-        crc = crc16_ccitt(crc, data[k]);
-    crc = crc16_ccitt(crc, config->data_id[0]);
-    return crc16_ccitt(crc, config->data_id[1]);
+    uint16_t crc = crc16_ccitt(CRC16_START, data + 2, config->length - 2u);
+    return crc16_ccitt(crc, config->data_id, 2);
+}
+
+/* 1 if a frame has room for its header. */
+static int has_header(const struct e2e_config *config)
+{
+    switch (config->profile) {
+    case E2E_PROFILE_02:
+        return config->length >= HEADER_02;
+    case E2E_PROFILE_05:
+        return config->length >= HEADER_05;
+    default:
+        return 1;
+    }
 }
 
 int e2e_crc_fits(const struct e2e_config *config, const uint8_t *data)
 {
+    if (!has_header(config))
+        return 0;
     switch (config->profile) {
     case E2E_PROFILE_02:
-        return config->length >= HEADER_02 && crc_profile_02(config, data) == data[0];
+        return crc_profile_02(config, data) == data[0];
     case E2E_PROFILE_05:
-        return config->length >= HEADER_05 &&
-               crc_profile_05(config, data) == (data[0] | data[1] << 8);
+        return crc_profile_05(config, data) == (data[0] | data[1] << 8);
     default:
         return 1;
     }
@@ -132,6 +142,8 @@ int e2e_sm_check(struct e2e_state *state, int status)
 
 void e2e_protect(const struct e2e_config *config, uint8_t *data, int counter)
 {
+    if (!has_header(config))
+        return;
     switch (config->profile) {
     case E2E_PROFILE_02:
         data[1] = (uint8_t)((data[1] & 0xF0) | (counter & 0x0F));

@@ -16,7 +16,7 @@ int e2e_check(const struct e2e_config *config, struct e2e_state *state, const ui
 /* Feed the status of one receiver cycle to the state machine: the new enum e2e_sm_state. */
 int e2e_sm_check(struct e2e_state *state, int status);
 
-/* Write counter (modulo its width) and checksum into the header of `data`. */
+/* Write counter (modulo its width) and checksum into the header of `data`, if it has room for one. */
 void e2e_protect(const struct e2e_config *config, uint8_t *data, int counter);
 
 #endif

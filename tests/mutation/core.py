@@ -180,8 +180,11 @@ def main() -> int:
     print(counts)
     if options.sample:
         return int(counts["killed"] < len(rows))
-    old = {tuple(row[:4]): row[5] for row in _kept() if len(row) > 5}
-    rows = [[*row, old[tuple(row[:4])]] if tuple(row[:4]) in old else row for row in rows]
+    # Why a survivor may survive is written by hand, and stays where its line has moved.
+    reasons = {(row[0], row[2], row[3]): row[5] for row in _kept() if len(row) > 5}
+    for row in rows:
+        if row[4] == "survived" and (row[0], row[2], row[3]) in reasons:
+            row.append(reasons[row[0], row[2], row[3]])
     text = ",\n".join(json.dumps(row) for row in rows)
     KEPT.write_text(f'{{"digest": "{digest()}", "mutants": [\n{text}\n]}}\n')
     return 0

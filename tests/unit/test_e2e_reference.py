@@ -81,6 +81,9 @@ def test_frames_shorter_than_their_header_do_not_fit():
                 data = checksum.to_bytes(header - 1, "little") + bytes(61)
                 if lib.e2e_crc_fits(config, data):
                     fits.add(length)
+            room = ffi.new("uint8_t[64]", bytes(range(64)))
+            lib.e2e_protect(config, room, 9)
+            assert (bytes(room) != bytes(range(64))) == (length == header), "nor are they touched"
         assert fits == {header}
 
 
