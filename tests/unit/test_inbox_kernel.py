@@ -16,7 +16,7 @@ CODEC = codec_for()
 
 HELPERS = (
     "_verdict", "_gap", "route", "note_foul", "_is_latest", "_admit", "_unbelieved", "keep",
-    "_note", "settle", "take_rows", "judge", "cycle",
+    "_note", "settle", "take_rows",
 )  # fmt: skip
 
 
