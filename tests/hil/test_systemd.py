@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import _traction_core
 import pytest
 
 import gateway
@@ -60,6 +61,8 @@ def _lay_out(job: Path) -> None:
     script = (ROOT / "gateway/service/links.sh").read_text(encoding="utf-8")
     _program(opt / "libexec/links.sh", script)
     copy_kernels(ROOT, opt / "kernels")
+    (opt / "src").mkdir()
+    shutil.copy(_traction_core.__file__, opt / "src")
     binds = [(ROOT / package, f"src/{package}") for package in PACKAGES]
     binds += [(Path(sys.prefix) / "lib", "lib")] + [(base, "base")] * (own != base)
     (job / "binds").write_text("".join(f"{a} {b}\n" for a, b in binds), encoding="utf-8")

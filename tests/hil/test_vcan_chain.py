@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,6 +24,7 @@ from tests.hil.chain import (
     FLAGS_ID,
     PATIENCE_S,
     TICK_NS,
+    Change,
     FlagSocket,
     Recording,
     Setting,
@@ -121,10 +123,10 @@ def check_wire(run: Run) -> None:
     codec, nodes = used.codec, used.nodes
     assert own_frames(run.log, codec) == run.sent > 1000
     seen = changes(run.log, codec, nodes, farewell_ns(run.log))
-    said = seen["adhesion", 1]
+    said = known(seen["adhesion", 1])
     assert [c.flag for c in said] == [UNKNOWN, ADHERING, LOST, ADHERING, UNKNOWN]
     for node in nodes[1:]:
-        assert [c.flag for c in seen["adhesion", node]] == [UNKNOWN, ADHERING, UNKNOWN]
+        assert [c.flag for c in known(seen["adhesion", node])] == [UNKNOWN, ADHERING, UNKNOWN]
     ((onset, end),) = lost_spans(run.truth, 1)
     heard = drives_ns(run.log, used)
     assert -0.02 < (said[2].t_ns - heard[0]) / 1e9 - onset < 0.3
@@ -132,6 +134,20 @@ def check_wire(run: Run) -> None:
     # Silent drives are unknown, and known to be gone.
     assert 0 < said[4].t_ns - heard[-1] < 20 * TICK_NS
     assert seen["comm", 0][-1].flag is Flag.BAD
+
+
+def known(said: list[Change]) -> list[Change]:
+    """Without moments of unknown between: a wheel that lets go may jump by more than 10 %.
+
+    Beside one other wheel that holds, nobody knows then which of the two it is.
+    """
+    unknown = [(a.t_ns, b.t_ns) for a, b in pairwise(said[1:]) if a.flag is UNKNOWN]
+    assert sum(end - begin for begin, end in unknown) < 0.5e9
+    kept = said[:1]
+    for change in said[1:-1]:
+        if change.flag not in (UNKNOWN, kept[-1].flag):
+            kept.append(change)
+    return [*kept, said[-1]]
 
 
 def check_replay(run: Run) -> None:
