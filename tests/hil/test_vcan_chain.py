@@ -159,6 +159,9 @@ def check_replay(run: Run) -> None:
     replayed = changes(again, used.codec, used.nodes)
     assert live.keys() == replayed.keys()
     for key, said in live.items():
+        if key[0] == "adhesion":
+            # Whether a wheel jumps by more than 10 % between two ticks depends on where they fall.
+            said, replayed[key] = known(said), known(replayed[key])  # noqa: PLW2901
         assert [c.flag for c in replayed[key]] == [c.flag for c in said], key
         # The first is no change but where either begins. Live stamps are those of the wire, a part
         # of a tick later than the tick.
