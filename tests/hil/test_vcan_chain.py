@@ -151,7 +151,10 @@ def known(said: list[Change]) -> list[Change]:
 
 
 def check_replay(run: Run) -> None:
-    """A replay of the recording says the same, each change within two ticks."""
+    """A replay of the recording says the same, each change within two ticks.
+
+    A change of adhesion within five: see `known`.
+    """
     used = run.used
     again = run.log.with_name("replayed.log")
     assert main(["replay", str(run.log), "-o", str(again), "--config", str(used.config)]) == 0
@@ -166,7 +169,8 @@ def check_replay(run: Run) -> None:
         # The first is no change but where either begins. Live stamps are those of the wire, a part
         # of a tick later than the tick.
         for a, b in zip(said[1:], replayed[key][1:], strict=True):
-            assert abs(round((a.t_ns - b.t_ns) / TICK_NS)) <= 2, (key, a, b)
+            most = 5 if key[0] == "adhesion" else 2
+            assert abs(round((a.t_ns - b.t_ns) / TICK_NS)) <= most, (key, a, b)
 
 
 def test_main_job_and_its_replay(vcan: Vcan, folder: Path) -> None:
