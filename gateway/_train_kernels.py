@@ -27,6 +27,7 @@ _ACCELERATION_TAU_S, _MOST_TORQUE = t.ACCELERATION_TAU_S, t.MOST_ACCELERATION_TO
 _ROTATING_FLOOR, _ROTATING_SHARE = t.ROTATING_FLOOR, t.ROTATING_SHARE
 _SINGLE_CREDIT, _SINGLE_CHANGE = t.SINGLE_CREDIT, t.SINGLE_CHANGE
 _LEAST_SPEED = t.LEAST_SPEED_RAD_S
+_FOLLOWED_S, _ALONE_S = t.FOLLOWED_S, t.ALONE_S
 _MOST_CREEP, _LEARN_CREEP, _MOST_APART = t.MOST_CREEP, t.LEARN_CREEP, t.MOST_APART
 _DIAMETER_TAU_S, _MOST_DIAMETER = t.DIAMETER_TAU_S, t.MOST_DIAMETER
 _DIAMETER_FIRST_S = t.DIAMETER_FIRST_S
@@ -73,16 +74,22 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
 
 
 @inlined
-def _note(measured: Array, told: Told, train: Train) -> float:
+def _note(measured: Array, tick_s: float, told: Told, train: Train) -> float:
     """Speeds and loads of this tick; the train's load, in its direction."""
     total = 0.0
     for k in range(measured.shape[0]):
         tracking, speed = told.health[k] == _TRACKING, measured[k]
         train.load[k] = math.nan
+        train.followed_s[k] = train.followed_s[k] + tick_s if tracking else 0.0
         if tracking:
             # Where the two speeds differ, neither is a measure for others.
-            apart = abs(speed - told.speed[k]) > _SPEEDS_APART * abs(speed) + _SPEEDS_APART_RAD_S
-            speed = math.nan if apart else told.speed[k]
+            off = abs(speed - told.speed[k])
+            apart = off > _SPEEDS_APART * abs(speed) + _SPEEDS_APART_RAD_S
+            guess = train.followed_s[k] < _FOLLOWED_S and off > _LEARN_CREEP * abs(speed)
+            if apart:
+                speed = math.nan
+            elif not guess:
+                speed = told.speed[k]
             train.load[k] = math.copysign(1.0, told.speed[k]) * told.load[k] / train.rated[k]
             total += train.load[k]
         train.speed[k] = speed
@@ -120,6 +127,26 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
 
 
 @inlined
+def _own_change(k: int, train: Train) -> float:
+    """By what share rotor k is faster than it was of late."""
+    return float(train.speed[k] * train.diameter[k] / abs(train.slow_speed[k]) - 1.0)
+
+
+@inlined
+def _stays(k: int, tick_s: float, train: Train) -> bool:
+    """Whether all other wheels have left that of drive k just now, and it is as fast as before."""
+    others, away = 0, 0
+    for j in range(train.speed.shape[0]):
+        if j != k and train.motor[j] == train.motor[k] and not math.isnan(train.speed[j]):
+            others += 1
+            away += train.away[j]
+    alone = others > 0 and away == others
+    train.alone_s[k] = train.alone_s[k] + tick_s if alone else 0.0
+    kept = abs(_own_change(k, train)) <= _LEARN_CREEP
+    return bool(0.0 < train.alone_s[k] <= _ALONE_S and kept)
+
+
+@inlined
 def _runs_away(k: int, effort: float, train: Train) -> bool:
     """Whether drive k's wheel has left the others for the side that the effort takes it to.
 
@@ -128,8 +155,7 @@ def _runs_away(k: int, effort: float, train: Train) -> bool:
     slip = effort * train.creep[k]
     if train.away[k]:
         return bool(slip > _LEARN_CREEP)
-    own = train.speed[k] * train.diameter[k] / abs(train.slow_speed[k]) - 1.0
-    return bool(slip > _MOST_CREEP and effort * own > _LEARN_CREEP)
+    return bool(slip > _MOST_CREEP and effort * _own_change(k, train) > _LEARN_CREEP)
 
 
 @inlined
@@ -140,36 +166,12 @@ def _speed_of_others(k: int, braking: bool, train: Train) -> float:
 
 
 @inlined
-def _compare_speeds(
-    tick_s: float, braking: bool, flag: Ints, operating: Flags, train: Train
-) -> None:
-    """Who turns faster or slower than the others; learns diameters while nobody slips."""
+def _learn_diameters(tick_s: float, flag: Ints, operating: Flags, train: Train) -> None:
+    """What is left between the speeds of wheels that adhere, while none is lost."""
     lost = False
     for k in range(flag.shape[0]):
         # A drive that is cut out keeps its flag, and stops nobody from learning.
         lost = lost or (flag[k] == _BAD and operating[k])
-        train.speed[k] = abs(train.speed[k])
-    for k in range(flag.shape[0]):
-        if train.learnt_s[k] < _DIAMETER_FIRST_S:
-            # What has been learnt so far may be a slip that grows.
-            others = _speed_of_others(k, braking, train)
-            far = others >= _LEAST_SPEED and abs(train.speed[k] / others - 1.0) > _MOST_APART
-            train.uncertain[k] = train.uncertain[k] or far
-    for k in range(flag.shape[0]):
-        train.speed[k] /= train.diameter[k]
-    for k in range(flag.shape[0]):
-        others = _speed_of_others(k, braking, train)
-        train.creep[k] = math.nan
-        if not others >= _LEAST_SPEED or math.isnan(train.speed[k]):
-            # Nobody sees whether it is back.
-            train.uncertain[k] = train.uncertain[k] or train.apart[k]
-            continue
-        creep = train.speed[k] / others - 1.0
-        train.creep[k] = creep
-        train.near_s[k] = 0.0 if abs(creep) > _MOST_CREEP else train.near_s[k] + tick_s
-        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < _NEAR_S)
-        train.uncertain[k] = train.uncertain[k] or abs(creep) > _MOST_CREEP
-        train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
     for k in range(flag.shape[0]):
         settled = train.learnt_s[k] >= _DIAMETER_FIRST_S
         near = _LEARN_CREEP if settled else _MOST_DIAMETER + _LEARN_CREEP
@@ -180,6 +182,42 @@ def _compare_speeds(
         train.learnt_s[k] += tick_s
         tau = min(max(train.learnt_s[k], 10.0 * tick_s), _DIAMETER_TAU_S)
         train.diameter[k] += tick_s / tau * (wanted - train.diameter[k])
+
+
+@inlined
+def _compare_speeds(
+    tick_s: float, braking: bool, flag: Ints, operating: Flags, train: Train
+) -> None:
+    """Who turns faster or slower than the others; learns diameters while nobody slips."""
+    for k in range(flag.shape[0]):
+        train.speed[k] = abs(train.speed[k])
+    for k in range(flag.shape[0]):
+        train.far[k] = False
+        if train.learnt_s[k] < _DIAMETER_FIRST_S:
+            # What has been learnt so far may be a slip that grows.
+            others = _speed_of_others(k, braking, train)
+            creep = train.speed[k] / others - 1.0 if others >= _LEAST_SPEED else 0.0
+            train.far[k] = abs(creep) > _MOST_APART
+    for k in range(flag.shape[0]):
+        train.speed[k] /= train.diameter[k]
+    for k in range(flag.shape[0]):
+        others = _speed_of_others(k, braking, train)
+        train.creep[k] = math.nan
+        if others >= _LEAST_SPEED and not math.isnan(train.speed[k]):
+            train.creep[k] = train.speed[k] / others - 1.0
+            train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
+    for k in range(flag.shape[0]):
+        stays = _stays(k, tick_s, train)
+        train.uncertain[k] = train.uncertain[k] or (train.far[k] and not stays)
+        if math.isnan(train.creep[k]):
+            # Nobody sees whether it is back.
+            train.uncertain[k] = train.uncertain[k] or train.apart[k]
+            continue
+        beyond = abs(train.creep[k]) > _MOST_CREEP and not stays
+        train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
+        train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < _NEAR_S)
+        train.uncertain[k] = train.uncertain[k] or beyond
+    _learn_diameters(tick_s, flag, operating, train)
 
 
 @inlined
@@ -258,7 +296,7 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    braking = _note(measured, told, train) < 0.0
+    braking = _note(measured, tick_s, told, train) < 0.0
     _accelerate(tick_s, braking, train)
     _compare_speeds(tick_s, braking, flag, slow.operating, train)
     for k in range(flag.shape[0]):

@@ -42,6 +42,9 @@ SPEEDS_APART: Final = 0.05
 SPEEDS_APART_RAD_S: Final = 1.0
 """A speed by the currents that differs by more from `Motion`, at the rotor, is no measure for
 others; `Motion` is up to 10 ms old."""
+FOLLOWED_S: Final = 0.2
+"""A speed by the currents that has been followed for less may be on its way from a guess: beyond
+`LEARN_CREEP` from it, `Motion` goes before it."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
 MOST_APART: Final = 0.1
@@ -53,6 +56,9 @@ SLIDES_S: Final = 0.2
 that loses or finds its grip is sooner through."""
 GRIPS: Final = 0.1
 """Per unit of rated torque that one which has run away carries more than the others: at once."""
+ALONE_S: Final = 0.5
+"""A rotor that all others have left is held against its own speed of late for so long: what it
+could lose or gain meanwhile is within `LEARN_CREEP`."""
 AGAINST: Final = 0.25
 """Share of the others' load that one which is apart carries against them: it turns backwards."""
 LEARN_CREEP: Final = 0.03
@@ -86,15 +92,17 @@ Ints = NDArray[np.int64]
 class Train(NamedTuple):
     """Memory of N drives, (N,), NaN where a number is not known.
 
-    rated Nm, inertia kg m2, motor: which of them have equal ratings; slow_speed: smoothed speed
-    of the rotor, rad/s; taken: what accelerates it with its train, per unit of rated torque;
+    rated Nm, inertia kg m2, motor: which of them have equal ratings; slow_speed: smoothed speed of
+    the rotor, rad/s; taken: what accelerates it with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
-    apart: beyond `MOST_CREEP` when that was last known, near_s: for how long it has not been,
-    slides_s: for how long it has carried more than the others meanwhile; away: left the others for
-    the side that the effort takes it to, and is not back yet; uncertain: it may be running away, or
-    braked by something else; doubt_ns: until then its currents accuse nobody; uncommanded_s, odd_s:
-    for how long, odd: too long; above: carries more than its command and than the others, in this
-    tick; speed, load, rank: of one tick.
+    followed_s: for how long its currents have been followed; alone_s: for how long all others have
+    been away; far: beyond `MOST_APART` while diameters are not known; apart: beyond `MOST_CREEP`
+    when that was last known, near_s: for how long it has not been, slides_s: for how long it has
+    carried more than the others meanwhile; away: left the others for the side that the effort
+    takes it to, and is not back yet; uncertain: it may be running away, or braked by something
+    else; doubt_ns: until then its currents accuse nobody; uncommanded_s, odd_s: for how long, odd:
+    too long; above: carries more than its command and than the others, in this tick; speed, load,
+    rank: of one tick.
     """
 
     rated: Array
@@ -105,6 +113,9 @@ class Train(NamedTuple):
     diameter: Array
     learnt_s: Array
     creep: Array
+    followed_s: Array
+    alone_s: Array
+    far: Flags
     apart: Flags
     near_s: Array
     slides_s: Array
@@ -129,11 +140,12 @@ def start(motors: Sequence[Motor]) -> Train:
     ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
     kinds = list(dict.fromkeys(ratings))
     unknown = np.full((5, n), np.nan)
-    apart, away, uncertain, odd, above = np.zeros((5, n), dtype=np.bool_)
+    far, apart, away, uncertain, odd, above = np.zeros((6, n), dtype=np.bool_)
     doubt_ns = np.full(n, NEVER, dtype=np.int64)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
         np.array([kinds.index(m) for m in ratings], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], apart, np.zeros(n), np.zeros(n), away, uncertain,
-        doubt_ns, np.zeros(n), np.zeros(n), odd, above, unknown[2], unknown[3], unknown[4],
+        np.ones(n), np.zeros(n), unknown[1], np.zeros(n), np.zeros(n), far, apart, np.zeros(n),
+        np.zeros(n), away, uncertain, doubt_ns, np.zeros(n), np.zeros(n), odd, above, unknown[2],
+        unknown[3], unknown[4],
     )  # fmt: skip

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def tell(config: Config, codec: Codec) -> list[str]:
-    """Print a line per loss; gives what is wrong: losses that are not found.
+    """Print a line per loss; gives what is wrong: losses that are not found, or cannot be.
 
     Raises ConfigError as `Gateway` does.
     """
@@ -32,7 +32,7 @@ def tell(config: Config, codec: Codec) -> list[str]:
             _line(f"drive {node} is always Unknown: {why}")
     if len(blind) == len(config.nodes):
         _line("not tried: no drive can ever be judged")
-        return []
+        return [f"drive {node}: {why}" for node, why in blind.items()]
     problems = []
     what = f"A loss of {100 * DEPTH:.0f} % on drive"
     try:

@@ -186,8 +186,9 @@ def test_a_drive_that_can_never_be_judged_is_not_tried(tmp_path, without, said):
 
 
 def test_check_says_that_nothing_was_tried_and_why(capsys):
-    code, out, _ = checked(capsys, ROOT / "examples" / "inverters" / "bamocar_d3.toml")
-    assert code == 0
+    code, out, err = checked(capsys, ROOT / "examples" / "inverters" / "bamocar_d3.toml")
+    assert code == 2
+    assert "no loss would be told: drive 1: no phase currents" in err
     assert "always Unknown: no phase currents" in out
     assert "not tried: no drive can ever be judged" in out
     assert not FOUND.search(out)
