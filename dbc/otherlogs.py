@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import io
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from dbc.blank_lines import without_blank_lines
 from dbc.candump import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
 if TYPE_CHECKING:
     import can
+    from can.io.generic import TextIOMessageReader
 
 
 def read_any(path: Path) -> Iterator[Frame]:
@@ -24,12 +27,15 @@ def read_any(path: Path) -> Iterator[Frame]:
     that python-can cannot read (its readers stop at the first fault).
     """
     import can
+    from can.io.generic import TextIOMessageReader
 
     if ".mf4" in path.name.lower():
         mf4_module()
     count = 0
     try:
         with can.LogReader(path) as reader:
+            if isinstance(reader, TextIOMessageReader):
+                _squeeze(reader)
             for message in reader:
                 count += 1
                 yield from_message(message)
@@ -37,6 +43,11 @@ def read_any(path: Path) -> Iterator[Frame]:
         text = " ".join(str(error).split()) or type(error).__name__
         where = f" after {count} frames" if count else ""
         raise LogError(str(path), 0, f"cannot be read{where}: {text}") from error
+
+
+def _squeeze(reader: TextIOMessageReader) -> None:
+    if isinstance(reader.file, io.TextIOWrapper):
+        reader.file = without_blank_lines(reader.file)
 
 
 def mf4_module() -> ModuleType:
