@@ -171,10 +171,12 @@ def _angle_off(
 def _count(
     off: bool, first_ns: int, most: int, counts: Ints, k: int, now: int, check: Plausibility
 ) -> None:
-    """first_ns: for how long the input is implausible after a reading before `most` in a row."""
+    """first_ns: for how long a reading before `most` in a row keeps the currents from accusing."""
     counts[k] = counts[k] + 1 if off else 0
-    if off:
-        _until(k, now, _HELD_NS if counts[k] >= most else first_ns, check)
+    if counts[k] >= most:
+        _until(k, now, _HELD_NS, check)
+    elif off:
+        check.doubt_ns[k] = max(check.doubt_ns[k], now + first_ns)
 
 
 @inlined

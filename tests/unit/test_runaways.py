@@ -137,3 +137,25 @@ def flags_of(run, coded, nodes):
         core.step(simulation.step((), k * TICK), k * TICK)
         flags.append([drive.adhesion for drive in core.view.drives])
     return np.array(flags)
+
+
+@pytest.mark.parametrize(("path", "drives"), [(CLASSIC, 3), (FD_FILE, 2)])
+def test_a_sender_that_has_a_processor_now_and_then_is_no_fault(path, drives):
+    """Its frames come late and at once, as from a simulated drive on a busy machine."""
+    nodes = tuple(range(1, drives + 1))
+    coded = codec(nodes, path)
+    simulation = Simulation(scenario(seed=3, drives=drives, duration_s=20.0), coded, nodes=nodes)
+    config = {"dbc": {"file": str(path)}, "drive": [{"node": node} for node in nodes]}
+    core = Gateway(parse(config), coded, 0)
+    waits_ms = np.random.default_rng(7).choice([2.1, 4.2, 5.3], 20_000, p=[0.96, 0.03, 0.01])
+    wakes = np.cumsum(waits_ms * 1e6).astype(np.int64)
+    waiting, flags = [], []
+    for k in range(1, 2001):
+        now = k * TICK
+        for frame in simulation.step((), now):
+            wake = int(wakes[np.searchsorted(wakes, frame.t_ns)])
+            waiting.append(frame._replace(t_ns=wake))
+        core.step([frame for frame in waiting if frame.t_ns <= now], now)
+        waiting = [frame for frame in waiting if frame.t_ns > now]
+        flags.append([drive.adhesion for drive in core.view.drives])
+    assert (np.array(flags)[100:] == Flag.GOOD).all()
