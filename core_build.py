@@ -19,9 +19,9 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
 
 ROOT = Path(__file__).parent
-HEADERS = ("gateway/core/records.h", "dbc/e2e.h")
+HEADERS = ("gateway/core/records.h", "dbc/e2e.h", "gateway/core/flags.h")
 """In the order in which they build on one another."""
-SOURCES = ("dbc/crc.c", "dbc/e2e.c")
+SOURCES = ("dbc/crc.c", "dbc/e2e.c", "gateway/core/flags.c")
 DEPENDS = (*HEADERS, "dbc/crc.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")

@@ -32,5 +32,17 @@ def dtype_of(ctype: Any) -> Any:
 
 E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
 E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
-LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
+FLAG: Final = dtype_of(ffi.typeof("struct flag"))
+FLAG_TIMING: Final = dtype_of(ffi.typeof("struct flag_timing"))
+FLAG_RULES: Final = dtype_of(ffi.typeof("struct flag_rules"))
+FLAG_INPUTS: Final = dtype_of(ffi.typeof("struct flag_inputs"))
+TRAIN_INPUTS: Final = dtype_of(ffi.typeof("struct train_inputs"))
+DRIVE_EVIDENCE: Final = dtype_of(ffi.typeof("struct drive_evidence"))
+DRIVE_STATUS: Final = dtype_of(ffi.typeof("struct drive_status"))
+TRAIN_STATUS: Final = dtype_of(ffi.typeof("struct train_status"))
+LAYOUT: Final = " ".join(map(str, (
+    E2E_CONFIG, E2E_STATE,
+    FLAG, FLAG_TIMING, FLAG_RULES, FLAG_INPUTS, TRAIN_INPUTS, DRIVE_EVIDENCE, DRIVE_STATUS,
+    TRAIN_STATUS,
+)))  # fmt: skip
 """What compiled loops depend on that address these records."""

@@ -25,14 +25,14 @@ from estimators.detect._reference_kernels import (
 )
 from estimators.detect.reference import Reference
 from estimators.detect.response import OPEN
+from gateway._flags_kernels import debounce_common_mode, loss_evidence
 from gateway._loads_kernels import prepare
-from gateway._said_kernels import advance, from_probability
 from gateway.loads import FOLLOWING_NS, LEAST_LOAD, LOAD_TAU_S, MORE_LOAD
 
 if TYPE_CHECKING:
+    from dbc.records import Records
     from estimators.detect.response import Heard, Memory
     from gateway.loads import Instant, Room, Rotors, Trust
-    from gateway.said import Flags, Rules
     from gateway.slow import SlowState
     from gateway.tracks import Told
     from gateway.train import Train
@@ -43,7 +43,6 @@ Bools = NDArray[np.bool_]
 
 _UNKNOWN, _GOOD, _BAD = 0, 1, 2  # Flag
 _NEVER = -(1 << 63)
-_TIMING = 0  # said.Which.ADHESION
 
 
 @lean
@@ -57,7 +56,7 @@ def compare(
 
 
 @inlined
-def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
+def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Records) -> int:
     """Evidence of a loss of all drives at once. One that holds says no; yes needs all known.
 
     Drives that coast say nothing.
@@ -71,9 +70,9 @@ def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
         some = some or not coasts(k, heard)
         judged = judged and heard.usable[k]
         lost = min(lost, alone[k])
-    if not (some and judged) or not (every or lost <= rules.clear_at):
+    if not (some and judged) or not (every or lost <= rules[0]["clear_probability"]):
         return _UNKNOWN
-    return from_probability(lost, rules)  # type: ignore[no-any-return,unused-ignore]
+    return loss_evidence(lost, rules)  # type: ignore[no-any-return,unused-ignore]
 
 
 @inlined
@@ -99,14 +98,14 @@ def _enough_load(lost: Array, known: Bools, common: float, tick_s: float, trust:
 @lean
 def conclude(
     lost: Array, known: Bools, common: float, now: int, tick_s: float, response: Memory,
-    at: Instant, heard: Heard, train: Train, part: float, spreads: float, rules: Rules,
-    mode: Flags, trust: Trust, room: Room,
+    at: Instant, heard: Heard, train: Train, part: float, spreads: float, rules: Records,
+    common_mode: Records, trust: Trust, room: Room,
 ) -> bool:  # fmt: skip
     """The detector's opinion with every drive's own response; who is severely lost; common mode.
 
     lost, known (N,), common: its opinion, changed where it rests on too little load; train: who
     runs away, and whose command is odd, which accuses nobody; part, spreads: as for `severely`;
-    mode: its first flag is that of all drives' loss. Fills lost, known, severe and since when loads
+    common_mode: the flag of all drives' loss. Fills lost, known, severe and since when loads
     are known. True where a drive's load answers a new command.
     """
     respond(response, heard, tick_s, room.alone, room.meant)
@@ -130,7 +129,7 @@ def conclude(
         elif trust.known_ns[k] == _NEVER:
             trust.known_ns[k] = now
         answered = answered or heard.age_s[k] < tick_s
-    advance(0, 0, _common_mode(at, heard, room.alone, rules), _TIMING, now, rules, mode)
+    debounce_common_mode(common_mode, _common_mode(at, heard, room.alone, rules), now, rules)
     return answered
 
 

@@ -18,19 +18,20 @@ from estimators.detect.reference import Reference
 from estimators.detect.response import Memory
 from gateway import supervision
 from gateway._adhesion_kernels import compare, conclude, teach
+from gateway._flags_kernels import fill_inputs, update_flags
 from gateway._inputs_kernels import look
 from gateway._kernels import settle, take_block
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
 from gateway._route_kernels import busy_s
-from gateway._said_kernels import decide, tell, weigh
 from gateway._sweep_kernels import advance_ekf, advance_ukf
 from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 
 if TYPE_CHECKING:
+    from dbc.records import Records
     from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
 
 Array = NDArray[np.float64]
@@ -43,7 +44,6 @@ _ANY = 2  # pairing.Trouble
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
 _READINGS, _CHANGED = 0, 1  # slow.Count
-_NONE = 0  # Reason
 _any_lost = lean(supervision.any_lost)
 
 
@@ -84,12 +84,13 @@ def _count(tally: Ints, saying: Saying) -> None:
 
 
 @inlined
-def _raise(peak: Array, lost: Array) -> None:
-    """`numpy.fmax` in place: NaN is passed over."""
+def _raise(peak: Array, drives: Records) -> None:
+    """`numpy.fmax` of the loss probabilities in place: NaN is passed over."""
     for k in range(peak.shape[0]):
+        lost = drives[k]["loss_probability"]
         # Not `>`: the first number meets a NaN.
-        if not (lost[k] <= peak[k] or math.isnan(lost[k])):
-            peak[k] = lost[k]
+        if not (lost <= peak[k] or math.isnan(lost)):
+            peak[k] = lost
 
 
 @unlocked
@@ -195,7 +196,7 @@ def several(
         answered = conclude(
             judging.lost, judging.known, common, now, judging.tick_s, response, judging.at,
             judging.heard, judging.train, judging.part, judging.spreads, judging.rules,
-            judging.mode, judging.trust, judging.room,
+            judging.common_mode, judging.trust, judging.room,
         )  # fmt: skip
         due = now >= learn_ns
         if answered or due:
@@ -224,20 +225,18 @@ def several(
         )  # fmt: skip
         report(now, warming.limit_ns, warming.warmth, saying.findings)
         lost, known = judging.room.lost, judging.room.known
-        weigh(
+        fill_inputs(
             inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
-            saying.findings, _NONE,
-            judging.rules, saying.seen, saying.why,
+            judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
-        changed = decide(saying.seen, judging.room.severe, now, judging.rules, saying.flags)
-        tell(
-            saying.seen, saying.why, now, saying.flags, inputs, told, lost, known, saying.findings,
-            receiving.pairs.sample_ns, _NONE, judging.mode.flag, False, False, saying.said,
-        )  # fmt: skip
-        _raise(went.peak, saying.said.lost)
+        saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
+        changed = update_flags(
+            now, judging.rules, saying.train_inputs, saying.inputs, saying.evidence, saying.status
+        )
+        _raise(went.peak, saying.status.drives)
         _count(receiving.scratch.tally, saying)
         frames = send(
-            now, saying.said, saying.counts, saying.sheet, saying.form, saying.e2e_config,
+            now, saying.status, saying.counts, saying.sheet, saying.form, saying.e2e_config,
             saying.memory, saying.room,
         )  # fmt: skip
         for i in range(frames):

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
+from dbc.records import Records
 from estimators.detect import Evidence, Opinion, make, reference, response
-from gateway import loads, said, train
+from gateway import flags, loads, train
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._direct import Direct
 from gateway._train_kernels import assess_train
 from gateway.config import Adhesion, Motor
 from gateway.health import NEVER
 from gateway.inputs import Inputs
-from gateway.said import Rules
 from gateway.slow import SlowState
 from gateway.tracks import Told
 
@@ -51,7 +51,7 @@ class AdhesionSide:
     """Memory of the drives' healthy loads; `judge` per tick is the only mutator."""
 
     def __init__(
-        self, config: Adhesion, motors: Sequence[Motor], rules: Rules, tick_ns: Nanos
+        self, config: Adhesion, motors: Sequence[Motor], rules: Records, tick_ns: Nanos
     ) -> None:
         """rules: of the flags; motors: per drive."""
         self.config = config
@@ -71,8 +71,8 @@ class AdhesionSide:
         spread = config.spread_nm / BASE_NM
         self.reference = reference.start(n, spread)
         self.response = response.start(n, spread)
-        self.mode = said.flags(1, 0)
-        """The first of them: whether all drives have lost adhesion at once."""
+        self.common_mode = flags.flag(0)
+        """One flag: whether all drives have lost adhesion at once."""
         self.trust, self.room = loads.trust(n), loads.room(n)
         self.severe = self.room.severe
         """(N,) drives that carry so much less than the others that noise cannot be the cause."""
@@ -102,7 +102,7 @@ class AdhesionSide:
         )  # fmt: skip
         answered = self._conclude(
             lost, known, common, now, self.tick_s, self.response, at, heard, self.train,
-            SEVERE, SEVERE_SPREADS, self.rules, self.mode, self.trust, room,
+            SEVERE, SEVERE_SPREADS, self.rules, self.common_mode, self.trust, room,
         )  # fmt: skip
         return self.learn(answered, common, flag, slow.operating, now)
 

@@ -16,10 +16,11 @@ from dbc.sending import Form
 from estimators.detect import reference, response
 from gateway import loads, motion, plausibility, sources, tracks, train
 from gateway.channel import ChannelState
+from gateway.flags import Status
 from gateway.inputs import Inputs, Places
 from gateway.pairing import PairState, Samples, Wiring
 from gateway.receiving import Routes, Scratch
-from gateway.said import Findings, Flags, Rules, Said
+from gateway.said import Findings
 from gateway.slow import Readings, SlowState
 from gateway.supervision import Beats
 from gateway.warmth import Warmth
@@ -89,8 +90,8 @@ class Judging(NamedTuple):
     heard: response.Heard
     trust: loads.Trust
     room: loads.Room
-    rules: Rules
-    mode: Flags
+    rules: Records
+    common_mode: Records
     priors: Array
     sweeps: int
     lost: Array
@@ -121,10 +122,10 @@ class Saying(NamedTuple):
     """
 
     findings: Findings
-    seen: Ints
-    why: Ints
-    flags: Flags
-    said: Said
+    train_inputs: Records
+    inputs: Records
+    evidence: Records
+    status: Status
     counts: Array
     sheet: sources.Sheet
     form: Form
