@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean, unlocked
-from estimators.detect._kernels import judge_few
-from estimators.detect.reference import Reference
-from estimators.detect.response import Memory
 from gateway import supervision
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._flags_kernels import fill_inputs, update_flags
@@ -44,6 +42,7 @@ _ANY = 2  # pairing.Trouble
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
 _READINGS, _CHANGED = 0, 1  # slow.Count
+_vb_detect = symbol("vb_detect")
 _any_lost = lean(supervision.any_lost)
 
 
@@ -66,9 +65,10 @@ def _opinion(judging: Judging) -> float:
         judging.known[k] = enough and known[k]
     if not enough:
         return 0.0
-    return judge_few(  # type: ignore[no-any-return,unused-ignore]
-        room.referred, room.spread, known, judging.priors, judging.sweeps, judging.rough,
-        judging.lost,
+    return _vb_detect(  # type: ignore[no-any-return]
+        judging.priors.ctypes.data, judging.sweeps, room.referred.ctypes.data,
+        room.spread.ctypes.data, known.ctypes.data, known.shape[0], judging.rough.ctypes.data,
+        judging.lost.ctypes.data,
     )  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def several(
     done, stage = 0, WHOLE
     samples = seen = foreign = motions = 0
     odd = changed = False
-    learn_ns, reference, response = judging.learn_ns, judging.reference, judging.response
+    learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
         if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
@@ -189,34 +189,24 @@ def several(
         )  # fmt: skip
         compare(
             told, receiving.slow, inputs.commanded, judging.flag, judging.since_ns, now,
-            judging.tick_s, judging.rotors, reference, judging.passing, judging.at,
-            judging.heard, judging.room,
+            judging.tick_s, judging.rotors, judging.reference, judging.passing, judging.at,
+            judging.responses, judging.room,
         )  # fmt: skip
         common = _opinion(judging)
         answered = conclude(
-            judging.lost, judging.known, common, now, judging.tick_s, response, judging.at,
-            judging.heard, judging.train, judging.part, judging.spreads, judging.rules,
+            judging.lost, judging.known, common, now, judging.tick_s, judging.own, judging.at,
+            judging.responses, judging.train, judging.part, judging.spreads, judging.rules,
             judging.common_mode, judging.trust, judging.room,
         )  # fmt: skip
         due = now >= learn_ns
         if answered or due:
             if due:
                 learn_ns = now + judging.every_ns
-            spread, own = teach(
+            teach(
                 answered, due, now, judging.tick_s, common, judging.flag, receiving.slow.operating,
-                reference, response, judging.at, judging.heard, judging.settled_ns,
+                judging.reference, judging.own, judging.at, judging.responses, judging.settled_ns,
                 judging.probably, judging.trust, judging.room,
             )  # fmt: skip
-            # Here and not in a function: one that gives arrays back has to count them.
-            reference = Reference(
-                reference.ratio, reference.variance, spread, reference.configured,
-                reference.residual, reference.seen,
-            )  # fmt: skip
-            alone = response.reference
-            alone = Reference(
-                alone.ratio, alone.variance, own, alone.configured, alone.residual, alone.seen
-            )
-            response = Memory(alone, response.since_s)
         if seen:
             hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
         advance(
@@ -252,5 +242,5 @@ def several(
             break
     return (
         done, stage, first, samples, seen, foreign, odd, motions, changed, out, busy, common,
-        reference.spread, response.reference.spread, learn_ns,
+        learn_ns,
     )  # fmt: skip

@@ -59,7 +59,7 @@ class Ticks:
         self._period_ns = gateway.config.loop.period_ns
         self._unscented = True if gateway.config.estimator.kind == "ukf" else None
         self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
-        self._rough = np.zeros((3, n))
+        self._rough = np.zeros((4, n))
         self._went = stretch.went(FRAMES, len(gateway.outbox.heads), n)
         # By number of message: a frame of it, which costs what they all cost.
         heads = [
@@ -123,7 +123,7 @@ class Ticks:
             self._warming(), self._saying(counted), went,
         ))  # fmt: skip
         gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
-        adhesion.note_learnt(left.spread, left.own, left.learn_ns)
+        adhesion.learn_ns = left.learn_ns
         inbox.counts["received"] += went.tally.item(0)
         # No count of none: single steps leave none either.
         if decoded := went.tally.item(1):
@@ -183,10 +183,10 @@ class Ticks:
         side, flags = self.gateway.adhesion, self.gateway.flags
         return Judging(
             flags.adhesion["state"], flags.adhesion["since_ns"], side.tick_s, side.rotors,
-            side.train, side.reference, side.response, PASSING, SEVERE, SEVERE_SPREADS, side.at,
-            side.heard, side.trust, side.room, side.rules, side.common_mode, self._detector.table,
-            self._detector.sweeps, self._lost, self._known, self._rough, side.learn_ns, LEARN_NS,
-            SETTLED_NS, PROBABLY_GOOD,
+            side.train, side.reference, side.own, PASSING, SEVERE, SEVERE_SPREADS, side.at,
+            side.responses, side.trust, side.room, side.rules, side.common_mode,
+            self._detector.table, self._detector.sweeps, self._lost, self._known, self._rough,
+            side.learn_ns, LEARN_NS, SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
 
     def _warming(self) -> Warming:

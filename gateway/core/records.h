@@ -236,4 +236,55 @@ struct train_status {
     uint8_t common_mode;        /* enum flag_state */
 };
 
+/* Variational Bayes (estimators/detect/variational.c). */
+
+#define VB_MAX_STARTS 16 /* drives that are tried as the adhering one */
+
+/* Strength of what is known before looking; constant. */
+struct vb_priors {
+    double nu;             /* degrees of freedom of both precisions */
+    double beta_adhering;  /* weight of the mean of adhering loads, in drives */
+    double beta_lost;      /* weight of the mean of lost loads, in drives */
+    double alpha_adhering; /* weight of the share of adhering drives, in drives */
+    double alpha_lost;     /* weight of the share of lost drives, in drives */
+};
+
+/* Loads of healthy drives, and their answers to commands (estimators/detect/load_reference.c,
+ * command_response.c). Torques are per unit of rated torque. */
+
+/* Of all drives: how far loads of healthy ones scatter. */
+struct load_spread {
+    double spread;     /* standard deviation, as learnt */
+    double configured; /* standard deviation at the start */
+};
+
+/* What the load of one drive is while it adheres. */
+struct load_ratio {
+    double ratio;    /* load over the common one */
+    double variance; /* of `ratio` */
+    double residual; /* of the last observation */
+    uint8_t seen;    /* 1: there was one */
+    uint8_t taught;  /* 1: the last observation has changed `ratio` */
+};
+
+/* One observation of the load of one drive. */
+struct load_observation {
+    double load;
+    double common;   /* load that adhering drives share, or the command of this drive */
+    uint8_t known;   /* 1: both are known */
+    uint8_t healthy; /* 1: the drive certainly adheres */
+};
+
+/* Load of one drive beside its command, positive in the direction of the motor. */
+struct command_response {
+    double load;
+    double
+        acceleration_torque; /* that accelerates the rotor, largest of two ticks; 0: not wanted */
+    double command;
+    double previous_command; /* the command before that */
+    double command_age_s;    /* since the command was sent */
+    double deficit_s;        /* how long a deficit has stood; 0: none */
+    uint8_t usable;          /* 1: load and command are known */
+};
+
 #endif

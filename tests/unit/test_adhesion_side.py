@@ -56,9 +56,9 @@ def test_loops_equal_themselves_uncompiled(seed, monkeypatch):
             flag = np.where(lost, Flag.BAD, np.where(opinion.known, Flag.GOOD, Flag.UNKNOWN))
             kept["since_ns"][kept["state"] != flag] = now
             kept["state"] = flag
-            memory, own = side.reference, side.response.reference
+            memory, own = (learnt.all["spread"].item() for learnt in (side.reference, side.own))
             said_so = opinion.lost.tolist(), opinion.known.tolist(), side.severe.tolist()
-            out.append((*said_so, side.common_mode["state"].item(), memory.spread, own.spread))
+            out.append((*said_so, side.common_mode["state"].item(), memory, own))
             met |= {("flag", *flag.tolist()), ("common", side.common_mode["state"].item())}
         made.append(out)
     assert made[0] == made[1]

@@ -101,7 +101,8 @@ def state(gateway):
     tables = (
         gateway.findings, gateway.inputs, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.reference, *gateway.adhesion.response,
+        gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
+        [gateway.adhesion.responses],
         gateway.adhesion.trust, gateway.adhesion.rotors, gateway.inbox.state,
         gateway.inbox.e2e_state, gateway.inbox.pairs, gateway.inbox.slow, gateway.outbox.memory,
         *gateway.thermal.warmth[:5], gateway.supervision.beats,
