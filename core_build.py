@@ -19,9 +19,13 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
 
 ROOT = Path(__file__).parent
-HEADERS = ("gateway/core/records.h", "dbc/e2e.h")
+HEADERS = ("gateway/core/records.h", "dbc/e2e.h", "gateway/core/flags.h",
+           "estimators/detect/variational.h", "estimators/detect/load_reference.h",
+           "estimators/detect/command_response.h")  # fmt: skip
 """In the order in which they build on one another."""
-SOURCES = ("dbc/crc.c", "dbc/e2e.c")
+SOURCES = ("dbc/crc.c", "dbc/e2e.c", "gateway/core/flags.c", "estimators/detect/variational.c",
+           "estimators/detect/load_reference.c",
+           "estimators/detect/command_response.c")  # fmt: skip
 DEPENDS = (*HEADERS, "dbc/crc.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
@@ -56,7 +60,7 @@ def builder() -> Any:
     includes = "\n".join(f'#include "{header}"' for header in HEADERS)
     made.set_source(
         "_traction_core", includes, sources=list(SOURCES), include_dirs=["."],
-        depends=list(DEPENDS), extra_compile_args=list(FLAGS), py_limited_api=True,
+        depends=list(DEPENDS), extra_compile_args=list(FLAGS), libraries=["m"], py_limited_api=True,
     )  # fmt: skip
     command = " ".join(compiler())
     os.environ.setdefault("CC", command)

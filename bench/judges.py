@@ -19,9 +19,10 @@ from sklearn.mixture import BayesianGaussianMixture, GaussianMixture
 from bench.kernels import best
 from estimators import _maisd_kernels, maisd
 from estimators.detect import Evidence, VariationalDetector
-from estimators.detect.variational import DEFAULT_PRIORS, infer, starts
+from estimators.detect.variational import DEFAULT_PRIORS
 from estimators.thermal import _sigma_mixed_kernels
 from estimators.thermal.sigma_mixed import KAPPA
+from tests.reference.variational import infer, starts
 
 HEADER = ("kernel", "drives", "per call", "per drive", "reference in the same run")
 FLEETS: Final = (1, 3, 16, 64, 256, 1024)

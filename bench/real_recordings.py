@@ -21,7 +21,7 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.calibration import POINTS, Calibration, MotorCalibration
 from gateway.config import Thermal
 from gateway.core import SENSOR
-from gateway.decide import FlagState, Timing, advance
+from gateway.flags import Timing, debounce, flag
 from gateway.inbox import Temperatures
 from gateway.results.calibrating import Learner
 from gateway.thermal import ThermalSide
@@ -137,8 +137,7 @@ def judge(
     averages = side.warmth.averages
     heat = Timing(0, round(settings.raise_s * SECOND), round(settings.clear_s * SECOND))
     start = readings[0].t_ns
-    thermal = [FlagState(since_ns=start) for _ in nodes]
-    sensor = [FlagState(since_ns=start) for _ in nodes]
+    thermal, sensor = ([flag(start) for _ in nodes] for _ in range(2))
     newest = np.full(drives, np.nan)
     rows: list[tuple[object, ...]] = []
     at = 0
@@ -153,12 +152,12 @@ def judge(
             learner.take(side, now)
         reports = [side.report(k, now, STALE_NS) for k in range(drives)]
         for k, report in enumerate(reports):
-            thermal[k] = advance(thermal[k], report.thermal, now, heat)
-            sensor[k] = advance(sensor[k], report.sensor, now, SENSOR)
+            debounce(thermal[k], report.thermal, heat, TICK_NS, now)
+            debounce(sensor[k], report.sensor, SENSOR, TICK_NS, now)
         if tick % (CYCLE_NS // TICK_NS) == 0:
             rows.append((
-                (now - start) / SECOND, newest.copy(), [f.flag for f in thermal],
-                [f.flag for f in sensor], [r.fault_class for r in reports],
+                (now - start) / SECOND, newest.copy(), [f["state"].item() for f in thermal],
+                [f["state"].item() for f in sensor], [r.fault_class for r in reports],
                 [r.fault_sensor for r in reports], [r.reason for r in reports],
                 averages.deviation[:, 0].copy(), averages.spread[0],
             ))  # fmt: skip

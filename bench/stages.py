@@ -34,8 +34,9 @@ STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("  after the detector, compiled", Direct, "conclude"),
     ("thermal readings", core.ThermalSide, "hear"),
     ("thermal reports", core.ThermalSide, "tell"),
-    ("evidence, compiled", Direct, "weigh"),
-    ("flags, compiled", Direct, "decide"),
+    ("evidence", core.Flags, "collect_evidence"),
+    ("flags", core.Flags, "debounce"),
+    ("what is published", core.Flags, "publish"),
     ("frames out", core.Outbox, "due"),
     ("  due, encode, protect, compiled", Direct, "send"),
 )

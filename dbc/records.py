@@ -32,5 +32,22 @@ def dtype_of(ctype: Any) -> Any:
 
 E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
 E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
-LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
+FLAG: Final = dtype_of(ffi.typeof("struct flag"))
+FLAG_TIMING: Final = dtype_of(ffi.typeof("struct flag_timing"))
+FLAG_RULES: Final = dtype_of(ffi.typeof("struct flag_rules"))
+FLAG_INPUTS: Final = dtype_of(ffi.typeof("struct flag_inputs"))
+TRAIN_INPUTS: Final = dtype_of(ffi.typeof("struct train_inputs"))
+DRIVE_EVIDENCE: Final = dtype_of(ffi.typeof("struct drive_evidence"))
+DRIVE_STATUS: Final = dtype_of(ffi.typeof("struct drive_status"))
+TRAIN_STATUS: Final = dtype_of(ffi.typeof("struct train_status"))
+VB_PRIORS: Final = dtype_of(ffi.typeof("struct vb_priors"))
+LOAD_SPREAD: Final = dtype_of(ffi.typeof("struct load_spread"))
+LOAD_RATIO: Final = dtype_of(ffi.typeof("struct load_ratio"))
+LOAD_OBSERVATION: Final = dtype_of(ffi.typeof("struct load_observation"))
+COMMAND_RESPONSE: Final = dtype_of(ffi.typeof("struct command_response"))
+LAYOUT: Final = " ".join(map(str, (
+    E2E_CONFIG, E2E_STATE,
+    FLAG, FLAG_TIMING, FLAG_RULES, FLAG_INPUTS, TRAIN_INPUTS, DRIVE_EVIDENCE, DRIVE_STATUS,
+    TRAIN_STATUS, VB_PRIORS, LOAD_SPREAD, LOAD_RATIO, LOAD_OBSERVATION, COMMAND_RESPONSE,
+)))  # fmt: skip
 """What compiled loops depend on that address these records."""

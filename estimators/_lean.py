@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from dbc._core_symbols import symbol
 from dbc._kernelcache import njit
 from dbc._lean import lean
 
-__all__ = ["fused", "lean", "njit"]
+__all__ = ["fused", "lean", "njit", "symbol"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 

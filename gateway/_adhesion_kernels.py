@@ -1,7 +1,7 @@
 """The adhesion side around the detector, in one call before it and one after.
 
-The steps are loops with twins of their own (`loads`, `estimators.detect.reference`, `response`);
-what is added here are loops over drives, whose twin is the same function uncompiled.
+Loops over drives, whose twin is the same function uncompiled; what they call is in C, or in
+`_loads_kernels`.
 """
 
 from __future__ import annotations
@@ -10,29 +10,27 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc._lean import inlined, lean
-from estimators.detect._reference_kernels import (
-    coasts,
-    fuse,
-    learn,
-    learn_response,
-    refer,
+from gateway._detect_kernels import (
+    fuse_loss,
+    is_asked,
+    is_coasting,
+    is_severe_loss,
+    learn_responses,
+    normalise,
     respond,
-    severely,
-    watch,
+    update_reference,
 )
-from estimators.detect.reference import Reference
-from estimators.detect.response import OPEN
+from gateway._flags_kernels import debounce_common_mode, loss_evidence
 from gateway._loads_kernels import prepare
-from gateway._said_kernels import advance, from_probability
 from gateway.loads import FOLLOWING_NS, LEAST_LOAD, LOAD_TAU_S, MORE_LOAD
 
 if TYPE_CHECKING:
-    from estimators.detect.response import Heard, Memory
-    from gateway.loads import Instant, Room, Rotors, Trust
-    from gateway.said import Flags, Rules
+    from dbc.records import Records
+    from gateway.loads import Instant, LoadReference, Room, Rotors, Trust
     from gateway.slow import SlowState
     from gateway.tracks import Told
     from gateway.train import Train
@@ -41,23 +39,25 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+UNDECIDED = lib.UNDECIDED
+"""Probability at which no flag changes."""
 _UNKNOWN, _GOOD, _BAD = 0, 1, 2  # Flag
 _NEVER = -(1 << 63)
-_TIMING = 0  # said.Which.ADHESION
 
 
 @lean
 def compare(
     told: Told, slow: SlowState, fresh: Bools, flag: Ints, since_ns: Ints, now: int, tick_s: float,
-    rotors: Rotors, reference: Reference, passing: float, at: Instant, heard: Heard, room: Room,
+    rotors: Rotors, reference: LoadReference, passing: float, at: Instant, responses: Records,
+    room: Room,
 ) -> None:  # fmt: skip
-    """Everything the detector is given: see `prepare` and `refer`."""
-    prepare(told, slow, fresh, flag, since_ns, now, tick_s, rotors, at, heard)
-    refer(reference, at.load, at.share, passing, room.referred, room.spread)
+    """Everything the detector is given: see `prepare` and `normalise`."""
+    prepare(told, slow, fresh, flag, since_ns, now, tick_s, rotors, at, responses)
+    normalise(reference, at, passing, room)
 
 
 @inlined
-def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
+def _common_mode(at: Instant, responses: Records, alone: Array, rules: Records) -> int:
     """Evidence of a loss of all drives at once. One that holds says no; yes needs all known.
 
     Drives that coast say nothing.
@@ -68,12 +68,12 @@ def _common_mode(at: Instant, heard: Heard, alone: Array, rules: Rules) -> int:
         if not at.known[k]:
             every = False
             continue
-        some = some or not coasts(k, heard)
-        judged = judged and heard.usable[k]
+        some = some or not is_coasting(k, responses)
+        judged = judged and responses[k]["usable"] != 0
         lost = min(lost, alone[k])
-    if not (some and judged) or not (every or lost <= rules.clear_at):
+    if not (some and judged) or not (every or lost <= rules[0]["clear_probability"]):
         return _UNKNOWN
-    return from_probability(lost, rules)  # type: ignore[no-any-return,unused-ignore]
+    return loss_evidence(lost, rules)  # type: ignore[no-any-return,unused-ignore]
 
 
 @inlined
@@ -92,45 +92,47 @@ def _enough_load(lost: Array, known: Bools, common: float, tick_s: float, trust:
     trust.loaded[0] = abs(trust.common[0]) >= least
     little = min(abs(trust.common[0]), abs(common)) < MORE_LOAD
     for k in range(known.shape[0]):
-        accused = little and lost[k] > OPEN
+        accused = little and lost[k] > UNDECIDED
         known[k] = known[k] and trust.loaded[0] and not accused
 
 
 @lean
 def conclude(
-    lost: Array, known: Bools, common: float, now: int, tick_s: float, response: Memory,
-    at: Instant, heard: Heard, train: Train, part: float, spreads: float, rules: Rules,
-    mode: Flags, trust: Trust, room: Room,
+    lost: Array, known: Bools, common: float, now: int, tick_s: float, own: LoadReference,
+    at: Instant, responses: Records, train: Train, part: float, spreads: float, rules: Records,
+    common_mode: Records, trust: Trust, room: Room,
 ) -> bool:  # fmt: skip
     """The detector's opinion with every drive's own response; who is severely lost; common mode.
 
     lost, known (N,), common: its opinion, changed where it rests on too little load; train: who
-    runs away, and whose command is odd, which accuses nobody; part, spreads: as for `severely`;
-    mode: its first flag is that of all drives' loss. Fills lost, known, severe and since when loads
+    runs away, and whose command is odd, which accuses nobody; own: what is learnt of responses;
+    part, spreads: as for `is_severe_loss`;
+    common_mode: the flag of all drives' loss. Fills lost, known, severe and since when loads
     are known. True where a drive's load answers a new command.
     """
-    respond(response, heard, tick_s, room.alone, room.meant)
     for k in range(lost.shape[0]):
+        room.alone[k] = respond(k, responses, own, tick_s, room.meant)
         if train.odd_s[k] > 0.0:
-            room.alone[k] = min(room.alone[k], OPEN)
+            room.alone[k] = min(room.alone[k], UNDECIDED)
     _enough_load(lost, known, common, tick_s, trust)
-    fuse(lost, known, room.alone, heard, train.away, room.meant, room.lost, room.known)
     for k in range(lost.shape[0]):
+        room.lost[k] = fuse_loss(k, responses, lost[k], known[k], train.away[k], room)
+        room.known[k] = known[k] or is_asked(k, responses)
         # Nor is one lost that carries more than it is asked to.
         doubted = now < train.doubt_ns[k] or train.uncommanded_s[k] > 0.0
-        if doubted and room.lost[k] > OPEN:
-            room.lost[k] = OPEN
+        if doubted and room.lost[k] > UNDECIDED:
+            room.lost[k] = UNDECIDED
             train.uncertain[k] = True
-    # Of what the others carry, or with nobody to compare with, of the command.
-    severely(common, heard, room.referred, room.spread, at.known, part, spreads, room.severe)
     answered = False
     for k in range(lost.shape[0]):
+        severe = is_severe_loss(k, responses, common, room, part, spreads)
+        room.severe[k] = at.known[k] and severe
         if not at.known[k]:
             trust.known_ns[k] = _NEVER
         elif trust.known_ns[k] == _NEVER:
             trust.known_ns[k] = now
-        answered = answered or heard.age_s[k] < tick_s
-    advance(0, 0, _common_mode(at, heard, room.alone, rules), _TIMING, now, rules, mode)
+        answered = answered or responses[k]["command_age_s"] < tick_s
+    debounce_common_mode(common_mode, _common_mode(at, responses, room.alone, rules), now, rules)
     return answered
 
 
@@ -155,27 +157,20 @@ def _healthy(
 @lean
 def teach(
     answered: bool, due: bool, now: int, tick_s: float, common: float, flag: Ints, operating: Bools,
-    reference: Reference, response: Memory, at: Instant, heard: Heard, settled_ns: int,
+    reference: LoadReference, own: LoadReference, at: Instant, responses: Records, settled_ns: int,
     probably: float, trust: Trust, room: Room,
-) -> tuple[float, float]:  # fmt: skip
+) -> None:  # fmt: skip
     """Responses from new commands (`answered`), differences between drives when they are `due`.
 
     settled_ns: a load must have been known for so long; probably: a loss more probable than this is
-    not learnt from. Gives the new spreads of the reference and of the response.
+    not learnt from.
     """
     _healthy(now, flag, operating, settled_ns, probably, trust, room)
-    spread, own = reference.spread, response.reference.spread
     if answered:
-        own = learn_response(response, heard, room.healthy, tick_s, room.answer, room.teaches)
+        learn_responses(responses, own, room.healthy, tick_s, room.observed)
     if due:
         for k in range(flag.shape[0]):
-            room.load[k], room.common[k] = at.load[k] / at.share[k], common
-        spread = watch(reference, room.load, room.common, at.known, True)
-        learn(
-            Reference(
-                reference.ratio, reference.variance, spread, reference.configured,
-                reference.residual, reference.seen,
-            ),
-            room.load, room.common, room.healthy, True, room.teaches,
-        )  # fmt: skip
-    return spread, own
+            one = room.observed[k]
+            one["load"], one["common"] = at.load[k] / at.share[k], common
+            one["known"], one["healthy"] = at.known[k], room.healthy[k]
+        update_reference(reference, room.observed)

@@ -19,7 +19,7 @@ from gateway.loads import (
 )
 
 if TYPE_CHECKING:
-    from estimators.detect.response import Heard
+    from dbc.records import Records
     from gateway.loads import Instant, Rotors
     from gateway.slow import SlowState
     from gateway.tracks import Told
@@ -107,14 +107,14 @@ def _excess(k: int, speed: float, tick_s: float, rotors: Rotors) -> float:
 @lean
 def prepare(
     told: Told, slow: SlowState, fresh: Flags, flag: Ints, since_ns: Ints, now: int, tick_s: float,
-    rotors: Rotors, at: Instant, heard: Heard,
+    rotors: Rotors, at: Instant, responses: Records,
 ) -> None:  # fmt: skip
-    """Fills `at`, loads in the direction of travel, and `heard`, loads beside the commands.
+    """Fills `at`, loads in the direction of travel, and `responses`, loads beside the commands.
 
     fresh (N,): the command is known; flag, since_ns (N,): the drives' adhesion flags so far, and
     since when their evidence is the same: a drive follows its own flag, and for some time after.
     A drive mounted the other way round turns and pulls the other way; its own speed's sign brings
-    it to the train's direction. `heard` is in each motor's own direction.
+    it to the train's direction. `responses` are in each motor's own direction.
     """
     for k in range(fresh.shape[0]):
         at.follows[k] = flag[k] == _BAD or now < since_ns[k] + FOLLOWING_NS
@@ -131,10 +131,11 @@ def prepare(
         judged += at.known[k]
     for k in range(fresh.shape[0]):
         rated, speed = rotors.rated[k], told.speed[k]
-        heard.load[k] = _zero(told.load[k]) / rated + rotors.taken[k]
+        mine = responses[k]
+        mine["load"] = _zero(told.load[k]) / rated + rotors.taken[k]
         asked = speed if judged < ENOUGH_TO_COMPARE else math.nan
-        heard.excess[k] = _excess(k, asked, tick_s, rotors)
-        heard.command[k] = _zero(slow.command[k]) / rated
-        heard.before[k] = _zero(slow.before[k]) / rated
-        heard.age_s[k] = (now - slow.command_ns[k]) / _SECOND
-        heard.usable[k] = fresh[k] and at.known[k]
+        mine["acceleration_torque"] = _excess(k, asked, tick_s, rotors)
+        mine["command"] = _zero(slow.command[k]) / rated
+        mine["previous_command"] = _zero(slow.before[k]) / rated
+        mine["command_age_s"] = (now - slow.command_ns[k]) / _SECOND
+        mine["usable"] = fresh[k] and at.known[k]

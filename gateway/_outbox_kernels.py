@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from dbc._send_kernels import encode
 if TYPE_CHECKING:
     from dbc.records import Records
     from dbc.sending import Form
-    from gateway.said import Said
+    from gateway.flags import Status
     from gateway.sources import Memory, Room, Sheet
 
 Array = NDArray[np.float64]
@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
     _RATE, _JUMPS, _ADHESION_REASON, _FAULTS_REASON, _SENSOR, _COMM, _ESTIMATOR, _OVERRUN, _STATE,
     _DETECTOR, _COMMON_MODE, _AGE, _TEMPERATURE_AGE, _COUNTED,
 ) = range(25)  # sources.Source  # fmt: skip
-_W_SENSOR, _W_AGE, _W_TEMPERATURE_AGE = 2, 9, 10  # said.Whole
 _NEVER = -(1 << 63)
 _MS = 1_000_000
 _RPM = 60.0 / (2.0 * 3.141592653589793)
@@ -36,42 +35,63 @@ _MOST_AGE, _MOST_TEMPERATURE_AGE = 254, 2540
 
 
 @inlined
-def _number_of(source: int, k: int, said: Said) -> float:
-    """A value of drive k; NaN where it is not known."""
+def _number_of(source: int, drive: Any) -> float:
+    """A value of a drive; NaN where it is not known."""
     x = math.nan
     if source == _SPEED:
-        x = said.speed[k] * _RPM
+        x = drive["speed_rad_s"] * _RPM
     elif source == _LOAD:
-        x = said.load[k]
+        x = drive["load_nm"]
     elif source == _LOST:
-        x = 100.0 * said.lost[k]
+        x = 100.0 * drive["loss_probability"]
     elif source == _NIS:
-        x = _MOST_NIS if said.nis[k] > _MOST_NIS else said.nis[k]
+        x = _MOST_NIS if drive["nis"] > _MOST_NIS else drive["nis"]
     elif source == _MIXED:
-        x = said.mixed_c[k]
+        x = drive["mixed_c"]
     elif source == _MAISD:
-        x = said.maisd_k[k]
+        x = drive["maisd_k"]
     elif source == _RATE:
-        x = said.rate_k_h[k]
-    elif source == _JUMPS and not math.isnan(said.rate_k_h[k]):
-        x = float(min(said.jumps[k], _MOST_JUMPS))
+        x = drive["rate_k_h"]
+    elif source == _JUMPS and not math.isnan(drive["rate_k_h"]):
+        x = float(min(drive["jumps"], _MOST_JUMPS))
     return x
 
 
 @inlined
-def _word_of(source: int, k: int, said: Said) -> int:
-    """A state, class or reason: of drive k, or of the set, whose words stand in one order."""
-    word = said.whole[max(source - _ADHESION_REASON, 0)]
-    if source == _ADHESION:
-        word = said.adhesion[k]
-    elif source == _THERMAL:
-        word = said.thermal[k]
+def _word_of(source: int, drive: Any) -> int:
+    """A state, class or number of a sensor, of a drive."""
+    word = drive["flag"][0]["state"]
+    if source == _THERMAL:
+        word = drive["flag"][1]["state"]
     elif source == _HEALTH:
-        word = said.health[k]
+        word = drive["health"]
     elif source == _CLASS:
-        word = said.fault_class[k]
+        word = drive["fault_class"]
     elif source == _SENSOR_AT:
-        word = said.fault_sensor[k]
+        word = drive["fault_sensor"]
+    return int(word)
+
+
+@inlined
+def _train_word(source: int, train: Any) -> int:
+    """A state or reason of all drives together."""
+    word = train["adhesion_reason"]
+    if source == _FAULTS_REASON:
+        word = train["faults_reason"]
+    elif source == _SENSOR:
+        word = train["sensor"]
+    elif source == _COMM:
+        word = train["comm"]
+    elif source == _ESTIMATOR:
+        word = train["estimator"]
+    elif source == _OVERRUN:
+        word = train["overrun"]
+    elif source == _STATE:
+        word = train["state"]
+    elif source == _DETECTOR:
+        word = train["detector"]
+    elif source == _COMMON_MODE:
+        word = train["common_mode"]
     return int(word)
 
 
@@ -84,25 +104,30 @@ def _age_of(age_ns: int, step_ms: int, most_ms: int) -> float:
 
 
 @inlined
-def value_of(source: int, k: int, said: Said, counted: Array) -> float:
+def value_of(source: int, k: int, status: Status, counted: Array) -> float:
     """The physical value of a signal; NaN where it is not known."""
     if source >= _COUNTED:
         return float(counted[source - _COUNTED])
     if source == _AGE:
-        return _age_of(said.whole[_W_AGE], 1, _MOST_AGE)
+        return _age_of(status.train[0]["age_ns"], 1, _MOST_AGE)
     if source == _TEMPERATURE_AGE:
-        return _age_of(said.whole[_W_TEMPERATURE_AGE], 10, _MOST_TEMPERATURE_AGE)
+        return _age_of(status.train[0]["temperature_age_ns"], 10, _MOST_TEMPERATURE_AGE)
     if _SPEED <= source <= _NIS or _MIXED <= source <= _JUMPS:
-        return _number_of(source, k, said)
-    return float(_word_of(source, k, said))
+        return _number_of(source, status.drives[k])
+    if source >= _ADHESION_REASON:
+        return float(_train_word(source, status.train[0]))
+    return float(_word_of(source, status.drives[k]))
 
 
 @inlined
-def _changed(said: Said, memory: Memory) -> bool:
+def _changed(status: Status, memory: Memory) -> bool:
     """Whether what counts as a change of the faults frame is another than in the last tick."""
-    n, changed = said.thermal.shape[0], False
+    n, changed = status.drives.shape[0], False
     for i in range(n + 4):
-        now = said.thermal[i] if i < n else said.whole[_W_SENSOR + i - n]
+        if i < n:
+            now = _word_of(_THERMAL, status.drives[i])
+        else:
+            now = _train_word(_SENSOR + i - n, status.train[0])
         if now != memory.key[i]:
             changed = True
             memory.key[i] = now
@@ -111,11 +136,11 @@ def _changed(said: Said, memory: Memory) -> bool:
 
 @lean
 def send(
-    now: int, said: Said, counted: Array, sheet: Sheet, form: Form, config: Records, memory: Memory,
-    room: Room,
+    now: int, status: Status, counted: Array, sheet: Sheet, form: Form, config: Records,
+    memory: Memory, room: Room,
 ) -> int:  # fmt: skip
     """Encode what is due; fills payload and message of `room`, gives the number of frames."""
-    if _changed(said, memory):
+    if _changed(status, memory):
         memory.next_ns[sheet.changing] = now
     rows = 0
     for m in range(sheet.cycle_ns.shape[0]):
@@ -128,7 +153,9 @@ def send(
         memory.next_ns[m] = start + cycle * (1 + behind)
         for c in range(form.signals[m]):
             if form.given[m, c]:
-                room.value[rows, c] = value_of(sheet.source[m, c], sheet.drive[m, c], said, counted)
+                room.value[rows, c] = value_of(
+                    sheet.source[m, c], sheet.drive[m, c], status, counted
+                )
         encode(m, room.value, rows, form, room.payload)
         e2e_protect(room.payload, rows, m, memory.counter[m] & 0xFF, config)
         memory.counter[m] += 1

@@ -12,25 +12,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean, unlocked
-from estimators.detect._kernels import judge_few
-from estimators.detect.reference import Reference
-from estimators.detect.response import Memory
 from gateway import supervision
 from gateway._adhesion_kernels import compare, conclude, teach
+from gateway._flags_kernels import fill_inputs, update_flags
 from gateway._inputs_kernels import look
 from gateway._kernels import settle, take_block
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
 from gateway._route_kernels import busy_s
-from gateway._said_kernels import decide, tell, weigh
 from gateway._sweep_kernels import advance_ekf, advance_ukf
 from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 
 if TYPE_CHECKING:
+    from dbc.records import Records
     from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
 
 Array = NDArray[np.float64]
@@ -43,7 +42,7 @@ _ANY = 2  # pairing.Trouble
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
 _READINGS, _CHANGED = 0, 1  # slow.Count
-_NONE = 0  # Reason
+_vb_detect = symbol("vb_detect")
 _any_lost = lean(supervision.any_lost)
 
 
@@ -66,9 +65,10 @@ def _opinion(judging: Judging) -> float:
         judging.known[k] = enough and known[k]
     if not enough:
         return 0.0
-    return judge_few(  # type: ignore[no-any-return,unused-ignore]
-        room.referred, room.spread, known, judging.priors, judging.sweeps, judging.rough,
-        judging.lost,
+    return _vb_detect(  # type: ignore[no-any-return]
+        judging.priors.ctypes.data, judging.sweeps, room.referred.ctypes.data,
+        room.spread.ctypes.data, known.ctypes.data, known.shape[0], judging.rough.ctypes.data,
+        judging.lost.ctypes.data,
     )  # fmt: skip
 
 
@@ -84,12 +84,13 @@ def _count(tally: Ints, saying: Saying) -> None:
 
 
 @inlined
-def _raise(peak: Array, lost: Array) -> None:
-    """`numpy.fmax` in place: NaN is passed over."""
+def _raise(peak: Array, drives: Records) -> None:
+    """`numpy.fmax` of the loss probabilities in place: NaN is passed over."""
     for k in range(peak.shape[0]):
+        lost = drives[k]["loss_probability"]
         # Not `>`: the first number meets a NaN.
-        if not (lost[k] <= peak[k] or math.isnan(lost[k])):
-            peak[k] = lost[k]
+        if not (lost <= peak[k] or math.isnan(lost)):
+            peak[k] = lost
 
 
 @unlocked
@@ -110,7 +111,7 @@ def several(
     done, stage = 0, WHOLE
     samples = seen = foreign = motions = 0
     odd = changed = False
-    learn_ns, reference, response = judging.learn_ns, judging.reference, judging.response
+    learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
         if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
@@ -188,34 +189,24 @@ def several(
         )  # fmt: skip
         compare(
             told, receiving.slow, inputs.commanded, judging.flag, judging.since_ns, now,
-            judging.tick_s, judging.rotors, reference, judging.passing, judging.at,
-            judging.heard, judging.room,
+            judging.tick_s, judging.rotors, judging.reference, judging.passing, judging.at,
+            judging.responses, judging.room,
         )  # fmt: skip
         common = _opinion(judging)
         answered = conclude(
-            judging.lost, judging.known, common, now, judging.tick_s, response, judging.at,
-            judging.heard, judging.train, judging.part, judging.spreads, judging.rules,
-            judging.mode, judging.trust, judging.room,
+            judging.lost, judging.known, common, now, judging.tick_s, judging.own, judging.at,
+            judging.responses, judging.train, judging.part, judging.spreads, judging.rules,
+            judging.common_mode, judging.trust, judging.room,
         )  # fmt: skip
         due = now >= learn_ns
         if answered or due:
             if due:
                 learn_ns = now + judging.every_ns
-            spread, own = teach(
+            teach(
                 answered, due, now, judging.tick_s, common, judging.flag, receiving.slow.operating,
-                reference, response, judging.at, judging.heard, judging.settled_ns,
+                judging.reference, judging.own, judging.at, judging.responses, judging.settled_ns,
                 judging.probably, judging.trust, judging.room,
             )  # fmt: skip
-            # Here and not in a function: one that gives arrays back has to count them.
-            reference = Reference(
-                reference.ratio, reference.variance, spread, reference.configured,
-                reference.residual, reference.seen,
-            )  # fmt: skip
-            alone = response.reference
-            alone = Reference(
-                alone.ratio, alone.variance, own, alone.configured, alone.residual, alone.seen
-            )
-            response = Memory(alone, response.since_s)
         if seen:
             hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
         advance(
@@ -224,20 +215,18 @@ def several(
         )  # fmt: skip
         report(now, warming.limit_ns, warming.warmth, saying.findings)
         lost, known = judging.room.lost, judging.room.known
-        weigh(
+        fill_inputs(
             inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
-            saying.findings, _NONE,
-            judging.rules, saying.seen, saying.why,
+            judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
-        changed = decide(saying.seen, judging.room.severe, now, judging.rules, saying.flags)
-        tell(
-            saying.seen, saying.why, now, saying.flags, inputs, told, lost, known, saying.findings,
-            receiving.pairs.sample_ns, _NONE, judging.mode.flag, False, False, saying.said,
-        )  # fmt: skip
-        _raise(went.peak, saying.said.lost)
+        saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
+        changed = update_flags(
+            now, judging.rules, saying.train_inputs, saying.inputs, saying.evidence, saying.status
+        )
+        _raise(went.peak, saying.status.drives)
         _count(receiving.scratch.tally, saying)
         frames = send(
-            now, saying.said, saying.counts, saying.sheet, saying.form, saying.e2e_config,
+            now, saying.status, saying.counts, saying.sheet, saying.form, saying.e2e_config,
             saying.memory, saying.room,
         )  # fmt: skip
         for i in range(frames):
@@ -253,5 +242,5 @@ def several(
             break
     return (
         done, stage, first, samples, seen, foreign, odd, motions, changed, out, busy, common,
-        reference.spread, response.reference.spread, learn_ns,
+        learn_ns,
     )  # fmt: skip

@@ -12,22 +12,23 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators.detect import Evidence, Opinion, make, reference, response
-from gateway import loads, said, train
+from dbc.records import Records
+from estimators.detect import Evidence, Opinion, make
+from gateway import flags, loads, train
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._direct import Direct
 from gateway._train_kernels import assess_train
 from gateway.config import Adhesion, Motor
 from gateway.health import NEVER
 from gateway.inputs import Inputs
-from gateway.said import Rules
 from gateway.slow import SlowState
 from gateway.tracks import Told
 
-LEARN_NS: Final[Nanos] = round(reference.EVERY_S * SECOND)
+LEARN_NS: Final[Nanos] = round(lib.LEARN_PERIOD_S * SECOND)
 PROBABLY_GOOD: Final = 0.5
 """A loss more probable than this is not learnt from. Not less: learning only what looks best would
 be learning something better than it is."""
@@ -51,13 +52,14 @@ class AdhesionSide:
     """Memory of the drives' healthy loads; `judge` per tick is the only mutator."""
 
     def __init__(
-        self, config: Adhesion, motors: Sequence[Motor], rules: Rules, tick_ns: Nanos
+        self, config: Adhesion, motors: Sequence[Motor], rules: Records, tick_ns: Nanos
     ) -> None:
         """rules: of the flags; motors: per drive."""
         self.config = config
         self.rated = tuple(motor.T_rated for motor in motors)
         n = len(motors)
-        self.rotors, self.at, self.heard = loads.rotors(motors), loads.instant(n), loads.heard(n)
+        self.rotors, self.at = loads.rotors(motors), loads.instant(n)
+        self.responses = loads.responses(n)
         self.train = train.start(motors)
         self.rotors = self.rotors._replace(
             taken=self.train.taken,
@@ -69,10 +71,12 @@ class AdhesionSide:
         self.tick_s = tick_ns / SECOND
         self.detector = make(config.detector, config.observe)
         spread = config.spread_nm / BASE_NM
-        self.reference = reference.start(n, spread)
-        self.response = response.start(n, spread)
-        self.mode = said.flags(1, 0)
-        """The first of them: whether all drives have lost adhesion at once."""
+        self.reference = loads.load_reference(n, spread)
+        """Of drives that are compared with one another."""
+        self.own = loads.load_reference(n, spread)
+        """Of each drive's load over its own command."""
+        self.common_mode = flags.flag(0)
+        """One flag: whether all drives have lost adhesion at once."""
         self.trust, self.room = loads.trust(n), loads.room(n)
         self.severe = self.room.severe
         """(N,) drives that carry so much less than the others that noise cannot be the cause."""
@@ -89,20 +93,20 @@ class AdhesionSide:
         cannot be right; flag, since_ns (N,): their adhesion flags so far, and since when the
         evidence of each is the same.
         """
-        at, heard, room = self.at, self.heard, self.room
+        at, responses, room = self.at, self.responses, self.room
         fresh = inputs.commanded
         self._assess(inputs.speed, fresh, slow, flag, self.tick_s, told, self.train)
         self._compare(
             told, slow, fresh, flag, since_ns, now, self.tick_s, self.rotors, self.reference,
-            PASSING, at, heard, room,
+            PASSING, at, responses, room,
         )  # fmt: skip
         speeds = None if self.config.observe == "torque" else np.abs(told.speed)
         lost, known, common = self.detector(
             Evidence(room.referred, room.spread, at.known, speeds)
         )  # fmt: skip
         answered = self._conclude(
-            lost, known, common, now, self.tick_s, self.response, at, heard, self.train,
-            SEVERE, SEVERE_SPREADS, self.rules, self.mode, self.trust, room,
+            lost, known, common, now, self.tick_s, self.own, at, responses, self.train,
+            SEVERE, SEVERE_SPREADS, self.rules, self.common_mode, self.trust, room,
         )  # fmt: skip
         return self.learn(answered, common, flag, slow.operating, now)
 
@@ -123,15 +127,7 @@ class AdhesionSide:
         due = now >= self.learn_ns
         if due:
             self.learn_ns = now + LEARN_NS
-        spread, own = self._teach(
-            answered, due, now, self.tick_s, common, flag, operating, self.reference, self.response,
-            self.at, self.heard, SETTLED_NS, PROBABLY_GOOD, self.trust, self.room,
+        self._teach(
+            answered, due, now, self.tick_s, common, flag, operating, self.reference, self.own,
+            self.at, self.responses, SETTLED_NS, PROBABLY_GOOD, self.trust, self.room,
         )  # fmt: skip
-        self.note_learnt(spread, own, self.learn_ns)
-
-    def note_learnt(self, spread: float, own: float, learn_ns: Nanos) -> None:
-        """What learning gives beside what it keeps itself: see `teach`; and when it goes on."""
-        self.learn_ns = learn_ns
-        self.reference = self.reference._replace(spread=spread)
-        kept = self.response.reference._replace(spread=own)
-        self.response = self.response._replace(reference=kept)

@@ -24,21 +24,20 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
 from gateway import calibration, foreign, inputs, plausibility, said
 from gateway._direct import Direct
+from gateway._flags_kernels import fill_inputs
 from gateway._inputs_kernels import look
 from gateway._plausibility_kernels import check_values
-from gateway._said_kernels import decide, tell, weigh
 from gateway.adhesion import AdhesionSide
 from gateway.bank import Bank
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
 from gateway.config import Config, ConfigError
-from gateway.decide import Timing
 from gateway.doubt import INTRUDER_HOLD_NS, Doubt
-from gateway.health import REJECTED, Flag, GatewayState, Reason
+from gateway.flags import FlagKind, Flags, Timing, rules, unknown_status
+from gateway.health import REJECTED, Flag, GatewayState
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
 from gateway.outbox import Outbox
-from gateway.said import Which, Whole
 from gateway.slow import RPM
 from gateway.supervision import Life, Supervision
 from gateway.thermal import ThermalSide
@@ -110,21 +109,18 @@ class Gateway:
             Timing(_slowest(self.inbox.drives), 0, COMM_CLEAR_NS),
             ESTIMATOR,
             SENSOR,
-            adhesion._replace(raise_ns=a.raise_severe_ms * MS),
         ]
+        severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
         tick_ns = config.loop.period_ns
-        self.rules = said.rules(timing, a.raise_probability, a.clear_probability, tick_ns)
-        self.adhesion = AdhesionSide(a, motors, self.rules, tick_ns)
+        by = rules(timing, severe, a.raise_probability, a.clear_probability, tick_ns)
+        self.adhesion = AdhesionSide(a, motors, by, tick_ns)
         self.plausibility = plausibility.start(len(nodes), self.adhesion.train.doubt_ns)
-        self.flags = said.flags(len(nodes), start_ns)
-        self.said = said.said(len(nodes), self.adhesion.detector.code)
+        self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
+        self.status = self.flags.status
         self.changed = True
         """Whether a flag of any drive is another than in the tick before."""
         self.findings = said.findings(len(nodes))
-        self.seen = np.zeros((len(Which), len(nodes)), dtype=np.int64)
-        self.why = np.full(len(nodes), Reason.STARTING, dtype=np.int64)
-        self._look, self._weigh = Direct(look), Direct(weigh)
-        self._decide, self._tell = Direct(decide), Direct(tell)
+        self._look, self._fill_inputs = Direct(look), Direct(fill_inputs)
         own_hash = calibration.config_hash(config, codec.digest, cells)
         self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
@@ -194,7 +190,7 @@ class Gateway:
         )  # fmt: skip
         until_ns = self.plausibility.until_ns
         self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
-        flag, since = self.flags.flag[Which.ADHESION], self.flags.since_ns[Which.ADHESION]
+        flag, since = self.flags.adhesion["state"], self.flags.adhesion["since_ns"]
         opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
         return self.judged(opinion, now)
 
@@ -204,24 +200,22 @@ class Gateway:
         intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
         self.thermal.hear(inbox, self.places, now)
         self.thermal.tell(now, self.temperature_limit_ns, self.findings)
-        doubt = int(self.doubt.reason)
-        self._weigh(
-            inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
-            self.findings, doubt, self.rules, self.seen, self.why,
-        )  # fmt: skip
-        changed = self._decide(self.seen, self.adhesion.severe, now, self.rules, self.flags)
-        self.changed = changed or self._opinion is None
         silent, self.silent = self.silent, self.stops and intruder
-        self.note(opinion, now)
-        self._tell(
-            self.seen, self.why, now, self.flags, inputs, told, opinion.lost, opinion.known,
-            self.findings, inbox.pairs.sample_ns, doubt, self.adhesion.mode.flag, self.silent,
-            self.doubt.overrun, self.said,
+        flags = self.flags
+        self._fill_inputs(
+            inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
+            self.adhesion.severe, self.findings, inbox.pairs.sample_ns, flags.inputs,
         )  # fmt: skip
+        common_mode = self.adhesion.common_mode["state"].item()
+        flags.note_train(self.doubt.reason, common_mode, self.silent, self.doubt.overrun)
+        flags.collect_evidence()
+        self.changed = flags.debounce(now) or self._opinion is None
+        flags.publish(now)
+        self.note(opinion, now)
         if self.outbox.wants_counts(now):
             self.outbox.note_counts(self.counted(self._now))
         # The tick that finds an intruder still says so.
-        out = [] if silent else self.outbox.due(self.said, now)
+        out = [] if silent else self.outbox.due(self.status, now)
         self.load.add(out)
         return out
 
@@ -245,16 +239,17 @@ class Gateway:
         if self._view is None and self._opinion is not None:
             opinion = self._opinion
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
-            drives = drives_of(self.said, self.nodes, self.thermal.wear)
-            self._view = view_of(self._now, self.said, drives, common, self.counted(self._now))
+            drives = drives_of(self.status, self.nodes, self.thermal.wear)
+            self._view = view_of(self._now, self.status, drives, common, self.counted(self._now))
         return self._view
 
     @property
     def says_good(self) -> bool:
         """Whether any flag of the last step says good."""
-        whole = self.said.whole[[Whole.SENSOR, Whole.COMM, Whole.ESTIMATOR]]
-        each = (self.said.adhesion, self.said.thermal, whole)
-        return any(bool((flags == Flag.GOOD).any()) for flags in each)
+        each, train = self.status.drives["flag"]["state"], self.status.train
+        sent = each[:, [FlagKind.ADHESION, FlagKind.THERMAL]]
+        together = [train[name] for name in ("sensor", "comm", "estimator")]
+        return bool((sent == Flag.GOOD).any()) or Flag.GOOD in together
 
     @property
     def decided_ns(self) -> Nanos | None:
@@ -266,9 +261,9 @@ class Gateway:
         """Flag frames that say unknown: sent thrice before an orderly stop."""
         if self.silent:
             return []
-        unknown = said.said(len(self.nodes), self.adhesion.detector.code)
-        unknown.whole[Whole.STATE] = GatewayState.SILENT
-        unknown.whole[Whole.OVERRUN] = Flag.BAD if self.doubt.overrun else Flag.GOOD
+        unknown = unknown_status(len(self.nodes), self.adhesion.detector.code)
+        unknown.train["state"] = GatewayState.SILENT
+        unknown.train["overrun"] = Flag.BAD if self.doubt.overrun else Flag.GOOD
         self.outbox.restart(now)
         self.outbox.note_counts(self.counted(self._now))
         names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")

@@ -1,10 +1,14 @@
-"""Words of the message set: reasons, health, flags. Values are the contract's, section 1."""
+"""Words of the message set: reasons, health, flags. Values are the contract's, section 1.
+
+They stand in `gateway/core/records.h`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
+
+from _traction_core import lib
 
 NEVER: Final = -(1 << 63)
 """In place of a stamp, or an age, that there is not."""
@@ -13,94 +17,75 @@ NEVER: Final = -(1 << 63)
 class Flag(IntEnum):
     """Antivalent two-bit state; 3 (`Invalid`) is never sent."""
 
-    UNKNOWN = 0
-    GOOD = 1
-    BAD = 2
+    UNKNOWN = lib.FLAG_UNKNOWN
+    GOOD = lib.FLAG_GOOD
+    BAD = lib.FLAG_BAD
 
 
 class Reason(IntEnum):
     """Why something is unknown."""
 
-    NONE = 0
-    STARTING = 1
-    STALE = 2
-    CORRUPTED = 3
-    SEQUENCE = 4
-    RANGE = 5
-    NOT_AVAILABLE = 6
-    DIVERGED = 7
-    TOO_FEW_DRIVES = 8
-    OVERRUN = 9
-    INTRUDER = 10
-    CONFIG = 11
+    NONE = lib.REASON_NONE
+    STARTING = lib.REASON_STARTING
+    STALE = lib.REASON_STALE
+    CORRUPTED = lib.REASON_CORRUPTED
+    SEQUENCE = lib.REASON_SEQUENCE
+    RANGE = lib.REASON_RANGE
+    NOT_AVAILABLE = lib.REASON_NOT_AVAILABLE
+    DIVERGED = lib.REASON_DIVERGED
+    TOO_FEW_DRIVES = lib.REASON_TOO_FEW_DRIVES
+    OVERRUN = lib.REASON_OVERRUN
+    INTRUDER = lib.REASON_INTRUDER
+    CONFIG = lib.REASON_CONFIG
 
 
-PRIORITY = tuple(Reason(n) for n in (11, 10, 9, 3, 4, 5, 7, 2, 6, 8, 1))
-"""Highest first; the frame's `Reason` is the first of these that any unknown drive has."""
-
-RANKS: Final = tuple((*PRIORITY, Reason.NONE).index(reason) for reason in Reason)
-"""Of a reason's number: lower is worse."""
-
-
-def worst(reasons: Sequence[Reason]) -> Reason:
-    """The reason of highest priority; NONE of none."""
-    found = Reason.NONE
-    for reason in reasons:
-        if reason is not found and RANKS[reason] < RANKS[found]:
-            found = reason
-    return found
+RANKS: Final = tuple(lib.reason_rank(reason) for reason in Reason)
+"""Of a reason's number: lower is worse. The frame's `Reason` is the worst of any unknown drive."""
 
 
 class Health(IntEnum):
     """State of one drive's estimator."""
 
-    UNKNOWN = 0
-    CONVERGING = 1
-    TRACKING = 2
-    PREDICTING = 3
-    DIVERGED = 4
-    INPUT_INVALID = 5
+    UNKNOWN = lib.HEALTH_UNKNOWN
+    CONVERGING = lib.HEALTH_CONVERGING
+    TRACKING = lib.HEALTH_TRACKING
+    PREDICTING = lib.HEALTH_PREDICTING
+    DIVERGED = lib.HEALTH_DIVERGED
+    INPUT_INVALID = lib.HEALTH_INPUT_INVALID
 
 
 class FaultClass(IntEnum):
     """What kind of thermal or sensor fault."""
 
-    UNKNOWN = 0
-    NONE = 1
-    OVERHEATING = 2
-    COOLING_LOSS = 3
-    BEARING = 4
-    SENSOR_BIAS = 5
-    SENSOR_STUCK = 6
-    SENSOR_LOST = 7
-    WINDING_RESISTANCE = 8
+    UNKNOWN = lib.FAULT_UNKNOWN
+    NONE = lib.FAULT_NONE
+    OVERHEATING = lib.FAULT_OVERHEATING
+    COOLING_LOSS = lib.FAULT_COOLING_LOSS
+    BEARING = lib.FAULT_BEARING
+    SENSOR_BIAS = lib.FAULT_SENSOR_BIAS
+    SENSOR_STUCK = lib.FAULT_SENSOR_STUCK
+    SENSOR_LOST = lib.FAULT_SENSOR_LOST
+    WINDING_RESISTANCE = lib.FAULT_WINDING_RESISTANCE
 
 
 class FaultSensor(IntEnum):
     """Which sensor a sensor fault is on."""
 
-    NONE = 0
-    STATOR = 1
-    DRIVE_END = 2
-    NON_DRIVE_END = 3
-    AMBIENT = 4
-    CURRENT = 5
+    NONE = lib.FAULT_ON_NONE
+    STATOR = lib.FAULT_ON_STATOR
+    DRIVE_END = lib.FAULT_ON_DRIVE_END
+    NON_DRIVE_END = lib.FAULT_ON_NON_DRIVE_END
+    AMBIENT = lib.FAULT_ON_AMBIENT
+    CURRENT = lib.FAULT_ON_CURRENT
 
 
 class GatewayState(IntEnum):
     """`Gateway_Status.State`."""
 
-    STARTING = 1
-    RUNNING = 2
-    DEGRADED = 3
-    SILENT = 4
-
-
-def summary(flags: Sequence[Flag]) -> Flag:
-    """One flag for a set of drives: bad if any is bad, else unknown if any is, else good."""
-    if Flag.BAD in flags:
-        return Flag.BAD
-    return Flag.GOOD if flags and Flag.UNKNOWN not in flags else Flag.UNKNOWN
+    STARTING = lib.GATEWAY_STARTING
+    RUNNING = lib.GATEWAY_RUNNING
+    DEGRADED = lib.GATEWAY_DEGRADED
+    SILENT = lib.GATEWAY_SILENT
 
 
 REJECTED: Final = (

@@ -10,10 +10,17 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from estimators.detect.response import Heard
+from dbc.records import (
+    COMMAND_RESPONSE,
+    LOAD_OBSERVATION,
+    LOAD_RATIO,
+    LOAD_SPREAD,
+    Records,
+)
 from gateway.config import Motor
 from gateway.health import NEVER
 
@@ -89,8 +96,7 @@ class Room(NamedTuple):
     """Of one tick, (N,): what the drives are compared by, and what comes of it.
 
     alone, meant: what each says by itself; severe: drives that carry so much less than the others
-    that noise cannot be the cause; load, common, healthy: what is learnt from; answer, teaches:
-    whom it teaches.
+    that noise cannot be the cause; healthy: who may be learnt from; observed: `load_observation`.
     """
 
     referred: Array
@@ -100,11 +106,25 @@ class Room(NamedTuple):
     lost: Array
     known: Flags
     severe: Flags
-    load: Array
-    common: Array
     healthy: Flags
-    answer: Flags
-    teaches: Flags
+    observed: Records
+
+
+class LoadReference(NamedTuple):
+    """What is learnt of healthy loads: one `load_spread`, and `load_ratio` of N drives, (N,)."""
+
+    all: Records
+    drives: Records
+
+
+def load_reference(n: int, spread: float) -> LoadReference:
+    """Nothing learnt yet; `spread` per unit of rated torque."""
+    made = LoadReference(np.zeros(1, LOAD_SPREAD), np.zeros(n, LOAD_RATIO))
+    lib.load_reference_reset(
+        ffi.from_buffer("struct load_spread *", made.all),
+        ffi.from_buffer("struct load_ratio[]", made.drives), n, spread,
+    )  # fmt: skip
+    return made
 
 
 def rotors(motors: Sequence[Motor]) -> Rotors:
@@ -123,10 +143,9 @@ def instant(n: int) -> Instant:
     return Instant(np.zeros(n), np.ones(n), known, follows)
 
 
-def heard(n: int) -> Heard:
-    """Room for N drives."""
-    load, excess, command, before, age_s = np.zeros((5, n))
-    return Heard(load, excess, command, before, age_s, np.zeros(n, dtype=np.bool_))
+def responses(n: int) -> Records:
+    """`command_response` of N drives of which no command is known."""
+    return np.zeros(n, COMMAND_RESPONSE)
 
 
 def trust(n: int) -> Trust:
@@ -137,8 +156,7 @@ def trust(n: int) -> Trust:
 
 def room(n: int) -> Room:
     """Room for N drives."""
-    referred, spread, alone, lost, load, common = np.zeros((6, n))
-    meant, known, severe, healthy, answer, teaches = np.zeros((6, n), dtype=np.bool_)
-    return Room(
-        referred, spread, alone, meant, lost, known, severe, load, common, healthy, answer, teaches
-    )
+    referred, spread, alone, lost = np.zeros((4, n))
+    meant, known, severe, healthy = np.zeros((4, n), dtype=np.bool_)
+    observed = np.zeros(n, LOAD_OBSERVATION)
+    return Room(referred, spread, alone, meant, lost, known, severe, healthy, observed)

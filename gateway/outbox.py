@@ -18,7 +18,7 @@ from dbc.sending import form
 from gateway._direct import Direct
 from gateway._outbox_kernels import send
 from gateway.config import ConfigError
-from gateway.said import Said
+from gateway.flags import Status
 from gateway.sources import COUNTED, OF_A_DRIVE, OF_THE_SET, Memory, Room, Sheet, Source
 from gateway.view import Counted
 
@@ -117,11 +117,11 @@ class Outbox:
             value = values[name]
             self.counts[k] = np.nan if value is None else value
 
-    def due(self, said: Said, now: Nanos) -> list[Frame]:
+    def due(self, status: Status, now: Nanos) -> list[Frame]:
         """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
         self.begin(now)
         count = self._send(
-            now, said, self.counts, self.sheet, self.form, self.e2e_config, self.memory, self.room
+            now, status, self.counts, self.sheet, self.form, self.e2e_config, self.memory, self.room
         )
         self.note_sent(now)
         if not count:

@@ -16,7 +16,7 @@ from gateway.view import Counted
 
 
 class Source(IntEnum):
-    """Where a value comes from: `said.Said`, its `whole`, or what is counted."""
+    """Where a value comes from: `flags.Status`: of a drive, of the train; or what is counted."""
 
     ADHESION = 0
     THERMAL = 1

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from dbc._tables import Tables
 from dbc.records import Records
 from dbc.sending import Form
-from estimators.detect import reference, response
 from gateway import loads, motion, plausibility, sources, tracks, train
 from gateway.channel import ChannelState
+from gateway.flags import Status
 from gateway.inputs import Inputs, Places
 from gateway.pairing import PairState, Samples, Wiring
 from gateway.receiving import Routes, Scratch
-from gateway.said import Findings, Flags, Rules, Said
+from gateway.said import Findings
 from gateway.slow import Readings, SlowState
 from gateway.supervision import Beats
 from gateway.warmth import Warmth
@@ -72,7 +72,7 @@ class Filtering(NamedTuple):
 class Judging(NamedTuple):
     """As `AdhesionSide.judge` with `VariationalDetector`, whose opinion fills lost, known (N,).
 
-    rough (3, N): its room; learn_ns: when drives are learnt from next; every_ns: and how often.
+    rough (4, N): its workspace; learn_ns: when drives are learnt from next; every_ns: how often.
     """
 
     flag: Ints
@@ -80,17 +80,17 @@ class Judging(NamedTuple):
     tick_s: float
     rotors: loads.Rotors
     train: train.Train
-    reference: reference.Reference
-    response: response.Memory
+    reference: loads.LoadReference
+    own: loads.LoadReference
     passing: float
     part: float
     spreads: float
     at: loads.Instant
-    heard: response.Heard
+    responses: Records
     trust: loads.Trust
     room: loads.Room
-    rules: Rules
-    mode: Flags
+    rules: Records
+    common_mode: Records
     priors: Array
     sweeps: int
     lost: Array
@@ -121,10 +121,10 @@ class Saying(NamedTuple):
     """
 
     findings: Findings
-    seen: Ints
-    why: Ints
-    flags: Flags
-    said: Said
+    train_inputs: Records
+    inputs: Records
+    evidence: Records
+    status: Status
     counts: Array
     sheet: sources.Sheet
     form: Form
@@ -158,8 +158,8 @@ class Left(NamedTuple):
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
     first frame that is not in, or that behind the last; samples, seen, foreign, odd: what
     `take_block` gave; motions: its readings; changed: whether the last whole tick changed a flag;
-    frames: in `Went`; busy_s; common: load in the last tick, per unit; spread, own, learn_ns: of
-    what has been learnt.
+    frames: in `Went`; busy_s; common: load in the last tick, per unit; learn_ns: when drives
+    are learnt from next.
     """
 
     done: int
@@ -174,8 +174,6 @@ class Left(NamedTuple):
     frames: int
     busy_s: float
     common: float
-    spread: float
-    own: float
     learn_ns: int
 
 

@@ -30,10 +30,9 @@ from gateway.adhesion import (
     SEVERE_SPREADS,
 )
 from gateway.core import Gateway
-from gateway.health import REJECTED
+from gateway.health import REJECTED, Flag, Reason
 from gateway.inbox import MAX_GAP_NS
 from gateway.receiving import NAMES
-from gateway.said import Which
 from gateway.stretch import Filtering, Judging, Left, Receiving, Saying, Warming
 from gateway.view import Counted
 
@@ -60,7 +59,7 @@ class Ticks:
         self._period_ns = gateway.config.loop.period_ns
         self._unscented = True if gateway.config.estimator.kind == "ukf" else None
         self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
-        self._rough = np.zeros((3, n))
+        self._rough = np.zeros((4, n))
         self._went = stretch.went(FRAMES, len(gateway.outbox.heads), n)
         # By number of message: a frame of it, which costs what they all cost.
         heads = [
@@ -91,7 +90,7 @@ class Ticks:
                 whole = 1
                 out.append(block_of(gateway.step(block.part(first, int(ends[done])), at)))
             # Of a tick that was finished here; of others once more.
-            np.fmax(self.peak, gateway.said.lost, out=self.peak)
+            np.fmax(self.peak, gateway.status.drives["loss_probability"], out=self.peak)
             done += whole
         return done, out
 
@@ -124,7 +123,7 @@ class Ticks:
             self._warming(), self._saying(counted), went,
         ))  # fmt: skip
         gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
-        adhesion.note_learnt(left.spread, left.own, left.learn_ns)
+        adhesion.learn_ns = left.learn_ns
         inbox.counts["received"] += went.tally.item(0)
         # No count of none: single steps leave none either.
         if decoded := went.tally.item(1):
@@ -183,11 +182,11 @@ class Ticks:
         assert self._detector is not None
         side, flags = self.gateway.adhesion, self.gateway.flags
         return Judging(
-            flags.flag[Which.ADHESION], flags.since_ns[Which.ADHESION], side.tick_s, side.rotors,
-            side.train, side.reference, side.response, PASSING, SEVERE, SEVERE_SPREADS, side.at,
-            side.heard, side.trust, side.room, side.rules, side.mode, self._detector.table,
-            self._detector.sweeps, self._lost, self._known, self._rough, side.learn_ns, LEARN_NS,
-            SETTLED_NS, PROBABLY_GOOD,
+            flags.adhesion["state"], flags.adhesion["since_ns"], side.tick_s, side.rotors,
+            side.train, side.reference, side.own, PASSING, SEVERE, SEVERE_SPREADS, side.at,
+            side.responses, side.trust, side.room, side.rules, side.common_mode,
+            self._detector.table, self._detector.sweeps, self._lost, self._known, self._rough,
+            side.learn_ns, LEARN_NS, SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
 
     def _warming(self) -> Warming:
@@ -196,9 +195,11 @@ class Ticks:
         return Warming(thermal.warmth, summed, gateway.temperature_limit_ns)
 
     def _saying(self, counted: Counted) -> Saying:
-        gateway, outbox = self.gateway, self.gateway.outbox
+        gateway, outbox, flags = self.gateway, self.gateway.outbox, self.gateway.flags
+        # The loop ends where there is a reason against all flags, an overrun or an intruder.
+        flags.note_train(Reason.NONE, Flag.UNKNOWN, silent=False, overrun=False)
         return Saying(
-            gateway.findings, gateway.seen, gateway.why, gateway.flags, gateway.said,
+            gateway.findings, flags.train_inputs, flags.inputs, flags.evidence, flags.status,
             outbox.counts, outbox.sheet, outbox.form, outbox.e2e_config, outbox.memory, outbox.room,
             self._cost_s, counted.rejected, counted.lost, REJECTS,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What one tick says, as objects: for reports, displays and tests. The loop works on `said`.
+"""What one tick says, as objects: for reports, displays and tests. The loop works on `Status`.
 
 Made when somebody asks, which a replay without a report does once a change.
 """
@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from dbc.frame import Nanos
+from gateway.flags import Status
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.heatside import Wear
-from gateway.said import Said, Whole
 
 _FLAGS: Final = tuple(Flag)
 _REASONS: Final = tuple(Reason)
@@ -81,33 +81,34 @@ class Counted(NamedTuple):
     lateness_p99_us: float | None
 
 
-def drives_of(said: Said, nodes: Sequence[int], wear: Sequence[Wear]) -> tuple[DriveView, ...]:
+def drives_of(status: Status, nodes: Sequence[int], wear: Sequence[Wear]) -> tuple[DriveView, ...]:
     """Of every drive. wear: what is known of its degradation."""
-    words = zip(
-        said.adhesion.tolist(), said.adhesion_reason.tolist(), said.thermal.tolist(),
-        said.thermal_reason.tolist(), said.sensor.tolist(), said.comm.tolist(),
-        said.estimator.tolist(), said.health.tolist(), said.fault_class.tolist(),
-        said.fault_sensor.tolist(), strict=True,
+    drives = status.drives
+    rows = zip(
+        nodes, drives["flag"]["state"].tolist(), drives[_WORDS].tolist(),
+        drives[_NUMBERS].tolist(), drives[_AGES].tolist(), wear, strict=True,
     )  # fmt: skip
-    numbers = zip(
-        said.speed.tolist(), said.load.tolist(), said.sigma.tolist(), said.lost.tolist(),
-        said.nis.tolist(), said.mixed_c.tolist(), said.maisd_k.tolist(), strict=True,
-    )  # fmt: skip
-    ages = zip(said.age_ns.tolist(), said.temperature_age_ns.tolist(), strict=True)
-    rows = zip(nodes, words, numbers, ages, wear, strict=True)
     return tuple(_drive(*row) for row in rows)
 
 
+_WORDS: Final = ["adhesion_reason", "thermal_reason", "health", "fault_class", "fault_sensor"]
+_NUMBERS: Final = ["speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability", "nis", "mixed_c",
+                   "maisd_k"]  # fmt: skip
+_AGES: Final = ["age_ns", "temperature_age_ns"]
+
+
 def _drive(
-    node: int, word: tuple[int, ...], number: tuple[float, ...], age: tuple[int, int], wear: Wear
-) -> DriveView:
-    adhesion, why, thermal, why_thermal, sensor, comm, estimator, health, kind, whose = word
-    speed, load, sigma, lost, nis, mixed, maisd = (_known(x) for x in number)
-    own, temperature = (None if a == NEVER else a for a in age)
+    node: int, flags: Sequence[int], words: tuple[int, ...], numbers: tuple[float, ...],
+    ages: tuple[int, int], wear: Wear,
+) -> DriveView:  # fmt: skip
+    adhesion, thermal, comm, estimator, sensor = (_FLAGS[flag] for flag in flags)
+    why, why_thermal, health, kind, whose = words
+    speed, load, sigma, lost, nis, mixed, maisd = (_known(x) for x in numbers)
+    own, temperature = (None if a == NEVER else a for a in ages)
     return DriveView(
-        node, _FLAGS[adhesion], _REASONS[why], _FLAGS[thermal], _REASONS[why_thermal],
-        _FLAGS[sensor], _FLAGS[comm], _FLAGS[estimator], _HEALTH[health], speed, load, sigma, lost,
-        nis, own, _CLASSES[kind], _SENSORS[whose], mixed, maisd, wear, temperature,
+        node, adhesion, _REASONS[why], thermal, _REASONS[why_thermal], sensor, comm, estimator,
+        _HEALTH[health], speed, load, sigma, lost, nis, own, _CLASSES[kind], _SENSORS[whose],
+        mixed, maisd, wear, temperature,
     )  # fmt: skip
 
 
@@ -118,19 +119,18 @@ def _known(number: float) -> float | None:
 
 def view_of(
     t_ns: Nanos,
-    said: Said,
+    status: Status,
     drives: tuple[DriveView, ...],
     common_load_nm: float | None,
     counted: Counted,
 ) -> GatewayView:
     """Of the whole set."""
-    whole = said.whole.tolist()
+    train = status.train[0]
     sensor, comm, estimator, overrun, common = (
-        _FLAGS[whole[k]]
-        for k in (Whole.SENSOR, Whole.COMM, Whole.ESTIMATOR, Whole.OVERRUN, Whole.COMMON_MODE)
+        _FLAGS[train[name]] for name in ("sensor", "comm", "estimator", "overrun", "common_mode")
     )
     return GatewayView(
-        t_ns, drives, whole[Whole.DETECTOR], common, common_load_nm,
-        _REASONS[whole[Whole.ADHESION_REASON]], _REASONS[whole[Whole.FAULTS_REASON]],
-        sensor, comm, estimator, overrun, GatewayState(whole[Whole.STATE]), *counted,
+        t_ns, drives, int(train["detector"]), common, common_load_nm,
+        _REASONS[train["adhesion_reason"]], _REASONS[train["faults_reason"]],
+        sensor, comm, estimator, overrun, GatewayState(int(train["state"])), *counted,
     )  # fmt: skip

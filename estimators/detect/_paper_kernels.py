@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators._lean import njit
-from estimators.detect._kernels import digamma
+from estimators._lean import njit, symbol
 
 Array = NDArray[np.float64]
 LOG_2PI = math.log(2.0 * math.pi)
+digamma = symbol("digamma")
 
 
 @njit(cache=True, error_model="numpy")

@@ -149,7 +149,7 @@ def replay(
         out = gateway.step(frames, now)
         ticks += 1
         if isinstance(sink, Briefly):
-            tell(sink, [block_of(out)], now, gateway.said.lost)
+            tell(sink, [block_of(out)], now, gateway.status.drives["loss_probability"])
         else:
             shift = clock.shift_ns(now)
             if shift:

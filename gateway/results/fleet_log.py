@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from dbc.frame import MS, Nanos
+from gateway.flags import FlagKind
 from gateway.health import NEVER, FaultClass, FaultSensor, Health, Reason
 from gateway.results.record import ADHESION, FAULT, camel
 from gateway.results.whole import PART
@@ -49,6 +50,7 @@ _WORDS: Final[dict[str, list[str]]] = {
 }
 """Column -> its words in the order of their numbers. The first five are a drive's flags."""
 _FLAGS: Final = 5
+_ORDER: Final = [FlagKind[name.upper()] for name in tuple(_WORDS)[:_FLAGS]]
 _NUMBERS: Final = (
     "speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability", "nis", "mixed_c", "maisd_k",
     "degradation_k_h", "degradation_sigma_k_h", "hours_to_limit",
@@ -121,19 +123,21 @@ class Estimates:
 
     def _take(self, now: Nanos, gateway: Gateway, *, due: bool) -> None:
         """The rows of a tick: of every drive, or of those of which a flag changed."""
-        said, at = gateway.said, self._at
-        flags = np.array((said.adhesion, said.thermal, said.sensor, said.comm, said.estimator))
+        drives, at = gateway.status.drives, self._at
+        flags = drives["flag"]["state"].T[_ORDER]
         mine = np.ones(len(self._nodes), np.bool_) if due else (flags != self._flags).any(axis=0)
-        why, warm_why = said.adhesion_reason, said.thermal_reason
+        why, warm_why = drives["adhesion_reason"], drives["thermal_reason"]
         codes, numbers = self._codes[at], self._numbers[at]
         self._flags = codes[:_FLAGS] = flags
         codes[_FLAGS:] = (
-            np.where(why, why, warm_why), said.health, said.fault_class, said.fault_sensor
+            np.where(why, why, warm_why), drives["health"], drives["fault_class"],
+            drives["fault_sensor"],
         )  # fmt: skip
         # None is NaN here.
         wear = np.array([each[:3] for each in gateway.thermal.wear], dtype=np.float64)
         numbers[:-4] = (
-            said.speed, said.load, said.sigma, said.lost, said.nis, said.mixed_c, said.maisd_k
+            drives["speed_rad_s"], drives["load_nm"], drives["load_sigma_nm"],
+            drives["loss_probability"], drives["nis"], drives["mixed_c"], drives["maisd_k"],
         )  # fmt: skip
         numbers[-4:-1], numbers[-1] = wear.T, self._peak
         self._peak[mine] = np.nan

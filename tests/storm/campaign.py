@@ -19,8 +19,8 @@ from dbc.block import Block, join
 from dbc.frame import Frame
 from gateway.config import Config, parse
 from gateway.core import Gateway
+from gateway.flags import Status
 from gateway.health import REJECTED
-from gateway.said import Said
 from gateway.ticks import Ticks
 from sim.hostile import BUS_KINDS, KINDS, NOTHING, Arrived, Fault, HostileBus, plan
 from sim.value_faults import Error, ValueFaults
@@ -168,7 +168,7 @@ class Watched:
         """One tick, or one more of those that wait to be done together."""
         if self._lengths is None:
             out = self._core.step(tick.came.block, tick.tick * TICK)
-            self._look(tick, out, self._core.said)
+            self._look(tick, out, self._core.status)
             return
         self._waiting.append(tick)
         if len(self._waiting) >= self._length:
@@ -204,9 +204,9 @@ class Watched:
             what = f"frames of no tick: {out}"
             self.found.append(Violation(waiting[-1].tick, "form", 0, what))
 
-    def _look(self, tick: Tick, out: list[Frame], said: Said | None) -> None:
+    def _look(self, tick: Tick, out: list[Frame], status: Status | None) -> None:
         truth = truth_at(self._honest, tick.phase, tick.error)
-        self._oracle.look(tick.tick, tick.came, out, said, truth, tick.faults)
+        self._oracle.look(tick.tick, tick.came, out, status, truth, tick.faults)
 
 
 def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None = None) -> Result:

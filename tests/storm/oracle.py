@@ -39,8 +39,8 @@ from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
 from gateway.config import Config
+from gateway.flags import Status
 from gateway.health import Health
-from gateway.said import Said
 from sim.hostile import Arrived, Fault
 from tests.storm.train import TICK
 from tests.storm.values import Truth, ValueRules
@@ -147,10 +147,10 @@ class Oracle:
         """Ticks by all that was said in them: a few dozen different ones."""
 
     def look(
-        self, tick: int, arrived: Arrived, out: list[Frame], said: Said | None,
+        self, tick: int, arrived: Arrived, out: list[Frame], status: Status | None,
         truth: Truth, faults: list[Fault],
     ) -> None:  # fmt: skip
-        """One tick. said: where the gateway was stepped singly."""
+        """One tick. status: where the gateway was stepped singly."""
         now = tick * TICK
         mine = arrived.genuine
         slots = self.slot[arrived.block.can_id[mine]]
@@ -166,7 +166,7 @@ class Oracle:
         # Behind the tick where the process has stood: the newest are lost then.
         until = -(-int(block.t_ns.max()) // TICK) if block.size else tick
         self._runs(tick, fresh, sampled)
-        self._estimates(tick, out, said)
+        self._estimates(tick, out, status)
         for frame in out:
             self._form(tick, frame)
             if frame.can_id == ADHESION:
@@ -344,15 +344,15 @@ class Oracle:
         if self.whole[OVERRUN] != wanted:
             self._broken(tick, "overrun", 0, f"says {self.whole[OVERRUN]}, {wanted} is right")
 
-    def _estimates(self, tick: int, out: list[Frame], said: Said | None) -> None:
+    def _estimates(self, tick: int, out: list[Frame], status: Status | None) -> None:
         """Health and speed: from the wire, and in ticks that send none what would be sent.
 
         That is known of single steps. Else nothing is, and a drive counts as tracking from its last
         estimate that says otherwise on.
         """
         sent = {frame.can_id: frame.data for frame in out}
-        health = [None] * self.n if said is None else said.health.tolist()
-        speed = self.told if said is None else said.speed.tolist()
+        health = [None] * self.n if status is None else status.drives["health"].tolist()
+        speed = self.told if status is None else status.drives["speed_rad_s"].tolist()
         for d, node in enumerate(self.nodes):
             data = sent.get(ESTIMATE + node)
             if data is not None:

@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 
 from gateway import _inputs_kernels as kernels
-from gateway import _said_kernels as said_kernels
-from gateway import core
-from gateway.decide import TABLE
-from gateway.health import Flag, Health
+from gateway import adhesion, core
+from gateway.flags import FlagKind, Flags
+from gateway.health import Flag, Health, Reason
 from gateway.outbox import Outbox
 from gateway.receiving import NAMES
-from gateway.said import Which
 from sim.hostile import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
 from sim.value_faults import ValueFaults
 from tests.storm import campaign
@@ -28,6 +26,8 @@ from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 
 SEEDS, TICKS = range(20), 100_000
+COMMON_MODE = 12
+"""Argument of `conclude`: the flag of all drives' loss."""
 FD, FD_TICKS = (6, 7, 8), 30_000
 """Two seeds of several ticks in a call, one of single steps."""
 
@@ -104,10 +104,10 @@ def test_a_second_sender_in_a_disturbance(spoilt, monkeypatch):
     seen = []
     real = Oracle.look
 
-    def look(self, tick, came, out, said, *more):
-        real(self, tick, came, out, said, *more)
+    def look(self, tick, came, out, status, *more):
+        real(self, tick, came, out, status, *more)
         if 3107 < tick <= 3084 + 95:
-            seen.append(said.adhesion.tolist())
+            seen.append(status.drives["flag"]["state"][:, FlagKind.ADHESION].tolist())
 
     monkeypatch.setattr(Oracle, "look", look)
     assert not weather(32, 3300).found
@@ -122,9 +122,10 @@ def told(faults, seed, ticks, monkeypatch):
     out = {}
     real = Oracle.look
 
-    def look(self, tick, came, frames, said, *more):
-        real(self, tick, came, frames, said, *more)
-        out[tick] = said.adhesion[0].item(), said.thermal[0].item()
+    def look(self, tick, came, frames, status, *more):
+        real(self, tick, came, frames, status, *more)
+        sent = status.drives["flag"]["state"][0].tolist()
+        out[tick] = sent[FlagKind.ADHESION], sent[FlagKind.THERMAL]
 
     monkeypatch.setattr(Oracle, "look", look)
     result = weather(seed, ticks)
@@ -177,28 +178,61 @@ def test_a_whole_copy_stands_for_a_frame_that_was_spoilt():
 def stale_is_believed(monkeypatch):
     def look(*words):
         kernels.look(*words)
-        words[-1].cause[:] = core.Reason.NONE
+        words[-1].cause[:] = Reason.NONE
         words[-1].fresh[:] = True
 
     monkeypatch.setattr(core, "look", look)
 
 
+def clear(flags):
+    """Bad becomes unknown where the evidence is."""
+    state = flags["state"]
+    state[(state == Flag.BAD) & (flags["evidence"] == Flag.UNKNOWN)] = Flag.UNKNOWN
+
+
 def unknown_clears(monkeypatch):
-    monkeypatch.setitem(TABLE, (Flag.BAD, Flag.UNKNOWN), (Flag.UNKNOWN, ""))
+    debounce, conclude = Flags.debounce, adhesion.conclude
+
+    def flags_of_drives(self, now):
+        changed = debounce(self, now)
+        clear(self.status.drives["flag"])
+        return changed
+
+    def flag_of_all(*words):
+        answered = conclude(*words)
+        clear(words[COMMON_MODE])
+        return answered
+
+    monkeypatch.setattr(Flags, "debounce", flags_of_drives)
+    monkeypatch.setattr(adhesion, "conclude", flag_of_all)
+
+
+def evidence(monkeypatch, change):
+    """Changed once it is collected."""
+    real = Flags.collect_evidence
+
+    def collect_evidence(self):
+        real(self)
+        change(self, self.evidence["of"])
+
+    monkeypatch.setattr(Flags, "collect_evidence", collect_evidence)
 
 
 def health_is_ignored(monkeypatch):
     """And no flag waits for anything."""
 
-    def weigh(*words):
-        said_kernels.weigh(*words)
-        inputs, wrong, seen = words[0], words[1], words[-2][core.Which.ADHESION]
-        sound = (inputs.cause == core.Reason.NONE) & ~wrong
-        seen[sound & (seen != Flag.BAD)] = Flag.GOOD
+    def change(flags, seen):
+        reason, mine = flags.inputs["input_reason"], seen[:, FlagKind.ADHESION]
+        sound = (reason == Reason.NONE) & (flags.inputs["input_implausible"] == 0)
+        mine[sound & (mine != Flag.BAD)] = Flag.GOOD
 
-    monkeypatch.setattr(core, "weigh", weigh)
-    monkeypatch.setitem(TABLE, (Flag.UNKNOWN, Flag.GOOD), (Flag.GOOD, ""))
-    monkeypatch.setitem(TABLE, (Flag.BAD, Flag.GOOD), (Flag.GOOD, ""))
+    evidence(monkeypatch, change)
+
+    def hurry(made):
+        for timing in (made.flags.rules["timing"], made.flags.rules["severe"]):
+            timing["good_ns"] = timing["clear_ns"] = 0
+
+    built(monkeypatch, hurry)
 
 
 def wrong_speed(monkeypatch):
@@ -216,9 +250,9 @@ def wrong_speed(monkeypatch):
 def counter_stands_still(monkeypatch):
     real = Outbox.due
 
-    def due(self, said, now):
+    def due(self, status, now):
         self.memory.counter[:] = 0
-        return real(self, said, now)
+        return real(self, status, now)
 
     monkeypatch.setattr(Outbox, "due", due)
 
@@ -242,7 +276,7 @@ def at_once(which):
     """A flag that waits for nothing."""
 
     def broken(monkeypatch):
-        built(monkeypatch, lambda made: made.rules.timing[which].fill(0))
+        built(monkeypatch, lambda made: made.flags.rules["timing"][0, which : which + 1].fill(0))
 
     return broken
 
@@ -251,14 +285,12 @@ def ills(monkeypatch, *which):
     """Evidence against these flags, of each drive in turn: a storm seldom brings it by itself."""
     ticks = count_up()
 
-    def weigh(*words):
-        said_kernels.weigh(*words)
+    def change(_flags, seen):
         turn, at = divmod(next(ticks), 900)
         if 600 < at < 750:
-            for flag in which:
-                words[-2][flag, turn % len(NODES)] = Flag.BAD
+            seen[turn % len(NODES), list(which)] = Flag.BAD
 
-    monkeypatch.setattr(core, "weigh", weigh)
+    evidence(monkeypatch, change)
 
 
 def ill_at_once(which):
@@ -273,11 +305,10 @@ def always_good(which):
     """Whatever the evidence is."""
 
     def broken(monkeypatch):
-        def weigh(*words):
-            said_kernels.weigh(*words)
-            words[-2][which] = Flag.GOOD
+        def change(_flags, seen):
+            seen[:, which] = Flag.GOOD
 
-        monkeypatch.setattr(core, "weigh", weigh)
+        evidence(monkeypatch, change)
 
     return broken
 
@@ -299,8 +330,10 @@ def sent_health(value):
     def broken(monkeypatch):
         real = Outbox.due
 
-        def due(self, said, now):
-            return real(self, said._replace(health=np.full_like(said.health, value)), now)
+        def due(self, status, now):
+            drives = status.drives.copy()
+            drives["health"] = value
+            return real(self, status._replace(drives=drives), now)
 
         monkeypatch.setattr(Outbox, "due", due)
 
@@ -361,16 +394,16 @@ class Found(Exception):
         (health_is_ignored, "untracked", "Adhering while"),
         (wrong_speed, "untracked", "off the truth"),
         (counter_stands_still, "form", "counter"),
-        (always_good(Which.SENSOR), "stale", "SensorFault"),
-        (always_good(Which.THERMAL), "stale", "NoFault"),
-        (always_good(Which.COMM), "stale", "CommFault"),
-        (always_good(Which.ESTIMATOR), "untracked", "EstimatorFault"),
-        (at_once(Which.SENSOR), "hasty", "SensorFault"),
-        (at_once(Which.COMM), "hasty", "CommFault"),
-        (at_once(Which.COMM), "cleared", "CommFault"),
-        (ill_at_once(Which.SENSOR), "cleared", "SensorFault"),
-        (ill_at_once(Which.ESTIMATOR), "cleared", "EstimatorFault"),
-        (ill_at_once(Which.THERMAL), "cleared", "fresh temperatures"),
+        (always_good(FlagKind.SENSOR), "stale", "SensorFault"),
+        (always_good(FlagKind.THERMAL), "stale", "NoFault"),
+        (always_good(FlagKind.COMM), "stale", "CommFault"),
+        (always_good(FlagKind.ESTIMATOR), "untracked", "EstimatorFault"),
+        (at_once(FlagKind.SENSOR), "hasty", "SensorFault"),
+        (at_once(FlagKind.COMM), "hasty", "CommFault"),
+        (at_once(FlagKind.COMM), "cleared", "CommFault"),
+        (ill_at_once(FlagKind.SENSOR), "cleared", "SensorFault"),
+        (ill_at_once(FlagKind.ESTIMATOR), "cleared", "EstimatorFault"),
+        (ill_at_once(FlagKind.THERMAL), "cleared", "fresh temperatures"),
         (changes_are_not_sent, "stale", "NoFault"),
         (sent_health(Health.CONVERGING), "untracked", "Adhering while"),
         (sent_health(Health.TRACKING), "stale", "Health"),
@@ -408,7 +441,7 @@ def test_where_broken_gateways_are_found_a_whole_one_breaks_no_rule(faults, monk
 
 def test_with_evidence_against_every_flag_no_rule_is_broken(monkeypatch):
     """The same illnesses as above, and a gateway that is whole."""
-    ills(monkeypatch, Which.SENSOR, Which.ESTIMATOR, Which.THERMAL)
+    ills(monkeypatch, FlagKind.SENSOR, FlagKind.ESTIMATOR, FlagKind.THERMAL)
     result = weather(3, 6000)
     assert not result.found, result.text()
     for name in ("SensorFault", "EstimatorFault", "thermal"):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gateway.config import parse
+from gateway.flags import FlagKind
 from gateway.health import Flag
 from gateway.outbox import Outbox
 from sim.hostile import BUS_KINDS, KINDS, Fault, plan
@@ -201,12 +202,13 @@ def says(monkeypatch, flags, tick):
     """A gateway that sends these flags from a tick on; None: what it thinks."""
     real = Outbox.due
 
-    def due(self, said, now):
-        mine = said.adhesion.copy()
+    def due(self, status, now):
+        drives = status.drives.copy()
+        mine = drives["flag"]["state"][:, FlagKind.ADHESION]
         for d, flag in enumerate(flags):
             if flag is not None and now >= tick * campaign.TICK:
                 mine[d] = flag
-        return real(self, said._replace(adhesion=mine), now)
+        return real(self, status._replace(drives=drives), now)
 
     monkeypatch.setattr(Outbox, "due", due)
 

@@ -4,17 +4,18 @@ import numpy as np
 import pytest
 
 from gateway import _adhesion_kernels as kernels
-from gateway import _train_kernels, inputs, said, slow, tracks
+from gateway import _train_kernels, flags, inputs, slow, tracks
 from gateway import adhesion as module
 from gateway.adhesion import AdhesionSide
 from gateway.config import BENCH_MOTOR, Adhesion
-from gateway.decide import Timing
+from gateway.flags import Timing
 from gateway.health import Flag, Health
 
 N = 3
 MS = 1_000_000
 TICK = 10 * MS
-RULES = said.rules([Timing(40 * MS, 20 * MS, 60 * MS)] * 6, 0.7, 0.2, TICK)
+ADHESION = Timing(40 * MS, 20 * MS, 60 * MS)
+RULES = flags.rules([ADHESION] * 5, ADHESION, 0.7, 0.2, TICK)
 
 
 def course(seed):
@@ -46,19 +47,19 @@ def test_loops_equal_themselves_uncompiled(seed, monkeypatch):
         for name in names:
             kernel = getattr(kernels, name, None) or getattr(_train_kernels, name)
             monkeypatch.setattr(module, name, how(kernel))
-        side, flags, out = AdhesionSide(Adhesion(), [BENCH_MOTOR] * N, RULES, TICK), None, []
-        flags = said.flags(N, 0)
+        side, kept, out = AdhesionSide(Adhesion(), [BENCH_MOTOR] * N, RULES, TICK), None, []
+        kept = np.repeat(flags.flag(0), N)
         for told, sent, fresh, now in course(seed):
             come = inputs.inputs(N)._replace(commanded=fresh.copy(), speed=told.speed.copy())
-            opinion = side.judge(told, sent, come, flags.flag[0], flags.since_ns[0], now)
+            opinion = side.judge(told, sent, come, kept["state"], kept["since_ns"], now)
             lost = opinion.known & (opinion.lost > 0.7)
             flag = np.where(lost, Flag.BAD, np.where(opinion.known, Flag.GOOD, Flag.UNKNOWN))
-            flags.since_ns[0][flags.flag[0] != flag] = now
-            flags.flag[0] = flag
-            memory, own = side.reference, side.response.reference
+            kept["since_ns"][kept["state"] != flag] = now
+            kept["state"] = flag
+            memory, own = (learnt.all["spread"].item() for learnt in (side.reference, side.own))
             said_so = opinion.lost.tolist(), opinion.known.tolist(), side.severe.tolist()
-            out.append((*said_so, side.mode.flag.item(0), memory.spread, own.spread))
-            met |= {("flag", *flag.tolist()), ("common", side.mode.flag.item(0))}
+            out.append((*said_so, side.common_mode["state"].item(), memory, own))
+            met |= {("flag", *flag.tolist()), ("common", side.common_mode["state"].item())}
         made.append(out)
     assert made[0] == made[1]
     assert {("common", flag) for flag in Flag} <= met

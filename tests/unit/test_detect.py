@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import digamma as scipy_digamma
 
 from estimators.detect import DETECTORS, Evidence, MedianDetector, VariationalDetector
-from estimators.detect._kernels import best_start, digamma
-from estimators.detect.variational import DEFAULT_PRIORS, infer, starts
+from estimators.detect.variational import DEFAULT_PRIORS
+from tests.reference.variational import infer, starts
 
 loads = st.lists(st.floats(-60, 60), min_size=2, max_size=40).map(np.array)
 
@@ -19,29 +18,10 @@ def evidence(*load, spread=0.7, usable=None):
     return Evidence(x, np.full(len(x), spread), good)
 
 
-@given(st.floats(1e-3, 1e4))
-def test_digamma_equals_scipy(x):
-    assert digamma(x) == pytest.approx(scipy_digamma(x), rel=1e-11, abs=1e-11)
-
-
 @given(loads)
 def test_bound_never_falls_from_sweep_to_sweep(x):
     bounds = [infer(x, *starts(x, 0.49), DEFAULT_PRIORS, sweeps).bound for sweeps in range(1, 9)]
     assert (np.diff(bounds, axis=0) >= -1e-8).all()
-
-
-@given(loads, st.integers(1, 6))
-def test_kernel_equals_its_numpy_twin(x, sweeps):
-    posterior = infer(x, *starts(x, 0.49), DEFAULT_PRIORS, sweeps)
-    r1 = np.empty(len(x))
-    common = best_start(x, 0.49, np.array(DEFAULT_PRIORS), sweeps, r1)
-    # Ties between starts may fall either way, so the kernel's answer must be one of the best.
-    best = np.flatnonzero(posterior.bound >= posterior.bound.max() - 1e-9)
-    assert any(
-        np.allclose(r1, posterior.r1[j], atol=1e-8)
-        and common == pytest.approx(posterior.m[j, 0], abs=1e-8)
-        for j in best
-    )
 
 
 @given(loads, st.randoms(use_true_random=False))

@@ -6,6 +6,7 @@ import pytest
 from estimators.detect import distributed, paper, paper_vb, variational
 from estimators.detect.distributed import Exchange
 from estimators.detect.network import Consensus, Tree, Wires, graph, ring, tree
+from tests.reference import variational as reference
 
 BOTH = pytest.mark.parametrize("exchange", list(Exchange))
 FLOATS = {1: 7, 2: 13}
@@ -130,8 +131,8 @@ def test_products_priors_fit_in(exchange, start):
     """The product starts each mean exactly at its preset (beta infinite), paper_vb at its prior."""
     x = np.array([20.0, 20.4, 9.0, 15.0, 19.7])
     p = variational.DEFAULT_PRIORS
-    means, scatter = variational.starts(x, 0.49)
-    expected = variational.infer(x, means, scatter, p)
+    means, scatter = reference.starts(x, 0.49)
+    expected = reference.infer(x, means, scatter, p)
     prior = paper_vb.Params(
         means[start][None, :, None],
         np.array([[p.beta_adhering, p.beta_lost]]),

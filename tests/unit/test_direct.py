@@ -10,9 +10,9 @@ from tests.soak.real import run
 from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
-    "take_block", "settle", "busy_s", "look", "tell",
+    "take_block", "settle", "busy_s", "look",
     "observe_motion", "merge_motion", "compare", "conclude", "teach", "hear", "advance", "report",
-    "weigh", "decide", "send", "check_values", "assess_train",
+    "fill_inputs", "send", "check_values", "assess_train",
 }  # fmt: skip
 FILTERS = {"advance_ekf", "advance_ukf"}
 

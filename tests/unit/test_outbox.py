@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from gateway import outbox as module
-from gateway import said
 from gateway._outbox_kernels import send
+from gateway.flags import FlagKind, unknown_status
 from gateway.health import NEVER
 from gateway.heatside import Wear
 from gateway.outbox import Outbox
-from gateway.said import Whole
 from gateway.view import Counted, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
 
@@ -24,26 +23,30 @@ COUNTED = Counted(3, 5000, 7, 41.0, 120.0, None)
 
 def drawn(rng):
     """Any words and numbers that there can be."""
-    words = said.said(N, 4)
-    for column in (words.adhesion, words.thermal, words.sensor, words.comm, words.estimator):
-        column[:] = rng.integers(0, 3, N)
-    words.health[:], words.fault_sensor[:] = rng.integers(0, 6, (2, N))
-    words.fault_class[:], words.jumps[:] = rng.integers(0, 9, N), rng.integers(0, 40, N)
-    for column, most in ((words.speed, 1500.0), (words.load, 3000.0), (words.lost, 1.0),
-                         (words.nis, 40.0), (words.mixed_c, 250.0), (words.maisd_k, 40.0),
-                         (words.rate_k_h, 3.0)):  # fmt: skip
-        column[:] = np.where(rng.random(N) < 0.3, np.nan, rng.uniform(0.0, most, N))
-    words.whole[:9] = (*rng.integers(0, 12, 2), *rng.integers(0, 3, 4), 3, 4, 2)
-    words.whole[Whole.AGE_NS], words.whole[Whole.TEMPERATURE_AGE_NS] = (
-        rng.choice([NEVER, rng.integers(0, 10**9), rng.integers(0, 4 * 10**9)]) for _ in range(2)
-    )
-    return words
+    status = unknown_status(N, 4)
+    drives, train = status
+    drives["flag"]["state"] = rng.integers(0, 3, (N, len(FlagKind)))
+    drives["health"], drives["fault_sensor"] = rng.integers(0, 6, (2, N))
+    drives["fault_class"], drives["jumps"] = rng.integers(0, 9, N), rng.integers(0, 40, N)
+    for name, most in (("speed_rad_s", 1500.0), ("load_nm", 3000.0), ("loss_probability", 1.0),
+                       ("nis", 40.0), ("mixed_c", 250.0), ("maisd_k", 40.0),
+                       ("rate_k_h", 3.0)):  # fmt: skip
+        drives[name] = np.where(rng.random(N) < 0.3, np.nan, rng.uniform(0.0, most, N))
+    train["adhesion_reason"], train["faults_reason"] = rng.integers(0, 12, 2)
+    for name in ("sensor", "comm", "estimator", "overrun"):
+        train[name] = rng.integers(0, 3)
+    train["state"], train["common_mode"] = 3, 2
+    for name in ("age_ns", "temperature_age_ns"):
+        train[name] = rng.choice([NEVER, rng.integers(0, 10**9), rng.integers(0, 4 * 10**9)])
+    return status
 
 
 def expected(words, config_hash):
     """Every signal's value by message, from the view of the same words; None: not known."""
     view = view_of(0, words, drives_of(words, NODES, [Wear()] * N), None, COUNTED)
-    ages = [None if a == NEVER else a // MS for a in words.whole[9:].tolist()]
+    ages = [None if a == NEVER else a // MS for a in (
+        words.train["age_ns"].item(), words.train["temperature_age_ns"].item(),
+    )]  # fmt: skip
     out = {
         "Gateway_Adhesion": {
             "Reason": view.adhesion_reason, "Detector": view.detector,
@@ -61,7 +64,7 @@ def expected(words, config_hash):
                            "LostFrames": 7, "BusLoad": 41.0},
     }  # fmt: skip
     for k, d in enumerate(view.drives):
-        rate, jumps = words.rate_k_h.item(k), words.jumps.item(k)
+        rate, jumps = (words.drives[name].item(k) for name in ("rate_k_h", "jumps"))
         lost = d.loss_probability
         out[f"Drive{d.node}_Estimate"] = {
             "Health": d.health, "Speed": None if d.speed_rad_s is None else RPM * d.speed_rad_s,
@@ -108,13 +111,13 @@ def names(codec, frames):
 
 def test_each_goes_out_in_its_cycle_and_faults_at_a_change_too():
     codec = codec_for(NODES)
-    box, words = Outbox(codec, NODES, 0, TICK), said.said(N, 1)
+    box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
     sent = {}
     for tick in range(300):
         if tick == 155:
-            words.thermal[1] = 2
+            words.drives["flag"]["state"][1, FlagKind.THERMAL] = 2
         if tick == 163:
-            words.whole[Whole.COMM] = 1
+            words.train["comm"] = 1
         if box.wants_counts(tick * TICK):
             box.note_counts(COUNTED)
         for name in names(codec, box.due(words, tick * TICK)):
@@ -128,7 +131,7 @@ def test_each_goes_out_in_its_cycle_and_faults_at_a_change_too():
 
 def test_the_grid_stays_however_late_a_tick_is():
     codec = codec_for(NODES)
-    box, words = Outbox(codec, NODES, 0, TICK), said.said(N, 1)
+    box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
     ticks = (0, 1, 9, 10, 31, 39, 47, 52)
     sent = [t for t in ticks if "Gateway_Status" in names(codec, box.due(words, t * TICK + t % 3))]
     assert sent == [0, 10, 31, 47, 52]

@@ -15,7 +15,12 @@ import core_build
 from dbc import records
 
 ROOT = Path(core_build.__file__).parent
-RECORDS = {"e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE}
+RECORDS = {name: getattr(records, name.upper()) for name in (
+    "e2e_config", "e2e_state",
+    "flag", "flag_timing", "flag_rules", "flag_inputs", "train_inputs", "drive_evidence",
+    "drive_status", "train_status", "vb_priors", "load_spread", "load_ratio",
+    "load_observation", "command_response",
+)}  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
     "aarch64": ["-target", "aarch64-linux-gnu.2.17"],

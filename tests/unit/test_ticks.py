@@ -52,8 +52,7 @@ def stormy(honest, seed, ticks, between):
 
 def flags(gateway):
     """All that are told of a drive."""
-    said = gateway.said
-    return repr([said.adhesion, said.thermal, said.sensor, said.comm, said.estimator])
+    return gateway.status.drives["flag"]["state"].tolist()
 
 
 def singly(gateway, blocks, told=None):
@@ -64,7 +63,7 @@ def singly(gateway, blocks, told=None):
         assert gateway.changed == (flags(gateway) != before)
         before = flags(gateway)
         if told is not None:
-            told.append((gateway.changed, gateway.said.lost.copy()))
+            told.append((gateway.changed, gateway.status.drives["loss_probability"].copy()))
     return out
 
 
@@ -100,14 +99,17 @@ def stops(told, most):
 def state(gateway):
     """Numbers of everything that goes on to the next tick."""
     tables = (
-        gateway.said, gateway.flags, gateway.findings, gateway.inputs, gateway.bank.filters,
+        gateway.findings, gateway.inputs, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.reference, *gateway.adhesion.response,
-        gateway.adhesion.trust, gateway.adhesion.mode, gateway.adhesion.rotors, gateway.inbox.state,
+        gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
+        [gateway.adhesion.responses],
+        gateway.adhesion.trust, gateway.adhesion.rotors, gateway.inbox.state,
         gateway.inbox.e2e_state, gateway.inbox.pairs, gateway.inbox.slow, gateway.outbox.memory,
         *gateway.thermal.warmth[:5], gateway.supervision.beats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
+    records = (*gateway.status, gateway.adhesion.common_mode)
+    numbers += [table.tolist() for table in records]
     warmth, heat = gateway.thermal.warmth, gateway.thermal.heat
     numbers += [warmth.kept_ns.tolist(), warmth.fresh.tolist(), warmth.beat.tolist()]
     if heat is not None:

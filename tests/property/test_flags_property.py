@@ -6,7 +6,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from gateway.decide import FlagState, Timing, advance, from_probability, hold
+from gateway import flags
+from gateway.flags import UNCHANGED, Timing, debounce
 from gateway.health import Flag
 from tests.fuzz import examples
 
@@ -21,8 +22,8 @@ class FlagTable(RuleBasedStateMachine):
     def start(self, times: tuple[int, int, int]) -> None:
         self.timing = Timing(*times)
         self.now = 0
-        self.before = FlagState()
-        self.state = FlagState()
+        self.flag = flags.flag(0)
+        self.before = self.state = UNKNOWN
         self.seen: list[Flag | None] = []
 
     @rule(evidence=st.sampled_from([GOOD, BAD, UNKNOWN, None]), ticks=st.integers(1, 8))
@@ -31,10 +32,9 @@ class FlagTable(RuleBasedStateMachine):
             self.now += TICK
             self.seen.append(evidence)
             self.before = self.state
-            if evidence is None:
-                self.state = hold(self.state, TICK)
-            else:
-                self.state = advance(self.state, evidence, self.now, self.timing)
+            seen = UNCHANGED if evidence is None else evidence
+            debounce(self.flag, seen, self.timing, TICK, self.now)
+            self.state = Flag(self.flag["state"].item())
             self.judge()
 
     def lasted(self, evidence: Flag) -> int:
@@ -47,7 +47,7 @@ class FlagTable(RuleBasedStateMachine):
         return (ticks - 1) * TICK
 
     def judge(self) -> None:
-        was, flag, evidence = self.before.flag, self.state.flag, self.seen[-1]
+        was, flag, evidence = self.before, self.state, self.seen[-1]
         if evidence is None:
             assert flag is was
         if was is BAD:
@@ -72,13 +72,8 @@ class FlagTable(RuleBasedStateMachine):
     @invariant()
     def only_three_states(self) -> None:
         if hasattr(self, "state"):
-            assert self.state.flag in (UNKNOWN, GOOD, BAD)
+            assert self.state in (UNKNOWN, GOOD, BAD)
 
 
 TestFlagTable = FlagTable.TestCase
 TestFlagTable.settings = settings(max_examples=examples(200), stateful_step_count=40, deadline=None)
-
-
-def test_probabilities_that_are_none_are_unknown() -> None:
-    for lost in (float("nan"), -0.001, 1.001, float("inf"), -float("inf")):
-        assert from_probability(lost, True, 0.9, 0.5) is UNKNOWN

@@ -1,25 +1,16 @@
-"""From evidence to flags: debounce and latch, as a table.
+"""Flags in Python, which `gateway/core/flags.c` is compared with: debounce, reasons, summaries.
 
 Unknown never clears bad. Good is said only after good evidence has held; any unknown
-evidence takes good back at once. To change the timing of a flag, change `Timing` or the
-table, and commit the golden difference with it. The drives' flags run through the same table as
-arrays (`gateway/_said_kernels.py`).
+evidence takes good back at once.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from gateway.health import Flag
-
-
-class Timing(NamedTuple):
-    """How long evidence must hold, ns."""
-
-    good_ns: int
-    raise_ns: int
-    clear_ns: int
-
+from gateway.flags import Timing
+from gateway.health import Flag, Reason
 
 # (flag now, evidence) -> (flag next, which hold time must have passed first).
 # A pair that is not listed changes nothing.
@@ -31,9 +22,8 @@ TABLE: dict[tuple[Flag, Flag], tuple[Flag, str]] = {
     (Flag.BAD, Flag.GOOD): (Flag.GOOD, "clear_ns"),
 }
 
-
-HOLDS: Final = ("", *Timing._fields)
-"""What the table names; their places are those in `said.Rules.timing`."""
+PRIORITY = tuple(Reason(n) for n in (11, 10, 9, 3, 4, 5, 7, 2, 6, 8, 1))
+"""Highest first; the frame's `Reason` is the first of these that any unknown drive has."""
 
 
 class FlagState(NamedTuple):
@@ -56,6 +46,13 @@ def advance(state: FlagState, evidence: Flag, now_ns: int, timing: Timing) -> Fl
     return FlagState(state.flag, evidence, since)
 
 
+def hold(state: FlagState, tick_ns: int) -> FlagState:
+    """One tick between the thresholds: it does not count towards a change of the flag."""
+    if state.evidence is state.flag:
+        return state
+    return state._replace(since_ns=state.since_ns + tick_ns)
+
+
 def from_probability(lost: float, known: bool, raise_at: float, clear_at: float) -> Flag | None:
     """Evidence of one drive's loss probability; None between the thresholds.
 
@@ -69,8 +66,14 @@ def from_probability(lost: float, known: bool, raise_at: float, clear_at: float)
     return Flag.GOOD if lost <= clear_at else None
 
 
-def hold(state: FlagState, tick_ns: int) -> FlagState:
-    """One tick between the thresholds: it does not count towards a change of the flag."""
-    if state.evidence is state.flag:
-        return state
-    return state._replace(since_ns=state.since_ns + tick_ns)
+def worst(reasons: Sequence[Reason]) -> Reason:
+    """The reason of highest priority; NONE of none."""
+    ranks = (*PRIORITY, Reason.NONE)
+    return min(reasons, key=ranks.index, default=Reason.NONE)
+
+
+def summary(flags: Sequence[Flag]) -> Flag:
+    """One flag for a set of drives: bad if any is bad, else unknown if any is, else good."""
+    if Flag.BAD in flags:
+        return Flag.BAD
+    return Flag.GOOD if flags and Flag.UNKNOWN not in flags else Flag.UNKNOWN

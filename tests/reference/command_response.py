@@ -10,7 +10,7 @@ sudden, large, and has set the rotor free: a load that falls first leaves a torq
 the wheel, a torque that falls first does not. Until then the verdict is kept open (`OPEN`). Not in
 paper `adhesion`.
 
-`_reference_kernels` has the compiled forms that run in the loop.
+NumPy forms, which `estimators/detect/command_response.c` is compared with.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.detect import reference
 from estimators.detect.protocol import Opinion
-from estimators.detect.reference import Reference
+from tests.reference import load_reference as reference
+from tests.reference.load_reference import Reference
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

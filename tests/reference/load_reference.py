@@ -9,7 +9,7 @@ with m the load that adhering drives share; e is correlated over some 50 ms, so 
 once in `EVERY_S`. The spread s is learnt from what remains. Not in paper `adhesion`,
 whose drives are equal and whose thresholds are constants.
 
-`_reference_kernels` has the compiled forms that run in the loop.
+NumPy forms, which `estimators/detect/load_reference.c` is compared with.
 """
 
 from __future__ import annotations

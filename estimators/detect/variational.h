@@ -1,0 +1,20 @@
+/* Variational Bayes over the loads of all drives: paper `adhesion`, section 4.2, eq. (21)-(47). */
+#ifndef TRACTION_VARIATIONAL_H
+#define TRACTION_VARIATIONAL_H
+
+#include "gateway/core/records.h"
+
+/* Digamma of x > 0, absolute error below 1e-13; NaN for any other x. */
+double digamma(double x);
+
+/* Probability of lost adhesion of each of n drives, `lost` (n,), and the load that adhering drives
+ * share, in the unit of `load`.
+ *
+ * load, spread (n,): estimate and standard deviation of a healthy drive's, same unit; usable (n,):
+ * 1 where the load is known. `workspace` holds 4 n numbers. With fewer than two usable drives, and
+ * for those that are not usable, `lost` is 0; so is then the load. */
+double vb_detect(const struct vb_priors *priors, int iterations, const double *load,
+                 const double *spread, const uint8_t *usable, int n, double *workspace,
+                 double *lost);
+
+#endif
