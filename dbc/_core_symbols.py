@@ -14,7 +14,7 @@ import llvmlite.binding as llvm
 import numba
 from _traction_core import ffi, lib
 
-_NUMBERS = {"int": numba.types.int32, "void": numba.types.void}
+_NUMBERS = {"int": numba.types.int32, "int32_t": numba.types.int32, "void": numba.types.void}
 
 
 def symbol(name: str) -> Callable[..., Any]:

@@ -16,7 +16,7 @@ Records = NDArray[np.void]
 
 
 def dtype_of(ctype: Any) -> Any:
-    """The NumPy type of a C type: struct, array, integer or floating-point number."""
+    """The NumPy type of a C type: struct, array, integer, floating-point number or address."""
     if ctype.kind == "struct":
         fields = ctype.fields
         return np.dtype({
@@ -27,10 +27,16 @@ def dtype_of(ctype: Any) -> Any:
         })  # fmt: skip
     if ctype.kind == "array":
         return np.dtype((dtype_of(ctype.item), (ctype.length,)))
+    if ctype.kind == "pointer":
+        return np.dtype(np.uintp)
     return np.dtype(ctype.cname.removesuffix("_t"))
 
 
 E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
 E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
+SIGNAL: Final = dtype_of(ffi.typeof("struct signal"))
+MESSAGE: Final = dtype_of(ffi.typeof("struct message"))
+MUX_RANGE: Final = dtype_of(ffi.typeof("struct mux_range"))
+CODEC: Final = dtype_of(ffi.typeof("struct codec"))
 LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
 """What compiled loops depend on that address these records."""

@@ -15,7 +15,11 @@ import core_build
 from dbc import records
 
 ROOT = Path(core_build.__file__).parent
-RECORDS = {"e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE}
+RECORDS = {
+    "e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE,
+    "signal": records.SIGNAL, "message": records.MESSAGE, "mux_range": records.MUX_RANGE,
+    "codec": records.CODEC,
+}  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
     "aarch64": ["-target", "aarch64-linux-gnu.2.17"],
