@@ -19,14 +19,21 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
 
 ROOT = Path(__file__).parent
-HEADERS = ("gateway/core/records.h", "dbc/e2e.h", "gateway/core/flags.h",
-           "estimators/detect/variational.h", "estimators/detect/load_reference.h",
-           "estimators/detect/command_response.h")  # fmt: skip
+HEADERS = (
+    "gateway/core/records.h",
+    "dbc/e2e.h", "dbc/decode.h", "dbc/encode.h",
+    "estimators/detect/variational.h", "estimators/detect/load_reference.h",
+    "estimators/detect/command_response.h",
+    "gateway/core/flags.h",
+)  # fmt: skip
 """In the order in which they build on one another."""
-SOURCES = ("dbc/crc.c", "dbc/e2e.c", "gateway/core/flags.c", "estimators/detect/variational.c",
-           "estimators/detect/load_reference.c",
-           "estimators/detect/command_response.c")  # fmt: skip
-DEPENDS = (*HEADERS, "dbc/crc.h")
+SOURCES = (
+    "dbc/crc.c", "dbc/e2e.c", "dbc/decode.c", "dbc/encode.c",
+    "estimators/detect/variational.c", "estimators/detect/load_reference.c",
+    "estimators/detect/command_response.c",
+    "gateway/core/flags.c",
+)  # fmt: skip
+DEPENDS = (*HEADERS, "dbc/crc.h", "dbc/bytes.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""

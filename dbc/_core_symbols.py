@@ -15,7 +15,8 @@ import numba
 from _traction_core import ffi, lib
 
 _NUMBERS = {
-    "double": numba.types.float64, "int": numba.types.int32, "void": numba.types.void,
+    "double": numba.types.float64, "int": numba.types.int32, "int32_t": numba.types.int32,
+    "void": numba.types.void,
 }  # fmt: skip
 
 

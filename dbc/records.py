@@ -16,7 +16,7 @@ Records = NDArray[np.void]
 
 
 def dtype_of(ctype: Any) -> Any:
-    """The NumPy type of a C type: struct, array, integer or floating-point number."""
+    """The NumPy type of a C type: struct, array, integer, floating-point number or address."""
     if ctype.kind == "struct":
         fields = ctype.fields
         return np.dtype({
@@ -27,6 +27,8 @@ def dtype_of(ctype: Any) -> Any:
         })  # fmt: skip
     if ctype.kind == "array":
         return np.dtype((dtype_of(ctype.item), (ctype.length,)))
+    if ctype.kind == "pointer":
+        return np.dtype(np.uintp)
     return np.dtype(ctype.cname.removesuffix("_t"))
 
 
@@ -45,9 +47,11 @@ LOAD_SPREAD: Final = dtype_of(ffi.typeof("struct load_spread"))
 LOAD_RATIO: Final = dtype_of(ffi.typeof("struct load_ratio"))
 LOAD_OBSERVATION: Final = dtype_of(ffi.typeof("struct load_observation"))
 COMMAND_RESPONSE: Final = dtype_of(ffi.typeof("struct command_response"))
-LAYOUT: Final = " ".join(map(str, (
-    E2E_CONFIG, E2E_STATE,
-    FLAG, FLAG_TIMING, FLAG_RULES, FLAG_INPUTS, TRAIN_INPUTS, DRIVE_EVIDENCE, DRIVE_STATUS,
-    TRAIN_STATUS, VB_PRIORS, LOAD_SPREAD, LOAD_RATIO, LOAD_OBSERVATION, COMMAND_RESPONSE,
-)))  # fmt: skip
+SIGNAL: Final = dtype_of(ffi.typeof("struct signal"))
+MESSAGE: Final = dtype_of(ffi.typeof("struct message"))
+MUX_RANGE: Final = dtype_of(ffi.typeof("struct mux_range"))
+CODEC: Final = dtype_of(ffi.typeof("struct codec"))
+LAYOUT: Final = " ".join(
+    f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
+)
 """What compiled loops depend on that address these records."""

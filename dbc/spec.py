@@ -9,15 +9,17 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from _traction_core import lib
+
 from dbc.e2e import Profile
 from dbc.frame import Nanos
 from dbc.text import printable
 
-VALID: Final = 0
-NOT_AVAILABLE: Final = 1
-RANGE: Final = 2
-SATURATED: Final = 3
-ABSENT: Final = 4
+VALID: Final[int] = lib.SIGNAL_VALID
+NOT_AVAILABLE: Final[int] = lib.SIGNAL_NOT_AVAILABLE
+RANGE: Final[int] = lib.SIGNAL_OUT_OF_RANGE
+SATURATED: Final[int] = lib.SIGNAL_SATURATED
+ABSENT: Final[int] = lib.SIGNAL_ABSENT
 
 EXTENDED_KEY: Final = 1 << 31
 """Or-ed to a 29-bit id where ids are keys, as in a DBC: 0x123 and 0x00000123 differ."""
@@ -108,19 +110,6 @@ class SignalSpec:
         that clamps then never passes a clipped number off as a measurement.
         """
         return self.is_signed and not self.is_float and self.not_available is not None
-
-    def judge(self, raw: float) -> Validity:
-        """Validity of a raw value that is present in the frame."""
-        if self.is_float:
-            value = raw * self.scale + self.offset
-            return Validity.VALID if self.float_min <= value <= self.float_max else Validity.RANGE
-        if raw == self.not_available:
-            return Validity.NOT_AVAILABLE
-        if not self.raw_min <= raw <= self.raw_max:
-            return Validity.RANGE
-        if self.saturates and raw in (self.raw_min, self.raw_max):
-            return Validity.SATURATED
-        return Validity.VALID
 
 
 @dataclass(frozen=True, slots=True)

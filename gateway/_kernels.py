@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._codec_kernels import decode_frames
 from dbc._e2e_kernels import e2e_check, e2e_sm_check
-from dbc._kernels import decode_block
 from dbc._lean import inlined, lean
 from dbc.e2e import Check, SmState
 from gateway import supervision
@@ -22,7 +22,6 @@ from gateway._route_kernels import route
 from gateway._slow_kernels import keep
 
 if TYPE_CHECKING:
-    from dbc._tables import Tables
     from dbc.records import Records
     from gateway.channel import ChannelState
     from gateway.pairing import PairState, Samples, Wiring
@@ -311,7 +310,7 @@ def take_block(
     config: Records,
     e2e: Records,
     state: ChannelState,
-    tables: Tables,
+    codec: int,
     wiring: Wiring,
     hole_ns: int,
     pairs: PairState,
@@ -323,8 +322,8 @@ def take_block(
 ) -> tuple[int, int, int, bool]:
     """A tick's frames, in order: route, verify, decode, pair. Every frame ends in one tally.
 
-    The first five are columns of a `dbc.block.Block`. Returns the numbers of samples in `out`,
-    of rows that Python must see (`scratch.seen`) and of emergencies
+    The first five are columns of a `dbc.block.Block`; codec: `CodecTables.address`. Returns the
+    numbers of samples in `out`, of rows that Python must see (`scratch.seen`) and of emergencies
     (`scratch.foreign`); then whether anything but `decoded` was counted, else the tally is
     empty again. -1 first, and nothing done, for frames in another order.
     """
@@ -378,10 +377,7 @@ def take_block(
     if m:
         channel, stamps, payload = scratch.channel[:m], scratch.t_ns[:m], scratch.payload[:m]
         value, validity = scratch.value[:m], scratch.validity[:m]
-        decode_block(
-            scratch.message[:m], payload, tables.rows, tables.layout, tables.keys, tables.factors,
-            tables.ranges, tables.there, value, validity,
-        )  # fmt: skip
+        decode_frames(codec, m, scratch.message, scratch.payload, scratch.value, scratch.validity)
         samples = take_rows(
             channel, stamps, payload, value, validity, wiring, hole_ns, pairs,
             scratch.verdict[:m], out,

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._codec_kernels import encode_frame
 from dbc._e2e_kernels import e2e_protect
 from dbc._lean import inlined, lean
-from dbc._send_kernels import encode
 
 if TYPE_CHECKING:
     from dbc.records import Records
-    from dbc.sending import Form
     from gateway.flags import Status
     from gateway.sources import Memory, Room, Sheet
 
@@ -136,8 +135,8 @@ def _changed(status: Status, memory: Memory) -> bool:
 
 @lean
 def send(
-    now: int, status: Status, counted: Array, sheet: Sheet, form: Form, config: Records,
-    memory: Memory, room: Room,
+    now: int, status: Status, counted: Array, sheet: Sheet, config: Records, memory: Memory,
+    room: Room,
 ) -> int:  # fmt: skip
     """Encode what is due; fills payload and message of `room`, gives the number of frames."""
     if _changed(status, memory):
@@ -151,12 +150,12 @@ def send(
         # The grid stays, however late a tick is; what was missed is not sent later.
         behind = max(now - start, 0) // cycle
         memory.next_ns[m] = start + cycle * (1 + behind)
-        for c in range(form.signals[m]):
-            if form.given[m, c]:
+        for c in range(sheet.given.shape[1]):
+            if sheet.given[m, c]:
                 room.value[rows, c] = value_of(
                     sheet.source[m, c], sheet.drive[m, c], status, counted
                 )
-        encode(m, room.value, rows, form, room.payload)
+        encode_frame(sheet.codec, m, room.value, sheet.given, room.payload, rows)
         e2e_protect(room.payload, rows, m, memory.counter[m] & 0xFF, config)
         memory.counter[m] += 1
         room.message[rows] = m

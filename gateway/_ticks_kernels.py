@@ -122,7 +122,7 @@ def several(
             samples, seen, foreign, odd = take_block(
                 t_ns[first:last], can_id[first:last], flags[first:last], length[first:last],
                 data[first:last], now, receiving.routes, receiving.e2e_config, receiving.e2e_state,
-                receiving.state, receiving.tables, receiving.wiring, receiving.hole_ns,
+                receiving.state, receiving.codec, receiving.wiring, receiving.hole_ns,
                 receiving.pairs, receiving.slow, receiving.scratch, receiving.readings,
                 receiving.out, receiving.beats,
             )  # fmt: skip
@@ -226,7 +226,7 @@ def several(
         _raise(went.peak, saying.status.drives)
         _count(receiving.scratch.tally, saying)
         frames = send(
-            now, saying.status, saying.counts, saying.sheet, saying.form, saying.e2e_config,
+            now, saying.status, saying.counts, saying.sheet, saying.e2e_config,
             saying.memory, saying.room,
         )  # fmt: skip
         for i in range(frames):

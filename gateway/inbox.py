@@ -199,9 +199,9 @@ class Inbox:
         """See `take_block`."""
         return self._take(  # type: ignore[no-any-return]
             block.t_ns, block.can_id, block.flags, block.length, block.data,
-            now, self.routes, self.e2e_config, self.e2e_state, self.state, self.codec.tables,
-            self.wiring, MAX_GAP_NS, self.pairs, self.slow, self.scratch, self.readings,
-            self.room, self.supervision.beats,
+            now, self.routes, self.e2e_config, self.e2e_state, self.state,
+            self.codec.tables.address, self.wiring, MAX_GAP_NS, self.pairs, self.slow,
+            self.scratch, self.readings, self.room, self.supervision.beats,
         )  # fmt: skip
 
     def count(self) -> None:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dbc.codec import PAYLOAD, Codec, MessageSpec
+from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
-from dbc.sending import form
 from gateway._direct import Direct
 from gateway._outbox_kernels import send
 from gateway.config import ConfigError
@@ -43,34 +43,30 @@ class Outbox:
         tick_ns: Nanos,
         authenticator: Authenticator | None = None,
     ) -> None:
-        """The set of messages is fixed here; nothing else can ever be sent.
-
-        Raises ConfigError for a DBC by which they cannot be encoded.
-        """
+        """The set of messages is fixed here; nothing else can ever be sent."""
         self.config_hash = config_hash
         self.codec = codec
         names = [f"Gateway_{n}" for n in ("Adhesion", "Faults", "Info", "Status")]
         names += [f"Drive{node}_{kind}" for node in nodes for kind in ("Estimate", "Thermal")]
         specs = sorted((codec.by_name[name] for name in names), key=lambda spec: spec.can_id)
         self.specs: dict[str, MessageSpec] = {spec.name: spec for spec in specs}
-        rows = [list(_sources(spec, nodes)) for spec in specs]
-        given = {s.name: [name for name, _, _ in r] for s, r in zip(specs, rows, strict=True)}
-        try:
-            self.form = form(codec, given)
-        except ValueError as error:
-            raise ConfigError(str(codec.path), [str(error)]) from None
+        self.tables = CodecTables(specs)
         self.e2e_config = configs(specs)
-        width = self.form.given.shape[1]
+        width = self.tables.width
         source, drive = np.zeros((2, len(specs), width), dtype=np.int64)
-        for m, (spec, row) in enumerate(zip(specs, rows, strict=True)):
-            for name, what, k in row:
-                source[m, spec.column(name)], drive[m, spec.column(name)] = what, k
+        given = np.zeros((len(specs), width), dtype=np.uint8)
+        for m, spec in enumerate(specs):
+            for name, what, k in _sources(spec, nodes):
+                column = spec.column(name)
+                given[m, column], source[m, column], drive[m, column] = 1, what, k
         place = list(self.specs)
         cycles = np.array([spec.cycle_ns for spec in specs], dtype=np.int64)
         # A real tick wakes a little later than the one that the grid counts from, or a little
         # less late: what is due within half a tick is due now.
         slack = tick_ns // 2
-        self.sheet = Sheet(source, drive, cycles, place.index(CHANGING), slack, tick_ns)
+        self.sheet = Sheet(
+            self.tables.address, given, source, drive, cycles, place.index(CHANGING), slack, tick_ns
+        )
         next_ns, counter = np.zeros((2, len(specs)), dtype=np.int64)
         self.memory = Memory(next_ns, counter, np.zeros(len(nodes) + 4, dtype=np.int64))
         self.room = Room(
@@ -121,7 +117,7 @@ class Outbox:
         """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
         self.begin(now)
         count = self._send(
-            now, status, self.counts, self.sheet, self.form, self.e2e_config, self.memory, self.room
+            now, status, self.counts, self.sheet, self.e2e_config, self.memory, self.room
         )
         self.note_sent(now)
         if not count:

@@ -121,11 +121,14 @@ Ints = NDArray[np.int64]
 class Sheet(NamedTuple):
     """Constants of M messages in the order of their ids, S columns.
 
-    source, drive (M, S): where a signal's value comes from (`Source`), and of which drive;
-    cycle_ns (M,); changing: number of the message that is sent at a change as well; slack_ns: what
-    is due within this is due now; tick_ns: period of the loop.
+    codec: address of the messages' `struct codec`; given (M, S): which signals carry a value, the
+    others keep their start value; source, drive (M, S): where a signal's value comes from
+    (`Source`), and of which drive; cycle_ns (M,); changing: number of the message that is sent at a
+    change as well; slack_ns: what is due within this is due now; tick_ns: period of the loop.
     """
 
+    codec: int
+    given: NDArray[np.uint8]
     source: Ints
     drive: Ints
     cycle_ns: Ints

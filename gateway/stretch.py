@@ -10,9 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._tables import Tables
 from dbc.records import Records
-from dbc.sending import Form
 from gateway import loads, motion, plausibility, sources, tracks, train
 from gateway.channel import ChannelState
 from gateway.flags import Status
@@ -40,7 +38,7 @@ class Receiving(NamedTuple):
     e2e_config: Records
     e2e_state: Records
     state: ChannelState
-    tables: Tables
+    codec: int
     wiring: Wiring
     hole_ns: int
     pairs: PairState
@@ -127,7 +125,6 @@ class Saying(NamedTuple):
     status: Status
     counts: Array
     sheet: sources.Sheet
-    form: Form
     e2e_config: Records
     memory: sources.Memory
     room: sources.Room

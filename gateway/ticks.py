@@ -166,9 +166,9 @@ class Ticks:
         inbox, load = gateway.inbox, gateway.load
         return Receiving(
             self._period_ns, inbox.routes, inbox.e2e_config, inbox.e2e_state, inbox.state,
-            inbox.codec.tables, inbox.wiring, MAX_GAP_NS, inbox.pairs, inbox.slow, inbox.scratch,
-            inbox.readings, inbox.room, gateway.supervision.beats, load.busy_s, load.classic_s,
-            load.fd_s, gateway.lost, gateway.places,
+            inbox.codec.tables.address, inbox.wiring, MAX_GAP_NS, inbox.pairs, inbox.slow,
+            inbox.scratch, inbox.readings, inbox.room, gateway.supervision.beats, load.busy_s,
+            load.classic_s, load.fd_s, gateway.lost, gateway.places,
         )  # fmt: skip
 
     def _filtering(self) -> Filtering:
@@ -200,6 +200,6 @@ class Ticks:
         flags.note_train(Reason.NONE, Flag.UNKNOWN, silent=False, overrun=False)
         return Saying(
             gateway.findings, flags.train_inputs, flags.inputs, flags.evidence, flags.status,
-            outbox.counts, outbox.sheet, outbox.form, outbox.e2e_config, outbox.memory, outbox.room,
+            outbox.counts, outbox.sheet, outbox.e2e_config, outbox.memory, outbox.room,
             self._cost_s, counted.rejected, counted.lost, REJECTS,
         )  # fmt: skip

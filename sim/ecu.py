@@ -24,7 +24,6 @@ from dbc.frame import BRS, FD, MS, Frame, Nanos
 from dbc.spec import MessageSpec
 from sim.canopen_ecu import CanopenNode
 from sim.faults import EMERGENCY, WireFaults
-from sim.packing import Packer
 from sim.readings import CURRENTS, SAMPLES, VOLTAGES, Values
 
 if TYPE_CHECKING:
@@ -63,11 +62,6 @@ class Ecu:
             kind: codec.by_name[prefix + kind] for kind in KINDS if prefix + kind in codec.by_name
         }
         self._flags = {s: FD | (BRS if m.brs else 0) for s, m in self.specs.items() if m.is_fd}
-        self._packers = {
-            kind: Packer(codec, spec, FAST[kind])
-            for kind, spec in self.specs.items()
-            if kind in FAST
-        }
         self._latency = LATENCY_NS + 7_000 * index
         self._last: dict[str, tuple[Nanos, bytearray]] = {}
         self.canopen = CanopenNode(node, self.specs, self._read, self_start=self_start)
@@ -167,7 +161,7 @@ class Ecu:
 
     def block(self, kind: str, instants_ns: NDArray[np.int64], values: Array) -> list[Frame]:
         """The frames of n instants (n,) of a fast message; values (n, S), columns FAST[kind]."""
-        payloads = self._packers[kind].pack(values)
+        payloads = self.codec.encode_rows(self.specs[kind], FAST[kind], values)
         pairs = zip(instants_ns.tolist(), payloads, strict=True)
         frames = [self._frame(kind, instant_ns, payload) for instant_ns, payload in pairs]
         return [frame for frame in frames if frame is not None]

@@ -20,7 +20,7 @@ from core_build import SOURCES
 
 OUT = Path("out/core").absolute()
 OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit/test_records.py",
-       "tests/property/test_e2e_property.py", "tests/unit/test_flags.py",
+       "tests/property/test_e2e_property.py", "tests/unit/test_codec_reference.py", "tests/unit/test_flags.py",
        "tests/unit/test_flags_reference.py",
        "tests/unit/test_variational_reference.py", "tests/unit/test_response_reference.py",
        "tests/unit/test_detect_learning.py")  # fmt: skip

@@ -29,9 +29,11 @@ from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
 E2E = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
+CODEC = ("tests/unit/test_codec_reference.py",)
 RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_learning.py")
 TESTS = {
     "dbc/crc.c": E2E, "dbc/e2e.c": E2E,
+    "dbc/decode.c": CODEC, "dbc/encode.c": CODEC,
     "gateway/core/flags.c": ("tests/unit/test_flags.py", "tests/unit/test_flags_reference.py"),
     "estimators/detect/variational.c": ("tests/unit/test_variational_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,

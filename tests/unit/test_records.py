@@ -15,12 +15,10 @@ import core_build
 from dbc import records
 
 ROOT = Path(core_build.__file__).parent
-RECORDS = {name: getattr(records, name.upper()) for name in (
-    "e2e_config", "e2e_state",
-    "flag", "flag_timing", "flag_rules", "flag_inputs", "train_inputs", "drive_evidence",
-    "drive_status", "train_status", "vb_priors", "load_spread", "load_ratio",
-    "load_observation", "command_response",
-)}  # fmt: skip
+RECORDS = {
+    name: records.dtype_of(records.ffi.typeof(f"struct {name}"))
+    for name in records.ffi.list_types()[1]
+}
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
     "aarch64": ["-target", "aarch64-linux-gnu.2.17"],

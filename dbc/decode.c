@@ -1,0 +1,155 @@
+/* Bits of a frame to physical values, by the DBC alone.
+ *
+ * No function here can fail: `data` has PAYLOAD_BYTES bytes, of which `first_byte` (at most 56) and
+ * the eight bytes from there are some, a ninth one only where dbc/codec_tables.py found one; every
+ * other index is from the constant tables. Nothing is divided. */
+#include "dbc/decode.h"
+
+#include <math.h>
+
+#include "dbc/bytes.h"
+
+/* The bits of a signal. Off the byte grid, one of 58 bits and more can end in a ninth byte. */
+static inline uint64_t read_bits(const struct signal *signal, const uint8_t *data)
+{
+    const uint8_t *bytes = data + signal->first_byte;
+    /* Without a branch: which order comes next depends on the frames. */
+    const uint64_t little = load_little(bytes), big = load_big(bytes);
+    const uint64_t swapped = -(uint64_t)signal->big_endian;
+    uint64_t bits = ((big & swapped) | (little & ~swapped)) >> signal->shift;
+    const unsigned ninth = signal->ninth_bits;
+    if (ninth && signal->big_endian)
+        bits = bits << ninth | (uint64_t)bytes[8] >> (8 - ninth);
+    else if (ninth)
+        bits |= (uint64_t)bytes[8] << (64 - signal->shift); /* the shift is 1 to 7 here */
+    return bits & signal->mask;
+}
+
+/* Two's complement of the signal's width to that of 64 bits; an unsigned one stays as it is. */
+static uint64_t sign_extended(const struct signal *signal, uint64_t bits)
+{
+    return (bits ^ signal->sign) - signal->sign;
+}
+
+/* The number that a float's bits are. */
+static double float_of(const struct signal *signal, uint64_t bits)
+{
+    if (signal->type == SIGNAL_FLOAT64)
+        return double_of_bits(bits);
+    return (double)float_of_bits((uint32_t)bits);
+}
+
+int signal_present(const struct codec *codec, const struct message *message,
+                   const struct signal *signal, const uint8_t *data)
+{
+    for (int depth = signal->mux_depth; depth > 0; depth--) {
+        const struct signal *selector =
+            &codec->signals[message->first_signal + signal->multiplexer];
+        const int64_t raw = (int64_t)sign_extended(selector, read_bits(selector, data));
+        const struct mux_range *ranges = &codec->mux_ranges[signal->first_range];
+        int selected = 0;
+        for (int r = 0; r < signal->range_count; r++)
+            selected |= ranges[r].low <= raw && raw <= ranges[r].high;
+        if (!selected)
+            return 0;
+        signal = selector;
+    }
+    return 1;
+}
+
+/* Validity of an integer by its key. */
+static uint8_t judge(const struct signal *signal, uint64_t key)
+{
+    if (key - signal->valid_first < signal->valid_count)
+        return SIGNAL_VALID;
+    if (signal->has_none && key == signal->key_none)
+        return SIGNAL_NOT_AVAILABLE;
+    if (key < signal->key_min || key > signal->key_max)
+        return SIGNAL_OUT_OF_RANGE;
+    if (signal->saturates && (key == signal->key_min || key == signal->key_max))
+        return SIGNAL_SATURATED;
+    return SIGNAL_VALID;
+}
+
+/* Physical value of a signal that is in the frame; returns its validity. */
+static uint8_t decode_signal(const struct signal *signal, const uint8_t *data, double *value)
+{
+    const uint64_t bits = read_bits(signal, data);
+    if (signal->type >= SIGNAL_FLOAT32) {
+        *value = float_of(signal, bits) * signal->scale + signal->offset;
+        const int inside = signal->float_min <= *value && *value <= signal->float_max;
+        return inside ? SIGNAL_VALID : SIGNAL_OUT_OF_RANGE;
+    }
+    double number = (double)(int64_t)sign_extended(signal, bits);
+    if (signal->type == SIGNAL_UINT64)
+        number = (double)bits;
+    *value = number * signal->scale + signal->offset;
+    return judge(signal, bits ^ signal->sign);
+}
+
+/* Which signals of a listed message are in a frame, a bit for each. */
+static uint64_t present_signals(const struct codec *codec, const struct message *message,
+                                const uint8_t *data)
+{
+    const struct signal *selector = &codec->signals[message->first_signal + message->selector];
+    return codec->present[message->first_present + read_bits(selector, data)];
+}
+
+/* NaN where `present` is 0: all bits set. No branch, as what a selector selects is hard to predict. */
+static double value_if(unsigned present, double value)
+{
+    return double_of_bits(bits_of_double(value) | ((uint64_t)present - 1));
+}
+
+/* One frame of a message; returns the number of its signals, which are decoded. */
+static int decode_frame(const struct codec *codec, const struct message *message,
+                        const uint8_t *data, double *value, uint8_t *validity)
+{
+    const struct signal *signals = &codec->signals[message->first_signal];
+    const uint64_t listed = message->is_listed ? present_signals(codec, message, data) : 0;
+    for (int k = 0; k < message->signal_count; k++) {
+        double physical;
+        unsigned code = decode_signal(&signals[k], data, &physical);
+        if (message->mux_depth > 0) {
+            unsigned present = (unsigned)(listed >> k % 64) & 1;
+            if (!message->is_listed)
+                present = (unsigned)signal_present(codec, message, &signals[k], data);
+            physical = value_if(present, physical);
+            code += (1 - present) * (SIGNAL_ABSENT - code);
+        }
+        value[k] = physical;
+        validity[k] = (uint8_t)code;
+    }
+    return message->signal_count;
+}
+
+void decode_frames(const struct codec *codec, int64_t frames, const int32_t *message,
+                   const uint8_t *data, double *value, uint8_t *validity)
+{
+    for (int64_t i = 0; i < frames; i++) {
+        const int known = message[i] >= 0 && message[i] < codec->message_count;
+        int k = 0;
+        if (known)
+            k = decode_frame(codec, &codec->messages[message[i]], data, value, validity);
+        for (; k < codec->width; k++) {
+            value[k] = NAN;
+            validity[k] = SIGNAL_ABSENT;
+        }
+        data += PAYLOAD_BYTES;
+        value += codec->width;
+        validity += codec->width;
+    }
+}
+
+void raw_values(const struct codec *codec, int32_t message, const uint8_t *data, uint64_t *raw)
+{
+    const struct message *layout = &codec->messages[message];
+    const struct signal *signals = &codec->signals[layout->first_signal];
+    for (int k = 0; k < layout->signal_count; k++) {
+        const uint64_t bits = read_bits(&signals[k], data);
+        if (signals[k].type == SIGNAL_FLOAT32)
+            raw[k] = bits_of_double(float_of(&signals[k], bits));
+        else
+            raw[k] = sign_extended(&signals[k], bits);
+    }
+}
