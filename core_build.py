@@ -19,10 +19,18 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
 
 ROOT = Path(__file__).parent
-HEADERS = ("gateway/core/records.h", "dbc/e2e.h")
+HEADERS = (
+    "gateway/core/records.h", "dbc/e2e.h",
+    "estimators/elementary.h", "estimators/maisd.h", "estimators/thermal/gaussian_mixture.h",
+    "estimators/thermal/sigma_mixed.h",
+)  # fmt: skip
 """In the order in which they build on one another."""
-SOURCES = ("dbc/crc.c", "dbc/e2e.c")
-DEPENDS = (*HEADERS, "dbc/crc.h")
+SOURCES = (
+    "dbc/crc.c", "dbc/e2e.c",
+    "estimators/elementary.c", "estimators/order_statistics.c", "estimators/maisd.c",
+    "estimators/thermal/gaussian_mixture.c", "estimators/thermal/sigma_mixed.c",
+)  # fmt: skip
+DEPENDS = (*HEADERS, "dbc/crc.h", "estimators/order_statistics.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""
@@ -56,7 +64,7 @@ def builder() -> Any:
     includes = "\n".join(f'#include "{header}"' for header in HEADERS)
     made.set_source(
         "_traction_core", includes, sources=list(SOURCES), include_dirs=["."],
-        depends=list(DEPENDS), extra_compile_args=list(FLAGS), py_limited_api=True,
+        depends=list(DEPENDS), extra_compile_args=list(FLAGS), py_limited_api=True, libraries=["m"],
     )  # fmt: skip
     command = " ".join(compiler())
     os.environ.setdefault("CC", command)

@@ -30,7 +30,18 @@ def dtype_of(ctype: Any) -> Any:
     return np.dtype(ctype.cname.removesuffix("_t"))
 
 
+def pointer(ctype: str, array: NDArray[Any]) -> Any:
+    """Address of a contiguous array as a pointer to numbers or records of this C type.
+
+    Raises ValueError for an array that is not contiguous. The array has to outlive its use.
+    """
+    return ffi.from_buffer(f"{ctype}[]", array)
+
+
 E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
 E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
+MIXTURE: Final = dtype_of(ffi.typeof("struct mixture"))
+SIGMA_MIXED_CONFIG: Final = dtype_of(ffi.typeof("struct sigma_mixed_config"))
+SIGMA_MIXED_SAMPLE: Final = dtype_of(ffi.typeof("struct sigma_mixed_sample"))
 LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
 """What compiled loops depend on that address these records."""

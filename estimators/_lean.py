@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from dbc._kernelcache import njit
-from dbc._lean import lean
+from dbc._lean import inlined, lean
 
-__all__ = ["fused", "lean", "njit"]
+__all__ = ["fused", "inlined", "lean", "njit"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 

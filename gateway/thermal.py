@@ -102,7 +102,7 @@ class ThermalSide:
         self.warmth = warmth.warmth(
             self.sensors.points,
             warmth.seconds(motors, len(POINTS) + 3, every),
-            _averages(maisd.start(window, motors, len(POINTS)).ring, calibration, nodes),
+            _averages(maisd.window(window, motors, len(POINTS)), calibration, nodes),
             period_ns,
             method,
         )

@@ -53,4 +53,36 @@ struct e2e_state {
     uint8_t next;               /* index in `window` of the oldest */
 };
 
+/* ---- Temperatures of the motors, and their thermal model ---- */
+
+#define THERMAL_POINTS 3 /* with a sensor: stator winding, drive end, non-drive end */
+
+#define MIXTURE_MAX 8 /* components of a Gaussian mixture, at most */
+
+/* A Gaussian mixture of a scalar, its components in the order of their means. */
+struct mixture {
+    double weight[MIXTURE_MAX];   /* they add up to 1 */
+    double mean[MIXTURE_MAX];     /* of the scalar's unit */
+    double variance[MIXTURE_MAX]; /* of its square */
+};
+
+/* Sigma-mixed filter of one motor (paper `thermal`); constant. */
+struct sigma_mixed_config {
+    double drift[THERMAL_POINTS]; /* K/s, degradation of each point */
+    double q[THERMAL_POINTS];     /* K^2, variance of the model's error from sample to sample */
+    double r[THERMAL_POINTS];     /* K^2, variance of a reading */
+    double apart[THERMAL_POINTS]; /* K, usual distance of a point from the three points' mean */
+    double kappa;                 /* of the sigma points */
+    double mixing;                /* share of the common part that the mixture gives */
+    int32_t weighted;             /* 1: the mixture's mean in place of (21) */
+};
+
+/* What it gets at one sample. */
+struct sigma_mixed_sample {
+    double y[THERMAL_POINTS];       /* degC, NaN without a reading */
+    double settled[THERMAL_POINTS]; /* degC, where the inputs drive a point */
+    double keep[THERMAL_POINTS];    /* share of the distance from there left after the gap */
+    double gap;                     /* s since the last sample */
+};
+
 #endif

@@ -100,8 +100,8 @@ class Learner:
         means = np.array(self.means)
         gain, offset = _against_fleet(means, self.fitted)
         centred = (means - offset) / gain
-        spreads = np.array([maisd.maisd(m, self.fitted) for m in centred])
-        apart = np.array([maisd.deviation(m, self.fitted) for m in centred])
+        compared = [maisd.compare(m, self.fitted) for m in centred]
+        spreads, apart = (np.array(part) for part in zip(*compared, strict=True))
         # NaN: a sensor that is not there, or that no other motor has. The floors stand then.
         spread = np.nan_to_num(spreads).max(axis=0)
         limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))

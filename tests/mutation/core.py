@@ -28,7 +28,10 @@ from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
-TESTS = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
+TESTS = (
+    "tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py",
+    "tests/unit/test_elementary.py", "tests/unit/test_maisd.py", "tests/unit/test_sigma_mixed.py",
+)  # fmt: skip
 LIMIT_S = 120
 SWAPS = {
     "==": "!=", "!=": "==", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "+": "-", "-": "+",

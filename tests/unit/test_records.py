@@ -15,7 +15,11 @@ import core_build
 from dbc import records
 
 ROOT = Path(core_build.__file__).parent
-RECORDS = {"e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE}
+RECORDS = {
+    "e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE, "mixture": records.MIXTURE,
+    "sigma_mixed_config": records.SIGMA_MIXED_CONFIG,
+    "sigma_mixed_sample": records.SIGMA_MIXED_SAMPLE,
+}  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
     "aarch64": ["-target", "aarch64-linux-gnu.2.17"],
