@@ -22,15 +22,26 @@ ROOT = Path(__file__).parent
 HEADERS = (
     "gateway/core/records.h", "dbc/e2e.h",
     "estimators/elementary.h", "estimators/maisd.h", "estimators/thermal/gaussian_mixture.h",
-    "estimators/thermal/sigma_mixed.h",
+    "estimators/thermal/sigma_mixed.h", "estimators/thermal/model.h",
+    "estimators/thermal/step_detector.h", "estimators/thermal/peers.h",
+    "estimators/thermal/imm.h", "estimators/thermal/imm_update.h",
+    "estimators/thermal/residuals.h",
+    "estimators/thermal/monitor.h", "estimators/thermal/hypotheses.h",
 )  # fmt: skip
 """In the order in which they build on one another."""
 SOURCES = (
     "dbc/crc.c", "dbc/e2e.c",
     "estimators/elementary.c", "estimators/order_statistics.c", "estimators/maisd.c",
     "estimators/thermal/gaussian_mixture.c", "estimators/thermal/sigma_mixed.c",
+    "estimators/thermal/model.c", "estimators/thermal/step_detector.c",
+    "estimators/thermal/peers.c", "estimators/thermal/imm.c", "estimators/thermal/imm_predict.c",
+    "estimators/thermal/imm_update.c", "estimators/thermal/residuals.c",
+    "estimators/thermal/monitor.c", "estimators/thermal/hypotheses.c",
 )  # fmt: skip
-DEPENDS = (*HEADERS, "dbc/crc.h", "estimators/order_statistics.h")
+DEPENDS = (
+    *HEADERS, "dbc/crc.h", "estimators/numbers.h", "estimators/order_statistics.h",
+    "estimators/thermal/imm_predict.h",
+)  # fmt: skip
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""

@@ -18,6 +18,13 @@ void sort_ascending(double *values, int n)
     }
 }
 
+double median_in_place(double *values, int n)
+{
+    sort_ascending(values, n);
+    const double above = values[n / 2];
+    return n % 2 ? above : (values[n / 2 - 1] + above) / 2.0;
+}
+
 struct middle_pair middle_of_others(const double *sorted, int others, double own)
 {
     const int low = (others - 1) / 2, high = others / 2;

@@ -10,6 +10,9 @@ struct middle_pair {
 /* Sort n numbers, none of them NaN, in place, ascending. */
 void sort_ascending(double *values, int n);
 
+/* Median of n >= 1 numbers, which are sorted in place. */
+double median_in_place(double *values, int n);
+
 /* The two middle numbers (equal where their count is odd) of sorted numbers, of which one, `own`, is
  * left out; `others`, at least 1, is how many are left. `own` is NaN: none is left out. */
 struct middle_pair middle_of_others(const double *sorted, int others, double own);

@@ -166,7 +166,7 @@ class ThermalSide:
             return FOREVER
         beat = self.warmth.beat
         next_ns, left = int(beat[Beat.NEXT_NS]), self.warmth.seconds.every - int(beat[Beat.AT]) - 1
-        if next_ns == NEVER or (self.heat is not None and self.heat.watch.waiting):
+        if next_ns == NEVER or (self.heat is not None and self.heat.monitor.waiting):
             return NEVER
         return next_ns + left * self.period_ns
 

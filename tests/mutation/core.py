@@ -31,6 +31,8 @@ KEPT = Path(__file__).with_name("core.json")
 TESTS = (
     "tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py",
     "tests/unit/test_elementary.py", "tests/unit/test_maisd.py", "tests/unit/test_sigma_mixed.py",
+    "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
+    "tests/unit/test_thermal_imm.py", "tests/unit/test_thermal_monitor_order.py",
 )  # fmt: skip
 LIMIT_S = 120
 SWAPS = {
