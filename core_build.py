@@ -21,19 +21,59 @@ from setuptools.build_meta import *  # noqa: F403 - everything else of the backe
 ROOT = Path(__file__).parent
 HEADERS = (
     "gateway/core/records.h",
-    "dbc/e2e.h", "dbc/decode.h", "dbc/encode.h",
-    "estimators/detect/variational.h", "estimators/detect/load_reference.h",
+    "dbc/e2e.h",
+    "dbc/decode.h",
+    "dbc/encode.h",
+    "estimators/detect/variational.h",
+    "estimators/detect/load_reference.h",
     "estimators/detect/command_response.h",
+    "estimators/elementary.h",
+    "estimators/maisd.h",
+    "estimators/thermal/gaussian_mixture.h",
+    "estimators/thermal/sigma_mixed.h",
+    "estimators/thermal/model.h",
+    "estimators/thermal/step_detector.h",
+    "estimators/thermal/peers.h",
+    "estimators/thermal/imm.h",
+    "estimators/thermal/imm_update.h",
+    "estimators/thermal/residuals.h",
+    "estimators/thermal/monitor.h",
+    "estimators/thermal/hypotheses.h",
     "gateway/core/flags.h",
-)  # fmt: skip
+)
 """In the order in which they build on one another."""
 SOURCES = (
-    "dbc/crc.c", "dbc/e2e.c", "dbc/decode.c", "dbc/encode.c",
-    "estimators/detect/variational.c", "estimators/detect/load_reference.c",
+    "dbc/crc.c",
+    "dbc/e2e.c",
+    "dbc/decode.c",
+    "dbc/encode.c",
+    "estimators/detect/variational.c",
+    "estimators/detect/load_reference.c",
     "estimators/detect/command_response.c",
+    "estimators/elementary.c",
+    "estimators/order_statistics.c",
+    "estimators/maisd.c",
+    "estimators/thermal/gaussian_mixture.c",
+    "estimators/thermal/sigma_mixed.c",
+    "estimators/thermal/model.c",
+    "estimators/thermal/step_detector.c",
+    "estimators/thermal/peers.c",
+    "estimators/thermal/imm.c",
+    "estimators/thermal/imm_predict.c",
+    "estimators/thermal/imm_update.c",
+    "estimators/thermal/residuals.c",
+    "estimators/thermal/monitor.c",
+    "estimators/thermal/hypotheses.c",
     "gateway/core/flags.c",
-)  # fmt: skip
-DEPENDS = (*HEADERS, "dbc/crc.h", "dbc/bytes.h")
+)
+DEPENDS = (
+    *HEADERS,
+    "dbc/crc.h",
+    "dbc/bytes.h",
+    "estimators/numbers.h",
+    "estimators/order_statistics.h",
+    "estimators/thermal/imm_predict.h",
+)
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""

@@ -50,7 +50,7 @@ class Curve(NamedTuple):
 
 
 def drives() -> list[Curve]:
-    """s of one tick of 10 ms at 500 samples a second, or one sample of the thermal watch."""
+    """s of one tick of 10 ms at 500 samples a second, or one sample of the thermal monitor."""
     sizes = [float(n) for n in FLEETS]
     return [
         Curve("EKF, 5 samples", sizes, [5 / BLOCK * compiled(ekf_lanes, n, BLOCK) for n in FLEETS]),

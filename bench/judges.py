@@ -17,11 +17,11 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from sklearn.mixture import BayesianGaussianMixture, GaussianMixture
 
 from bench.kernels import best
-from estimators import _maisd_kernels, maisd
+from estimators import maisd
 from estimators.detect import Evidence, VariationalDetector
 from estimators.detect.variational import DEFAULT_PRIORS
-from estimators.thermal import _sigma_mixed_kernels
-from estimators.thermal.sigma_mixed import KAPPA
+from estimators.thermal.sigma_mixed import Lumps, SigmaMixedFilter, estimate
+from tests.reference import maisd as reference
 from tests.reference.variational import infer, starts
 
 HEADER = ("kernel", "drives", "per call", "per drive", "reference in the same run")
@@ -76,14 +76,10 @@ def sigma_mixed(n: int) -> float:
     shape = (SAMPLES, n, 3)
     y = 60.0 + rng.normal(0.0, 0.3, shape)
     settled, keep = np.full(shape, 60.0), np.full(shape, 0.99)
-    drift, q, r = np.zeros((n, 3)), np.full((n, 3), 0.2), np.full((n, 3), 0.1)
-    options, state, mixed = np.array([KAPPA, 0.2, 0.0]), np.empty(shape), np.empty(shape[:2])
-    gap, apart = np.ones(SAMPLES), np.array([10.0, -4.0, -6.0])
-
-    def run() -> None:
-        _sigma_mixed_kernels.sweep(y, settled, keep, drift, gap, q, r, apart, options, state, mixed)
-
-    return best(run) / SAMPLES
+    none, gap = np.zeros((n, 3)), np.ones(SAMPLES)
+    known = Lumps(none, none, none, none + 0.2, none + 0.1, np.array([10.0, -4.0, -6.0]))
+    configs = SigmaMixedFilter().configs(known, none)
+    return best(lambda: estimate(configs, y, settled, keep, gap)) / SAMPLES
 
 
 def library_mixed() -> float:
@@ -110,17 +106,14 @@ def library_mixed() -> float:
 def spread(n: int) -> float:
     """s a sample of n motors through the compiled MAISD."""
     rng = np.random.default_rng(0)
-    ring, _ = maisd.start(WINDOW, n, 3)
+    ring = maisd.window(WINDOW, n, 3)
     values, present = rng.normal(60.0, 1.0, (n, 3)), np.ones((n, 3), dtype=np.bool_)
-    mean, known = np.zeros((n, 3)), np.zeros((n, 3), dtype=np.bool_)
-    number = np.zeros((n, 3), dtype=np.int64)
-    out, off, ranked = np.empty(3), np.empty((n, 3)), np.empty(n)
     seen = 0
 
     def take() -> None:
         nonlocal seen
-        _maisd_kernels.take(ring, seen, values, present, mean, number, known)
-        _maisd_kernels.compare(mean, known, ranked, out, off)
+        maisd.push(ring, seen, values, present)
+        maisd.compare(*maisd.average(ring))
         seen += 1
 
     for _ in range(WINDOW):
@@ -131,14 +124,14 @@ def spread(n: int) -> float:
 def plain_spread(n: int) -> float:
     """s of the NumPy twin."""
     rng = np.random.default_rng(0)
-    state = maisd.start(WINDOW, n, 3)
+    state = reference.start(WINDOW, n, 3)
     values, present = rng.normal(60.0, 1.0, (n, 3)), np.ones((n, 3), dtype=np.bool_)
     for _ in range(WINDOW):
-        state = maisd.push(state, values, present)
+        state = reference.push(state, values, present)
 
     def take() -> None:
-        mean, known = maisd.average(maisd.push(state, values, present))
-        maisd.maisd(mean, known), maisd.deviation(mean, known)
+        mean, known = reference.average(reference.push(state, values, present))
+        reference.maisd(mean, known), reference.deviation(mean, known)
 
     return best(take)
 

@@ -1,4 +1,4 @@
-"""What the thermal watch costs: 16 to 1,024 motors at one sample a second, in ticks of 10 ms."""
+"""What the thermal monitor costs: 16 to 1,024 motors at one sample a second, in ticks of 10 ms."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from estimators.thermal.heat import TYPICAL
-from estimators.thermal.watch import Known, Watch
+from estimators.thermal.model import TYPICAL
+from estimators.thermal.monitor import Known, ThermalMonitor
 
 HEADER = ("what", "per 10 ms tick, mean", "goal", "a second's samples", "a motor's block")
 FLEETS = {16: "10 us", 64: "-", 1024: "500 us"}
@@ -15,27 +15,27 @@ TICKS = 100
 """In a second."""
 
 
-def _watch(motors: int) -> Watch:
+def _monitor(motors: int) -> ThermalMonitor:
     nothing = np.zeros((motors, 3))
     known = Known(
         np.tile(TYPICAL, (motors, 1)), nothing, nothing + 0.25, 1.5,
         np.array([200.0, 1e4, 0.02, 0.04]),
     )  # fmt: skip
-    return Watch(known, 1.0)
+    return ThermalMonitor(known, 1.0)
 
 
 def cost(motors: int) -> tuple[float, float, float]:
     """s: mean per tick over two minutes of samples; a second's samples; a motor's block."""
-    watch, rng = _watch(motors), np.random.default_rng(0)
+    monitor, rng = _monitor(motors), np.random.default_rng(0)
     square, speed, air = (np.full(motors, value) for value in (1e4, 200.0, 20.0))
     samples, judged, blocks = 0.0, 0.0, 0
     for second in range(180):
         reading = 50.0 + 0.25 * rng.standard_normal((motors, 3))
         begun = time.perf_counter()
-        watch.take(reading, square, speed, air)
+        monitor.add_sample(reading, square, speed, air)
         taken = time.perf_counter()
-        waiting = watch.waiting
-        watch.work(waiting)
+        waiting = monitor.waiting
+        monitor.judge(waiting)
         done = time.perf_counter()
         if second >= 60:
             samples += taken - begun
@@ -50,7 +50,7 @@ def rows() -> list[tuple[str, ...]]:
     for motors, goal in FLEETS.items():
         tick, second, block = (1e6 * spent for spent in cost(motors))
         out.append((
-            f"thermal watch, {motors} motors", f"{tick:.1f} us", goal,
+            f"thermal monitor, {motors} motors", f"{tick:.1f} us", goal,
             f"{second:.0f} us", f"{block:.0f} us",
         ))  # fmt: skip
     return out

@@ -32,6 +32,14 @@ def dtype_of(ctype: Any) -> Any:
     return np.dtype(ctype.cname.removesuffix("_t"))
 
 
+def pointer(ctype: str, array: NDArray[Any]) -> Any:
+    """Address of a contiguous array as a pointer to numbers or records of this C type.
+
+    Raises ValueError for an array that is not contiguous. The array has to outlive its use.
+    """
+    return ffi.from_buffer(f"{ctype}[]", array)
+
+
 E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
 E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
 FLAG: Final = dtype_of(ffi.typeof("struct flag"))
@@ -51,6 +59,25 @@ SIGNAL: Final = dtype_of(ffi.typeof("struct signal"))
 MESSAGE: Final = dtype_of(ffi.typeof("struct message"))
 MUX_RANGE: Final = dtype_of(ffi.typeof("struct mux_range"))
 CODEC: Final = dtype_of(ffi.typeof("struct codec"))
+MIXTURE: Final = dtype_of(ffi.typeof("struct mixture"))
+SIGMA_MIXED_CONFIG: Final = dtype_of(ffi.typeof("struct sigma_mixed_config"))
+SIGMA_MIXED_SAMPLE: Final = dtype_of(ffi.typeof("struct sigma_mixed_sample"))
+THERMAL_PARAMETERS: Final = dtype_of(ffi.typeof("struct thermal_parameters"))
+THERMAL_INPUT: Final = dtype_of(ffi.typeof("struct thermal_input"))
+STEP_CONFIG: Final = dtype_of(ffi.typeof("struct step_config"))
+STEP_STATE: Final = dtype_of(ffi.typeof("struct step_state"))
+IMM_FAULT: Final = dtype_of(ffi.typeof("struct imm_fault"))
+IMM_CONFIG: Final = dtype_of(ffi.typeof("struct imm_config"))
+IMM_SURROUNDINGS: Final = dtype_of(ffi.typeof("struct imm_surroundings"))
+IMM_STATE: Final = dtype_of(ffi.typeof("struct imm_state"))
+THERMAL_SUMS: Final = dtype_of(ffi.typeof("struct thermal_sums"))
+THERMAL_BURST: Final = dtype_of(ffi.typeof("struct thermal_burst"))
+THERMAL_MOTOR_CONFIG: Final = dtype_of(ffi.typeof("struct thermal_motor_config"))
+THERMAL_CONFIG: Final = dtype_of(ffi.typeof("struct thermal_config"))
+THERMAL_MOTOR: Final = dtype_of(ffi.typeof("struct thermal_motor"))
+HYPOTHESIS_CONFIG: Final = dtype_of(ffi.typeof("struct hypothesis_config"))
+HYPOTHESIS_SPREAD: Final = dtype_of(ffi.typeof("struct hypothesis_spread"))
+HYPOTHESIS_STATE: Final = dtype_of(ffi.typeof("struct hypothesis_state"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

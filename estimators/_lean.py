@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 from dbc._core_symbols import symbol
 from dbc._kernelcache import njit
-from dbc._lean import lean
+from dbc._lean import inlined, lean
 
-__all__ = ["fused", "lean", "njit", "symbol"]
+__all__ = ["fused", "inlined", "lean", "njit", "symbol"]
 F = TypeVar("F", bound=Callable[..., Any])
 
 

@@ -16,8 +16,8 @@ from pydantic import Field, ValidationError
 
 from dbc.bounds import within
 from dbc.text import read_bytes, read_toml
-from estimators.thermal import heat
-from estimators.thermal.watch import Known
+from estimators.thermal import model
+from estimators.thermal.monitor import Known
 from gateway.config import Config, ConfigError, Strict, check_seal
 
 POINTS = ("stator", "drive_end", "non_drive_end")
@@ -37,13 +37,13 @@ Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
 class MotorHeat(Strict):
-    """One motor's thermal model, see `estimators.thermal.heat` and `watch.Known`.
+    """One motor's thermal model, see `estimators.thermal.model` and `monitor.Known`.
 
-    rates: of its lumps, in the order of `heat.NAMES`; offset_k: of the sensors; centre_k: what it
+    rates: of its lumps, in the order of `model.NAMES`; offset_k: of the sensors; centre_k: what it
     differs from the others by in health; noise_k: of readings a second long.
     """
 
-    rates: tuple[Rate, ...] = Field(min_length=heat.RATES, max_length=heat.RATES)
+    rates: tuple[Rate, ...] = Field(min_length=model.RATES, max_length=model.RATES)
     offset_k: Three
     centre_k: Three
     noise_k: tuple[Noise, Noise, Noise]

@@ -1,4 +1,4 @@
-"""The thermal model beside the motors: what the bus says of them, second by second, to `watch`.
+"""The thermal model beside the motors: what the bus says of them, second by second.
 
 May know: estimators, readings, calibration. May not know: frames, flags. Needs of every drive the
 current (`Irms` of `Status`), the speed (`Motion`) and the ambient temperature.
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from dbc.frame import SECOND
 from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS, side
+from estimators.thermal.monitor import Known, ThermalMonitor
 from estimators.thermal.trend import Trend
-from estimators.thermal.watch import Known, Watch
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.warmth import AS_IT_IS, Model
 
@@ -68,33 +68,33 @@ class Wear(NamedTuple):
 
 
 class HeatSide:
-    """The watch of N motors; `take` per temperature cycle, `work` per tick."""
+    """The thermal monitor of N motors; `take` per temperature cycle, `work` per tick."""
 
     def __init__(self, known: Known, dt_s: float, limit_k: float) -> None:
         """known: of the configured motors, in their order; dt_s: between samples.
 
         limit_k: K that a motor may grow warmer than the others.
         """
-        self.watch = Watch(known, dt_s)
+        self.monitor = ThermalMonitor(known, dt_s)
         self.trend = Trend(len(known.parameters))
         self.limit_k = limit_k
         self.jumps = np.zeros(len(known.parameters), dtype=np.int64)
 
     def take(self, sample: Sample) -> None:
         """One second of all motors."""
-        watch = self.watch
-        before = watch.offsets.copy()
-        watch.take(*sample)
-        self.jumps += (watch.offsets != before).any(axis=1)
-        if watch.at:
+        monitor = self.monitor
+        before = monitor.offsets.copy()
+        monitor.add_sample(*sample)
+        self.jumps += (monitor.offsets != before).any(axis=1)
+        if monitor.position:
             return
         # A block is complete. What a fault does is no degradation.
-        beside = watch.off + watch.base
+        beside = monitor.motors["off_k"] + monitor.motors["base_k"]
         seen = np.isfinite(beside)
         total = np.where(seen, beside, 0.0).sum(axis=1)
         with np.errstate(invalid="ignore"):
-            deviation = np.where(watch.held, math.nan, total / seen.sum(axis=1))
-        self.trend.take(deviation, watch.block_s / 3600.0)
+            deviation = np.where(monitor.held, math.nan, total / seen.sum(axis=1))
+        self.trend.take(deviation, monitor.block_s / 3600.0)
 
     def wear(self, k: int) -> Wear:
         """What is known of motor k's degradation."""
@@ -103,9 +103,9 @@ class HeatSide:
 
     def work(self) -> bool:
         """A motor a tick: a block of many motors must not make one tick late. False if idle."""
-        if not self.watch.waiting:
+        if not self.monitor.waiting:
             return False
-        self.watch.work(1)
+        self.monitor.judge(1)
         return True
 
     def say(self, out: Model) -> None:
@@ -140,30 +140,30 @@ class HeatSide:
 
     def blind(self, k: int) -> bool:
         """True where its current, speed or ambient temperature has been unknown for too long."""
-        return bool(self.watch.unknown_s[k] > BLIND_S)
+        return bool(self.monitor.motors[k]["unknown_s"] > BLIND_S)
 
     def ready(self, k: int) -> bool:
         """True once the motor has been judged by a block of readings."""
-        return bool(self.watch.judged[k] > 0)
+        return bool(self.monitor.motors[k]["judged"] > 0)
 
     def alone(self, k: int) -> bool:
         """True where no reading of its last block could be compared with other motors'."""
-        return not bool(np.isfinite(self.watch.off[k]).any())
+        return not bool(np.isfinite(self.monitor.motors[k]["off_k"]).any())
 
     def undecided(self, k: int) -> bool:
         """True while something is likely to be wrong with motor k, but not sure enough to say."""
-        return bool(self.watch.ill[k] > LIKELY and not self.watch.held[k])
+        motor = self.monitor.motors[k]
+        return bool(motor["fault_probability"] > LIKELY and not motor["held"])
 
     def finding(self, k: int) -> Finding | None:
         """What is wrong with motor k; None if nothing is likelier.
 
         The class is unknown while it may as well be a hot motor as a sensor that is off.
         """
-        watch = self.watch
-        stepped = watch.offsets[k].any()
-        if not (watch.held[k] or stepped):
+        monitor = self.monitor
+        if not (monitor.motors[k]["held"] or monitor.offsets[k].any()):
             return None
-        kind, size = watch.told()
+        kind, size = monitor.kinds()
         whose = int(side(kind[k]))
         if not whose:
             return Finding(FaultClass.UNKNOWN, FaultSensor.NONE, float(size[k]))

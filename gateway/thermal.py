@@ -102,7 +102,7 @@ class ThermalSide:
         self.warmth = warmth.warmth(
             self.sensors.points,
             warmth.seconds(motors, len(POINTS) + 3, every),
-            _averages(maisd.start(window, motors, len(POINTS)).ring, calibration, nodes),
+            _averages(maisd.window(window, motors, len(POINTS)), calibration, nodes),
             period_ns,
             method,
         )
@@ -166,7 +166,7 @@ class ThermalSide:
             return FOREVER
         beat = self.warmth.beat
         next_ns, left = int(beat[Beat.NEXT_NS]), self.warmth.seconds.every - int(beat[Beat.AT]) - 1
-        if next_ns == NEVER or (self.heat is not None and self.heat.watch.waiting):
+        if next_ns == NEVER or (self.heat is not None and self.heat.monitor.waiting):
             return NEVER
         return next_ns + left * self.period_ns
 

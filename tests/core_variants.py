@@ -20,10 +20,23 @@ from core_build import SOURCES
 
 OUT = Path("out/core").absolute()
 OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit/test_records.py",
-       "tests/property/test_e2e_property.py", "tests/unit/test_codec_reference.py", "tests/unit/test_flags.py",
+       "tests/property/test_e2e_property.py",
+       "tests/unit/test_codec_reference.py",
+       "tests/unit/test_flags.py",
        "tests/unit/test_flags_reference.py",
-       "tests/unit/test_variational_reference.py", "tests/unit/test_response_reference.py",
-       "tests/unit/test_detect_learning.py")  # fmt: skip
+       "tests/unit/test_variational_reference.py",
+       "tests/unit/test_response_reference.py",
+       "tests/unit/test_detect_learning.py",
+       "tests/unit/test_elementary.py",
+       "tests/unit/test_maisd.py",
+       "tests/unit/test_sigma_mixed.py",
+       "tests/unit/test_thermal_paper.py",
+       "tests/unit/test_thermal_reference.py",
+       "tests/unit/test_thermal_imm.py",
+       "tests/unit/test_thermal_monitor_odd.py",
+       "tests/unit/test_thermal_monitor_order.py",
+       "tests/unit/test_thermal_step_detector.py",
+       "tests/unit/test_thermal_model.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

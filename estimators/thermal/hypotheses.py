@@ -1,6 +1,6 @@
 """Which fault explains what the thermal model does not: a discrete Bayes filter per motor.
 
-For samples hours apart, each of a motor that has settled anew; `watch` is for every second.
+For samples hours apart, each of a motor that has settled anew; `monitor` is for every second.
 
 States: nothing; a kind of heat times its size; a sensor off by a size, up or down; a loose
 connector. Every kind of heat has its own signature over the three points and over time, from the
@@ -14,19 +14,21 @@ tails (Student t). Residuals are alike from sample to sample, so each one counts
 independent one that its correlation leaves.
 
 In place of paper `thermal`, eq. (28)-(31): a filter follows a fault, and the spread between motors
-does not tell which motor or what.
+does not tell which motor or what. The rules are in `hypotheses.c` and `peers.c`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from estimators.thermal import heat
-from estimators.thermal._hypotheses_kernels import compare, sweep
-from estimators.thermal.heat import Drive, predict
+from estimators._core import pointer, records
+from estimators.thermal import model
+from estimators.thermal.model import Inputs, predict
 
 Array = NDArray[np.float64]
 
@@ -156,8 +158,7 @@ def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
     learnt: as in `Pace`.
     """
     centre = np.nanmedian(residual, axis=0)
-    off = np.empty_like(residual)
-    compare(residual - centre, 1.0 / learnt, off)
+    off = beside_peers(residual - centre, learnt)
     motors = off.shape[1]
     white, share = np.empty((motors, 3, 3)), np.empty((motors, 3))
     sigma = np.empty((motors, 3))
@@ -175,27 +176,42 @@ def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:
     return Spread(centre, sigma, white, share)
 
 
-def _less_baseline(off: Array, learnt: float) -> Array:
-    """(K, M, 3) less what the filter would have learnt as the motors' baseline."""
-    out, baseline = np.empty_like(off), np.zeros(off.shape[1:])
-    for k in range(len(off)):
-        out[k] = off[k] - baseline
+def peers_median(u: Array, trusted: NDArray[np.bool_]) -> Array:
+    """(M, 3) K: per motor and point the median of u (M, 3) over the other motors; see `peers.h`.
+
+    trusted (M,): motors that are compared with, as far as they are enough.
+    """
+    out, given = np.empty(u.shape), np.ascontiguousarray(u, dtype=np.float64)
+    lib.peers_median(
+        pointer("double", given), pointer("uint8_t", trusted), len(u),
+        ffi.new("double[]", len(u)), pointer("double", out),
+    )  # fmt: skip
+    return out
+
+
+def beside_peers(residual: Array, learnt: float) -> Array:
+    """(K, M, 3): fault-free residuals as the filter would look at them, baselines learnt."""
+    out, baseline = np.empty(residual.shape), np.zeros(residual.shape[1:])
+    everybody = np.ones(residual.shape[1], dtype=np.bool_)
+    for k, sample in enumerate(residual):
+        u = sample - baseline
+        out[k] = u - peers_median(u, everybody)
         baseline += np.nan_to_num(out[k]) / learnt
     return out
 
 
-def signatures(parameters: Array, inputs: Drive, start: Array | None) -> Array:
+def signatures(parameters: Array, inputs: Inputs, start: Array | None) -> Array:
     """(K, 5, 3) K that faults of `HEAT` add to the readings, the largest point's mean being 1.
 
     Of the mean motor, for faults that have been there long enough.
     """
     mean = parameters.mean(axis=0)
     tried = np.tile(mean, (1 + len(HEAT), 1))
-    tried[2, [heat.H_0, heat.H_1]] *= 0.9
-    tried[3, heat.F_D] *= 2.0
-    tried[4, heat.F_N] *= 2.0
-    tried[5, heat.A] *= 1.1
-    extra = np.zeros((len(tried), heat.EXTRA))
+    tried[2, [model.H_0, model.H_1]] *= 0.9
+    tried[3, model.F_D] *= 2.0
+    tried[4, model.F_N] *= 2.0
+    tried[5, model.A] *= 1.1
+    extra = np.zeros((len(tried), model.EXTRA))
     extra[1, 0] = 0.01
     square = inputs.current_square.mean(axis=1, keepdims=True)
     begin = None if start is None else np.tile(start.mean(axis=0), (len(tried), 1))
@@ -207,14 +223,46 @@ def signatures(parameters: Array, inputs: Drive, start: Array | None) -> Array:
 
 def believe(residual: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS) -> Belief:
     """Filter K samples of M motors, residual (K, M, 3) K; shapes (K, 5, 3): see `signatures`."""
-    k, m, _ = residual.shape
-    kind, size, rise = np.empty((k, m, len(KINDS))), np.empty((k, m)), np.empty((k, m))
-    rates = np.array([
-        1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows, TAIL, LOOSE_SHARE, LOOSE_K,
-        1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose,
-    ])  # fmt: skip
-    sweep(
-        residual - known.centre, known.sigma, known.white, known.share, shapes,
-        SIZES_K, BENIGN_K, rates, kind, size, rise,
-    )  # fmt: skip
+    kind, size, rise = filter_samples(residual - known.centre, known, shapes, at)
     return Belief(kind, size, side_apart(kind, rise, shapes))
+
+
+def filter_samples(
+    z: Array, known: Spread, shapes: Array, at: Pace = SNAPSHOTS
+) -> tuple[Array, Array, Array]:
+    """Probabilities (K, M, 11); mean size and mean error of a sensor (K, M), K.
+
+    z (K, M, 3) K: residuals less their centre, NaN without a reading; shapes (K, 5, 3).
+    """
+    samples, motors, _ = z.shape
+    config, spread = _config(at), np.zeros(motors, records.HYPOTHESIS_SPREAD)
+    spread["sigma_k"], spread["white"], spread["share"] = known.sigma, known.white, known.share
+    state = np.zeros(motors, records.HYPOTHESIS_STATE)
+    every = pointer("struct hypothesis_state", state)
+    for motor in every:
+        lib.hypothesis_start(ffi.addressof(motor))
+    kind, size, rise = np.empty((samples, motors, len(KINDS))), *np.empty((2, samples, motors))
+    workspace = ffi.new("double[]", 8 * motors)
+    seen, signs = (np.ascontiguousarray(part, dtype=np.float64) for part in (z, shapes))
+    for k in range(samples):
+        lib.hypothesis_step(
+            pointer("struct hypothesis_config", config),
+            pointer("struct hypothesis_spread", spread), every, motors, pointer("double", seen[k]),
+            pointer("double", signs[k]), workspace,
+        )  # fmt: skip
+        kind[k], size[k], rise[k] = state["kind"], state["size_k"], state["rise_k"]
+    return kind, size, rise
+
+
+def _config(at: Pace) -> records.Records:
+    """(1,) of `struct hypothesis_config`."""
+    out = np.zeros(1, records.HYPOTHESIS_CONFIG)
+    out["sizes_k"], out["benign_k"] = SIZES_K, BENIGN_K
+    out["begin"], out["end"], out["growth"] = 1.0 / at.healthy, 1.0 / at.ill, 1.0 / at.grows
+    out["often"], out["learn"], out["loose_end"] = 1.0 / at.often, 1.0 / at.learnt, 1.0 / at.loose
+    out["tail"] = TAIL
+    out["log_t"] = (
+        math.lgamma(0.5 * (TAIL + 1.0)) - math.lgamma(0.5 * TAIL) - 0.5 * math.log(math.pi * TAIL)
+    )
+    out["loose_share"], out["loose_k"] = LOOSE_SHARE, LOOSE_K
+    return out

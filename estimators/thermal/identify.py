@@ -1,4 +1,4 @@
-"""Parameters of `heat` from fault-free runs, by output error.
+"""Parameters of `model` from fault-free runs, by output error.
 
 The whole run is simulated and compared with the readings. (One-step prediction errors are biased:
 at 1 Hz the noise is ten times the change per step.) Motors of a fleet are alike: the mean motor is
@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal.heat import (
+from estimators.thermal.model import (
     COUNT,
     E_1,
     E_2,
@@ -26,8 +26,8 @@ from estimators.thermal.heat import (
     RATES,
     TYPICAL,
     A,
-    Drive,
-    drive,
+    Inputs,
+    inputs_of,
     predict,
 )
 from estimators.thermal.record import Record
@@ -51,7 +51,7 @@ OWN_STEPS: Final = 8
 
 
 TYPICAL_SQUARE, TYPICAL_SPEED = 1.2e4, 200.0
-"""A^2 and rad/s: mean duty of the motor that `heat.TYPICAL` is of."""
+"""A^2 and rad/s: mean duty of the motor that `model.TYPICAL` is of."""
 SCALED_SIGMA: Final = np.array([1.5] * RATES + [2.0] * 3)
 """As `PRIOR_SIGMA`, around rates that were only scaled to a motor's size."""
 PACES: Final = (1.0, 2.0, 4.0, 8.0)
@@ -102,7 +102,7 @@ def identify(
 class _Run(NamedTuple):
     """Inputs, readings (K, M, 3), and those at the beginning (M, 3)."""
 
-    inputs: Drive
+    inputs: Inputs
     readings: Array
     start: Array
 
@@ -117,7 +117,7 @@ class _Run(NamedTuple):
         return _Run(self.inputs._replace(current_square=square), readings, start)
 
     def errors(self, parameters: Array, core: float) -> Array:
-        """(K, M, 3) readings less the model's; core: as in `heat.predict`, of all motors."""
+        """(K, M, 3) readings less the model's; core: as in `model.predict`, of all motors."""
         warmer = np.full(len(parameters), core)
         return self.readings - predict(parameters, self.inputs, self.start, core=warmer)
 
@@ -127,7 +127,7 @@ def _thinned(run: Record) -> _Run:
     every = -(-len(run.at) // MOST_SAMPLES)
     part = slice(every - 1, None, every)
     thin = run._replace(at=run.at[part], temperature=run.temperature[part])
-    return _Run(drive(thin), thin.temperature, first_readings(run))
+    return _Run(inputs_of(thin), thin.temperature, first_readings(run))
 
 
 def first_readings(run: Record) -> Array:

@@ -1,10 +1,7 @@
 """Gaussian mixtures of a scalar by expectation-maximisation: paper `thermal`, eq. (9)-(18), (21).
 
-Corrections: (12)-(18) mix up the indices of sample and component; (15) is
-alpha_i phi_i / sum_j alpha_j phi_j. The variance in (18) uses the new mean, and needs a floor, or
-a component collapses onto one value. Components start at spread quantiles and are kept in order,
-so that they do not change places. (21), the plain mean of the component means, is not the mixture's
-mean, which is sum_i alpha_i mu_i; both are here.
+The iterations and what is corrected in them: `gaussian_mixture.c`. (21), the plain mean of the
+component means, is not the mixture's mean, which is sum_i alpha_i mu_i; both are here.
 """
 
 from __future__ import annotations
@@ -12,13 +9,15 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from estimators.thermal._mixture_kernels import expect_maximise
+from estimators._core import pointer
 
 Array = NDArray[np.float64]
 
 COMPONENTS: Final = 3
+MOST_COMPONENTS: Final[int] = lib.MIXTURE_MAX
 ITERATIONS: Final = 30
 
 
@@ -50,13 +49,21 @@ def fit(
 ) -> Mixture:
     """Mixture of the values x (N,), N >= components, with variances of at least `floor`.
 
-    Raises ValueError for fewer values, or values that are not finite.
+    Raises ValueError for fewer values, values that are not finite, or more components than
+    `MOST_COMPONENTS`.
     """
+    if not 0 < components <= MOST_COMPONENTS:
+        raise ValueError(f"1 to {MOST_COMPONENTS} components, not {components}")
     if len(x) < components or not np.isfinite(x).all():
         raise ValueError(f"{components} components need as many finite values, got {len(x)}")
-    out = np.empty((3, components))
-    expect_maximise(np.ascontiguousarray(x), iterations, floor, out)
-    return Mixture(*out)
+    values = np.ascontiguousarray(x, dtype=np.float64)
+    found = ffi.new("struct mixture *")
+    lib.mixture_fit(
+        pointer("double", values), pointer("double", np.sort(values)), len(values), iterations,
+        floor, components, found,
+    )  # fmt: skip
+    parts = (found.weight, found.mean, found.variance)
+    return Mixture(*(np.array(list(part)[:components]) for part in parts))
 
 
 def log_likelihood(x: Array, mixture: Mixture) -> float:

@@ -1,7 +1,7 @@
 """The product's thermal method: a calibrated model for each motor, hypotheses on what is left.
 
-`heat` is identified on the first part of fault-free data, the residuals' spread on the rest: limits
-from data that the fit has seen are too tight.
+`model` is identified on the first part of fault-free data, the residuals' spread on the rest:
+limits from data that the fit has seen are too tight.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.thermal import _watch_kernels, heat, hypotheses
-from estimators.thermal._heat_kernels import REFERENCE, SLOPE
-from estimators.thermal.heat import courses, drive, predict
+from estimators._core import Records
+from estimators.thermal import hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.identify import first_readings, identify
+from estimators.thermal.model import inputs_of, predict, simulate
+from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor
 from estimators.thermal.record import Record, spacing, split
-from estimators.thermal.watch import LONGEST_BLOCK_S, Known, Watch
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,8 @@ class Calibrated:
     def believe(self, record: Record) -> Belief:
         """Probabilities of every kind of fault; causal but for the record's mean signatures."""
         first = first_readings(record)
-        residual = record.temperature - predict(self.parameters, drive(record), first)
-        shapes = hypotheses.signatures(self.parameters, drive(record), first)
+        residual = record.temperature - predict(self.parameters, inputs_of(record), first)
+        shapes = hypotheses.signatures(self.parameters, inputs_of(record), first)
         return hypotheses.believe(residual, self.spread, shapes)
 
     def __call__(self, record: Record) -> Array:
@@ -49,21 +49,21 @@ class Calibrated:
 
 @dataclass(frozen=True)
 class Watching:
-    """The same for readings that come every few seconds: `watch`, sample by sample."""
+    """The same for readings that come every few seconds: `monitor`, sample by sample."""
 
     known: Known
 
     def believe(self, record: Record) -> Belief:
         """Probabilities of every kind of fault after each sample; causal."""
-        watch = Watch(self.known, spacing(record))
+        monitor = ThermalMonitor(self.known, spacing(record))
         samples, motors = record.temperature.shape[:2]
         kind, size = np.zeros((samples, motors, len(KINDS))), np.zeros((samples, motors))
         stepped = b""
-        for k, judged in enumerate(followed(watch, record)):
+        for k, judged in enumerate(followed(monitor, record)):
             # Between blocks only a step, or a motor that begins anew, changes what is told.
-            steps = watch.offsets.tobytes()
-            if judged or k == 0 or steps != stepped or watch.lost.any():
-                told, stepped = watch.told(), steps
+            steps = monitor.offsets.tobytes()
+            if judged or k == 0 or steps != stepped or monitor.motors["lost"].any():
+                told, stepped = monitor.kinds(), steps
             kind[k], size[k] = told
         return Belief(kind, size, hypotheses.side(kind))
 
@@ -73,24 +73,24 @@ class Watching:
         return out
 
 
-def followed(watch: Watch, record: Record) -> Iterator[bool]:
-    """A record sample by sample through a watch; whether a block has been judged with it."""
+def followed(monitor: ThermalMonitor, record: Record) -> Iterator[bool]:
+    """A record sample by sample through a monitor; whether a block has been judged with it."""
     ones = np.ones(record.motors)
     before = -1
     for k, at in enumerate(record.at.tolist()):
         steps_ = slice(before + 1, at + 1)
         before = at
-        watch.take(
+        monitor.add_sample(
             record.temperature[k], record.current_square[steps_].mean(axis=0),
             ones * np.abs(record.speed[steps_]).mean(), ones * record.ambient[steps_].mean(),
         )  # fmt: skip
-        judged = watch.waiting > 0
-        watch.work(watch.waiting)
+        judged = monitor.waiting > 0
+        monitor.judge(monitor.waiting)
         yield judged
 
 
 def learn(parameters: Array, runs: Sequence[Record]) -> Known:
-    """What `watch` has to know, from fault-free runs; the last one was not used for parameters."""
+    """What `monitor` has to know, from fault-free runs; the last was not used for parameters."""
     rest = runs[-1]
     dt = spacing(rest)
     nothing = np.zeros((rest.motors, 3))
@@ -101,36 +101,33 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
         1.0,
         _duty(parameters, runs),
     )
-    watch = Watch(known, dt)
-    watch.odds[0] = 0.0
-    middles, off, inputs, spread = [], [], [], []
-    for judged in followed(watch, rest):
+    monitor = ThermalMonitor(known, dt)
+    monitor.config["imm"]["begin_per_s"] = 0.0
+    blocks, spread = [], []
+    for judged in followed(monitor, rest):
         if judged:
-            middles.append(watch.middle.copy())
-            off.append(watch.off.copy())
-            inputs.append(watch.inputs.copy())
-            spread.append((watch.raw - watch.middle[:, :, None]) ** 2)
+            blocks.append(monitor.motors[["middle_k", "off_k", "inputs"]].copy())
+            raw = monitor.motors["raw"][:, :, : monitor.block]
+            spread.append((raw - blocks[-1]["middle_k"][:, :, None]) ** 2)
+    middles, off, inputs = (
+        np.array([block[name] for block in blocks]) for name in ("middle_k", "off_k", "inputs")
+    )
     noise = np.sqrt(np.nanmean(np.concatenate(spread, axis=2), axis=2))
     known = known._replace(centre=np.nanmedian(middles, axis=0), noise=noise)
-    beside = np.array(off) - np.nanmedian(off, axis=0)
-    return known._replace(scale=_likeliest(known, np.array(inputs), beside, dt))
+    beside = off - np.nanmedian(off, axis=0)
+    return known._replace(scale=_likeliest(known, inputs, beside, dt))
 
 
-def _likeliest(known: Known, inputs: Array, off: Array, dt: float) -> float:
+def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> float:
     """Scale of the disturbances that is the likeliest on fault-free blocks.
 
-    inputs (B, M, 6), off (B, M, 3): see `Watch`. One scale for all: told apart by two hours of
-    data, they take what the model gets wrong for draught, and then lost cooling for it as well.
+    inputs (B, M) of `struct thermal_sums`, off (B, M, 3). One scale for all: told apart by two
+    hours of data, they take what the model gets wrong for draught, and then lost cooling for it as
+    well.
     """
 
     def likely(scale: float) -> float:
-        watch = Watch(known._replace(scale=scale), dt)
-        return float(
-            _watch_kernels.likely(
-                known.parameters, inputs, watch.unit, off, watch.block_s, watch.sigma, watch.odds,
-                watch.sizes, watch.noise_k,
-            )
-        )  # fmt: skip
+        return ThermalMonitor(known._replace(scale=scale), dt).likelihood(off, inputs)
 
     return max(SCALES, key=likely)
 
@@ -140,19 +137,18 @@ def _duty(parameters: Array, runs: Sequence[Record]) -> Array:
     mean = parameters.mean(axis=0)
     parts = []
     for run in runs:
-        inputs, square = drive(run), run.current_square.mean(axis=1, keepdims=True)
+        inputs, square = inputs_of(run), run.current_square.mean(axis=1, keepdims=True)
         start = first_readings(run).mean(axis=0, keepdims=True)
         # Where the frame and the winding are, the ends' readings and the model say.
         every = inputs._replace(
             current_square=square, speed=np.abs(run.speed), ambient=run.ambient,
             at=np.arange(len(run.speed)), step_s=run.step_s,
         )  # fmt: skip
-        lumps = courses(mean[None], every, start)[:, 0]
+        lumps = simulate(mean[None], every, start)[:, 0]
         speed = every.speed
-        rise = np.maximum(lumps[:, heat.FRAME] - run.ambient, 3.0)
-        cooling = (mean[heat.H_0] + mean[heat.H_1] * speed) * rise
-        warm = 1.0 + SLOPE * (lumps[:, heat.WINDING] - REFERENCE)
-        heating = mean[heat.A] * square[:, 0] * warm
+        rise = np.maximum(lumps[:, model.FRAME] - run.ambient, model.LEAST_RISE_K)
+        cooling = (mean[model.H_0] + mean[model.H_1] * speed) * rise
+        heating = mean[model.A] * square[:, 0] * model.resistance(lumps[:, model.WINDING])
         parts.append(np.stack([speed, square[:, 0], cooling, heating], axis=1))
     return np.asarray(np.concatenate(parts).mean(axis=0))
 
@@ -175,5 +171,5 @@ class ModelMethod:
         parameters = identify(runs[:-1])
         if spacing(rest) < LONGEST_BLOCK_S:
             return Watching(learn(parameters, runs))
-        residual = rest.temperature - predict(parameters, drive(rest), first_readings(rest))
+        residual = rest.temperature - predict(parameters, inputs_of(rest), first_readings(rest))
         return Calibrated(parameters, hypotheses.spread(residual, SNAPSHOTS.learnt))

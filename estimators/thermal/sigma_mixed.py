@@ -11,8 +11,7 @@ their mean, are pooled, a mixture is fitted to the pool (EM), and its mean is th
 prior's common part. As printed that mean is (21), every component alike; `weighted` is the
 mixture's.
 
-Corrections: weights W_i = 1/(2 (n + kappa)), i > 0, so that they add up to 1 whatever kappa is;
-the columns of the square root; (28) is x+ = x- + K (y - y-hat): as printed it predicts twice.
+The filter itself and what is corrected in it: `sigma_mixed.c`.
 """
 
 from __future__ import annotations
@@ -21,13 +20,16 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
-from estimators.thermal._sigma_mixed_kernels import sweep
+from estimators._core import Records, pointer, records
 from estimators.thermal.record import Record, fading
 
 Array = NDArray[np.float64]
 
+SIGMA_MIXED_CONFIG: Final = records.SIGMA_MIXED_CONFIG
+SIGMA_MIXED_SAMPLE: Final = records.SIGMA_MIXED_SAMPLE
 KAPPA: Final = 0.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
 READING_VAR: Final = 0.1
@@ -115,10 +117,33 @@ class SigmaMixedFilter:
                 settled[:, i, p] = known.gain[i, p] * heat + air + known.offset[i, p]
         gap = np.diff(record.at, prepend=record.at[0]) * record.step_s
         keep = np.exp(-known.loss * gap[:, None, None])
-        wear = np.zeros((m, 3)) if drift is None else drift
-        state, mixed = np.empty((k, m, 3)), np.empty((k, m))
-        sweep(
-            record.temperature, settled, keep, wear, gap, known.q, known.r, known.apart,
-            np.array([KAPPA, self.mixing, float(self.weighted)]), state, mixed,
+        config = self.configs(known, np.zeros((m, 3)) if drift is None else drift)
+        return estimate(config, record.temperature, settled, keep, gap)
+
+    def configs(self, known: Lumps, drift: Array) -> Records:
+        """(M,) of `struct sigma_mixed_config`; drift (M, 3) K/s."""
+        out = np.zeros(len(drift), SIGMA_MIXED_CONFIG)
+        out["drift"], out["q"], out["r"], out["apart"] = drift, known.q, known.r, known.apart
+        out["kappa"], out["mixing"], out["weighted"] = KAPPA, self.mixing, self.weighted
+        return out
+
+
+def estimate(
+    configs: Records, y: Array, settled: Array, keep: Array, gap: Array
+) -> Estimates:  # fmt: skip
+    """Algorithm 1 from what each motor (M,) got; y, settled, keep (K, M, 3), gap (K,) s.
+
+    What these are stands at `struct sigma_mixed_sample`.
+    """
+    samples, motors, points = y.shape
+    state, mixed = np.empty((motors, samples, points)), np.empty((motors, samples))
+    for m in range(motors):
+        given = np.empty(samples, SIGMA_MIXED_SAMPLE)
+        given["y"], given["settled"], given["keep"] = y[:, m], settled[:, m], keep[:, m]
+        given["gap"] = gap
+        lib.sigma_mixed_run(
+            pointer("struct sigma_mixed_config", configs[m : m + 1]),
+            pointer("struct sigma_mixed_sample", given), samples, pointer("double", state[m]),
+            pointer("double", mixed[m]),
         )  # fmt: skip
-        return Estimates(state, mixed)
+    return Estimates(state.transpose(1, 0, 2).copy(), mixed.T.copy())

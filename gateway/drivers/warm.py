@@ -8,7 +8,6 @@ from dbc.codec import Codec
 from dbc.e2e import protect
 from dbc.frame import MS, Frame
 from estimators.detect import Evidence
-from estimators.thermal.watch import Watch
 from gateway.config import Config
 from gateway.core import Gateway
 
@@ -40,20 +39,9 @@ def warm_up(config: Config, codec: Codec) -> None:
             frames.append(Frame(max(0, now - MS), spec.can_id, bytes(payload), 8 * spec.is_fd))
         gateway.step(frames, now)
     gateway.step([], now)
-    if gateway.thermal.heat is not None:
-        _warm_watch(gateway.thermal.heat.watch)
     # At standstill nobody is tracked, so these two would be met first in the middle of a run.
     gateway.bank.start_states()
     n = max(2, len(config.nodes))
     gateway.adhesion.detector(
         Evidence(np.full(n, 0.5), np.full(n, 0.02), np.ones(n, dtype=np.bool_))
     )
-
-
-def _warm_watch(watch: Watch) -> None:
-    """A block of readings of motors at rest."""
-    motors = len(watch.begun)
-    rest, cool = np.zeros(motors), np.full(motors, 20.0)
-    for _ in range(watch.together + 1):
-        watch.take(np.full((motors, 3), 20.0), rest, rest, cool)
-    watch.work(motors)

@@ -13,11 +13,11 @@ from pydantic import ValidationError
 
 from dbc.frame import Nanos
 from estimators import maisd
-from estimators.thermal import heat
+from estimators.thermal import model
 from estimators.thermal.identify import SCALED_SIGMA, identify, scaled
 from estimators.thermal.model_method import learn
+from estimators.thermal.monitor import Known
 from estimators.thermal.record import Record, split
-from estimators.thermal.watch import Known
 from gateway.calibration import (
     POINTS,
     Calibration,
@@ -100,8 +100,8 @@ class Learner:
         means = np.array(self.means)
         gain, offset = _against_fleet(means, self.fitted)
         centred = (means - offset) / gain
-        spreads = np.array([maisd.maisd(m, self.fitted) for m in centred])
-        apart = np.array([maisd.deviation(m, self.fitted) for m in centred])
+        compared = [maisd.compare(m, self.fitted) for m in centred]
+        spreads, apart = (np.array(part) for part in zip(*compared, strict=True))
         # NaN: a sensor that is not there, or that no other motor has. The floors stand then.
         spread = np.nan_to_num(spreads).max(axis=0)
         limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))
@@ -185,8 +185,8 @@ def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
 def _motor_heat(known: Known, j: int) -> MotorHeat:
     """Motor j's part of what was learnt."""
     return MotorHeat(
-        rates=tuple(known.parameters[j, : heat.RATES].tolist()),
-        offset_k=_three(known.parameters[j, heat.OFFSETS]),
+        rates=tuple(known.parameters[j, : model.RATES].tolist()),
+        offset_k=_three(known.parameters[j, model.OFFSETS]),
         centre_k=_three(known.centre[j]),
         noise_k=_three(known.noise[j]),
     )

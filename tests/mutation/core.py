@@ -31,6 +31,11 @@ KEPT = Path(__file__).with_name("core.json")
 E2E = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
 CODEC = ("tests/unit/test_codec_reference.py",)
 RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_learning.py")
+THERMAL = (
+    "tests/unit/test_elementary.py", "tests/unit/test_maisd.py", "tests/unit/test_sigma_mixed.py",
+    "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
+    "tests/unit/test_thermal_imm.py", "tests/unit/test_thermal_monitor_order.py",
+)
 TESTS = {
     "dbc/crc.c": E2E, "dbc/e2e.c": E2E,
     "dbc/decode.c": CODEC, "dbc/encode.c": CODEC,
@@ -38,6 +43,9 @@ TESTS = {
     "estimators/detect/variational.c": ("tests/unit/test_variational_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,
     "estimators/detect/command_response.c": RESPONSE,
+    **dict.fromkeys((source for source in SOURCES if "thermal" in source), THERMAL),
+    "estimators/elementary.c": THERMAL, "estimators/order_statistics.c": THERMAL,
+    "estimators/maisd.c": THERMAL,
 }  # fmt: skip
 """Those that answer for a source."""
 LIMIT_S = 120

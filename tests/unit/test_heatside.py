@@ -6,14 +6,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimators.thermal import _watch_kernels, heat
-from estimators.thermal.heat import TYPICAL, Drive, predict
+from estimators.thermal import model
+from estimators.thermal.model import TYPICAL, Inputs, predict
 from gateway import calibration, inputs, slow
 from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
 from gateway.channel import ChannelState, channel_state
 from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
-from gateway.drivers.warm import _warm_watch
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import Sample
 from gateway.inbox import Temperatures
@@ -87,7 +86,7 @@ class Rig:
         """extra (3, 5): heat in the lumps, K/s."""
         n = 10 * seconds
         lines = beside(drives or [Line(8.0), Line(8.0), Line(8.0)])
-        inputs = Drive(
+        inputs = Inputs(
             np.full((n, 3), 128.0), np.full(n, 25.0), np.full(n, 20.0), np.arange(n), 0.1
         )  # fmt: skip
         start = np.tile([60.0, 45.0, 45.0], (3, 1)) if self.k == 0 else self.last
@@ -108,7 +107,7 @@ def test_healthy_motors_are_good_and_a_hot_winding_is_named():
     for report in rig.run(60):
         assert (report.thermal, report.fault_class) == (Flag.GOOD, FaultClass.NONE)
     hot = np.zeros((3, 5))
-    hot[1, heat.WINDING] = 0.1
+    hot[1, model.WINDING] = 0.1
     reports = rig.run(30, extra=hot)
     assert [r.thermal for r in reports] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
     assert reports[1].fault_class in (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)
@@ -118,10 +117,10 @@ def test_healthy_motors_are_good_and_a_hot_winding_is_named():
 @pytest.mark.parametrize(
     ("lump", "rate", "classes"),
     [
-        (heat.WINDING, 0.3, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
-        (heat.WINDING, 0.7, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
-        (heat.DRIVE_END, 0.25, (FaultClass.BEARING,)),
-        (heat.OTHER_END, 0.25, (FaultClass.BEARING,)),
+        (model.WINDING, 0.3, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
+        (model.WINDING, 0.7, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
+        (model.DRIVE_END, 0.25, (FaultClass.BEARING,)),
+        (model.OTHER_END, 0.25, (FaultClass.BEARING,)),
     ],
 )
 def test_quick_heat_is_not_called_its_sensors(lump, rate, classes):
@@ -138,12 +137,12 @@ def test_quick_heat_is_not_called_its_sensors(lump, rate, classes):
 def test_a_motor_that_may_well_be_ill_is_not_good_before_it_is_named():
     rig = Rig()
     rig.run(20)
-    now, watch = rig.k * 100 * MS, rig.side.heat.watch
+    now, monitor = rig.k * 100 * MS, rig.side.heat.monitor
     for probability, flag, reason in (
         (0.49, Flag.GOOD, Reason.NONE),
         (0.51, Flag.UNKNOWN, Reason.DIVERGED),
     ):
-        watch.ill[1] = probability
+        monitor.motors["fault_probability"][1] = probability
         now += 100 * MS
         report = rig.side.report(1, now, 310 * MS)
         assert (report.thermal, report.reason) == (flag, reason)
@@ -160,20 +159,10 @@ def test_blind_is_unknown_and_says_stale(line):
     assert {r.thermal for r in rig.run(20)} == {Flag.GOOD}, "and it comes back"
 
 
-def test_nothing_is_compiled_after_the_warm_up():
-    """A kernel for another memory layout would be loaded, or compiled, in the middle of a run."""
-    rig = Rig()
-    _warm_watch(rig.side.heat.watch)
-    kernels = (_watch_kernels.samples, _watch_kernels.close, _watch_kernels.judge)
-    before = [len(kernel.signatures) for kernel in kernels]
-    rig.run(20)
-    assert [len(kernel.signatures) for kernel in kernels] == before
-
-
 def test_one_motor_without_others_is_unknown():
     rig = Rig()
     rig.run(20)
-    rig.side.heat.watch.off[0] = np.nan
+    rig.side.heat.monitor.motors["off_k"][0] = np.nan
     rig.side.warmth.kept_ns[:] = NEVER
     report = rig.side.report(0, rig.k * 100 * MS, 310 * MS)
     assert (report.thermal, report.reason) == (Flag.UNKNOWN, Reason.TOO_FEW_DRIVES)
@@ -182,9 +171,10 @@ def test_one_motor_without_others_is_unknown():
 def test_a_sensor_that_creeps_is_the_sensors_and_no_heat():
     rig = Rig()
     rig.run(30)
-    rig.side.heat.watch.held[2] = True
-    rig.side.heat.watch.kind[2] = 0.0
-    rig.side.heat.watch.kind[2, 6] = 0.95
+    motors = rig.side.heat.monitor.motors
+    motors["held"][2] = True
+    motors["kind"][2] = 0.0
+    motors["kind"][2, 6] = 0.95
     found = rig.side.heat.finding(2)
     assert (found.fault, found.sensor) == (FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END)
 
@@ -192,10 +182,10 @@ def test_a_sensor_that_creeps_is_the_sensors_and_no_heat():
 def test_hot_motor_or_sensor_is_unknown_and_no_guess():
     rig = Rig()
     rig.run(30)
-    watch = rig.side.heat.watch
-    watch.held[2] = True
-    watch.kind[2] = 0.0
-    watch.kind[2, 0], watch.kind[2, 5] = 0.9, 0.05
+    motors = rig.side.heat.monitor.motors
+    motors["held"][2] = True
+    motors["kind"][2] = 0.0
+    motors["kind"][2, 0], motors["kind"][2, 5] = 0.9, 0.05
     rig.side.warmth.kept_ns[:] = NEVER
     report = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
     assert (report.thermal, report.sensor) == (Flag.UNKNOWN, Flag.UNKNOWN)
@@ -203,7 +193,7 @@ def test_hot_motor_or_sensor_is_unknown_and_no_guess():
 
 
 def cells(with_heat=True):
-    rates = tuple(TYPICAL[: heat.RATES].tolist())
+    rates = tuple(TYPICAL[: model.RATES].tolist())
     own = MotorHeat(rates=rates, offset_k=(1, 2, 3), centre_k=(0.1,) * 3, noise_k=(0.2,) * 3)
     three = (1.0, 1.0, 1.0)
     return Calibration(
@@ -240,15 +230,15 @@ def test_what_was_learnt_is_stored_whole_and_edits_are_refused(tmp_path):
 def test_the_learner_finds_motors_of_another_size(tmp_path):
     """Rates four times the typical ones, a hundredth of the current: two logs with holes."""
     own = TYPICAL.copy()
-    own[: heat.RATES] *= 4.0
-    own[heat.A] *= 100.0
+    own[: model.RATES] *= 4.0
+    own[model.A] *= 100.0
     learner = Learner(NODES, 5.0)
     for seed in (1, 2):
         rng = np.random.default_rng(seed)
         n = 900
         square = np.repeat(rng.uniform(0.0, 250.0, n // 60), 60)
         speed = np.repeat(rng.uniform(50.0, 350.0, n // 90), 90)
-        inputs = Drive(np.tile(square[:, None], 3), speed, np.full(n, 15.0), np.arange(n), 1.0)
+        inputs = Inputs(np.tile(square[:, None], 3), speed, np.full(n, 15.0), np.arange(n), 1.0)
         truth = predict(np.tile(own, (3, 1)), inputs, np.tile([30.0, 25.0, 25.0], (3, 1)))
         readings = truth + rng.normal(0.0, 0.05, truth.shape)
         learner.begin()
@@ -261,7 +251,7 @@ def test_the_learner_finds_motors_of_another_size(tmp_path):
     known = learner._known()
     assert known is not None
     got, want = known.parameters.mean(axis=0), own
-    for rate in (heat.A, heat.K_W):
+    for rate in (model.A, model.K_W):
         assert got[rate] == pytest.approx(want[rate], rel=0.15)
     np.testing.assert_allclose(known.noise, 0.05, rtol=0.4)
     assert known.duty[1] == pytest.approx(125.0, rel=0.2)

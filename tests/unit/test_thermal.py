@@ -1,12 +1,8 @@
-"""MAISD by law, and the thermal side: hot motors and dead sensors are kept apart."""
+"""The thermal side: hot motors and dead sensors are kept apart."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
-from estimators import _maisd_kernels, maisd
 from gateway.calibration import Calibration, MotorCalibration
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
@@ -15,47 +11,6 @@ from gateway.thermal import ThermalSide
 
 MS = 1_000_000
 NODES = (1, 2, 3)
-tables = arrays(np.float64, (4, 3), elements=st.floats(-50, 300))
-
-
-@given(tables)
-def test_maisd_is_the_spread_of_the_motors(mean):
-    known = np.ones(mean.shape, dtype=bool)
-    assert maisd.maisd(mean, known) == pytest.approx(mean.std(axis=0), abs=1e-9)
-
-
-@given(tables, st.floats(-100, 100))
-def test_maisd_ignores_what_all_motors_share_and_who_is_who(mean, shift):
-    known = np.ones(mean.shape, dtype=bool)
-    same = maisd.maisd(mean + shift, known)
-    assert same == pytest.approx(maisd.maisd(mean[::-1], known), abs=1e-6)
-
-
-@given(arrays(np.float64, (40, 2, 3), elements=st.floats(-50, 300)), st.integers(1, 12))
-def test_moving_average_looks_back_only(values, window):
-    state = maisd.start(window, 2, 3)
-    present = np.ones((2, 3), dtype=bool)
-    for k, value in enumerate(values):
-        state = maisd.push(state, value, present)
-        mean, known = maisd.average(state)
-        if k + 1 >= window:
-            assert known.all()
-            assert mean == pytest.approx(values[k + 1 - window : k + 1].mean(axis=0), abs=1e-6)
-
-
-def test_missing_values_are_left_out_and_few_are_not_known():
-    state = maisd.start(4, 2, 1)
-    for k in range(4):
-        state = maisd.push(state, np.full((2, 1), 10.0 * k), np.array([[True], [k == 0]]))
-    mean, known = maisd.average(state)
-    assert mean[0, 0] == 15.0
-    assert known.tolist() == [[True], [False]]
-    assert np.isnan(maisd.maisd(mean, known)).all()
-
-
-def test_deviation_is_against_the_median_of_the_others():
-    mean = np.array([[10.0], [11.0], [12.0], [40.0]])
-    assert maisd.deviation(mean, np.ones((4, 1), dtype=bool))[:, 0].tolist() == [-2, -1, 1, 29]
 
 
 def calibration():
@@ -168,35 +123,6 @@ def test_silence_is_stale():
     rig.run(10)
     now = rig.k * 100 * MS + 1_000 * MS
     assert rig.side.report(0, now, 310 * MS).reason is Reason.STALE
-
-
-@pytest.mark.parametrize("motors", [1, 2, 5, 16, 17, 130])
-def test_the_compiled_maisd_says_what_its_twin_says(motors):
-    rng = np.random.default_rng(motors)
-    plain = maisd.start(7, motors, 3)
-    ring, seen = maisd.start(7, motors, 3)
-    mean, known = np.zeros((motors, 3)), np.zeros((motors, 3), dtype=bool)
-    number = np.zeros((motors, 3), dtype=np.int64)
-    spread, deviation, ranked = np.empty(3), np.empty((motors, 3)), np.empty(motors)
-    told = False
-    for _ in range(40):
-        # Whole degrees: motors that read the same have the same others.
-        values, present = rng.normal(60.0, 3.0, (motors, 3)), rng.random((motors, 3)) < 0.6
-        values[:, 0] = values[:, 0].round()
-        plain = maisd.push(plain, values, present)
-        _maisd_kernels.take(ring, seen, values, present, mean, number, known)
-        seen += 1
-        np.testing.assert_array_equal(ring, plain.ring)
-        want_mean, want_known = maisd.average(plain)
-        np.testing.assert_allclose(mean, want_mean, rtol=1e-12)
-        np.testing.assert_array_equal(known, want_known)
-        _maisd_kernels.compare(mean, known, ranked, spread, deviation)
-        np.testing.assert_allclose(spread, maisd.maisd(want_mean, want_known), rtol=1e-9)
-        np.testing.assert_allclose(
-            deviation, maisd.deviation(want_mean, want_known), rtol=1e-9, atol=1e-12
-        )
-        told |= bool(np.isfinite(spread).any())
-    assert told == (motors > 1)
 
 
 @pytest.mark.parametrize("seed", range(6))

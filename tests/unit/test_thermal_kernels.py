@@ -1,12 +1,11 @@
-"""The compiled loops of the thermal side equal themselves uncompiled, on rows of any sort."""
+"""The thermal side on rows of any sort: of frames, and of a recording."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from estimators import _maisd_kernels
-from gateway import _sensors_kernels, _thermal_kernels, calibration, thermal
+from gateway import calibration
 from gateway.commands.common import scenario_thermal
 from gateway.health import FaultClass, Reason
 from gateway.inbox import Inbox
@@ -115,14 +114,6 @@ def taken(side, bus):
     side.take(inbox.temperatures, bus.now, Beside(bus.places, inbox.state, inbox.slow))
 
 
-def plain(monkeypatch):
-    """Nothing is compiled any more."""
-    for module in (_maisd_kernels, _sensors_kernels, _thermal_kernels, thermal):
-        for name, function in list(vars(module).items()):
-            if hasattr(function, "py_func"):
-                monkeypatch.setattr(module, name, function.py_func)
-
-
 def check(ones, others):
     for one, other in zip(ones, others, strict=True):
         for a, b in zip(one, other, strict=True):
@@ -130,18 +121,11 @@ def check(ones, others):
 
 
 @pytest.mark.parametrize(("method", "seed"), [("none", 1), ("maisd", 2), ("model", 3)])
-def test_compiled_equals_uncompiled(method, seed, monkeypatch):
-    fast, met = run(method, seed, 3000, heard)
-    plain(monkeypatch)
-    slow, same = run(method, seed, 3000, heard)
+def test_rows_of_frames_and_readings_of_a_recording_are_the_same(method, seed):
+    ones, met = run(method, seed, 3000, heard)
+    others, same = run(method, seed, 3000, taken)
     assert met == same
-    check(fast, slow)
+    check(ones, others)
     classes = {FaultClass(kind) for _, kind in met}
     assert {FaultClass.SENSOR_BIAS, FaultClass.SENSOR_LOST} <= classes
     assert {Reason.STALE, Reason.NOT_AVAILABLE} <= {Reason(reason) for reason, _ in met}
-
-
-def test_rows_of_frames_and_readings_of_a_recording_are_the_same():
-    fast, _ = run("maisd", 4, 3000, heard)
-    slow, _ = run("maisd", 4, 3000, taken)
-    check(fast, slow)

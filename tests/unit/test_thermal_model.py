@@ -3,21 +3,20 @@
 import numpy as np
 import pytest
 
-from estimators.thermal import heat, hypotheses
-from estimators.thermal._heat_kernels import step
-from estimators.thermal._hypotheses_kernels import compare, references
-from estimators.thermal.heat import TYPICAL, Drive, drive, predict, settled
+from estimators.thermal import hypotheses, model
 from estimators.thermal.hypotheses import APART_HIDDEN_K, KINDS, SIZES_K, Belief, side, side_apart
 from estimators.thermal.identify import first_readings, identify
+from estimators.thermal.model import TYPICAL, Inputs, inputs_of, predict, steady_state
 from estimators.thermal.model_method import ModelMethod
 from estimators.thermal.record import Record, fading, features, join, split
+from tests import thermal_core
 
 MOTORS = 4
 
 
 def steady_drive(hours=200.0, square=1e4, speed=150.0, ambient=12.0):
     steps = round(hours * 60)
-    return Drive(
+    return Inputs(
         np.full((steps, MOTORS), square), np.full(steps, speed), np.full(steps, ambient),
         np.arange(59, steps, 60), 60.0,
     )  # fmt: skip
@@ -26,15 +25,15 @@ def steady_drive(hours=200.0, square=1e4, speed=150.0, ambient=12.0):
 def record(seed, k=300, noise=0.3, spread=0.1):
     """Motors that are the model itself, with readings of them."""
     own = np.random.default_rng(99)
-    parameters = TYPICAL * np.exp(spread * own.normal(size=(MOTORS, heat.COUNT)))
-    parameters[:, heat.OFFSETS] = own.normal(0.0, 0.5, (MOTORS, 3))
+    parameters = TYPICAL * np.exp(spread * own.normal(size=(MOTORS, model.COUNT)))
+    parameters[:, model.OFFSETS] = own.normal(0.0, 0.5, (MOTORS, 3))
     rng = np.random.default_rng(seed)
     steps = 60 * k
     square = np.repeat(rng.uniform(0.0, 4e4, steps // 30), 30)[:, None] * np.ones(MOTORS)
     speed = np.repeat(rng.uniform(0.0, 400.0, steps // 60), 60)
     ambient = 15.0 + 8.0 * np.sin(np.arange(steps) / 1440.0)
     at = np.arange(60, steps + 1, 60) - 1
-    inputs = Drive(square, speed, ambient, at, 60.0)
+    inputs = Inputs(square, speed, ambient, at, 60.0)
     truth = predict(parameters, inputs)
     reading = truth + noise * rng.standard_normal(truth.shape)
     return Record(reading, at, square, speed, ambient, 60.0), truth
@@ -44,30 +43,30 @@ def test_the_model_settles_where_algebra_says():
     inputs = steady_drive()
     flat = TYPICAL.copy()
     got = predict(np.tile(flat, (MOTORS, 1)), inputs)[-1, 0]
-    base = settled(flat, 1e4, 150.0, 12.0, np.zeros(heat.EXTRA))
+    base = steady_state(flat, 1e4, 150.0, 12.0, np.zeros(model.EXTRA))
     # The winding's resistance rises with its temperature, which the start leaves out.
     assert got[0] == pytest.approx(base[0], rel=0.05)
-    copper = flat[heat.A] * 1e4 * (1.0 + 0.0039 * (got[0] - 60.0))
-    core = got[0] - copper / flat[heat.K_W]
-    iron = flat[heat.E_1] * 150.0 + flat[heat.E_2] * 150.0**2
-    through = flat[heat.K_C] * (got[0] - core) + iron
-    frame = core - through / flat[heat.G_C]
-    end = (flat[heat.K_D] * frame + flat[heat.F_D] * 150.0 + flat[heat.B_D] * 12.0) / (
-        flat[heat.K_D] + flat[heat.B_D]
+    copper = flat[model.A] * 1e4 * (1.0 + 0.0039 * (got[0] - 60.0))
+    core = got[0] - copper / flat[model.K_W]
+    iron = flat[model.E_1] * 150.0 + flat[model.E_2] * 150.0**2
+    through = flat[model.K_C] * (got[0] - core) + iron
+    frame = core - through / flat[model.G_C]
+    end = (flat[model.K_D] * frame + flat[model.F_D] * 150.0 + flat[model.B_D] * 12.0) / (
+        flat[model.K_D] + flat[model.B_D]
     )
     assert got[1] == pytest.approx(end, abs=0.01)
 
 
-def test_deviations_follow_the_coupling():
+def test_deviations_follow_the_system_matrix():
     """A little warmer lump fades in the model as the matrix of deviations says."""
     flat = TYPICAL.copy()
-    matrix = heat.coupling(flat, 1e4, 150.0)
-    for lump in range(heat.LUMPS):
-        base, warmer = np.full(heat.LUMPS, 60.0), np.full(heat.LUMPS, 60.0)
+    matrix = model.system_matrix(flat, 1e4, 150.0)
+    for lump in range(model.LUMPS):
+        base, warmer = np.full(model.LUMPS, 60.0), np.full(model.LUMPS, 60.0)
         warmer[lump] += 1.0
         for x in (base, warmer):
-            step(flat, 1e4, 150.0, 12.0, np.zeros(heat.EXTRA), 1e-3, x)
-        got = (warmer - base - np.eye(heat.LUMPS)[lump]) / 1e-3
+            thermal_core.step(flat, 1e4, 150.0, 12.0, np.zeros(model.EXTRA), 1e-3, x)
+        got = (warmer - base - np.eye(model.LUMPS)[lump]) / 1e-3
         np.testing.assert_allclose(got, matrix[:, lump], rtol=1e-4, atol=1e-7)
 
 
@@ -81,7 +80,7 @@ def test_identified_motors_predict_another_run():
     seen, _ = record(1)
     other, truth = record(2)
     found = identify([seen])
-    error = predict(found, drive(other), first_readings(other)) - truth
+    error = predict(found, inputs_of(other), first_readings(other)) - truth
     assert np.sqrt(np.mean(error[5:] ** 2)) < 0.25
     turned = [2, 0, 3, 1]
     swapped = seen._replace(
@@ -95,7 +94,7 @@ def test_identification_bears_holes_and_refuses_nothing_at_all():
     holes = seen.temperature.copy()
     holes[::3, 1, 2] = np.nan
     found = identify([seen._replace(temperature=holes)])
-    error = predict(found, drive(seen), first_readings(seen)) - truth
+    error = predict(found, inputs_of(seen), first_readings(seen)) - truth
     assert np.sqrt(np.mean(error[5:] ** 2)) < 0.3
     with pytest.raises(ValueError, match="all temperatures"):
         identify([seen._replace(temperature=np.full_like(holes, np.nan))])
@@ -130,8 +129,7 @@ def known():
 
 
 def test_whitened_health_is_white(known):
-    z = np.empty((2000, MOTORS, 3))
-    compare(healthy_beside(2000, 8) - known.centre, 1.0 / 40.0, z)
+    z = hypotheses.beside_peers(healthy_beside(2000, 8) - known.centre, 40.0)
     for m in range(MOTORS):
         parts = z[:, m] @ known.white[m].T
         np.testing.assert_allclose(np.cov(parts.T), np.eye(3), atol=0.45)
@@ -267,9 +265,8 @@ def test_permuted_motors_permute_and_later_samples_change_nothing(known):
 
 
 def beside(u, trusted=None):
-    out = np.empty_like(u)
-    references(u, np.ones(len(u), dtype=np.bool_) if trusted is None else trusted, out)
-    return out
+    everybody = np.ones(len(u), dtype=np.bool_)
+    return hypotheses.peers_median(u, everybody if trusted is None else trusted)
 
 
 def test_the_peers_median_is_pulled_by_no_fault_and_by_no_suspect():

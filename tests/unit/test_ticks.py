@@ -113,7 +113,8 @@ def state(gateway):
     warmth, heat = gateway.thermal.warmth, gateway.thermal.heat
     numbers += [warmth.kept_ns.tolist(), warmth.fresh.tolist(), warmth.beat.tolist()]
     if heat is not None:
-        numbers += [part.tolist() for part in vars(heat.watch).values() if hasattr(part, "tolist")]
+        parts = vars(heat.monitor).values()
+        numbers += [part.tolist() for part in parts if hasattr(part, "tolist")]
     one = [gateway.load.busy_s, gateway.load.last, gateway.adhesion.learn_ns, gateway.changed]
     return {
         "arrays": repr(numbers),
@@ -159,7 +160,7 @@ def test_other_detectors_step_one_by_one(detector):
 @pytest.mark.parametrize(("seed", "between"), [(4, 120.0), (11, 60.0), (1, 1e9)])
 def test_the_thermal_model_is_the_same_either_way(seed, between):
     gateway = same(config_of(method="model"), train(), seed, 3000, between)
-    assert gateway.thermal.heat.watch.judged.all()
+    assert gateway.thermal.heat.monitor.motors["judged"].all()
 
 
 @pytest.mark.parametrize("learning", [False, True])

@@ -1,26 +1,24 @@
-"""The thermal watch by law, on trains that are the model itself and noise."""
+"""The thermal monitor by law, on trains that are the model itself and noise."""
 
 import numpy as np
 import pytest
 
-from estimators.thermal import heat
+from estimators.thermal import model
 from estimators.thermal import model_method as method
-from estimators.thermal._heat_kernels import simulate, step
-from estimators.thermal._models_kernels import SIZE
-from estimators.thermal._watch_kernels import begin
 from estimators.thermal.hypotheses import HEAT, KINDS
+from estimators.thermal.monitor import GAP_S, ThermalMonitor
 from estimators.thermal.record import Record
-from estimators.thermal.watch import HOLE_S, Watch
+from tests.thermal_core import SIZE, start, step
 
 MOTORS, ILL, NOISE_K, HOUR = 4, 2, 0.25, 3600
 TURNED = [2, 0, 3, 1]
-SEEN = list(heat.MEASURED)
+SEEN = list(model.MEASURED)
 
 
 def fleet():
     rng = np.random.default_rng(99)
-    out = heat.TYPICAL * np.exp(0.1 * rng.standard_normal((MOTORS, heat.COUNT)))
-    out[:, heat.OFFSETS] = rng.normal(0.0, 0.5, (MOTORS, 3))
+    out = model.TYPICAL * np.exp(0.1 * rng.standard_normal((MOTORS, model.COUNT)))
+    out[:, model.OFFSETS] = rng.normal(0.0, 0.5, (MOTORS, 3))
     return out
 
 
@@ -38,21 +36,21 @@ def duty(seed, k):
 
 def made(kind, size_k, square, speed):
     """Parameters and extra heat of a train whose motor ILL will be about `size_k` warmer by it."""
-    p, extra = FLEET.copy(), np.zeros((MOTORS, heat.EXTRA))
+    p, extra = FLEET.copy(), np.zeros((MOTORS, model.EXTRA))
     square, speed = square[:, ILL].mean(), speed.mean()
-    seen = (-np.linalg.inv(heat.coupling(FLEET[ILL], square, speed)))[SEEN].max(axis=0)
-    w, _, f, _, _ = heat.settled(FLEET[ILL], square, speed, 0.0, np.zeros(heat.EXTRA))
+    seen = (-np.linalg.inv(model.system_matrix(FLEET[ILL], square, speed)))[SEEN].max(axis=0)
+    w, _, f, _, _ = model.steady_state(FLEET[ILL], square, speed, 0.0, np.zeros(model.EXTRA))
     if kind == "overheating":
-        extra[ILL, heat.WINDING] = size_k / seen[heat.WINDING]
+        extra[ILL, model.WINDING] = size_k / seen[model.WINDING]
     elif kind == "cooling_loss":
-        p[ILL, [heat.H_0, heat.H_1]] *= f / (f + size_k)
+        p[ILL, [model.H_0, model.H_1]] *= f / (f + size_k)
     elif kind == "bearing_de":
-        p[ILL, heat.F_D] += size_k / seen[heat.DRIVE_END] / speed
+        p[ILL, model.F_D] += size_k / seen[model.DRIVE_END] / speed
     elif kind == "bearing_nde":
-        p[ILL, heat.F_N] += size_k / seen[heat.OTHER_END] / speed
+        p[ILL, model.F_N] += size_k / seen[model.OTHER_END] / speed
     elif kind == "winding_resistance":
         warm = 1.0 + 0.0039 * (15.0 + w - 60.0)
-        p[ILL, heat.A] += size_k / seen[heat.WINDING] / square / warm
+        p[ILL, model.A] += size_k / seen[model.WINDING] / square / warm
     return p, extra
 
 
@@ -62,43 +60,51 @@ def train(
     """A record at 1 Hz; error (K, M, 3) K of its sensors; air (K,) degC that nobody measures."""
     square, speed, ambient = duty(seed, k)
     real = ambient if air is None else air
-    none = np.zeros((MOTORS, heat.EXTRA))
-    state = np.full((MOTORS, heat.LUMPS), ambient[0])
+    none = np.zeros((MOTORS, model.EXTRA))
+    state = np.full((MOTORS, model.LUMPS), ambient[0])
     if not cold:
         mean, air_0 = (square[:600].mean(axis=0), speed[:600].mean()), ambient[0]
         state = np.stack([
-            heat.settled(p, mean[0][m], mean[1], air_0, none[m]) for m, p in enumerate(FLEET)
+            model.steady_state(p, mean[0][m], mean[1], air_0, none[m]) for m, p in enumerate(FLEET)
         ])  # fmt: skip
-    lumps = np.empty((k, MOTORS, heat.LUMPS))
+    lumps = np.empty((k, MOTORS, model.LUMPS))
     for part, p, extra in (
         (slice(onset), FLEET, none), (slice(onset, None), *made(kind, size_k, square, speed))
     ):  # fmt: skip
         at = np.arange(len(speed[part]))
-        simulate(p, square[part], speed[part], real[part], extra, at, 1.0, state, lumps[part])
+        inputs = model.Inputs(square[part], speed[part], real[part], at, 1.0)
+        lumps[part] = model.run(p, inputs, extra, state)
     noise = NOISE_K * np.random.default_rng([seed, 1]).standard_normal((k, MOTORS, 3))
-    reading = lumps[:, :, SEEN] + FLEET[:, heat.OFFSETS] + noise
+    reading = lumps[:, :, SEEN] + FLEET[:, model.OFFSETS] + noise
     return Record(
         reading + (0.0 if error is None else error), np.arange(k), square, speed, ambient, 1.0
     )
 
 
+def mean_of(monitor):
+    """(M, 9, 12): of the filters."""
+    return monitor.motors["imm"]["mean"]
+
+
 def watched(known, record, hole=None, work=MOTORS):
-    """The watch, and after each sample whether motors are held (K, M) and kinds (K, M, 11).
+    """The monitor, and after each sample whether motors are held (K, M) and kinds (K, M, 11).
 
     hole: (first, end, motors) without inputs.
     """
-    watch, ones = Watch(known, record.step_s), np.ones(record.motors)
+    monitor, ones = ThermalMonitor(known, record.step_s), np.ones(record.motors)
     held, kind = [], []
     for k in range(len(record.at)):
         square = record.current_square[k].copy()
         if hole is not None and hole[0] <= k < hole[1]:
             square[hole[2]] = np.nan
-        watch.take(record.temperature[k], square, ones * record.speed[k], ones * record.ambient[k])
-        watch.work(work)
-        held.append(watch.held.copy())
+        monitor.add_sample(
+            record.temperature[k], square, ones * record.speed[k], ones * record.ambient[k]
+        )
+        monitor.judge(work)
+        held.append(monitor.held)
         # Twice in a block: it is here for what it says, not for how fast.
-        kind.append(watch.told()[0] if k % 8 == 0 else kind[-1])
-    return watch, np.array(held), np.array(kind)
+        kind.append(monitor.kinds()[0] if k % 8 == 0 else kind[-1])
+    return monitor, np.array(held), np.array(kind)
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +145,8 @@ def test_a_creeping_sensor_is_found(known, point):
     """Slower than any step; up it may be called what warms there, but is not forgotten."""
     error = np.zeros((2 * HOUR, MOTORS, 3))
     error[HOUR // 2 :, ILL, point] = np.minimum(np.arange(3 * HOUR // 2) * 0.02, 6.0)
-    watch, held, _ = watched(known, train(33, error=error))
-    assert abs(watch.mean[ILL, 1 + len(HEAT) + point, SIZE] - 6.0) < 1.0
+    monitor, held, _ = watched(known, train(33, error=error))
+    assert abs(mean_of(monitor)[ILL, 1 + len(HEAT) + point, SIZE] - 6.0) < 1.0
     assert held[HOUR:, ILL].mean() > 0.95
     assert not held[: HOUR // 2].any()
     assert not np.delete(held, ILL, axis=1).any()
@@ -159,10 +165,10 @@ def test_a_sensor_that_crept_and_is_changed_is_well_again(known, point):
     error = np.zeros((2 * HOUR, MOTORS, 3))
     crept = slice(HOUR // 2, 5 * HOUR // 4)
     error[crept, ILL, point] = -np.minimum(np.arange(3 * HOUR // 4) * 0.01, 6.0)
-    watch, held, _ = watched(known, train(35, error=error))
+    monitor, held, _ = watched(known, train(35, error=error))
     assert held[HOUR : 5 * HOUR // 4, ILL].mean() > 0.9
     assert not held[-HOUR // 4 :].any()
-    assert not watch.offsets.any()
+    assert not monitor.offsets.any()
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -185,12 +191,12 @@ def test_cold_motors_weather_and_tunnels_are_no_faults(known):
 def test_holes_in_the_inputs_are_no_faults(known, length, motors):
     """Short ones the model bridges, after long ones the motor begins anew; with duty changing."""
     record = train(63, HOUR)
-    watch, held, kinds = watched(known, record, (1800, 1800 + length, motors))
+    monitor, held, kinds = watched(known, record, (1800, 1800 + length, motors))
     assert not held.any()
     assert kinds[:, :, 5:8].max() < 0.5
-    blocks = (len(record.at) - (1800 + length if length > HOLE_S else 0)) // watch.together
-    assert abs(watch.judged[1] - blocks) <= 1
-    assert np.isfinite(watch.mean).all()
+    blocks = (len(record.at) - (1800 + length if length > GAP_S else 0)) // monitor.block
+    assert abs(monitor.motors["judged"][1] - blocks) <= 1
+    assert np.isfinite(mean_of(monitor)).all()
 
 
 @pytest.mark.parametrize("seed", [61, 62])
@@ -216,13 +222,13 @@ def test_one_motor_is_judged_as_beside_motors_that_are_the_model(known):
         parameters=np.tile(FLEET[ILL], (MOTORS, 1)), centre=0.0 * known.centre,
         noise=np.full((MOTORS, 3), NOISE_K),
     )  # fmt: skip
-    reading, x = record.temperature.copy(), np.empty(heat.LUMPS)
+    reading, x = record.temperature.copy(), np.empty(model.LUMPS)
     first = np.array([70.0, 45.0, 45.0])
-    begin(FLEET[ILL], first, record.speed[0], record.ambient[0], x)
+    start(FLEET[ILL], first, record.speed[0], record.ambient[0], x)
     for k in range(HOUR):
         step(FLEET[ILL], record.current_square[k, ILL], record.speed[k], record.ambient[k],
              np.zeros(5), 1.0, x)  # fmt: skip
-        reading[k] = x[SEEN] + FLEET[ILL, heat.OFFSETS]
+        reading[k] = x[SEEN] + FLEET[ILL, model.OFFSETS]
         if k == 0:
             reading[0] = first
     reading[:, ILL] = record.temperature[:, ILL]
@@ -232,13 +238,13 @@ def test_one_motor_is_judged_as_beside_motors_that_are_the_model(known):
     own = record._replace(temperature=reading[:, [ILL]], current_square=square[:, [ILL]])
     single, held, own_kinds = watched(one, own)
     np.testing.assert_allclose(own_kinds[:, 0], kinds[:, ILL], atol=1e-6)
-    np.testing.assert_allclose(single.mean[0], many.mean[ILL], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(mean_of(single)[0], mean_of(many)[ILL], rtol=1e-5, atol=1e-6)
     assert held[-600:].all()
 
 
 def test_without_peers_nothing_is_said(known):
     record = train(82, HOUR, "overheating")
     record.temperature[:, np.arange(MOTORS) != ILL] = np.nan
-    watch, held, _ = watched(known, record)
+    monitor, held, _ = watched(known, record)
     assert not held.any()
-    assert np.isnan(watch.off).all()
+    assert np.isnan(monitor.motors["off_k"]).all()

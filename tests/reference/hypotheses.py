@@ -1,8 +1,4 @@
-"""Compiled loop of `hypotheses`: the discrete Bayes filter over kinds and sizes of faults.
-
-States of a motor: 0 nothing; 5 kinds of heat x S sizes; 3 points x 2 signs x S sizes; 3 loose
-connectors.
-"""
+"""Hypotheses in NumPy, which `hypotheses.c` and `peers.c` are compared with."""
 
 from __future__ import annotations
 
@@ -10,8 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
-from estimators._lean import njit
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -28,20 +22,17 @@ _UNSURE = 0.15
 """Share by which a signature may be off: sizes are tried in steps of 1.4, and models err."""
 
 
-@njit(cache=True, error_model="numpy")
 def _tails(x: float, nu: float) -> float:
     """Log density of Student's t up to a constant, unit scale."""
     return -0.5 * (nu + 1.0) * math.log1p(x * x / nu)
 
 
-@njit(cache=True, error_model="numpy")
 def _unsure(x: float, mean: float, nu: float) -> float:
     """The same around a mean that is known to `_UNSURE` of itself."""
     scale = math.sqrt(1.0 + (_UNSURE * mean) ** 2)
     return _tails((x - mean) / scale, nu) - math.log(scale)
 
 
-@njit(cache=True, error_model="numpy")
 def _whitened(
     z: Array, white: Array, share: Array, shapes: Array, sizes: Array, nu: float, out: Array
 ) -> None:
@@ -71,7 +62,6 @@ def _whitened(
             n += 1
 
 
-@njit(cache=True, error_model="numpy")
 def _marginal(
     z: Array, sigma: Array, share: Array, shapes: Array, sizes: Array, nu: float, out: Array
 ) -> None:
@@ -92,7 +82,6 @@ def _marginal(
                 n += 1
 
 
-@njit(cache=True, error_model="numpy")
 def _own(z: Array, white: Array, q: int) -> tuple[float, float]:
     """Point q's deviation from what the other two make likely, and its standard deviation."""
     total, precision = 0.0, 0.0
@@ -105,7 +94,6 @@ def _own(z: Array, white: Array, q: int) -> tuple[float, float]:
     return total / precision, 1.0 / math.sqrt(precision)
 
 
-@njit(cache=True, error_model="numpy")
 def _loose(z: float, sigma: float, nu: float, share: float, most_k: float) -> float:
     """Log likelihood ratio of a loose connector's reading to a good one; readings count in full."""
     if not math.isfinite(z):
@@ -115,19 +103,16 @@ def _loose(z: float, sigma: float, nu: float, share: float, most_k: float) -> fl
     return math.log((1.0 - share) * good + share / (2.0 * most_k)) - math.log(max(good, 1e-300))
 
 
-@njit(cache=True, error_model="numpy")
 def _kind_of(g: int) -> int:
     """A sensor's two signs are one kind."""
     return g if g < _HEAT else _HEAT + (g - _HEAT) // 2
 
 
-@njit(cache=True, error_model="numpy")
 def _faulty(g: int, size: float, limit: float) -> bool:
     """A motor that is cooler than the model has no fault; a sensor's error has either sign."""
     return size >= limit or (g >= _HEAT and -size >= limit)
 
 
-@njit(cache=True, error_model="numpy")
 def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> None:
     """One step of the Markov chain: (S,) probabilities before, after."""
     begin, end, growth, often = rates[0], rates[1], rates[2], rates[6]
@@ -156,7 +141,6 @@ def _move(now: Array, sizes: Array, benign: Array, rates: Array, out: Array) -> 
         out[0] += (rates[8] - end) * now[n]
 
 
-@njit(cache=True, error_model="numpy")
 def references(u: Array, trusted: Flags, out: Array) -> None:
     """Fill out (M, 3): per motor and point the median of u (M, 3) over the other motors.
 
@@ -205,7 +189,6 @@ def references(u: Array, trusted: Flags, out: Array) -> None:
                     out[m, q] = above if abs(above) < abs(below) else below
 
 
-@njit(cache=True, error_model="numpy")
 def compare(residual: Array, rate: float, out: Array) -> None:
     """Fill out (K, M, 3): fault-free residuals as `sweep` would look at them, baselines learnt."""
     samples, motors, _ = residual.shape
@@ -223,7 +206,6 @@ def compare(residual: Array, rate: float, out: Array) -> None:
                     baseline[m, q] += rate * off
 
 
-@njit(cache=True, error_model="numpy")
 def sweep(
     z: Array, sigma: Array, white: Array, share: Array, shapes: Array, sizes: Array,
     benign: Array, rates: Array, kind: Array, size: Array, rise: Array,
@@ -263,7 +245,6 @@ def sweep(
                     baseline[m, q] += rates[7] * calm * min(max(off[q], -most), most)
 
 
-@njit(cache=True, error_model="numpy")
 def _judge(
     p: Array, off: Array, sigma: Array, white: Array, share: Array, shapes: Array,
     sizes: Array, benign: Array, rates: Array, held: int, kind: Array,
@@ -291,7 +272,6 @@ def _judge(
     _tell(p, sizes, benign, held, kind)
 
 
-@njit(cache=True, error_model="numpy")
 def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None:
     """Probabilities of the kinds, benign sizes left out: heat, sensors, loose connectors.
 
@@ -309,7 +289,6 @@ def _tell(p: Array, sizes: Array, benign: Array, held: int, kind: Array) -> None
         kind[_HEAT + _POINTS + q] = p[1 + (_HEAT + 2 * _POINTS) * count + q]
 
 
-@njit(cache=True, error_model="numpy")
 def _mean_sizes(p: Array, sizes: Array) -> tuple[float, float]:
     """K: of the faults that have a size, without sign; of sensors alone, + where they read high.
 

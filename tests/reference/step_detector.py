@@ -1,4 +1,4 @@
-"""Compiled side of `steps`: one sensor's latest readings in, how far it has stepped out."""
+"""Step detector in NumPy, which `estimators/thermal/step_detector.c` is compared with."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
-from estimators._lean import njit
 
 Array = NDArray[np.float64]
 
@@ -19,7 +17,6 @@ _ENOUGH = 3
 """Readings that a median needs."""
 
 
-@njit(cache=True, error_model="numpy")
 def _median(x: Array, first: int, end: int) -> float:
     """Of the readings in x[first:end]; NaN of fewer than `_ENOUGH`."""
     values = np.empty(end - first)
@@ -31,7 +28,6 @@ def _median(x: Array, first: int, end: int) -> float:
     return float(np.median(values[:n])) if n >= _ENOUGH else math.nan
 
 
-@njit(cache=True, error_model="numpy")
 def _trend(x: Array, first: int, end: int) -> tuple[float, float, float]:
     """Of the line through the medians of the halves of x[first:end]: place, value there, slope."""
     middle = (first + end) // 2
@@ -39,7 +35,6 @@ def _trend(x: Array, first: int, end: int) -> tuple[float, float, float]:
     return 0.5 * (middle + end - 1), two, (two - one) / (0.5 * (end - first))
 
 
-@njit(cache=True, error_model="numpy")
 def _jump(x: Array, before: int, after: int, level: float) -> float:
     """K that x jumps by in [before, before + after): what came then less what was to be expected.
 
@@ -59,13 +54,11 @@ def _jump(x: Array, before: int, after: int, level: float) -> float:
     return straight if abs(straight) < abs(bent) else bent
 
 
-@njit(cache=True, error_model="numpy")
 def start(state: Array) -> None:
     """A sensor that nothing is known of, state (5,) in place."""
     state[OFF], state[LEVEL], state[HOME], state[SINCE], state[OLD] = 0.0, math.nan, math.nan, -1, 0
 
 
-@njit(cache=True, error_model="numpy")
 def one(
     x: Array, state: Array, before: int, after: int, step: float, back: float, follows: float
 ) -> None:
@@ -107,7 +100,6 @@ def one(
         state[SINCE] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
 def follow(
     x: Array, counts: NDArray[np.int64], step: float, back: float, follows: float, out: Array
 ) -> None:

@@ -1,4 +1,4 @@
-"""Compiled loop of `mixture`; `expect_maximise.py_func` is its own plain twin."""
+"""Expectation-maximisation in NumPy, which `gaussian_mixture.c` is compared with."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators._lean import njit
-
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
 def expect_maximise(x: Array, iterations: int, floor: float, out: Array) -> None:
     """EM from spread quantiles of x (N,); out (3, n): weights, means (ascending), variances."""
     count, n = x.shape[0], out.shape[1]

@@ -1,23 +1,19 @@
-"""The thermal watch does not mind order, pace, later samples or absurd ones; what it learns."""
+"""The thermal monitor does not mind order, pace, later samples or absurd ones; what it learns."""
 
 import numpy as np
 import pytest
 
-from estimators.thermal import heat
+from estimators.thermal import model
 from estimators.thermal import model_method as method
-from estimators.thermal.heat import Drive, predict
+from estimators.thermal.model import Inputs, predict
+from estimators.thermal.monitor import Known, ThermalMonitor
 from estimators.thermal.record import Record
-from estimators.thermal.watch import Known, Watch
 
 MOTORS, K = 4, 2400
 TURNED = [2, 0, 3, 1]
 NOISE_K = np.random.default_rng(5).uniform(0.1, 0.5, (MOTORS, 3))
-FLEET = heat.TYPICAL * np.exp(
-    0.1 * np.random.default_rng(99).standard_normal((MOTORS, heat.COUNT))
-)  # fmt: skip
-STATE = (
-    "begun", "lumps", "ring", "jumps", "block", "raw", "sums", "middle", "bursts", "off", "mode",
-    "mean", "cov", "base", "loose", "kind", "size_k", "held", "judged", "late", "unknown_s",
+FLEET = model.TYPICAL * np.exp(
+    0.1 * np.random.default_rng(99).standard_normal((MOTORS, model.COUNT))
 )  # fmt: skip
 
 
@@ -30,7 +26,7 @@ def train(seed, k=K, step_s=1.0, every=1):
     speed = np.repeat(rng.uniform(50.0, 350.0, steps // 300 + 1), 300)[:steps]
     air = np.full(steps, 12.0)
     at = np.arange(1, k + 1) * every - 1
-    reading = predict(FLEET, Drive(square, speed, air, at, step_s))
+    reading = predict(FLEET, Inputs(square, speed, air, at, step_s))
     reading += NOISE_K * rng.standard_normal(reading.shape)
     reading[k // 2 :, 1, 1] += 6.0
     return Record(reading, at, square, speed, air, step_s)
@@ -55,37 +51,34 @@ def known():
     return method.learn(FLEET, runs)
 
 
-def through(watch, record, work=MOTORS):
+def through(monitor, record, work=MOTORS):
     """All samples of a record; so many motors are judged after each."""
     ones = np.ones(record.motors)
     for k in range(len(record.at)):
-        watch.take(
+        monitor.add_sample(
             record.temperature[k], record.current_square[k], ones * record.speed[k],
             ones * record.ambient[k],
         )  # fmt: skip
-        watch.work(work)
-    return watch
+        monitor.judge(work)
+    return monitor
 
 
 def same(one, other, turned=None):
-    for name in STATE:
-        a, b = getattr(one, name), getattr(other, name)
-        if turned is not None:
-            a = a[:, turned] if name == "sums" else a[turned]
-        np.testing.assert_array_equal(a, b, err_msg=name)
+    ours = one.motors if turned is None else one.motors[turned]
+    assert repr(ours.tolist()) == repr(other.motors.tolist())
 
 
 def test_turned_motors_turn_what_is_said(known):
     record = train(3)
     swapped, other = turn(record, known)
-    one, two = Watch(known, 1.0), Watch(other, 1.0)
+    one, two = ThermalMonitor(known, 1.0), ThermalMonitor(other, 1.0)
     # A mean over motors rounds by their order.
-    np.testing.assert_allclose(one.unit, two.unit, rtol=1e-12)
-    two.unit = one.unit
+    np.testing.assert_allclose(one.config["settles_k"], two.config["settles_k"], rtol=1e-12)
+    two.config["settles_k"] = one.config["settles_k"]
     same(through(one, record), through(two, swapped), TURNED)
-    kind, size = one.told()
-    np.testing.assert_array_equal(kind[TURNED], two.told()[0])
-    np.testing.assert_array_equal(size[TURNED], two.told()[1])
+    kind, size = one.kinds()
+    np.testing.assert_array_equal(kind[TURNED], two.kinds()[0])
+    np.testing.assert_array_equal(size[TURNED], two.kinds()[1])
     assert kind[1].sum() > 0.5 > np.delete(kind, 1, axis=0).sum(axis=1).max()
 
 
@@ -112,21 +105,21 @@ def _first(record, k):
 def test_who_judges_slowly_judges_alike(known, pace):
     """Those that wait are judged at the latest when the next block is there: nothing is lost."""
     record = train(5)
-    watch = through(Watch(known, 1.0), record, pace)
-    watch.work(MOTORS)
-    same(through(Watch(known, 1.0), record), watch)
+    monitor = through(ThermalMonitor(known, 1.0), record, pace)
+    monitor.judge(MOTORS)
+    same(through(ThermalMonitor(known, 1.0), record), monitor)
 
 
 def test_nothing_grows(known):
-    watch = through(Watch(known, 1.0), _first(train(6), 300))
+    monitor = through(ThermalMonitor(known, 1.0), _first(train(6), 300))
 
     def sizes():
-        return {n: a.nbytes for n, a in vars(watch).items() if isinstance(a, np.ndarray)}
+        return {n: a.nbytes for n, a in vars(monitor).items() if isinstance(a, np.ndarray)}
 
-    before, names = sizes(), set(vars(watch))
-    through(watch, train(6))
+    before, names = sizes(), set(vars(monitor))
+    through(monitor, train(6))
     assert sizes() == before
-    assert set(vars(watch)) == names
+    assert set(vars(monitor)) == names
     assert sum(before.values()) < 30_000 * MOTORS
 
 
@@ -136,33 +129,43 @@ def test_inputs_between_samples_are_averaged(known):
         fine.temperature, np.arange(1200), fine.current_square.reshape(-1, 2, MOTORS).mean(axis=1),
         fine.speed.reshape(-1, 2).mean(axis=1), fine.ambient.reshape(-1, 2).mean(axis=1), 1.0,
     )  # fmt: skip
-    one, two = Watch(known, 1.0), Watch(known, 1.0)
+    one, two = ThermalMonitor(known, 1.0), ThermalMonitor(known, 1.0)
     judged = sum(method.followed(one, fine))
-    assert judged == 1200 // one.together
+    assert judged == 1200 // one.block
     assert sum(method.followed(two, mean)) == judged
-    for name in ("lumps", "mean", "mode"):
-        np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-9, atol=1e-12)
+    for ours, theirs in (
+        (one.motors["lumps"], two.motors["lumps"]),
+        *((one.motors["imm"][name], two.motors["imm"][name]) for name in ("mean", "mode")),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("dt_s", [0.1, 1.0, 5.0])
+@pytest.mark.parametrize("dt_s", [0.5, 1.0, 5.0])
 def test_absurd_samples_raise_nothing_and_leave_numbers(known, dt_s):
     rng = np.random.default_rng(8)
-    watch = Watch(known, dt_s)
+    monitor = ThermalMonitor(known, dt_s)
     for k in range(3000):
         wild = 10.0 ** rng.uniform(0.0, 6.0) if k % 5 == 0 else 30.0
         reading = 50.0 + wild * rng.standard_normal((MOTORS, 3))
         inputs = rng.uniform(0.0, 1.0, (3, MOTORS)) * np.array([[4e5], [1e3], [100.0]])
         reading[rng.random((MOTORS, 3)) < 0.1] = np.nan
         inputs[rng.random((3, MOTORS)) < (0.9 if k // 300 % 3 == 1 else 0.02)] = np.nan
-        watch.take(reading, *inputs)
-        watch.work(int(rng.integers(0, 3)))
-        kind, size = watch.told()
+        monitor.add_sample(reading, *inputs)
+        monitor.judge(int(rng.integers(0, 3)))
+        kind, size = monitor.kinds()
         assert kind.min() >= 0.0
         assert kind.sum(axis=1).max() <= 1.0
         assert np.isfinite(size).all(), k
-    for name in ("mode", "mean", "cov", "base", "loose", "lumps"):
-        assert np.isfinite(getattr(watch, name)).all(), name
-    np.testing.assert_allclose(watch.mode.sum(axis=1), 1.0)
+    filters = monitor.motors["imm"]
+    parts = [filters[name] for name in ("mode", "mean", "cov")]
+    parts += [monitor.motors[name] for name in ("base_k", "loose", "lumps")]
+    assert all(np.isfinite(part).all() for part in parts)
+    np.testing.assert_allclose(filters["mode"].sum(axis=1), 1.0)
+
+
+def test_samples_too_close_together_are_refused(known):
+    with pytest.raises(ValueError, match="too close together"):
+        ThermalMonitor(known, 0.1)
 
 
 def test_what_is_learnt_is_right_and_knows_no_order(known):

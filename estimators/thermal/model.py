@@ -1,16 +1,11 @@
 """A motor as five lumps of heat, driven by what is on the bus: currents, speed, ambient.
 
-    winding      dw = a I^2 (1 + 0.0039 (w - 60)) - k_w (w - c)
-    core         dc = k_c (w - c) + e_1 |W| + e_2 W^2 - g_c (c - f)
-    frame        df = g_f (c - f) - (h_0 + h_1 |W|) (f - T_a)
-    drive end    dd = k_d (f - d) + f_d |W| - b_d (d - T_a)       non-drive end alike
-
-per second; I amplitude of the current A, W rotor speed rad/s, T_a ambient degC. Readings are w, d,
-n plus an offset each. Core and frame are two: air cools the frame, the ends hang on it, the winding
-on the core, and that is what is seen when cooling fails. Rates, not heat capacities: temperatures
-alone cannot tell more. It is run open loop: a filter would follow the fault, and after a few steps
-its residual is white again. In place of paper `thermal`, eq. (1), whose one lump of 850 kg has one
-time constant, whose Joule heat is of the current's change, and which lacks the time step.
+The equations stand in `model.c`. Readings are those of winding and ends, plus an offset each. Core
+and frame are two: air cools the frame, the ends hang on it, the winding on the core, and that is
+what is seen when cooling fails. Rates, not heat capacities: temperatures alone cannot tell more. It
+is run open loop: a filter would follow the fault, and after a few steps its residual is white
+again. In place of paper `thermal`, eq. (1), whose one lump of 850 kg has one time constant, whose
+Joule heat is of the current's change, and which lacks the time step.
 """
 
 from __future__ import annotations
@@ -18,9 +13,10 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
-from estimators.thermal import _heat_kernels
+from estimators._core import Records, pointer, records
 from estimators.thermal.record import Record
 
 Array = NDArray[np.float64]
@@ -45,11 +41,13 @@ TYPICAL: Final = np.array(
     ]
 )  # fmt: skip
 """Where the search begins: a motor of some hundred kilograms and kilowatts."""
+LEAST_RISE_K: Final[float] = lib.THERMAL_LEAST_RISE_K
+"""Of a frame over the air, that cooling is reckoned with."""
 STEP_S: Final = 60.0
 """Inputs are averaged over this much if they come faster and samples are further apart."""
 
 
-class Drive(NamedTuple):
+class Inputs(NamedTuple):
     """Inputs of the model: current_square (L, M), speed (L,), ambient (L,), at (K,), step_s."""
 
     current_square: Array
@@ -59,15 +57,15 @@ class Drive(NamedTuple):
     step_s: float
 
 
-def drive(record: Record) -> Drive:
+def inputs_of(record: Record) -> Inputs:
     """A record's inputs, averaged to `STEP_S` where its samples are far enough apart."""
     spacing = np.diff(record.at, prepend=-1).min() * record.step_s
     group = round(min(STEP_S, spacing) / record.step_s)
     if group <= 1 or len(record.speed) % group or np.any((record.at + 1) % group):
-        return Drive(
+        return Inputs(
             record.current_square, np.abs(record.speed), record.ambient, record.at, record.step_s
         )
-    return Drive(
+    return Inputs(
         record.current_square.reshape(-1, group, record.motors).mean(axis=1),
         np.abs(record.speed).reshape(-1, group).mean(axis=1),
         record.ambient.reshape(-1, group).mean(axis=1),
@@ -78,7 +76,7 @@ def drive(record: Record) -> Drive:
 
 def predict(
     parameters: Array,
-    inputs: Drive,
+    inputs: Inputs,
     start: Array | None = None,
     extra: Array | None = None,
     core: Array | None = None,
@@ -89,41 +87,62 @@ def predict(
     without them the steady state of the first hour's mean inputs; extra (M, 5): constant heat in
     the lumps, K/s; core (M,): K that the core is warmer at the beginning than its ends say.
     """
-    lumps = courses(parameters, inputs, start, extra, core)
+    lumps = simulate(parameters, inputs, start, extra, core)
     return np.asarray(lumps[:, :, list(MEASURED)] + parameters[:, OFFSETS])
 
 
-def courses(
+def simulate(
     parameters: Array,
-    inputs: Drive,
+    inputs: Inputs,
     start: Array | None = None,
     extra: Array | None = None,
     core: Array | None = None,
 ) -> Array:
     """(K, M, 5) degC of all lumps; arguments as `predict`."""
     motors = len(parameters)
-    square = np.ascontiguousarray(np.broadcast_to(
-        inputs.current_square, (len(inputs.speed), motors)
-    ))  # fmt: skip
+    square = np.broadcast_to(inputs.current_square, (len(inputs.speed), motors))
     heat = np.zeros((motors, EXTRA)) if extra is None else extra
-    out = np.empty((len(inputs.at), motors, LUMPS))
     if start is None:
         first = max(round(3600.0 / inputs.step_s), 1)
         speed, ambient = float(inputs.speed[:first].mean()), float(inputs.ambient[:first].mean())
         mean = square[:first].mean(axis=0).tolist()
-        rows = [settled(p, mean[m], speed, ambient, heat[m]) for m, p in enumerate(parameters)]
+        rows = [steady_state(p, mean[m], speed, ambient, heat[m]) for m, p in enumerate(parameters)]
         state = np.stack(rows)
     else:
-        state = begun(parameters, start, float(inputs.ambient[0]))
+        state = initial_state(parameters, start, float(inputs.ambient[0]))
         if core is not None:
             state[:, CORE] += core
-    _heat_kernels.simulate(
-        parameters, square, inputs.speed, inputs.ambient, heat, inputs.at, inputs.step_s, state, out
-    )
+    return run(parameters, inputs._replace(current_square=square), heat, state)
+
+
+def run(parameters: Array, inputs: Inputs, extra: Array, state: Array) -> Array:
+    """(K, M, 5) degC of all lumps from `state` (M, 5) on, which is that of the last of `at` then.
+
+    extra (M, 5): as `predict`; current_square is of M motors.
+    """
+    out = np.empty((len(state), len(inputs.at), LUMPS))
+    motors, at = parameter_records(parameters), np.ascontiguousarray(inputs.at, dtype=np.int64)
+    given = np.empty(len(inputs.speed), records.THERMAL_INPUT)
+    given["speed"], given["ambient"] = inputs.speed, inputs.ambient
+    for m, x in enumerate(state):
+        given["current_square"] = inputs.current_square[:, m]
+        lib.thermal_model_simulate(
+            pointer("struct thermal_parameters", motors[m : m + 1]),
+            pointer("struct thermal_input", given),
+            pointer("double", np.ascontiguousarray(extra[m], dtype=np.float64)), inputs.step_s,
+            pointer("int64_t", at), len(at), pointer("double", x), pointer("double", out[m]),
+        )  # fmt: skip
+    return np.ascontiguousarray(out.transpose(1, 0, 2))
+
+
+def parameter_records(parameters: Array) -> Records:
+    """(M,) of `struct thermal_parameters`, from (M, 18) or (18,)."""
+    rows = np.ascontiguousarray(np.atleast_2d(parameters), dtype=np.float64)
+    out: Records = rows.view(records.THERMAL_PARAMETERS)[:, 0]
     return out
 
 
-def begun(parameters: Array, readings: Array, ambient: float) -> Array:
+def initial_state(parameters: Array, readings: Array, ambient: float) -> Array:
     """(M, 5) degC: lumps of motors with readings (M, 3); the frame as warm as its ends say.
 
     An end that settles is k/(k + b) of the way from the air to the frame. The core is taken to be
@@ -136,7 +155,7 @@ def begun(parameters: Array, readings: Array, ambient: float) -> Array:
     return np.stack([true[:, 0], 0.5 * (true[:, 0] + frame), frame, true[:, 1], true[:, 2]], axis=1)
 
 
-def settled(p: Array, square: float, speed: float, ambient: float, extra: Array) -> Array:
+def steady_state(p: Array, square: float, speed: float, ambient: float, extra: Array) -> Array:
     """(5,) degC: steady state of the lumps; finite for positive rates."""
     # The winding's own slope is left out: a start, not a result.
     copper = p[A] * square + extra[WINDING]
@@ -153,11 +172,21 @@ def settled(p: Array, square: float, speed: float, ambient: float, extra: Array)
     return np.array([core + copper / p[K_W], core, frame, *ends])
 
 
-def coupling(p: Array, square: float, speed: float) -> Array:
+def system_matrix(p: Array, square: float, speed: float) -> Array:
     """(5, 5) 1/s: how fast deviations of the lumps from `predict` change; heat in, per second.
 
     p (18,): of one motor; square A^2 and speed rad/s of the moment.
     """
     a = np.empty((LUMPS, LUMPS))
-    _heat_kernels.coupling(p, square, speed, a)
+    lib.thermal_model_system_matrix(
+        pointer("struct thermal_parameters", parameter_records(p)), square, speed,
+        pointer("double", a),
+    )  # fmt: skip
     return a
+
+
+def resistance(winding: Array) -> Array:
+    """Resistance of the winding at these temperatures, degC, over that at 60 degC."""
+    return np.array([lib.thermal_model_resistance(w) for w in winding.ravel()]).reshape(
+        winding.shape
+    )

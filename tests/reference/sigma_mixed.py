@@ -1,4 +1,4 @@
-"""Compiled loop of `sigma_mixed`: M motors, three points each, over K samples."""
+"""Sigma-mixed filter in NumPy, which `sigma_mixed.c` is compared with."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators._lean import njit
-from estimators.thermal._mixture_kernels import expect_maximise
+from tests.reference.mixture import expect_maximise
 
 Array = NDArray[np.float64]
 
@@ -18,7 +17,6 @@ _ITERATIONS = 10
 _FLOOR = 1e-4
 
 
-@njit(cache=True, error_model="numpy")
 def _root(P: Array, scale: float, L: Array) -> None:
     """Lower factor of scale * P (3, 3), symmetric positive definite."""
     L[:, :] = 0.0
@@ -34,7 +32,6 @@ def _root(P: Array, scale: float, L: Array) -> None:
             L[i, j] = value / L[j, j]
 
 
-@njit(cache=True, error_model="numpy")
 def _sigma_points(x: Array, P: Array, kappa: float, L: Array, out: Array) -> None:
     """(19): out (7, 3)."""
     _root(P, _N + kappa, L)
@@ -45,7 +42,6 @@ def _sigma_points(x: Array, P: Array, kappa: float, L: Array, out: Array) -> Non
             out[1 + _N + i, p] = x[p] - L[p, i]
 
 
-@njit(cache=True, error_model="numpy")
 def sweep(
     y: Array, settled: Array, keep: Array, drift: Array, gap: Array, q: Array, r: Array,
     apart: Array, options: Array, state: Array, mixed: Array,
@@ -102,7 +98,6 @@ def sweep(
             mixed[k, m] = common
 
 
-@njit(cache=True, error_model="numpy")
 def _update(x: Array, P: Array, p: int, reading: float, r: float) -> None:
     """(28) for one point's reading: y = x_p + v, so that P_xy is a column of P."""
     s = P[p, p] + r

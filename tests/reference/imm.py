@@ -1,8 +1,4 @@
-"""Compiled side of `models`: the interacting filters of one motor, one block of readings at a time.
-
-State: deviations of five lumps, K; five disturbances; the fault's size; how fast it creeps, K/s,
-which only a sensor's does. Modes: nothing; a kind of heat each; a sensor that is off each.
-"""
+"""Interacting filters of one motor in NumPy, which `estimators/thermal/imm.c` is compared with."""
 
 from __future__ import annotations
 
@@ -10,8 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
-from estimators._lean import njit
 
 Array = NDArray[np.float64]
 
@@ -33,7 +27,6 @@ _OUTLYING = 0.01
 """Share of blocks that are not what they seem."""
 
 
-@njit(cache=True, error_model="numpy")
 def _response(rates: Array, dt: float, fade: Array, gain: Array) -> None:
     """What is left after dt s of deviations, and what a steady heat of 1 K/s has made of them.
 
@@ -58,7 +51,6 @@ def _response(rates: Array, dt: float, fade: Array, gain: Array) -> None:
     fade[:], gain[:] = power, total
 
 
-@njit(cache=True, error_model="numpy")
 def _mix(
     mode: Array, mean: Array, cov: Array, begin: float, end: float, sizes: Array,
     weight: Array, mean_out: Array, cov_out: Array,
@@ -91,7 +83,6 @@ def _mix(
         cov_out[g, RATE, RATE] += new * sizes[g, CREEP] ** 2
 
 
-@njit(cache=True, error_model="numpy")
 def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> float:
     """Kalman update by the readings y (3,) that there are, robust; log likelihood of them.
 
@@ -136,14 +127,12 @@ def _update(x: Array, p: Array, g: int, y: Array, noise: float, wide: float) -> 
     return says
 
 
-@njit(cache=True, error_model="numpy")
 def _warmer(x: Array, p: Array) -> float:
     """Log probability that the size is above 0."""
     below = -x[SIZE] / math.sqrt(2.0 * max(p[SIZE, SIZE], 1e-9))
     return math.log(max(0.5 * math.erfc(below), _LEAST))
 
 
-@njit(cache=True, error_model="numpy")
 def advance(
     mode: Array, mean: Array, cov: Array, y: Array, rates: Array, pushes: Array, heats: Array,
     rise: float, dt: float, sigma: Array, odds: Array, sizes: Array, noise: float, held: bool,
@@ -209,7 +198,6 @@ def advance(
     return float(top + math.log(total))
 
 
-@njit(cache=True, error_model="numpy")
 def _warm(x: Array, p: Array, shown: float) -> float:
     """Probability that the reading that shows most is `shown` K too warm."""
     most = 0.0
@@ -219,7 +207,6 @@ def _warm(x: Array, p: Array, shown: float) -> float:
     return most
 
 
-@njit(cache=True, error_model="numpy")
 def tell(mode: Array, mean: Array, cov: Array, limits: Array, shown: float, kind: Array) -> float:
     """Fill kind (8,): probability of every kind with a size beyond its limit; the likely size K.
 

@@ -1,0 +1,9 @@
+"""The compiled core, as far as the maths may know it."""
+
+from __future__ import annotations
+
+from dbc import records
+from dbc._core_symbols import symbol
+from dbc.records import Records, pointer
+
+__all__ = ["Records", "pointer", "records", "symbol"]

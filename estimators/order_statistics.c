@@ -1,0 +1,36 @@
+/* Sorting and medians without memory of their own. */
+#include "estimators/order_statistics.h"
+
+/* Shell's method: for 1,000 numbers few steps, and it needs no room. */
+void sort_ascending(double *values, int n)
+{
+    int gap = 1;
+    while (gap < n / 3)
+        gap = 3 * gap + 1;
+    for (; gap > 0; gap /= 3) {
+        for (int k = gap; k < n; k++) {
+            const double value = values[k];
+            int place = k;
+            for (; place >= gap && values[place - gap] > value; place -= gap)
+                values[place] = values[place - gap];
+            values[place] = value;
+        }
+    }
+}
+
+double median_in_place(double *values, int n)
+{
+    sort_ascending(values, n);
+    const double above = values[n / 2];
+    return n % 2 ? above : (values[n / 2 - 1] + above) / 2.0;
+}
+
+struct middle_pair middle_of_others(const double *sorted, int others, double own)
+{
+    const int low = (others - 1) / 2, high = others / 2;
+    /* From the place of the number that is left out on, the others' ranks are one more. */
+    return (struct middle_pair){
+        .below = sorted[low + (sorted[low] >= own)],
+        .above = sorted[high + (sorted[high] >= own)],
+    };
+}

@@ -1,0 +1,20 @@
+/* Sorting and medians without memory of their own. */
+#ifndef TRACTION_ORDER_STATISTICS_H
+#define TRACTION_ORDER_STATISTICS_H
+
+/* Two numbers, the lesser first. */
+struct middle_pair {
+    double below, above;
+};
+
+/* Sort n numbers, none of them NaN, in place, ascending. */
+void sort_ascending(double *values, int n);
+
+/* Median of n >= 1 numbers, which are sorted in place. */
+double median_in_place(double *values, int n);
+
+/* The two middle numbers (equal where their count is odd) of sorted numbers, of which one, `own`, is
+ * left out; `others`, at least 1, is how many are left. `own` is NaN: none is left out. */
+struct middle_pair middle_of_others(const double *sorted, int others, double own);
+
+#endif

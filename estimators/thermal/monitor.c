@@ -1,0 +1,252 @@
+/* Thermal faults while they happen: blocks of residuals compared, every motor judged.
+ *
+ * What a motor's readings differ by from its model (residuals.c) is taken together in blocks of seconds
+ * (medians: noise and bursts do not count), less what the other motors differ by (peers.c), and goes
+ * to the filters (imm.c). Bursts of loose connectors are told apart before.
+ *
+ * Nothing here can fail: counts of samples that are divided by are at least 1, probabilities are kept
+ * between 0 and SUREST, and windows are cut to THERMAL_BLOCK_MAX. */
+#include "estimators/thermal/monitor.h"
+
+#include <math.h>
+
+#include "estimators/elementary.h"
+#include "estimators/numbers.h"
+#include "estimators/order_statistics.h"
+#include "estimators/thermal/imm.h"
+#include "estimators/thermal/model.h"
+#include "estimators/thermal/peers.h"
+
+enum { P = THERMAL_POINTS, SENSOR_KINDS = IMM_MODES - 1 };
+
+static const double MOST_LEARNT_K = 0.9; /* K, of one block's deviation that a baseline follows */
+static const double RETURNED_K = 2.0; /* K, a sensor that has crept and stepped is off by no more */
+static const double SUREST =
+    0.95; /* of a loose connector: it has to be forgotten when it is mended */
+static const double LEAST = 1e-300; /* of a sum of probabilities that is divided by */
+/* A fault is reported from the first probability until the last; what is reported is above one half. */
+static const double RAISE = 0.9, CLEAR = 0.3, HALF = 0.5;
+
+/* Readings of a block that there are, in order. */
+static int readings_of(const double *values, int block, double *out)
+{
+    int n = 0;
+    for (int k = 0; k < block; k++)
+        if (isfinite(values[k]))
+            out[n++] = values[k];
+    return n;
+}
+
+/* Median of the n readings of a block in values, which are left as they are; NaN of less than a
+ * third. */
+static double block_median(const double *values, int n, int block)
+{
+    double sorted[THERMAL_BLOCK_MAX];
+    if (3 * n < block)
+        return NAN;
+    for (int k = 0; k < n; k++)
+        sorted[k] = values[k];
+    return median_in_place(sorted, n);
+}
+
+/* Log odds that the n readings x of a block, around their median, speak for a loose connector.
+ *
+ * Far readings at an edge of the block are those of a burst only if the sensor comes back: the next
+ * block, or the last one, is where this one is. */
+static double loose_log_odds(const struct thermal_config *config, const double *x, int n,
+                             double middle, double far, struct thermal_burst *burst)
+{
+    int first = 0, last = 0, inner = 0;
+    for (int k = 0; k < n; k++) {
+        if (fabs(x[k] - middle) <= far) {
+            inner += last;
+            last = 0;
+        } else if (k == first) {
+            first += 1;
+        } else {
+            last += 1;
+        }
+    }
+    const int near = n - first - inner - last;
+    const int returned = fabs(middle - burst->middle_k) < 0.5 * far;
+    const int odd = inner + (returned ? first + burst->last : 0);
+    burst->middle_k = middle;
+    burst->last = last;
+    if (n == 0)
+        return NAN;
+    const double by_odd = elementary_log(config->loose_share / config->good_share);
+    const double by_near = elementary_log((1.0 - config->loose_share) / (1.0 - config->good_share));
+    return (odd * by_odd + near * by_near) / config->burst_length;
+}
+
+/* Medians and bursts of one motor's sensors. */
+static void summarise(const struct thermal_config *config, const struct thermal_motor_config *known,
+                      struct thermal_motor *motor)
+{
+    double x[THERMAL_BLOCK_MAX];
+    for (int q = 0; q < P; q++) {
+        int n = readings_of(motor->block[q], config->block, x);
+        motor->middle_k[q] = block_median(x, n, config->block);
+        n = readings_of(motor->raw[q], config->block, x);
+        const double middle = block_median(x, n, config->block);
+        const double far = larger(config->far_sigma * known->noise_k[q], config->far_k);
+        motor->bursts[q] = loose_log_odds(config, x, n, middle, far, &motor->burst[q]);
+    }
+}
+
+/* A motor that is compared with others than before may stand as much elsewhere as they do: shift K. */
+static void widen_seen(struct thermal_motor *motor, int q, double shift)
+{
+    if (!isfinite(shift))
+        return;
+    for (int g = 0; g < IMM_MODES; g++)
+        motor->imm.cov[g][THERMAL_SEEN[q]][THERMAL_SEEN[q]] += shift * shift;
+}
+
+/* A sensor that had crept away and steps back is where it was. */
+static void forget_return(struct thermal_motor *motor, int q)
+{
+    const int g = 1 + IMM_HEATS + q;
+    const double crept = motor->imm.mean[g][IMM_STATES - 2];
+    if (motor->imm.mode[g] > HALF && fabs(motor->step[q].offset_k + crept) < RETURNED_K)
+        motor->step[q].offset_k = 0.0;
+}
+
+/* Inputs from the middle of the last block to that of this one. */
+static void take_inputs(struct thermal_motor *motor)
+{
+    const struct thermal_sums *first = &motor->half[0], *late = &motor->late;
+    motor->inputs = (struct thermal_sums){
+        .current_square = late->current_square + first->current_square,
+        .speed = late->speed + first->speed,
+        .cooling = late->cooling + first->cooling,
+        .copper = late->copper + first->copper,
+        .rise = late->rise + first->rise,
+        .count = late->count + first->count,
+    };
+    motor->late = motor->half[1];
+    motor->half[0] = motor->half[1] = (struct thermal_sums){0};
+}
+
+void thermal_close_block(const struct thermal_config *config,
+                         const struct thermal_motor_config *known, struct thermal_motor *motor,
+                         int motors, double *workspace)
+{
+    double *u = workspace, *was = u + (int64_t)motors * P, *sorted = was + (int64_t)motors * P;
+    uint8_t *trusted = (uint8_t *)(sorted + motors);
+    for (int m = 0; m < motors; m++) {
+        summarise(config, &known[m], &motor[m]);
+        for (int q = 0; q < P; q++)
+            u[m * P + q] = motor[m].middle_k[q] - motor[m].base_k[q];
+        trusted[m] = motor[m].trusted;
+    }
+    peers_median(u, trusted, motors, sorted, was);
+    for (int m = 0; m < motors; m++)
+        for (int q = 0; q < P; q++)
+            motor[m].off_k[q] = was[m * P + q];
+    for (int m = 0; m < motors; m++)
+        trusted[m] = motor[m].trusted = !motor[m].held;
+    peers_median(u, trusted, motors, sorted, was);
+    for (int m = 0; m < motors; m++) {
+        for (int q = 0; q < P; q++) {
+            widen_seen(&motor[m], q, was[m * P + q] - motor[m].off_k[q]);
+            motor[m].off_k[q] = u[m * P + q] - was[m * P + q];
+            forget_return(&motor[m], q);
+        }
+        take_inputs(&motor[m]);
+    }
+}
+
+/* ---- Judging ---- */
+
+void thermal_surroundings(const struct thermal_config *config, const struct thermal_parameters *p,
+                          const struct thermal_sums *inputs, struct imm_surroundings *out)
+{
+    const double n = larger(inputs->count, 1.0); /* a block in a short gap has no inputs at all */
+    const double current_square = inputs->current_square / n, speed = inputs->speed / n;
+    const double cooling = inputs->cooling / n, copper = inputs->copper / n;
+    const double *settles = config->settles_k;
+    *out = (struct imm_surroundings){.rise_k = larger(inputs->rise / n, THERMAL_LEAST_RISE_K)};
+    thermal_model_system_matrix(p, current_square, speed, &out->rates[0][0]);
+    /* Copper, local air, fan, friction of both ends. */
+    out->pushes[THERMAL_WINDING][0] = copper;
+    out->pushes[THERMAL_FRAME][1] = p->h_0 + p->h_1 * speed;
+    out->pushes[THERMAL_DRIVE_END][1] = p->b_d;
+    out->pushes[THERMAL_OTHER_END][1] = p->b_n;
+    out->pushes[THERMAL_FRAME][2] = cooling;
+    out->pushes[THERMAL_DRIVE_END][3] = p->f_d * speed;
+    out->pushes[THERMAL_OTHER_END][4] = p->f_n * speed;
+    /* Overheating, lost cooling, bearings, winding resistance: 1 K at the mean duty when settled. */
+    out->heats[0][THERMAL_WINDING] = 1.0 / settles[THERMAL_WINDING];
+    out->heats[1][THERMAL_FRAME] = cooling / config->duty_cooling / settles[THERMAL_FRAME];
+    out->heats[2][THERMAL_DRIVE_END] = speed / config->duty_speed / settles[THERMAL_DRIVE_END];
+    out->heats[3][THERMAL_OTHER_END] = speed / config->duty_speed / settles[THERMAL_OTHER_END];
+    out->heats[4][THERMAL_WINDING] = copper / config->duty_copper / settles[THERMAL_WINDING];
+}
+
+/* Probability of each connector to be loose, from the last block's log odds. */
+static void judge_connectors(const struct thermal_config *config, struct thermal_motor *motor)
+{
+    const double dt = config->imm.block_s;
+    for (int q = 0; q < P; q++) {
+        if (!isnan(motor->bursts[q])) { /* without readings what was believed stands */
+            const double p = motor->loose[q];
+            const double now = p * (1.0 - config->loose_end_per_s * dt) +
+                               (1.0 - p) * config->loose_begin_per_s * dt;
+            const double odds =
+                now / (1.0 - now) * elementary_exp(clamp(motor->bursts[q], -50.0, 50.0));
+            motor->loose[q] = smaller(odds / (1.0 + odds), SUREST);
+        }
+        motor->kind[SENSOR_KINDS + q] = motor->loose[q];
+    }
+}
+
+/* Hysteresis: the kinds' sum is above one half where a fault is reported, and below where none is. */
+static void hold(struct thermal_motor *motor)
+{
+    double total = 0.0;
+    for (int c = 0; c < THERMAL_KINDS; c++)
+        total += motor->kind[c];
+    const double most = larger(total, 1.0);
+    const double p = total / most;
+    motor->held = p > (motor->held ? CLEAR : RAISE);
+    motor->fault_probability = p;
+    const double shown = motor->held ? larger(p, HALF + 0.01) : smaller(p, HALF - 0.01);
+    for (int c = 0; c < THERMAL_KINDS; c++)
+        motor->kind[c] *= shown / larger(total, LEAST);
+}
+
+void thermal_judge_block(const struct thermal_config *config,
+                         const struct thermal_motor_config *known, struct thermal_motor *motor)
+{
+    struct imm_surroundings around;
+    thermal_surroundings(config, &known->model, &motor->inputs, &around);
+    motor->log_likelihood = imm_advance(&config->imm, &around, motor->off_k, known->block_noise_k,
+                                        motor->held, &motor->imm);
+    motor->size_k = imm_kinds(&config->imm, &motor->imm, motor->kind);
+    judge_connectors(config, motor);
+    hold(motor);
+    const double share =
+        config->learn_per_s * config->imm.block_s * (1.0 - motor->fault_probability);
+    for (int q = 0; q < P; q++)
+        if (isfinite(motor->off_k[q]))
+            motor->base_k[q] += share * clamp(motor->off_k[q], -MOST_LEARNT_K, MOST_LEARNT_K);
+    motor->judged += 1;
+}
+
+double thermal_likelihood(const struct thermal_config *config,
+                          const struct thermal_motor_config *known, const double *off,
+                          const struct thermal_sums *inputs, int blocks)
+{
+    struct imm_state state;
+    struct imm_surroundings around;
+    double total = 0.0;
+    imm_start(&config->imm, &state);
+    for (int k = 0; k < blocks; k++) {
+        thermal_surroundings(config, &known->model, &inputs[k], &around);
+        const double says = imm_advance(&config->imm, &around, off + (int64_t)k * P,
+                                        known->block_noise_k, 0, &state);
+        total += k > 0 ? says : 0.0; /* the first block is the start's */
+    }
+    return total;
+}

@@ -1,0 +1,156 @@
+/* Residuals of every motor's readings, sample by sample: its heat (model.c) runs open loop beside it,
+ * from the currents, the speed and the ambient temperature on the bus. Steps of sensors
+ * (step_detector.c) are taken off.
+ *
+ * Nothing here can fail: rates that are divided by are above 0 (`identify` seeks their logarithms), and
+ * windows and blocks are at most THERMAL_BLOCK_MAX long (`struct thermal_config`). */
+#include "estimators/thermal/residuals.h"
+
+#include <math.h>
+
+#include "estimators/numbers.h"
+#include "estimators/thermal/imm.h"
+#include "estimators/thermal/model.h"
+#include "estimators/thermal/step_detector.h"
+
+enum { P = THERMAL_POINTS, L = THERMAL_LUMPS };
+
+static const double NO_EXTRA[L] = {0.0};
+
+void thermal_motor_reset(const struct thermal_config *config, struct thermal_motor *motor)
+{
+    *motor = (struct thermal_motor){
+        .unknown_s = motor->unknown_s, .trusted = motor->trusted, .lost = motor->lost};
+    imm_start(&config->imm, &motor->imm);
+    for (int q = 0; q < P; q++) {
+        step_reset(&motor->step[q]);
+        motor->burst[q].middle_k = NAN;
+        motor->middle_k[q] = motor->off_k[q] = NAN;
+        for (int k = 0; k < THERMAL_BLOCK_MAX; k++)
+            motor->window[q][k] = motor->block[q][k] = motor->raw[q][k] = NAN;
+    }
+}
+
+/* An end of the motor: rates to frame and air, friction. */
+struct end {
+    double k, f, b;
+};
+
+static struct end end_of(const struct thermal_parameters *p, int q)
+{
+    if (q == 1)
+        return (struct end){p->k_d, p->f_d, p->b_d};
+    return (struct end){p->k_n, p->f_n, p->b_n};
+}
+
+/* The frame is as warm as the ends that are seen say, their friction taken off, or half way from the
+ * winding to the air. The core is half way from the winding to the frame. */
+int thermal_motor_start(const struct thermal_parameters *p, const struct thermal_input *u,
+                        const double *reading, double *x)
+{
+    const double T_a = u->ambient, W = u->speed;
+    const double winding = reading[0] - p->offset_k[0];
+    double total = 0.0;
+    int count = 0;
+    for (int q = 1; q < P; q++) {
+        if (!isfinite(reading[q]))
+            continue;
+        const struct end end = end_of(p, q);
+        const double own = reading[q] - p->offset_k[q];
+        const double frame = T_a + ((own - T_a) * (end.k + end.b) - end.f * W) / end.k;
+        total += larger(frame, smaller(T_a, own));
+        count++;
+    }
+    if (count == 0 && !isfinite(winding))
+        return 0;
+    const double frame = count > 0 ? total / count : 0.5 * (winding + T_a);
+    x[THERMAL_WINDING] = isfinite(winding) ? winding : frame;
+    x[THERMAL_CORE] = 0.5 * (x[THERMAL_WINDING] + frame);
+    x[THERMAL_FRAME] = frame;
+    for (int q = 1; q < P; q++) {
+        const struct end end = end_of(p, q);
+        const double settled = T_a + (end.k * (frame - T_a) + end.f * W) / (end.k + end.b);
+        x[THERMAL_SEEN[q]] = isfinite(reading[q]) ? reading[q] - p->offset_k[q] : settled;
+    }
+    return 1;
+}
+
+static void add_inputs(const struct thermal_parameters *p, const struct thermal_input *u,
+                       const double *x, struct thermal_sums *sums)
+{
+    const double rise = larger(x[THERMAL_FRAME] - u->ambient, THERMAL_LEAST_RISE_K);
+    sums->current_square += u->current_square;
+    sums->speed += u->speed;
+    sums->cooling += (p->h_0 + p->h_1 * u->speed) * rise;
+    sums->copper += p->a * u->current_square * thermal_model_resistance(x[THERMAL_WINDING]);
+    sums->rise += rise;
+    sums->count += 1.0;
+}
+
+/* The residual of one sensor, the k-th of its block; NaN without a reading. */
+static void add_residual(const struct thermal_config *config, struct thermal_motor *motor, int q,
+                         int k, double residual)
+{
+    struct step_state *step = &motor->step[q];
+    motor->raw[q][k] = residual;
+    if (config->steps.step_k > 0.0) {
+        double *window = motor->window[q];
+        const int size = step_window(&config->steps);
+        for (int i = 1; i < size; i++)
+            window[i - 1] = window[i];
+        window[size - 1] = residual;
+        step_add_sample(&config->steps, step, window);
+    }
+    motor->block[q][k] = step->since < 0 ? residual - step->offset_k : NAN;
+}
+
+static int is_known(const struct thermal_input *u)
+{
+    return isfinite(u->current_square) && isfinite(u->speed) && isfinite(u->ambient);
+}
+
+/* Nobody sees the core of a motor that has just started: it may be as warm as the winding, or as the
+ * frame. */
+static void widen_core(struct thermal_motor *motor)
+{
+    const double span = motor->lumps[THERMAL_WINDING] - motor->lumps[THERMAL_FRAME];
+    for (int g = 0; g < IMM_MODES; g++)
+        motor->imm.cov[g][THERMAL_CORE][THERMAL_CORE] += 0.25 * span * span;
+}
+
+static void add_sample(const struct thermal_config *config,
+                       const struct thermal_motor_config *known, struct thermal_motor *motor, int k,
+                       const double *reading, const struct thermal_input *u)
+{
+    const struct thermal_parameters *p = &known->model;
+    double since = config->dt_s + motor->unknown_s; /* in a gap the motor has gone on */
+    motor->unknown_s = is_known(u) ? 0.0 : since;
+    motor->lost = motor->started && motor->unknown_s > config->gap_s;
+    for (int q = 0; q < P; q++)
+        motor->block[q][k] = motor->raw[q][k] = NAN;
+    if (is_known(u) && !motor->started) {
+        motor->started = (uint8_t)thermal_motor_start(p, u, reading, motor->lumps);
+        since = config->dt_s;
+        if (motor->started)
+            widen_core(motor);
+    }
+    if (!is_known(u) || !motor->started)
+        return;
+    thermal_model_step(p, u, NO_EXTRA, since, motor->lumps);
+    add_inputs(p, u, motor->lumps, &motor->half[2 * k / config->block]);
+    for (int q = 0; q < P; q++) {
+        const double expected = motor->lumps[THERMAL_SEEN[q]] + p->offset_k[q] + known->centre_k[q];
+        add_residual(config, motor, q, k, reading[q] - expected);
+    }
+}
+
+void thermal_add_sample(const struct thermal_config *config,
+                        const struct thermal_motor_config *known, struct thermal_motor *motor,
+                        int motors, int k, const double *reading, const struct thermal_input *input)
+{
+    for (int m = 0; m < motors; m++) {
+        add_sample(config, &known[m], &motor[m], k, reading + (int64_t)m * P, &input[m]);
+        if (motor[m].lost)
+            thermal_motor_reset(config, &motor[m]);
+    }
+}

@@ -1,0 +1,68 @@
+"""Steps of sensors: nothing of 850 kg warms by kelvins within seconds.
+
+A sensor's residual (reading less model) is looked at through medians: of the last seconds against
+those before. Where they part by more than `STEP_K`, the medians are compared once more when what
+follows has settled: a burst is over by then, a step is not. Steps add up to how far the sensor is
+off; a step back to what it was is not a new fault. Only for readings that come every few seconds.
+Not in paper `thermal`. The rules are in `step_detector.c`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from _traction_core import lib
+from numpy.typing import NDArray
+
+from estimators._core import Records, pointer, records
+
+Array = NDArray[np.float64]
+
+BEFORE_S, AFTER_S, SETTLED_S = 20.0, 5.0, 25.0
+STEP_K: Final = 1.5
+"""Of medians over seconds; eight times their noise if single readings have 0.25 K."""
+BACK_K: Final = 1.0
+"""A sensor that is off by less is where it was."""
+HEAT_K_PER_S: Final = 0.1
+"""Fastest that heat, unknown to the model, changes a level."""
+SLOWEST_S: Final = 2.0
+"""Readings further apart can tell no step from heat."""
+MOST_SAMPLES: Final[int] = lib.STEP_WINDOW_MAX
+
+
+def config(spacing_s: float, *, tested: bool = True) -> Records:
+    """(1,) of `struct step_config`, for samples `spacing_s` apart; not tested: no steps."""
+    out = np.zeros(1, records.STEP_CONFIG)
+    out["step_k"], out["back_k"] = STEP_K if tested else 0.0, BACK_K
+    out["drift_k"] = HEAT_K_PER_S * spacing_s
+    for name, seconds in (("before", BEFORE_S), ("after", AFTER_S), ("settled", SETTLED_S)):
+        out[name] = round(seconds / spacing_s)
+    return out
+
+
+def window(configs: Records) -> int:
+    """Samples that the detector looks at."""
+    return int(lib.step_window(pointer("struct step_config", configs)))
+
+
+def offsets(residual: Array, spacing_s: float) -> Array:
+    """(K, M, 3) K: how far each sensor has stepped, by what was seen until then.
+
+    residual (K, M, 3) K, NaN without a reading; spacing_s: between samples; 0 if that is more than
+    `SLOWEST_S`. Raises ValueError where more than `MOST_SAMPLES` are to be looked at.
+    """
+    out = np.zeros_like(residual)
+    if spacing_s > SLOWEST_S:
+        return out
+    found = config(spacing_s)
+    if window(found) > MOST_SAMPLES:
+        raise ValueError(f"samples {spacing_s} s apart are too close together for steps")
+    for m, p in np.ndindex(*residual.shape[1:]):
+        given, own = np.ascontiguousarray(residual[:, m, p]), np.empty(len(residual))
+        lib.step_follow(
+            pointer("struct step_config", found), pointer("double", given), len(given),
+            pointer("double", own),
+        )  # fmt: skip
+        out[:, m, p] = own
+    return out
