@@ -19,10 +19,18 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
 
 ROOT = Path(__file__).parent
-HEADERS = ("gateway/core/records.h", "dbc/e2e.h")
+HEADERS = (
+    "gateway/core/records.h", "dbc/e2e.h",
+    "estimators/trigonometry.h", "estimators/elementary.h", "estimators/acquisition.h",
+    "estimators/current_calibration.h", "estimators/adaptation.h",
+)  # fmt: skip
 """In the order in which they build on one another."""
-SOURCES = ("dbc/crc.c", "dbc/e2e.c")
-DEPENDS = (*HEADERS, "dbc/crc.h")
+SOURCES = (
+    "dbc/crc.c", "dbc/e2e.c",
+    "estimators/trigonometry.c", "estimators/elementary.c", "estimators/acquisition.c",
+    "estimators/current_calibration.c", "estimators/adaptation.c",
+)  # fmt: skip
+DEPENDS = (*HEADERS, "dbc/crc.h", "estimators/vectors.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""

@@ -14,7 +14,9 @@ import llvmlite.binding as llvm
 import numba
 from _traction_core import ffi, lib
 
-_NUMBERS = {"int": numba.types.int32, "void": numba.types.void}
+_NUMBERS = {
+    "int": numba.types.int32, "void": numba.types.void, "double": numba.types.float64,
+}  # fmt: skip
 
 
 def symbol(name: str) -> Callable[..., Any]:

@@ -13,6 +13,12 @@ from numpy.typing import NDArray
 
 Records = NDArray[np.void]
 """One record per row."""
+Columns = np.recarray[Any, np.dtype[Any]]
+"""The same, read by columns: `filters.x` is (N, 5), `filters.steps[k] = 0` writes into record k."""
+
+
+_NAMES: Final = {"_cffi_double_complex_t": "complex128"}
+"""Where cffi's name is not NumPy's."""
 
 
 def dtype_of(ctype: Any) -> Any:
@@ -27,10 +33,30 @@ def dtype_of(ctype: Any) -> Any:
         })  # fmt: skip
     if ctype.kind == "array":
         return np.dtype((dtype_of(ctype.item), (ctype.length,)))
-    return np.dtype(ctype.cname.removesuffix("_t"))
+    return np.dtype(_NAMES.get(ctype.cname, ctype.cname.removesuffix("_t")))
+
+
+def zeros(n: int, dtype: Any) -> Columns:
+    """N records of zeros."""
+    return np.zeros(n, dtype).view(np.recarray)
+
+
+def pointer(kind: str, records: Columns | NDArray[Any], k: int = 0) -> Any:
+    """To record k, for a C function; kind: of the pointer, "struct filter *"."""
+    return ffi.cast(kind, records.ctypes.data) + k
 
 
 E2E_CONFIG: Final = dtype_of(ffi.typeof("struct e2e_config"))
 E2E_STATE: Final = dtype_of(ffi.typeof("struct e2e_state"))
-LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
+PMSM: Final = dtype_of(ffi.typeof("struct pmsm"))
+FILTER_SAMPLE: Final = dtype_of(ffi.typeof("struct filter_sample"))
+ACQUISITION_LIMITS: Final = dtype_of(ffi.typeof("struct acquisition_limits"))
+ACQUISITION: Final = dtype_of(ffi.typeof("struct acquisition"))
+REVOLUTION_SUMS: Final = dtype_of(ffi.typeof("struct revolution_sums"))
+CURRENT_CALIBRATION: Final = dtype_of(ffi.typeof("struct current_calibration"))
+FILTER: Final = dtype_of(ffi.typeof("struct filter"))
+LAYOUT: Final = (
+    f"{E2E_CONFIG} {E2E_STATE} {PMSM} {FILTER_SAMPLE} {ACQUISITION_LIMITS} {ACQUISITION} "
+    f"{CURRENT_CALIBRATION} {FILTER}"
+)
 """What compiled loops depend on that address these records."""

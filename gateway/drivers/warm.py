@@ -42,8 +42,7 @@ def warm_up(config: Config, codec: Codec) -> None:
     gateway.step([], now)
     if gateway.thermal.heat is not None:
         _warm_watch(gateway.thermal.heat.watch)
-    # At standstill nobody is tracked, so these two would be met first in the middle of a run.
-    gateway.bank.start_states()
+    # At standstill nobody is tracked, so this would be met first in the middle of a run.
     n = max(2, len(config.nodes))
     gateway.adhesion.detector(
         Evidence(np.full(n, 0.5), np.full(n, 0.02), np.ones(n, dtype=np.bool_))

@@ -28,7 +28,14 @@ from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
-TESTS = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
+TESTS = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py",
+         "tests/unit/test_trigonometry.py", "tests/unit/test_elementary.py",
+         "tests/unit/test_est_adaptation.py", "tests/unit/test_est_current_calibration.py",
+         *(f"tests/unit/test_est_acquisition.py::{name}" for name in (
+             "test_it_equals_the_reference", "test_the_check_equals_the_reference",
+             "test_chords_of_known_motion", "test_chords_of_another_length_start_anew",
+             "test_no_chord_has_no_direction_and_is_never_ready",
+         )))  # fmt: skip
 LIMIT_S = 120
 SWAPS = {
     "==": "!=", "!=": "==", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "+": "-", "-": "+",

@@ -15,7 +15,12 @@ import core_build
 from dbc import records
 
 ROOT = Path(core_build.__file__).parent
-RECORDS = {"e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE}
+RECORDS = {
+    "e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE, "pmsm": records.PMSM,
+    "filter_sample": records.FILTER_SAMPLE, "acquisition_limits": records.ACQUISITION_LIMITS,
+    "acquisition": records.ACQUISITION, "revolution_sums": records.REVOLUTION_SUMS,
+    "current_calibration": records.CURRENT_CALIBRATION, "filter": records.FILTER,
+}  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
     "aarch64": ["-target", "aarch64-linux-gnu.2.17"],

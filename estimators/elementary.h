@@ -1,0 +1,19 @@
+/* exp, log and erfc by polynomials: the same bits on every machine. And limits. */
+#ifndef TRACTION_ELEMENTARY_H
+#define TRACTION_ELEMENTARY_H
+
+/* e^x, relative error below 4e-16; 0 below -708, infinite above 709; NaN of NaN. */
+double elementary_exp(double x);
+
+/* Natural logarithm, error below 4e-16 of the larger of the result and 1; x must be above 0, or the
+ * result is -infinite. NaN of NaN. */
+double elementary_log(double x);
+
+/* Complementary error function, relative error below 2e-14 where the result is above 1e-30; NaN of
+ * NaN. */
+double elementary_erfc(double x);
+
+/* x, but at least `low` and at most `high`; NaN of NaN. */
+double clamp(double x, double low, double high);
+
+#endif
