@@ -39,6 +39,10 @@ HEADERS = (
     "estimators/thermal/residuals.h",
     "estimators/thermal/monitor.h",
     "estimators/thermal/hypotheses.h",
+    "estimators/trigonometry.h",
+    "estimators/acquisition.h",
+    "estimators/current_calibration.h",
+    "estimators/adaptation.h",
     "gateway/core/flags.h",
 )
 """In the order in which they build on one another."""
@@ -64,6 +68,10 @@ SOURCES = (
     "estimators/thermal/residuals.c",
     "estimators/thermal/monitor.c",
     "estimators/thermal/hypotheses.c",
+    "estimators/trigonometry.c",
+    "estimators/acquisition.c",
+    "estimators/current_calibration.c",
+    "estimators/adaptation.c",
     "gateway/core/flags.c",
 )
 DEPENDS = (
@@ -73,6 +81,7 @@ DEPENDS = (
     "estimators/numbers.h",
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",
+    "estimators/vectors.h",
 )
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")

@@ -13,6 +13,12 @@ from numpy.typing import NDArray
 
 Records = NDArray[np.void]
 """One record per row."""
+Columns = np.recarray[Any, np.dtype[Any]]
+"""The same, read by columns: `filters.x` is (N, 5), `filters.steps[k] = 0` writes into record k."""
+
+
+_NAMES: Final = {"_cffi_double_complex_t": "complex128"}
+"""Where cffi's name is not NumPy's."""
 
 
 def dtype_of(ctype: Any) -> Any:
@@ -29,7 +35,17 @@ def dtype_of(ctype: Any) -> Any:
         return np.dtype((dtype_of(ctype.item), (ctype.length,)))
     if ctype.kind == "pointer":
         return np.dtype(np.uintp)
-    return np.dtype(ctype.cname.removesuffix("_t"))
+    return np.dtype(_NAMES.get(ctype.cname, ctype.cname.removesuffix("_t")))
+
+
+def zeros(n: int, dtype: Any) -> Columns:
+    """N records of zeros."""
+    return np.zeros(n, dtype).view(np.recarray)
+
+
+def record_pointer(kind: str, records: Columns | NDArray[Any], k: int = 0) -> Any:
+    """To record k, for a C function; kind: of the pointer, "struct filter *"."""
+    return ffi.cast(kind, records.ctypes.data) + k
 
 
 def pointer(ctype: str, array: NDArray[Any]) -> Any:
@@ -78,6 +94,13 @@ THERMAL_MOTOR: Final = dtype_of(ffi.typeof("struct thermal_motor"))
 HYPOTHESIS_CONFIG: Final = dtype_of(ffi.typeof("struct hypothesis_config"))
 HYPOTHESIS_SPREAD: Final = dtype_of(ffi.typeof("struct hypothesis_spread"))
 HYPOTHESIS_STATE: Final = dtype_of(ffi.typeof("struct hypothesis_state"))
+PMSM: Final = dtype_of(ffi.typeof("struct pmsm"))
+FILTER_SAMPLE: Final = dtype_of(ffi.typeof("struct filter_sample"))
+ACQUISITION_LIMITS: Final = dtype_of(ffi.typeof("struct acquisition_limits"))
+ACQUISITION: Final = dtype_of(ffi.typeof("struct acquisition"))
+REVOLUTION_SUMS: Final = dtype_of(ffi.typeof("struct revolution_sums"))
+CURRENT_CALIBRATION: Final = dtype_of(ffi.typeof("struct current_calibration"))
+FILTER: Final = dtype_of(ffi.typeof("struct filter"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

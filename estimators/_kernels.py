@@ -1,9 +1,9 @@
 """Compiled parts of the filters, one drive at a time: what `_lanes_kernels` leaves over.
 
 The loops over many samples of several drives are there. Twins in plain form: `ekf`, `ukf`. Row
-layout, also that of `_lock_kernels`: M samples in order of time, any mix of drives; drive (M,)
-int32, u (M, 2) V mean over the sample's own interval, y (M, 2) A at its end, n_sub (M,) int64
-sub-steps of dt in that interval, n_gap (M,) int64 sub-steps missing before it.
+layout: M samples in order of time, any mix of drives; drive (M,) int32, u (M, 2) V mean over the
+sample's own interval, y (M, 2) A at its end, n_sub (M,) int64 sub-steps of dt in that interval,
+n_gap (M,) int64 sub-steps missing before it.
 
 The Jacobian has 14 entries other than 0 and 1 and the covariance 15 different ones: the EKF
 writes both out, which is what makes a sub-step cheap, and this file long. P is taken from its

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean
-from estimators._lock_kernels import agreement
+from dbc.records import ACQUISITION, FILTER
 
 if TYPE_CHECKING:
-    from estimators.lock import LockState
-    from gateway.tracks import Filters, Limits, Told, Tracks
+    from dbc.records import Columns
+    from gateway.tracks import Limits, Told, Tracks
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,7 +25,9 @@ Flags = NDArray[np.bool_]
 
 _STATES = 5
 _W_E, _T_L = 2, 4  # pmsm
-_AGREES, _DISAGREES = 1, 2  # lock.Agreement
+_AGREES, _DISAGREES = 1, 2  # enum consistency
+_CHORDS, _FILTER = ACQUISITION.itemsize, FILTER.itemsize
+_check = symbol("acquisition_check")
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _CORRUPTED, _SEQUENCE, _RANGE, _NOT_AVAILABLE = 3, 4, 5, 6  # Reason
 _STANDS, _BEGINS, _GONE = 0, 1, 2
@@ -32,7 +35,7 @@ _STANDS, _BEGINS, _GONE = 0, 1, 2
 
 
 @inlined
-def forget(k: int, filters: Filters, tracks: Tracks) -> None:
+def forget(k: int, filters: Columns, tracks: Tracks) -> None:
     """No filter of drive k any more; it is acquired anew."""
     filters.active[k] = False
     filters.steps[k] = 0
@@ -45,7 +48,7 @@ def forget(k: int, filters: Filters, tracks: Tracks) -> None:
 
 @lean
 def drop_over_holes(
-    drive: NDArray[np.int32], steps: Ints, gap: Ints, most: int, filters: Filters, tracks: Tracks
+    drive: NDArray[np.int32], steps: Ints, gap: Ints, most: int, filters: Columns, tracks: Tracks
 ) -> None:
     """Filters that cannot bridge what is missing begin anew; one sample they always can.
 
@@ -57,7 +60,7 @@ def drop_over_holes(
 
 
 @inlined
-def _note_moves(drive: NDArray[np.int32], filters: Filters, tracks: Tracks) -> None:
+def _note_moves(drive: NDArray[np.int32], filters: Columns, tracks: Tracks) -> None:
     """Whose load has been moving, and who has said nothing in this tick."""
     for k in range(tracks.silent.shape[0]):
         tracks.silent[k] = True
@@ -71,7 +74,7 @@ def _note_moves(drive: NDArray[np.int32], filters: Filters, tracks: Tracks) -> N
 
 
 @inlined
-def _note_flux(chords: LockState, limits: Limits, tracks: Tracks) -> None:
+def _note_flux(chords: Columns, limits: Limits, tracks: Tracks) -> None:
     """Magnet flux over that of the data sheet, as the chords' length has it of late.
 
     Errors of R_s lengthen a chord, too: what they can explain is not taken for flux. The
@@ -90,7 +93,7 @@ def _note_flux(chords: LockState, limits: Limits, tracks: Tracks) -> None:
 
 @inlined
 def _next(
-    k: int, now: int, agrees: int, fresh: bool, chords: LockState, filters: Filters,
+    k: int, now: int, agrees: int, fresh: bool, chords: Columns, filters: Columns,
     tracks: Tracks, limits: Limits,
 ) -> int:  # fmt: skip
     """What becomes of drive k in this tick: _STANDS, _BEGINS or _GONE."""
@@ -102,7 +105,7 @@ def _next(
         tracks.doubts[k] += 1
         if tracks.doubts[k] >= limits.disagree_ticks:
             forget(k, filters, tracks)
-            filters.lean[k] = 0.0
+            filters.v_q_bias[k] = 0.0
             # A start that does not settle is tried again; a lost lock is a divergence.
             if steps >= limits.settle_steps:
                 tracks.diverged_ns[k] = now
@@ -118,7 +121,7 @@ def _next(
 
 @inlined
 def _tell(
-    k: int, cause: int, fresh: bool, agrees: int, filters: Filters, tracks: Tracks,
+    k: int, cause: int, fresh: bool, agrees: int, filters: Columns, tracks: Tracks,
     limits: Limits, told: Told,
 ) -> int:  # fmt: skip
     """Health of drive k; fills its numbers where a filter has any."""
@@ -151,8 +154,8 @@ def follow(
     now: int,
     inputs: Ints,
     fresh: Flags,
-    chords: LockState,
-    filters: Filters,
+    chords: Columns,
+    filters: Columns,
     tracks: Tracks,
     limits: Limits,
     told: Told,
@@ -170,19 +173,16 @@ def follow(
             # A number that is not one: reset now, said from this tick on.
             active = filters.active[k]
             forget(k, filters, tracks)
-            filters.lean[k] = 0.0
+            filters.v_q_bias[k] = 0.0
             filters.steps[k] = -1 if active else 0
     _note_moves(drive, filters, tracks)
     _note_flux(chords, limits, tracks)
     for k in range(ok.shape[0]):
-        if filters.active[k] and chords.pairs[k] < limits.chords:
+        if filters.active[k] and chords.pairs[k] < limits.pairs:
             # The chords have begun anew, and the filter with its only witness.
             forget(k, filters, tracks)
-    agreement(
-        chords.w, chords.theta, chords.age, chords.ready, chords.pairs, chords.w_max, filters.x,
-        limits.chords, limits.tolerances, told.agrees,
-    )  # fmt: skip
     for k in range(ok.shape[0]):
+        told.agrees[k] = _check(chords.ctypes.data + k * _CHORDS, filters.ctypes.data + k * _FILTER)
         agrees = told.agrees[k]
         what = _next(k, now, agrees, fresh[k], chords, filters, tracks, limits)
         told.begins[k] = what == _BEGINS
@@ -198,7 +198,7 @@ def follow(
 
 @lean
 def tell(
-    inputs: Ints, fresh: Flags, filters: Filters, tracks: Tracks, limits: Limits, told: Told
+    inputs: Ints, fresh: Flags, filters: Columns, tracks: Tracks, limits: Limits, told: Told
 ) -> None:
     """Fills `told` for the drives that have just begun; their chords agree with them."""
     for k in range(told.begins.shape[0]):

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean
+from dbc.records import CURRENT_CALIBRATION
 from estimators import observer
-from estimators._unbalance_kernels import on_line
 from estimators.observer import LoadState, Mechanics
 
 if TYPE_CHECKING:
-    from estimators.unbalance import Unbalance
+    from dbc.records import Columns
     from gateway.inputs import Inputs
     from gateway.motion import Limits, Memory
     from gateway.slow import Readings
@@ -29,7 +30,15 @@ Ints = NDArray[np.int64]
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _STARTING, _NOT_AVAILABLE = 1, 6  # Reason
 _SECOND = 1_000_000_000
+_SENSORS = CURRENT_CALIBRATION.itemsize
+_is_single_axis_current = symbol("is_single_axis_current")
 _first, _observe = lean(observer.first), lean(observer.observe)
+
+
+@inlined
+def _single_axis(k: int, w_e: float, sensors: Columns) -> bool:
+    """Drive k turns, and its current swings on one line."""
+    return bool(_is_single_axis_current(sensors.ctypes.data + k * _SENSORS, w_e))
 
 
 @inlined
@@ -151,7 +160,7 @@ def _merge(
 
 @lean
 def merge_motion(
-    inputs: Inputs, sensors: Unbalance, until_ns: Ints, now: int, told: Told, memory: Memory,
+    inputs: Inputs, sensors: Columns, until_ns: Ints, now: int, told: Told, memory: Memory,
     limits: Limits,
 ) -> None:  # fmt: skip
     """What each drive is told to be, measured speeds considered; changes `told`.
@@ -172,7 +181,7 @@ def merge_motion(
     for k in range(measured.shape[0]):
         told.reason[k] = _STARTING
         fresh = not math.isnan(measured[k])
-        straight = fresh and on_line(sensors, k, limits.pole_pairs[k] * measured[k])
+        straight = fresh and _single_axis(k, limits.pole_pairs[k] * measured[k], sensors)
         apart = not memory.beyond[k] and _contradicts(k, measured[k], told, memory, limits)
         implausible = now < until_ns[k]
         if straight or implausible:

@@ -13,12 +13,12 @@ from gateway import plausibility as p
 from gateway._bank_kernels import forget
 
 if TYPE_CHECKING:
-    from estimators.lock import LockState
+    from dbc.records import Columns
     from gateway.motion import Memory
     from gateway.pairing import Samples
     from gateway.plausibility import Plausibility, PlausibilityLimits
     from gateway.slow import Readings, SlowState
-    from gateway.tracks import Filters, Told, Tracks
+    from gateway.tracks import Told, Tracks
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -191,7 +191,7 @@ def _load_off(k: int, load: float, motion: Memory, settled: int, rated: float) -
 @inlined
 def _check_reading(
     r: int, now: int, samples: Samples, newest_ns: int, readings: Readings, health: int,
-    filters: Filters, flux: float, check: Plausibility, limits: PlausibilityLimits,
+    filters: Columns, flux: float, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """Currents against torque and angle as measured at the same instant."""
     k, torque, angle = readings.drive[r], readings.torque[r], readings.angle[r]
@@ -278,7 +278,7 @@ def _note_motion(
 
 
 @inlined
-def _own_speed(k: int, filters: Filters, told: Told, limits: PlausibilityLimits) -> float:
+def _own_speed(k: int, filters: Columns, told: Told, limits: PlausibilityLimits) -> float:
     """Rotor speed by the currents, rad/s; NaN where it is not known."""
     if told.health[k] != _TRACKING:
         return math.nan
@@ -286,7 +286,7 @@ def _own_speed(k: int, filters: Filters, told: Told, limits: PlausibilityLimits)
 
 
 @inlined
-def _electrical_speed(k: int, measured: Array, chords: LockState, pole_pairs: Array) -> float:
+def _electrical_speed(k: int, measured: Array, chords: Columns, pole_pairs: Array) -> float:
     """By `Motion`, else by the flux chords; 0 where neither knows."""
     if not math.isnan(measured[k]):
         return float(pole_pairs[k] * measured[k])
@@ -296,7 +296,7 @@ def _electrical_speed(k: int, measured: Array, chords: LockState, pole_pairs: Ar
 @lean
 def check_values(
     samples: Samples, sample_ns: Ints, readings: Readings, count: int, measured: Array,
-    slow: SlowState, now: int, chords: LockState, filters: Filters, tracks: Tracks, told: Told,
+    slow: SlowState, now: int, chords: Columns, filters: Columns, tracks: Tracks, told: Told,
     motion: Memory, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """A tick's samples and the first `count` readings; sets `check.until_ns`.
@@ -332,6 +332,6 @@ def check_values(
         if check.restart[k] and now + _RESTART_NS >= check.until_ns[k]:
             # What the filter has learnt meanwhile is of no use.
             forget(k, filters, tracks)
-            filters.lean[k] = 0.0
+            filters.v_q_bias[k] = 0.0
             tracks.flux[k] = math.nan
             check.restart[k] = now < check.until_ns[k]

@@ -1,7 +1,7 @@
 """A tick of the bank in one call: samples made even, chords, filters, innovations, judgement.
 
-Each step is a loop of its own with a twin of its own (`estimators`, `_bank_kernels`); here they are
-put one behind the other, because a call from Python costs more than most of them.
+Each step is a loop of its own, in C or in `_bank_kernels`; here they are put one behind the other,
+because a call from Python costs more than most of them.
 """
 
 from __future__ import annotations
@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean
-from estimators._adapt_kernels import absorb
 from estimators._lanes_kernels import ekf_lanes, ukf_lanes
-from estimators._lock_kernels import lock_sweep
-from estimators._unbalance_kernels import balance
 from gateway._bank_kernels import drop_over_holes, follow
 
 if TYPE_CHECKING:
@@ -25,37 +23,48 @@ if TYPE_CHECKING:
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_W_E = 2  # pmsm
+_calibrate = symbol("calibrate_currents")
+_acquire = symbol("acquisition_add")
+_adapt = symbol("adapt_filters")
 
 
 @inlined
 def _before(samples: Samples, believed: Believed, constants: Constants, room: Room) -> None:
     """Samples made even, fed to the chords; this tick's R."""
-    rated, dt = constants.rated_a, constants.dt_s
+    m, dt, mine = samples.drive.shape[0], constants.dt_s, room.samples
+    for k in range(m):
+        mine.drive[k], mine.steps[k], mine.gap[k] = (
+            samples.drive[k],
+            samples.steps[k],
+            samples.gap[k],
+        )
+        mine.u[k] = complex(samples.u[k, 0], samples.u[k, 1])
+        mine.i[k] = complex(samples.y[k, 0], samples.y[k, 1])
     chords, filters = believed.chords, believed.filters
-    balance(
-        believed.sensors, samples.drive, samples.y, samples.steps, samples.gap, dt, chords.w,
-        chords.ready, rated, room.y,
+    _calibrate(
+        mine.ctypes.data, m, believed.sensors.ctypes.data, chords.ctypes.data,
+        constants.rated_a.ctypes.data, dt,
     )  # fmt: skip
-    lock_sweep(
-        constants.table, chords, constants.tuning, samples.drive, samples.u, room.y, samples.steps,
-        samples.gap, dt,
+    _acquire(
+        mine.ctypes.data, m, constants.table.ctypes.data, chords.ctypes.data,
+        constants.acquisition.ctypes.data, dt,
     )  # fmt: skip
-    for k in range(rated.shape[0]):
+    for k in range(m):
+        room.y[k, 0], room.y[k, 1] = mine.i[k].real, mine.i[k].imag
+    for k in range(room.R.shape[0]):
         for i in range(2):
-            room.R[k, i] = constants.noise.R[k, i] * filters.scale[k]
+            room.R[k, i] = constants.noise.R[k, i] * filters.r_scale[k]
 
 
 @inlined
 def _after(samples: Samples, believed: Believed, constants: Constants, room: Room) -> None:
     """What the innovations say."""
-    filters = believed.filters
-    for k in range(room.w_e.shape[0]):
-        room.w_e[k] = filters.x[k, _W_E]
-    absorb(
-        samples.drive, room.nis, samples.steps, constants.dt_s, constants.smoothing,
-        constants.limits.settle_steps, constants.table, constants.rated_a, room.w_e,
-        believed.chords, filters.active, filters.steps, filters.nis, filters.scale, filters.lean,
+    m, mine = samples.drive.shape[0], room.samples
+    for k in range(m):
+        mine.nis[k] = room.nis[k]
+    _adapt(
+        mine.ctypes.data, m, believed.filters.ctypes.data, believed.chords.ctypes.data,
+        constants.table.ctypes.data, constants.rated_a.ctypes.data, constants.dt_s,
     )  # fmt: skip
 
 
@@ -97,7 +106,7 @@ def advance_ekf(
         ekf_lanes(
             constants.table, constants.noise.Q, room.R, constants.noise.coast, filters.x,
             filters.P, samples.drive, samples.u, room.y, samples.steps, samples.gap,
-            constants.dt_s, room.nis, room.ok, filters.lean, room.lanes,
+            constants.dt_s, room.nis, room.ok, filters.v_q_bias, room.lanes,
         )  # fmt: skip
         _after(samples, believed, constants, room)
     return _judge(samples, now, causes, fresh, believed, constants, room)
@@ -116,7 +125,7 @@ def advance_ukf(
         ukf_lanes(
             constants.table, constants.noise.Q, room.R, constants.noise.coast, filters.x,
             filters.P, samples.drive, samples.u, room.y, samples.steps, samples.gap,
-            constants.dt_s, constants.kappa, room.nis, room.ok, filters.lean, room.lanes,
+            constants.dt_s, constants.kappa, room.nis, room.ok, filters.v_q_bias, room.lanes,
         )  # fmt: skip
         _after(samples, believed, constants, room)
     return _judge(samples, now, causes, fresh, believed, constants, room)

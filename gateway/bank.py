@@ -12,10 +12,11 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators import adapt, lock, unbalance
+from estimators import acquisition, adaptation, current_calibration
 from estimators.models import pmsm
 from gateway import tracks
 from gateway._bank_kernels import forget, tell
@@ -25,7 +26,7 @@ from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
 from gateway.pairing import Samples
 
-SETTLE_STEPS: Final = 480
+SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS
 """Sub-steps (60 ms) a new filter runs before its load is believed."""
 DISAGREE_TICKS: Final = 3
 """Ticks in a row that the chords must contradict the filter before it counts as diverged."""
@@ -45,10 +46,8 @@ FLUX_SURE: Final = 0.03
 RESISTANCE_SURE: Final = 0.25
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
-TOLERANCES: Final = (lock.W_TOL, lock.W_TOL_RELATIVE, lock.THETA_TOL, lock.STILL_TOL)
 UKF_KAPPA: Final = -2.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
-NIS_SMOOTHING: Final = 0.2
 SAMPLES_AT_FIRST: Final = 256
 """Of a tick, that there is room for before one brings more."""
 
@@ -72,25 +71,27 @@ class Bank:
         )
         self.noise = _noise(self.par, self.rated, config, current_step_a)
         self.table = pmsm.table(self.par)
-        self.tuning = lock.LockTuning(
-            w_on=config.min_speed_rad_s, w_off=0.75 * config.min_speed_rad_s
-        )
         n = len(motors)
-        self.filters, self.tracks, self.told = tracks.filters(n), tracks.tracks(n), tracks.told(n)
+        self.filters, self.tracks, self.told = (
+            adaptation.filters(n),
+            tracks.tracks(n),
+            tracks.told(n),
+        )
         self.x, self.P = self.filters.x, self.filters.P
-        self.chords = lock.start(n)
-        self.sensors = unbalance.start(n)
+        self.chords = acquisition.start(n)
+        self.sensors = current_calibration.start(n)
         self.limits = tracks.Limits(
-            self.par.R_s, self.par.psi_f, self.par.p, MOVING * self.rated.T, self.tuning.chords,
-            TOLERANCES, SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
+            self.par.R_s, self.par.psi_f, self.par.p, MOVING * self.rated.T, acquisition.PAIRS,
+            SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
             self.tick_s / FLUX_TAU_S, FLUX_SURE, RESISTANCE_SURE,
         )  # fmt: skip
         self.believed = tracks.Believed(
             self.filters, self.tracks, self.chords, self.sensors, self.told
         )
         self.constants = tracks.Constants(
-            self.table, self.noise, self.rated.I, self.tuning, self.limits, SAMPLE_NS * 1e-9,
-            LONGEST_COAST, NIS_SMOOTHING, UKF_KAPPA,
+            self.table, self.noise, self.rated.I,
+            acquisition.limits(config.min_speed_rad_s, 0.75 * config.min_speed_rad_s), self.limits,
+            SAMPLE_NS * 1e-9, LONGEST_COAST, UKF_KAPPA,
         )  # fmt: skip
         self.room = tracks.room(n, SAMPLES_AT_FIRST)
         """Of the last tick; its first `nis` are those of the samples."""
@@ -115,8 +116,8 @@ class Bank:
         """
         for k in restart:
             forget(k, self.filters, self.tracks)
-            lock.forget(self.chords, k)
-            unbalance.forget(self.sensors, k)
+            acquisition.restart(self.chords, k)
+            current_calibration.restart(self.sensors, k)
             self.tracks.flux[k] = math.nan
         if len(samples.drive) > len(self.room.nis):
             self.room = tracks.room(len(self.x), 2 * len(samples.drive))
@@ -130,25 +131,15 @@ class Bank:
         self._begin()
         self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
 
-    def start_states(self) -> tuple[pmsm.Array, pmsm.Array]:
-        """First x (N, 5) and P (N, 5, 5) of every drive from its chords."""
-        return lock.start_state(self.chords, self.par, self.noise, self.rated)
-
     def _begin(self) -> None:
-        """Filters of the drives whose chords are ready.
-
-        What the chords are too long by is the voltage that the motor lacks.
-        """
-        first, P_first = self.start_states()
-        mine, chords, limits = self.filters, self.chords, self.limits
+        """Filters of the drives whose chords are ready."""
+        mine, chords, rated = self.filters, self.chords, self.rated
         for k in np.flatnonzero(self.told.begins).tolist():
-            mine.x[k], mine.P[k] = first[k], P_first[k]
+            acquisition.start_filter(chords, k, self.table, self.noise.R, rated.T.item(k), mine)
             mine.active[k], mine.steps[k], mine.nis[k] = True, 0, 2.0
             self.tracks.diverged_ns[k], self.tracks.doubts[k] = -1, 0
-            if not mine.lean.item(k):
-                w, psi_f = chords.w.item(k), limits.psi_f.item(k)
-                most = adapt.most_lean(w, limits.R_s.item(k), psi_f, self.rated.I.item(k))
-                mine.lean[k] = min(max((chords.psi.item(k) - psi_f) * w, -most), most)
+            if not mine.v_q_bias.item(k):
+                mine.v_q_bias[k] = adaptation.first_q_bias(chords, k, self.table, rated.I.item(k))
 
 
 def _noise(par: pmsm.Pmsm, rated: pmsm.Rated, config: Estimator, step_a: float) -> pmsm.Noise:

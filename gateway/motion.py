@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
+from dbc.records import Columns
 from estimators.observer import LoadState
-from estimators.unbalance import Unbalance
 from gateway._direct import Direct
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway.config import Estimator, Motor
@@ -160,7 +160,7 @@ class MotionSide:
         self._read(readings, count, flux, self.memory, self.limits)
 
     def settle(
-        self, inputs: Inputs, sensors: Unbalance, until_ns: Ints, now: Nanos, told: Told
+        self, inputs: Inputs, sensors: Columns, until_ns: Ints, now: Nanos, told: Told
     ) -> Flags:
         """Changes `told` to what is to be used; which drives' input cannot be what it seems, (N,).
 

@@ -10,32 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.records import FILTER_SAMPLE, Columns, zeros
 from estimators._lanes import LanesRoom, lanes_room
-from estimators.lock import LockState, LockTuning
 from estimators.models.pmsm import Noise
-from estimators.unbalance import Unbalance
 from gateway.health import Reason
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
-
-class Filters(NamedTuple):
-    """x (N, 5) and P (N, 5, 5) of every drive, and what belongs to them, (N,).
-
-    active: there is a filter; steps: sub-steps since its start, negative once it has become a
-    number that is none; nis: smoothed; scale: variance of the currents over the configured one,
-    as the innovations show it; lean: voltage along q that the motor lacks against its data, V.
-    """
-
-    x: Array
-    P: Array
-    active: Flags
-    steps: Ints
-    nis: Array
-    scale: Array
-    lean: Array
 
 
 class Tracks(NamedTuple):
@@ -58,14 +40,13 @@ class Tracks(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """When what is believed: see the constants of `bank` and `lock`, whose names these are."""
+    """When what is believed: see the constants of `bank`, whose names these are."""
 
     R_s: Array
     psi_f: Array
     pole_pairs: Array
     moving_nm: Array
-    chords: int
-    tolerances: tuple[float, float, float, float]
+    pairs: int
     settle_steps: int
     disagree_ticks: int
     diverged_ns: int
@@ -93,40 +74,43 @@ class Told(NamedTuple):
 
 
 class Believed(NamedTuple):
-    """All that the bank remembers of N drives, and what it tells of them."""
+    """All that the bank remembers of N drives, and what it tells of them.
 
-    filters: Filters
+    filters, chords, sensors: `struct filter`, `acquisition` and `current_calibration` of every
+    drive.
+    """
+
+    filters: Columns
     tracks: Tracks
-    chords: LockState
-    sensors: Unbalance
+    chords: Columns
+    sensors: Columns
     told: Told
 
 
 class Constants(NamedTuple):
     """What does not change: motors and noise (`pmsm`), when what is believed.
 
-    rated_a: (N,) A; dt_s: sub-step; coast_steps: sub-steps that any filter bridges; smoothing: of
-    the NIS; kappa: of the UKF.
+    rated_a: (N,) A; acquisition: one `struct acquisition_limits`; dt_s: sub-step; coast_steps:
+    sub-steps that any filter bridges; kappa: of the UKF.
     """
 
     table: Array
     noise: Noise
     rated_a: Array
-    tuning: LockTuning
+    acquisition: Columns
     limits: Limits
     dt_s: float
     coast_steps: int
-    smoothing: float
     kappa: float
 
 
 class Room(NamedTuple):
-    """For one tick: y (M, 2) made even, nis (M,), R (N, 2), w_e (N,), ok (N,); for filters."""
+    """For one tick: samples (M,), their y (M, 2) and nis (M,), R (N, 2), ok (N,); for filters."""
 
+    samples: Columns
     y: Array
     nis: Array
     R: Array
-    w_e: Array
     ok: Flags
     lanes: LanesRoom
 
@@ -134,22 +118,9 @@ class Room(NamedTuple):
 def room(n: int, samples: int) -> Room:
     """For N drives and so many samples."""
     return Room(
-        np.zeros((samples, 2)), np.zeros(samples), np.zeros((n, 2)), np.zeros(n),
+        zeros(samples, FILTER_SAMPLE), np.zeros((samples, 2)), np.zeros(samples), np.zeros((n, 2)),
         np.ones(n, dtype=np.bool_), lanes_room(n),
     )  # fmt: skip
-
-
-def filters(n: int) -> Filters:
-    """N drives without a filter."""
-    return Filters(
-        x=np.zeros((n, 5)),
-        P=np.tile(np.eye(5), (n, 1, 1)),
-        active=np.zeros(n, dtype=np.bool_),
-        steps=np.zeros(n, dtype=np.int64),
-        nis=np.full(n, 2.0),
-        scale=np.ones(n),
-        lean=np.zeros(n),
-    )
 
 
 def tracks(n: int) -> Tracks:

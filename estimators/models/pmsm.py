@@ -38,7 +38,7 @@ It decides what wrong motor constants cost: where the angle may move a little, a
 back-EMF does not have to become speed and load. Load error at 200 rad/s with psi_f 20 % low:
 43 Nm with 1e-8, 6 with 1e-6; R_s 20 %: 3.6 and 0.9; with right constants the same. The price:
 with 1e-8 the filter finds the rotor from every start angle, from 3e-7 on half of all starts
-end 2.5 to 3 rad off for good. `lock.start_state` gives the start and `lock.agrees` watches it;
+end 2.5 to 3 rad off for good. `acquisition.c` gives the start and watches it;
 where neither is used, 1e-8 is the choice.
 """
 

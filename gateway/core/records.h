@@ -615,4 +615,105 @@ struct hypothesis_state {
     int32_t trusted;               /* 1: others are compared with it */
 };
 
+/* ---- Estimate: filters of the drives (estimators/acquisition.c, current_calibration.c,
+ * adaptation.c). Complex numbers are vectors alpha + j beta of the stationary frame. */
+
+#define ACQUISITION_PAIRS   20  /* consecutive plausible pairs of chords before `ready`: 40 ms */
+#define FILTER_SETTLE_STEPS 480 /* sub-steps of a new filter before its load is valid: 60 ms */
+
+/* Motor constants (paper `adhesion`, eq. (11)); of one drive. */
+struct pmsm {
+    double R_s;   /* stator resistance, ohm */
+    double L_s;   /* inductance, H; L_d = L_q */
+    double psi_f; /* flux of the magnets, Wb */
+    double p;     /* pole pairs */
+    double J;     /* moment of inertia at the shaft, kg m2 */
+    double B;     /* friction, Nm s/rad */
+    double k_p;   /* Park constant: 1.5 for amplitude-invariant alpha-beta */
+};
+
+/* What the filters see of one sample; a tick's samples are in order of time. */
+struct filter_sample {
+    double _Complex u; /* voltage, mean over the sample's interval, V */
+    double _Complex i; /* current at the end of the interval, A */
+    double nis;        /* normalised innovation squared; NaN where a filter skipped the sample */
+    int64_t steps;     /* sub-steps in the interval, 1 or more */
+    int64_t gap;       /* sub-steps missing before it */
+    int64_t drive;     /* index of its drive */
+};
+
+/* Speeds between which a drive is acquired, rad/s electrical; constant. */
+struct acquisition_limits {
+    double w_on;  /* ready from here upwards */
+    double w_off; /* until below; above 7 rad/s, which R_s 20 % off at rated current looks like */
+};
+
+/* Flux chords of one drive; `acquisition_restart` makes one that has seen nothing. */
+struct acquisition {
+    double _Complex i_last;     /* current at the last sample, A */
+    double _Complex i_start;    /* current where the open chord starts, A */
+    double _Complex flux;       /* volt-seconds less resistive drop of the open chord, Wb */
+    double _Complex chord;      /* the last complete chord c_(k-1), Wb */
+    double _Complex S1;         /* mean of c_k conj(c_(k-1)), Wb^2 */
+    double _Complex S2;         /* mean of S1, Wb^2 */
+    double _Complex turned_sum; /* rotated sum of chords, Wb */
+    double S0;                  /* mean of |c|^2, Wb^2 */
+    double span;                /* duration of a chord, s */
+    double w;                   /* speed at the end of the last paired chord, rad/s electrical */
+    double theta;               /* angle there, rad */
+    double age;                 /* time since then, s */
+    double spread;              /* circular standard deviation of the turn of a chord, rad */
+    double w_max;               /* largest |w| that the length of the chords allows, rad/s */
+    double psi;           /* flux by length and turn, Wb, with errors of R_s; NaN: no pair yet */
+    int64_t steps;        /* sub-steps of the open chord; -1: it has no start */
+    int64_t paired_steps; /* sub-steps of the last chord; 0: the next cannot be paired with it */
+    int64_t stride;       /* least sub-steps of the open chord */
+    int64_t pairs;        /* pairs since the start */
+    int64_t good;         /* consecutive plausible pairs */
+    uint8_t ready;        /* 1: w and theta are valid */
+};
+
+/* Speed and angle of a filter compared with those of the flux chords. */
+enum consistency {
+    CONSISTENCY_UNKNOWN = 0,
+    CONSISTENT = 1,
+    INCONSISTENT = 2,
+};
+
+/* Integrals over the angle of the rotor of a current z. */
+struct revolution_sums {
+    double _Complex z;  /* A rad */
+    double _Complex z2; /* of z^2, A^2 rad */
+    double abs2;        /* of |z|^2, A^2 rad */
+};
+
+/* Errors of the current sensors of one drive; all 0: nothing learnt. */
+struct current_calibration {
+    double _Complex offset;             /* as learnt from `turns` revolutions, A */
+    double _Complex image;              /* gain mismatch, as learnt */
+    double _Complex offset_applied;     /* as subtracted now, A */
+    double _Complex image_applied;      /* as compensated now */
+    double _Complex line;               /* mean of z^2 / |z|^2; small currents count less */
+    struct revolution_sums sum_uniform; /* of the revolution under way */
+    struct revolution_sums sum_ramp;    /* the same, with a weight that rises from 0 to 1 */
+    struct revolution_sums ramp_before; /* `sum_ramp` of the revolution before */
+    double turned;                      /* angle of the revolution under way, rad */
+    double mean_square;                 /* of the revolution before, A^2; 0: none */
+    double seen;                        /* mean of 1 with the weight of `line` */
+    double step_s;                      /* time between the last two samples, s */
+    int64_t turns;                      /* revolutions learnt from, at most 16 */
+    uint8_t single_axis;                /* 1: the current swings on one line (open phase) */
+};
+
+/* The filter of one drive. */
+struct filter {
+    double x[5];     /* i_alpha, i_beta (A), w_e (rad/s), theta_e (rad), T_L (Nm) */
+    double P[5][5];  /* covariance of x */
+    double nis;      /* normalised innovation squared, smoothed */
+    double r_scale;  /* variance of the currents over the configured one, as innovations show it */
+    double v_q_bias; /* voltage along q that the motor lacks against its data, V */
+    int64_t steps;   /* sub-steps since the start; -1: it has just become not finite */
+    uint8_t active;  /* 1: there is a filter */
+};
+
 #endif

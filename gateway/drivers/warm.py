@@ -39,8 +39,7 @@ def warm_up(config: Config, codec: Codec) -> None:
             frames.append(Frame(max(0, now - MS), spec.can_id, bytes(payload), 8 * spec.is_fd))
         gateway.step(frames, now)
     gateway.step([], now)
-    # At standstill nobody is tracked, so these two would be met first in the middle of a run.
-    gateway.bank.start_states()
+    # At standstill nobody is tracked, so this would be met first in the middle of a run.
     n = max(2, len(config.nodes))
     gateway.adhesion.detector(
         Evidence(np.full(n, 0.5), np.full(n, 0.02), np.ones(n, dtype=np.bool_))

@@ -36,6 +36,11 @@ THERMAL = (
     "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
     "tests/unit/test_thermal_imm.py", "tests/unit/test_thermal_monitor_order.py",
 )
+ACQUISITION = tuple(f"tests/unit/test_est_acquisition.py::{name}" for name in (
+    "test_it_equals_the_reference", "test_the_check_equals_the_reference",
+    "test_chords_of_known_motion", "test_chords_of_another_length_start_anew",
+    "test_no_chord_has_no_direction_and_is_never_ready",
+))  # fmt: skip
 TESTS = {
     "dbc/crc.c": E2E, "dbc/e2e.c": E2E,
     "dbc/decode.c": CODEC, "dbc/encode.c": CODEC,
@@ -46,6 +51,10 @@ TESTS = {
     **dict.fromkeys((source for source in SOURCES if "thermal" in source), THERMAL),
     "estimators/elementary.c": THERMAL, "estimators/order_statistics.c": THERMAL,
     "estimators/maisd.c": THERMAL,
+    "estimators/trigonometry.c": ("tests/unit/test_trigonometry.py",),
+    "estimators/acquisition.c": ACQUISITION,
+    "estimators/adaptation.c": ("tests/unit/test_est_adaptation.py",),
+    "estimators/current_calibration.c": ("tests/unit/test_est_current_calibration.py",),
 }  # fmt: skip
 """Those that answer for a source."""
 LIMIT_S = 120

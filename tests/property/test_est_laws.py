@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators import _lanes_kernels, _lock_kernels, ekf, lock, ukf
+from estimators import _lanes_kernels, acquisition, ekf, ukf
 from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
+from tests.filter_records import acquire, estimate, start_states
 from tests.strategies import filter_states, motor_rows, sample_rows
 
 DRIVES = 3
@@ -123,27 +124,18 @@ def test_the_frame_has_no_preferred_direction(state, turn):
 
 @UNTIMED
 @given(sample_rows(DRIVES))
-def test_the_lock_takes_anything(rows):
+def test_acquisition_takes_anything(rows):
     """Never raises, estimates stay finite, and nonsense is never `ready`."""
     par = pmsm.repeat(pmsm.BENCH_MOTOR, DRIVES)
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
-    state = lock.start(DRIVES)
-    _lock_kernels.lock_sweep(
-        pmsm.table(par),
-        state,
-        lock.LockTuning(),
-        table[:, 0].astype(np.int32),
-        table[:, 1:3].copy(),
-        table[:, 3:5].copy(),
-        np.full(len(table), 16, dtype=np.int64),
-        table[:, 5].astype(np.int64),
-        SUB_STEP_S,
-    )
-    ready, w, theta, _ = lock.lock_estimate(state)
+    state = acquisition.start(DRIVES)
+    rows = (table[:, 0], table[:, 1:3], table[:, 3:5], np.full(len(table), 16), table[:, 5])
+    acquire(state, par, rows, SUB_STEP_S)
+    ready, w, theta, _ = estimate(state)
     assert np.isfinite(w).all()
     assert np.isfinite(theta).all()
     assert not ready.any()
-    x, P = lock.start_state(state, par, noise_of(par, DRIVES), rated(DRIVES))
+    x, P = start_states(state, par, noise_of(par, DRIVES), rated(DRIVES))
     assert ekf.healthy(x, P).all()
 
 
@@ -190,7 +182,5 @@ def test_arrays_have_the_annotated_shapes(monkeypatch):
     rows = (np.arange(n, dtype=np.int32), two, two, np.ones(n, np.int64), np.zeros(n, np.int64))
     checked(ekf.sweep)(par, noise, x, P, *rows, SUB_STEP_S)
     checked(ukf.sweep)(par, noise, x, P, *rows, SUB_STEP_S)
-    checked(lock.agrees)(lock.start(n), x)
-    checked(lock.start_state)(lock.start(n), par, noise, Rated(np.ones(n), np.ones(n)))
     with pytest.raises(Exception, match=r"shape|type"):
         checked(pmsm.step)(par, np.zeros((n, 4)), two, SUB_STEP_S)

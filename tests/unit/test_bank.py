@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from estimators import lock
 from gateway.bank import LONGEST_COAST, Bank
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Health
@@ -248,7 +247,6 @@ def test_what_the_lock_forgets_the_filter_begins_anew():
     said = healths(bank(2), truth, thin)
     assert said[29] == [Health.TRACKING] * 2
     assert said[-1] == [Health.CONVERGING, Health.TRACKING]
-    assert lock.LockTuning().hold * 16 * TICK_S == pytest.approx(0.02)
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
@@ -265,9 +263,9 @@ def test_a_motor_off_its_data_sheet_is_learnt_by_the_voltage_it_lacks(kind, r, p
         pass
     i_q = load / (1.5 * BENCH_MOTOR.pole_pairs * BENCH_MOTOR.psi_pm)
     lacking = (1.0 - r) * BENCH_MOTOR.R_s * i_q + (1.0 - psi) * BENCH_MOTOR.psi_pm * w
-    assert filters.filters.lean[0] == pytest.approx(lacking, abs=0.15)
+    assert filters.filters.v_q_bias[0] == pytest.approx(lacking, abs=0.15)
     assert filters.x[0, 2] == pytest.approx(w, rel=0.005)
-    assert filters.filters.scale[0] < 3.0
+    assert filters.filters.r_scale[0] < 3.0
 
 
 @pytest.mark.parametrize(("r", "psi"), [(1.0, 0.83), (1.0, 1.2), (1.2, 1.0), (0.8, 0.9)])

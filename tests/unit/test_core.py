@@ -516,34 +516,6 @@ def test_the_default_dbc_is_the_shipped_one():
     assert Config().dbc_path == CLASSIC
 
 
-def test_compiled_agreement_equals_the_readable_one():
-    from estimators import lock
-    from estimators._lock_kernels import agreement
-    from gateway.bank import TOLERANCES
-
-    rng = np.random.default_rng(5)
-    n = 400
-    state = lock.start(n)
-    state.w[:] = rng.uniform(-200, 200, n)
-    state.theta[:] = rng.uniform(-4, 4, n)
-    state.age[:] = rng.uniform(0, 0.01, n)
-    state.ready[:] = rng.random(n) < 0.7
-    state.pairs[:] = rng.integers(0, 40, n)
-    state.w_max[:] = rng.uniform(0, 100, n)
-    x = rng.normal(size=(n, 5))
-    x[:, 2] = state.w + rng.normal(scale=20, size=n)
-    x[:, 3] = state.theta + rng.normal(scale=0.5, size=n)
-    x[::17] = np.nan
-    out = np.empty(n, dtype=np.int64)
-    tuning = lock.LockTuning()
-    agreement(
-        state.w, state.theta, state.age, state.ready, state.pairs, state.w_max, x,
-        tuning.chords, TOLERANCES, out,
-    )  # fmt: skip
-    assert out.tolist() == lock.agrees(state, x, tuning).tolist()
-    assert set(out.tolist()) == {0, 1, 2}
-
-
 def test_a_drive_mounted_the_other_way_round_is_not_lost():
     motors = drives((20.0, 20.0, -20.0))
     motors[2].w = -100.0

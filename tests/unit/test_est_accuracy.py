@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from estimators import _lanes_kernels, _lock_kernels, lock, ukf
+from estimators import _lanes_kernels, acquisition, ukf
 from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
+from tests.filter_records import acquire, start_states
+from tests.unit.test_est_acquisition import rated
 from tests.unit.test_est_ekf import bench
-from tests.unit.test_est_lock import rated
 from tests.unit.test_est_truth import TICK_S, Truth, motor, sampled
 
 DRIVES = 12
@@ -43,7 +44,7 @@ def scenario(w: float, seed: int, ticks: int = 12_000) -> Truth:
 
 
 def load_rmse(w: float, every: int, kind: str = "ekf", **changes: float) -> float:
-    """Nm over all drives and seeds from 0.25 s, filters started by the lock at 0.1 s."""
+    """Nm over all drives and seeds from 0.25 s, filters started by acquisition at 0.1 s."""
     errors, _ = load_errors(w, every, kind, **changes)
     return math.sqrt(np.mean(np.square(errors)))
 
@@ -61,13 +62,11 @@ def load_errors(
     for seed in SEEDS:
         truth = scenario(w, seed)
         rows = sampled(truth, every, 2e-4, seed + 1)
-        state, x, P = lock.start(DRIVES), np.zeros((DRIVES, 5)), np.zeros((DRIVES, 5, 5))
+        state, x, P = acquisition.start(DRIVES), np.zeros((DRIVES, 5)), np.zeros((DRIVES, 5, 5))
         first = rows.tick < 800
-        _lock_kernels.lock_sweep(
-            table, state, lock.LockTuning(), *(column[first] for column in rows[:5]), TICK_S
-        )
+        acquire(state, par, [column[first] for column in rows[:5]], TICK_S)
         assert state.ready.all()
-        x, P = lock.start_state(state, par, noise, rated(DRIVES))
+        x, P = start_states(state, par, noise, rated(DRIVES))
         room = lanes_room(DRIVES)
         for end in range(816, len(truth.w) + 1, 16):
             now = slice(*np.searchsorted(rows.tick, [end - 16, end]))

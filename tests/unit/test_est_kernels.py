@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimators import _lanes_kernels, _lock_kernels, ekf, lock, ukf
+from estimators import _lanes_kernels, ekf, ukf
 from estimators._lanes import lanes_room
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
@@ -182,21 +182,3 @@ def test_no_rows_is_no_change(kind):
     assert (P == c.P).all()
     assert nis.shape == (0,)
     assert ok.all()
-
-
-@pytest.mark.parametrize("every", [16, 1])
-def test_lock_sweep_equals_itself_uncompiled(every, monkeypatch):
-    """The loop is scalar: its plain form is the same function, run by the interpreter."""
-    c = case(ticks=800)
-    truth = motor([60.0, -90.0, 0.0], [0.0, 1.0, 2.0], np.full((800, 3), 80.0), np.zeros((800, 3)))
-    rows = sampled(truth, every, 1e-2, 3, lost=0.02)
-    y = rows.y.copy()
-    y[::97] = np.nan
-    args = (rows.drive, rows.u, y, rows.n_sub, rows.n_gap, SUB_STEP_S)
-    compiled, plain = lock.start(3), lock.start(3)
-    _lock_kernels.lock_sweep(pmsm.table(c.par), compiled, lock.LockTuning(), *args)
-    for name in ("_add_pair", "_resize", "wrap"):
-        monkeypatch.setattr(_lock_kernels, name, getattr(_lock_kernels, name).py_func)
-    _lock_kernels.lock_sweep.py_func(pmsm.table(c.par), plain, lock.LockTuning(), *args)
-    for name, got, want in zip(compiled._fields, compiled, plain, strict=True):
-        np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-12, err_msg=name)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from estimators import unbalance
+from estimators import current_calibration
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Flag, Health, Reason
@@ -88,7 +88,7 @@ def merged(motion, estimates, speeds, sampled=True):
     given = inputs(n)
     given.speed[:] = [math.nan if w is None else w for w in speeds]
     given.fresh[:] = sampled
-    motion.settle(given, unbalance.start(n), np.zeros(n, dtype=np.int64), 0, said)
+    motion.settle(given, current_calibration.start(n), np.zeros(n, dtype=np.int64), 0, said)
     return estimates_of(said)
 
 

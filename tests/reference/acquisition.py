@@ -1,38 +1,49 @@
-"""Compiled loops of the lock. Scalar by nature: the twin of `lock_sweep` is itself uncompiled.
+"""Flux chords in Python: what `estimators/acquisition.c` is compared with.
 
-Row layout as in `_kernels`; `agreement` is `lock.agrees` for a few drives a tick.
+The state is that of the C, one record per drive; sines and logarithms are those of libm.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
-from estimators import lock
-from estimators._kernels import Array, Drives, Flags, Ints, wrap
-from estimators._lean import lean
+import numpy as np
 
-if TYPE_CHECKING:
-    from estimators.lock import LockState, LockTuning
+from estimators.acquisition import Consistency
+from estimators.models import pmsm
+from estimators.models.pmsm import T_L, THETA_E, W_E, Array, Noise, Pmsm, Rated
 
-_WILD = lock.WILD
+IMPLAUSIBLE = 1e5
+W_TOL, W_TOL_RELATIVE, THETA_TOL, STILL_TOL = 20.0, 0.5, 0.8, 40.0
 
 
-@lean
-def lock_sweep(
-    par: Array,
-    state: LockState,
-    tuning: LockTuning,
-    drive: Drives,
-    u: Array,
-    y: Array,
-    n_sub: Ints,
-    n_gap: Ints,
-    dt: float,
-) -> None:
+class Tuning(NamedTuple):
+    """When the chords are believed. Speeds are electrical, rad/s."""
+
+    chord_steps: int = 16
+    turn_long: float = 1.5
+    turn_short: float = 0.9
+    settle: int = 4
+    forget: float = 0.92
+    forget_angle: float = 0.5
+    chords: int = 20
+    w_on: float = 20.0
+    w_off: float = 15.0
+    coherence: float = 0.9
+    length_tol: float = 0.35
+    turn_max: float = 2.5
+    step_turn_max: float = 0.63
+    hold: float = 10.0
+
+
+def add(
+    par: Array, state: Any, tuning: Tuning, drive: Array, u: Array, y: Array, n_sub: Array,
+    n_gap: Array, dt: float,
+) -> None:  # fmt: skip
     """Feed M samples to the chord sums of `lock`; `state` in place. Never raises on numbers.
 
-    par (N, 7) as `pmsm.table`. A sample that is not finite, or that no motor has (`lock.WILD`),
+    par (N, 7) as `pmsm.table`. A sample that is not finite, or that no motor has,
     breaks the chord it falls into.
     """
     for k in range(drive.shape[0]):
@@ -41,12 +52,12 @@ def lock_sweep(
         u_k = complex(u[k, 0], u[k, 1])
         tau = n_sub[k] * dt
         # Written so that NaN is none.
-        finite = abs(y[k, 0]) + abs(y[k, 1]) + abs(u[k, 0]) + abs(u[k, 1]) < _WILD
+        finite = abs(y[k, 0]) + abs(y[k, 1]) + abs(u[k, 0]) + abs(u[k, 1]) < IMPLAUSIBLE
         gap = n_gap[k] * dt
         state.age[d] += gap + tau
         if not finite or state.steps[d] < 0 or gap > 0.0:
             # No chord across a hole; the next one starts at the end of this sample.
-            state.pair[d] = 0
+            state.paired_steps[d] = 0
             state.flux[d] = 0.0
             state.steps[d] = 0 if finite else -1
             if finite:
@@ -67,12 +78,12 @@ def lock_sweep(
         steps = state.steps[d]
         chord = state.flux[d] - par[d, 1] * (i_k - state.i_start[d])
         before = state.chord[d]
-        paired = state.pair[d] == steps
+        paired = state.paired_steps[d] == steps
         state.i_start[d] = i_k
         state.flux[d] = 0.0
         state.steps[d] = 0
         state.chord[d] = chord
-        state.pair[d] = steps
+        state.paired_steps[d] = steps
         if paired:
             _add_pair(par[d, 2], state, tuning, d, chord, before, steps, dt)
             turn = abs(state.w[d]) * state.span[d]
@@ -85,8 +96,7 @@ def lock_sweep(
                 state.stride[d] = 2 * steps if longest <= tuning.turn_short else steps
 
 
-@lean
-def _resize(state: LockState, d: int, ratio: float) -> None:
+def _resize(state: Any, d: int, ratio: float) -> None:
     """The means as chords of `ratio` (2 or 1/2) times the length would have made them."""
     S1, S2 = state.S1[d], state.S2[d]
     turn = math.atan2(S1.imag, S1.real)
@@ -100,17 +110,10 @@ def _resize(state: LockState, d: int, ratio: float) -> None:
     state.span[d] *= ratio
 
 
-@lean
 def _add_pair(
-    psi_f: float,
-    state: LockState,
-    tuning: LockTuning,
-    d: int,
-    chord: complex,
-    before: complex,
-    steps: int,
+    psi_f: float, state: Any, tuning: Tuning, d: int, chord: complex, before: complex, steps: int,
     dt: float,
-) -> None:
+) -> None:  # fmt: skip
     """One more pair of consecutive chords, each `steps` of dt: sums, speed, angle, ready."""
     span = steps * dt
     if state.ready[d] and span != state.span[d]:
@@ -123,7 +126,7 @@ def _add_pair(
         state.S1[d] = pair
         state.S2[d] = pair
         state.S0[d] = energy
-        state.mean[d] = 0.0
+        state.turned_sum[d] = 0.0
         state.pairs[d] = 0
         state.good[d] = 0
         state.ready[d] = False
@@ -146,12 +149,12 @@ def _add_pair(
     turn = lagging + math.atan2(slope.imag, slope.real) / tuning.forget
     w = turn / span
     # After a hole the mean is older than one chord: begin with the chord before this one.
-    older = state.mean[d] if state.age[d] < 1.5 * span else before
+    older = state.turned_sum[d] if state.age[d] < 1.5 * span else before
     rotated = older * complex(math.cos(turn), math.sin(turn))
-    state.mean[d] = tuning.forget_angle * rotated + chord
-    mean = state.mean[d]
+    state.turned_sum[d] = tuning.forget_angle * rotated + chord
+    mean = state.turned_sum[d]
     quarter = 0.5 * math.pi if turn >= 0.0 else -0.5 * math.pi
-    state.theta[d] = wrap(math.atan2(mean.imag, mean.real) - quarter + 0.5 * turn)
+    state.theta[d] = pmsm.wrap(math.atan2(mean.imag, mean.real) - quarter + 0.5 * turn)
     state.w[d] = w
     state.age[d] = 0.0
 
@@ -183,33 +186,32 @@ def _add_pair(
         state.ready[d] = True
 
 
-@lean
-def agreement(
-    w: Array,
-    theta: Array,
-    age: Array,
-    ready: Flags,
-    pairs: Ints,
-    w_max: Array,
-    x: Array,
-    chords: int,
-    tolerances: tuple[float, float, float, float],
-    out: Ints,
-) -> None:
-    """`lock.agrees` for a few drives a tick, where the array form is all call overhead.
+def theta(state: Any) -> Array:
+    """At the last sample, the speed constant since the last chord."""
+    return pmsm.wrap(state.theta + state.w * state.age)
 
-    tolerances: W_TOL, W_TOL_RELATIVE, THETA_TOL, STILL_TOL of `lock`; fills out (N,).
-    """
-    w_tol, w_relative, theta_tol, still_tol = tolerances
-    for d in range(x.shape[0]):
-        total = x[d, 0] + x[d, 1] + x[d, 2] + x[d, 3] + x[d, 4]
-        if not math.isfinite(total):
-            out[d] = 2
-        elif ready[d]:
-            turn = wrap(x[d, 3] - wrap(theta[d] + w[d] * age[d]))
-            same_w = abs(x[d, 2] - w[d]) <= w_tol + w_relative * abs(w[d])
-            out[d] = 1 if same_w and abs(turn) <= theta_tol else 2
-        elif pairs[d] >= chords and abs(x[d, 2]) > w_max[d] + still_tol:
-            out[d] = 2
-        else:
-            out[d] = 0
+
+def check(state: Any, x: Array) -> list[int]:
+    """`Consistency` of each drive's filter state x (N, 5) with its chords."""
+    tuning = Tuning()
+    w = x[:, W_E]
+    with np.errstate(invalid="ignore"):
+        same_w = np.abs(w - state.w) <= W_TOL + W_TOL_RELATIVE * np.abs(state.w)
+        same_theta = np.abs(pmsm.wrap(x[:, THETA_E] - theta(state))) <= THETA_TOL
+        runaway = (state.pairs >= tuning.chords) & (np.abs(w) > state.w_max + STILL_TOL)
+    ready = np.where(same_w & same_theta, Consistency.CONSISTENT, Consistency.INCONSISTENT)
+    unready = np.where(runaway, Consistency.INCONSISTENT, Consistency.UNKNOWN)
+    verdict = np.where(state.ready == 1, ready, unready)
+    return np.where(np.isfinite(x).all(axis=1), verdict, Consistency.INCONSISTENT).tolist()
+
+
+def start_states(state: Any, par: Pmsm, noise: Noise, rated: Rated) -> tuple[Array, Array]:
+    """First x (N, 5) and P (N, 5, 5) of filters from the chords."""
+    ready = state.ready == 1
+    x = np.stack([state.i_last.real, state.i_last.imag, state.w, theta(state), 0.0 * state.w], 1)
+    x[:, T_L] = pmsm.torque(par, x)
+    spread = np.where(ready, state.spread, 1.0)
+    span = np.where(ready, state.span, 1.0)
+    deviation_w = 5.0 + 0.1 * np.abs(state.w) + 0.3 * spread / span
+    variance = [noise.R[:, 0], noise.R[:, 1], deviation_w**2, (0.1 + spread) ** 2, rated.T**2]
+    return x, np.stack(variance, axis=1)[:, :, None] * np.eye(5)

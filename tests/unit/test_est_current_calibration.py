@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from estimators import unbalance
-from estimators._unbalance_kernels import balance
-from estimators.unbalance import MOST_IMAGE, MOST_OFFSET, Unbalance, forget, start
+from dbc.records import FILTER_SAMPLE, zeros
+from estimators import acquisition, current_calibration
+from estimators.current_calibration import restart, start
+from tests.reference.current_calibration import IMAGE_MAX, OFFSET_MAX, Sensors
 
 RATED = np.array([25.0])
 STEP_S = 2e-3
@@ -22,22 +23,24 @@ def currents(seconds, w, amps, *, offset=0j, image=0j, noise=0.0, seed=1):
     return i, i + image * i.conj() + offset + np.sqrt(noise) * white
 
 
-def feed(state, z, w, *, gap=None, rated=RATED, drive=None):
-    """What comes out, (M,) complex."""
+def feed(state, z, w, *, gap=None, rated=RATED, drive=None, ready=True):
+    """What comes out, (M,) complex, of one sample after the other."""
     m = len(z)
-    y, out = np.stack([z.real, z.imag], axis=1), np.empty((m, 2))
-    drive = np.zeros(m, dtype=np.int32) if drive is None else drive
-    gap = np.zeros(m, dtype=np.int64) if gap is None else gap
-    for k in range(m):
-        one = slice(k, k + 1)
-        speed = np.broadcast_to(w, m)[one]
-        speeds = np.broadcast_to(speed, len(rated)).astype(float)
-        ready = np.ones(len(rated), dtype=np.bool_)
-        balance(
-            state, drive[one], y[one], np.array([16]), gap[one], SUB_S, speeds, ready, rated,
-            out[one],
-        )  # fmt: skip
-    return out[:, 0] + 1j * out[:, 1]
+    made = zeros(m, FILTER_SAMPLE)
+    made.drive = 0 if drive is None else drive
+    made.steps, made.gap, made.i = 16, 0 if gap is None else gap, z
+    chords = acquisition.start(len(rated))
+    chords.ready = ready
+    for k, speed in enumerate(np.broadcast_to(w, m).tolist()):
+        chords.w = speed
+        current_calibration.calibrate(made[k : k + 1], state, chords, rated, SUB_S)
+    return made.i.copy()
+
+
+def finite(state):
+    """All numbers of all records."""
+    return all(np.isfinite(np.array(state[name].tolist(), dtype=complex)).all()
+               for name in state.dtype.names)  # fmt: skip
 
 
 @pytest.mark.parametrize("w", [30.0, -95.0, 250.0, 310.0])
@@ -48,7 +51,7 @@ def test_offset_and_image_are_found_and_taken_off(w, offset, image):
     i, z = currents(seconds, w, 12.0, offset=offset, image=image, noise=2e-4)
     state = start(1)
     out = feed(state, z, w)
-    assert state.turns[0] == unbalance.REVOLUTIONS
+    assert state.turns[0] == 16
     assert state.offset[0] == pytest.approx(offset, abs=0.03)
     assert state.image[0] == pytest.approx(image, abs=0.003)
     left = np.abs(out - i)[-100:]
@@ -76,8 +79,8 @@ def test_two_sensors_with_unlike_gains_make_the_image_of_the_docstring():
     assert np.angle(state.image[0]) == pytest.approx(np.pi / 6.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("offset", "image"), [(2.0 * MOST_OFFSET * 25.0, 0.0),
-                                               (0.0, 2.0 * MOST_IMAGE)])  # fmt: skip
+@pytest.mark.parametrize(("offset", "image"), [(2.0 * OFFSET_MAX * 25.0, 0.0),
+                                               (0.0, 2.0 * IMAGE_MAX)])  # fmt: skip
 def test_what_is_larger_is_a_fault_and_is_not_learnt(offset, image):
     _, z = currents(3.0, 100.0, 15.0, offset=offset, image=image)
     state = start(1)
@@ -98,15 +101,15 @@ def test_a_current_on_one_line_is_told_from_one_that_turns_within_two_ticks(w):
     i, _ = currents(1.0, w, 15.0, noise=1e-2)
     state = start(1)
     feed(state, i, w)
-    assert not unbalance.on_line(state, 0, w)
+    assert not current_calibration.is_single_axis(state, 0, w)
     opened = np.exp(0.7j) * (np.exp(-0.7j) * i).real
     feed(state, opened[:10], w)
-    assert unbalance.on_line(state, 0, w)
+    assert current_calibration.is_single_axis(state, 0, w)
     feed(state, opened, w)
-    assert unbalance.on_line(state, 0, w)
-    assert unbalance.on_line(state, 0, 50.0), "too slow to tell: as before"
+    assert current_calibration.is_single_axis(state, 0, w)
+    assert current_calibration.is_single_axis(state, 0, 50.0), "too slow to tell: as before"
     feed(state, i[:25], w)
-    assert not unbalance.on_line(state, 0, w)
+    assert not current_calibration.is_single_axis(state, 0, w)
 
 
 def test_steps_and_errors_of_sensors_are_no_line():
@@ -114,12 +117,12 @@ def test_steps_and_errors_of_sensors_are_no_line():
     for w in (260.0, 400.0, 880.0):
         m = round(1.0 / STEP_S)
         amps = np.array([1.0, 20.0, -20.0, 3.0])[np.arange(m) // 25 % 4]
-        image, offset = 0.9 * MOST_IMAGE, 0.4 * MOST_OFFSET * RATED[0]
+        image, offset = 0.9 * IMAGE_MAX, 0.4 * OFFSET_MAX * RATED[0]
         _, z = currents(1.0, w, amps, image=image, offset=offset)
         state = start(1)
         for one in z:
             feed(state, np.array([one]), w)
-            assert not unbalance.on_line(state, 0, w), w
+            assert not current_calibration.is_single_axis(state, 0, w), w
 
 
 def test_too_little_current_and_too_few_samples_are_not_judged():
@@ -127,7 +130,7 @@ def test_too_little_current_and_too_few_samples_are_not_judged():
         i, _ = currents(1.0, w, amps)
         state = start(1)
         feed(state, i.real + 0j, w)
-        assert not unbalance.on_line(state, 0, w)
+        assert not current_calibration.is_single_axis(state, 0, w)
 
 
 def test_standstill_small_currents_and_too_few_samples_teach_nothing():
@@ -136,6 +139,13 @@ def test_standstill_small_currents_and_too_few_samples_teach_nothing():
         state = start(1)
         feed(state, z, w)
         assert state.turns[0] == 0, (w, amps)
+
+
+def test_a_current_that_does_not_turn_with_its_rotor_is_no_offset():
+    """Samples that are held."""
+    state = start(1)
+    feed(state, np.full(300, 15.0 - 3.0j), 100.0)
+    assert state.turns[0] == 0
 
 
 def test_a_load_that_steps_is_no_offset():
@@ -169,14 +179,10 @@ def test_what_is_taken_off_follows_smoothly():
 
 def test_a_speed_that_is_not_known_teaches_nothing():
     _, z = currents(3.0, 100.0, 15.0, offset=0.5)
-    y, out, state = np.stack([z.real, z.imag], axis=1), np.empty((len(z), 2)), start(1)
-    nothing, m = np.zeros(len(z), dtype=np.int64), len(z)
-    balance(
-        state, nothing.astype(np.int32), y, np.full(m, 16), nothing, SUB_S, np.array([100.0]),
-        np.array([False]), RATED, out,
-    )  # fmt: skip
+    state = start(1)
+    out = feed(state, z, 100.0, ready=False)
     assert state.turns[0] == 0
-    np.testing.assert_allclose(out, y)
+    np.testing.assert_allclose(out, z)
 
 
 def test_a_hole_or_no_number_begins_the_revolution_anew():
@@ -189,10 +195,10 @@ def test_a_hole_or_no_number_begins_the_revolution_anew():
     out = feed(state, z, 100.0)
     assert state.turns[0] == 0
     assert np.isfinite(out[1:29]).all()
-    assert all(np.isfinite(array).all() for array in state)
+    assert finite(state)
 
 
-def test_drives_do_not_mix_and_one_can_be_forgotten():
+def test_drives_do_not_mix_and_one_can_be_restarted():
     _, first = currents(3.0, 100.0, 15.0, offset=0.5, image=0.03)
     _, second = currents(3.0, 100.0, 8.0, offset=-0.3j)
     both = np.stack([first, second], axis=1).reshape(-1)
@@ -203,24 +209,33 @@ def test_drives_do_not_mix_and_one_can_be_forgotten():
     assert state.offset[0] == alone.offset[0]
     assert state.image[0] == alone.image[0]
     assert state.offset[1] == pytest.approx(-0.3j, abs=0.02)
-    forget(state, 0)
-    fresh = start(1)
-    for name in Unbalance._fields:
-        np.testing.assert_array_equal(getattr(state, name)[0], getattr(fresh, name)[0])
-    assert state.turns[1] == unbalance.REVOLUTIONS
+    restart(state, 0)
+    assert state[0].tobytes() == start(1)[0].tobytes()
+    assert state.turns[1] == 16
 
 
-def test_compiled_equals_plain():
-    _, z = currents(1.0, 90.0, 15.0, offset=0.4, image=0.03j, noise=1e-2)
-    y = np.stack([z.real, z.imag], axis=1)
-    m = len(z)
-    results = []
-    for run in (balance, balance.py_func):
-        state, out = start(1), np.empty((m, 2))
-        run(
-            state, np.zeros(m, dtype=np.int32), y, np.full(m, 16), np.zeros(m, dtype=np.int64),
-            SUB_S, np.array([90.0]), np.array([True]), RATED, out,
-        )  # fmt: skip
-        results.append((*state, out))
-    for compiled, plain in zip(*results, strict=True):
-        np.testing.assert_allclose(compiled, plain, rtol=1e-12)
+@pytest.mark.parametrize("seed", range(4))
+def test_it_equals_the_reference(seed):
+    """Any speeds, gaps, implausible samples, errors that are learnt and some that are too large."""
+    rng = np.random.default_rng(seed)
+    seconds = 6.0
+    m = round(seconds / STEP_S)
+    w = rng.choice([-300.0, -40.0, 60.0, 110.0, 300.0], 20).repeat(m // 20)
+    offset, image = 0.7 * (seed + 1) * 0.02j * 25.0, 0.03 * seed + 0.01j
+    _, z = currents(seconds, w, 12.0, offset=offset, image=image, noise=1e-2, seed=seed)
+    z[m // 2 : m // 2 + 200].imag = 0.0
+    z[rng.integers(0, m, 6)] = [np.nan, np.inf, 1e5, -3e5j, 1e300, 0.0]
+    gap = rng.choice([0, 32], m, p=[0.999, 0.001])
+    state, plain = start(1), Sensors(25.0)
+    for k in range(m):
+        one = feed(state, z[k : k + 1], w[k], gap=gap[k : k + 1])[0]
+        want = plain.add(complex(z[k]), 16 * SUB_S, gap[k] * SUB_S, w[k])
+        assert np.isfinite(one) == np.isfinite(want)
+        assert not np.isfinite(want) or abs(one - want) <= 1e-9 * (1.0 + abs(want)), k
+        is_single_axis = current_calibration.is_single_axis(state, 0, w[k])
+        assert is_single_axis == plain.is_single_axis(w[k]), k
+    assert state.turns[0] == plain.turns
+    assert state.offset[0] == pytest.approx(plain.offset, abs=1e-9)
+    assert state.image[0] == pytest.approx(plain.image, abs=1e-9)
+    assert state.line[0] == pytest.approx(plain.line, abs=1e-9)
+    assert finite(state)

@@ -1,0 +1,36 @@
+"""What is learnt while a filter runs: `adaptation.c` for records of N drives."""
+
+from __future__ import annotations
+
+import numpy as np
+from _traction_core import ffi, lib
+
+from dbc.records import FILTER, Columns, record_pointer, zeros
+from estimators.models.pmsm import Array
+
+
+def filters(n: int) -> Columns:
+    """N drives without a filter."""
+    made = zeros(n, FILTER)
+    made.P, made.nis, made.r_scale = np.eye(5), 2.0, 1.0
+    return made
+
+
+def adapt(
+    samples: Columns, filters: Columns, chords: Columns, table: Array, I_rated: Array, dt: float
+) -> None:
+    """After the filters: M innovations, in order. table (N, 7), I_rated (N,) A, dt: sub-step, s."""
+    lib.adapt_filters(
+        record_pointer("struct filter_sample *", samples), len(samples),
+        record_pointer("struct filter *", filters), record_pointer("struct acquisition *", chords),
+        record_pointer("struct pmsm *", table), ffi.from_buffer("double[]", I_rated), dt,
+    )  # fmt: skip
+
+
+def first_q_bias(chords: Columns, k: int, table: Array, I_rated: float) -> float:
+    """`v_q_bias` of a new filter k, V."""
+    return float(
+        lib.first_q_bias(
+            record_pointer("struct acquisition *", chords, k), record_pointer("struct pmsm *", table, k), I_rated
+        )
+    )

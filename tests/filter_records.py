@@ -1,0 +1,58 @@
+"""Records of the filters, made from rows and columns as tests have them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dbc.records import FILTER_SAMPLE, Columns, zeros
+from estimators import acquisition, adaptation
+from estimators.models import pmsm
+from estimators.models.pmsm import Noise, Pmsm, Rated
+
+
+def samples(drive, u, y, n_sub, n_gap, nis=np.nan) -> Columns:
+    """`struct filter_sample` of M rows; u and y (M, 2)."""
+    made = zeros(len(drive), FILTER_SAMPLE)
+    made.drive, made.steps, made.gap, made.nis = drive, n_sub, n_gap, nis
+    made.u, made.i = u[:, 0] + 1j * u[:, 1], y[:, 0] + 1j * y[:, 1]
+    return made
+
+
+def acquire(drives: Columns, par: Pmsm, rows, dt: float) -> None:
+    """Feed rows (drive, u, y, n_sub, n_gap) to the flux chords."""
+    acquisition.add(samples(*rows[:5]), pmsm.table(par), drives, acquisition.limits(), dt)
+
+
+class Estimate(NamedTuple):
+    """At the last sample, each (N,)."""
+
+    ready: np.ndarray
+    w: np.ndarray
+    theta: np.ndarray
+    spread: np.ndarray
+
+
+def estimate(drives: Columns) -> Estimate:
+    """What the chords say."""
+    return Estimate(
+        drives.ready == 1, drives.w.copy(), acquisition.theta(drives), drives.spread.copy()
+    )
+
+
+def check(drives: Columns, x: np.ndarray) -> np.ndarray:
+    """Consistency (N,) of filters with the states x (N, 5)."""
+    filters = adaptation.filters(len(x))
+    filters.x = x
+    return np.array(acquisition.check(drives, filters))
+
+
+def start_states(
+    drives: Columns, par: Pmsm, noise: Noise, rated: Rated
+) -> tuple[np.ndarray, np.ndarray]:
+    """First x (N, 5) and P (N, 5, 5) of all filters."""
+    filters, table = adaptation.filters(len(drives)), pmsm.table(par)
+    for k in range(len(drives)):
+        acquisition.start_filter(drives, k, table, noise.R, rated.T[k], filters)
+    return filters.x.copy(), filters.P.copy()

@@ -1,0 +1,142 @@
+"""What is learnt while a filter runs: the noise of its sensors, the voltage its motor lacks."""
+
+import math
+
+import numpy as np
+import pytest
+from _traction_core import lib
+
+from dbc.records import record_pointer
+from estimators import acquisition, adaptation
+from estimators.models import pmsm
+from tests.filter_records import samples
+
+adapt_r, adapt_q_bias = lib.adapt_r, lib.adapt_q_bias
+R_SCALE_MAX = 400.0
+SETTLED = lib.FILTER_SETTLE_STEPS
+
+
+def q_bias_limit(w, R_s, psi_f, I_rated):
+    motor = pmsm.table(pmsm.BENCH_MOTOR)
+    motor[0, [0, 2]] = R_s, psi_f
+    return lib.q_bias_limit(w, record_pointer("struct pmsm *", motor), I_rated)
+
+
+def settle(true_scale, seconds=5.0, dt=2e-3, seed=0, now=1.0):
+    """Innovations of a filter whose R is `now` times the configured and nothing else is noisy."""
+    rng = np.random.default_rng(seed)
+    at = []
+    for k in range(round(seconds / dt)):
+        nis = float(np.sum(rng.normal(size=2) ** 2)) * true_scale / now
+        now = adapt_r(now, nis, dt, k * dt)
+        at.append(now)
+    return at
+
+
+@pytest.mark.parametrize("true_scale", [1.0, 5.0, 50.0])
+def test_it_finds_the_scale_within_half_a_second_and_stays(true_scale):
+    at = settle(true_scale)
+    assert np.median(at[250:]) == pytest.approx(true_scale, rel=0.35)
+    assert min(at) >= 1.0
+
+
+def test_it_is_bounded_whatever_comes():
+    assert settle(1e9)[-1] <= R_SCALE_MAX
+    assert adapt_r(1.0, 0.0, 2e-3, 1.0) == 1.0
+    assert adapt_r(R_SCALE_MAX, 1e300, 10.0, 0.0) == R_SCALE_MAX
+
+
+def test_a_burst_is_not_noise():
+    at = settle(1.0, seconds=2.0)
+    now = at[-1]
+    for _ in range(15):
+        now = adapt_r(now, 1e3, 2e-3, 2.0)
+    assert now < 1.35 * at[-1], "30 ms of an edge cost no more than this"
+
+
+def test_innovations_change_their_own_filter_one_by_one():
+    """The loop against `adapt_r` and `adapt_q_bias` called by hand."""
+    rng = np.random.default_rng(3)
+    n, dt = 3, 125e-6
+    motor = pmsm.table(pmsm.repeat(pmsm.BENCH_MOTOR, n))
+    chords, filters = acquisition.start(n), adaptation.filters(n)
+    chords.w, chords.ready = 100.0, [1, 1, 0]
+    filters.active, rated = [1, 0, 1], np.full(n, 25.0)
+    filters.x[:, 2] = 104.0
+    plain = [[0, 2.0, 1.0, 0.0] for _ in range(n)]
+    most = q_bias_limit(104.0, motor[0, 0], motor[0, 2], 25.0)
+    for _ in range(50):
+        drive = rng.integers(0, n, 12)
+        nis = np.where(rng.random(12) < 0.1, np.nan, 20.0 * rng.random(12))
+        steps = rng.integers(1, 17, 12)
+        none = np.zeros((12, 2))
+        rows = samples(drive, none, none, steps, 0, nis)
+        adaptation.adapt(rows, filters, chords, motor, rated, dt)
+        for d, value, step in zip(drive.tolist(), nis.tolist(), steps.tolist(), strict=True):
+            row = plain[d]
+            if filters.active[d]:
+                row[0] += step
+                if value == value:
+                    row[1] += 0.2 * (value - row[1])
+                    row[2] = adapt_r(row[2], value, step * dt, row[0] * dt)
+                if row[0] >= SETTLED and chords.ready[d]:
+                    row[3] = adapt_q_bias(row[3], 4.0, motor[d, 2], step * dt, most, row[0] * dt)
+    assert filters.steps.tolist() == [row[0] for row in plain]
+    columns = (filters.nis, filters.r_scale, filters.v_q_bias)
+    for k, values in enumerate(columns, 1):
+        np.testing.assert_allclose(values, [row[k] for row in plain], rtol=1e-12)
+    assert filters.r_scale[0] > 1.0
+    assert filters.r_scale[1] == 1.0
+    assert filters.v_q_bias[0] > 0.0
+    assert filters.v_q_bias[1] == filters.v_q_bias[2] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_scale_of_r_is_the_exponential_law(seed):
+    """Against libm's exponential, at any numbers."""
+    rng = np.random.default_rng(seed)
+    for now, nis, dt, age in zip(
+        rng.uniform(1.0, 400.0, 500), rng.exponential(5.0, 500), 10.0 ** rng.uniform(-5, 1, 500),
+        rng.exponential(1.0, 500), strict=True,
+    ):  # fmt: skip
+        tau = min(max(0.25 * age, 0.03), 0.5)
+        want = now * math.exp((min(nis, 8.0) / 2.0 - 1.0) * min(dt / tau, 1.0))
+        assert adapt_r(now, nis, dt, age) == pytest.approx(min(max(want, 1.0), 400.0), rel=1e-14)
+
+
+def test_the_first_missing_voltage_is_what_the_chords_are_too_long_by():
+    motor = pmsm.table(pmsm.BENCH_MOTOR)
+    chords = acquisition.start(1)
+    chords.w, chords.psi = -100.0, motor[0, 2] + 0.01
+    assert adaptation.first_q_bias(chords, 0, motor, 25.0) == pytest.approx(-1.0)
+    limit = q_bias_limit(-100.0, motor[0, 0], motor[0, 2], 25.0)
+    chords.psi = 1.0
+    assert adaptation.first_q_bias(chords, 0, motor, 25.0) == -limit
+    chords.psi = np.nan
+    assert adaptation.first_q_bias(chords, 0, motor, 25.0) == 0.0, "not known"
+
+
+def test_a_missing_voltage_is_bounded_by_what_a_data_sheet_can_be_off():
+    most = q_bias_limit(100.0, 0.28, 0.2, 25.0)
+    assert most == pytest.approx(0.3 * 0.28 * 25.0 + 0.2 * 0.2 * 100.0)
+    at = 0.0
+    for _ in range(10000):
+        at = adapt_q_bias(at, 500.0, 0.2, 2e-3, most, 1.0)
+    assert at == most
+    for _ in range(20000):
+        at = adapt_q_bias(at, -500.0, 0.2, 2e-3, most, 1.0)
+    assert at == -most
+
+
+def test_a_new_filter_learns_the_missing_voltage_faster():
+    """Nearly half of it in the first 0.1 s; later it takes half a second."""
+    missing, psi = 2.0, 0.2
+
+    def after(seconds, age):
+        at = 0.0
+        for k in range(round(seconds / 2e-3)):
+            at = adapt_q_bias(at, (missing - at) / psi, psi, 2e-3, 10.0, age + k * 2e-3)
+        return at
+
+    assert after(0.1, 0.06) > 0.45 * missing
+    assert after(0.1, 10.0) < 0.25 * missing
