@@ -15,6 +15,8 @@
 
 #include <math.h>
 
+#include "estimators/numbers.h"
+
 #define RATIO_SIGMA  0.06 /* drives differ by this before anything is known, standard deviation */
 #define RATIO_LIMIT  0.2  /* more than this is a loss, not a difference */
 #define RATIO_TAU_S  30.0 /* time constant of learning in the long run: slow against any loss */
@@ -28,13 +30,6 @@
 #define LEAST_COMMON 0.1 /* common load below which nothing is said about ratios */
 
 const double LEARN_PERIOD_S = EVERY_S;
-
-static double clamp(double x, double low, double high)
-{
-    if (x < low)
-        return low;
-    return x > high ? high : x;
-}
 
 void load_reference_reset(struct load_spread *all, struct load_ratio *drives, int n, double spread)
 {
