@@ -43,11 +43,6 @@ def zeros(n: int, dtype: Any) -> Columns:
     return np.zeros(n, dtype).view(np.recarray)
 
 
-def record_pointer(kind: str, records: Columns | NDArray[Any], k: int = 0) -> Any:
-    """To record k, for a C function; kind: of the pointer, "struct filter *"."""
-    return ffi.cast(kind, records.ctypes.data) + k
-
-
 def pointer(ctype: str, array: NDArray[Any]) -> Any:
     """Address of a contiguous array as a pointer to numbers or records of this C type.
 

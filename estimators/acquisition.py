@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.records import ACQUISITION, ACQUISITION_LIMITS, Columns, record_pointer, zeros
+from dbc.records import ACQUISITION, ACQUISITION_LIMITS, Columns, pointer, zeros
 from estimators.models.pmsm import Array
 
 PAIRS: Final = lib.ACQUISITION_PAIRS
@@ -44,26 +44,26 @@ def start(n: int) -> Columns:
 
 def restart(drives: Columns, k: int) -> None:
     """Nothing seen of drive k."""
-    lib.acquisition_restart(record_pointer("struct acquisition *", drives, k))
+    lib.acquisition_restart(pointer("struct acquisition", drives[k:]))
 
 
 def add(samples: Columns, table: Array, drives: Columns, limits: Columns, dt: float) -> None:
     """Feed M samples; table (N, 7) as `pmsm.table`; dt: sub-step, s."""
     lib.acquisition_add(
-        record_pointer("struct filter_sample *", samples), len(samples), record_pointer("struct pmsm *", table),
-        record_pointer("struct acquisition *", drives), record_pointer("struct acquisition_limits *", limits), dt,
+        pointer("struct filter_sample", samples), len(samples), pointer("struct pmsm", table),
+        pointer("struct acquisition", drives), pointer("struct acquisition_limits", limits), dt,
     )  # fmt: skip
 
 
 def theta(drives: Columns) -> Array:
     """Angle of every drive at its last sample, rad, in (-pi, pi]."""
-    first = record_pointer("struct acquisition *", drives)
+    first = pointer("struct acquisition", drives)
     return np.array([lib.acquisition_theta(first + k) for k in range(len(drives))])
 
 
 def check(drives: Columns, filters: Columns) -> list[Consistency]:
     """Whether each drive's filter is consistent with its chords."""
-    chords, each = record_pointer("struct acquisition *", drives), record_pointer("struct filter *", filters)
+    chords, each = pointer("struct acquisition", drives), pointer("struct filter", filters)
     return [Consistency(lib.acquisition_check(chords + k, each + k)) for k in range(len(drives))]
 
 
@@ -73,6 +73,6 @@ def start_filter(
     """X and P of filter k from the chords; R (N, 2) A^2; T_rated Nm."""
     row = np.ascontiguousarray(R[k], dtype=np.float64)
     lib.acquisition_start_filter(
-        record_pointer("struct acquisition *", drives, k), record_pointer("struct pmsm *", table, k),
-        ffi.from_buffer("double[]", row), T_rated, record_pointer("struct filter *", filters, k),
+        pointer("struct acquisition", drives[k:]), pointer("struct pmsm", table[k:]),
+        ffi.from_buffer("double[]", row), T_rated, pointer("struct filter", filters[k:]),
     )  # fmt: skip

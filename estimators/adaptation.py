@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.records import FILTER, Columns, record_pointer, zeros
+from dbc.records import FILTER, Columns, pointer, zeros
 from estimators.models.pmsm import Array
 
 
@@ -21,9 +21,9 @@ def adapt(
 ) -> None:
     """After the filters: M innovations, in order. table (N, 7), I_rated (N,) A, dt: sub-step, s."""
     lib.adapt_filters(
-        record_pointer("struct filter_sample *", samples), len(samples),
-        record_pointer("struct filter *", filters), record_pointer("struct acquisition *", chords),
-        record_pointer("struct pmsm *", table), ffi.from_buffer("double[]", I_rated), dt,
+        pointer("struct filter_sample", samples), len(samples),
+        pointer("struct filter", filters), pointer("struct acquisition", chords),
+        pointer("struct pmsm", table), ffi.from_buffer("double[]", I_rated), dt,
     )  # fmt: skip
 
 
@@ -31,6 +31,6 @@ def first_q_bias(chords: Columns, k: int, table: Array, I_rated: float) -> float
     """`v_q_bias` of a new filter k, V."""
     return float(
         lib.first_q_bias(
-            record_pointer("struct acquisition *", chords, k), record_pointer("struct pmsm *", table, k), I_rated
+            pointer("struct acquisition", chords[k:]), pointer("struct pmsm", table[k:]), I_rated
         )
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from _traction_core import ffi, lib
 
-from dbc.records import CURRENT_CALIBRATION, Columns, record_pointer, zeros
+from dbc.records import CURRENT_CALIBRATION, Columns, pointer, zeros
 from estimators.models.pmsm import Array
 
 
@@ -23,13 +23,13 @@ def calibrate(
 ) -> None:
     """Correct the currents of M samples, in place, and learn; I_rated (N,) A; dt: sub-step, s."""
     lib.calibrate_currents(
-        record_pointer("struct filter_sample *", samples), len(samples),
-        record_pointer("struct current_calibration *", drives), record_pointer("struct acquisition *", chords),
+        pointer("struct filter_sample", samples), len(samples),
+        pointer("struct current_calibration", drives), pointer("struct acquisition", chords),
         ffi.from_buffer("double[]", I_rated), dt,
     )  # fmt: skip
 
 
 def is_single_axis(drives: Columns, k: int, w_e: float) -> bool:
     """True while the current of drive k swings on one line; w_e: electrical speed, rad/s."""
-    one = record_pointer("struct current_calibration *", drives, k)
+    one = pointer("struct current_calibration", drives[k:])
     return bool(lib.is_single_axis_current(one, w_e))

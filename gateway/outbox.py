@@ -17,7 +17,6 @@ from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
 from gateway._direct import Direct
 from gateway._outbox_kernels import send
-from gateway.config import ConfigError
 from gateway.flags import Status
 from gateway.sources import COUNTED, OF_A_DRIVE, OF_THE_SET, Memory, Room, Sheet, Source
 from gateway.view import Counted

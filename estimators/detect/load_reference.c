@@ -74,10 +74,10 @@ void update_spread(struct load_spread *all, struct load_ratio *drives,
     const int free = count - (relative ? 1 : 0);
     if (free < 1)
         return;
-    double square = all->spread * all->spread;
-    square += EVERY_S / SPREAD_TAU_S * (0.5 * total / free - square);
+    double variance = all->spread * all->spread;
+    variance += EVERY_S / SPREAD_TAU_S * (0.5 * total / free - variance);
     all->spread =
-        clamp(sqrt(square), SPREAD_FLOOR * all->configured, SPREAD_MOST * all->configured);
+        clamp(sqrt(variance), SPREAD_FLOOR * all->configured, SPREAD_MOST * all->configured);
 }
 
 /* 1 if an observation of a healthy drive says something about its ratio. */

@@ -32,9 +32,13 @@ E2E = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
 CODEC = ("tests/unit/test_codec_reference.py",)
 RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_learning.py")
 THERMAL = (
-    "tests/unit/test_elementary.py", "tests/unit/test_maisd.py", "tests/unit/test_sigma_mixed.py",
-    "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
-    "tests/unit/test_thermal_imm.py", "tests/unit/test_thermal_monitor_order.py",
+    "tests/unit/test_elementary.py",
+    "tests/unit/test_maisd.py",
+    "tests/unit/test_sigma_mixed.py",
+    "tests/unit/test_thermal_reference.py",
+    "tests/unit/test_thermal_monitor_odd.py",
+    "tests/unit/test_thermal_imm.py",
+    "tests/unit/test_thermal_monitor_order.py",
 )
 ACQUISITION = tuple(f"tests/unit/test_est_acquisition.py::{name}" for name in (
     "test_it_equals_the_reference", "test_the_check_equals_the_reference",

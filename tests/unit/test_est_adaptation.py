@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
-from dbc.records import record_pointer
+from dbc.records import pointer
 from estimators import acquisition, adaptation
 from estimators.models import pmsm
 from tests.filter_records import samples
@@ -19,7 +19,7 @@ SETTLED = lib.FILTER_SETTLE_STEPS
 def q_bias_limit(w, R_s, psi_f, I_rated):
     motor = pmsm.table(pmsm.BENCH_MOTOR)
     motor[0, [0, 2]] = R_s, psi_f
-    return lib.q_bias_limit(w, record_pointer("struct pmsm *", motor), I_rated)
+    return lib.q_bias_limit(w, pointer("struct pmsm", motor), I_rated)
 
 
 def settle(true_scale, seconds=5.0, dt=2e-3, seed=0, now=1.0):
