@@ -21,12 +21,13 @@ from setuptools.build_meta import *  # noqa: F403 - everything else of the backe
 ROOT = Path(__file__).parent
 HEADERS = ("gateway/core/records.h", "dbc/e2e.h", "gateway/core/flags.h",
            "estimators/detect/variational.h", "estimators/detect/load_reference.h",
-           "estimators/detect/command_response.h")  # fmt: skip
+           "estimators/detect/command_response.h", "gateway/core/train.h")  # fmt: skip
 """In the order in which they build on one another."""
 SOURCES = ("dbc/crc.c", "dbc/e2e.c", "gateway/core/flags.c", "estimators/detect/variational.c",
            "estimators/detect/load_reference.c",
-           "estimators/detect/command_response.c")  # fmt: skip
-DEPENDS = (*HEADERS, "dbc/crc.h")
+           "estimators/detect/command_response.c", "gateway/core/rotors.c",
+           "gateway/core/train.c")  # fmt: skip
+DEPENDS = (*HEADERS, "dbc/crc.h", "gateway/core/rotors.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""

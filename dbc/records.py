@@ -45,9 +45,12 @@ LOAD_SPREAD: Final = dtype_of(ffi.typeof("struct load_spread"))
 LOAD_RATIO: Final = dtype_of(ffi.typeof("struct load_ratio"))
 LOAD_OBSERVATION: Final = dtype_of(ffi.typeof("struct load_observation"))
 COMMAND_RESPONSE: Final = dtype_of(ffi.typeof("struct command_response"))
+ROTOR: Final = dtype_of(ffi.typeof("struct rotor"))
+ROTOR_INPUTS: Final = dtype_of(ffi.typeof("struct rotor_inputs"))
 LAYOUT: Final = " ".join(map(str, (
     E2E_CONFIG, E2E_STATE,
     FLAG, FLAG_TIMING, FLAG_RULES, FLAG_INPUTS, TRAIN_INPUTS, DRIVE_EVIDENCE, DRIVE_STATUS,
     TRAIN_STATUS, VB_PRIORS, LOAD_SPREAD, LOAD_RATIO, LOAD_OBSERVATION, COMMAND_RESPONSE,
+    ROTOR, ROTOR_INPUTS,
 )))  # fmt: skip
 """What compiled loops depend on that address these records."""

@@ -23,7 +23,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/property/test_e2e_property.py", "tests/unit/test_flags.py",
        "tests/unit/test_flags_reference.py",
        "tests/unit/test_variational_reference.py", "tests/unit/test_response_reference.py",
-       "tests/unit/test_detect_learning.py")  # fmt: skip
+       "tests/unit/test_detect_learning.py", "tests/unit/test_train_reference.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

@@ -36,6 +36,8 @@ TESTS = {
     "estimators/detect/variational.c": ("tests/unit/test_variational_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,
     "estimators/detect/command_response.c": RESPONSE,
+    "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
 }  # fmt: skip
 """Those that answer for a source."""
 LIMIT_S = 120

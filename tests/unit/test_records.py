@@ -19,7 +19,7 @@ RECORDS = {name: getattr(records, name.upper()) for name in (
     "e2e_config", "e2e_state",
     "flag", "flag_timing", "flag_rules", "flag_inputs", "train_inputs", "drive_evidence",
     "drive_status", "train_status", "vb_priors", "load_spread", "load_ratio",
-    "load_observation", "command_response",
+    "load_observation", "command_response", "rotor", "rotor_inputs",
 )}  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
