@@ -44,6 +44,7 @@ HEADERS = (
     "estimators/current_calibration.h",
     "estimators/adaptation.h",
     "gateway/core/flags.h",
+    "gateway/core/train.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -73,6 +74,8 @@ SOURCES = (
     "estimators/current_calibration.c",
     "estimators/adaptation.c",
     "gateway/core/flags.c",
+    "gateway/core/rotors.c",
+    "gateway/core/train.c",
 )
 DEPENDS = (
     *HEADERS,
@@ -82,6 +85,7 @@ DEPENDS = (
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",
     "estimators/vectors.h",
+    "gateway/core/rotors.h",
 )
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")

@@ -96,6 +96,8 @@ ACQUISITION: Final = dtype_of(ffi.typeof("struct acquisition"))
 REVOLUTION_SUMS: Final = dtype_of(ffi.typeof("struct revolution_sums"))
 CURRENT_CALIBRATION: Final = dtype_of(ffi.typeof("struct current_calibration"))
 FILTER: Final = dtype_of(ffi.typeof("struct filter"))
+ROTOR: Final = dtype_of(ffi.typeof("struct rotor"))
+ROTOR_INPUTS: Final = dtype_of(ffi.typeof("struct rotor_inputs"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

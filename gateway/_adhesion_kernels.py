@@ -112,17 +112,18 @@ def conclude(
     """
     for k in range(lost.shape[0]):
         room.alone[k] = respond(k, responses, own, tick_s, room.meant)
-        if train.odd_s[k] > 0.0:
+        if train.rotors[k]["odd_s"] > 0.0:
             room.alone[k] = min(room.alone[k], UNDECIDED)
     _enough_load(lost, known, common, tick_s, trust)
     for k in range(lost.shape[0]):
-        room.lost[k] = fuse_loss(k, responses, lost[k], known[k], train.away[k], room)
+        away = train.rotors[k]["away"] != 0
+        room.lost[k] = fuse_loss(k, responses, lost[k], known[k], away, room)
         room.known[k] = known[k] or is_asked(k, responses)
         # Nor is one lost that carries more than it is asked to.
-        doubted = now < train.doubt_ns[k] or train.uncommanded_s[k] > 0.0
+        doubted = now < train.doubt_ns[k] or train.rotors[k]["uncommanded_s"] > 0.0
         if doubted and room.lost[k] > UNDECIDED:
             room.lost[k] = UNDECIDED
-            train.uncertain[k] = True
+            train.uncertain[k] = 1
     answered = False
     for k in range(lost.shape[0]):
         severe = is_severe_loss(k, responses, common, room, part, spreads)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
 
 _TIMING = FLAG_RULES.fields["timing"][1]
 _collect, _debounce_flags = symbol("collect_evidence"), symbol("debounce_flags")
@@ -29,7 +30,7 @@ _publish, _debounce, _loss = symbol("publish"), symbol("debounce"), symbol("loss
 
 @lean
 def fill_inputs(
-    inputs: Inputs, wrong: Bools, uncertain: Bools, told: Told, lost: Array, known: Bools,
+    inputs: Inputs, wrong: Bools, uncertain: Bytes, told: Told, lost: Array, known: Bools,
     severe: Bools, findings: Findings, sample_ns: Ints, out: Records,
 ) -> None:  # fmt: skip
     """`flag_inputs` of N drives from the columns of the stations before.

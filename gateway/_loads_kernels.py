@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc._lean import inlined, lean
-from gateway._train_kernels import insert, middle
 from gateway.loads import (
     COASTING,
     ENOUGH_TO_COMPARE,
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from gateway.slow import SlowState
     from gateway.tracks import Told
 
+Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
@@ -31,6 +31,22 @@ _TRACKING = 2  # Health
 _BAD = 2  # Flag
 _SECOND = 1_000_000_000
 _NEVER = -(1 << 63)
+
+
+@inlined
+def insert(x: float, count: int, rank: Array) -> None:
+    """One more number into the ascending first `count` of rank."""
+    place = count
+    while place > 0 and rank[place - 1] > x:
+        rank[place] = rank[place - 1]
+        place -= 1
+    rank[place] = x
+
+
+@inlined
+def middle(count: int, rank: Array) -> float:
+    """Median of the first `count`; of an even number the lower of the two."""
+    return math.nan if count == 0 else float(rank[(count - 1) // 2])
 
 
 @inlined
@@ -53,7 +69,7 @@ def _median(now: int, rotors: Rotors) -> float:
         if not _obeys(k, now, rotors) and not math.isnan(rotors.load[k]):
             insert(rotors.load[k], count, rotors.rank)
             count += 1
-    return middle(count, False, rotors.rank)  # type: ignore[no-any-return,unused-ignore]
+    return middle(count, rotors.rank)  # type: ignore[no-any-return,unused-ignore]
 
 
 @inlined

@@ -62,9 +62,9 @@ class AdhesionSide:
         self.responses = loads.responses(n)
         self.train = train.start(motors)
         self.rotors = self.rotors._replace(
-            taken=self.train.taken,
-            load=self.train.load,
-            above=self.train.above,
+            taken=self.train.rotors["acceleration_torque"],
+            load=self.train.rotors["load"],
+            above=self.train.rotors["above"],
             rank=self.train.rank,
         )
         self.rules = rules

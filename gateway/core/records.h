@@ -716,4 +716,49 @@ struct filter {
     uint8_t active;  /* 1: there is a filter */
 };
 
+/* The train as its rotors and commands show it together (gateway/core/train.c). Speeds are those of
+ * rotors, rad/s; loads and torques are per unit of rated torque; NaN: not known. */
+
+/* One rotor: its ratings, and what is remembered of it. */
+struct rotor {
+    double rated_nm;            /* rated torque */
+    double inertia_kg_m2;       /* of the rotor */
+    double speed;               /* of this tick */
+    double load;                /* of this tick, in the direction of the train */
+    double slow_speed;          /* smoothed, to find the acceleration */
+    double acceleration_torque; /* that accelerates the rotor with its train */
+    double diameter;            /* of the wheel over those of the others, as speeds */
+    double learnt_s;            /* for how long `diameter` has been learnt */
+    double creep;               /* speed over that of the others, minus 1 */
+    double followed_s;          /* for how long the filter has tracked */
+    double alone_s;             /* for how long all others have been away */
+    double near_s;              /* for how long it has been within the largest creep */
+    double slides_s;            /* for how long it has carried more than the others while apart */
+    double uncommanded_s;       /* for how long it has carried what it was not asked for */
+    double odd_s;               /* for how long its command has been odd */
+    int64_t doubt_until_ns;     /* until then its currents accuse nobody; NO_TIME: not in doubt */
+    int32_t motor;              /* rotors with the same number have the same ratings */
+    uint8_t far;                /* 1: too far from the others, the diameter not being known */
+    uint8_t apart;              /* 1: too far from the others when that was last known */
+    uint8_t away;               /* 1: ran away from the others by its effort, and is not back yet */
+    uint8_t uncertain;          /* 1: it may be running away, or braked by something else */
+    uint8_t odd;                /* 1: its command has been odd for too long */
+    uint8_t above;              /* 1: carries more than its command and than the others */
+};
+
+/* What the stations before have found of one drive in this tick. */
+struct rotor_inputs {
+    double measured_rad_s;      /* by `Motion`; NaN: none that is fresh */
+    double speed_rad_s;         /* estimated */
+    double load_nm;             /* estimated */
+    double command_nm;          /* torque command */
+    double previous_command_nm; /* the command before that */
+    uint8_t health;             /* enum filter_health; changed where the drive is not judged */
+    uint8_t health_reason;      /* enum reason; written where the drive is not judged */
+    uint8_t adhesion;           /* enum flag_state: the adhesion flag so far */
+    uint8_t operating;          /* 1: the drive is in operation */
+    uint8_t command_valid;      /* 1: the command is known; cleared where it cannot be right */
+    uint8_t not_judged;         /* 1: the estimate is not used; written */
+};
+
 #endif

@@ -59,6 +59,8 @@ TESTS = {
     "estimators/acquisition.c": ACQUISITION,
     "estimators/adaptation.c": ("tests/unit/test_est_adaptation.py",),
     "estimators/current_calibration.c": ("tests/unit/test_est_current_calibration.py",),
+    "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
 }  # fmt: skip
 """Those that answer for a source."""
 LIMIT_S = 120

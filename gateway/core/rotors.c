@@ -1,0 +1,291 @@
+/* Speeds of the rotors against one another, and what accelerates them.
+ *
+ * - Acceleration: that of the median rotor, never of the wheel that is judged; of two the slower in
+ *   traction, the faster in braking. A load is credited with what its own rotor takes of it.
+ * - Speed: a rotor more than MOST_CREEP from the median of the others is never adhering. Wheel
+ *   diameters are learnt, to within MOST_DIAMETER.
+ *
+ * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
+ * comparison with NaN is false, and each condition is written so that false is the safe answer.
+ * Divisors are ratings, constants, a diameter within MOST_DIAMETER of 1, or speeds of at least
+ * LEAST_SPEED; that of `own_change` may be 0, which gives infinity, no small change. Places in
+ * `rank` are below the number of rotors. */
+#include "gateway/core/rotors.h"
+
+#include <math.h>
+
+#define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor */
+/* Per unit of rated torque, of what accelerates a rotor: an emergency brake of 1.5 m/s^2 for the
+ * 350 kW motor, the wheelset behind its gear included. */
+#define MOST_ACCELERATION 0.15
+/* And never more than a hill's part and this share of the load: what turns is a few percent of the
+ * inertia of a train. All wheels that run away together need more. */
+#define ROTATING_FLOOR 0.02
+#define ROTATING_SHARE 0.08
+/* A drive without others that accelerates by more (per unit of rated torque), or is so far from its
+ * own speed of late (as a share of it), may be running away. A train of 1 m/s^2 is beyond 1.7 m/s
+ * when it is not. */
+#define SINGLE_CREDIT 0.05
+#define SINGLE_CHANGE 0.3
+#define LEAST_SPEED   3.0 /* rad/s at the rotor; below it a share of the speed says nothing */
+/* An estimated speed that differs by more from the measured one, which is up to 10 ms old, is no
+ * measure for others: share and rad/s. */
+#define SPEEDS_APART       0.05
+#define SPEEDS_APART_RAD_S 1.0
+/* An estimate that has been followed for less may be on its way from a guess: beyond LEARN_CREEP
+ * from it, the measured speed goes before it. */
+#define FOLLOWED_S 0.2
+#define MOST_CREEP                                                                                 \
+    0.08 /* of a rotor against the others, which creep by a percent or two themselves */
+#define MOST_APART 0.1 /* the same while its diameter is not known yet, diameters included */
+#define NEAR_S     0.1 /* a rotor is back after so long: one that turns backwards passes by */
+/* A rotor that all others have left is held against its own speed of late for so long: what it could
+ * lose or gain meanwhile is within LEARN_CREEP. */
+#define ALONE_S          0.5
+#define LEARN_CREEP      0.03 /* diameters are learnt while a rotor is no further from the others */
+#define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
+#define DIAMETER_TAU_S   60.0 /* then so slowly: a slip that grows over seconds is no diameter */
+#define MOST_DIAMETER    0.06
+static double clamp(double x, double low, double high)
+{
+    if (x < low)
+        return low;
+    return x > high ? high : x;
+}
+
+/* One more number into the ascending first `count` of rank. */
+void rank_insert(double x, int count, double *rank)
+{
+    int place = count;
+    for (; place > 0 && rank[place - 1] > x; place--)
+        rank[place] = rank[place - 1];
+    rank[place] = x;
+}
+
+/* Median of the first `count`; of an even number the upper or the lower of the two; NaN of none. */
+double rank_median(int count, int upper, const double *rank)
+{
+    if (count == 0)
+        return NAN;
+    return rank[upper ? count / 2 : (count - 1) / 2];
+}
+
+/* ---- Speeds and loads of this tick ---- */
+
+/* The speed that is taken of a drive whose filter tracks: estimated, measured, or none. */
+static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in)
+{
+    const double measured = in->measured_rad_s;
+    const double off = fabs(measured - in->speed_rad_s);
+    if (off > SPEEDS_APART * fabs(measured) + SPEEDS_APART_RAD_S)
+        return NAN;
+    const int guess = r->followed_s < FOLLOWED_S && off > LEARN_CREEP * fabs(measured);
+    return guess ? measured : in->speed_rad_s;
+}
+
+/* Speed and load of every rotor; whether the train brakes. */
+static void note(struct train_tick *t)
+{
+    double total = 0.0;
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        const struct rotor_inputs *in = &t->in[k];
+        r->load = NAN;
+        r->speed = in->measured_rad_s;
+        if (in->health != HEALTH_TRACKING) {
+            r->followed_s = 0.0;
+            continue;
+        }
+        r->followed_s += t->tick_s;
+        r->speed = tracked_speed(r, in);
+        r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
+        total += r->load;
+    }
+    t->braking = total < 0.0;
+}
+
+/* ---- Acceleration ---- */
+
+/* Relative rate of the median rotor, 1/s, so that it is the same for all diameters and gears;
+ * count: of how many. Follows the smoothed speeds. */
+static double median_rate(struct train_tick *t, int *count)
+{
+    *count = 0;
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        if (isnan(r->speed)) {
+            /* Beside a measured speed that is apart the drive is still followed. */
+            if (isnan(r->load))
+                r->slow_speed = NAN;
+            continue;
+        }
+        const double slow = isnan(r->slow_speed) ? r->speed : r->slow_speed;
+        r->slow_speed = slow + t->tick_s / ACCELERATION_TAU_S * (r->speed - slow);
+        if (fabs(slow) >= LEAST_SPEED) {
+            rank_insert((r->speed - slow) / ACCELERATION_TAU_S / slow, *count, t->rank);
+            (*count)++;
+        }
+    }
+    return rank_median(*count, t->braking, t->rank);
+}
+
+/* What every rotor takes to follow the median of all, per unit of its rated torque. */
+static void accelerate(struct train_tick *t)
+{
+    int count = 0;
+    const double rate = median_rate(t, &count);
+    const int quick = fabs(rate) * ACCELERATION_TAU_S > SINGLE_CHANGE;
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        double torque = r->inertia_kg_m2 * rate * r->slow_speed / r->rated_nm;
+        if (isnan(torque))
+            torque = 0.0;
+        const double load = isnan(r->load) ? 0.0 : fabs(r->load);
+        const double share = ROTATING_FLOOR + ROTATING_SHARE * load;
+        const double most = share < MOST_ACCELERATION ? share : MOST_ACCELERATION;
+        r->acceleration_torque = clamp(torque, -most, most);
+        r->uncertain = count < 2 && (fabs(r->acceleration_torque) > SINGLE_CREDIT || quick);
+    }
+}
+
+/* ---- Speeds against one another ---- */
+
+/* Median speed of the other rotors of the same motor, of the tracked ones only or of all. */
+static double others_speed(const struct train_tick *t, int k, int tracked)
+{
+    int count = 0;
+    for (int j = 0; j < t->n; j++) {
+        const struct rotor *r = &t->rotor[j];
+        if (j == k || r->motor != t->rotor[k].motor || isnan(r->speed))
+            continue;
+        if (tracked && isnan(r->load))
+            continue;
+        rank_insert(r->speed, count++, t->rank);
+    }
+    return rank_median(count, t->braking, t->rank);
+}
+
+/* Of the others that are tracked, else of all; NaN without any. */
+static double reference_speed(const struct train_tick *t, int k)
+{
+    const double tracked = others_speed(t, k, 1);
+    return isnan(tracked) ? others_speed(t, k, 0) : tracked;
+}
+
+/* By what share a rotor is faster than it was of late. */
+static double own_change(const struct rotor *r)
+{
+    return r->speed * r->diameter / fabs(r->slow_speed) - 1.0;
+}
+
+/* 1 if all other wheels have left that of drive k just now, and it is as fast as before. */
+static int stays(struct train_tick *t, int k)
+{
+    struct rotor *mine = &t->rotor[k];
+    int others = 0, away = 0;
+    for (int j = 0; j < t->n; j++) {
+        const struct rotor *r = &t->rotor[j];
+        if (j == k || r->motor != mine->motor || isnan(r->speed))
+            continue;
+        others++;
+        away += r->away != 0;
+    }
+    const int alone = others > 0 && away == others;
+    mine->alone_s = alone ? mine->alone_s + t->tick_s : 0.0;
+    const int kept = fabs(own_change(mine)) <= LEARN_CREEP;
+    return mine->alone_s > 0.0 && mine->alone_s <= ALONE_S && kept;
+}
+
+/* 1 if a wheel has left the others for the side that the effort takes it to, until it is back: its
+ * own speed has changed, not theirs. */
+static int runs_away(const struct train_tick *t, const struct rotor *r)
+{
+    const double effort = t->braking ? -1.0 : 1.0;
+    const double slip = effort * r->creep;
+    if (r->away)
+        return slip > LEARN_CREEP;
+    return slip > MOST_CREEP && effort * own_change(r) > LEARN_CREEP;
+}
+
+/* Before its diameter is known: what has been learnt so far may be a slip that grows. */
+static void compare_unknown_diameters(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        r->far = 0;
+        if (r->learnt_s >= DIAMETER_FIRST_S)
+            continue;
+        const double others = reference_speed(t, k);
+        const double creep = others >= LEAST_SPEED ? r->speed / others - 1.0 : 0.0;
+        r->far = fabs(creep) > MOST_APART;
+    }
+}
+
+/* Creep of every rotor against the others, and which of them run away. */
+static void compare_speeds(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++)
+        t->rotor[k].speed = fabs(t->rotor[k].speed);
+    compare_unknown_diameters(t);
+    for (int k = 0; k < t->n; k++)
+        t->rotor[k].speed /= t->rotor[k].diameter;
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        const double others = reference_speed(t, k);
+        r->creep = NAN;
+        if (others >= LEAST_SPEED && !isnan(r->speed)) {
+            r->creep = r->speed / others - 1.0;
+            r->away = (uint8_t)runs_away(t, r);
+        }
+    }
+}
+
+/* Which rotors are too far from the others to be adhering. */
+static void find_apart(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        const int left = stays(t, k);
+        r->uncertain = r->uncertain || (r->far && !left);
+        if (isnan(r->creep)) {
+            /* Nobody sees whether it is back. */
+            r->uncertain = r->uncertain || r->apart;
+            continue;
+        }
+        const int beyond = fabs(r->creep) > MOST_CREEP && !left;
+        r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
+        r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
+        r->uncertain = r->uncertain || beyond;
+    }
+}
+
+/* What is left between the speeds of wheels that adhere, while none is lost. */
+static void learn_diameters(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++)
+        /* A drive that is cut out keeps its flag, and stops nobody from learning. */
+        if (t->in[k].adhesion == FLAG_BAD && t->in[k].operating)
+            return;
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        const int settled = r->learnt_s >= DIAMETER_FIRST_S;
+        const double near = settled ? LEARN_CREEP : MOST_DIAMETER + LEARN_CREEP;
+        if (t->in[k].adhesion != FLAG_GOOD || !(fabs(r->creep) <= near))
+            continue;
+        double wanted = r->diameter * (1.0 + r->creep);
+        wanted = clamp(wanted, 1.0 - MOST_DIAMETER, 1.0 + MOST_DIAMETER);
+        r->learnt_s += t->tick_s;
+        const double longer = r->learnt_s < 10.0 * t->tick_s ? 10.0 * t->tick_s : r->learnt_s;
+        const double tau = longer < DIAMETER_TAU_S ? longer : DIAMETER_TAU_S;
+        r->diameter += t->tick_s / tau * (wanted - r->diameter);
+    }
+}
+
+void follow_rotors(struct train_tick *t)
+{
+    note(t);
+    accelerate(t);
+    compare_speeds(t);
+    find_apart(t);
+    learn_diameters(t);
+}

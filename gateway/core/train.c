@@ -1,0 +1,163 @@
+/* The train as all its rotors and commands show it together, before any drive is judged.
+ *
+ * - Speeds: rotors.c.
+ * - Loads: one that slides, or carries more than its command and than the others, is no measure for
+ *   those that hold.
+ * - Commands: a load that no command asks for, and a command far from all others' beside a load that
+ *   is not, are errors of the `Status` message: no loss follows from them, and no health.
+ * - State: a drive that is not in operation is not judged.
+ *
+ * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
+ * comparison with NaN is false, and each condition is written so that false is the safe answer.
+ * Divisors are ratings and constants; places in `rank` are below the number of rotors. */
+#include "gateway/core/train.h"
+
+#include <math.h>
+
+#include "gateway/core/rotors.h"
+
+/* A rotor that is apart and carries more than the others for so long slides under its load; one that
+ * loses or finds its grip is sooner through. */
+#define SLIDES_S 0.2
+#define GRIPS   0.1 /* per unit of rated torque that one which has run away carries more: at once */
+#define AGAINST 0.25 /* share of the others' load carried against them: it turns backwards */
+/* A load beyond the command, per unit of rated torque and of the command, that no motor data off
+ * their sheet explain; for so long: a command is up to 0.1 s old, and a drive follows it by a ramp. */
+#define UNCOMMANDED          0.12
+#define UNCOMMANDED_RELATIVE 0.15
+#define COMMAND_LATE_S       0.3
+/* A command is odd beyond this factor from the median of the others and 0.1 of rated torque, while
+ * its load is near to theirs: relative, per unit of rated torque. */
+#define FACTOR          2.0
+#define FACTOR_FLOOR    0.1
+#define LOAD_NEAR       0.25
+#define LOAD_NEAR_FLOOR 0.05
+#define ODD_S           0.15
+#define MOST_COMMAND    3.0 /* per unit of rated torque; no drive delivers more */
+
+/* Median load of the other drives, per unit; NaN without any. */
+static double others_load(const struct train_tick *t, int k)
+{
+    int count = 0;
+    for (int j = 0; j < t->n; j++)
+        if (j != k && !isnan(t->rotor[j].load))
+            rank_insert(t->rotor[j].load, count++, t->rank);
+    return rank_median(count, 0, t->rank);
+}
+
+/* 1 if the load of drive k is near the median of the others; 0 without any. */
+static int is_like_others(const struct train_tick *t, int k)
+{
+    const double load = others_load(t, k);
+    return fabs(t->rotor[k].load - load) <= LOAD_NEAR * fabs(load) + LOAD_NEAR_FLOOR;
+}
+
+static double larger(double a, double b)
+{
+    return b > a ? b : a;
+}
+
+/* 1 if a drive has carried what it was not asked for, for too long. */
+static int is_uncommanded(const struct train_tick *t, struct rotor *r,
+                          const struct rotor_inputs *in)
+{
+    const double load = in->load_nm / r->rated_nm + r->acceleration_torque;
+    const double sign = load >= 0.0 ? 1.0 : -1.0;
+    const double most = larger(sign * in->command_nm, sign * in->previous_command_nm);
+    const double asked = larger(most, 0.0) / r->rated_nm;
+    const int beyond = sign * load - asked > UNCOMMANDED + UNCOMMANDED_RELATIVE * asked;
+    r->uncommanded_s = beyond ? r->uncommanded_s + t->tick_s : 0.0;
+    return r->uncommanded_s > COMMAND_LATE_S;
+}
+
+/* 1 if a wheel slides under its load, or turns backwards: no measure for those that hold. But a lost
+ * one that carries more is one that grips again. */
+static int slides(const struct train_tick *t, int k)
+{
+    struct rotor *r = &t->rotor[k];
+    const double others = others_load(t, k);
+    const int more = r->apart && t->in[k].adhesion != FLAG_BAD && fabs(r->load) > fabs(others);
+    r->slides_s = more ? r->slides_s + t->tick_s : 0.0;
+    const int against = r->apart && r->load * others < -AGAINST * others * others;
+    const int grips = r->away && more && fabs(r->load) > fabs(others) + GRIPS;
+    return r->slides_s > SLIDES_S || against || grips;
+}
+
+/* 1 if the command of drive k is far from the others' although its load is like theirs. */
+static int is_odd_command(const struct train_tick *t, int k)
+{
+    struct rotor *r = &t->rotor[k];
+    const double own = fabs(t->in[k].command_nm) / r->rated_nm;
+    int count = 0;
+    for (int j = 0; j < t->n; j++)
+        if (j != k && t->in[j].command_valid)
+            rank_insert(fabs(t->in[j].command_nm) / t->rotor[j].rated_nm, count++, t->rank);
+    const double others = rank_median(count, 0, t->rank);
+    const int far = own > FACTOR * others + FACTOR_FLOOR || own < others / FACTOR - FACTOR_FLOOR;
+    r->odd_s = far && is_like_others(t, k) ? r->odd_s + t->tick_s : 0.0;
+    return r->odd_s > ODD_S || own > MOST_COMMAND;
+}
+
+static void do_not_judge(struct rotor_inputs *in, uint8_t health, uint8_t reason)
+{
+    in->not_judged = 1;
+    in->health = health;
+    in->health_reason = reason;
+}
+
+/* Which loads have no command that explains them. */
+static void assess_loads(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++) {
+        struct rotor *r = &t->rotor[k];
+        struct rotor_inputs *in = &t->in[k];
+        r->above = 0;
+        if (!in->command_valid || in->health != HEALTH_TRACKING) {
+            r->uncommanded_s = 0.0;
+        } else if (in->operating && is_uncommanded(t, r, in)) {
+            in->command_valid = 0;
+            do_not_judge(in, HEALTH_INPUT_INVALID, REASON_RANGE);
+        } else {
+            const int sliding = slides(t, k);
+            r->above = sliding || (r->uncommanded_s > 0.0 && !is_like_others(t, k));
+        }
+    }
+}
+
+/* Which commands cannot be right; all are compared before any is dropped. */
+static void assess_commands(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++)
+        t->rotor[k].odd = t->in[k].command_valid && is_odd_command(t, k);
+    for (int k = 0; k < t->n; k++) {
+        struct rotor_inputs *in = &t->in[k];
+        in->command_valid = in->command_valid && !t->rotor[k].odd;
+        if (!in->operating && in->health != HEALTH_INPUT_INVALID)
+            do_not_judge(in, HEALTH_UNKNOWN, REASON_NOT_AVAILABLE);
+    }
+}
+
+void train_reset(struct rotor *rotors, int n)
+{
+    for (int k = 0; k < n; k++)
+        rotors[k] = (struct rotor){
+            .rated_nm = rotors[k].rated_nm,
+            .inertia_kg_m2 = rotors[k].inertia_kg_m2,
+            .motor = rotors[k].motor,
+            .speed = NAN,
+            .load = NAN,
+            .slow_speed = NAN,
+            .creep = NAN,
+            .diameter = 1.0,
+            .doubt_until_ns = NO_TIME,
+        };
+}
+
+void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, double tick_s,
+                  double *rank)
+{
+    struct train_tick t = {.rotor = rotors, .in = inputs, .n = n, .tick_s = tick_s, .rank = rank};
+    follow_rotors(&t);
+    assess_loads(&t);
+    assess_commands(&t);
+}
