@@ -27,6 +27,7 @@ HEADERS = (
     "estimators/thermal/imm.h", "estimators/thermal/imm_update.h",
     "estimators/thermal/residuals.h",
     "estimators/thermal/monitor.h", "estimators/thermal/hypotheses.h",
+    "gateway/core/temperature.h",
 )  # fmt: skip
 """In the order in which they build on one another."""
 SOURCES = (
@@ -37,6 +38,7 @@ SOURCES = (
     "estimators/thermal/peers.c", "estimators/thermal/imm.c", "estimators/thermal/imm_predict.c",
     "estimators/thermal/imm_update.c", "estimators/thermal/residuals.c",
     "estimators/thermal/monitor.c", "estimators/thermal/hypotheses.c",
+    "gateway/core/temperature.c",
 )  # fmt: skip
 DEPENDS = (
     *HEADERS, "dbc/crc.h", "estimators/numbers.h", "estimators/order_statistics.h",

@@ -59,5 +59,7 @@ THERMAL_MOTOR: Final = dtype_of(ffi.typeof("struct thermal_motor"))
 HYPOTHESIS_CONFIG: Final = dtype_of(ffi.typeof("struct hypothesis_config"))
 HYPOTHESIS_SPREAD: Final = dtype_of(ffi.typeof("struct hypothesis_spread"))
 HYPOTHESIS_STATE: Final = dtype_of(ffi.typeof("struct hypothesis_state"))
-LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE}"
+TEMPERATURE_SENSOR: Final = dtype_of(ffi.typeof("struct temperature_sensor"))
+TEMPERATURE_DRIVE: Final = dtype_of(ffi.typeof("struct temperature_drive"))
+LAYOUT: Final = f"{E2E_CONFIG} {E2E_STATE} {TEMPERATURE_DRIVE}"
 """What compiled loops depend on that address these records."""

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final
 
+from _traction_core import lib
+
 NEVER: Final = -(1 << 63)
 """In place of a stamp, or an age, that there is not."""
 
@@ -65,26 +67,26 @@ class Health(IntEnum):
 class FaultClass(IntEnum):
     """What kind of thermal or sensor fault."""
 
-    UNKNOWN = 0
-    NONE = 1
-    OVERHEATING = 2
-    COOLING_LOSS = 3
-    BEARING = 4
-    SENSOR_BIAS = 5
-    SENSOR_STUCK = 6
-    SENSOR_LOST = 7
-    WINDING_RESISTANCE = 8
+    UNKNOWN = lib.FAULT_UNKNOWN
+    NONE = lib.FAULT_NONE
+    OVERHEATING = lib.FAULT_OVERHEATING
+    COOLING_LOSS = lib.FAULT_COOLING_LOSS
+    BEARING = lib.FAULT_BEARING
+    SENSOR_BIAS = lib.FAULT_SENSOR_BIAS
+    SENSOR_STUCK = lib.FAULT_SENSOR_STUCK
+    SENSOR_LOST = lib.FAULT_SENSOR_LOST
+    WINDING_RESISTANCE = lib.FAULT_WINDING_RESISTANCE
 
 
 class FaultSensor(IntEnum):
     """Which sensor a sensor fault is on."""
 
-    NONE = 0
-    STATOR = 1
-    DRIVE_END = 2
-    NON_DRIVE_END = 3
-    AMBIENT = 4
-    CURRENT = 5
+    NONE = lib.FAULT_SENSOR_NONE
+    STATOR = lib.FAULT_SENSOR_STATOR
+    DRIVE_END = lib.FAULT_SENSOR_DRIVE_END
+    NON_DRIVE_END = lib.FAULT_SENSOR_NON_DRIVE_END
+    AMBIENT = lib.FAULT_SENSOR_AMBIENT
+    CURRENT = lib.FAULT_SENSOR_CURRENT
 
 
 class GatewayState(IntEnum):

@@ -25,7 +25,8 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_sigma_mixed.py", "tests/unit/test_thermal_paper.py",
        "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_imm.py",
        "tests/unit/test_thermal_monitor_odd.py", "tests/unit/test_thermal_monitor_order.py",
-       "tests/unit/test_thermal_step_detector.py", "tests/unit/test_thermal_model.py")  # fmt: skip
+       "tests/unit/test_thermal_step_detector.py", "tests/unit/test_thermal_model.py",
+       "tests/unit/test_temperature.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

@@ -28,19 +28,42 @@ from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
-TESTS = (
-    "tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py",
-    "tests/unit/test_elementary.py", "tests/unit/test_maisd.py", "tests/unit/test_sigma_mixed.py",
+TESTS = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
+_MONITOR = (
     "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
-    "tests/unit/test_thermal_imm.py", "tests/unit/test_thermal_monitor_order.py",
+    "tests/unit/test_thermal_monitor_order.py", "tests/unit/test_thermal_monitor.py",
 )  # fmt: skip
+_THERMAL = ("tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_imm.py")
+OF_SOURCE = {
+    "estimators/elementary.c": ("tests/unit/test_elementary.py",),
+    "estimators/order_statistics.c": (
+        "tests/unit/test_maisd.py", "tests/unit/test_thermal_reference.py",
+    ),
+    "estimators/maisd.c": ("tests/unit/test_maisd.py",),
+    "estimators/thermal/gaussian_mixture.c": ("tests/unit/test_sigma_mixed.py",),
+    "estimators/thermal/sigma_mixed.c": ("tests/unit/test_sigma_mixed.py",),
+    "estimators/thermal/model.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/step_detector.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/peers.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/hypotheses.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/imm.c": _THERMAL,
+    "estimators/thermal/imm_predict.c": _THERMAL,
+    "estimators/thermal/imm_update.c": _THERMAL,
+    "estimators/thermal/residuals.c": _MONITOR,
+    "estimators/thermal/monitor.c": _MONITOR,
+    "gateway/core/temperature.c": ("tests/unit/test_temperature.py", "tests/unit/test_sensors.py"),
+}  # fmt: skip
+"""Tests that judge the mutants of a source; of all others: `TESTS`."""
 LIMIT_S = 120
 SWAPS = {
     "==": "!=", "!=": "==", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "+": "-", "-": "+",
     "&": "|", "|": "&", "^": "&", "<<": ">>", ">>": "<<", "&&": "||", "||": "&&", "%": "*",
     "+=": "-=",
 }  # fmt: skip
-TOKEN = re.compile(r"->|\+\+|--|<<|>>|&&|\|\||[-+*/%&|^!=<>]=|[-+%&|^<>]|\b(?:0x[0-9A-F]+|\d+)\b")
+TOKEN = re.compile(
+    r"->|\+\+|--|<<|>>|&&|\|\||[-+*/%&|^!=<>]=|[-+%&|^<>]|(?<![\w.])(?:0x[0-9A-F]+|\d+)(?![\w.])"
+)
+"""Operators, and whole numbers: parts of fractions are none."""
 STATEMENT = re.compile(r"\s+(?:[\w\->.\[\]]+ [-+|&]?= .*|\w+\(.*\)|break);")
 CONDITION = re.compile(r"\b(?:if|while) \((.*)\)")
 
@@ -136,7 +159,16 @@ class Bench:
                             str(place / "_traction_core.abi3.so")], check=True)  # fmt: skip
             (place / "sitecustomize.py").write_text("import _traction_core\n")
             paths = os.pathsep.join([str(place), str(ROOT)])
-            command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *TESTS]
+            command = [
+                sys.executable,
+                "-m",
+                "pytest",
+                "-x",
+                "-q",
+                "-p",
+                "no:cacheprovider",
+                *OF_SOURCE.get(mutant.source, TESTS),
+            ]
             try:
                 done = subprocess.run(
                     command, cwd=ROOT, capture_output=True, timeout=LIMIT_S, check=False,

@@ -35,6 +35,8 @@ RECORDS = {
     "hypothesis_config": records.HYPOTHESIS_CONFIG,
     "hypothesis_spread": records.HYPOTHESIS_SPREAD,
     "hypothesis_state": records.HYPOTHESIS_STATE,
+    "temperature_sensor": records.TEMPERATURE_SENSOR,
+    "temperature_drive": records.TEMPERATURE_DRIVE,
 }  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
