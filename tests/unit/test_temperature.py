@@ -7,6 +7,7 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
+from gateway.health import FaultClass, FaultSensor
 from gateway.inbox import Temperatures
 from gateway.sensors import SensorSide
 from tests.reference import temperature as reference
@@ -117,3 +118,25 @@ def test_a_reset_forgets_all_but_what_is_configured():
     assert lib.temperature_received_ns(drive) == side.drives["received_ns"][0]
     lib.temperature_reset(drive)
     assert repr(side.drives.tolist()) == repr(before.tolist())
+
+
+def test_a_sensor_that_never_gives_a_value_is_lost_after_half_a_second():
+    side = SensorSide(1, 100 * MS)
+    for k in range(1, 8):
+        now = 100 * k * MS
+        side.take(Temperatures(0, now, (60.0,) * 4, (True, False, True, True), (600,) * 4))
+        lost = k > 6
+        assert side.fault(0, 1, now) == (FaultClass.SENSOR_LOST if lost else FaultClass.UNKNOWN)
+        assert side.not_yet_valid(0)
+        assert side.valid(now).tolist() == [[True, False, True]]
+    assert side.verdict(0, now) == (FaultClass.SENSOR_LOST, FaultSensor.DRIVE_END)
+
+
+def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor():
+    side = SensorSide(1, 100 * MS)
+    side.drives["sensor"]["stuck_after_ns"] = 50 * MS
+    side.take(Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
+    assert side.fault(0, 0, 50 * MS) is FaultClass.NONE
+    assert side.fault(0, 0, 51 * MS) is FaultClass.SENSOR_STUCK
+    assert side.fault(0, 0, 300 * MS) is FaultClass.SENSOR_STUCK
+    assert side.fault(0, 0, 301 * MS) is FaultClass.NONE
