@@ -45,6 +45,7 @@ HEADERS = (
     "estimators/adaptation.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
+    "gateway/core/temperature.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -76,6 +77,7 @@ SOURCES = (
     "gateway/core/flags.c",
     "gateway/core/rotors.c",
     "gateway/core/train.c",
+    "gateway/core/temperature.c",
 )
 DEPENDS = (
     *HEADERS,

@@ -98,6 +98,8 @@ CURRENT_CALIBRATION: Final = dtype_of(ffi.typeof("struct current_calibration"))
 FILTER: Final = dtype_of(ffi.typeof("struct filter"))
 ROTOR: Final = dtype_of(ffi.typeof("struct rotor"))
 ROTOR_INPUTS: Final = dtype_of(ffi.typeof("struct rotor_inputs"))
+TEMPERATURE_SENSOR: Final = dtype_of(ffi.typeof("struct temperature_sensor"))
+TEMPERATURE_DRIVE: Final = dtype_of(ffi.typeof("struct temperature_drive"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from dbc._lean import inlined, lean
 from estimators import _maisd_kernels as maisd
 from gateway._inputs_kernels import fresh
-from gateway._sensors_kernels import believe, booting, note_reading, take_point, verdict
+from gateway._sensors_kernels import (
+    add_reading,
+    add_value,
+    fault,
+    fault_sensor,
+    not_yet_valid,
+    received_ns,
+    sensor_values,
+)
 
 if TYPE_CHECKING:
     from gateway.channel import ChannelState
@@ -41,19 +49,19 @@ _VALID = 0  # dbc.codec
 @lean
 def hear(seen: int, scratch: Scratch, wiring: Wiring, warmth: Warmth) -> None:
     """The temperatures of a tick, `seen` rows of `scratch`; see `Inbox.temperatures`."""
-    points, ambient = warmth.points, warmth.seconds.ambient
+    drives, ambient, configured = warmth.drives, warmth.seconds.ambient, warmth.averages.configured
     for i in range(seen):
         row = scratch.seen[i]
         c = scratch.channel[row]
         j, t, quality = wiring.drive[c], scratch.t_ns[row], wiring.quality[c]
         usable = quality < 0 or scratch.value[row, quality] in (1.0, 2.0)
-        note_reading(j, t, points)
+        add_reading(j, t, drives)
         # Each point by itself: one dead sensor must not silence the other three.
         for k in range(_POINTS):
             column = wiring.columns[c, k]
-            if usable and scratch.validity[row, column] == _VALID and points.configured[j, k]:
+            if usable and scratch.validity[row, column] == _VALID and configured[j, k]:
                 value = scratch.value[row, column]
-                take_point(j, k, t, value, round(value * 10.0), points)
+                add_value(j, k, t, value, round(value * 10.0), drives)
         column = wiring.columns[c, AMBIENT]
         valid = usable and scratch.validity[row, column] == _VALID
         ambient[j] = scratch.value[row, column] if valid else math.nan
@@ -138,8 +146,8 @@ def advance(
     beat[_STIRRED], beat[_FULL] = 1, 0
     for j in range(warmth.kept_ns.shape[0]):
         warmth.kept_ns[j] = _NEVER
-    values = warmth.points.value
-    believe(now, warmth.points, averages.believed)
+    values = averages.value
+    sensor_values(now, warmth.drives, values, averages.believed)
     full = summed and add_up(
         now, values, averages.believed, places, state, slow, warmth.seconds, beat
     )
@@ -184,7 +192,7 @@ def _largest(spread: Array) -> float:
 @inlined
 def _unlike(j: int, warmth: Warmth, out: Findings) -> None:
     """MAISD says that the fleet differs; the deviation says which motor it is."""
-    averages, fitted = warmth.averages, warmth.points.configured
+    averages, fitted = warmth.averages, warmth.averages.configured
     reason = _FINE
     hot = 0
     for k in range(_POINTS):
@@ -215,12 +223,12 @@ def _judge(j: int, now: int, warmth: Warmth) -> None:
     out.mixed_c[j] = _mixed(j, warmth.averages)
     out.maisd_k[j] = _largest(warmth.averages.spread)
     out.rate_k_h[j], out.jumps[j] = model.rate_k_h[j], model.jumps[j]
-    kind, whose = verdict(j, now, warmth.points)
+    kind = fault(j, now, warmth.drives)
     if kind != _NO_FAULT:
         out.sensor[j], out.reason[j] = _BAD, _NOT_AVAILABLE
-        out.fault_class[j], out.fault_sensor[j] = kind, whose
+        out.fault_class[j], out.fault_sensor[j] = kind, fault_sensor(j, now, warmth.drives)
         return
-    out.sensor[j] = _UNKNOWN if booting(j, warmth.points) else _GOOD
+    out.sensor[j] = _UNKNOWN if not_yet_valid(j, warmth.drives) else _GOOD
     if warmth.method == _UNCALIBRATED:
         out.reason[j] = _CONFIG
     elif warmth.method == _MAISD:
@@ -238,7 +246,7 @@ def report_one(j: int, now: int, limit_ns: int, warmth: Warmth, out: Findings) -
 
     limit_ns: how old its temperatures may be.
     """
-    heard, kept = warmth.points.heard_ns[j], warmth.kept
+    heard, kept = received_ns(j, warmth.drives), warmth.kept
     out.heard_ns[j] = heard
     warmth.fresh[j] = heard != _NEVER and now - heard <= limit_ns
     if not warmth.fresh[j]:

@@ -1,4 +1,7 @@
-"""Is a temperature sensor to be believed: lost, stuck, stepped; alone or with all of its drive.
+"""Validity of temperature sensors: lost, stuck or off; alone or with all of their drive.
+
+The rules are in `gateway/core/temperature.c`; here are each sensor's limits, and one reading at a
+time.
 
 May know: readings and what the calibration says of each sensor. May not know: what the motors'
 temperatures mean. A point that is not configured takes part in nothing and is never lost.
@@ -7,21 +10,14 @@ temperatures mean. A point that is not configured takes part in nothing and is n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
-from gateway import warmth
-from gateway._sensors_kernels import (
-    believe,
-    booting,
-    fault,
-    note_reading,
-    take_point,
-    verdict,
-)
+from dbc.records import TEMPERATURE_DRIVE, pointer
 from gateway.calibration import POINTS, MotorCalibration
 from gateway.health import FaultClass, FaultSensor
 from gateway.inbox import Temperatures
@@ -63,28 +59,34 @@ class SensorSide:
             [[name in names for name in POINTS] for names in fitted], dtype=np.bool_
         )
         """(N, P): which drive has which sensor."""
-        each = [[(j, k) for k in range(len(POINTS))] for j in range(drives)]
-        self.points = warmth.points(
-            self.configured,
-            np.array([[self.step_limit(j, k) for j, k in row] for row in each]),
-            np.array([[self.hold_ns(j, k) for j, k in row] for row in each], dtype=np.int64),
-            period_ns,
-        )
+        self.drives = np.zeros(drives, TEMPERATURE_DRIVE)
+        """(N,) of `struct temperature_drive`."""
+        self.drives["period_ns"] = period_ns
+        sensor = self.drives["sensor"]
+        sensor["configured"] = self.configured
+        for j, k in np.ndindex(*sensor.shape):
+            sensor[j, k]["limit_k"] = self.step_limit(j, k)
+            sensor[j, k]["stuck_after_ns"] = self.stuck_after_ns(j, k)
+        for drive in pointer("struct temperature_drive", self.drives):
+            lib.temperature_reset(ffi.addressof(drive))
+
+    def _drive(self, drive: int) -> Any:
+        return pointer("struct temperature_drive", self.drives) + drive
 
     def take(self, reading: Temperatures) -> None:
         """Accept one reading of one drive."""
-        drive = reading.drive
-        note_reading(drive, reading.t_ns, self.points)
-        for k in np.flatnonzero(self.configured[drive] & reading.valid[: len(POINTS)]).tolist():
+        drive, configured = self._drive(reading.drive), self.configured[reading.drive]
+        lib.temperature_add_reading(drive, reading.t_ns)
+        for k in np.flatnonzero(configured & reading.valid[: len(POINTS)]).tolist():
             celsius = float(reading.celsius[k])
-            take_point(drive, k, reading.t_ns, celsius, reading.raw[k], self.points)
+            lib.temperature_add_value(drive, k, reading.t_ns, celsius, reading.raw[k])
 
     def step_limit(self, drive: int, k: int) -> float:
-        """A change beyond this, K, that stays for `STEP_READINGS` is an offset."""
+        """A change beyond this, K, that stays is an offset."""
         cell = self.cells[drive]
         return max(SMALLEST_STEP_K, STEP_MARGIN * cell.largest_step_k[k] if cell else 0.0)
 
-    def hold_ns(self, drive: int, k: int) -> Nanos:
+    def stuck_after_ns(self, drive: int, k: int) -> Nanos:
         """A value held for longer than this is a stuck sensor's."""
         cell = self.cells[drive]
         if cell is None:
@@ -100,24 +102,28 @@ class SensorSide:
 
         NONE for a point that is not configured.
         """
-        return FaultClass(fault(drive, k, now, self.points))
+        return FaultClass(lib.temperature_sensor_fault(self._drive(drive), k, now))
 
-    def believed(self, now: Nanos) -> NDArray[np.bool_]:
+    def valid(self, now: Nanos) -> NDArray[np.bool_]:
         """(N, P): configured, heard and without fault."""
-        out = np.zeros_like(self.configured)
-        believe(now, self.points, out)
-        return out
+        values, valid = np.empty(self.configured.shape), np.empty_like(self.configured)
+        lib.temperature_values(
+            self._drive(0), len(self.drives), now, pointer("double", values),
+            pointer("uint8_t", valid),
+        )  # fmt: skip
+        return valid
 
-    def booting(self, drive: int) -> bool:
+    def not_yet_valid(self, drive: int) -> bool:
         """True while a configured sensor has never given a valid value."""
-        return bool(booting(drive, self.points))
+        return bool(lib.temperature_not_yet_valid(self._drive(drive)))
 
     def verdict(self, drive: int, now: Nanos) -> tuple[FaultClass, FaultSensor]:
         """The drive's first sensor fault and whose it is; (NONE, NONE) if there is none.
 
-        Where all sensors of a drive, at least two, are offset or lost since the same moment
-        (`TOGETHER`), whichever way they went, no sensor is named (FaultSensor.NONE): what they
+        Where all sensors of a drive, at least two, are offset or lost since the same moment,
+        whichever way they went, no sensor is named (FaultSensor.NONE): what they
         share has failed, the converter or the supply of their acquisition channel.
         """
-        kind, whose = verdict(drive, now, self.points)
+        own = self._drive(drive)
+        kind, whose = lib.temperature_fault(own, now), lib.temperature_fault_sensor(own, now)
         return FaultClass(kind), FaultSensor(whose)

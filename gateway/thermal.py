@@ -100,9 +100,14 @@ class ThermalSide:
             method = Method.MODEL
         window = max(1, round(window_s * SECOND / period_ns))
         self.warmth = warmth.warmth(
-            self.sensors.points,
+            self.sensors.drives,
             warmth.seconds(motors, len(POINTS) + 3, every),
-            _averages(maisd.window(window, motors, len(POINTS)), calibration, nodes),
+            _averages(
+                self.sensors.configured,
+                maisd.window(window, motors, len(POINTS)),
+                calibration,
+                nodes,
+            ),
             period_ns,
             method,
         )
@@ -199,7 +204,10 @@ class ThermalSide:
 
 
 def _averages(
-    ring: NDArray[np.float64], calibration: Calibration | None, nodes: tuple[int, ...]
+    configured: NDArray[np.bool_],
+    ring: NDArray[np.float64],
+    calibration: Calibration | None,
+    nodes: tuple[int, ...],
 ) -> warmth.Averages:
     """An empty window, and how a calibration centres and judges what it holds."""
     gain, offset = np.ones(ring.shape[1:]), np.zeros(ring.shape[1:])
@@ -208,7 +216,7 @@ def _averages(
         gain, offset = calibration.centring(nodes)
         limit_k = np.array(calibration.maisd_limit_k)
         apart_k = np.array(calibration.deviation_limit_k)
-    return warmth.averages(ring, gain, offset, limit_k, apart_k)
+    return warmth.averages(configured, ring, gain, offset, limit_k, apart_k)
 
 
 def _nothing(drives: int) -> Beside:

@@ -12,48 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.records import Records
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.said import Findings, findings
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-
-class Points(NamedTuple):
-    """The sensors; (N, P) and, from `heard_ns` on, (N,). Stamps are `NEVER` before any.
-
-    raw: tenths of a degree, and changed_ns, since when; valid_ns: of the last valid value; value,
-    level: that, and its average, degC; stepped: readings in a row beyond a step's limit; jump: the
-    largest change from one of these to the next, beside the slope until then; slope: K per reading,
-    of the latest ones; full: it has warmed up to `FULL_C`: that it stops there is the wire's doing;
-    bias_k: offset that it has; valid_at, jumped_at: which of the drive's readings, from 1, was its
-    last valid one, and gave it that offset; seen: there was one.
-
-    configured, limit_k, hold_ns: constants, see `SensorSide`. heard_ns, first_ns: stamps of the
-    drive's last and first reading, and how many there were. period_ns: their cycle.
-    """
-
-    raw: Ints
-    changed_ns: Ints
-    valid_ns: Ints
-    value: Array
-    level: Array
-    stepped: Ints
-    jump: Array
-    slope: Array
-    full: Bools
-    bias_k: Array
-    valid_at: Ints
-    jumped_at: Ints
-    seen: Bools
-    configured: Bools
-    limit_k: Array
-    hold_ns: Ints
-    heard_ns: Ints
-    first_ns: Ints
-    readings: Ints
-    period_ns: int
 
 
 class Seconds(NamedTuple):
@@ -73,11 +38,14 @@ class Seconds(NamedTuple):
 class Averages(NamedTuple):
     """MAISD of the temperatures, see `estimators.maisd`.
 
+    configured (N, P): which drive has which sensor; value (N, P): last valid values, degC;
     ring (s, N, P); mean, known, believed, centred, deviation (N, P), the latter two of means less
     offset over gain; spread (P,): the MAISD; limit_k, apart_k (P,): of spread and deviation;
     number (N, P), ranked (N,): room.
     """
 
+    configured: Bools
+    value: Array
     ring: Array
     mean: Array
     number: Ints
@@ -139,11 +107,12 @@ AS_IT_IS = -1
 class Warmth(NamedTuple):
     """All of it. beat (6,): see `Beat`; period_ns: the temperatures' cycle; method: `Method`.
 
+    drives (N,): their sensors, `struct temperature_drive`;
     kept: reports as last judged, kept_ns (N,): until when they stand; fresh (N,): the drive's
     temperatures are within their limit, as last told.
     """
 
-    points: Points
+    drives: Records
     seconds: Seconds
     averages: Averages
     model: Model
@@ -155,26 +124,6 @@ class Warmth(NamedTuple):
     method: int
 
 
-def points(configured: Bools, limit_k: Array, hold_ns: Ints, period_ns: int) -> Points:
-    """Nothing heard yet. Takes (N, P) arrays."""
-    shape = configured.shape
-    (drives, _) = shape
-
-    def ints(value: int = 0) -> Ints:
-        return np.full(shape, value, dtype=np.int64)
-
-    def flags() -> Bools:
-        return np.zeros(shape, dtype=np.bool_)
-
-    value, level, jump, slope, bias_k = (np.zeros(shape) for _ in range(5))
-    heard_ns, first_ns = (np.full(drives, NEVER, dtype=np.int64) for _ in range(2))
-    return Points(
-        ints(-1), ints(), ints(NEVER), value, level, ints(), jump, slope, flags(), bias_k, ints(),
-        ints(), flags(), configured, limit_k, hold_ns, heard_ns, first_ns,
-        np.zeros(drives, dtype=np.int64), period_ns,
-    )  # fmt: skip
-
-
 def seconds(drives: int, width: int, every: int) -> Seconds:
     """width: P + 3; every: temperature cycles in a second."""
     total, number = np.zeros((2, drives, width))
@@ -184,7 +133,7 @@ def seconds(drives: int, width: int, every: int) -> Seconds:
 
 
 def averages(
-    ring: Array, gain: Array, offset: Array, limit_k: Array, apart_k: Array
+    configured: Bools, ring: Array, gain: Array, offset: Array, limit_k: Array, apart_k: Array
 ) -> Averages:  # fmt: skip
     """Around an empty window, ring (s, N, P)."""
     shape = ring.shape[1:]
@@ -192,8 +141,9 @@ def averages(
     known, believed = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
     number = np.zeros(shape, dtype=np.int64)
     return Averages(
-        ring, np.zeros(shape), number, known, believed, np.zeros(shape), np.full(shape, np.nan),
-        np.full(width, np.nan), gain, offset, limit_k, apart_k, np.zeros(drives),
+        configured, np.zeros(shape), ring, np.zeros(shape), number, known, believed,
+        np.zeros(shape), np.full(shape, np.nan), np.full(width, np.nan), gain, offset, limit_k,
+        apart_k, np.zeros(drives),
     )  # fmt: skip
 
 
@@ -210,14 +160,14 @@ def model(drives: int) -> Model:
 
 
 def warmth(
-    points: Points, seconds: Seconds, averages: Averages, period_ns: int, method: Method
+    drives: Records, seconds: Seconds, averages: Averages, period_ns: int, method: Method
 ) -> Warmth:
     """Of parts in which there is nothing yet."""
-    drives = len(points.heard_ns)
+    motors = len(drives)
     beat = np.zeros(len(Beat), dtype=np.int64)
     beat[Beat.NEXT_NS], beat[Beat.STIRRED] = NEVER, True
     return Warmth(
-        points, seconds, averages, model(drives), findings(drives),
-        np.full(drives, NEVER, dtype=np.int64), np.zeros(drives, dtype=np.bool_), beat, period_ns,
+        drives, seconds, averages, model(motors), findings(motors),
+        np.full(motors, NEVER, dtype=np.int64), np.zeros(motors, dtype=np.bool_), beat, period_ns,
         int(method),
     )  # fmt: skip

@@ -761,4 +761,33 @@ struct rotor_inputs {
     uint8_t not_judged;         /* 1: the estimate is not used; written */
 };
 
+/* One temperature sensor; the first three are constants. Stamps are INT64_MIN before any. */
+struct temperature_sensor {
+    double limit_k;         /* K, a change beyond it that stays is an offset */
+    int64_t stuck_after_ns; /* a value held for longer is a stuck sensor's */
+    uint8_t configured;     /* 1: the drive has this sensor */
+    uint8_t seen;           /* 1: there was a valid value */
+    uint8_t saturated;      /* 1: it has warmed up to the signal's maximum, and may stay there */
+    int32_t step_count;     /* readings in a row that were beyond the limit */
+    int64_t raw;            /* last valid value, tenths of a degree; -1: none */
+    int64_t changed_ns;     /* stamp since which it has been that */
+    int64_t valid_ns;       /* stamp of the last valid value */
+    double value_c;         /* degC, last valid value */
+    double level_c;         /* degC, its average, without offset */
+    double slope_k;         /* K per reading, of the latest ones */
+    double step_k;          /* K, largest change between two of the readings in `step_count` */
+    double bias_k;          /* K, offset of the sensor; 0: none */
+    int64_t valid_at;       /* which of the drive's readings, from 1, was its last valid one */
+    int64_t step_index;     /* which of them gave it its offset */
+};
+
+/* Temperature sensors of one drive. */
+struct temperature_drive {
+    int64_t period_ns;   /* cycle of the readings; constant */
+    int64_t received_ns; /* stamp of the last reading */
+    int64_t first_ns;    /* stamp of the first one */
+    int64_t readings;    /* how many there were */
+    struct temperature_sensor sensor[THERMAL_POINTS];
+};
+
 #endif

@@ -76,15 +76,14 @@ class Learner:
         if side.last is not None:
             self.seconds[-1].append(side.last)
             self.dt_s = side.dt_s
-        points, averages = side.warmth.points, side.warmth.averages
-        values = points.value.copy()
-        fitted = points.configured
+        sensors, averages = side.warmth.drives["sensor"], side.warmth.averages
+        values, fitted = sensors["value_c"].copy(), averages.configured
         if averages.known[fitted].all():
             self.fitted = fitted
             self.means.append(averages.mean.copy())
             self.samples += 1
             for j, k in np.argwhere(fitted).tolist():
-                held = now - points.changed_ns.item(j, k)
+                held = now - sensors["changed_ns"].item(j, k)
                 self.hold_ns[j, k] = max(self.hold_ns[j, k], held)
             if self._last is not None:
                 self.step_k = np.maximum(self.step_k, np.abs(values - self._last))

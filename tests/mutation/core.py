@@ -31,15 +31,11 @@ KEPT = Path(__file__).with_name("core.json")
 E2E = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
 CODEC = ("tests/unit/test_codec_reference.py",)
 RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_learning.py")
-THERMAL = (
-    "tests/unit/test_elementary.py",
-    "tests/unit/test_maisd.py",
-    "tests/unit/test_sigma_mixed.py",
-    "tests/unit/test_thermal_reference.py",
-    "tests/unit/test_thermal_monitor_odd.py",
-    "tests/unit/test_thermal_imm.py",
-    "tests/unit/test_thermal_monitor_order.py",
-)
+MONITOR = (
+    "tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_monitor_odd.py",
+    "tests/unit/test_thermal_monitor_order.py", "tests/unit/test_thermal_monitor.py",
+)  # fmt: skip
+IMM = ("tests/unit/test_thermal_reference.py", "tests/unit/test_thermal_imm.py")
 ACQUISITION = tuple(f"tests/unit/test_est_acquisition.py::{name}" for name in (
     "test_it_equals_the_reference", "test_the_check_equals_the_reference",
     "test_chords_of_known_motion", "test_chords_of_another_length_start_anew",
@@ -52,9 +48,23 @@ TESTS = {
     "estimators/detect/variational.c": ("tests/unit/test_variational_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,
     "estimators/detect/command_response.c": RESPONSE,
-    **dict.fromkeys((source for source in SOURCES if "thermal" in source), THERMAL),
-    "estimators/elementary.c": THERMAL, "estimators/order_statistics.c": THERMAL,
-    "estimators/maisd.c": THERMAL,
+    "estimators/elementary.c": ("tests/unit/test_elementary.py",),
+    "estimators/order_statistics.c": (
+        "tests/unit/test_maisd.py", "tests/unit/test_thermal_reference.py",
+    ),
+    "estimators/maisd.c": ("tests/unit/test_maisd.py",),
+    "estimators/thermal/gaussian_mixture.c": ("tests/unit/test_sigma_mixed.py",),
+    "estimators/thermal/sigma_mixed.c": ("tests/unit/test_sigma_mixed.py",),
+    "estimators/thermal/model.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/step_detector.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/peers.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/hypotheses.c": ("tests/unit/test_thermal_reference.py",),
+    "estimators/thermal/imm.c": IMM,
+    "estimators/thermal/imm_predict.c": IMM,
+    "estimators/thermal/imm_update.c": IMM,
+    "estimators/thermal/residuals.c": MONITOR,
+    "estimators/thermal/monitor.c": MONITOR,
+    "gateway/core/temperature.c": ("tests/unit/test_temperature.py", "tests/unit/test_sensors.py"),
     "estimators/trigonometry.c": ("tests/unit/test_trigonometry.py",),
     "estimators/acquisition.c": ACQUISITION,
     "estimators/adaptation.c": ("tests/unit/test_est_adaptation.py",),
@@ -69,7 +79,10 @@ SWAPS = {
     "&": "|", "|": "&", "^": "&", "<<": ">>", ">>": "<<", "&&": "||", "||": "&&", "%": "*",
     "+=": "-=",
 }  # fmt: skip
-TOKEN = re.compile(r"->|\+\+|--|<<|>>|&&|\|\||[-+*/%&|^!=<>]=|[-+%&|^<>]|\b(?:0x[0-9A-F]+|\d+)\b")
+TOKEN = re.compile(
+    r"->|\+\+|--|<<|>>|&&|\|\||[-+*/%&|^!=<>]=|[-+%&|^<>]|(?<![\w.])(?:0x[0-9A-F]+|\d+)(?![\w.])"
+)
+"""Operators, and whole numbers: parts of fractions are none."""
 STATEMENT = re.compile(r"\s+(?:[\w\->.\[\]]+ [-+|&]?= .*|\w+\(.*\)|break);")
 CONDITION = re.compile(r"\b(?:if|while) \((.*)\)")
 

@@ -88,10 +88,10 @@ def test_an_only_sensor_is_named_itself():
 def test_a_sensor_that_is_not_fitted_takes_part_in_nothing():
     rig = Rig(("stator", "non_drive_end"))
     assert rig.run(50, lost=(1,)) == HEALTHY
-    assert not rig.side.booting(0)
-    assert rig.side.believed(rig.k * 100 * MS).tolist() == [[True, False, True]]
+    assert not rig.side.not_yet_valid(0)
+    assert rig.side.valid(rig.k * 100 * MS).tolist() == [[True, False, True]]
     assert rig.run(20, (0, 40, 0)) == HEALTHY
-    assert rig.side.points.value[0, 1] == 0.0
+    assert rig.side.drives["sensor"]["value_c"][0, 1] == 0.0
     both = rig.run(20, (9, 0, 9))[-1]
     assert both == (FaultClass.SENSOR_BIAS, FaultSensor.NONE), "all that there are"
 
@@ -133,7 +133,7 @@ def test_a_sensor_without_noise_is_not_held_to_what_it_held_in_health(step_k, ho
         node=1, gain=(1,) * 3, offset_k=(0,) * 3, longest_hold_s=(2.0,) * 3, largest_step_k=three
     )
     side = SensorSide(1, 100 * MS, [cell])
-    assert side.hold_ns(0, 0) == hold_s * 1000 * MS
+    assert side.stuck_after_ns(0, 0) == hold_s * 1000 * MS
 
 
 def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_have():

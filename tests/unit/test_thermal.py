@@ -148,6 +148,6 @@ def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
         for k, limit in enumerate(limits.tolist()):
             report = asked.report(k, now, limit)
             assert told.told(k, out) == report
-            assert out.heard_ns[k] == asked.sensors.points.heard_ns[k]
+            assert out.heard_ns[k] == asked.sensors.drives["received_ns"][k]
             met.add(report.reason)
     assert {Reason.STALE, Reason.STARTING} < met

@@ -99,7 +99,7 @@ def run(method, seed, ticks, how):
         how(side, bus)
         side.tell(bus.now, limits, out)
         w = side.warmth
-        parts = numbers((w.points, w.seconds, w.averages, w.model, w.kept, out))
+        parts = numbers((w.seconds, w.averages, w.model, w.kept, out))
         left.append([*parts, w.kept_ns.copy(), w.fresh.copy(), w.beat.copy()])
         met |= {(int(out.reason[k]), int(out.fault_class[k])) for k in range(3)}
     return left, met
