@@ -22,18 +22,20 @@ ROOT = Path(__file__).parent
 HEADERS = (
     "gateway/core/records.h", "dbc/e2e.h",
     "estimators/trigonometry.h", "estimators/elementary.h", "estimators/acquisition.h",
-    "estimators/current_calibration.h", "estimators/adaptation.h",
+    "estimators/current_calibration.h", "estimators/adaptation.h", "estimators/filter.h",
 )  # fmt: skip
 """In the order in which they build on one another."""
 SOURCES = (
     "dbc/crc.c", "dbc/e2e.c",
     "estimators/trigonometry.c", "estimators/elementary.c", "estimators/acquisition.c",
-    "estimators/current_calibration.c", "estimators/adaptation.c",
+    "estimators/current_calibration.c", "estimators/adaptation.c", "estimators/filter.c",
+    "estimators/filter_simd.c", "estimators/filter_simd_avx2.c", "estimators/filter_simd_avx512.c",
 )  # fmt: skip
-DEPENDS = (*HEADERS, "dbc/crc.h", "estimators/vectors.h")
+DEPENDS = (*HEADERS, "dbc/crc.h", "estimators/vectors.h", "estimators/filter_simd.h")
 """All headers."""
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
-"""No contraction: the same bytes whatever instructions a machine has."""
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")
+"""No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
+instruction."""
 
 
 def declarations() -> str:

@@ -55,8 +55,10 @@ ACQUISITION: Final = dtype_of(ffi.typeof("struct acquisition"))
 REVOLUTION_SUMS: Final = dtype_of(ffi.typeof("struct revolution_sums"))
 CURRENT_CALIBRATION: Final = dtype_of(ffi.typeof("struct current_calibration"))
 FILTER: Final = dtype_of(ffi.typeof("struct filter"))
+FILTER_NOISE: Final = dtype_of(ffi.typeof("struct filter_noise"))
+FILTER_SETTINGS: Final = dtype_of(ffi.typeof("struct filter_settings"))
 LAYOUT: Final = (
     f"{E2E_CONFIG} {E2E_STATE} {PMSM} {FILTER_SAMPLE} {ACQUISITION_LIMITS} {ACQUISITION} "
-    f"{CURRENT_CALIBRATION} {FILTER}"
+    f"{CURRENT_CALIBRATION} {FILTER} {FILTER_NOISE} {FILTER_SETTINGS}"
 )
 """What compiled loops depend on that address these records."""

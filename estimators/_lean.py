@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
-
 from dbc._kernelcache import njit
 from dbc._lean import lean
 
-__all__ = ["fused", "lean", "njit"]
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def fused(function: F) -> F:
-    """As `lean`, products fused with sums, and nothing raised on a division by zero."""
-    return njit(cache=True, _nrt=False, fastmath={"contract"}, error_model="numpy")(function)
+__all__ = ["lean", "njit"]

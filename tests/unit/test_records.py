@@ -20,6 +20,7 @@ RECORDS = {
     "filter_sample": records.FILTER_SAMPLE, "acquisition_limits": records.ACQUISITION_LIMITS,
     "acquisition": records.ACQUISITION, "revolution_sums": records.REVOLUTION_SUMS,
     "current_calibration": records.CURRENT_CALIBRATION, "filter": records.FILTER,
+    "filter_noise": records.FILTER_NOISE, "filter_settings": records.FILTER_SETTINGS,
 }  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
