@@ -31,8 +31,11 @@ SOURCES = (
     "estimators/current_calibration.c", "estimators/adaptation.c", "estimators/filter.c",
     "estimators/filter_simd.c", "estimators/filter_simd_avx2.c", "estimators/filter_simd_avx512.c",
 )  # fmt: skip
-DEPENDS = (*HEADERS, "dbc/crc.h", "estimators/vectors.h", "estimators/filter_simd.h")
-"""All headers."""
+DEPENDS = (
+    *HEADERS, "dbc/crc.h", "estimators/numbers.h", "estimators/vectors.h",
+    "estimators/filter_simd.h", "estimators/filter_simd.c",
+)  # fmt: skip
+"""All that sources include."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
 instruction."""

@@ -17,6 +17,7 @@
 #include <math.h>
 
 #include "estimators/elementary.h"
+#include "estimators/numbers.h"
 
 static const double R_TAU_S = 0.5;
 /* A new filter learns faster: with the time that has passed since its start, divided by four. */

@@ -1,4 +1,4 @@
-/* exp, log and erfc by polynomials: the same bits on every machine. And limits. */
+/* exp, log and erfc by polynomials: the same bits on every machine. */
 #ifndef TRACTION_ELEMENTARY_H
 #define TRACTION_ELEMENTARY_H
 
@@ -12,8 +12,5 @@ double elementary_log(double x);
 /* Complementary error function, relative error below 2e-14 where the result is above 1e-30; NaN of
  * NaN. */
 double elementary_erfc(double x);
-
-/* x, but at least `low` and at most `high`; NaN of NaN. */
-double clamp(double x, double low, double high);
 
 #endif

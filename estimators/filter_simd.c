@@ -22,6 +22,7 @@
 
 typedef double vec __attribute__((vector_size(8 * SIMD_WIDTH)));
 typedef int64_t mask __attribute__((vector_size(8 * SIMD_WIDTH))); /* of a lane all bits, or none */
+typedef uint64_t bits __attribute__((vector_size(8 * SIMD_WIDTH)));
 
 enum { LANES = SIMD_WIDTH, STATES = 5, TRIANGLE = 15 };
 
@@ -86,10 +87,10 @@ static inline vec square_root(vec v)
 
 static inline int any(mask condition)
 {
-    int64_t bits = 0;
+    int64_t found = 0;
     for (int k = 0; k < LANES; k++)
-        bits |= condition[k];
-    return bits != 0;
+        found |= condition[k];
+    return found != 0;
 }
 
 /* Of |t| below 1e6 rad to 3e-16; of larger ones numbers without meaning. The polynomials are those
@@ -98,7 +99,7 @@ static inline void sine_cosine(vec t, vec *sine, vec *cosine)
 {
     const vec shifted = t * TWO_OVER_PI + TO_INTEGER;
     const vec q = shifted - TO_INTEGER;
-    const mask quadrant = (mask)shifted; /* its last two bits */
+    const bits quadrant = (bits)shifted; /* its last two bits */
     const vec r = (t - q * PI_2_HIGH) - q * PI_2_LOW;
     const vec z = r * r;
     vec s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10;
@@ -111,10 +112,10 @@ static inline void sine_cosine(vec t, vec *sine, vec *cosine)
     c = 2.48015872894767294178e-05 + z * c;
     c = -1.38888888888741095749e-03 + z * c;
     c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c);
-    const mask odd = -(quadrant & 1);
-    const mask sine_sign = (quadrant & 2) << 62, cosine_sign = ((quadrant + 1) & 2) << 62;
-    *sine = (vec)((mask)select(odd, c, s) ^ sine_sign);
-    *cosine = (vec)((mask)select(odd, s, c) ^ cosine_sign);
+    const mask odd = -(mask)(quadrant & 1);
+    const bits sine_sign = (quadrant & 2) << 62, cosine_sign = ((quadrant + 1) & 2) << 62;
+    *sine = (vec)((bits)select(odd, c, s) ^ sine_sign);
+    *cosine = (vec)((bits)select(odd, s, c) ^ cosine_sign);
 }
 
 static inline vec wrap(vec angle)

@@ -6,7 +6,6 @@ import math
 from decimal import Decimal, getcontext
 
 import numpy as np
-import pytest
 from _traction_core import lib
 from scipy import special
 
@@ -45,9 +44,3 @@ def test_what_has_no_value_or_none_that_is_finite():
     assert math.isnan(lib.elementary_erfc(math.nan))
     assert lib.elementary_erfc(math.inf) == 0.0
     assert lib.elementary_erfc(-math.inf) == 2.0
-
-
-@pytest.mark.parametrize(("x", "want"), [(-2.0, -1.0), (0.5, 0.5), (3.0, 1.0)])
-def test_clamp(x, want):
-    assert lib.clamp(x, -1.0, 1.0) == want
-    assert math.isnan(lib.clamp(math.nan, -1.0, 1.0))

@@ -1,0 +1,30 @@
+/* Small functions of numbers. */
+#ifndef TRACTION_NUMBERS_H
+#define TRACTION_NUMBERS_H
+
+static inline double square(double x)
+{
+    return x * x;
+}
+
+/* The second where the first is NaN. */
+static inline double larger(double x, double y)
+{
+    return x > y ? x : y;
+}
+
+/* The second where the first is NaN. */
+static inline double smaller(double x, double y)
+{
+    return x < y ? x : y;
+}
+
+/* x, but at least `low` and at most `high`; NaN of NaN. */
+static inline double clamp(double x, double low, double high)
+{
+    if (x < low)
+        return low;
+    return x > high ? high : x;
+}
+
+#endif
