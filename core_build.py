@@ -43,6 +43,7 @@ HEADERS = (
     "estimators/acquisition.h",
     "estimators/current_calibration.h",
     "estimators/adaptation.h",
+    "estimators/filter.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
     "gateway/core/temperature.h",
@@ -74,6 +75,10 @@ SOURCES = (
     "estimators/acquisition.c",
     "estimators/current_calibration.c",
     "estimators/adaptation.c",
+    "estimators/filter.c",
+    "estimators/filter_simd.c",
+    "estimators/filter_simd_avx2.c",
+    "estimators/filter_simd_avx512.c",
     "gateway/core/flags.c",
     "gateway/core/rotors.c",
     "gateway/core/train.c",
@@ -87,11 +92,14 @@ DEPENDS = (
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",
     "estimators/vectors.h",
+    "estimators/filter_simd.h",
+    "estimators/filter_simd.c",
     "gateway/core/rotors.h",
 )
-"""All headers."""
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
-"""No contraction: the same bytes whatever instructions a machine has."""
+"""All that sources include."""
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")
+"""No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
+instruction."""
 
 
 def declarations() -> str:

@@ -21,8 +21,6 @@ from bench.speed import best, quiet
 from bench.thermal import cost
 from bench.wire import log_of
 from dbc.candump import Reader
-from estimators import ukf
-from estimators._lanes_kernels import ekf_lanes, ukf_lanes
 from estimators.models.pmsm import SUB_STEP_S
 
 HEADER = ("what grows", "to", "cost", "per", "memory")
@@ -53,10 +51,10 @@ def drives() -> list[Curve]:
     """s of one tick of 10 ms at 500 samples a second, or one sample of the thermal monitor."""
     sizes = [float(n) for n in FLEETS]
     return [
-        Curve("EKF, 5 samples", sizes, [5 / BLOCK * compiled(ekf_lanes, n, BLOCK) for n in FLEETS]),
+        Curve("EKF, 5 samples", sizes, [5 / BLOCK * compiled("ekf", n, BLOCK) for n in FLEETS]),
         Curve(
             "UKF, 5 samples", sizes,
-            [5 / BLOCK * compiled(ukf_lanes, n, BLOCK, ukf.KAPPA) for n in FLEETS],
+            [5 / BLOCK * compiled("ukf", n, BLOCK) for n in FLEETS],
         ),
         Curve("VB verdict", sizes[1:], [variational(n) for n in FLEETS[1:]]),
         Curve("thermal watch, a tick's share", sizes, [cost(n)[0] for n in FLEETS]),
@@ -103,7 +101,7 @@ def sampling() -> Curve:
     n, seconds = 64, []
     for rate in RATES_HZ:
         steps = round(1.0 / rate / SUB_STEP_S)
-        seconds.append(rate * compiled(ekf_lanes, n, BLOCK, sub_steps=max(steps, 1)) / BLOCK / n)
+        seconds.append(rate * compiled("ekf", n, BLOCK, sub_steps=max(steps, 1)) / BLOCK / n)
     return Curve("EKF, a second of one drive", [float(r) for r in RATES_HZ], seconds)
 
 

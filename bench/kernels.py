@@ -1,8 +1,8 @@
 """What a step of the filters costs: one drive to 1,024, against what a user would write.
 
 A step is a prediction over one sub-step and an update by two currents. References, in the same
-run: filterpy (one filter a drive), NumPy over all drives at once (`estimators.ekf`, the plain twin
-of the compiled forms), and the paper's block-diagonal matrices of 5N x 5N taken literally.
+run: filterpy (one filter a drive), NumPy over all drives at once (`tests/reference/ekf.py`), and
+the paper's block-diagonal matrices of 5N x 5N taken literally.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from _traction_core import lib
 from filterpy.kalman import ExtendedKalmanFilter
 
-from estimators import ekf, ukf
-from estimators._lanes import lanes_room
-from estimators._lanes_kernels import ekf_lanes, ukf_lanes
+from dbc.records import pointer
+from estimators import adaptation, filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
-from gateway._direct import Direct
+from tests.reference import ekf
 
 HEADER = ("filter", "drives", "per call", "per drive and step", "reference in the same run")
 FLEETS: Final = (1, 3, 16, 64, 256, 1024)
@@ -52,31 +52,33 @@ def _state(n: int) -> tuple[np.ndarray, np.ndarray]:
     return x, np.tile(np.diag([1.0, 1.0, 25.0, 0.04, 400.0]), (n, 1, 1))
 
 
-def call_of(
-    kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1
-) -> Callable[[], None]:
-    """One call with `steps` samples of each of n drives, so many sub-steps apart."""
+def call_of(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> Callable[[], None]:
+    """One call with `steps` samples of each of n drives; kind: "ekf" or "ukf"."""
     par, noise = _motors(n)
-    x, P = _state(n)
+    drives = adaptation.filters(n)
+    drives.x, drives.P = _state(n)
     rng, rows = np.random.default_rng(0), n * steps
     drive = np.tile(np.arange(n, dtype=np.int32), steps)
     u, y = rng.normal(0.0, 10.0, (rows, 2)), rng.normal(0.0, 1.0, (rows, 2))
     n_sub, none = np.full(rows, sub_steps), np.zeros(rows, dtype=np.int64)
-    nis, ok, lean = np.empty(rows), np.empty(n, dtype=np.bool_), np.zeros(n)
-    table, room, direct = pmsm.table(par), lanes_room(n), Direct(kernel)
+    samples = filters.sample_records(drive, u, y, n_sub, none)
+    kept = (pmsm.table(par), filters.noise_records(noise), filters.settings(SUB_STEP_S, kind))
+    motors, noises, settings = kept
+    given = (
+        pointer("struct filter_sample *", samples), rows, pointer("struct pmsm *", motors),
+        pointer("struct filter_noise *", noises), pointer("struct filter *", drives), n,
+        pointer("struct filter_settings *", settings),
+    )  # fmt: skip
 
-    def call() -> None:
-        direct(
-            table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, n_sub, none, SUB_STEP_S,
-            *more, nis, ok, lean, room,
-        )  # fmt: skip
+    def call(_kept: object = (samples, drives, *kept)) -> None:
+        lib.filter_run(*given)
 
     return call
 
 
-def compiled(kernel: Any, n: int, steps: int, *more: float, sub_steps: int = 1) -> float:
+def compiled(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> float:
     """s of it."""
-    return best(call_of(kernel, n, steps, *more, sub_steps=sub_steps))
+    return best(call_of(kind, n, steps, sub_steps=sub_steps))
 
 
 def stacked(n: int) -> float:
@@ -183,13 +185,10 @@ def rows() -> list[tuple[str, ...]]:
     """One row per filter and size of fleet."""
     filterpy_s = library()
     out = [("filterpy EKF", "1", _us(filterpy_s), _us(filterpy_s), "")]
-    forms: tuple[tuple[str, Any, tuple[float, ...]], ...] = (
-        ("EKF", ekf_lanes, ()),
-        ("UKF", ukf_lanes, (ukf.KAPPA,)),
-    )
-    for name, kernel, more in forms:
+    for name in ("EKF", "UKF"):
+        kind = name.lower()
         for n in FLEETS:
-            tick, block = compiled(kernel, n, 1, *more), compiled(kernel, n, BLOCK, *more)
+            tick, block = compiled(kind, n, 1), compiled(kind, n, BLOCK)
             step_s = block / n / BLOCK
             out.append((
                 f"{name}, one step a call", str(n), _us(tick), _ns(tick / n),

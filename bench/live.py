@@ -26,7 +26,6 @@ from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
-from estimators._lanes_kernels import ekf_lanes
 from gateway.config import Config, ConfigError, shipped_dbc
 from gateway.core import Gateway
 from gateway.drivers.kernel import Kernel, Link, RawSocket
@@ -206,7 +205,7 @@ def whole_tick(
 
 def alone(drives: int) -> tuple[str, ...]:
     """Estimator and detector without a bus: more drives than a message set has."""
-    filters = call_of(ekf_lanes, drives, SAMPLES, sub_steps=SUB_STEPS)
+    filters = call_of("ekf", drives, SAMPLES, sub_steps=SUB_STEPS)
     judge = verdict_of(drives)
     filters(), judge()
     spent = []

@@ -100,6 +100,8 @@ ROTOR: Final = dtype_of(ffi.typeof("struct rotor"))
 ROTOR_INPUTS: Final = dtype_of(ffi.typeof("struct rotor_inputs"))
 TEMPERATURE_SENSOR: Final = dtype_of(ffi.typeof("struct temperature_sensor"))
 TEMPERATURE_DRIVE: Final = dtype_of(ffi.typeof("struct temperature_drive"))
+FILTER_NOISE: Final = dtype_of(ffi.typeof("struct filter_noise"))
+FILTER_SETTINGS: Final = dtype_of(ffi.typeof("struct filter_settings"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

@@ -12,7 +12,7 @@ from estimators.models.pmsm import Array
 def filters(n: int) -> Columns:
     """N drives without a filter."""
     made = zeros(n, FILTER)
-    made.P, made.nis, made.r_scale = np.eye(5), 2.0, 1.0
+    made.P, made.nis, made.r_scale, made.is_finite = np.eye(5), 2.0, 1.0, 1
     return made
 
 

@@ -6,6 +6,7 @@
 #include <math.h>
 
 static const double PI = 0x1.921fb54442d18p+1;
+static const double TWO_OVER_PI = 0x1.45f306dc9c883p-1;
 static const double PI_2 = 0x1.921fb54442d18p+0;
 static const double PI_2_REST = 0x1.1a62633145c07p-54; /* pi / 2 less PI_2 */
 /* pi / 2 in two parts: the first has 33 bits, so that its products with 20 bits are exact. */
@@ -35,7 +36,7 @@ static double cosine_kernel(double z)
 /* sin(angle + shift pi / 2). */
 static double sine_of_shifted(double angle, double shift)
 {
-    const double quarters = floor(angle / PI_2 + 0.5);
+    const double quarters = floor(angle * TWO_OVER_PI + 0.5);
     const double r = (angle - quarters * PI_2_HIGH) - quarters * PI_2_LOW;
     const double turned = quarters + shift;
     const double quadrant = turned - 4.0 * floor(turned * 0.25); /* 0, 1, 2 or 3 */

@@ -150,7 +150,6 @@ def _tell(
 @lean
 def follow(
     drive: NDArray[np.int32],
-    ok: Flags,
     now: int,
     inputs: Ints,
     fresh: Flags,
@@ -162,26 +161,26 @@ def follow(
 ) -> bool:
     """After the filters' loop: drops, divergences, and what each drive is told to be.
 
-    drive (M,): of this tick's samples; ok (N,): the loop's result is a number; inputs (N,):
+    drive (M,): of this tick's samples; inputs (N,):
     `Reason` why an input cannot be believed; fresh (N,): its newest sample is within its limit.
     Fills `told`. True where a filter has to begin: it is marked in `told.begins`, and is told
     by `tell` once it has begun.
     """
     any_begins = False
-    for k in range(ok.shape[0]):
-        if not ok[k]:
-            # A number that is not one: reset now, said from this tick on.
+    for k in range(fresh.shape[0]):
+        if not filters.is_finite[k]:
+            # Reset now, said from this tick on.
             active = filters.active[k]
             forget(k, filters, tracks)
             filters.v_q_bias[k] = 0.0
             filters.steps[k] = -1 if active else 0
     _note_moves(drive, filters, tracks)
     _note_flux(chords, limits, tracks)
-    for k in range(ok.shape[0]):
+    for k in range(fresh.shape[0]):
         if filters.active[k] and chords.pairs[k] < limits.pairs:
             # The chords have begun anew, and the filter with its only witness.
             forget(k, filters, tracks)
-    for k in range(ok.shape[0]):
+    for k in range(fresh.shape[0]):
         told.agrees[k] = _check(chords.ctypes.data + k * _CHORDS, filters.ctypes.data + k * _FILTER)
         agrees = told.agrees[k]
         what = _next(k, now, agrees, fresh[k], chords, filters, tracks, limits)

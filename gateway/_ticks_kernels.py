@@ -23,7 +23,7 @@ from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
 from gateway._route_kernels import busy_s
-from gateway._sweep_kernels import advance_ekf, advance_ukf
+from gateway._sweep_kernels import run_filters
 from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
@@ -97,14 +97,13 @@ def _raise(peak: Array, drives: Records) -> None:
 def several(
     t_ns: Ints, can_id: NDArray[np.uint32], flags: NDArray[np.uint8], length: NDArray[np.uint8],
     data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,
-    filtering: Filtering, unscented: bool | None, judging: Judging, warming: Warming,
+    filtering: Filtering, judging: Judging, warming: Warming,
     saying: Saying, went: Went,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Ticks from `now` on, one for each of ends (K,), before `until`; stops behind a change.
 
     The first five are columns of a `Block`; tick k takes its rows from ends[k - 1] to ends[k].
-    unscented: None for the EKF. Fills `went`. Gives the fields of `Left`, not one of these: see
-    `Direct`.
+    Fills `went`. Gives the fields of `Left`, not one of these: see `Direct`.
     """
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
     busy, common, out, first = receiving.busy_s, 0.0, 0, 0
@@ -131,7 +130,7 @@ def several(
         else:
             settle(now, receiving.e2e_config, receiving.e2e_state, receiving.state)
         if (
-            foreign or receiving.pairs.trouble[_ANY] or samples > filtering.room.nis.shape[0]
+            foreign or receiving.pairs.trouble[_ANY] or samples > filtering.room.samples.shape[0]
             or _any_lost(now, receiving.beats)
         ):  # fmt: skip
             stage = HEARD
@@ -156,17 +155,10 @@ def several(
             receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
             receiving.out.steps[:samples], receiving.out.gap[:samples],
         )  # fmt: skip
-        if unscented is None:
-            begins = advance_ekf(
-                taken, now, inputs.cause, inputs.fresh, filtering.believed, filtering.constants,
-                filtering.room,
-            )  # fmt: skip
-        else:
-            begins = advance_ukf(
-                taken, now, inputs.cause, inputs.fresh, filtering.believed, filtering.constants,
-                filtering.room,
-            )  # fmt: skip
-        if begins:
+        if run_filters(
+            taken, now, inputs.cause, inputs.fresh, filtering.believed, filtering.constants,
+            filtering.room,
+        ):  # fmt: skip
             stage = FILTERED
             break
         observe_motion(

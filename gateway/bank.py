@@ -16,12 +16,12 @@ from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators import acquisition, adaptation, current_calibration
+from estimators import acquisition, adaptation, current_calibration, filters
 from estimators.models import pmsm
 from gateway import tracks
 from gateway._bank_kernels import forget, tell
 from gateway._direct import Direct
-from gateway._sweep_kernels import advance_ekf, advance_ukf
+from gateway._sweep_kernels import run_filters
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
 from gateway.pairing import Samples
@@ -46,8 +46,6 @@ FLUX_SURE: Final = 0.03
 RESISTANCE_SURE: Final = 0.25
 DIVERGED_NS: Final = 100 * MS
 """A divergence is said for at least this long before the drive is acquired anew."""
-UKF_KAPPA: Final = -2.0
-"""n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
 SAMPLES_AT_FIRST: Final = 256
 """Of a tick, that there is room for before one brings more."""
 
@@ -89,13 +87,14 @@ class Bank:
             self.filters, self.tracks, self.chords, self.sensors, self.told
         )
         self.constants = tracks.Constants(
-            self.table, self.noise, self.rated.I,
-            acquisition.limits(config.min_speed_rad_s, 0.75 * config.min_speed_rad_s), self.limits,
-            SAMPLE_NS * 1e-9, LONGEST_COAST, UKF_KAPPA,
+            self.table, filters.noise_records(self.noise), self.rated.I,
+            acquisition.limits(config.min_speed_rad_s, 0.75 * config.min_speed_rad_s),
+            filters.settings(SAMPLE_NS * 1e-9, config.kind), self.limits, SAMPLE_NS * 1e-9,
+            LONGEST_COAST,
         )  # fmt: skip
-        self.room = tracks.room(n, SAMPLES_AT_FIRST)
-        """Of the last tick; its first `nis` are those of the samples."""
-        self._advance = Direct(advance_ukf if config.kind == "ukf" else advance_ekf)
+        self.room = tracks.room(SAMPLES_AT_FIRST)
+        """Of the last tick; its first samples, with their `nis`, are those."""
+        self._advance = Direct(run_filters)
         self._tell = Direct(tell)
         # Compiled, or loaded, now and not when the first filter begins.
         causes, fresh = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
@@ -119,8 +118,8 @@ class Bank:
             acquisition.restart(self.chords, k)
             current_calibration.restart(self.sensors, k)
             self.tracks.flux[k] = math.nan
-        if len(samples.drive) > len(self.room.nis):
-            self.room = tracks.room(len(self.x), 2 * len(samples.drive))
+        if len(samples.drive) > len(self.room.samples):
+            self.room = tracks.room(2 * len(samples.drive))
         if self._advance(
             samples, now, inputs, fresh, self.believed, self.constants, self.room
         ):  # fmt: skip

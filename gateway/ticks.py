@@ -57,7 +57,6 @@ class Ticks:
             and gateway.outbox.authenticator is None
         )
         self._period_ns = gateway.config.loop.period_ns
-        self._unscented = True if gateway.config.estimator.kind == "ukf" else None
         self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
         self._rough = np.zeros((4, n))
         self._went = stretch.went(FRAMES, len(gateway.outbox.heads), n)
@@ -119,7 +118,7 @@ class Ticks:
         outbox.note_counts(counted)
         left = Left(*self._several(
             block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
-            self._receiving(), self._filtering(), self._unscented, self._judging(),
+            self._receiving(), self._filtering(), self._judging(),
             self._warming(), self._saying(counted), went,
         ))  # fmt: skip
         gateway.load.busy_s, inbox.seen = left.busy_s, left.seen

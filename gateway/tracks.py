@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.records import FILTER_SAMPLE, Columns, zeros
-from estimators._lanes import LanesRoom, lanes_room
-from estimators.models.pmsm import Noise
 from gateway.health import Reason
 
 Array = NDArray[np.float64]
@@ -90,37 +88,30 @@ class Believed(NamedTuple):
 class Constants(NamedTuple):
     """What does not change: motors and noise (`pmsm`), when what is believed.
 
-    rated_a: (N,) A; acquisition: one `struct acquisition_limits`; dt_s: sub-step; coast_steps:
-    sub-steps that any filter bridges; kappa: of the UKF.
+    rated_a: (N,) A; noise: `struct filter_noise` (N,); acquisition, settings: one
+    `struct acquisition_limits` and `filter_settings`; dt_s: sub-step; coast_steps: sub-steps that
+    any filter bridges.
     """
 
     table: Array
-    noise: Noise
+    noise: Columns
     rated_a: Array
     acquisition: Columns
+    settings: Columns
     limits: Limits
     dt_s: float
     coast_steps: int
-    kappa: float
 
 
 class Room(NamedTuple):
-    """For one tick: samples (M,), their y (M, 2) and nis (M,), R (N, 2), ok (N,); for filters."""
+    """For one tick: `struct filter_sample` of its samples, (M,)."""
 
     samples: Columns
-    y: Array
-    nis: Array
-    R: Array
-    ok: Flags
-    lanes: LanesRoom
 
 
-def room(n: int, samples: int) -> Room:
-    """For N drives and so many samples."""
-    return Room(
-        zeros(samples, FILTER_SAMPLE), np.zeros((samples, 2)), np.zeros(samples), np.zeros((n, 2)),
-        np.ones(n, dtype=np.bool_), lanes_room(n),
-    )  # fmt: skip
+def room(samples: int) -> Room:
+    """For so many samples."""
+    return Room(zeros(samples, FILTER_SAMPLE))
 
 
 def tracks(n: int) -> Tracks:

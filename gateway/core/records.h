@@ -640,6 +640,7 @@ struct filter_sample {
     int64_t steps;     /* sub-steps in the interval, 1 or more */
     int64_t gap;       /* sub-steps missing before it */
     int64_t drive;     /* index of its drive */
+    int64_t next;      /* index of the drive's next sample of this tick; -1: none. Of filter_run */
 };
 
 /* Speeds between which a drive is acquired, rad/s electrical; constant. */
@@ -713,7 +714,23 @@ struct filter {
     double r_scale;  /* variance of the currents over the configured one, as innovations show it */
     double v_q_bias; /* voltage along q that the motor lacks against its data, V */
     int64_t steps;   /* sub-steps since the start; -1: it has just become not finite */
-    uint8_t active;  /* 1: there is a filter */
+    int64_t first_sample; /* index of its first sample of this tick; -1: none. Of filter_run */
+    uint8_t active;       /* 1: there is a filter */
+    uint8_t is_finite; /* 0: in this tick it would have become not finite, or a variance negative */
+};
+
+/* What a filter takes for disturbance and noise; of one drive, constant. */
+struct filter_noise {
+    double Q[5];  /* variance of x added per sub-step */
+    double R[2];  /* variance of the currents, A^2; `r_scale` multiplies it */
+    double coast; /* variance of the currents in and after a gap, A^2 */
+};
+
+/* How all filters run; constant. */
+struct filter_settings {
+    double dt;         /* sub-step, s */
+    double kappa;      /* of the UKF: above -5; 5 + kappa = 3 matches a Gaussian's kurtosis */
+    uint8_t unscented; /* 1: UKF, 0: EKF */
 };
 
 /* The train as its rotors and commands show it together (gateway/core/train.c). Speeds are those of

@@ -12,8 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators._lanes import lanes_room
-from estimators._lanes_kernels import ekf_lanes
+from estimators import adaptation, filters
 from estimators.models import pmsm
 from gateway.config import Estimator
 
@@ -84,21 +83,18 @@ def estimate(samples: Record, belief: Filter, x_0: Array, P_0: Array) -> Estimat
     motor = pmsm.table(pmsm.repeat(pmsm.BENCH_MOTOR, n))
     Q = np.tile(belief.Q, (n, 1))
     R = np.full((n, 2), belief.R + samples.step_a**2 / 12.0)
-    x, P = x_0.copy(), P_0.copy()
-    drive = np.arange(n, dtype=np.int32)
+    drive = np.arange(n)
     n_sub, n_gap = np.full(n, samples.n_sub), np.zeros(n, dtype=np.int64)
-    nis, ok = np.empty(n), np.empty(n, dtype=np.bool_)
-    u, y = np.ascontiguousarray(samples.u), np.ascontiguousarray(samples.y)
     load, speed = np.empty((count, n)), np.empty((count, n))
-    room = lanes_room(n)
+    drives, settings = adaptation.filters(n), filters.settings(pmsm.SUB_STEP_S)
+    drives.x, drives.P = x_0, P_0
+    noise = filters.noise_records(pmsm.Noise(Q, R, np.zeros(n)))
     for k in range(count):
-        ekf_lanes(
-            motor, Q, R, np.zeros(n), x, P, drive, u[k], y[k], n_sub, n_gap, pmsm.SUB_STEP_S,
-            nis, ok, np.zeros(n), room,
-        )  # fmt: skip
-        if not ok.all():
+        rows = filters.sample_records(drive, samples.u[k], samples.y[k], n_sub, n_gap)
+        filters.run(rows, motor, noise, drives, settings)
+        if not drives.is_finite.all():
             raise FloatingPointError(f"{belief.name}: a filter diverged at sample {k + 1}")
-        load[k], speed[k] = x[:, pmsm.T_L], x[:, pmsm.W_E]
+        load[k], speed[k] = drives.x[:, pmsm.T_L], drives.x[:, pmsm.W_E]
     return Estimates(load, speed)
 
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators import _lanes_kernels, acquisition, ekf, ukf
-from estimators._lanes import lanes_room
+from estimators import acquisition, filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
 from tests.filter_records import acquire, estimate, start_states
+from tests.reference import ekf, kalman, ukf
 from tests.strategies import filter_states, motor_rows, sample_rows
 
 DRIVES = 3
@@ -34,14 +34,8 @@ def run(kind, par, x, P, rows):
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
     drive = table[:, 0].astype(np.int32)
     n_sub, n_gap = np.full(len(table), 16, dtype=np.int64), table[:, 5].astype(np.int64)
-    nis, ok = np.empty(len(table)), np.empty(len(x), dtype=np.bool_)
-    head = (pmsm.table(par), noise.Q, noise.R, noise.coast, x, P)
-    body = (drive, table[:, 1:3].copy(), table[:, 3:5].copy(), n_sub, n_gap, SUB_STEP_S)
-    straight = np.zeros(len(x))
-    if kind == "ekf":
-        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, straight, lanes_room(len(x)))
-    else:
-        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, straight, lanes_room(len(x)))
+    samples = filters.sample_records(drive, table[:, 1:3], table[:, 3:5], n_sub, n_gap)
+    nis, ok = filters.sweep(kind, pmsm.table(par), noise, x, P, samples, SUB_STEP_S)
     return x, P, nis, ok
 
 
@@ -146,8 +140,6 @@ def test_arrays_have_the_annotated_shapes(monkeypatch):
 
     import jaxtyping
     from beartype import beartype
-
-    from estimators import kalman
 
     names = {name: getattr(jaxtyping, name) for name in ("Float", "Int", "Bool")}
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from estimators import _lanes_kernels, acquisition, ukf
-from estimators._lanes import lanes_room
+from estimators import acquisition, filters
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
 from tests.filter_records import acquire, start_states
@@ -57,7 +56,7 @@ def load_errors(
     par = par._replace(**{name: getattr(par, name) * factor for name, factor in wrong.items()})
     i_lsb = 0.02 if every >= 16 else 0.05
     noise = pmsm.default_noise(par, rated(DRIVES), i_lsb=i_lsb, theta_var=theta_var)
-    table, ok = pmsm.table(par), np.empty(DRIVES, dtype=np.bool_)
+    table = pmsm.table(par)
     errors, loads = [], []
     for seed in SEEDS:
         truth = scenario(w, seed)
@@ -67,15 +66,10 @@ def load_errors(
         acquire(state, par, [column[first] for column in rows[:5]], TICK_S)
         assert state.ready.all()
         x, P = start_states(state, par, noise, rated(DRIVES))
-        room = lanes_room(DRIVES)
         for end in range(816, len(truth.w) + 1, 16):
             now = slice(*np.searchsorted(rows.tick, [end - 16, end]))
-            nis = np.empty(now.stop - now.start)
-            args = (table, noise.Q, noise.R, noise.coast, x, P, *(c[now] for c in rows[:5]), TICK_S)
-            if kind == "ekf":
-                _lanes_kernels.ekf_lanes(*args, nis, ok, np.zeros(DRIVES), room)
-            else:
-                _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis, ok, np.zeros(DRIVES), room)
+            samples = filters.sample_records(*(column[now] for column in rows[:5]))
+            _, ok = filters.sweep(kind, table, noise, x, P, samples, TICK_S)
             assert ok.all()
             if end > 2000:
                 errors.append(x[:, 4] - truth.load[end - 1])

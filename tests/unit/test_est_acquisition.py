@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from dbc.records import Columns
-from estimators import _lanes_kernels, acquisition
-from estimators._lanes import lanes_room
+from estimators import acquisition, filters
 from estimators.acquisition import Consistency
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
@@ -199,9 +198,7 @@ def test_agreement_tells_right_from_wrong_filters(final, every):
     paper = Noise(np.tile([0.05, 0.05, 1e-3, 1e-4, 0.1], (36, 1)), noise.R, noise.coast)
     x = np.zeros((36, 5))
     P = np.tile(np.diag([1.0, 1.0, 1e4, 4.0, 900.0]), (36, 1, 1))
-    nis, ok = np.empty(len(rows.drive)), np.empty(36, dtype=np.bool_)
-    head = (pmsm.table(par), paper.Q, paper.R, paper.coast)
-    _lanes_kernels.ekf_lanes(*head, x, P, *rows[:5], TICK_S, nis, ok, np.zeros(36), lanes_room(36))
+    filters.sweep("ekf", pmsm.table(par), paper, x, P, filters.sample_records(*rows[:5]), TICK_S)
     state = acquisition.start(36)
     feed(state, par, rows, np.ones(len(rows.drive), dtype=np.bool_))
     error = np.abs(pmsm.wrap(x[:, 3] - truth.theta[-1]))
@@ -228,19 +225,8 @@ def test_start_state_starts_the_filter_right():
     deviation = np.sqrt(np.stack([P[:, 2, 2], P[:, 3, 3]], axis=1))
     assert (np.abs(error) < 3.0 * deviation).all()
     late = rows.tick >= middle
-    nis, ok = np.empty(np.count_nonzero(late)), np.empty(36, dtype=np.bool_)
-    head = (pmsm.table(par), noise.Q, noise.R, noise.coast)
-    _lanes_kernels.ekf_lanes(
-        *head,
-        x,
-        P,
-        *(column[late] for column in rows[:5]),
-        TICK_S,
-        nis,
-        ok,
-        np.zeros(36),
-        lanes_room(36),
-    )
+    samples = filters.sample_records(*(column[late] for column in rows[:5]))
+    _, ok = filters.sweep("ekf", pmsm.table(par), noise, x, P, samples, TICK_S)
     assert ok.all()
     assert np.abs(x[:, 4] - 15.0).max() < 2.0
     assert np.abs(pmsm.wrap(x[:, 3] - truth.theta[-1])).max() < 0.05

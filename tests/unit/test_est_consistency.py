@@ -13,8 +13,7 @@ import pytest
 from scipy.stats import chi2
 
 import gateway.bank
-from estimators import _lanes_kernels, ukf
-from estimators._lanes import lanes_room
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, THETA_E, W_E
 from gateway.config import parse
@@ -47,7 +46,7 @@ def track(
     """
     rng = np.random.default_rng(seed)
     par, noise = bench(RUNS)
-    table, ok = pmsm.table(par), np.empty(RUNS, dtype=np.bool_)
+    table = pmsm.table(par)
     truth = np.zeros((RUNS, 5))
     truth[:, W_E], truth[:, 4] = w, 10.0
     truth[:, THETA_E] = rng.uniform(-math.pi, math.pi, RUNS)
@@ -63,11 +62,8 @@ def track(
             truth = pmsm.step(par, truth, v[:, j], SUB_STEP_S)
             truth = truth + rng.normal(size=truth.shape) * np.sqrt(noise.Q)
         y = truth[:, :2] + rng.normal(size=(RUNS, 2)) * np.sqrt(worse * noise.R)
-        args = (table, noise.Q, noise.R, noise.coast, x, P, drive, u, y, n_sub, n_gap, SUB_STEP_S)
-        if kind == "ekf":
-            _lanes_kernels.ekf_lanes(*args, nis[k], ok, np.zeros(RUNS), lanes_room(RUNS))
-        else:
-            _lanes_kernels.ukf_lanes(*args, ukf.KAPPA, nis[k], ok, np.zeros(RUNS), lanes_room(RUNS))
+        samples = filters.sample_records(drive, u, y, n_sub, n_gap)
+        nis[k], ok = filters.sweep(kind, table, noise, x, P, samples, SUB_STEP_S)
         assert ok.all()
         error = truth - x
         error[:, THETA_E] = pmsm.wrap(error[:, THETA_E])
@@ -112,7 +108,7 @@ def nominal_windows(kind: str) -> np.ndarray:
         ]
         core.step(honest.sent(tick), tick * TICK)
         drive = core.inbox.samples.drive
-        nis = core.bank.room.nis[: len(drive)]
+        nis = core.bank.room.samples.nis[: len(drive)]
         losses = honest.lost[max(tick - 31, 0) : tick + 30].any()
         standing = honest.phase[tick - 1] == PHASES.index("standstill")
         for d, run in enumerate(runs):

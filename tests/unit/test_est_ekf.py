@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
-from estimators import ekf, kalman
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+from tests.reference import ekf, kalman
 
 
 def bench(n: int) -> tuple[Pmsm, Noise]:

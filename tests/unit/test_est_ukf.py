@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
-from estimators import ekf, ukf
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S
+from tests.reference import ekf, ukf
 from tests.unit.test_est_ekf import bench, start
 
 

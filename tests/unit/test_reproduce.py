@@ -8,7 +8,6 @@ import pytest
 
 from dbc.candump import Reader
 from dbc.codec import bind
-from estimators import ekf
 from estimators.models import pmsm
 from gateway.cli import main
 from gateway.commands import reproduce, section5
@@ -20,6 +19,7 @@ from gateway.results import reproduction_paths as paths
 from gateway.results.reproduction_figures import thinned
 from sim.scenario import builtin
 from sim.simulation import Simulation
+from tests.reference import ekf
 from tests.simrun import FD_FILE, codec, values
 
 SHORT_S = 0.4

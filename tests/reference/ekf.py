@@ -1,7 +1,7 @@
 """Extended Kalman filter of N drives: paper `adhesion`, eq. (3)-(15), with `models.pmsm`.
 
-Readable form over stacked arrays. The gateway runs `_lanes_kernels.ekf_lanes`; `sweep` is its plain
-twin. Drives are independent, so the paper's block-diagonal matrices (16)-(17) are never built.
+Stacked arrays in NumPy: what `estimators/filter_simd.c` is compared with. Drives are
+independent, so the paper's block-diagonal matrices (16)-(17) are never built.
 
 Between two samples the model takes n_sub Euler steps of dt with the mean voltage of the
 interval: the paper filters at 125 us, buses are slower.
@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators import kalman
-from estimators.kalman import Innovation
 from estimators.models import pmsm
 from estimators.models.pmsm import I_A, I_B, THETA_E, W_E, Noise, Pmsm
+from tests.reference import kalman
+from tests.reference.kalman import Innovation
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -125,7 +125,7 @@ def sweep(
     dt: float,
     lean: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
-    """M samples in order, x and P in place: the twin of `_lanes_kernels.ekf_lanes`.
+    """M samples in order, x and P in place: as `filter_run` does.
 
     lean: see `leaned`, none without. Returns (nis (M,), ok (N,)). A drive whose result is not
     `healthy` gets ok False and nis NaN, keeps its last good x and P, and its later rows are

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators import ekf, kalman
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_E, W_E, Noise, Pmsm
+from tests.reference import ekf, kalman
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -117,7 +117,7 @@ def sweep(
     kappa: float = KAPPA,
     lean: Float[Array, "N"] | None = None,
 ) -> tuple[Float[Array, "M"], Bool[NDArray[np.bool_], "N"]]:
-    """M samples in order, x and P in place: the twin of `_lanes_kernels.ukf_lanes`.
+    """M samples in order, x and P in place: as `filter_run` does.
 
     lean and the returned (nis (M,), ok (N,)) as in `ekf.sweep`.
     """

@@ -1,4 +1,4 @@
-"""Compiled sweeps equal their plain twins, and what they do with bad rows."""
+"""The filters equal the reference with any registers, and what they do with bad samples."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from estimators import _lanes_kernels, ekf, ukf
-from estimators._lanes import lanes_room
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+from tests.reference import ekf, ukf
 from tests.unit.test_est_ekf import bench
 from tests.unit.test_est_truth import Rows, motor, sampled
 
@@ -38,26 +38,24 @@ def case(n: int = 3, seed: int = 1, ticks: int = 1600, fastest: float = 200.0) -
     return Case(par, noise, rows, x, P, rng.uniform(-0.5, 0.5, n))
 
 
-def sweep(kind: str, c: Case, rows: Rows | None = None):
-    """The compiled form: (x, P, nis, ok)."""
-    rows = rows or c.rows
+def sweep(kind: str, c: Case, rows: Rows | None = None, bits: int = 0):
+    """(x, P, nis, ok)."""
     x, P = c.x.copy(), c.P.copy()
-    nis, ok = np.empty(len(rows.drive)), np.empty(len(x), dtype=np.bool_)
-    head = (pmsm.table(c.par), c.noise.Q, c.noise.R, c.noise.coast, x, P)
-    body = (rows.drive, rows.u, rows.y, rows.n_sub, rows.n_gap, SUB_STEP_S)
-    if kind == "ekf":
-        _lanes_kernels.ekf_lanes(*head, *body, nis, ok, c.lean, lanes_room(len(x)))
-    else:
-        _lanes_kernels.ukf_lanes(*head, *body, ukf.KAPPA, nis, ok, c.lean, lanes_room(len(x)))
+    samples = filters.sample_records(*(rows or c.rows)[:5])
+    nis, ok = filters.sweep(
+        kind, pmsm.table(c.par), c.noise, x, P, samples, SUB_STEP_S, c.lean, bits
+    )
     return x, P, nis, ok
 
 
 def twin(kind: str, c: Case):
     x, P = c.x.copy(), c.P.copy()
-    run = ukf.sweep if kind == "ukf" else ekf.sweep
     r = c.rows
     samples = (r.drive, r.u, r.y, r.n_sub, r.n_gap, SUB_STEP_S)
-    nis, ok = run(c.par, c.noise, x, P, *samples, lean=c.lean)
+    if kind == "ekf":
+        nis, ok = ekf.sweep(c.par, c.noise, x, P, *samples, lean=c.lean)
+    else:
+        nis, ok = ukf.sweep(c.par, c.noise, x, P, *samples, kappa=filters.KAPPA, lean=c.lean)
     return x, P, nis, ok
 
 
@@ -66,7 +64,7 @@ both = pytest.mark.parametrize("kind", ["ekf", "ukf"])
 
 @both
 @pytest.mark.parametrize(("seed", "fastest"), [(1, 200.0), (2, 200.0), (3, 2500.0)])
-def test_kernel_equals_twin(kind, seed, fastest):
+def test_it_equals_the_reference(kind, seed, fastest):
     """From 1400 rad/s on the voltage is held again: both do it."""
     c = case(seed=seed, fastest=fastest)
     assert (c.rows.n_gap > 0).any()
@@ -154,7 +152,7 @@ def test_a_broken_start_is_told_not_raised(kind):
 
 
 def test_a_covariance_that_rounding_broke_is_repaired_among_sound_ones():
-    """One lane of a vector is done again by itself; the others do not notice."""
+    """All lanes are done again, with repair; the sound ones do not notice."""
     c = case(n=11, ticks=320)
     x_sound, P_sound, _, _ = sweep("ukf", c)
     P = c.P.copy()
@@ -182,3 +180,28 @@ def test_no_rows_is_no_change(kind):
     assert (P == c.P).all()
     assert nis.shape == (0,)
     assert ok.all()
+
+
+@both
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 13])
+def test_any_registers_give_the_same_bytes(kind, n):
+    """Also where lanes are empty, samples are of different lengths and some are no numbers."""
+    c = case(n=n, ticks=800)
+    rng = np.random.default_rng(n)
+    y, n_sub = c.rows.y.copy(), rng.choice([1, 16], len(c.rows.drive), p=[0.2, 0.8])
+    y[rng.integers(0, len(y))] = np.nan
+    P = c.P.copy()
+    P[0, 0, 1] = P[0, 1, 0] = np.sqrt(P[0, 0, 0] * P[0, 1, 1]) * (1.0 + 1e-8)
+    odd = c._replace(rows=c.rows._replace(y=y, n_sub=n_sub), P=P)
+    wanted = [column.tobytes() for column in sweep(kind, odd, bits=128)]
+    for bits in (0, 256, 512):
+        try:
+            found = sweep(kind, odd, bits=bits)
+        except ValueError:
+            continue
+        assert [column.tobytes() for column in found] == wanted, bits
+
+
+def test_registers_that_no_processor_has_are_refused():
+    with pytest.raises(ValueError, match="1024 bits"):
+        sweep("ekf", case(ticks=32), bits=1024)

@@ -1,0 +1,69 @@
+/* Which build of the filters runs: the widest registers that the processor has, and drives fill. */
+#include "estimators/filter.h"
+
+#include "estimators/filter_simd.h"
+
+enum { FEW = 4 }; /* drives that registers of 256 bits hold: wider ones are slower then */
+
+#if defined(__x86_64__)
+#include <cpuid.h>
+#include <stdint.h>
+
+static filter_run_function *const BUILDS[] = {filter_run_128, filter_run_256, filter_run_512};
+
+/* What the operating system saves of a thread: register XCR0. */
+static uint32_t saved_registers(void)
+{
+    uint32_t low, high;
+    /* NOLINTNEXTLINE(portability-no-assembler) */
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    return low;
+}
+
+/* Index of the widest build that can run. (ziglang's __builtin_cpu_supports knows no processor.) */
+static int find_widest(void)
+{
+    uint32_t a, b, c, d;
+    __cpuid(1, a, b, c, d);
+    const uint32_t osxsave = 1u << 27;
+    if (!(c & osxsave)) /* another processor */
+        return 0;
+    const uint32_t saved = saved_registers();
+    __cpuid_count(7, 0, a, b, c, d);
+    const uint32_t avx2 = 1u << 5, avx512 = 1u << 16 | 1u << 17 | 1u << 31; /* F, DQ and VL */
+    const int has_avx2 = ((b & avx2) == avx2) * ((saved & 0x06u) == 0x06u);
+    const int has_avx512 = ((b & avx512) == avx512) * ((saved & 0xE6u) == 0xE6u);
+    return has_avx2 + has_avx2 * has_avx512;
+}
+
+static int widest;
+
+__attribute__((constructor)) static void choose(void)
+{
+    widest = find_widest();
+}
+#else
+static filter_run_function *const BUILDS[] = {filter_run_128};
+static const int widest = 0;
+#endif
+
+void filter_run(struct filter_sample *samples, int m, const struct pmsm *motors,
+                const struct filter_noise *noise, struct filter *filters, int n,
+                const struct filter_settings *settings)
+{
+    const int too_wide = widest / 2 * (n <= FEW); /* 1 with 512 bits for few */
+    BUILDS[widest - too_wide](samples, m, motors, noise, filters, n, settings);
+}
+
+int filter_run_with(int bits, struct filter_sample *samples, int m, const struct pmsm *motors,
+                    const struct filter_noise *noise, struct filter *filters, int n,
+                    const struct filter_settings *settings)
+{
+    for (int index = 0; index <= widest; index++) {
+        if (bits == 128 << index) {
+            BUILDS[index](samples, m, motors, noise, filters, n, settings);
+            return 0;
+        }
+    }
+    return -1;
+}

@@ -1,0 +1,20 @@
+/* Extended and unscented Kalman filters of several drives. */
+#ifndef TRACTION_FILTER_H
+#define TRACTION_FILTER_H
+
+#include "gateway/core/records.h"
+
+/* Run the filters of n drives over m samples, in order of time; motors, noise and filters by drive.
+ * Changes x and P of the filters, and `nis` of the samples. A filter whose result is not finite, or
+ * has a negative variance, gets is_finite 0 and keeps its last good state; the rest of its samples is
+ * skipped, with nis NaN: start it anew. */
+void filter_run(struct filter_sample *samples, int m, const struct pmsm *motors,
+                const struct filter_noise *noise, struct filter *filters, int n,
+                const struct filter_settings *settings);
+
+/* The same with registers of 128, 256 or 512 bits; -1, and nothing done, where there are none. */
+int filter_run_with(int bits, struct filter_sample *samples, int m, const struct pmsm *motors,
+                    const struct filter_noise *noise, struct filter *filters, int n,
+                    const struct filter_settings *settings);
+
+#endif

@@ -1,0 +1,74 @@
+"""EKF and UKF: `filter_simd.c` for records of N drives."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from _traction_core import lib
+from numpy.typing import NDArray
+
+from dbc.records import FILTER_NOISE, FILTER_SAMPLE, FILTER_SETTINGS, Columns, pointer, zeros
+from estimators import adaptation
+from estimators.models.pmsm import Array, Noise
+
+KAPPA: Final = -2.0
+"""Of the UKF: n + kappa = 3, so that the sigma points match the kurtosis of a Gaussian."""
+
+
+def noise_records(noise: Noise) -> Columns:
+    """`struct filter_noise` of N drives."""
+    made = zeros(len(noise.Q), FILTER_NOISE)
+    made.Q, made.R, made.coast = noise.Q, noise.R, noise.coast
+    return made
+
+
+def settings(dt: float, kind: str = "ekf") -> Columns:
+    """One `struct filter_settings`; dt: sub-step, s; kind: "ekf" or "ukf"."""
+    made = zeros(1, FILTER_SETTINGS)
+    made.dt, made.kappa, made.unscented = dt, KAPPA, kind == "ukf"
+    return made
+
+
+def sample_records(
+    drive: NDArray[np.int_], u: Array, i: Array, steps: NDArray[np.int_], gap: NDArray[np.int_]
+) -> Columns:
+    """`struct filter_sample` of M samples: drive (M,), u V and i A (M, 2), steps and gap (M,)."""
+    made = zeros(len(drive), FILTER_SAMPLE)
+    made.drive, made.steps, made.gap, made.nis = drive, steps, gap, np.nan
+    made.u, made.i = u[:, 0] + 1j * u[:, 1], i[:, 0] + 1j * i[:, 1]
+    return made
+
+
+def run(
+    samples: Columns, table: Array, noise: Columns, drives: Columns, settings: Columns,
+    bits: int = 0,
+) -> None:  # fmt: skip
+    """Run filters over M samples, in place; table (N, 7) as `pmsm.table`.
+
+    bits: of the registers; 0: as the processor has them. Raises ValueError if it has none such.
+    """
+    given = (
+        pointer("struct filter_sample *", samples), len(samples), pointer("struct pmsm *", table),
+        pointer("struct filter_noise *", noise), pointer("struct filter *", drives), len(drives),
+        pointer("struct filter_settings *", settings),
+    )  # fmt: skip
+    if bits == 0:
+        lib.filter_run(*given)
+    elif lib.filter_run_with(bits, *given) < 0:
+        raise ValueError(f"no registers of {bits} bits")
+
+
+def sweep(
+    kind: str, table: Array, noise: Noise, x: Array, P: Array, samples: Columns, dt: float,
+    bias: Array | None = None, bits: int = 0,
+) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
+    """Run filters over M samples; x (N, 5) and P (N, 5, 5) in place.
+
+    kind: "ekf" or "ukf"; bias: v_q_bias (N,), V, none without. Returns (nis (M,), ok (N,)).
+    """
+    drives = adaptation.filters(len(x))
+    drives.x, drives.P, drives.v_q_bias = x, P, 0.0 if bias is None else bias
+    run(samples, table, noise_records(noise), drives, settings(dt, kind), bits)
+    x[:], P[:] = drives.x, drives.P
+    return samples.nis.copy(), drives.is_finite == 1
