@@ -19,10 +19,28 @@ from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - everything else of the backend as it is
 
 ROOT = Path(__file__).parent
-HEADERS = ("gateway/core/records.h", "dbc/e2e.h", "dbc/decode.h", "dbc/encode.h")
+HEADERS = (
+    "gateway/core/records.h",
+    "dbc/e2e.h",
+    "dbc/decode.h",
+    "dbc/encode.h",
+    "gateway/core/supervision.h",
+    "gateway/core/sequence.h",
+    "gateway/core/pairing.h",
+    "gateway/core/receive.h",
+)
 """In the order in which they build on one another."""
-SOURCES = ("dbc/crc.c", "dbc/e2e.c", "dbc/decode.c", "dbc/encode.c")
-DEPENDS = (*HEADERS, "dbc/crc.h", "dbc/bytes.h")
+SOURCES = (
+    "dbc/crc.c",
+    "dbc/e2e.c",
+    "dbc/decode.c",
+    "dbc/encode.c",
+    "gateway/core/supervision.c",
+    "gateway/core/sequence.c",
+    "gateway/core/pairing.c",
+    "gateway/core/receive.c",
+)
+DEPENDS = (*HEADERS, "dbc/crc.h", "dbc/bytes.h", "dbc/rounding.h")
 """All headers."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
 """No contraction: the same bytes whatever instructions a machine has."""

@@ -14,7 +14,10 @@ import llvmlite.binding as llvm
 import numba
 from _traction_core import ffi, lib
 
-_NUMBERS = {"int": numba.types.int32, "int32_t": numba.types.int32, "void": numba.types.void}
+_NUMBERS = {
+    "int": numba.types.int32, "int32_t": numba.types.int32, "double": numba.types.float64,
+    "void": numba.types.void,
+}  # fmt: skip
 
 
 def symbol(name: str) -> Callable[..., Any]:

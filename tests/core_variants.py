@@ -20,7 +20,8 @@ from core_build import SOURCES
 
 OUT = Path("out/core").absolute()
 OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit/test_records.py",
-       "tests/property/test_e2e_property.py", "tests/unit/test_codec_reference.py")  # fmt: skip
+       "tests/property/test_e2e_property.py", "tests/unit/test_codec_reference.py",
+       "tests/unit/test_receive_reference.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

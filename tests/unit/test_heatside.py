@@ -10,7 +10,7 @@ from estimators.thermal import _watch_kernels, heat
 from estimators.thermal.heat import TYPICAL, Drive, predict
 from gateway import calibration, inputs, slow
 from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
-from gateway.channel import ChannelState, channel_state
+from gateway.channel import ChannelState, records, state_of
 from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
 from gateway.drivers.warm import _warm_watch
@@ -35,7 +35,7 @@ class Line(NamedTuple):
 def beside(lines):
     """What they have said, channels 2 k and 2 k + 1 of drive k."""
     n = len(lines)
-    said, state = slow.start(n), channel_state([])
+    said, state = slow.start(n), state_of(records([]))
     state = ChannelState(*(np.zeros(2 * n, dtype=column.dtype) for column in state))
     state.limit_ns[:] = 1 << 62
     for k, line in enumerate(lines):

@@ -18,7 +18,11 @@ ROOT = Path(core_build.__file__).parent
 RECORDS = {
     "e2e_config": records.E2E_CONFIG, "e2e_state": records.E2E_STATE,
     "signal": records.SIGNAL, "message": records.MESSAGE, "mux_range": records.MUX_RANGE,
-    "codec": records.CODEC,
+    "codec": records.CODEC, "channel": records.CHANNEL, "half_sample": records.HALF_SAMPLE,
+    "sequence_guard": records.SEQUENCE_GUARD,
+    "drive_input": records.DRIVE_INPUT, "heartbeat": records.HEARTBEAT,
+    "supervision": records.SUPERVISION, "id_entry": records.ID_ENTRY,
+    "received": records.RECEIVED, "receiver": records.RECEIVER,
 }  # fmt: skip
 TARGETS = {
     "here": [], "x86_64": ["-target", "x86_64-linux-gnu.2.17"],
