@@ -47,6 +47,10 @@ HEADERS = (
     "gateway/core/flags.h",
     "gateway/core/train.h",
     "gateway/core/temperature.h",
+    "gateway/core/supervision.h",
+    "gateway/core/sequence.h",
+    "gateway/core/pairing.h",
+    "gateway/core/receive.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -83,11 +87,16 @@ SOURCES = (
     "gateway/core/rotors.c",
     "gateway/core/train.c",
     "gateway/core/temperature.c",
+    "gateway/core/supervision.c",
+    "gateway/core/sequence.c",
+    "gateway/core/pairing.c",
+    "gateway/core/receive.c",
 )
 DEPENDS = (
     *HEADERS,
     "dbc/crc.h",
     "dbc/bytes.h",
+    "dbc/rounding.h",
     "estimators/numbers.h",
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",

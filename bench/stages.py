@@ -19,13 +19,14 @@ from bench.speed import quiet
 from bench.wire import log_of
 from gateway import core
 from gateway._direct import Direct
+from gateway.receiving import Receiver
 from gateway.ticks import Ticks
 
 HEADER = ("stage", "per tick", "share of steps", "calls per tick")
 STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("whole step", core.Gateway, "step"),
     ("frames in: verify, decode, pair", core.Inbox, "take"),
-    ("  verify, decode, pair, compiled", Direct, "take_block"),
+    ("  verify, decode, pair, compiled", Receiver, "receive"),
     ("filters", core.Bank, "advance"),
     ("  chords, EKF, judgement, compiled", Direct, "advance_ekf"),
     ("measured motion", core.MotionSide, "settle"),

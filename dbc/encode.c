@@ -9,16 +9,7 @@
 
 #include "dbc/bytes.h"
 #include "dbc/decode.h"
-
-#define TWO_52 4503599627370496.0    /* 2^52 */
-#define TWO_63 9223372036854775808.0 /* 2^63 */
-
-/* Nearest whole number, halves to the even one. |x| < 2^63, so the conversion is exact. */
-static int64_t round_half_even(double x)
-{
-    const double shift = copysign(TWO_52, x); /* with it, a double has no bits below 1 */
-    return (int64_t)(fabs(x) < TWO_52 ? x + shift - shift : x);
-}
+#include "dbc/rounding.h"
 
 /* Bits of a signed integer. What is left after the two comparisons is within int64_t. */
 static uint64_t signed_bits(const struct signal *signal, double raw)

@@ -5,6 +5,7 @@ A record is read by name, `state[c]["counter"]`; its fields, units and meanings 
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any, Final
 
 import numpy as np
@@ -102,7 +103,34 @@ TEMPERATURE_SENSOR: Final = dtype_of(ffi.typeof("struct temperature_sensor"))
 TEMPERATURE_DRIVE: Final = dtype_of(ffi.typeof("struct temperature_drive"))
 FILTER_NOISE: Final = dtype_of(ffi.typeof("struct filter_noise"))
 FILTER_SETTINGS: Final = dtype_of(ffi.typeof("struct filter_settings"))
+CHANNEL: Final = dtype_of(ffi.typeof("struct channel"))
+SEQUENCE_GUARD: Final = dtype_of(ffi.typeof("struct sequence_guard"))
+HALF_SAMPLE: Final = dtype_of(ffi.typeof("struct half_sample"))
+DRIVE_INPUT: Final = dtype_of(ffi.typeof("struct drive_input"))
+HEARTBEAT: Final = dtype_of(ffi.typeof("struct heartbeat"))
+SUPERVISION: Final = dtype_of(ffi.typeof("struct supervision"))
+ID_ENTRY: Final = dtype_of(ffi.typeof("struct id_entry"))
+RECEIVED: Final = dtype_of(ffi.typeof("struct received"))
+RECEIVER: Final = dtype_of(ffi.typeof("struct receiver"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )
 """What compiled loops depend on that address these records."""
+
+
+class Addressed:
+    """Something whose records hold addresses of its arrays; a copy has addresses of its own."""
+
+    def link(self) -> None:
+        """Make everything that depends on where the arrays lie."""
+        raise NotImplementedError
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Addressed:
+        """The arrays once more, linked anew."""
+        made = type(self).__new__(type(self))
+        memo[id(self)] = made
+        for name, value in vars(self).items():
+            if not isinstance(value, ffi.CData):
+                setattr(made, name, deepcopy(value, memo))
+        made.link()
+        return made

@@ -24,8 +24,7 @@ from gateway._sensors_kernels import (
 if TYPE_CHECKING:
     from gateway.channel import ChannelState
     from gateway.inputs import Places
-    from gateway.pairing import Wiring
-    from gateway.receiving import Scratch
+    from gateway.receiving import Scratch, Wiring
     from gateway.said import Findings
     from gateway.slow import SlowState
     from gateway.warmth import Averages, Seconds, Warmth

@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 
 from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean, unlocked
-from gateway import supervision
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._flags_kernels import fill_inputs, update_flags
 from gateway._inputs_kernels import look
-from gateway._kernels import settle, take_block
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
-from gateway._route_kernels import busy_s
+from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
 from gateway._sweep_kernels import run_filters
 from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
@@ -38,12 +36,9 @@ Bools = NDArray[np.bool_]
 
 WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
-_ANY = 2  # pairing.Trouble
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_READINGS, _CHANGED = 0, 1  # slow.Count
 _vb_detect = symbol("vb_detect")
-_any_lost = lean(supervision.any_lost)
 
 
 @inlined
@@ -108,42 +103,38 @@ def several(
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
     busy, common, out, first = receiving.busy_s, 0.0, 0, 0
     done, stage = 0, WHOLE
-    samples = seen = foreign = motions = 0
-    odd = changed = False
+    samples = seen = motions = 0
+    changed = False
     learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
         if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
             break
-        samples = seen = foreign = motions = 0
-        odd = False
+        samples = seen = motions = 0
+        odd = others = False
         if last > first:
-            samples, seen, foreign, odd = take_block(
-                t_ns[first:last], can_id[first:last], flags[first:last], length[first:last],
-                data[first:last], now, receiving.routes, receiving.e2e_config, receiving.e2e_state,
-                receiving.state, receiving.codec, receiving.wiring, receiving.hole_ns,
-                receiving.pairs, receiving.slow, receiving.scratch, receiving.readings,
-                receiving.out, receiving.beats,
-            )  # fmt: skip
-            if samples < 0:
+            if not receive_frames(
+                receiving.receiver, first, last, t_ns, can_id, flags, length, data, now
+            ):
                 break
+            tick = receiving.tick[0]
+            samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
+            odd = tick["only_decoded"] == 0
+            others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
         else:
-            settle(now, receiving.e2e_config, receiving.e2e_state, receiving.state)
+            check_timeouts(receiving.receiver, now)
         if (
-            foreign or receiving.pairs.trouble[_ANY] or samples > filtering.room.samples.shape[0]
-            or _any_lost(now, receiving.beats)
+            others or samples > filtering.room.nis.shape[0]
+            or any_node_lost(receiving.supervision, now)
         ):  # fmt: skip
             stage = HEARD
             break
         went.tally[0] += last - first
         if not odd:
             went.tally[1] += last - first
-        if receiving.slow.came[_CHANGED]:
-            motions = receiving.slow.came[_READINGS]
-            receiving.slow.came[:] = 0
-        busy = busy_s(
-            busy, can_id[first:last], flags[first:last], length[first:last], receiving.routes,
-            receiving.classic_s, receiving.fd_s,
+        busy = bus_time(
+            receiving.receiver, first, last, can_id, flags, length, receiving.classic_s,
+            receiving.fd_s, busy,
         )  # fmt: skip
         first = last
         inputs, told = filtering.inputs, filtering.believed.told
@@ -216,7 +207,7 @@ def several(
             now, judging.rules, saying.train_inputs, saying.inputs, saying.evidence, saying.status
         )
         _raise(went.peak, saying.status.drives)
-        _count(receiving.scratch.tally, saying)
+        _count(receiving.counters, saying)
         frames = send(
             now, saying.status, saying.counts, saying.sheet, saying.e2e_config,
             saying.memory, saying.room,
@@ -233,6 +224,5 @@ def several(
         if changed:
             break
     return (
-        done, stage, first, samples, seen, foreign, odd, motions, changed, out, busy, common,
-        learn_ns,
+        done, stage, first, samples, seen, motions, changed, out, busy, common, learn_ns,
     )  # fmt: skip

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from _traction_core import ffi, lib
 
 from dbc.block import Block
 from dbc.frame import FD, SECOND, Frame, Nanos
-from gateway._direct import Direct
-from gateway._route_kernels import busy_s
-from gateway.receiving import Routes
+from gateway.receiving import Receiver
 
 
 class BusLoad:
@@ -23,7 +22,6 @@ class BusLoad:
             [34 / bitrate + (8 * n + 33 + 8 * n // 4) / data_bitrate for n in lengths]
         )
         """Seconds on the wire by number of data bytes."""
-        self._busy_s = Direct(busy_s)
         self.since_ns = start_ns
         self.busy_s = 0.0
         self.last: float | None = None
@@ -40,12 +38,16 @@ class BusLoad:
             self.since_ns = now
             self.busy_s = 0.0
 
-    def add_block(self, block: Block, routes: Routes, now: Nanos) -> None:
-        """Count what came in a tick but for the gateway's own."""
+    def add_block(self, block: Block, receiver: Receiver | None, now: Nanos) -> None:
+        """Count what came in a tick but for the receiver's own; None: there are none."""
         self.close(now)
-        self.busy_s = self._busy_s(
-            self.busy_s, block.can_id, block.flags, block.length, routes, self.classic_s, self.fd_s
-        )
+        self.busy_s = lib.bus_time(
+            ffi.NULL if receiver is None else receiver.pointer, block.size,
+            ffi.from_buffer("uint32_t[]", block.can_id),
+            ffi.from_buffer("uint8_t[]", block.flags), ffi.from_buffer("uint8_t[]", block.length),
+            ffi.from_buffer("double[]", self.classic_s), ffi.from_buffer("double[]", self.fd_s),
+            self.busy_s,
+        )  # fmt: skip
 
     @property
     def window_ns(self) -> Nanos:

@@ -1,18 +1,22 @@
-"""One received message of one drive: what it is, its age, and why it is not believed.
+"""One received message of one drive: what it is, its age, and why it is unknown.
 
-The compiled loops work on arrays with a row per channel (`ChannelState`); a `Channel` shows one.
+The records are `struct channel` (gateway/core/records.h), one per message; the rules by which they
+change are in `gateway/core/receive.c`. A `Channel` shows one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from enum import IntEnum
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
-from dbc.block import ROOM
-from dbc.frame import SECOND, Nanos
+from dbc import e2e
+from dbc.frame import Nanos
+from dbc.records import CHANNEL, SEQUENCE_GUARD, Records
 from dbc.spec import MessageSpec
 from gateway.health import Reason
 
@@ -20,19 +24,10 @@ Ints = NDArray[np.int64]
 
 SAMPLE_NS: Final[Nanos] = 125_000
 """Spacing of the eight samples in a FD frame, and the filters' sub-step."""
+SHORTEST_STEP: Final = 0.75
+"""Share of its period in which a counter step is a sign of a second sender."""
 
-GUARD_NS: Final[Nanos] = SECOND
-"""After the last sign of a second sender no frame of that message is used for so long."""
-SECOND_SENDER: Final = 3
-"""Signs of it, each within `GUARD_NS` of the one before. A restart of the sender is one."""
-TOO_SOON: Final = 0.75
-"""Of the time that a counter's steps take, one period each. Of two senders at least one counter a
-period jumps ahead, or stands still, sooner; what jumps because frames were lost comes late."""
-COPIES: Final = 6
-"""Sum at which identical frames are a sign: each repeated one adds 2, each new one takes 1 away. So
-five in a row, or two senders in step with equal values; not a controller that repeats some."""
-
-# The signals the gateway uses of each kind, in the order in which the inbox takes them. Mapped
+# The signals the gateway uses of each kind, in the order in which they are received. Mapped
 # inverters have no `ElectricalAngle` and no `State`.
 USED: Final = {
     "PhaseCurrents": ("Ia", "Ib", "Ic"),
@@ -47,40 +42,52 @@ USED: Final = {
 }
 
 
+class Kind(IntEnum):
+    """What a channel carries; the first three become samples."""
+
+    CURRENTS = lib.KIND_CURRENTS
+    VOLTAGES = lib.KIND_VOLTAGES
+    BLOCK = lib.KIND_BLOCK
+    MOTION = lib.KIND_MOTION
+    TEMPERATURES = lib.KIND_TEMPERATURES
+    STATUS = lib.KIND_STATUS
+
+
+_KINDS: Final = {
+    "PhaseCurrents": Kind.CURRENTS,
+    "StatorVoltages": Kind.VOLTAGES,
+    "Samples": Kind.BLOCK,
+    "Motion": Kind.MOTION,
+    "Temperatures": Kind.TEMPERATURES,
+    "Status": Kind.STATUS,
+}
+
+
 class ChannelState(NamedTuple):
-    """Memory of the receive loop, a row per channel; stamps are -1 where there is none.
+    """Columns of the records that compiled loops read, (C,); stamps are -1 where there is none.
 
-    heard_ns: any frame of ours; last_ns: one with good protection; good_ns: one whose values
-    could be used; cause: why the last values could not be (Reason); blame: what last went wrong
-    in the protection; reason: why the channel is not believed now; seen_valid: it once was.
-
-    Against a second sender: period_ns; counted_ns: stamp of the frame that the next counter is
-    compared with, latest (C, 64) its bytes; copies: see `COPIES`; fouls: signs, foul_ns the last
-    of them; guarded_ns: until then no frame is used.
+    heard_ns: any frame; good_ns: one whose values could be used; reason: why the channel is unknown
+    now (`Reason`); seen_valid: its receiver was once valid; limit_ns: age limit.
     """
 
     heard_ns: Ints
-    last_ns: Ints
     good_ns: Ints
-    cause: Ints
-    blame: Ints
-    reason: Ints
+    reason: NDArray[np.uint8]
     seen_valid: NDArray[np.bool_]
     limit_ns: Ints
-    period_ns: Ints
-    counted_ns: Ints
-    latest: NDArray[np.uint8]
-    copies: Ints
-    fouls: Ints
-    foul_ns: Ints
-    guarded_ns: Ints
+
+
+class HasState(Protocol):
+    """Whoever holds the records: `receiving.Receiver`."""
+
+    state: ChannelState
 
 
 class Channel:
-    """Constants of one message, and its row of the state."""
+    """Constants of one message, and its record."""
 
     __slots__ = (
-        "_memory", "drive", "index", "kind", "limit_ns", "period_ns", "picked", "quality", "row",
+        "_receiver", "drive", "index", "kind", "limit_ns", "period_ns", "picked", "quality", "row",
         "spec", "steps",
     )  # fmt: skip
 
@@ -90,57 +97,69 @@ class Channel:
         self.spec = spec
         self.drive = drive
         self.kind = spec.kind
-        self.period_ns = spec.cycle_ns
+        self.period_ns = max(spec.cycle_ns, 1)
         self.limit_ns = 3 * spec.cycle_ns + tick_ns
         self.index = spec.index
         self.steps = max(1, round(spec.cycle_ns / SAMPLE_NS))
         self.quality = columns.get("Quality", -1)
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
 
-    def seat(self, row: int, memory: ChannelState) -> None:
-        """Where its state is kept."""
-        self.row, self._memory = row, memory
+    def seat(self, row: int, receiver: HasState) -> None:
+        """Where its record is kept."""
+        self.row, self._receiver = row, receiver
 
     @property
     def good_ns(self) -> Nanos:
         """Stamp of the last good value; -1 before any."""
-        return self._memory.good_ns.item(self.row)
+        return self._receiver.state.good_ns.item(self.row)
 
     @property
     def state(self) -> Reason:
-        """Why it is not believed; NONE if it is."""
-        return Reason(self._memory.reason.item(self.row))
+        """Why it is unknown; NONE if it is not."""
+        return Reason(self._receiver.state.reason.item(self.row))
 
     @property
     def seen_valid(self) -> bool:
         """Whether it ever was valid."""
-        return self._memory.seen_valid.item(self.row)
+        return self._receiver.state.seen_valid.item(self.row)
 
     def fresh(self, now: Nanos) -> bool:
-        """True while the last good value is within the age limit and can be believed."""
+        """True while the last good value is within the age limit and the channel is known."""
         good = self.good_ns
         return good >= 0 and now - good <= self.limit_ns and self.state is Reason.NONE
 
 
-def channel_state(channels: Sequence[Channel]) -> ChannelState:
-    """Nothing received yet; each channel is given its row."""
-    limits, periods = [c.limit_ns for c in channels], [c.period_ns for c in channels]
-    state = blank_state(limits, periods)
-    for row, channel in enumerate(channels):
-        channel.seat(row, state)
-    return state
+def records(channels: Sequence[Channel]) -> Records:
+    """Of these channels, (C,) of `struct channel`; nothing received yet."""
+    found = np.zeros(len(channels), CHANNEL)
+    found["e2e_config"] = e2e.configs([channel.spec for channel in channels])
+    found["e2e_state"] = e2e.states(len(channels))
+    for name in ("received_ns", "accepted_ns", "good_ns"):
+        found[name] = -1
+    found["guard"] = sequence_guards([channel.spec.cycle_ns for channel in channels])
+    found["reason"] = Reason.STARTING
+    for row, channel in zip(found, channels, strict=True):
+        row["period_ns"], row["limit_ns"] = channel.period_ns, channel.limit_ns
+        row["message"], row["drive"] = channel.index, channel.drive
+        row["signal_count"], row["quality"] = len(channel.spec.signals), channel.quality
+        row["steps"], row["kind"] = channel.steps, _KINDS[channel.kind]
+        row["column_count"] = len(channel.picked)
+        row["columns"][: len(channel.picked)] = channel.picked
+    return found
 
 
-def blank_state(limits_ns: Sequence[Nanos], periods_ns: Sequence[Nanos]) -> ChannelState:
-    """State of so many channels before their first frame."""
-    n = len(limits_ns)
-    heard, last, good, counted, foul, guarded = (np.full(n, -1, dtype=np.int64) for _ in range(6))
-    cause, blame = (np.full(n, Reason.NONE, dtype=np.int64) for _ in range(2))
-    reason = np.full(n, Reason.STARTING, dtype=np.int64)
-    limit = np.array(limits_ns, dtype=np.int64).reshape(n)
-    period = np.array(periods_ns, dtype=np.int64).reshape(n)
-    latest, (copies, fouls) = np.zeros((n, ROOM), dtype=np.uint8), np.zeros((2, n), dtype=np.int64)
+def sequence_guards(periods_ns: Sequence[Nanos]) -> Records:
+    """Of messages with these periods, (C,) of `struct sequence_guard`; nothing received yet."""
+    found = np.zeros(len(periods_ns), SEQUENCE_GUARD)
+    found["shortest_step_ns"] = SHORTEST_STEP * np.array(periods_ns, dtype=np.float64)
+    for name in ("counter_ns", "error_ns", "rejected_until_ns"):
+        found[name] = -1
+    return found
+
+
+def state_of(channels: Records) -> ChannelState:
+    """Columns of these records."""
     return ChannelState(
-        heard, last, good, cause, blame, reason, np.zeros(n, dtype=np.bool_), limit, period,
-        counted, latest, copies, fouls, foul, guarded,
+        channels["received_ns"], channels["good_ns"], channels["reason"],
+        channels["was_valid"].view(np.bool_), channels["limit_ns"],
     )  # fmt: skip

@@ -164,7 +164,7 @@ class Gateway:
         inbox = self.inbox
         self.doubt.tick(now, own)
         # Our own frames are counted as they go out; in a log they stand a second time.
-        self.load.add_block(heard, inbox.routes, now)
+        self.load.add_block(heard, inbox.receiver, now)
         if self._any_lost or self.supervision.any_lost(now):
             lives = [self.supervision.life(node, now) for node in self.nodes]
             self.lost[:] = [life is Life.LOST for life in lives]

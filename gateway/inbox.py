@@ -14,18 +14,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dbc import e2e
 from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
-from gateway import inputs, pairing, receiving, slow
-from gateway._direct import Direct
-from gateway._kernels import settle, take_block
-from gateway.channel import Channel, channel_state
+from gateway import channel, inputs, pairing, receiving
+from gateway.channel import Channel, ChannelState
 from gateway.inputs import NONE
-from gateway.pairing import Trouble
-from gateway.receiving import NAMES
-from gateway.slow import Count, SlowState
+from gateway.pairing import PairState, Samples
+from gateway.receiving import NAMES, Receiver, Scratch, Wiring
+from gateway.slow import Readings, SlowState
 from gateway.supervision import Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
@@ -37,10 +34,6 @@ USABLE: Final = (1.0, 2.0)
 """`Quality` Valid and Degraded."""
 OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
 """Heartbeat and emergency of node 32, the gateway."""
-
-
-Found = tuple[int, int, int, bool]
-"""What `take_block` gives."""
 
 
 class Temperatures(NamedTuple):
@@ -59,34 +52,36 @@ class Temperatures(NamedTuple):
 class DriveInput:
     """What one drive has sent: its channels, and its row of what is kept of all drives (SI)."""
 
-    def __init__(self, row: int, node: int, slow: SlowState) -> None:
-        """row: its place in the arrays."""
+    def __init__(self, row: int, node: int) -> None:
+        """row: its place in the records; `seat` says where these are."""
         self.node = node
         self.channels: dict[str, Channel] = {}
         self.electrical: tuple[Channel, ...] = ()
         self.limit_ns: Nanos = 0
         self.motion: Channel | None = None
         self.status: Channel | None = None
-        self._row, self._slow = row, slow
+        self._row = row
 
-    def settled(self) -> None:
-        """All channels are there: note which carry what."""
+    def seat(self, receiver: Receiver) -> None:
+        """All channels are there: note which carry what, and where records are kept."""
+        self._receiver = receiver
         self.motion, self.status = self.channels.get("Motion"), self.channels.get("Status")
         kinds = (SAMPLES,) if SAMPLES in self.channels else ELECTRICAL
         if all(kind in self.channels for kind in kinds):
             self.electrical = tuple(self.channels[kind] for kind in kinds)
-            self.limit_ns = max(channel.limit_ns for channel in self.electrical)
+            self.limit_ns = max(c.limit_ns for c in self.electrical)
 
     @property
     def speed(self) -> float | None:
         """Rotor speed as last sent, rad/s."""
-        return _known(self._slow.speed.item(self._row))
+        return _known(self._receiver.slow.speed.item(self._row))
 
     @property
     def irms(self) -> float | None:
         """Current as last sent with a torque command, A."""
-        commanded = not math.isnan(self._slow.command.item(self._row))
-        return self._slow.irms.item(self._row) if commanded else None
+        slow = self._receiver.slow
+        commanded = not math.isnan(slow.command.item(self._row))
+        return slow.irms.item(self._row) if commanded else None
 
 
 def _known(number: float) -> float | None:
@@ -102,9 +97,7 @@ class Inbox:
         """Raises nothing: `bind` has already compared the DBC with the contract."""
         self.codec = codec
         self.supervision = supervision
-        self.pairs = pairing.start(len(nodes))
-        self.slow = slow.start(len(nodes))
-        self.drives = [DriveInput(row, node, self.slow) for row, node in enumerate(nodes)]
+        self.drives = [DriveInput(row, node) for row, node in enumerate(nodes)]
         self.counts: Counter[str] = Counter()
         self.samples = pairing.room(0)
         self.seen = 0
@@ -119,38 +112,63 @@ class Inbox:
             for kind in (*ELECTRICAL, SAMPLES, *SLOW):
                 spec = codec.by_name.get(f"Drive{drive.node}_{kind}")
                 if spec is not None:
-                    channel = Channel(spec, index, tick_ns)
-                    drive.channels[kind] = channel
+                    one = Channel(spec, index, tick_ns)
+                    drive.channels[kind] = one
                     keys[spec.key] = len(self.channels)
-                    self.channels.append(channel)
-            drive.settled()
-        self.state = channel_state(self.channels)
-        self.e2e_config = e2e.configs([channel.spec for channel in self.channels])
-        self.e2e_state = e2e.states(len(self.channels))
-        self.routes = receiving.routes(keys, own, supervision.ids)
-        self.wiring = pairing.wiring(self.channels)
-        self._take, self._settle = Direct(take_block), Direct(settle)
-        self._make_room(64)
+                    self.channels.append(one)
+        self.receiver = Receiver(
+            codec, channel.records(self.channels), len(nodes),
+            receiving.id_table(keys, own, supervision.ids), supervision, MAX_GAP_NS,
+        )  # fmt: skip
+        for row, each in enumerate(self.channels):
+            each.seat(row, self.receiver)
+        for drive in self.drives:
+            drive.seat(self.receiver)
+
+    @property
+    def state(self) -> ChannelState:
+        """Of the channels."""
+        return self.receiver.state
+
+    @property
+    def pairs(self) -> PairState:
+        """Of the drives: samples."""
+        return self.receiver.pairs
+
+    @property
+    def slow(self) -> SlowState:
+        """Of the drives: what they send slowly."""
+        return self.receiver.slow
+
+    @property
+    def wiring(self) -> Wiring:
+        """Constants of the channels."""
+        return self.receiver.wiring
+
+    @property
+    def scratch(self) -> Scratch:
+        """Accepted frames of the tick."""
+        return self.receiver.scratch
+
+    @property
+    def room(self) -> Samples:
+        """Where samples are put."""
+        return self.receiver.room
+
+    @property
+    def readings(self) -> Readings:
+        """Where readings are put."""
+        return self.receiver.readings
 
     def places(self, sum_limit_a: Sequence[float]) -> inputs.Places:
         """Which channels are whose. sum_limit_a: what a drive's phases may sum to, A."""
         rows = []
         for drive in self.drives:
-            mine = [channel.row for channel in drive.channels.values()]
+            mine = [c.row for c in drive.channels.values()]
             slowly = [NONE if c is None else c.row for c in (drive.motion, drive.status)]
-            electrical = [channel.row for channel in drive.electrical]
+            electrical = [c.row for c in drive.electrical]
             rows.append((min(mine), max(mine) + 1, electrical, slowly[0], slowly[1]))
         return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
-
-    @property
-    def rows(self) -> int:
-        """Frames of a tick that there is room for."""
-        return len(self.scratch.t_ns)
-
-    def _make_room(self, rows: int) -> None:
-        self.room = pairing.room(rows)
-        self.scratch = receiving.scratch(rows, self.codec.width)
-        self.readings = slow.readings(rows)
 
     def begin(self) -> None:
         """Nothing has come in this tick yet."""
@@ -166,60 +184,45 @@ class Inbox:
         block = frames if isinstance(frames, Block) else block_of(frames)
         if not block.size:
             self.samples = self.room.first(0)
-            self._settle(now, self.e2e_config, self.e2e_state, self.state)
+            self.receiver.check_timeouts(now)
             return block
-        if block.size > self.rows:
-            self._make_room(2 * block.size)
-        found = self._take_in(block, now)
-        if found[0] < 0:
+        if block.size > self.receiver.rows:
+            self.receiver.make_room(2 * block.size)
+        if not self.receiver.receive(block, now):
             block = block.ordered()
-            found = self._take_in(block, now)
-        self.note(block, found)
+            self.receiver.receive(block, now)
+        self.note(block)
         return block
 
-    def note(self, block: Block, found: Found) -> None:
-        """What `take_block` has found in a tick's frames, other than what it keeps itself."""
-        samples, self.seen, foreign, odd = found
-        self.samples = self.room.first(samples)
+    def note(self, block: Block) -> None:
+        """Take over what the receiver has found in a tick's frames."""
+        if not block.size:
+            self.samples = self.room.first(0)
+            return
+        found = self.receiver.received()
+        self.samples, self.seen = self.room.first(found.samples), found.temperatures
+        self.motions = found.motions
         self.counts["received"] += block.size
-        if odd:
-            self.count()
-        else:
+        if found.only_decoded:
             self.counts["decoded"] += block.size
-        for k in self.scratch.foreign[:foreign].tolist():
+        else:
+            self.count()
+        for k in self.scratch.foreign[: found.emergencies].tolist():
             known = self.supervision.observe(block.frame(k))
             self.counts["canopen" if known else "unknown_id"] += 1
-        if self.pairs.trouble.item(Trouble.ANY):
-            self._trouble()
-        if self.slow.came.item(Count.CHANGED):
-            self.motions = self.slow.came.item(Count.READINGS)
-            self.slow.came[:] = 0
-
-    def _take_in(self, block: Block, now: Nanos) -> Found:
-        """See `take_block`."""
-        return self._take(  # type: ignore[no-any-return]
-            block.t_ns, block.can_id, block.flags, block.length, block.data,
-            now, self.routes, self.e2e_config, self.e2e_state, self.state,
-            self.codec.tables.address, self.wiring, MAX_GAP_NS, self.pairs, self.slow,
-            self.scratch, self.readings, self.room, self.supervision.beats,
-        )  # fmt: skip
+        if found.unpaired or found.late:
+            self.counts["unpaired"] += found.unpaired
+            self.counts["late"] += found.late
+        if found.restarts:
+            self.restart.update(np.flatnonzero(self.receiver.drives["restart"]).tolist())
 
     def count(self) -> None:
-        """Take over the loop's counters."""
-        tally = self.scratch.tally
-        for name, count in zip(NAMES, tally.tolist(), strict=True):
+        """Take over the receiver's counters."""
+        counters = self.receiver.counters
+        for name, count in zip(NAMES, counters.tolist(), strict=False):
             if count:
                 self.counts[name] += count
-        tally[:] = 0
-
-    def _trouble(self) -> None:
-        """Take over halves that found no other, samples that came late, drives that begin anew."""
-        pairs = self.pairs
-        self.restart.update(np.flatnonzero(pairs.restart).tolist())
-        pairs.restart[:] = False
-        for trouble in (Trouble.UNPAIRED, Trouble.LATE):
-            self.counts[trouble.name.lower()] += int(pairs.trouble[trouble])
-        pairs.trouble[:] = 0
+        counters[:] = 0
 
     @property
     def temperatures(self) -> list[Temperatures]:
@@ -228,13 +231,13 @@ class Inbox:
 
     def _temperature(self, row: int) -> Temperatures:
         scratch = self.scratch
-        channel = self.channels[scratch.channel.item(row)]
+        one = self.channels[scratch.channel.item(row)]
         value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
-        usable = channel.quality < 0 or value[channel.quality] in USABLE
-        points = channel.picked
+        usable = one.quality < 0 or value[one.quality] in USABLE
+        points = one.picked
         good = tuple(usable and valid[k] == VALID for k in points)
         return Temperatures(
-            channel.drive,
+            one.drive,
             scratch.t_ns.item(row),
             tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
             good,

@@ -1,13 +1,15 @@
-"""What a drive sends slowly, `Motion` and `Status`, as arrays for the compiled receive loop."""
+"""What a drive sends slowly, `Motion` and `Status`, as `gateway/core/receive.c` keeps it."""
 
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dbc.records import Records
+from gateway.pairing import drive_inputs
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -15,25 +17,14 @@ Ints = NDArray[np.int64]
 
 RPM: Final = 2.0 * math.pi / 60.0
 """rad/s in one revolution per minute."""
-STEADY_NM: Final = 0.5
-STEADY_SHARE: Final = 0.05
-"""A command that moved less between two Status frames is steady: 5 % and the wire's noise."""
-
-
-class Count(IntEnum):
-    """Index into `SlowState.came`."""
-
-    READINGS = 0
-    CHANGED = 1
 
 
 class SlowState(NamedTuple):
-    """Last good values, a row per drive; NaN until the first.
+    """Last good values, columns of `struct drive_input`, (N,); NaN until the first.
 
     speed rad/s at the rotor; command and before (the one before that) Nm; irms A; operating: its
-    `State` is Operation, or it sends none;
-    command_ns: stamp of the last; steady: it has hardly changed since the one before. came (2,):
-    how many readings in this tick, and how much of anything.
+    `State` is Operation, or it sends none; command_ns: stamp of the last; steady: it has hardly
+    changed since the one before.
     """
 
     speed: Array
@@ -43,7 +34,6 @@ class SlowState(NamedTuple):
     operating: NDArray[np.bool_]
     command_ns: Ints
     steady: NDArray[np.bool_]
-    came: Ints
 
 
 class Readings(NamedTuple):
@@ -59,14 +49,18 @@ class Readings(NamedTuple):
     angle: Array
 
 
-def start(drives: int) -> SlowState:
-    """Nothing received yet."""
-    speed, command, before, irms = (np.full(drives, np.nan) for _ in range(4))
+def state_of(drives: Records) -> SlowState:
+    """Columns of these records."""
     return SlowState(
-        speed, command, before, irms, np.ones(drives, dtype=np.bool_),
-        np.zeros(drives, dtype=np.int64), np.ones(drives, dtype=np.bool_),
-        np.zeros(len(Count), dtype=np.int64),
+        drives["speed"], drives["command"], drives["previous_command"], drives["irms"],
+        drives["operating"].view(np.bool_), drives["command_ns"],
+        drives["command_steady"].view(np.bool_),
     )  # fmt: skip
+
+
+def start(drives: int) -> SlowState:
+    """Of so many drives, of which nothing has been received."""
+    return state_of(drive_inputs(drives))
 
 
 def readings(rows: int) -> Readings:

@@ -15,11 +15,10 @@ from gateway import loads, motion, plausibility, sources, tracks, train
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
-from gateway.pairing import PairState, Samples, Wiring
-from gateway.receiving import Routes, Scratch
+from gateway.pairing import PairState, Samples
+from gateway.receiving import Scratch, Wiring
 from gateway.said import Findings
 from gateway.slow import Readings, SlowState
-from gateway.supervision import Beats
 from gateway.warmth import Warmth
 
 Array = NDArray[np.float64]
@@ -30,23 +29,22 @@ Bools = NDArray[np.bool_]
 class Receiving(NamedTuple):
     """Frames in, as `Inbox.take` and `BusLoad.add_block`; which inputs are believed.
 
-    lost (N,): drives whose heartbeat has stopped.
+    receiver, supervision: addresses of the records; tick, counters: parts of the receiver's; lost
+    (N,): drives whose heartbeat has stopped.
     """
 
     period_ns: int
-    routes: Routes
-    e2e_config: Records
-    e2e_state: Records
+    receiver: int
+    tick: Records
+    counters: Ints
     state: ChannelState
-    codec: int
     wiring: Wiring
-    hole_ns: int
     pairs: PairState
     slow: SlowState
     scratch: Scratch
     readings: Readings
     out: Samples
-    beats: Beats
+    supervision: int
     busy_s: float
     classic_s: Array
     fd_s: Array
@@ -153,10 +151,10 @@ class Left(NamedTuple):
     """How a call was left.
 
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
-    first frame that is not in, or that behind the last; samples, seen, foreign, odd: what
-    `take_block` gave; motions: its readings; changed: whether the last whole tick changed a flag;
-    frames: in `Went`; busy_s; common: load in the last tick, per unit; learn_ns: when drives
-    are learnt from next.
+    first frame that is not in, or that behind the last; samples, seen, motions: of the last frames
+    (samples, temperatures, motions of `struct received`); changed: whether the last whole tick
+    changed a flag; frames: in `Went`; busy_s; common: load in the last tick, per unit; learn_ns:
+    when drives are learnt from next.
     """
 
     done: int
@@ -164,8 +162,6 @@ class Left(NamedTuple):
     first: int
     samples: int
     seen: int
-    foreign: int
-    odd: bool
     motions: int
     changed: bool
     frames: int

@@ -13,31 +13,19 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
-from numpy.typing import NDArray
+from _traction_core import ffi, lib
 
-from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, Frame, Nanos
-
-Ints = NDArray[np.int64]
+from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
+from dbc.records import HEARTBEAT, SUPERVISION, Addressed
 
 NEVER: Nanos = -(1 << 63)
 HEARTBEAT_BASE = 0x700
 EMCY_BASE = 0x080
+TIMEOUT_PERIODS: Final[int] = lib.TIMEOUT_PERIODS
+"""Consumer time-out in heartbeat periods."""
 EMCY_KEPT = 16
 ACTIVE_KEPT = 16
-TIMEOUT_PERIODS: Final = 3
-"""Consumer time-out in heartbeat periods."""
-LONGEST_NS: Final[Nanos] = (1 << 16) * MS
-"""Object 0x1017, the producer's period, has 16 bits of ms: what is longer is a pause."""
-REPEAT_NS: Final[Nanos] = 10 * MS
-"""A heartbeat so soon after another is no second one: a controller may repeat a frame."""
-GAPS: Final = 5
-"""The period is the median of so many gaps: two that are too long or too short change nothing."""
-
-BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
-_TOGGLE = 0x80  # set in every second answer to node guarding, never in a heartbeat
 _NOT_PLAIN = EXTENDED | REMOTE | ERROR | FD
-_NODES = 128
 
 
 class Life(IntEnum):
@@ -99,120 +87,7 @@ class EmcyLog:
                 self.unlisted += 1
 
 
-class Beats(NamedTuple):
-    """Heartbeats of N nodes, as arrays for the compiled receive loop. Times in ns.
-
-    row (128,): place of a node by its number, -1 for none of ours; last_ns, state (N,): stamp and
-    NMT state of its newest frame, NEVER and -1 before any; boots (N,); malformed (1,): frames of a
-    wrong format.
-
-    beat_ns (N,): the last heartbeat from which the next gap counts, NEVER if none does; gap_ns
-    (N, GAPS): the last gaps between two heartbeats; gaps (N,): how many there were, -1 after an
-    answer to node guarding; asked (N,): 1 after a node-guard request, until the next frame.
-
-    limit_ns (N,): consumer time-out, 0 while the node is not supervised; timeout_ns (1,): the
-    shortest; period_ns (1,): the configured period, 0 to follow the one that is heard.
-    """
-
-    row: Ints
-    last_ns: Ints
-    state: Ints
-    boots: Ints
-    malformed: Ints
-    beat_ns: Ints
-    gap_ns: Ints
-    gaps: Ints
-    asked: Ints
-    limit_ns: Ints
-    timeout_ns: Ints
-    period_ns: Ints
-
-
-def beats(nodes: tuple[int, ...], timeout_ns: Nanos, period_ns: Nanos = 0) -> Beats:
-    """State before the first frame. timeout_ns, period_ns: of all nodes; see `Beats`."""
-    n = len(nodes)
-    row, last_ns, beat_ns = np.full(_NODES, -1), np.full(n, NEVER), np.full(n, NEVER)
-    row[list(nodes)] = range(n)
-    state, gap_ns = np.full(n, -1), np.zeros((n, GAPS), dtype=np.int64)
-    boots, gaps, asked, limit_ns = (np.zeros(n, dtype=np.int64) for _ in range(4))
-    malformed = np.zeros(1, dtype=np.int64)
-    return Beats(
-        row, last_ns, state, boots, malformed, beat_ns, gap_ns, gaps, asked, limit_ns,
-        np.array([timeout_ns]), np.array([period_ns]),
-    )  # fmt: skip
-
-
-def note_beat(k: int, t_ns: Nanos, length: int, plain: bool, byte: int, beats: Beats) -> None:
-    """A frame with the heartbeat's identifier of node k; one of a wrong format is counted only.
-
-    plain: neither FD nor remote; byte: its first. A gap between two heartbeats is noted unless it
-    says nothing of the period: a boot-up or a node-guard answer stands at one of its ends, or a
-    change of state, which some drives report at once. A node that answers node guarding produces
-    no heartbeat (CiA 301), so it is not supervised until it sends three.
-    """
-    state = byte & 0x7F
-    known = state in (BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL)
-    if not (plain and length == 1 and known):
-        beats.malformed[0] += 1
-        return
-    if state == BOOT_UP:
-        beats.boots[k] += 1
-    if t_ns < beats.last_ns[k]:
-        return
-    answer = byte & _TOGGLE != 0
-    if answer:
-        beats.gaps[k] = -1
-        beats.limit_ns[k] = 0
-    before = beats.beat_ns[k]
-    if answer or beats.asked[k] != 0 or state == BOOT_UP:
-        beats.beat_ns[k] = NEVER
-    elif before == NEVER or state != beats.state[k]:
-        beats.beat_ns[k] = t_ns
-    elif t_ns - before >= REPEAT_NS:
-        beats.beat_ns[k] = t_ns
-        if t_ns - before <= LONGEST_NS:
-            beats.gap_ns[k, beats.gaps[k] % GAPS] = t_ns - before
-            beats.gaps[k] += 1
-            period = beats.period_ns[0] if beats.period_ns[0] > 0 else heard_period(k, beats)
-            if beats.gaps[k] > 0:
-                beats.limit_ns[k] = max(beats.timeout_ns[0], TIMEOUT_PERIODS * period)
-    beats.asked[k] = 0
-    # A drive that boots again and again has no heartbeat.
-    if state != BOOT_UP or beats.limit_ns[k] == 0:
-        beats.last_ns[k] = t_ns
-    beats.state[k] = state
-
-
-@register_jitable
-def heard_period(k: int, beats: Beats) -> int:
-    """Median of node k's last gaps, ns; of an even number the longer of the middle two; 0: none."""
-    n = min(beats.gaps[k], GAPS)
-    for i in range(n):
-        gap, rank = beats.gap_ns[k, i], 0
-        for j in range(n):
-            other = beats.gap_ns[k, j]
-            rank += other < gap or (other == gap and j < i)
-        if rank == n // 2:
-            return int(gap)
-    return 0
-
-
-def note_guarding(can_id: int | np.int64, beats: Beats) -> None:
-    """A remote frame: with a node's heartbeat identifier it is a node-guard request to it."""
-    node = can_id - HEARTBEAT_BASE
-    if 0 <= node < _NODES and beats.row[node] >= 0:
-        beats.asked[beats.row[node]] = 1
-
-
-def any_lost(now_ns: Nanos, beats: Beats) -> bool:
-    """Whether a supervised node has been silent for longer than its time-out."""
-    for k in range(beats.last_ns.shape[0]):
-        if 0 < beats.limit_ns[k] < now_ns - beats.last_ns[k]:
-            return True
-    return False
-
-
-class Supervision:
+class Supervision(Addressed):
     """Heartbeat consumer and emergency consumer for a fixed set of nodes."""
 
     def __init__(self, nodes: Iterable[int], timeout_ns: Nanos, period_ns: Nanos = 0) -> None:
@@ -222,7 +97,15 @@ class Supervision:
         heartbeats; 0 follows the period that is heard.
         """
         self.nodes = tuple(nodes)
-        self.beats = beats(self.nodes, timeout_ns, period_ns)
+        self.heartbeats = np.zeros(len(self.nodes), HEARTBEAT)
+        """Of each node, `struct heartbeat`."""
+        self.heartbeats["last_ns"] = self.heartbeats["since_ns"] = NEVER
+        self.heartbeats["state"] = -1
+        self.record = np.zeros(1, SUPERVISION)
+        self.record["timeout_ns"], self.record["period_ns"] = timeout_ns, period_ns
+        self.record["node_count"], self.record["row"] = len(self.nodes), -1
+        self.record["row"][0, list(self.nodes)] = range(len(self.nodes))
+        self.link()
         self._row = {n: k for k, n in enumerate(self.nodes)}
         self._heartbeat_of = {HEARTBEAT_BASE + n: n for n in self.nodes}
         self._emcy_of = {EMCY_BASE + n: n for n in self.nodes}
@@ -231,15 +114,21 @@ class Supervision:
         self.emcy = {n: EmcyLog() for n in self.nodes}
         self._malformed = 0
 
+    def link(self) -> None:
+        """Addresses: of the heartbeats in the record, of the record for compiled loops."""
+        self.record["nodes"] = self.heartbeats.ctypes.data
+        self.address = self.record.ctypes.data
+        self.pointer = ffi.from_buffer("struct supervision *", self.record)
+
     @property
     def boots(self) -> dict[int, int]:
         """Boot-up messages per node; more than one means that the drive restarted."""
-        return dict(zip(self.nodes, self.beats.boots.tolist(), strict=True))
+        return dict(zip(self.nodes, self.heartbeats["boots"].tolist(), strict=True))
 
     @property
     def malformed(self) -> int:
         """Heartbeats and emergencies of a supervised node with a wrong format."""
-        return self._malformed + self.beats.malformed.item()
+        return self._malformed + int(self.record[0]["malformed"])
 
     def observe(self, frame: Frame) -> bool:
         """Take in a frame; True if it was a heartbeat, node guarding or emergency of our nodes.
@@ -252,10 +141,11 @@ class Supervision:
             if frame.flags & (EXTENDED | ERROR):
                 return False  # another identifier, or an error class
             if frame.flags & REMOTE:
-                note_guarding(frame.can_id, self.beats)
+                lib.on_node_guard(self.pointer, frame.can_id)
                 return True
             first = data[0] if data else 0
-            note_beat(self._row[node], frame.t_ns, len(data), plain, first, self.beats)
+            row = self._row[node]
+            lib.on_heartbeat(self.pointer, row, frame.t_ns, len(data), plain, first)
             return True
         node = self._emcy_of.get(frame.can_id)
         if node is None or frame.flags & (EXTENDED | ERROR):
@@ -269,12 +159,12 @@ class Supervision:
 
     def any_lost(self, now_ns: Nanos) -> bool:
         """Whether `life` says lost of any node."""
-        return any_lost(now_ns, self.beats)
+        return bool(lib.any_node_lost(self.pointer, now_ns))
 
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""
         row = self._row.get(node)
-        last = NEVER if row is None else self.beats.last_ns.item(row)
+        last = NEVER if row is None else int(self.heartbeats["last_ns"][row])
         if last == NEVER:
             return Life.NEVER_SEEN
         limit_ns = self.timeout_ns(node)
@@ -283,13 +173,13 @@ class Supervision:
     def timeout_ns(self, node: int) -> Nanos:
         """Silence of a supervised node that is longer is a loss, ns; 0: it is not supervised."""
         row = self._row.get(node)
-        return 0 if row is None else self.beats.limit_ns.item(row)
+        return 0 if row is None else int(self.heartbeats["limit_ns"][row])
 
     def states(self, now_ns: Nanos) -> dict[int, NodeState]:
         """Verdict, NMT state and age per node."""
         out = {}
         for k, node in enumerate(self.nodes):
-            last = self.beats.last_ns.item(k)
+            last = int(self.heartbeats["last_ns"][k])
             age = -1 if last == NEVER else now_ns - last
-            out[node] = NodeState(self.life(node, now_ns), self.beats.state.item(k), age)
+            out[node] = NodeState(self.life(node, now_ns), int(self.heartbeats["state"][k]), age)
         return out

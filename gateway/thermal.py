@@ -222,4 +222,4 @@ def _averages(
 def _nothing(drives: int) -> Beside:
     """Drives that say nothing else."""
     places = inputs.places([(0, 0, [], NONE, NONE)] * drives, [0] * drives, [0.0] * drives)
-    return Beside(places, channel.channel_state([]), slow.start(drives))
+    return Beside(places, channel.state_of(channel.records([])), slow.start(drives))

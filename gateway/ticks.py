@@ -31,7 +31,6 @@ from gateway.adhesion import (
 )
 from gateway.core import Gateway
 from gateway.health import REJECTED, Flag, Reason
-from gateway.inbox import MAX_GAP_NS
 from gateway.receiving import NAMES
 from gateway.stretch import Filtering, Judging, Left, Receiving, Saying, Warming
 from gateway.view import Counted
@@ -140,7 +139,7 @@ class Ticks:
         inbox.count()
         if left.stage == HEARD:
             part = block.part(left.first, int(ends[done]))
-            inbox.note(part, (left.samples, left.seen, left.foreign, left.odd))
+            inbox.note(part)
             last = gateway.heard(part, inbox.counts["own"] - own, at)
             return done + 1, [*out, block_of(last)]
         if left.stage == FILTERED:
@@ -162,12 +161,12 @@ class Ticks:
 
     def _receiving(self) -> Receiving:
         gateway = self.gateway
-        inbox, load = gateway.inbox, gateway.load
+        receiver, load = gateway.inbox.receiver, gateway.load
         return Receiving(
-            self._period_ns, inbox.routes, inbox.e2e_config, inbox.e2e_state, inbox.state,
-            inbox.codec.tables.address, inbox.wiring, MAX_GAP_NS, inbox.pairs, inbox.slow,
-            inbox.scratch, inbox.readings, inbox.room, gateway.supervision.beats, load.busy_s,
-            load.classic_s, load.fd_s, gateway.lost, gateway.places,
+            self._period_ns, receiver.address, receiver.tick, receiver.counters, receiver.state,
+            receiver.wiring, receiver.pairs, receiver.slow, receiver.scratch, receiver.readings,
+            receiver.room, gateway.supervision.address, load.busy_s, load.classic_s, load.fd_s,
+            gateway.lost, gateway.places,
         )  # fmt: skip
 
     def _filtering(self) -> Filtering:

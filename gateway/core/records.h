@@ -807,4 +807,189 @@ struct temperature_drive {
     struct temperature_sensor sensor[THERMAL_POINTS];
 };
 
+/* ---- received messages (gateway/core/receive.c, pairing.c, supervision.c); times in ns, -1: none */
+
+#define MAX_USED_COLUMNS 33 /* signals of one message that the gateway uses */
+#define PAIR_COUNTERS    16 /* values of the counter by which currents and voltages are paired */
+#define STANDARD_IDS     2048
+#define HEARTBEAT_NODES  128
+#define HEARTBEAT_GAPS   5 /* the period is the median of so many */
+#define TIMEOUT_PERIODS  3 /* consumer time-out in heartbeat periods */
+
+/* What a message carries; the first three become samples. */
+enum channel_kind {
+    KIND_CURRENTS = 0,
+    KIND_VOLTAGES = 1,
+    KIND_BLOCK = 2, /* eight samples of both */
+    KIND_MOTION = 3,
+    KIND_TEMPERATURES = 4,
+    KIND_STATUS = 5,
+};
+
+/* What an identifier is, where it is no channel's number. */
+enum id_owner {
+    ID_UNKNOWN = -1,
+    ID_OWN = -2,        /* the gateway's own */
+    ID_SUPERVISED = -3, /* heartbeat or emergency of a drive's node */
+};
+
+/* Every received frame ends in one of these counters; RX_LOST counts frames that did not come. */
+enum rx_counter {
+    RX_DECODED = 0,
+    RX_ERROR_FRAME = 1,
+    RX_REMOTE = 2,
+    RX_OWN = 3,
+    RX_TIME_BACK = 4, /* stamp before the last one of its message, below 0, or after now */
+    RX_WRONG_LENGTH = 5,
+    RX_ERROR = 6, /* wrong checksum */
+    RX_REPEATED = 7,
+    RX_WRONG_SEQUENCE = 8,
+    RX_LOST = 9,
+    RX_NOT_YET_VALID = 10,
+    RX_NOT_AVAILABLE = 11,
+    RX_RANGE = 12,
+    RX_UNKNOWN_ID = 13,
+    RX_CANOPEN = 14,
+    RX_COUNTERS = 15,
+};
+
+/* Signs of a second sender of one message. */
+struct sequence_guard {
+    double shortest_step_ns;   /* constant: a counter step in less time is a sign */
+    int64_t counter_ns;        /* frame that the next counter is compared with */
+    int64_t error_ns;          /* last sign */
+    int64_t rejected_until_ns; /* enough signs: until then no frame is used */
+    int32_t errors;            /* signs */
+    int32_t repeats;           /* see MAX_REPEATS in sequence.c */
+};
+
+/* One received message of one drive. */
+struct channel {
+    /* constants */
+    int64_t period_ns;
+    int64_t limit_ns;     /* older, it is stale: three periods and a tick */
+    int32_t message;      /* its number in the codec */
+    int32_t drive;        /* position in the configuration */
+    int32_t signal_count; /* columns of a decoded row */
+    int32_t quality;      /* column of `Quality`; -1: it has none */
+    int32_t steps;        /* sub-steps of 125 us between two samples */
+    int32_t column_count; /* number of used columns */
+    int32_t columns
+        [MAX_USED_COLUMNS]; /* signals that the gateway uses, in gateway/channel.py's order */
+    uint8_t kind;           /* enum channel_kind */
+    struct e2e_config e2e_config;
+    /* state */
+    struct e2e_state e2e_state;
+    int64_t received_ns; /* last frame, good or bad */
+    int64_t accepted_ns; /* last frame with good protection */
+    int64_t good_ns;     /* last frame whose values could be used */
+    struct sequence_guard guard;
+    uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
+    uint8_t reject_reason;     /* why the last values could not be used (enum reason) */
+    uint8_t protection_reason; /* what last went wrong in the protection */
+    uint8_t reason;            /* why the channel is unknown now; REASON_NONE: it is not */
+    uint8_t was_valid;         /* 1: its receiver was once in E2E_SM_VALID */
+};
+
+/* Currents or voltages that wait for the other half of a sample. */
+struct half_sample {
+    double value[2]; /* alpha, beta; A or V */
+    int64_t t_ns;    /* -1: none waits */
+};
+
+/* What one drive has sent; NaN: not yet. */
+struct drive_input {
+    struct half_sample pending[2][PAIR_COUNTERS]; /* by enum channel_kind, by counter */
+    int64_t sample_ns;                            /* stamp of the last sample */
+    int64_t sample_counter;                       /* and its counter */
+    double current_sum;                           /* smoothed |Ia + Ib + Ic|, A */
+    double speed;                                 /* rotor speed, rad/s */
+    double command;                               /* torque command, Nm */
+    double previous_command;                      /* the one before, Nm */
+    double irms;                                  /* A, sent with the command */
+    int64_t command_ns;                           /* stamp of the command */
+    uint8_t command_steady;                       /* 1: it hardly differs from the one before */
+    uint8_t operating; /* 1: `State` is Operation, or the drive sends none */
+    uint8_t restart;   /* 1: its filter starts anew in this tick */
+};
+
+/* Heartbeat of one node (CiA 301); INT64_MIN is no stamp here. */
+struct heartbeat {
+    int64_t last_ns;                /* newest frame; INT64_MIN: none */
+    int64_t since_ns;               /* heartbeat from which the next gap counts; INT64_MIN: none */
+    int64_t gap_ns[HEARTBEAT_GAPS]; /* last gaps between two heartbeats, a ring */
+    int64_t gaps;                   /* how many there were; -1: after an answer to node guarding */
+    int64_t limit_ns;               /* consumer time-out; 0: not supervised */
+    int64_t boots;                  /* boot-up messages */
+    int64_t state;                  /* NMT state; -1: none yet */
+    int64_t asked;                  /* 1: a node-guard request since the last frame */
+};
+
+/* Heartbeats of all nodes. */
+struct supervision {
+    struct heartbeat *nodes;
+    int64_t malformed;  /* frames of a wrong format */
+    int64_t timeout_ns; /* shortest time-out */
+    int64_t period_ns;  /* configured period; 0: as it is received */
+    int32_t node_count;
+    int32_t row[HEARTBEAT_NODES]; /* index in `nodes` of a node number; -1: none of ours */
+};
+
+/* 29-bit and 11-bit identifiers in ascending order. */
+struct id_entry {
+    int64_t key;     /* identifier; bit 31 set for a 29-bit one */
+    int64_t channel; /* index of its channel, or enum id_owner */
+};
+
+/* What the frames of a tick left behind. */
+struct received {
+    int64_t accepted;     /* frames that may be used */
+    int64_t samples;      /* rows of samples */
+    int64_t motions;      /* readings of Motion */
+    int64_t temperatures; /* rows of temperatures */
+    int64_t emergencies;  /* emergencies of the drives' nodes */
+    int64_t unpaired;     /* halves of samples that found no other */
+    int64_t late;         /* samples that came too late */
+    int64_t restarts;     /* drives whose filter starts anew */
+    int64_t only_decoded; /* 1: every frame counted as decoded, and the counters are 0 again */
+};
+
+/* Everything that receives. Room in all arrays for as many frames as a tick may have. */
+struct receiver {
+    const struct codec *codec;
+    struct channel *channels;
+    struct drive_input *drives;
+    struct supervision *supervision;
+    const struct id_entry *ids;
+    int64_t channel_count;
+    int64_t drive_count;
+    int64_t id_count;
+    int64_t max_gap_ns;                 /* longer without a sample, a drive's filter starts anew */
+    int64_t standard_ids[STANDARD_IDS]; /* as `id_entry.channel`, of every 11-bit identifier */
+    /* accepted frames of the tick, decoded */
+    int64_t *channel;
+    int32_t *message;
+    int64_t *t_ns;
+    uint8_t *payload;
+    double *value;
+    uint8_t *validity;
+    /* samples of the tick, in the order of the filters' rows (gateway/pairing.py) */
+    int32_t *sample_drive;
+    double *sample_u; /* V, alpha and beta */
+    double *sample_y; /* A, alpha and beta */
+    int64_t *sample_steps;
+    int64_t *sample_gap;
+    /* readings of Motion in the tick (gateway/slow.py) */
+    int64_t *motion_drive;
+    int64_t *motion_t_ns;
+    double *motion_speed;  /* rad/s */
+    double *motion_torque; /* Nm */
+    double *motion_angle;  /* rad */
+    /* rows that Python looks at */
+    int64_t *temperature_rows;     /* accepted frames with temperatures */
+    int64_t *emergency_rows;       /* received frames that are emergencies */
+    int64_t counters[RX_COUNTERS]; /* since Python last took them over */
+    struct received tick;
+};
+
 #endif

@@ -40,7 +40,6 @@ from gateway.monitor.schedule import Schedule
 from gateway.monitor.snapshot import DriveRow, GatewayRow, Lateness, LinkRow, Snapshot
 from gateway.monitor.traces import POINT_NS, Recent
 from gateway.monitor.tracks import Track
-from gateway.receiving import routes
 from gateway.supervision import Supervision
 from gateway.view import GatewayView
 
@@ -89,7 +88,6 @@ class Observer:
         self._happenings = Happenings()
         self._recent = Recent(config.nodes)
         self._schedule = Schedule(codec.by_name["Gateway_Adhesion"].cycle_ns)
-        self._routes = routes({}, (), ())
         self.counts: Counter[str] = Counter()
         """Frames by cause: believed, canopen, unknown_id, and why others were not used."""
         self._received = self._window = 0
@@ -190,7 +188,7 @@ class Observer:
         if now - self._window_ns >= SECOND:
             self._frames_s = self._window * SECOND / (now - self._window_ns)
             self._window, self._window_ns = 0, now
-        self._load.add_block(block, self._routes, now)
+        self._load.add_block(block, None, now)
         stamps, ids, flags = block.t_ns.tolist(), block.can_id.tolist(), block.flags.tolist()
         lengths = block.length.tolist()
         for k, (t_ns, can_id, mark, length) in enumerate(

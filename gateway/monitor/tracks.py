@@ -1,8 +1,8 @@
 """One message as another node receives it: checksum, counter, second senders, age. Pure.
 
-The rules are those of the gateway's own receive loop (`gateway._kernels`): a frame counts only
-while the E2E state machine is valid, nothing is believed for a second after the last sign of a
-second sender, and what is older than its limit is gone.
+The rules are those of the gateway's own receiver (`gateway/core/receive.c`): a frame counts only
+while the E2E state machine is valid, nothing is used for a second after the last sign of a second
+sender, and what is older than its limit is gone.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from _traction_core import ffi, lib
+
 from dbc.codec import VALID, Codec, Match, MessageSpec
 from dbc.e2e import COUNTERS, WINDOW, Check, Profile, Receiver, SmState, counter_of
 from dbc.frame import MS, Nanos
 from dbc.spec import Reading
 from dbc.text import printable
-from gateway._guard_kernels import note_counter
-from gateway.channel import blank_state
+from gateway.channel import sequence_guards
 
 LEAST_LIMIT_NS: Final[Nanos] = 100 * MS
 """A flag frame comes every 10 ms; ten of them missing are not a hiccup of this monitor."""
@@ -71,7 +72,7 @@ class Track:
     """One message: what was last believed of it, and why its frames are not."""
 
     __slots__ = (
-        "_codec", "_latest", "_receiver", "_seen", "_state", "data", "good_ns", "heard_ns",
+        "_codec", "_guard", "_latest", "_receiver", "_seen", "data", "good_ns", "heard_ns",
         "limit_ns", "lost", "rejected", "spec",
     )  # fmt: skip
 
@@ -87,7 +88,7 @@ class Track:
         self._seen: Seen | None = None
         self._latest = b""
         """The last frame with a right checksum."""
-        self._state = blank_state([self.limit_ns], [spec.cycle_ns])
+        self._guard = sequence_guards([spec.cycle_ns])
 
     def take(self, match: Match, data: bytes, t_ns: Nanos) -> str | None:
         """Judge a frame; gives why it is not believed, or None if it is. Never raises.
@@ -130,12 +131,13 @@ class Track:
         before, counter = counter_of(self.spec, self._latest), counter_of(self.spec, data)
         ahead = 1 if before is None or counter is None else (counter - before) % turn
         copy = repeated and data == self._latest
-        note_counter(0, t_ns, turn if repeated else ahead, copy, self._state)
+        guard = ffi.from_buffer("struct sequence_guard *", self._guard)
+        lib.guard_sequence(guard, t_ns, turn if repeated else ahead, copy)
         self._latest = data
 
     def doubled(self, now: Nanos) -> bool:
         """True while two seem to send this message."""
-        return now < self._state.guarded_ns.item(0)
+        return now < int(self._guard["rejected_until_ns"][0])
 
     def fresh(self, now: Nanos) -> bool:
         """True while what was last believed may still be."""

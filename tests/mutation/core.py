@@ -72,6 +72,10 @@ TESTS = {
     "estimators/current_calibration.c": ("tests/unit/test_est_current_calibration.py",),
     "estimators/filter.c": ("tests/unit/test_est_filter.py",),
     "estimators/filter_simd.c": ("tests/unit/test_est_filter.py",),
+    **dict.fromkeys((
+        "gateway/core/receive.c", "gateway/core/pairing.c", "gateway/core/sequence.c",
+        "gateway/core/supervision.c",
+    ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
 }  # fmt: skip

@@ -368,7 +368,9 @@ def lost_frames_are_forgotten(monkeypatch):
 def two_senders_are_one(monkeypatch):
     """No frame comes too soon after another where there is no period."""
     monkeypatch.setattr(campaign, "plan", lambda *_: SENDERS)
-    built(monkeypatch, lambda made: made.inbox.state.period_ns.fill(0))
+    built(
+        monkeypatch, lambda made: made.inbox.receiver.channels["guard"]["shortest_step_ns"].fill(0)
+    )
 
 
 def stale_is_believed_of_two(monkeypatch):

@@ -49,7 +49,7 @@ def test_what_warm_made_is_used_and_what_is_missing_or_damaged_is_said(tmp_path:
     assert code == 0, errors
     assert f"{number} kernels were ready" in errors
     assert "compiled" not in errors
-    (one,) = kernels.rglob("*.take_block.*.nbc")
+    (one,) = kernels.rglob("*.check_values.*.nbc")
     one.write_bytes(one.read_bytes()[:1000])
     (two,) = kernels.rglob("*.merge_motion.*.nbc")
     two.unlink()

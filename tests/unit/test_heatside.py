@@ -10,7 +10,7 @@ from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
 from gateway import calibration, inputs, slow
 from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
-from gateway.channel import ChannelState, channel_state
+from gateway.channel import ChannelState, records, state_of
 from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
@@ -34,7 +34,7 @@ class Line(NamedTuple):
 def beside(lines):
     """What they have said, channels 2 k and 2 k + 1 of drive k."""
     n = len(lines)
-    said, state = slow.start(n), channel_state([])
+    said, state = slow.start(n), state_of(records([]))
     state = ChannelState(*(np.zeros(2 * n, dtype=column.dtype) for column in state))
     state.limit_ns[:] = 1 << 62
     for k, line in enumerate(lines):

@@ -21,7 +21,7 @@ TOP_C = 300.0
 
 
 class Bus:
-    """Rows of temperatures as `take_block` leaves them; what else drives say comes and goes."""
+    """Rows of temperatures as the receiver leaves them; what else drives say comes and goes."""
 
     def __init__(self, seed):
         self.inbox = Inbox(CODEC, NODES, 10 * MS, Supervision(NODES, 300 * MS))

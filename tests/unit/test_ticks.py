@@ -105,7 +105,7 @@ def state(gateway):
         [gateway.adhesion.responses],
         gateway.adhesion.trust, gateway.adhesion.rotors, gateway.inbox.state,
         gateway.inbox.e2e_state, gateway.inbox.pairs, gateway.inbox.slow, gateway.outbox.memory,
-        *gateway.thermal.warmth[:5], gateway.supervision.beats,
+        *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
     records = (*gateway.status, gateway.adhesion.common_mode)

@@ -1,0 +1,52 @@
+"""Receiving by the compiled core, for the loop over ticks that is still numba's."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc._core_symbols import symbol
+from dbc._lean import inlined
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+_receive, _time_out = symbol("receive_frames"), symbol("check_timeouts")
+_bus_time, _any_lost = symbol("bus_time"), symbol("any_node_lost")
+
+
+@inlined
+def receive_frames(
+    receiver: int, first: int, last: int, t_ns: NDArray[np.int64], can_id: NDArray[np.uint32],
+    flags: Bytes, length: Bytes, data: Bytes, now: int,
+) -> bool:  # fmt: skip
+    """`receive_frames` in gateway/core/receive.c: rows first .. last - 1 of a block's columns."""
+    return bool(_receive(
+        receiver, last - first, t_ns.ctypes.data + 8 * first, can_id.ctypes.data + 4 * first,
+        flags.ctypes.data + first, length.ctypes.data + first,
+        data.ctypes.data + data.strides[0] * first, now,
+    ))  # fmt: skip
+
+
+@inlined
+def check_timeouts(receiver: int, now: int) -> None:
+    """`check_timeouts`."""
+    _time_out(receiver, now)
+
+
+@inlined
+def bus_time(
+    receiver: int, first: int, last: int, can_id: NDArray[np.uint32], flags: Bytes, length: Bytes,
+    classic_s: Array, fd_s: Array, busy_s: float,
+) -> float:  # fmt: skip
+    """`bus_time`: rows first .. last - 1."""
+    return _bus_time(  # type: ignore[no-any-return]
+        receiver, last - first, can_id.ctypes.data + 4 * first, flags.ctypes.data + first,
+        length.ctypes.data + first, classic_s.ctypes.data, fd_s.ctypes.data, busy_s,
+    )  # fmt: skip
+
+
+@inlined
+def any_node_lost(supervision: int, now: int) -> bool:
+    """`any_node_lost` in gateway/core/supervision.c."""
+    return bool(_any_lost(supervision, now))

@@ -1,0 +1,356 @@
+/* Frames of a tick to samples, readings and the state of every channel.
+ *
+ * Bad input ends in a counter, and its cause is kept, so that a flag can say why it is unknown.
+ * No function here can fail: an index of a channel, a node or a column comes from a constant table,
+ * rows are as many as there is room for, and nothing is divided by what was received. */
+#include "gateway/core/receive.h"
+
+#include <math.h>
+
+#include "dbc/decode.h"
+#include "dbc/e2e.h"
+#include "gateway/core/pairing.h"
+#include "gateway/core/sequence.h"
+#include "gateway/core/supervision.h"
+
+enum { EXTENDED = 1, REMOTE = 2, ERROR_FRAME = 4, FD = 8 }; /* dbc/frame.py */
+enum { EXTENDED_SHIFT = 31, HEARTBEAT_BASE = 0x700 };
+
+/* ---- whose a frame is */
+
+int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flags)
+{
+    const int extended = flags & EXTENDED;
+    if (!extended && can_id < STANDARD_IDS)
+        return receiver->standard_ids[can_id];
+    const int64_t key = (int64_t)can_id | (int64_t)extended << EXTENDED_SHIFT;
+    int64_t first = 0, last = receiver->id_count;
+    while (first < last) { /* halves the interval each time */
+        const int64_t middle = (first + last) / 2;
+        if (receiver->ids[middle].key < key)
+            first = middle + 1;
+        else
+            last = middle;
+    }
+    const int found = first < receiver->id_count && receiver->ids[first].key == key;
+    return found ? receiver->ids[first].channel : ID_UNKNOWN;
+}
+
+double bus_time(const struct receiver *receiver, int64_t frames, const uint32_t *can_id,
+                const uint8_t *flags, const uint8_t *length, const double *classic_s,
+                const double *fd_s, double busy_s)
+{
+    for (int64_t k = 0; k < frames; k++) {
+        if (!receiver || lookup_id(receiver, can_id[k], flags[k]) != ID_OWN)
+            busy_s += (flags[k] & FD ? fd_s : classic_s)[length[k]];
+    }
+    return busy_s;
+}
+
+/* ---- protection */
+
+/* 1 if a frame is the last one of its channel, byte for byte; the next is compared with it. */
+static int replace_last_frame(struct channel *channel, const uint8_t *data)
+{
+    int same = 1;
+    for (int b = 0; b < channel->e2e_config.length; b++) {
+        same &= data[b] == channel->last_frame[b];
+        channel->last_frame[b] = data[b];
+    }
+    return same;
+}
+
+static void note_rejected(struct channel *channel, uint8_t reason)
+{
+    channel->reject_reason = reason;
+    channel->protection_reason = reason;
+}
+
+/* A frame with good checksum and counter: 1 if it may be used. While the receiver is invalid, nothing
+ * gets in; at the start good frames do, and their channel is still unknown. */
+static int accept(struct receiver *receiver, struct channel *channel, int64_t t_ns)
+{
+    const struct e2e_state *state = &channel->e2e_state;
+    channel->accepted_ns = t_ns;
+    receiver->counters[RX_LOST] += state->missed;
+    channel->was_valid |= state->state == E2E_SM_VALID;
+    if (state->state != E2E_SM_INVALID && t_ns >= channel->guard.rejected_until_ns)
+        return 1;
+    receiver->counters[RX_NOT_YET_VALID]++;
+    return 0;
+}
+
+/* 1 if a frame of a channel may be used. One that may not updates counters and reasons only. */
+static int verify(struct receiver *receiver, struct channel *channel, const uint8_t *data,
+                  int64_t t_ns)
+{
+    struct e2e_state *state = &channel->e2e_state;
+    const int status = e2e_check(&channel->e2e_config, state, data);
+    if (channel->e2e_config.profile == E2E_PROFILE_NONE) {
+        channel->accepted_ns = t_ns;
+        channel->was_valid = 1;
+        return 1;
+    }
+    for (int k = 0; k < state->missed; k++)
+        e2e_sm_check(state, E2E_P_NO_NEW_DATA);
+    e2e_sm_check(state, status);
+    if (status != E2E_P_ERROR) {
+        const int same = replace_last_frame(channel, data);
+        guard_sequence(&channel->guard, t_ns, state->step, same && status == E2E_P_REPEATED);
+    }
+    if (status <= E2E_P_OK_SOME_LOST)
+        return accept(receiver, channel, t_ns);
+    note_rejected(channel, status == E2E_P_ERROR ? REASON_CORRUPTED : REASON_SEQUENCE);
+    receiver->counters[RX_ERROR + status - E2E_P_ERROR]++;
+    return 0;
+}
+
+/* ---- values */
+
+/* Whether every signal of a decoded row may be used: RX_DECODED, else why not. */
+static enum rx_counter judge(const struct channel *channel, const double *value,
+                             const uint8_t *validity)
+{
+    enum rx_counter found = RX_DECODED;
+    for (int k = 0; k < channel->signal_count; k++) {
+        if (validity[k] == SIGNAL_NOT_AVAILABLE)
+            return RX_NOT_AVAILABLE;
+        if (validity[k] != SIGNAL_VALID && validity[k] != SIGNAL_ABSENT)
+            found = RX_RANGE;
+    }
+    const int32_t quality = channel->quality;
+    if (quality >= 0 && value[quality] != 1.0 && value[quality] != 2.0) /* Valid, Degraded */
+        return RX_NOT_AVAILABLE;
+    return found;
+}
+
+/* Temperatures: each sensor by itself, as one that is dead must not silence the other three. */
+static void note_temperatures(struct channel *channel, const double *value, const uint8_t *validity,
+                              int64_t t_ns)
+{
+    const int32_t quality = channel->quality;
+    const int usable = quality < 0 || value[quality] == 1.0 || value[quality] == 2.0;
+    channel->reject_reason = usable ? REASON_NONE : REASON_NOT_AVAILABLE;
+    for (int k = 0; k < channel->column_count; k++) {
+        if (usable && validity[channel->columns[k]] == SIGNAL_VALID)
+            channel->good_ns = t_ns;
+    }
+}
+
+#define RADIANS      0.017453292519943295 /* rad in a degree */
+#define RPM          0.10471975511965977  /* rad/s in one revolution per minute */
+#define STEADY_NM    0.5  /* a command that moved less is steady: the wire's noise */
+#define STEADY_SHARE 0.05 /* and this share of it */
+#define OPERATION    2.0  /* `State` of an inverter that drives */
+
+/* A good row of Motion: speed, torque, and the angle if there is one. */
+static void note_motion(struct receiver *receiver, const struct channel *channel,
+                        const double *value, int64_t t_ns)
+{
+    const int32_t *columns = channel->columns;
+    const int64_t n = receiver->tick.motions++;
+    const double speed = value[columns[0]] * RPM;
+    receiver->drives[channel->drive].speed = speed;
+    receiver->motion_drive[n] = channel->drive;
+    receiver->motion_t_ns[n] = t_ns;
+    receiver->motion_speed[n] = speed;
+    receiver->motion_torque[n] = value[columns[1]];
+    receiver->motion_angle[n] = channel->column_count > 2 ? value[columns[2]] * RADIANS : NAN;
+}
+
+/* A good row of Status: torque command, current, and the state if there is one. */
+static void note_status(struct receiver *receiver, const struct channel *channel,
+                        const double *value, int64_t t_ns)
+{
+    struct drive_input *drive = &receiver->drives[channel->drive];
+    const int32_t *columns = channel->columns;
+    const double command = value[columns[0]];
+    const double before = isnan(drive->command) ? command : drive->command;
+    drive->command_steady = fabs(command - before) <= STEADY_NM + STEADY_SHARE * fabs(command);
+    drive->command = command;
+    drive->previous_command = before;
+    drive->irms = value[columns[1]];
+    drive->operating =
+        channel->column_count <= 2 || isnan(value[columns[2]]) || value[columns[2]] == OPERATION;
+    drive->command_ns = t_ns;
+}
+
+/* A good row of any other kind than temperatures. */
+static enum rx_counter note_good(struct receiver *receiver, struct channel *channel, int64_t row,
+                                 const double *value)
+{
+    const int64_t t_ns = receiver->t_ns[row];
+    if (channel->kind == KIND_MOTION)
+        note_motion(receiver, channel, value, t_ns);
+    else if (channel->kind == KIND_STATUS)
+        note_status(receiver, channel, value, t_ns);
+    else if (!pair_samples(receiver, row))
+        return RX_RANGE;
+    channel->good_ns = t_ns;
+    return RX_DECODED;
+}
+
+/* Use the values of an accepted, decoded row. */
+static void note_row(struct receiver *receiver, int64_t row)
+{
+    struct channel *channel = &receiver->channels[receiver->channel[row]];
+    const double *value = receiver->value + row * receiver->codec->width;
+    const uint8_t *validity = receiver->validity + row * receiver->codec->width;
+    enum rx_counter found = judge(channel, value, validity);
+    if (channel->kind == KIND_TEMPERATURES) {
+        note_temperatures(channel, value, validity, receiver->t_ns[row]);
+        receiver->temperature_rows[receiver->tick.temperatures++] = row;
+    } else {
+        if (found == RX_DECODED)
+            found = note_good(receiver, channel, row, value);
+        static const uint8_t reasons[] = {[RX_DECODED] = REASON_NONE,
+                                          [RX_NOT_AVAILABLE] = REASON_NOT_AVAILABLE,
+                                          [RX_RANGE] = REASON_RANGE};
+        channel->reject_reason = reasons[found];
+    }
+    receiver->counters[found]++;
+}
+
+/* ---- one tick */
+
+/* A frame that no channel receives, with a stamp: heartbeat, emergency or nobody's. */
+static void receive_other(struct receiver *receiver, int64_t owner, int64_t k, uint32_t can_id,
+                          uint8_t flags, uint8_t length, const uint8_t *data, int64_t t_ns)
+{
+    if (owner != ID_SUPERVISED) {
+        receiver->counters[RX_UNKNOWN_ID]++;
+    } else if (can_id >= HEARTBEAT_BASE) {
+        struct supervision *all = receiver->supervision;
+        const int32_t node = all->row[(can_id - HEARTBEAT_BASE) % HEARTBEAT_NODES];
+        on_heartbeat(all, node, t_ns, length, !(flags & FD), data[0]);
+        receiver->counters[RX_CANOPEN]++;
+    } else {
+        receiver->emergency_rows[receiver->tick.emergencies++] = k;
+    }
+}
+
+/* A frame of a channel: kept for decoding if it may be used. */
+static void receive_channel(struct receiver *receiver, int64_t c, uint8_t flags, uint8_t length,
+                            const uint8_t *data, int64_t t_ns)
+{
+    struct channel *channel = &receiver->channels[c];
+    channel->received_ns = t_ns;
+    if (length != channel->e2e_config.length || (flags & FD) != channel->e2e_config.fd) {
+        /* One with this identifier that cannot be this message is as bad as a wrong checksum. */
+        receiver->counters[RX_WRONG_LENGTH]++;
+        e2e_sm_check(&channel->e2e_state, E2E_P_ERROR);
+        note_rejected(channel, REASON_CORRUPTED);
+        return;
+    }
+    if (!verify(receiver, channel, data, t_ns))
+        return;
+    const int64_t row = receiver->tick.accepted++;
+    receiver->channel[row] = c;
+    receiver->message[row] = channel->message;
+    receiver->t_ns[row] = t_ns;
+    for (int b = 0; b < PAYLOAD_BYTES; b++)
+        receiver->payload[row * PAYLOAD_BYTES + b] = data[b];
+}
+
+/* Any frame. */
+static void receive_frame(struct receiver *receiver, int64_t k, uint32_t can_id, uint8_t flags,
+                          uint8_t length, const uint8_t *data, int64_t t_ns, int64_t now_ns)
+{
+    if (flags & (ERROR_FRAME | REMOTE)) {
+        receiver->counters[flags & ERROR_FRAME ? RX_ERROR_FRAME : RX_REMOTE]++;
+        if (!(flags & (ERROR_FRAME | EXTENDED)))
+            on_node_guard(receiver->supervision, can_id);
+        return;
+    }
+    const int64_t owner = lookup_id(receiver, can_id, flags);
+    if (owner == ID_OWN) {
+        receiver->counters[RX_OWN]++;
+        return;
+    }
+    /* A heartbeat from the future would keep its node alive until then; below 0 there is no time. */
+    const int64_t oldest = owner < 0 ? 0 : receiver->channels[owner].accepted_ns;
+    if (t_ns < 0 || t_ns > now_ns || t_ns < oldest)
+        receiver->counters[RX_TIME_BACK]++;
+    else if (owner < 0)
+        receive_other(receiver, owner, k, can_id, flags, length, data, t_ns);
+    else
+        receive_channel(receiver, owner, flags, length, data, t_ns);
+}
+
+static int in_order(int64_t frames, const int64_t *t_ns, const uint32_t *can_id)
+{
+    for (int64_t k = 1; k < frames; k++) {
+        if (t_ns[k] < t_ns[k - 1] || (t_ns[k] == t_ns[k - 1] && can_id[k] < can_id[k - 1]))
+            return 0;
+    }
+    return 1;
+}
+
+/* If every frame counted as decoded, the counters are 0 again. */
+static void close_counters(struct receiver *receiver, int64_t frames)
+{
+    int64_t others = 0;
+    for (int k = RX_DECODED + 1; k < RX_COUNTERS; k++)
+        others |= receiver->counters[k];
+    receiver->tick.only_decoded = others == 0 && receiver->counters[RX_DECODED] == frames;
+    if (receiver->tick.only_decoded)
+        receiver->counters[RX_DECODED] = 0;
+}
+
+static void start_tick(struct receiver *receiver)
+{
+    receiver->tick = (struct received){0};
+    for (int64_t k = 0; k < receiver->drive_count; k++)
+        receiver->drives[k].restart = 0;
+}
+
+int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_ns,
+                   const uint32_t *can_id, const uint8_t *flags, const uint8_t *length,
+                   const uint8_t *data, int64_t now_ns)
+{
+    if (!in_order(frames, t_ns, can_id))
+        return 0;
+    start_tick(receiver);
+    for (int64_t k = 0; k < frames; k++) {
+        receive_frame(receiver, k, can_id[k], flags[k], length[k], data + k * PAYLOAD_BYTES,
+                      t_ns[k], now_ns);
+    }
+    decode_frames(receiver->codec, receiver->tick.accepted, receiver->message, receiver->payload,
+                  receiver->value, receiver->validity);
+    for (int64_t row = 0; row < receiver->tick.accepted; row++)
+        note_row(receiver, row);
+    check_timeouts(receiver, now_ns);
+    close_counters(receiver, frames);
+    return 1;
+}
+
+/* Why a channel is unknown at `now_ns`; REASON_NONE if it is not. */
+static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
+{
+    const uint8_t rejected = channel->reject_reason, state = channel->e2e_state.state;
+    if (channel->received_ns < 0)
+        return REASON_STARTING;
+    if (now_ns - channel->received_ns > channel->limit_ns)
+        return REASON_STALE;
+    if (now_ns < channel->guard.rejected_until_ns)
+        return REASON_SEQUENCE;
+    if (channel->e2e_config.profile != E2E_PROFILE_NONE && state != E2E_SM_VALID) {
+        /* Single good frames do not end it; what last went wrong is why. */
+        if (channel->protection_reason != REASON_NONE)
+            return channel->protection_reason;
+        return state == E2E_SM_INVALID ? REASON_STALE : REASON_STARTING;
+    }
+    if (channel->accepted_ns < 0 || now_ns - channel->accepted_ns > channel->limit_ns)
+        return rejected != REASON_NONE ? rejected : REASON_STALE;
+    return rejected == REASON_RANGE || rejected == REASON_NOT_AVAILABLE ? rejected : REASON_NONE;
+}
+
+void check_timeouts(struct receiver *receiver, int64_t now_ns)
+{
+    for (int64_t c = 0; c < receiver->channel_count; c++) {
+        struct channel *channel = &receiver->channels[c];
+        if (channel->accepted_ns >= 0 && now_ns - channel->accepted_ns > channel->limit_ns)
+            e2e_sm_check(&channel->e2e_state, E2E_P_NO_NEW_DATA);
+        channel->reason = unknown_reason(channel, now_ns);
+    }
+}
