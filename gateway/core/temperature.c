@@ -11,7 +11,6 @@
 
 #define MS_NS 1000000LL
 
-static const int64_t NO_TIME = INT64_MIN;
 static const int64_t LOST_NS = 500 * MS_NS; /* without a valid value; real ones drop for a moment */
 /* After longer without a valid value the motor may have changed by more than a step's limit. */
 static const int64_t FORGET_NS = 10000 * MS_NS;

@@ -20,6 +20,9 @@ from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND
 STARTING, STALE, CORRUPTED, SEQUENCE, RANGE, NOT_AVAILABLE = range(1, 7)
 FAST = ("PhaseCurrents", "StatorVoltages", "Samples")
 NEVER = -(1 << 63)
+GUARD_NS, SECOND_SENDER, TOO_SOON, COPIES = SECOND, 3, 0.75, 6
+"""After the last sign of a second sender no frame is used for so long; so many signs; share of a
+counter step's time; sum at which identical frames are a sign."""
 
 
 class Node:
@@ -105,23 +108,23 @@ class Channel:
     def guard(self, t, steps, copy):
         """Signs of a second sender."""
         if copy:
-            self.repeats = min(self.repeats + 2, 7)
-            if self.repeats < 6:
+            self.repeats = min(self.repeats + 2, COPIES + 1)
+            if self.repeats < COPIES:
                 return
-            self.errors = 3
+            self.errors = SECOND_SENDER
         else:
             since, self.counter_ns = t - self.counter_ns, t
             if steps <= 3:
                 self.repeats = max(self.repeats - 1, 0)
                 return
-            if since >= 0.75 * steps * self.spec.cycle_ns:
+            if since >= TOO_SOON * steps * self.spec.cycle_ns:
                 return
-            if t - self.error_ns > SECOND:
+            if t - self.error_ns > GUARD_NS:
                 self.errors = 0
             self.errors += 1
         self.error_ns = t
-        if self.errors >= 3:
-            self.until = min(t + SECOND, (1 << 63) - 1)
+        if self.errors >= SECOND_SENDER:
+            self.until = min(t + GUARD_NS, (1 << 63) - 1)
 
     def verify(self, data, t, counts):
         check = lib.e2e_check(self.pointer("e2e_config", self.config),

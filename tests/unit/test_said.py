@@ -7,7 +7,7 @@ from gateway import _inputs_kernels, inputs
 from gateway.channel import ChannelState
 from gateway.health import Flag, Reason
 from gateway.inputs import NONE
-from gateway.pairing import start as pairs_of
+from gateway.pairing import drive_inputs, state_of
 from gateway.slow import start as slow_of
 from tests.reference.flags import worst
 
@@ -57,7 +57,7 @@ def test_what_is_believed_of_inputs(seed):
         if rng.random() < 0.2:
             rows[0] = (0, 5, [3, 4], *rng.permutation([0, 1]))
         places = inputs.places(rows, [25] * N, [1.0] * N)
-        state, pairs, slow = channels(rng, 15), pairs_of(N), slow_of(N)
+        state, pairs, slow = channels(rng, 15), state_of(drive_inputs(N)), slow_of(N)
         pairs.sample_ns[:], pairs.sum_error[:] = (
             rng.integers(-1, 30, N),
             rng.choice([0.5, 1.0, 2.0], N),
