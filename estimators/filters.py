@@ -36,7 +36,9 @@ def sample_records(
     """`struct filter_sample` of M samples: drive (M,), u V and i A (M, 2), steps and gap (M,)."""
     made = zeros(len(drive), FILTER_SAMPLE)
     made.drive, made.steps, made.gap, made.nis = drive, steps, gap, np.nan
-    made.u, made.i = u[:, 0] + 1j * u[:, 1], i[:, 0] + 1j * i[:, 1]
+    # As they are, whatever they are: a product with 1j makes NaN of infinity.
+    made.u = np.ascontiguousarray(u, dtype=np.float64).view(np.complex128)[:, 0]
+    made.i = np.ascontiguousarray(i, dtype=np.float64).view(np.complex128)[:, 0]
     return made
 
 

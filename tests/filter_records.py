@@ -6,17 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbc.records import FILTER_SAMPLE, Columns, zeros
-from estimators import acquisition, adaptation
+from dbc.records import Columns
+from estimators import acquisition, adaptation, filters
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
 
 
 def samples(drive, u, y, n_sub, n_gap, nis=np.nan) -> Columns:
     """`struct filter_sample` of M rows; u and y (M, 2)."""
-    made = zeros(len(drive), FILTER_SAMPLE)
-    made.drive, made.steps, made.gap, made.nis = drive, n_sub, n_gap, nis
-    made.u, made.i = u[:, 0] + 1j * u[:, 1], y[:, 0] + 1j * y[:, 1]
+    made = filters.sample_records(drive, u, y, n_sub, n_gap)
+    made.nis = nis
     return made
 
 
@@ -43,16 +42,16 @@ def estimate(drives: Columns) -> Estimate:
 
 def check(drives: Columns, x: np.ndarray) -> np.ndarray:
     """Consistency (N,) of filters with the states x (N, 5)."""
-    filters = adaptation.filters(len(x))
-    filters.x = x
-    return np.array(acquisition.check(drives, filters))
+    each = adaptation.filters(len(x))
+    each.x = x
+    return np.array(acquisition.check(drives, each))
 
 
 def start_states(
     drives: Columns, par: Pmsm, noise: Noise, rated: Rated
 ) -> tuple[np.ndarray, np.ndarray]:
     """First x (N, 5) and P (N, 5, 5) of all filters."""
-    filters, table = adaptation.filters(len(drives)), pmsm.table(par)
+    each, table = adaptation.filters(len(drives)), pmsm.table(par)
     for k in range(len(drives)):
-        acquisition.start_filter(drives, k, table, noise.R, rated.T[k], filters)
-    return filters.x.copy(), filters.P.copy()
+        acquisition.start_filter(drives, k, table, noise.R, rated.T[k], each)
+    return each.x.copy(), each.P.copy()
