@@ -103,8 +103,8 @@ def state(gateway):
         gateway.said, gateway.flags, gateway.findings, gateway.inputs, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
         gateway.motion.memory, gateway.adhesion.reference, *gateway.adhesion.response,
-        gateway.adhesion.trust, gateway.adhesion.mode, gateway.adhesion.rotors, gateway.inbox.state,
-        gateway.inbox.e2e_state, gateway.inbox.pairs, gateway.inbox.slow, gateway.outbox.memory,
+        gateway.adhesion.trust, gateway.adhesion.mode, gateway.adhesion.rotors,
+        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
         *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
