@@ -156,9 +156,9 @@ def test_one_sender_late_lost_or_repeated_is_not_two(kind, jitter, lost, twice):
         if rng.random() < twice:
             frames.append(frame._replace(t_ns=at + 100_000))
     frames.sort(key=lambda frame: frame.t_ns)
-    state = line.box.state
+    guard = line.box.receiver.channels["guard"]
     for reason in line.reasons(frames)[5:]:
-        assert state.guarded_ns.max() < 0
+        assert guard["rejected_until_ns"].max() < 0
         assert lost > 0.1 or reason is Reason.NONE
 
 
@@ -177,5 +177,5 @@ def test_long_losses_that_end_at_the_same_counter_are_not_two_senders():
     frames = line.sent(MS, 20_000 * MS, float)
     kept = [f for k, f in enumerate(frames) if k % 100 < 70 or k % 100 >= 85]
     reasons = line.reasons(kept)
-    assert line.box.state.guarded_ns.max() < 0
+    assert line.box.receiver.channels["guard"]["rejected_until_ns"].max() < 0
     assert reasons.count(Reason.NONE) > 0.6 * len(reasons)

@@ -103,8 +103,8 @@ def state(gateway):
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
         gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
         [gateway.adhesion.responses],
-        gateway.adhesion.trust, gateway.adhesion.rotors, gateway.inbox.state,
-        gateway.inbox.e2e_state, gateway.inbox.pairs, gateway.inbox.slow, gateway.outbox.memory,
+        gateway.adhesion.trust, gateway.adhesion.rotors,
+        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
         *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
