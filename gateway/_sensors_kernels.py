@@ -22,13 +22,13 @@ _received_ns = symbol("temperature_received_ns")
 @inlined
 def add_reading(j: int, t: int, drives: Records) -> None:
     """`temperature_add_reading` of drive j."""
-    _add_reading(drives.ctypes.data + j * _DRIVE, t)
+    _add_reading(drives.ctypes.data + int(j) * _DRIVE, t)
 
 
 @inlined
 def add_value(j: int, k: int, t: int, value: float, raw: int, drives: Records) -> None:
     """`temperature_add_value` of drive j's sensor k."""
-    _add_value(drives.ctypes.data + j * _DRIVE, k, t, value, raw)
+    _add_value(drives.ctypes.data + int(j) * _DRIVE, k, t, value, raw)
 
 
 @inlined
@@ -40,22 +40,22 @@ def sensor_values(now: int, drives: Records, values: Array, valid: Bools) -> Non
 @inlined
 def not_yet_valid(j: int, drives: Records) -> bool:
     """`temperature_not_yet_valid` of drive j."""
-    return _not_yet_valid(drives.ctypes.data + j * _DRIVE) != 0  # type: ignore[no-any-return]
+    return _not_yet_valid(drives.ctypes.data + int(j) * _DRIVE) != 0  # type: ignore[no-any-return]
 
 
 @inlined
 def fault(j: int, now: int, drives: Records) -> int:
     """`temperature_fault` of drive j."""
-    return _fault(drives.ctypes.data + j * _DRIVE, now)  # type: ignore[no-any-return]
+    return _fault(drives.ctypes.data + int(j) * _DRIVE, now)  # type: ignore[no-any-return]
 
 
 @inlined
 def fault_sensor(j: int, now: int, drives: Records) -> int:
     """`temperature_fault_sensor` of drive j."""
-    return _fault_sensor(drives.ctypes.data + j * _DRIVE, now)  # type: ignore[no-any-return]
+    return _fault_sensor(drives.ctypes.data + int(j) * _DRIVE, now)  # type: ignore[no-any-return]
 
 
 @inlined
 def received_ns(j: int, drives: Records) -> int:
     """`temperature_received_ns` of drive j."""
-    return _received_ns(drives.ctypes.data + j * _DRIVE)  # type: ignore[no-any-return]
+    return _received_ns(drives.ctypes.data + int(j) * _DRIVE)  # type: ignore[no-any-return]

@@ -124,7 +124,7 @@ def several(
         else:
             check_timeouts(receiving.receiver, now)
         if (
-            others or samples > filtering.room.nis.shape[0]
+            others or samples > filtering.room.samples.shape[0]
             or any_node_lost(receiving.supervision, now)
         ):  # fmt: skip
             stage = HEARD
