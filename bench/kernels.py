@@ -65,9 +65,9 @@ def call_of(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> Callable[[]
     kept = (pmsm.table(par), filters.noise_records(noise), filters.settings(SUB_STEP_S, kind))
     motors, noises, settings = kept
     given = (
-        pointer("struct filter_sample *", samples), rows, pointer("struct pmsm *", motors),
-        pointer("struct filter_noise *", noises), pointer("struct filter *", drives), n,
-        pointer("struct filter_settings *", settings),
+        pointer("struct filter_sample", samples), rows, pointer("struct pmsm", motors),
+        pointer("struct filter_noise", noises), pointer("struct filter", drives), n,
+        pointer("struct filter_settings", settings),
     )  # fmt: skip
 
     def call(_kept: object = (samples, drives, *kept)) -> None:

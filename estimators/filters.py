@@ -51,9 +51,9 @@ def run(
     bits: of the registers; 0: as the processor has them. Raises ValueError if it has none such.
     """
     given = (
-        pointer("struct filter_sample *", samples), len(samples), pointer("struct pmsm *", table),
-        pointer("struct filter_noise *", noise), pointer("struct filter *", drives), len(drives),
-        pointer("struct filter_settings *", settings),
+        pointer("struct filter_sample", samples), len(samples), pointer("struct pmsm", table),
+        pointer("struct filter_noise", noise), pointer("struct filter", drives), len(drives),
+        pointer("struct filter_settings", settings),
     )  # fmt: skip
     if bits == 0:
         lib.filter_run(*given)
