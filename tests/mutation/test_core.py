@@ -8,7 +8,6 @@ import pytest
 from core_build import SOURCES
 from tests.mutation import core
 
-
 KEPT = json.loads(core.KEPT.read_text())
 JUDGED = sorted(KEPT["digests"])
 
