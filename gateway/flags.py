@@ -21,6 +21,7 @@ from dbc.records import (
     FLAG_RULES,
     TRAIN_INPUTS,
     TRAIN_STATUS,
+    Addressed,
     Records,
 )
 from gateway.health import NEVER, Flag, Reason
@@ -100,7 +101,7 @@ def loss_evidence(rules: Records, probability: float) -> int:
     return int(lib.loss_evidence(_address("struct flag_rules *", rules), probability))
 
 
-class Flags:
+class Flags(Addressed):
     """Flags of N drives. A tick: fill `inputs` and `train_inputs`, then the three steps."""
 
     def __init__(self, rules: Records, n: int, detector: int, start_ns: int) -> None:
@@ -109,10 +110,14 @@ class Flags:
         self.train_inputs = np.zeros(1, TRAIN_INPUTS)
         self.evidence = np.zeros(n, DRIVE_EVIDENCE)
         self.status = unknown_status(n, detector, start_ns)
+        self._n = n
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
         self.adhesion = self.status.drives["flag"][:, FlagKind.ADHESION]
         """(N,) the adhesion flags, a view."""
-        self._n = n
-        self._rules = _address("struct flag_rules *", rules)
+        self._rules = _address("struct flag_rules *", self.rules)
         self._inputs = _address("struct flag_inputs *", self.inputs)
         self._train_inputs = _address("struct train_inputs *", self.train_inputs)
         self._evidence = _address("struct drive_evidence *", self.evidence)
