@@ -43,8 +43,8 @@ SPEEDS_APART_RAD_S: Final = 1.0
 """A speed by the currents that differs by more from `Motion`, at the rotor, is no measure for
 others; `Motion` is up to 10 ms old."""
 FOLLOWED_S: Final = 0.2
-"""A speed by the currents that has been followed for less may be on its way from a guess: beyond
-`LEARN_CREEP` from it, `Motion` goes before it."""
+"""A speed by the currents that has been followed for less, or that is in doubt, may be a guess:
+beyond `LEARN_CREEP` from it, `Motion` goes before it."""
 MOST_CREEP: Final = 0.08
 """Of a rotor against the others, which creep by one or two percent themselves: together 10 %."""
 MOST_APART: Final = 0.1
