@@ -167,8 +167,8 @@ def several(
             filtering.motion, filtering.limits,
         )  # fmt: skip
         assess_train(
-            inputs.speed, inputs.commanded, receiving.slow, judging.flag, judging.tick_s, told,
-            judging.train,
+            inputs.speed, inputs.commanded, receiving.slow, judging.flag, now, judging.tick_s,
+            told, judging.train,
         )  # fmt: skip
         compare(
             told, receiving.slow, inputs.commanded, judging.flag, judging.since_ns, now,

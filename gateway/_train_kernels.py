@@ -24,17 +24,17 @@ _assess = symbol("assess_train")
 
 
 @inlined
-def _call(tick_s: float, train: Train) -> None:
+def _call(now: int, tick_s: float, train: Train) -> None:
     _assess(
-        train.rotors.ctypes.data, train.inputs.ctypes.data, train.inputs.shape[0], tick_s,
+        train.rotors.ctypes.data, train.inputs.ctypes.data, train.inputs.shape[0], now, tick_s,
         train.rank.ctypes.data,
     )  # fmt: skip
 
 
 @lean
 def assess_train(
-    measured: Array, commanded: Flags, slow: SlowState, flag: Ints, tick_s: float, told: Told,
-    train: Train,
+    measured: Array, commanded: Flags, slow: SlowState, flag: Ints, now: int, tick_s: float,
+    told: Told, train: Train,
 ) -> None:  # fmt: skip
     """`assess_train` in gateway/core/train.c, after the estimates and before they are compared.
 
@@ -49,7 +49,7 @@ def assess_train(
         one["command_nm"], one["previous_command_nm"] = slow.command[k], slow.before[k]
         one["command_valid"], one["operating"] = commanded[k], slow.operating[k]
         one["adhesion"], one["not_judged"] = flag[k], 0
-    _call(tick_s, train)
+    _call(now, tick_s, train)
     for k in range(flag.shape[0]):
         one = train.inputs[k]
         commanded[k] = one["command_valid"] != 0

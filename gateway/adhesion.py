@@ -95,7 +95,7 @@ class AdhesionSide:
         """
         at, responses, room = self.at, self.responses, self.room
         fresh = inputs.commanded
-        self._assess(inputs.speed, fresh, slow, flag, self.tick_s, told, self.train)
+        self._assess(inputs.speed, fresh, slow, flag, now, self.tick_s, told, self.train)
         self._compare(
             told, slow, fresh, flag, since_ns, now, self.tick_s, self.rotors, self.reference,
             PASSING, at, responses, room,

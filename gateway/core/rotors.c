@@ -73,13 +73,14 @@ double rank_median(int count, int upper, const double *rank)
 /* ---- Speeds and loads of this tick ---- */
 
 /* The speed that is taken of a drive whose filter tracks: estimated, measured, or none. */
-static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in)
+static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in, int64_t now_ns)
 {
     const double measured = in->measured_rad_s;
     const double off = fabs(measured - in->speed_rad_s);
     if (off > SPEEDS_APART * fabs(measured) + SPEEDS_APART_RAD_S)
         return NAN;
-    const int guess = r->followed_s < FOLLOWED_S && off > LEARN_CREEP * fabs(measured);
+    const int in_doubt = r->followed_s < FOLLOWED_S || now_ns < r->doubt_until_ns;
+    const int guess = in_doubt && off > LEARN_CREEP * fabs(measured);
     return guess ? measured : in->speed_rad_s;
 }
 
@@ -97,7 +98,7 @@ static void note(struct train_tick *t)
             continue;
         }
         r->followed_s += t->tick_s;
-        r->speed = tracked_speed(r, in);
+        r->speed = tracked_speed(r, in, t->now_ns);
         r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
         total += r->load;
     }

@@ -9,6 +9,7 @@ struct train_tick {
     struct rotor *rotor;
     struct rotor_inputs *in;
     int n;
+    int64_t now_ns;
     double tick_s;
     double *rank; /* n numbers in ascending order, as rank_insert leaves them */
     int braking;  /* 1: the loads of all drives brake; written by follow_rotors */

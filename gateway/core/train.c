@@ -153,10 +153,11 @@ void train_reset(struct rotor *rotors, int n)
         };
 }
 
-void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, double tick_s,
-                  double *rank)
+void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, int64_t now_ns,
+                  double tick_s, double *rank)
 {
-    struct train_tick t = {.rotor = rotors, .in = inputs, .n = n, .tick_s = tick_s, .rank = rank};
+    struct train_tick t = {
+        .rotor = rotors, .in = inputs, .n = n, .now_ns = now_ns, .tick_s = tick_s, .rank = rank};
     follow_rotors(&t);
     assess_loads(&t);
     assess_commands(&t);

@@ -10,7 +10,7 @@ void train_reset(struct rotor *rotors, int n);
 /* Once a tick of `tick_s` s, after the estimates and before they are compared. Clears command_valid
  * of inputs whose command cannot be right, and says by `not_judged` of which drives the estimate is
  * not used, with health and reason. `rank` holds n numbers. */
-void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, double tick_s,
-                  double *rank);
+void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, int64_t now_ns,
+                  double tick_s, double *rank);
 
 #endif

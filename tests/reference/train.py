@@ -174,7 +174,7 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
     return middle(count, upper, train.rank)
 
 
-def _note(measured: Array, tick_s: float, told: Told, train: Train) -> float:
+def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) -> float:
     """Speeds and loads of this tick; the train's load, in its direction."""
     total = 0.0
     for k in range(measured.shape[0]):
@@ -185,7 +185,8 @@ def _note(measured: Array, tick_s: float, told: Told, train: Train) -> float:
             # Where the two speeds differ, neither is a measure for others.
             off = abs(speed - told.speed[k])
             apart = off > SPEEDS_APART * abs(speed) + SPEEDS_APART_RAD_S
-            guess = train.followed_s[k] < FOLLOWED_S and off > LEARN_CREEP * abs(speed)
+            young = train.followed_s[k] < FOLLOWED_S or now < train.doubt_ns[k]
+            guess = young and off > LEARN_CREEP * abs(speed)
             if apart:
                 speed = math.nan
             elif not guess:
@@ -373,8 +374,8 @@ def _unjudged(k: int, health: int, reason: int, told: Told) -> None:
 
 
 def assess_train(
-    measured: Array, commanded: Flags, slow: SlowState, flag: Ints, tick_s: float, told: Told,
-    train: Train,
+    measured: Array, commanded: Flags, slow: SlowState, flag: Ints, now: int, tick_s: float,
+    told: Told, train: Train,
 ) -> None:  # fmt: skip
     """Once a tick, after the estimates and before they are compared; see `train`.
 
@@ -382,7 +383,7 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    braking = _note(measured, tick_s, told, train) < 0.0
+    braking = _note(measured, now, tick_s, told, train) < 0.0
     _accelerate(tick_s, braking, train)
     _compare_speeds(tick_s, braking, flag, slow.operating, train)
     for k in range(flag.shape[0]):

@@ -92,11 +92,16 @@ def test_any_course_of_a_train(seed, n):
     # Diameters of which little is known, and nearly all, of which one learns a minute.
     plain.learnt_s[:] = kept.rotors["learnt_s"] = (0.0, 59.0)[seed]
     met = {name: set() for name in ("far", "apart", "away", "uncertain", "odd", "above")}
-    for given in course(seed, n, 2000):
+    doubt = np.random.default_rng(seed)
+    for now, given in enumerate(course(seed, n, 2000)):
         measured, commanded, sent, flag, told = given
         again = copied(given)
-        reference.assess_train(measured, commanded, sent, flag, TICK_S, told, plain)
-        assess_train(*again[:4], TICK_S, again[4], kept)
+        if now % 50 == 0:
+            # In ticks, of one nanosecond here.
+            plain.doubt_ns[:] = now + doubt.integers(0, 30, n)
+            kept.rotors["doubt_until_ns"] = plain.doubt_ns
+        reference.assess_train(measured, commanded, sent, flag, now, TICK_S, told, plain)
+        assess_train(*again[:4], now, TICK_S, again[4], kept)
         same(kept.rotors, plain)
         np.testing.assert_array_equal(again[1], commanded)
         for mine, wanted in zip(again[4], told, strict=True):
