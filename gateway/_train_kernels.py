@@ -74,7 +74,7 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
 
 
 @inlined
-def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) -> float:
+def _record_speeds(measured: Array, now: int, tick_s: float, told: Told, train: Train) -> float:
     """Speeds and loads of this tick; the train's load, in its direction."""
     total = 0.0
     for k in range(measured.shape[0]):
@@ -297,7 +297,7 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    braking = _note(measured, now, tick_s, told, train) < 0.0
+    braking = _record_speeds(measured, now, tick_s, told, train) < 0.0
     _accelerate(tick_s, braking, train)
     _compare_speeds(tick_s, braking, flag, slow.operating, train)
     for k in range(flag.shape[0]):

@@ -56,9 +56,9 @@ SLIDES_S: Final = 0.2
 that loses or finds its grip is sooner through."""
 GRIPS: Final = 0.1
 """Per unit of rated torque that one which has run away carries more than the others: at once."""
-ALONE_S: Final = 0.5
-"""A rotor that all others have left is held against its own speed of late for so long: what it
-could lose or gain meanwhile is within `LEARN_CREEP`."""
+ALONE_S: Final = 0.15
+"""A rotor that all others have left is compared with its own speed before that for so long. Longer
+would break the rule that a rotor 10 % from the others is `Adhering` for 200 ms at most."""
 AGAINST: Final = 0.25
 """Share of the others' load that one which is apart carries against them: it turns backwards."""
 LEARN_CREEP: Final = 0.03
