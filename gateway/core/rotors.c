@@ -41,7 +41,7 @@
 #define NEAR_S     0.1 /* a rotor is back after so long: one that turns backwards passes by */
 /* A rotor that all others have left is held against its own speed of late for so long: what it could
  * lose or gain meanwhile is within LEARN_CREEP. */
-#define ALONE_S          0.5
+#define ALONE_S          0.15
 #define LEARN_CREEP      0.03 /* diameters are learnt while a rotor is no further from the others */
 #define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
 #define DIAMETER_TAU_S   60.0 /* then so slowly: a slip that grows over seconds is no diameter */

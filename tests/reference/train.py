@@ -48,7 +48,7 @@ SLIDES_S: Final = 0.2
 that loses or finds its grip is sooner through."""
 GRIPS: Final = 0.1
 """Per unit of rated torque that one which has run away carries more than the others: at once."""
-ALONE_S: Final = 0.5
+ALONE_S: Final = 0.15
 """A rotor that all others have left is held against its own speed of late for so long: what it
 could lose or gain meanwhile is within `LEARN_CREEP`."""
 AGAINST: Final = 0.25

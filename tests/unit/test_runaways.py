@@ -159,3 +159,11 @@ def test_a_sender_that_has_a_processor_now_and_then_is_no_fault(path, drives):
         waiting = [frame for frame in waiting if frame.t_ns > now]
         flags.append([drive.adhesion for drive in core.view.drives])
     assert (np.array(flags)[100:] == Flag.GOOD).all()
+
+
+def test_the_one_that_holds_is_unknown_soon_where_the_other_is_not_caught():
+    """By its speed alone the second of two is no longer known: the limit of 10 % is for both."""
+    flags, speeds = flags_and_speeds(3.0, [{**loss(1, 1.5), "depth": 1.0, "ramp_s": 0.0}], 2)
+    assert speeds[-1, 0] > 1.5 * speeds[-1, 1]
+    assert longest_good(flags, speeds, 1, 0) <= MOST_TICKS
+    assert not (flags[:, 1] == Flag.BAD).any()
