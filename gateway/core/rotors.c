@@ -39,8 +39,8 @@
     0.08 /* of a rotor against the others, which creep by a percent or two themselves */
 #define MOST_APART 0.1 /* the same while its diameter is not known yet, diameters included */
 #define NEAR_S     0.1 /* a rotor is back after so long: one that turns backwards passes by */
-/* A rotor that all others have left is held against its own speed of late for so long: what it could
- * lose or gain meanwhile is within LEARN_CREEP. */
+/* A rotor that all others have left is compared with its own speed before that for so long. Longer
+ * would break the rule that a rotor 10 % from the others is Adhering for 200 ms at most. */
 #define ALONE_S          0.15
 #define LEARN_CREEP      0.03 /* diameters are learnt while a rotor is no further from the others */
 #define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
