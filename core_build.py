@@ -106,7 +106,7 @@ DEPENDS = (
     "gateway/core/rotors.h",
 )
 """All that sources include."""
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
 instruction."""
 
