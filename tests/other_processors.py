@@ -13,7 +13,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Set
 from pathlib import Path
 
 TESTS = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-o", "timeout=3600", "tests/golden"]
@@ -21,12 +21,13 @@ X86 = {"x86-64-v2": "Nehalem", "x86-64-v3": "Haswell"}
 """Processors without AVX, and with AVX2 but without AVX-512."""
 ROOT = Path("out/aarch64").absolute()
 DEBIAN = ("python3", "libstdc++6")
-WHEELS = (
-    "annotated-types argparse-addons attrs bitstruct canopen cantools cffi crccheck cryptography"
-    " diskcache hypothesis iniconfig markdown-it-py mdurl msgpack numpy packaging pluggy pycparser"
-    " pydantic pydantic-core pygments pytest pytest-timeout python-can rich scipy sortedcontainers"
-    " textparser typing-extensions typing-inspection wrapt"
-).split()
+WHEELS = {
+    "annotated-types", "argparse-addons", "attrs", "bitstruct", "canopen", "cantools", "cffi",
+    "crccheck", "cryptography", "diskcache", "hypothesis", "iniconfig", "markdown-it-py", "mdurl",
+    "msgpack", "numpy", "packaging", "pluggy", "pycparser", "pydantic", "pydantic-core", "pygments",
+    "pytest", "pytest-timeout", "python-can", "rich", "scipy", "sortedcontainers", "textparser",
+    "typing-extensions", "typing-inspection", "wrapt",
+}  # fmt: skip
 """What the golden tests import, and what that imports."""
 PLATFORMS = ("manylinux2014", "manylinux_2_17", "manylinux_2_26", "manylinux_2_28")
 MIRROR = "deb http://deb.debian.org/debian bookworm main\n"
@@ -59,14 +60,14 @@ def aarch64() -> int:
     debian()
     wheels()
     core()
+    python, paths = (
+        ROOT / "debian/usr/bin/python3.11",
+        (str(ROOT / "core"), str(ROOT / "site"), "."),
+    )
     return subprocess.run(
-        [emulator, "-L", str(ROOT / "debian"), str(ROOT / "debian/usr/bin/python3.11"), *TESTS],
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join([str(ROOT / "core"), str(ROOT / "site"), "."]),
-        },
-        check=False,
-    ).returncode
+        [emulator, "-L", str(ROOT / "debian"), str(python), *TESTS],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)}, check=False,
+    ).returncode  # fmt: skip
 
 
 def debian() -> None:
@@ -91,7 +92,7 @@ def debian() -> None:
         subprocess.run(["dpkg-deb", "-x", str(package), str(ROOT / "debian")], check=True)
 
 
-def locked(names: Sequence[str]) -> str:
+def locked(names: Set[str]) -> str:
     """These packages as the lock has them, hashes included."""
     lines = []
     for block in re.split(r"\n(?=[A-Za-z0-9])", Path("requirements.lock").read_text()):
