@@ -51,6 +51,8 @@ HEADERS = (
     "gateway/core/sequence.h",
     "gateway/core/pairing.h",
     "gateway/core/receive.h",
+    "gateway/core/busload.h",
+    "gateway/core/transmit.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -91,6 +93,8 @@ SOURCES = (
     "gateway/core/sequence.c",
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
+    "gateway/core/busload.c",
+    "gateway/core/transmit.c",
 )
 DEPENDS = (
     *HEADERS,

@@ -112,6 +112,11 @@ SUPERVISION: Final = dtype_of(ffi.typeof("struct supervision"))
 ID_ENTRY: Final = dtype_of(ffi.typeof("struct id_entry"))
 RECEIVED: Final = dtype_of(ffi.typeof("struct received"))
 RECEIVER: Final = dtype_of(ffi.typeof("struct receiver"))
+TX_SIGNAL: Final = dtype_of(ffi.typeof("struct tx_signal"))
+TX_MESSAGE: Final = dtype_of(ffi.typeof("struct tx_message"))
+TX_FRAME: Final = dtype_of(ffi.typeof("struct tx_frame"))
+TRANSMITTER: Final = dtype_of(ffi.typeof("struct transmitter"))
+BUS_LOAD: Final = dtype_of(ffi.typeof("struct bus_load"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

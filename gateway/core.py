@@ -212,8 +212,7 @@ class Gateway:
         self.changed = flags.debounce(now) or self._opinion is None
         flags.publish(now)
         self.note(opinion, now)
-        if self.outbox.wants_counts(now):
-            self.outbox.note_counts(self.counted(self._now))
+        self.outbox.note_counts(self.counted(now))
         # The tick that finds an intruder still says so.
         out = [] if silent else self.outbox.due(self.status, now)
         self.load.add(out)

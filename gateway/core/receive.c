@@ -36,17 +36,6 @@ int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flag
     return found ? receiver->ids[first].channel : ID_UNKNOWN;
 }
 
-double bus_time(const struct receiver *receiver, int64_t frames, const uint32_t *can_id,
-                const uint8_t *flags, const uint8_t *length, const double *classic_s,
-                const double *fd_s, double busy_s)
-{
-    for (int64_t k = 0; k < frames; k++) {
-        if (!receiver || lookup_id(receiver, can_id[k], flags[k]) != ID_OWN)
-            busy_s += (flags[k] & FD ? fd_s : classic_s)[length[k]];
-    }
-    return busy_s;
-}
-
 /* ---- protection */
 
 /* 1 if a frame is the last one of its channel, byte for byte; the next is compared with it. */

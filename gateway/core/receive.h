@@ -19,10 +19,4 @@ void check_timeouts(struct receiver *receiver, int64_t now_ns);
 /* Index of the channel that an identifier belongs to, or enum id_owner. */
 int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flags);
 
-/* `busy_s` and the seconds that frames take on the wire, the gateway's own left out. classic_s, fd_s:
- * seconds by number of data bytes (256). receiver: NULL where no frame is its own. */
-double bus_time(const struct receiver *receiver, int64_t frames, const uint32_t *can_id,
-                const uint8_t *flags, const uint8_t *length, const double *classic_s,
-                const double *fd_s, double busy_s);
-
 #endif

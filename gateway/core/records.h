@@ -885,10 +885,10 @@ struct channel {
     int64_t good_ns;     /* last frame whose values could be used */
     struct sequence_guard guard;
     uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
-    uint8_t reject_reason;     /* why the last values could not be used (enum reason) */
-    uint8_t protection_reason; /* what last went wrong in the protection */
-    uint8_t reason;            /* why the channel is unknown now; REASON_NONE: it is not */
-    uint8_t was_valid;         /* 1: its receiver was once in E2E_SM_VALID */
+    uint8_t reject_reason;             /* why the last values could not be used (enum reason) */
+    uint8_t protection_reason;         /* what last went wrong in the protection */
+    uint8_t reason;                    /* why the channel is unknown now; REASON_NONE: it is not */
+    uint8_t was_valid;                 /* 1: its receiver was once in E2E_SM_VALID */
 };
 
 /* Currents or voltages that wait for the other half of a sample. */
@@ -990,6 +990,115 @@ struct receiver {
     int64_t *emergency_rows;       /* received frames that are emergencies */
     int64_t counters[RX_COUNTERS]; /* since Python last took them over */
     struct received tick;
+};
+
+/* ---- sent messages, and the load of the bus (gateway/core/transmit.c, busload.c) */
+
+#define MAX_DATA_BYTES 256 /* numbers of data bytes that a frame's length can say */
+
+/* Where the value of a sent signal comes from. */
+enum tx_source {
+    TX_START_VALUE = 0, /* nowhere: the signal keeps its start value */
+    /* of a drive */
+    TX_ADHESION = 1,
+    TX_THERMAL = 2,
+    TX_HEALTH = 3,
+    TX_SPEED = 4,            /* 1/min */
+    TX_LOAD = 5,             /* Nm */
+    TX_LOSS_PROBABILITY = 6, /* % */
+    TX_NIS = 7,
+    TX_FAULT_CLASS = 8,
+    TX_FAULT_SENSOR = 9,
+    TX_MIXED = 10, /* degC */
+    TX_MAISD = 11, /* K */
+    TX_RATE = 12,  /* K/h */
+    TX_JUMPS = 13,
+    /* of the train */
+    TX_ADHESION_REASON = 14,
+    TX_FAULTS_REASON = 15,
+    TX_SENSOR = 16,
+    TX_COMM = 17,
+    TX_ESTIMATOR = 18,
+    TX_OVERRUN = 19,
+    TX_STATE = 20,
+    TX_DETECTOR = 21,
+    TX_COMMON_MODE = 22,
+    TX_AGE = 23,             /* ms */
+    TX_TEMPERATURE_AGE = 24, /* ms */
+    /* of what is counted and measured */
+    TX_DEADLINE_MISSES = 25,
+    TX_REJECTED = 26,
+    TX_LOST = 27,
+    TX_BUS_LOAD = 28, /* % */
+    TX_LATENCY = 29,  /* us */
+    TX_LATENESS = 30, /* us */
+    TX_CONFIG_HASH = 31,
+};
+
+/* One signal of a sent message; constant. */
+struct tx_signal {
+    uint8_t source; /* enum tx_source */
+    uint16_t drive; /* index of the drive that it is of */
+};
+
+/* One message that the gateway sends. */
+struct tx_message {
+    /* constants */
+    int64_t cycle_ns; /* at least 1 */
+    struct e2e_config e2e_config;
+    int32_t signal_count;
+    uint8_t on_change; /* 1: sent at a change of the flags that faults are told by, too */
+    const struct tx_signal *signals;
+    /* state */
+    int64_t next_ns; /* when it is due */
+    uint8_t counter; /* frames sent, modulo 256 */
+};
+
+/* One frame that is sent. */
+struct tx_frame {
+    int64_t t_ns;
+    int32_t message; /* index of its `struct tx_message` */
+    uint8_t data[PAYLOAD_BYTES];
+};
+
+/* What is counted and measured, as it is sent. NaN: not known. */
+struct gateway_counts {
+    double deadline_misses;  /* ticks that were skipped */
+    double rejected;         /* frames with a known identifier whose values were not used */
+    double lost;             /* frames that did not come */
+    double bus_load_percent; /* see busload.c */
+    double latency_p99_us;   /* measured by the driver */
+    double lateness_p99_us;  /* likewise */
+    double config_hash;      /* of the configuration; constant */
+    int64_t rejected_before; /* without those that are still in the receiver's counters */
+    int64_t lost_before;     /* likewise */
+};
+
+/* Everything that sends; messages in the order of their identifiers. */
+struct transmitter {
+    /* constants */
+    const struct codec *codec; /* whose messages these are */
+    struct tx_message *messages;
+    int32_t message_count;
+    int32_t drive_count;
+    int64_t tick_ns;  /* period of the loop */
+    int64_t slack_ns; /* what is due within this is due now */
+    /* state */
+    struct gateway_counts counts;
+    uint8_t *thermal_sent;   /* (drives) thermal flags of the last tick (enum flag_state) */
+    uint8_t summary_sent[4]; /* sensor, comm, estimator and overrun of the last tick */
+    /* workspace for one frame: (width of the codec) */
+    double *value;
+    uint8_t *given;
+};
+
+/* Share of the bus in use, worst-case stuffing, over the last full second. */
+struct bus_load {
+    double classic_s[MAX_DATA_BYTES]; /* s, of a classic frame by its number of data bytes */
+    double fd_s[MAX_DATA_BYTES];      /* s, of a CAN FD frame */
+    int64_t since_ns;                 /* start of the window */
+    double busy_s;                    /* s, frames of the window */
+    double percent;                   /* of the last window; NaN: none yet */
 };
 
 #endif

@@ -77,6 +77,8 @@ TESTS = {
         "gateway/core/supervision.c",
     ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/busload.c": ("tests/unit/test_outbox.py",),
+    "gateway/core/transmit.c": ("tests/unit/test_outbox.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
 }  # fmt: skip
 """Those that answer for a source."""

@@ -104,7 +104,8 @@ def state(gateway):
         gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
         [gateway.adhesion.responses],
         gateway.adhesion.trust, gateway.adhesion.rotors,
-        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
+        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives,
+        [gateway.outbox.messages[name] for name in ("next_ns", "counter")],
         *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
@@ -115,7 +116,8 @@ def state(gateway):
     if heat is not None:
         parts = vars(heat.monitor).values()
         numbers += [part.tolist() for part in parts if hasattr(part, "tolist")]
-    one = [gateway.load.busy_s, gateway.load.last, gateway.adhesion.learn_ns, gateway.changed]
+    load = gateway.load.record
+    one = [repr(load["busy_s"]), repr(load["percent"]), gateway.adhesion.learn_ns, gateway.changed]
     return {
         "arrays": repr(numbers),
         "numbers": one,
