@@ -53,6 +53,9 @@ HEADERS = (
     "gateway/core/receive.h",
     "gateway/core/busload.h",
     "gateway/core/transmit.h",
+    "estimators/thermal/trend.h",
+    "gateway/core/thermal_evidence.h",
+    "gateway/core/thermal.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -95,6 +98,9 @@ SOURCES = (
     "gateway/core/receive.c",
     "gateway/core/busload.c",
     "gateway/core/transmit.c",
+    "estimators/thermal/trend.c",
+    "gateway/core/thermal_evidence.c",
+    "gateway/core/thermal.c",
 )
 DEPENDS = (
     *HEADERS,

@@ -117,6 +117,10 @@ TX_MESSAGE: Final = dtype_of(ffi.typeof("struct tx_message"))
 TX_FRAME: Final = dtype_of(ffi.typeof("struct tx_frame"))
 TRANSMITTER: Final = dtype_of(ffi.typeof("struct transmitter"))
 BUS_LOAD: Final = dtype_of(ffi.typeof("struct bus_load"))
+TREND: Final = dtype_of(ffi.typeof("struct trend"))
+THERMAL_MONITOR: Final = dtype_of(ffi.typeof("struct thermal_monitor"))
+MOTOR_TEMPERATURES: Final = dtype_of(ffi.typeof("struct motor_temperatures"))
+TEMPERATURE_MONITOR: Final = dtype_of(ffi.typeof("struct temperature_monitor"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

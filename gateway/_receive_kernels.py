@@ -11,7 +11,7 @@ from dbc._lean import inlined
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_receive, _time_out = symbol("receive_frames"), symbol("check_timeouts")
+_receive = symbol("receive_frames")
 _bus_tick, _bus_receive = symbol("bus_load_tick"), symbol("bus_load_receive")
 _any_lost = symbol("any_node_lost")
 
@@ -27,12 +27,6 @@ def receive_frames(
         flags.ctypes.data + first, length.ctypes.data + first,
         data.ctypes.data + data.strides[0] * first, now,
     ))  # fmt: skip
-
-
-@inlined
-def check_timeouts(receiver: int, now: int) -> None:
-    """`check_timeouts`."""
-    _time_out(receiver, now)
 
 
 @inlined

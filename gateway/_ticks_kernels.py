@@ -22,17 +22,15 @@ from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import (
     any_node_lost,
     bus_load_receive,
-    check_timeouts,
     receive_frames,
 )
 from gateway._sweep_kernels import run_filters
-from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 
 if TYPE_CHECKING:
     from dbc.records import Records
-    from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
+    from gateway.stretch import Filtering, Judging, Receiving, Saying, Went
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -42,6 +40,7 @@ WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _vb_detect = symbol("vb_detect")
 _update_counts, _transmit = symbol("update_counts"), symbol("transmit")
+_monitor_temperatures = symbol("monitor_temperatures")
 _bus_load_transmit = symbol("bus_load_transmit")
 
 
@@ -96,11 +95,10 @@ def _raise(peak: Array, drives: Records) -> None:
 @unlocked
 def several(
     t_ns: Ints, can_id: NDArray[np.uint32], flags: NDArray[np.uint8], length: NDArray[np.uint8],
-    data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,
-    filtering: Filtering, judging: Judging, warming: Warming,
-    saying: Saying, went: Went,
+    data: NDArray[np.uint8], ends: Ints, now: int, receiving: Receiving,
+    filtering: Filtering, judging: Judging, saying: Saying, went: Went,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Ticks from `now` on, one for each of ends (K,), before `until`; stops behind a change.
+    """Ticks from `now` on, one for each of ends (K,); stops behind a change.
 
     The first five are columns of a `Block`; tick k takes its rows from ends[k - 1] to ends[k].
     Fills `went`. Gives the fields of `Left`, not one of these: see `Direct`.
@@ -113,21 +111,16 @@ def several(
     learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
-        if now >= until or last - first > rows_of or out + went.most > went.frames.shape[0]:
+        if last - first > rows_of or out + went.most > went.frames.shape[0]:
             break
-        samples = seen = motions = 0
-        odd = others = False
-        if last > first:
-            if not receive_frames(
-                receiving.receiver, first, last, t_ns, can_id, flags, length, data, now
-            ):
-                break
-            tick = receiving.tick[0]
-            samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
-            odd = tick["only_decoded"] == 0
-            others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
-        else:
-            check_timeouts(receiving.receiver, now)
+        if not receive_frames(
+            receiving.receiver, first, last, t_ns, can_id, flags, length, data, now
+        ):
+            break
+        tick = receiving.tick[0]
+        samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
+        odd = tick["only_decoded"] == 0
+        others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
         if (
             others or samples > filtering.room.samples.shape[0]
             or any_node_lost(receiving.supervision, now)
@@ -194,17 +187,13 @@ def several(
                 judging.reference, judging.own, judging.at, judging.responses, judging.settled_ns,
                 judging.probably, judging.trust, judging.room,
             )  # fmt: skip
-        if seen:
-            hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
-        advance(
-            seen > 0, now, warming.summed, receiving.places, receiving.state, receiving.slow,
-            warming.warmth,
-        )  # fmt: skip
-        report(now, warming.limit_ns, warming.warmth, saying.findings)
+        _monitor_temperatures(
+            saying.temperatures, receiving.receiver, now, saying.inputs.ctypes.data
+        )
         lost, known = judging.room.lost, judging.room.known
         fill_inputs(
             inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
-            judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
+            judging.room.severe, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
         saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
         changed = update_flags(

@@ -17,9 +17,7 @@ from gateway.flags import Status
 from gateway.inputs import Inputs, Places
 from gateway.pairing import PairState, Samples
 from gateway.receiving import Scratch, Wiring
-from gateway.said import Findings
 from gateway.slow import Readings, SlowState
-from gateway.warmth import Warmth
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -95,24 +93,10 @@ class Judging(NamedTuple):
     probably: float
 
 
-class Warming(NamedTuple):
-    """As `ThermalSide`, of which the model has no part. limit_ns (N,): how old readings may be.
-
-    summed: seconds are added up, none of them is complete in these ticks.
-    """
-
-    warmth: Warmth
-    summed: bool
-    limit_ns: Ints
-
-
 class Saying(NamedTuple):
-    """Flags and frames out.
+    """Temperatures, flags and frames out. temperatures, transmitter: addresses of the records."""
 
-    transmitter: address of the record.
-    """
-
-    findings: Findings
+    temperatures: int
     train_inputs: Records
     inputs: Records
     evidence: Records

@@ -1,7 +1,7 @@
 """Many ticks of a gateway in few calls: what a replay is made of.
 
 Most ticks hold nothing that only `Gateway.step` can do: no emergency, no heartbeat that is overdue,
-no second that the thermal model waits for, no detector but the default. Those are done by one
+no detector but the default. Those are done by one
 compiled loop over them, others one by one; a tick that turns out to need more in its midst is
 finished by the gateway from there. The same frames go out as of single steps, and the same state is
 left (`tests/unit/test_ticks.py`).
@@ -31,7 +31,7 @@ from gateway.adhesion import (
 )
 from gateway.core import Gateway
 from gateway.health import Flag, Reason
-from gateway.stretch import Filtering, Judging, Left, Receiving, Saying, Warming
+from gateway.stretch import Filtering, Judging, Left, Receiving, Saying
 
 FRAMES: Final = 512
 """Of ours that there is room for in a call."""
@@ -74,10 +74,10 @@ class Ticks:
         gateway, out, done = self.gateway, [], 0  # type: tuple[Gateway, list[Block], int]
         while done < len(ends) and not (done and gateway.changed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self._period_ns
-            until, whole = self._until(at), 0
-            if until > at:
+            whole = 0
+            if self._compiled(at):
                 rest = block.part(first, int(ends[-1]))
-                whole, frames = self._few(rest, ends[done:] - first, at, until)
+                whole, frames = self._few(rest, ends[done:] - first, at)
                 out += frames
             if not whole:
                 whole = 1
@@ -92,23 +92,20 @@ class Ticks:
         """(N,) largest probability of loss that the last `run` said of each drive; NaN: none."""
         return self._went.peak
 
-    def _until(self, now: Nanos) -> Nanos:
-        """No tick before it needs more than the compiled loop; `now` or less if this one does."""
+    def _compiled(self, now: Nanos) -> bool:
+        """Whether the compiled loop may try the tick at `now`."""
         gateway = self.gateway
-        if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
-            return now
-        return gateway.thermal.alone_ns
+        return self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)
 
-    def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
-        """As `run`, for ticks before `until`; none if the first wants a step of its own."""
+    def _few(self, block: Block, ends: Ints, now: Nanos) -> tuple[int, list[Block]]:
+        """As `run`; none if the first tick wants a step of its own."""
         gateway, went = self.gateway, self._went
         inbox, outbox, adhesion = gateway.inbox, gateway.outbox, gateway.adhesion
         inbox.begin()
         outbox.note_counts(gateway.counted(now))
         left = Left(*self._several(
-            block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
-            self._receiving(), self._filtering(), self._judging(),
-            self._warming(), self._saying(), went,
+            block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now,
+            self._receiving(), self._filtering(), self._judging(), self._saying(), went,
         ))  # fmt: skip
         inbox.seen = left.seen
         adhesion.learn_ns = left.learn_ns
@@ -176,16 +173,11 @@ class Ticks:
             side.learn_ns, LEARN_NS, SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
 
-    def _warming(self) -> Warming:
-        gateway, thermal = self.gateway, self.gateway.thermal
-        summed = thermal.learning or thermal.heat is not None
-        return Warming(thermal.warmth, summed, gateway.temperature_limit_ns)
-
     def _saying(self) -> Saying:
         gateway, flags = self.gateway, self.gateway.flags
         # The loop ends where there is a reason against all flags, an overrun or an intruder.
         flags.note_train(Reason.NONE, Flag.UNKNOWN, silent=False, overrun=False)
         return Saying(
-            gateway.findings, flags.train_inputs, flags.inputs, flags.evidence, flags.status,
-            gateway.outbox.record.ctypes.data,
+            gateway.thermal.record.ctypes.data, flags.train_inputs, flags.inputs, flags.evidence,
+            flags.status, gateway.outbox.record.ctypes.data,
         )  # fmt: skip

@@ -334,6 +334,12 @@ static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
     return rejected == REASON_RANGE || rejected == REASON_NOT_AVAILABLE ? rejected : REASON_NONE;
 }
 
+int channel_is_fresh(const struct channel *channel, int64_t now_ns)
+{
+    return channel->good_ns >= 0 && now_ns - channel->good_ns <= channel->limit_ns &&
+           channel->reason == REASON_NONE;
+}
+
 void check_timeouts(struct receiver *receiver, int64_t now_ns)
 {
     for (int64_t c = 0; c < receiver->channel_count; c++) {

@@ -16,6 +16,9 @@ int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_n
 /* End of a tick: notice silence, and note why each channel is unknown (`reason`). */
 void check_timeouts(struct receiver *receiver, int64_t now_ns);
 
+/* 1 if the last good values of a channel are within its age limit, and it is known. */
+int channel_is_fresh(const struct channel *channel, int64_t now_ns);
+
 /* Index of the channel that an identifier belongs to, or enum id_owner. */
 int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flags);
 

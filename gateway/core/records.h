@@ -1101,4 +1101,121 @@ struct bus_load {
     double percent;                   /* of the last window; NaN: none yet */
 };
 
+/* ---- degradation, and a train's thermal monitor (estimators/thermal/trend.c, monitor.c) */
+
+/* How fast one motor grows warmer than the others: a local linear trend. */
+struct trend {
+    double level_k;    /* K above the others; NaN: nothing seen yet */
+    double rate_k_h;   /* K/h */
+    double cov[2][2];  /* covariance of level and rate */
+    double observed_h; /* h of readings */
+};
+
+/* Monitor of all motors; `struct thermal_motor` holds what is remembered of each. */
+struct thermal_monitor {
+    const struct thermal_config *config;
+    const struct thermal_motor_config *known; /* (motor_count) */
+    struct thermal_motor *motors;             /* (motor_count) */
+    double *workspace;                        /* 8 numbers per motor */
+    int32_t motor_count;
+    int32_t position; /* samples of the block that is under way */
+    int32_t waiting;  /* motors of the last block that are not judged yet, the last ones */
+};
+
+/* ---- temperatures in the gateway (gateway/core/thermal.c, thermal_evidence.c) */
+
+/* What is averaged over a second: the sensors' temperatures, degC, and behind them these. */
+enum thermal_quantity {
+    THERMAL_CURRENT_SQUARE = 3, /* A^2, of the current's amplitude */
+    THERMAL_SPEED = 4,          /* rad/s, without sign */
+    THERMAL_AMBIENT = 5,        /* degC */
+    THERMAL_QUANTITIES = 6,
+};
+
+/* How motors are judged. */
+enum thermal_method {
+    THERMAL_UNCALIBRATED = 0, /* not at all */
+    THERMAL_MAISD = 1,        /* by how they differ from one another (estimators/maisd.c) */
+    THERMAL_MODEL = 2,        /* by their thermal models (estimators/thermal/monitor.c) */
+};
+
+/* Evidence of one motor's temperatures. NaN: not known. */
+struct thermal_evidence {
+    double mixed_c;       /* degC, mean over the sensors that are valid */
+    double maisd_k;       /* K, largest MAISD of all points */
+    double rate_k_h;      /* K/h, of degradation */
+    int64_t jumps;        /* steps of its sensors */
+    uint8_t thermal;      /* enum flag_state */
+    uint8_t sensor;       /* enum flag_state */
+    uint8_t reason;       /* enum reason why `thermal` is unknown */
+    uint8_t fault_class;  /* enum fault_class */
+    uint8_t fault_sensor; /* enum fault_sensor */
+};
+
+/* Temperatures of one drive's motor. */
+struct motor_temperatures {
+    /* constants */
+    int64_t age_limit_ns; /* older readings are stale */
+    int32_t status;       /* index of the channel with current and command; -1: none */
+    int32_t motion;       /* index of the channel with the speed; -1: none */
+    /* state */
+    double ambient_c;                  /* as last received; NaN: not valid */
+    double total[THERMAL_QUANTITIES];  /* sums of the second that is under way */
+    double number[THERMAL_QUANTITIES]; /* values in each of these */
+    double mean[THERMAL_QUANTITIES];   /* of the last complete second; NaN: no value */
+    struct trend trend;
+    double step_k[THERMAL_POINTS];    /* K, that each sensor has stepped by, as last seen */
+    int64_t jumps;                    /* how often that has changed */
+    struct thermal_evidence evidence; /* as last judged */
+    int64_t valid_until_ns;           /* until then it stands; NO_TIME: to be judged anew */
+    uint8_t fresh;                    /* 1: its readings are within their age limit */
+};
+
+/* Temperatures over a window, (drives, THERMAL_POINTS), and how they differ: MAISD. */
+struct temperature_window {
+    /* constants */
+    double *gain;                   /* of each sensor against the fleet */
+    double *offset_k;               /* K, likewise */
+    double limit_k[THERMAL_POINTS]; /* K, of `spread` */
+    double apart_k[THERMAL_POINTS]; /* K, of `deviation` */
+    int32_t samples;                /* of the window */
+    /* state */
+    double *ring;                  /* (samples, drives, THERMAL_POINTS) degC, NaN: not valid */
+    double *value;                 /* last valid values, degC */
+    uint8_t *valid;                /* 1: that is valid now */
+    double *mean;                  /* over the window, degC */
+    uint8_t *known;                /* 1: that is known, and the sensor is valid now */
+    double *centred;               /* mean less offset, over gain, K */
+    double *deviation;             /* K from the median of the others; NaN: none */
+    double spread[THERMAL_POINTS]; /* K, MAISD; NaN: of fewer than two motors */
+    /* workspace */
+    int64_t *number;
+    double *ranked; /* (drives) */
+};
+
+/* All motors' temperatures. */
+struct temperature_monitor {
+    /* constants */
+    int64_t period_ns; /* cycle of the readings */
+    int32_t drive_count;
+    int32_t cycles_per_second; /* readings in what the model takes for one sample */
+    double named;        /* share of a fault's probability by which heat or a sensor is named */
+    uint8_t method;      /* enum thermal_method */
+    uint8_t sum_seconds; /* 1: seconds are averaged; always so with a model */
+    struct temperature_drive *sensors; /* (drive_count) */
+    struct motor_temperatures *motors; /* (drive_count) */
+    struct thermal_monitor *model;     /* NULL without one */
+    struct temperature_window window;
+    /* state */
+    int64_t next_ns;         /* when the next temperature cycle is due; NO_TIME: no reading yet */
+    int64_t cycles;          /* temperature cycles so far */
+    int64_t next_report_ns;  /* when evidence changes though nothing is received */
+    int32_t cycle;           /* temperature cycles in the second that is under way */
+    uint8_t second_complete; /* 1: the last cycle completed a second */
+    uint8_t dirty;           /* 1: evidence may have changed since it was last reported */
+    /* workspace for one sample of the model: (drives, THERMAL_POINTS) and (drives) */
+    double *reading;
+    struct thermal_input *input;
+};
+
 #endif
