@@ -51,6 +51,11 @@ HEADERS = (
     "gateway/core/sequence.h",
     "gateway/core/pairing.h",
     "gateway/core/receive.h",
+    "gateway/core/busload.h",
+    "gateway/core/transmit.h",
+    "estimators/thermal/trend.h",
+    "gateway/core/thermal_evidence.h",
+    "gateway/core/thermal.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -91,6 +96,11 @@ SOURCES = (
     "gateway/core/sequence.c",
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
+    "gateway/core/busload.c",
+    "gateway/core/transmit.c",
+    "estimators/thermal/trend.c",
+    "gateway/core/thermal_evidence.c",
+    "gateway/core/thermal.c",
 )
 DEPENDS = (
     *HEADERS,

@@ -134,7 +134,6 @@ def judge(
     drives, settings = len(fitted), Thermal()
     nodes = tuple(range(1, drives + 1))
     side = ThermalSide(drives, CYCLE_NS, settings.window_s, calibration, nodes, fitted)
-    averages = side.warmth.averages
     heat = Timing(0, round(settings.raise_s * SECOND), round(settings.clear_s * SECOND))
     start = readings[0].t_ns
     thermal, sensor = ([flag(start) for _ in nodes] for _ in range(2))
@@ -159,7 +158,7 @@ def judge(
                 (now - start) / SECOND, newest.copy(), [f["state"].item() for f in thermal],
                 [f["state"].item() for f in sensor], [r.fault_class for r in reports],
                 [r.fault_sensor for r in reports], [r.reason for r in reports],
-                averages.deviation[:, 0].copy(), averages.spread[0],
+                side.window.deviation[:, 0].copy(), side.spread[0],
             ))  # fmt: skip
     return Said(*(np.array(column) for column in zip(*rows, strict=True)))
 

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from dbc import records
 from dbc._core_symbols import symbol
-from dbc.records import Records, pointer
+from dbc.records import Addressed, Records, pointer
 
-__all__ = ["Records", "pointer", "records", "symbol"]
+__all__ = ["Addressed", "Records", "pointer", "records", "symbol"]

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from dbc.records import Records
     from gateway.flags import Status
     from gateway.inputs import Inputs
-    from gateway.said import Findings
     from gateway.tracks import Told
 
 Array = NDArray[np.float64]
@@ -31,9 +30,9 @@ _publish, _debounce, _loss = symbol("publish"), symbol("debounce"), symbol("loss
 @lean
 def fill_inputs(
     inputs: Inputs, wrong: Bools, uncertain: Bytes, told: Told, lost: Array, known: Bools,
-    severe: Bools, findings: Findings, sample_ns: Ints, out: Records,
+    severe: Bools, sample_ns: Ints, out: Records,
 ) -> None:  # fmt: skip
-    """`flag_inputs` of N drives from the columns of the stations before.
+    """`flag_inputs` of N drives from the columns of the stations before, temperatures left out.
 
     wrong (N,): the input cannot be what it seems; uncertain (N,): the rotor may run away; lost,
     known (N,): the detector's probabilities; sample_ns (N,): stamp of the newest sample.
@@ -48,12 +47,6 @@ def fill_inputs(
         one["load_nm"], one["load_sigma_nm"] = told.load[k], told.sigma[k]
         one["loss_probability"], one["loss_known"] = lost[k], known[k]
         one["may_spin_up"], one["severe_loss"] = uncertain[k], severe[k]
-        one["thermal"], one["sensor"] = findings.thermal[k], findings.sensor[k]
-        one["thermal_reason"], one["jumps"] = findings.reason[k], findings.jumps[k]
-        one["fault_class"] = findings.fault_class[k]
-        one["fault_sensor"] = findings.fault_sensor[k]
-        one["mixed_c"], one["maisd_k"] = findings.mixed_c[k], findings.maisd_k[k]
-        one["rate_k_h"], one["temperature_ns"] = findings.rate_k_h[k], findings.heard_ns[k]
 
 
 @inlined

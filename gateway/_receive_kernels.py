@@ -11,8 +11,9 @@ from dbc._lean import inlined
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-_receive, _time_out = symbol("receive_frames"), symbol("check_timeouts")
-_bus_time, _any_lost = symbol("bus_time"), symbol("any_node_lost")
+_receive = symbol("receive_frames")
+_bus_tick, _bus_receive = symbol("bus_load_tick"), symbol("bus_load_receive")
+_any_lost = symbol("any_node_lost")
 
 
 @inlined
@@ -29,20 +30,15 @@ def receive_frames(
 
 
 @inlined
-def check_timeouts(receiver: int, now: int) -> None:
-    """`check_timeouts`."""
-    _time_out(receiver, now)
-
-
-@inlined
-def bus_time(
-    receiver: int, first: int, last: int, can_id: NDArray[np.uint32], flags: Bytes, length: Bytes,
-    classic_s: Array, fd_s: Array, busy_s: float,
-) -> float:  # fmt: skip
-    """`bus_time`: rows first .. last - 1."""
-    return _bus_time(  # type: ignore[no-any-return]
-        receiver, last - first, can_id.ctypes.data + 4 * first, flags.ctypes.data + first,
-        length.ctypes.data + first, classic_s.ctypes.data, fd_s.ctypes.data, busy_s,
+def bus_load_receive(
+    load: int, receiver: int, first: int, last: int, can_id: NDArray[np.uint32], flags: Bytes,
+    length: Bytes, now: int,
+) -> None:  # fmt: skip
+    """`bus_load_tick` and `bus_load_receive` in gateway/core/busload.c: rows first .. last - 1."""
+    _bus_tick(load, now)
+    _bus_receive(
+        load, receiver, last - first, can_id.ctypes.data + 4 * first, flags.ctypes.data + first,
+        length.ctypes.data + first,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
-from gateway import calibration, foreign, inputs, plausibility, said
+from gateway import calibration, foreign, inputs, plausibility
 from gateway._direct import Direct
 from gateway._flags_kernels import fill_inputs
 from gateway._inputs_kernels import look
@@ -93,13 +93,12 @@ class Gateway:
         cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
-        limits = [c.limit_ns if c else 0 for c in temperatures]
-        self.temperature_limit_ns = np.array(limits, dtype=np.int64)
         fitted = [d.sensors for d in config.drive]
         self.thermal = ThermalSide(
             len(nodes), period, config.thermal.window_s, cells, nodes, fitted,
             model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
         )  # fmt: skip
+        self.thermal.wire(self.places, [c.limit_ns if c else 0 for c in temperatures])
         a, t = config.adhesion, config.thermal
         adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
         timing = [
@@ -119,7 +118,6 @@ class Gateway:
         self.status = self.flags.status
         self.changed = True
         """Whether a flag of any drive is another than in the tick before."""
-        self.findings = said.findings(len(nodes))
         self._look, self._fill_inputs = Direct(look), Direct(fill_inputs)
         own_hash = calibration.config_hash(config, codec.digest, cells)
         self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
@@ -198,13 +196,12 @@ class Gateway:
         """The rest of a step once adhesion has been judged."""
         inbox, inputs, told = self.inbox, self.inputs, self.bank.told
         intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
-        self.thermal.hear(inbox, self.places, now)
-        self.thermal.tell(now, self.temperature_limit_ns, self.findings)
+        self.thermal.hear(inbox, now, self.flags.inputs)
         silent, self.silent = self.silent, self.stops and intruder
         flags = self.flags
         self._fill_inputs(
             inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
-            self.adhesion.severe, self.findings, inbox.pairs.sample_ns, flags.inputs,
+            self.adhesion.severe, inbox.pairs.sample_ns, flags.inputs,
         )  # fmt: skip
         common_mode = self.adhesion.common_mode["state"].item()
         flags.note_train(self.doubt.reason, common_mode, self.silent, self.doubt.overrun)
@@ -212,8 +209,7 @@ class Gateway:
         self.changed = flags.debounce(now) or self._opinion is None
         flags.publish(now)
         self.note(opinion, now)
-        if self.outbox.wants_counts(now):
-            self.outbox.note_counts(self.counted(self._now))
+        self.outbox.note_counts(self.counted(now))
         # The tick that finds an intruder still says so.
         out = [] if silent else self.outbox.due(self.status, now)
         self.load.add(out)

@@ -184,7 +184,7 @@ class Inbox:
         block = frames if isinstance(frames, Block) else block_of(frames)
         if not block.size:
             self.samples = self.room.first(0)
-            self.receiver.check_timeouts(now)
+            self.receiver.receive(block, now)
             return block
         if block.size > self.receiver.rows:
             self.receiver.make_room(2 * block.size)

@@ -1,4 +1,4 @@
-"""From what is said to frames: what is due, encoded, counted and protected.
+"""The gateway's own frames: their messages as `gateway/core/transmit.c` sends them.
 
 May know: the message set and `now`. Every value that is not known goes out as its
 not-available code or as `Unknown`; nothing is ever repeated from an earlier tick.
@@ -6,19 +6,20 @@ not-available code or as `Unknown`; nothing is ever repeated from an earlier tic
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from _traction_core import ffi, lib
 
-from dbc.codec import PAYLOAD, Codec, MessageSpec
+from dbc.codec import Codec, MessageSpec
 from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
-from gateway._direct import Direct
-from gateway._outbox_kernels import send
+from dbc.records import TRANSMITTER, TX_FRAME, TX_MESSAGE, TX_SIGNAL, Addressed
 from gateway.flags import Status
-from gateway.sources import COUNTED, OF_A_DRIVE, OF_THE_SET, Memory, Room, Sheet, Source
+from gateway.sources import OF_A_DRIVE, OF_THE_SET
 from gateway.view import Counted
 
 if TYPE_CHECKING:
@@ -28,11 +29,13 @@ VOUCHED: Final = ("Gateway_Adhesion", "Gateway_Faults")
 """What `Gateway_Auth` follows, where flags are authenticated."""
 CHANGING: Final = "Gateway_Faults"
 """Goes out in the tick of a change, too."""
-COUNTING: Final = ("Gateway_Info", "Gateway_Status")
 
 
-class Outbox:
-    """The gateway's own messages: schedule and counters. `due` is the only mutator."""
+class Outbox(Addressed):
+    """The gateway's own messages: schedule and counters (`struct transmitter`).
+
+    `due` is the only mutator. The rules are in `gateway/core/transmit.c`.
+    """
 
     def __init__(
         self,
@@ -50,94 +53,88 @@ class Outbox:
         specs = sorted((codec.by_name[name] for name in names), key=lambda spec: spec.can_id)
         self.specs: dict[str, MessageSpec] = {spec.name: spec for spec in specs}
         self.tables = CodecTables(specs)
-        self.e2e_config = configs(specs)
-        width = self.tables.width
-        source, drive = np.zeros((2, len(specs), width), dtype=np.int64)
-        given = np.zeros((len(specs), width), dtype=np.uint8)
-        for m, spec in enumerate(specs):
-            for name, what, k in _sources(spec, nodes):
-                column = spec.column(name)
-                given[m, column], source[m, column], drive[m, column] = 1, what, k
-        place = list(self.specs)
-        cycles = np.array([spec.cycle_ns for spec in specs], dtype=np.int64)
+        self.signals = np.zeros((len(specs), self.tables.width), TX_SIGNAL)
+        """(M, S): where each signal's value comes from."""
+        for own, spec in zip(self.signals, specs, strict=True):
+            for name, source, k in _sources(spec, nodes):
+                own[spec.column(name)] = source, k
+        self.messages = np.zeros(len(specs), TX_MESSAGE)
+        """(M,) in the order of their ids."""
+        self.messages["e2e_config"] = configs(specs)
+        self.messages["cycle_ns"] = [max(spec.cycle_ns, 1) for spec in specs]
+        self.messages["signal_count"] = [len(spec.signals) for spec in specs]
+        self.messages["on_change"] = [spec.name == CHANGING for spec in specs]
+        self.record = np.zeros(1, TRANSMITTER)
+        self.record["message_count"], self.record["drive_count"] = len(specs), len(nodes)
         # A real tick wakes a little later than the one that the grid counts from, or a little
         # less late: what is due within half a tick is due now.
-        slack = tick_ns // 2
-        self.sheet = Sheet(
-            self.tables.address, given, source, drive, cycles, place.index(CHANGING), slack, tick_ns
-        )
-        next_ns, counter = np.zeros((2, len(specs)), dtype=np.int64)
-        self.memory = Memory(next_ns, counter, np.zeros(len(nodes) + 4, dtype=np.int64))
-        self.room = Room(
-            np.zeros((len(specs), width)), np.zeros((len(specs), PAYLOAD), dtype=np.uint8),
-            np.zeros(len(specs), dtype=np.int64),
-        )  # fmt: skip
+        self.record["tick_ns"], self.record["slack_ns"] = tick_ns, tick_ns // 2
+        self._thermal_sent = np.zeros(len(nodes), dtype=np.uint8)
+        self._value = np.zeros(self.tables.width)
+        self._given = np.zeros(self.tables.width, dtype=np.uint8)
+        self.frames = np.zeros(len(specs), TX_FRAME)
+        """Room for those of a tick."""
         self.heads = [
             (spec.can_id, spec.length, (FD | (BRS if spec.brs else 0)) if spec.is_fd else 0)
             for spec in specs
         ]
-        self._counting = [place.index(name) for name in COUNTING]
-        self._counted_ns: Nanos = 0
-        """When counts are wanted next."""
-        self.counts = np.full(len(COUNTED), np.nan)
         self._begun = False
-        self._send = Direct(send)
         self.authenticator = authenticator
         self.auth = codec.by_name["Gateway_Auth"]
         self.vouches = 0
         """Frames of `Gateway_Auth` so far."""
         self.vouched = {self.specs[name].can_id: self.specs[name].key for name in VOUCHED}
+        self.link()
+        self.note_counts(Counted(0, 0, 0, None, None, None))
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        for message, own in zip(self.messages, self.signals, strict=True):
+            message["signals"] = own.ctypes.data
+        self.record["codec"] = self.tables.address
+        self.record["messages"] = self.messages.ctypes.data
+        self.record["thermal_sent"] = self._thermal_sent.ctypes.data
+        self.record["value"], self.record["given"] = (
+            self._value.ctypes.data, self._given.ctypes.data,
+        )  # fmt: skip
+        self.pointer = ffi.from_buffer("struct transmitter *", self.record)
+        self._frames = ffi.from_buffer("struct tx_frame[]", self.frames)
 
     def restart(self, now: Nanos) -> None:
         """Everything is due now; the cycles count from here."""
         self._begun = True
-        self.memory.next_ns[:] = now
-        self.memory.key[:] = -1
-        self._counted_ns = now
+        lib.transmit_restart(self.pointer, now)
 
     def begin(self, now: Nanos) -> None:
         """At the first tick the cycles begin."""
         if not self._begun:
             self.restart(now)
 
-    def wants_counts(self, now: Nanos) -> bool:
-        """Whether this tick's frames say what is counted: `note_counts` before `due`."""
-        self.begin(now)
-        return now >= self._counted_ns
-
     def note_counts(self, counted: Counted) -> None:
         """What `Gateway_Info` and `Gateway_Status` say from now on."""
-        values = {**counted._asdict(), "config_hash": self.config_hash}
-        for k, name in enumerate(COUNTED):
-            value = values[name]
-            self.counts[k] = np.nan if value is None else value
+        counts = self.pointer.counts
+        counts.deadline_misses = counted.deadline_misses
+        counts.rejected = counts.rejected_before = counted.rejected
+        counts.lost = counts.lost_before = counted.lost
+        counts.bus_load_percent = _number(counted.bus_load_percent)
+        counts.latency_p99_us = _number(counted.latency_p99_us)
+        counts.lateness_p99_us = _number(counted.lateness_p99_us)
+        counts.config_hash = self.config_hash
 
     def due(self, status: Status, now: Nanos) -> list[Frame]:
         """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
         self.begin(now)
-        count = self._send(
-            now, status, self.counts, self.sheet, self.e2e_config, self.memory, self.room
-        )
-        self.note_sent(now)
-        if not count:
-            return []
-        payload = self.room.payload[:count].tobytes()
-        messages = enumerate(self.room.message[:count].tolist())
-        frames = [self.frame(message, payload, row, now) for row, message in messages]
+        count = lib.transmit(
+            self.pointer, ffi.from_buffer("struct drive_status[]", status.drives),
+            ffi.from_buffer("struct train_status *", status.train), now, self._frames,
+        )  # fmt: skip
+        frames = [self._frame(self._frames[k]) for k in range(count)]
         return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
 
-    def note_sent(self, now: Nanos) -> None:
-        """When counts are wanted next, after what was due at `now`."""
-        if now >= self._counted_ns:
-            often = min(self.sheet.cycle_ns[self._counting]) <= self.sheet.tick_ns
-            later = int(min(self.memory.next_ns[self._counting])) - self.sheet.slack_ns
-            self._counted_ns = now if often else later
-
-    def frame(self, message: int, payload: bytes, row: int, now: Nanos) -> Frame:
-        """One of ours by its number; its bytes are those of a row of payload."""
-        can_id, length, flags = self.heads[message]
-        at = PAYLOAD * row
-        return Frame(now, can_id, payload[at : at + length], flags)
+    def _frame(self, sent: Any) -> Frame:
+        """Of one `struct tx_frame`."""
+        can_id, length, flags = self.heads[sent.message]
+        return Frame(sent.t_ns, can_id, ffi.buffer(sent.data)[:length], flags)
 
     def _vouch(self, authenticator: Authenticator, frames: list[Frame]) -> list[Frame]:
         out = []
@@ -154,7 +151,11 @@ class Outbox:
         return out
 
 
-def _sources(spec: MessageSpec, nodes: Sequence[int]) -> Iterator[tuple[str, Source, int]]:
+def _number(x: float | None) -> float:
+    return math.nan if x is None else x
+
+
+def _sources(spec: MessageSpec, nodes: Sequence[int]) -> Iterator[tuple[str, int, int]]:
     """Of every signal that carries something: its name, where that comes from, of which drive."""
     if not spec.name.startswith("Gateway_"):
         for name, source in OF_A_DRIVE[spec.kind].items():

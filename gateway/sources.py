@@ -1,156 +1,71 @@
-"""Which signal of the gateway's own messages says what. A new one: a line here, one in `value_of`.
+"""Which signal of the gateway's own messages carries which value (`enum tx_source`).
 
-And the tables by which the compiled outbox goes. May know: names of the message set. May not know:
-bits, clocks.
+A new one: a line here, one in `gateway/core/transmit.c`. May know: names of the message set. May
+not know: bits, clocks.
 """
 
 from __future__ import annotations
 
-from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gateway.view import Counted
-
-
-class Source(IntEnum):
-    """Where a value comes from: `flags.Status`: of a drive, of the train; or what is counted."""
-
-    ADHESION = 0
-    THERMAL = 1
-    HEALTH = 2
-    SPEED = 3
-    LOAD = 4
-    LOST = 5
-    NIS = 6
-    FAULT_CLASS = 7
-    FAULT_SENSOR = 8
-    MIXED = 9
-    MAISD = 10
-    RATE = 11
-    JUMPS = 12
-    ADHESION_REASON = 13
-    FAULTS_REASON = 14
-    SENSOR = 15
-    COMM = 16
-    ESTIMATOR = 17
-    OVERRUN = 18
-    STATE = 19
-    DETECTOR = 20
-    COMMON_MODE = 21
-    AGE = 22
-    TEMPERATURE_AGE = 23
-    COUNTED = 24
-    """And one more for each of `COUNTED`."""
-    DEADLINE_MISSES = 24
-    REJECTED = 25
-    LOST_FRAMES = 26
-    BUS_LOAD = 27
-    LATENCY = 28
-    LATENESS = 29
-    CONFIG_HASH = 30
-
-
-COUNTED: Final = (*Counted._fields, "config_hash")
+from _traction_core import lib
 
 OF_A_DRIVE: Final = {
     "Estimate": {
-        "Health": Source.HEALTH,
-        "Speed": Source.SPEED,
-        "LoadTorque": Source.LOAD,
-        "LossProbability": Source.LOST,
-        "Nis": Source.NIS,
+        "Health": lib.TX_HEALTH,
+        "Speed": lib.TX_SPEED,
+        "LoadTorque": lib.TX_LOAD,
+        "LossProbability": lib.TX_LOSS_PROBABILITY,
+        "Nis": lib.TX_NIS,
     },
     "Thermal": {
-        "FaultClass": Source.FAULT_CLASS,
-        "Tmixed": Source.MIXED,
-        "Maisd": Source.MAISD,
-        "FaultSensor": Source.FAULT_SENSOR,
-        "Jumps": Source.JUMPS,
-        "DegradationRate": Source.RATE,
+        "FaultClass": lib.TX_FAULT_CLASS,
+        "Tmixed": lib.TX_MIXED,
+        "Maisd": lib.TX_MAISD,
+        "FaultSensor": lib.TX_FAULT_SENSOR,
+        "Jumps": lib.TX_JUMPS,
+        "DegradationRate": lib.TX_RATE,
     },
 }
 
 OF_THE_SET: Final = {
     "Gateway_Adhesion": (
         {
-            "Reason": Source.ADHESION_REASON,
-            "Detector": Source.DETECTOR,
-            "CommonMode": Source.COMMON_MODE,
-            "Age": Source.AGE,
+            "Reason": lib.TX_ADHESION_REASON,
+            "Detector": lib.TX_DETECTOR,
+            "CommonMode": lib.TX_COMMON_MODE,
+            "Age": lib.TX_AGE,
         },
-        {"Adhesion": Source.ADHESION},
+        {"Adhesion": lib.TX_ADHESION},
     ),
     "Gateway_Faults": (
         {
-            "Reason": Source.FAULTS_REASON,
-            "SensorFault": Source.SENSOR,
-            "CommFault": Source.COMM,
-            "EstimatorFault": Source.ESTIMATOR,
-            "Overrun": Source.OVERRUN,
-            "Age": Source.TEMPERATURE_AGE,
+            "Reason": lib.TX_FAULTS_REASON,
+            "SensorFault": lib.TX_SENSOR,
+            "CommFault": lib.TX_COMM,
+            "EstimatorFault": lib.TX_ESTIMATOR,
+            "Overrun": lib.TX_OVERRUN,
+            "Age": lib.TX_TEMPERATURE_AGE,
         },
-        {"Thermal": Source.THERMAL},
+        {"Thermal": lib.TX_THERMAL},
     ),
     "Gateway_Info": (
         {
-            "ConfigHash": Source.CONFIG_HASH,
-            "LatencyP99": Source.LATENCY,
-            "LatenessP99": Source.LATENESS,
+            "ConfigHash": lib.TX_CONFIG_HASH,
+            "LatencyP99": lib.TX_LATENCY,
+            "LatenessP99": lib.TX_LATENESS,
         },
         {},
     ),
     "Gateway_Status": (
         {
-            "State": Source.STATE,
-            "DeadlineMisses": Source.DEADLINE_MISSES,
-            "RejectedFrames": Source.REJECTED,
-            "LostFrames": Source.LOST_FRAMES,
-            "BusLoad": Source.BUS_LOAD,
+            "State": lib.TX_STATE,
+            "DeadlineMisses": lib.TX_DEADLINE_MISSES,
+            "RejectedFrames": lib.TX_REJECTED,
+            "LostFrames": lib.TX_LOST,
+            "BusLoad": lib.TX_BUS_LOAD,
         },
         {},
     ),
 }
 """Signals of the whole set, and those that there are for every drive, its number behind."""
-
-Ints = NDArray[np.int64]
-
-
-class Sheet(NamedTuple):
-    """Constants of M messages in the order of their ids, S columns.
-
-    codec: address of the messages' `struct codec`; given (M, S): which signals carry a value, the
-    others keep their start value; source, drive (M, S): where a signal's value comes from
-    (`Source`), and of which drive; cycle_ns (M,); changing: number of the message that is sent at a
-    change as well; slack_ns: what is due within this is due now; tick_ns: period of the loop.
-    """
-
-    codec: int
-    given: NDArray[np.uint8]
-    source: Ints
-    drive: Ints
-    cycle_ns: Ints
-    changing: int
-    slack_ns: int
-    tick_ns: int
-
-
-class Memory(NamedTuple):
-    """next_ns, counter (M,): when each is due, how many have gone; key (N + 4,): of the last tick.
-
-    key: the drives' thermal flags, then the set's `sensor`, `comm`, `estimator`, `overrun`.
-    """
-
-    next_ns: Ints
-    counter: Ints
-    key: Ints
-
-
-class Room(NamedTuple):
-    """For one tick: values (M, S), payload (M, 64) of the frames in a row, message (M,) of each."""
-
-    value: NDArray[np.float64]
-    payload: NDArray[np.uint8]
-    message: Ints

@@ -1,10 +1,9 @@
-"""Frames of several messages in a compiled loop: encoded and protected, as the outbox does it."""
+"""Frames of several messages, encoded and protected as `gateway/core/transmit.c` does it."""
 
 import numpy as np
+from _traction_core import ffi, lib
 
-from dbc._codec_kernels import encode_frame
-from dbc._e2e_kernels import e2e_protect
-from dbc._lean import lean
+from dbc.records import pointer
 
 
 def given_of(specs, given):
@@ -16,9 +15,12 @@ def given_of(specs, given):
     return found
 
 
-@lean
 def encode_rows(message, value, counter, codec, given, config, payload):
     """N frames: message (n,) their numbers, value (n, S), counter (n,); fills payload (n, 64)."""
-    for row in range(message.shape[0]):
-        encode_frame(codec, message[row], value, given, payload, row)
-        e2e_protect(payload, row, message[row], counter[row] & 0xFF, config)
+    tables, configs = ffi.cast("struct codec *", codec), pointer("struct e2e_config", config)
+    for row, m in enumerate(message.tolist()):
+        data = pointer("uint8_t", payload[row])
+        lib.encode_frame(
+            tables, m, pointer("double", value[row]), pointer("uint8_t", given[m]), data
+        )
+        lib.e2e_protect(ffi.addressof(configs[m]), data, int(counter[row]) & 0xFF)

@@ -286,3 +286,32 @@ void hypothesis_step(const struct hypothesis_config *config, const struct hypoth
         conclude(config, &spread[m], off, &state[m]);
     }
 }
+
+/* ---- heat or a sensor */
+
+static double sum_of(const double *kind, int first, int last)
+{
+    double total = 0.0;
+    for (int c = first; c < last; c++)
+        total += kind[c];
+    return total;
+}
+
+int thermal_side(const double *kind, double named)
+{
+    const double hot = sum_of(kind, 0, H);
+    const double off = sum_of(kind, H, H + Q);
+    const double loose = sum_of(kind, H + Q, THERMAL_KINDS);
+    const double share = hot / larger(hot + off, 1e-300);
+    if (loose > hot + off)
+        return -1;
+    if (share >= named)
+        return 1;
+    return share <= 1.0 - named ? -1 : 0;
+}
+
+void thermal_sides(const double *kind, int64_t rows, double named, int64_t *side)
+{
+    for (int64_t k = 0; k < rows; k++)
+        side[k] = thermal_side(kind + k * THERMAL_KINDS, named);
+}

@@ -15,4 +15,12 @@ void hypothesis_step(const struct hypothesis_config *config, const struct hypoth
                      struct hypothesis_state *state, int motors, const double *z,
                      const double *shapes, double *workspace);
 
+/* What is wrong, by kind (THERMAL_KINDS), the probabilities of all kinds: 1 heat, -1 a sensor, 0
+ * where neither has the share `named` of both. A loose connector is told by bursts, which heat has
+ * none of, so it stands beside the question. */
+int thermal_side(const double *kind, double named);
+
+/* The same of every row of kind (rows, THERMAL_KINDS): fills side (rows). */
+void thermal_sides(const double *kind, int64_t rows, double named, int64_t *side);
+
 #endif

@@ -113,16 +113,12 @@ class Belief(NamedTuple):
 def side(kind: Array, named: float = NAMED) -> NDArray[np.int64]:
     """1 where it is heat, -1 where it is a sensor, 0 where neither is `named` sure.
 
-    kind (..., 11): probabilities; gives (...,).
-
-    A loose connector is told by bursts, which heat has none of, so it stands beside the question.
+    See `thermal_sides` in `hypotheses.h`. kind (..., 11): probabilities; gives (...,).
     """
-    hot = kind[..., : len(HEAT)].sum(axis=-1)
-    off = kind[..., len(HEAT) : len(HEAT) + len(SENSORS)].sum(axis=-1)
-    loose = kind[..., len(HEAT) + len(SENSORS) :].sum(axis=-1)
-    share = hot / np.maximum(hot + off, 1e-300)
-    told = np.where(share >= named, 1, np.where(share <= 1.0 - named, -1, 0))
-    return np.where(loose > hot + off, -1, told)
+    given = np.ascontiguousarray(kind, dtype=np.float64)
+    told = np.empty(given.shape[:-1], dtype=np.int64)
+    lib.thermal_sides(pointer("double", given), told.size, named, pointer("int64_t", told))
+    return told
 
 
 def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:

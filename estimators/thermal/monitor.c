@@ -16,6 +16,7 @@
 #include "estimators/thermal/imm.h"
 #include "estimators/thermal/model.h"
 #include "estimators/thermal/peers.h"
+#include "estimators/thermal/residuals.h"
 
 enum { P = THERMAL_POINTS, SENSOR_KINDS = IMM_MODES - 1 };
 
@@ -23,7 +24,8 @@ static const double MOST_LEARNT_K = 0.9; /* K, of one block's deviation that a b
 static const double RETURNED_K = 2.0; /* K, a sensor that has crept and stepped is off by no more */
 static const double SUREST =
     0.95; /* of a loose connector: it has to be forgotten when it is mended */
-static const double LEAST = 1e-300; /* of a sum of probabilities that is divided by */
+static const double SURE = 1.0 - 1e-6; /* of a sensor that has stepped, to be off */
+static const double LEAST = 1e-300;    /* of a sum of probabilities that is divided by */
 /* A fault is reported from the first probability until the last; what is reported is above one half. */
 static const double RAISE = 0.9, CLEAR = 0.3, HALF = 0.5;
 
@@ -232,6 +234,59 @@ void thermal_judge_block(const struct thermal_config *config,
         if (isfinite(motor->off_k[q]))
             motor->base_k[q] += share * clamp(motor->off_k[q], -MOST_LEARNT_K, MOST_LEARNT_K);
     motor->judged += 1;
+}
+
+/* ---- all motors, sample by sample */
+
+void thermal_monitor_judge(struct thermal_monitor *all, int count)
+{
+    for (int k = 0; k < count && all->waiting > 0; k++) {
+        const int m = all->motor_count - all->waiting;
+        all->waiting -= 1;
+        if (all->motors[m].started)
+            thermal_judge_block(all->config, &all->known[m], &all->motors[m]);
+    }
+}
+
+void thermal_monitor_add_sample(struct thermal_monitor *all, const double *reading,
+                                const struct thermal_input *input)
+{
+    thermal_add_sample(all->config, all->known, all->motors, all->motor_count, all->position,
+                       reading, input);
+    all->position += 1;
+    if (all->position >= all->config->block)
+        thermal_monitor_close_block(all);
+}
+
+void thermal_monitor_close_block(struct thermal_monitor *all)
+{
+    thermal_monitor_judge(all, all->waiting);
+    thermal_close_block(all->config, all->known, all->motors, all->motor_count, all->workspace);
+    all->position = 0;
+    all->waiting = all->motor_count;
+}
+
+/* ---- what is known of motors */
+
+static void kinds_of(const struct thermal_motor *motor, double *kind)
+{
+    double total = 0.0;
+    for (int c = 0; c < THERMAL_KINDS; c++)
+        kind[c] = motor->kind[c];
+    for (int q = 0; q < P; q++)
+        if (motor->step[q].offset_k != 0.0)
+            kind[IMM_HEATS + q] = SURE;
+    for (int c = 0; c < THERMAL_KINDS; c++)
+        total += kind[c];
+    const double most = larger(total / SURE, 1.0);
+    for (int c = 0; c < THERMAL_KINDS; c++)
+        kind[c] /= most;
+}
+
+void thermal_kinds(const struct thermal_motor *motor, int motors, double *kind)
+{
+    for (int m = 0; m < motors; m++)
+        kinds_of(&motor[m], kind + (int64_t)m * THERMAL_KINDS);
 }
 
 double thermal_likelihood(const struct thermal_config *config,

@@ -18,15 +18,15 @@ The rules are in `monitor.c`, `imm.c` and `peers.c`; here are their constants, a
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from estimators._core import Records, pointer, records
+from estimators._core import Addressed, Records, pointer, records
 from estimators.thermal import model, step_detector
-from estimators.thermal.hypotheses import HEAT, KINDS, SENSORS
+from estimators.thermal.hypotheses import HEAT, KINDS
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,6 @@ BURST_LENGTH: Final = 5.0
 LOOSE_BEGIN_S, LOOSE_END_S = 30_000.0, 3600.0
 LEARNT_S: Final = 7200.0
 """Time constant of a motor's baseline, which is learnt while there is no fault."""
-SURE: Final = 1.0 - 1e-6
 LEAST_NOISE_K: Final = 0.01
 STEADY_S: Final = 100.0
 """A motor whose quickest lump has a shorter time constant than this bends so fast that the step
@@ -118,10 +117,11 @@ class Known(NamedTuple):
     duty: Array
 
 
-class ThermalMonitor:
+class ThermalMonitor(Addressed):
     """State of all motors; `add_sample` per sample, `judge` when a block is complete.
 
-    motors (M,): `struct thermal_motor`; config (1,), known_motors (M,): constants of them.
+    motors (M,): `struct thermal_motor`; config (1,), known_motors (M,): constants of them; record
+    (1,): `struct thermal_monitor`.
     """
 
     def __init__(self, known: Known, dt_s: float) -> None:
@@ -138,21 +138,32 @@ class ThermalMonitor:
         self.known_motors = _motors(known, self.block)
         self.motors = np.zeros(len(known.parameters), records.THERMAL_MOTOR)
         self.motors["trusted"] = True
-        self.position = 0
+        self.record = np.zeros(1, records.THERMAL_MONITOR)
+        self.record["motor_count"] = len(self.motors)
+        self._workspace = np.zeros(8 * len(self.motors))
+        self.link()
+        for motor in pointer("struct thermal_motor", self.motors):
+            lib.thermal_motor_reset(pointer("struct thermal_config", self.config),
+                                    ffi.addressof(motor))  # fmt: skip
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        for name, array in (
+            ("config", self.config), ("known", self.known_motors), ("motors", self.motors),
+            ("workspace", self._workspace),
+        ):  # fmt: skip
+            self.record[name] = array.ctypes.data
+        self.pointer = pointer("struct thermal_monitor", self.record)
+
+    @property
+    def position(self) -> int:
         """Samples of the block that is under way."""
-        self.waiting = 0
+        return int(self.record["position"][0])
+
+    @property
+    def waiting(self) -> int:
         """Motors of the last block that are not judged yet, the last ones."""
-        for motor in self._pointer():
-            lib.thermal_motor_reset(self._config(), ffi.addressof(motor))
-
-    def _config(self) -> Any:
-        return pointer("struct thermal_config", self.config)
-
-    def _known(self) -> Any:
-        return pointer("struct thermal_motor_config", self.known_motors)
-
-    def _pointer(self) -> Any:
-        return pointer("struct thermal_motor", self.motors)
+        return int(self.record["waiting"][0])
 
     def add_sample(self, reading: Array, square: Array, speed: Array, ambient: Array) -> None:
         """One sample, NaN where there is none.
@@ -163,33 +174,17 @@ class ThermalMonitor:
         inputs = np.empty(len(self.motors), records.THERMAL_INPUT)
         inputs["current_square"], inputs["speed"], inputs["ambient"] = square, speed, ambient
         degrees = np.ascontiguousarray(reading, dtype=np.float64)
-        lib.thermal_add_sample(
-            self._config(), self._known(), self._pointer(), len(self.motors), self.position,
-            pointer("double", degrees), pointer("struct thermal_input", inputs),
-        )  # fmt: skip
-        self.position += 1
-        if self.position == self.block:
-            self._close_block()
+        lib.thermal_monitor_add_sample(
+            self.pointer, pointer("double", degrees), pointer("struct thermal_input", inputs)
+        )
 
-    def _close_block(self) -> None:
-        """A block is complete: compare the motors; they wait to be judged."""
-        self.judge(self.waiting)
-        motors = len(self.motors)
-        workspace = ffi.new("double[]", 8 * motors)
-        lib.thermal_close_block(
-            self._config(), self._known(), self._pointer(), motors, workspace
-        )  # fmt: skip
-        self.position = 0
-        self.waiting = motors
+    def close_block(self) -> None:
+        """A block ends, be it complete or not: compare the motors; they wait to be judged."""
+        lib.thermal_monitor_close_block(self.pointer)
 
     def judge(self, count: int) -> None:
         """Judge so many of the motors that wait: who has little time does not do all at once."""
-        config, known, motor = self._config(), self._known(), self._pointer()
-        for _ in range(min(count, self.waiting)):
-            m = len(self.motors) - self.waiting
-            self.waiting -= 1
-            if motor[m].started:
-                lib.thermal_judge_block(config, known + m, motor + m)
+        lib.thermal_monitor_judge(self.pointer, count)
 
     @property
     def offsets(self) -> Array:
@@ -206,10 +201,10 @@ class ThermalMonitor:
 
         A sensor that has stepped is off for certain, whatever else is wrong beside it.
         """
-        kind, off = self.motors["kind"].copy(), self.offsets
-        kind[:, len(HEAT) : len(HEAT) + len(SENSORS)][off != 0.0] = SURE
-        kind /= np.maximum(kind.sum(axis=1, keepdims=True) / SURE, 1.0)
-        return kind, np.maximum(self.motors["size_k"], np.abs(off).max(axis=1))
+        motors = pointer("struct thermal_motor", self.motors)
+        kind = np.empty((len(self.motors), len(KINDS)))
+        lib.thermal_kinds(motors, len(kind), pointer("double", kind))
+        return kind, np.maximum(self.motors["size_k"], np.abs(self.offsets).max(axis=1))
 
     def likelihood(self, off: Array, inputs: Records) -> float:
         """Log likelihood of fault-free blocks, faults left out.
@@ -218,7 +213,8 @@ class ThermalMonitor:
         """
         config = self.config.copy()
         config["imm"]["modes"], total = 1, 0.0
-        given, known = pointer("struct thermal_config", config), self._known()
+        given = pointer("struct thermal_config", config)
+        known = pointer("struct thermal_motor_config", self.known_motors)
         for m in range(len(self.motors)):
             own, sums = np.ascontiguousarray(off[:, m]), np.ascontiguousarray(inputs[:, m])
             total += lib.thermal_likelihood(

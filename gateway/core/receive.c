@@ -36,17 +36,6 @@ int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flag
     return found ? receiver->ids[first].channel : ID_UNKNOWN;
 }
 
-double bus_time(const struct receiver *receiver, int64_t frames, const uint32_t *can_id,
-                const uint8_t *flags, const uint8_t *length, const double *classic_s,
-                const double *fd_s, double busy_s)
-{
-    for (int64_t k = 0; k < frames; k++) {
-        if (!receiver || lookup_id(receiver, can_id[k], flags[k]) != ID_OWN)
-            busy_s += (flags[k] & FD ? fd_s : classic_s)[length[k]];
-    }
-    return busy_s;
-}
-
 /* ---- protection */
 
 /* 1 if a frame is the last one of its channel, byte for byte; the next is compared with it. */
@@ -343,6 +332,12 @@ static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
     if (channel->accepted_ns < 0 || now_ns - channel->accepted_ns > channel->limit_ns)
         return rejected != REASON_NONE ? rejected : REASON_STALE;
     return rejected == REASON_RANGE || rejected == REASON_NOT_AVAILABLE ? rejected : REASON_NONE;
+}
+
+int channel_is_fresh(const struct channel *channel, int64_t now_ns)
+{
+    return channel->good_ns >= 0 && now_ns - channel->good_ns <= channel->limit_ns &&
+           channel->reason == REASON_NONE;
 }
 
 void check_timeouts(struct receiver *receiver, int64_t now_ns)

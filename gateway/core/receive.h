@@ -16,13 +16,10 @@ int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_n
 /* End of a tick: notice silence, and note why each channel is unknown (`reason`). */
 void check_timeouts(struct receiver *receiver, int64_t now_ns);
 
+/* 1 if the last good values of a channel are within its age limit, and it is known. */
+int channel_is_fresh(const struct channel *channel, int64_t now_ns);
+
 /* Index of the channel that an identifier belongs to, or enum id_owner. */
 int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flags);
-
-/* `busy_s` and the seconds that frames take on the wire, the gateway's own left out. classic_s, fd_s:
- * seconds by number of data bytes (256). receiver: NULL where no frame is its own. */
-double bus_time(const struct receiver *receiver, int64_t frames, const uint32_t *can_id,
-                const uint8_t *flags, const uint8_t *length, const double *classic_s,
-                const double *fd_s, double busy_s);
 
 #endif

@@ -885,10 +885,10 @@ struct channel {
     int64_t good_ns;     /* last frame whose values could be used */
     struct sequence_guard guard;
     uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
-    uint8_t reject_reason;     /* why the last values could not be used (enum reason) */
-    uint8_t protection_reason; /* what last went wrong in the protection */
-    uint8_t reason;            /* why the channel is unknown now; REASON_NONE: it is not */
-    uint8_t was_valid;         /* 1: its receiver was once in E2E_SM_VALID */
+    uint8_t reject_reason;             /* why the last values could not be used (enum reason) */
+    uint8_t protection_reason;         /* what last went wrong in the protection */
+    uint8_t reason;                    /* why the channel is unknown now; REASON_NONE: it is not */
+    uint8_t was_valid;                 /* 1: its receiver was once in E2E_SM_VALID */
 };
 
 /* Currents or voltages that wait for the other half of a sample. */
@@ -990,6 +990,232 @@ struct receiver {
     int64_t *emergency_rows;       /* received frames that are emergencies */
     int64_t counters[RX_COUNTERS]; /* since Python last took them over */
     struct received tick;
+};
+
+/* ---- sent messages, and the load of the bus (gateway/core/transmit.c, busload.c) */
+
+#define MAX_DATA_BYTES 256 /* numbers of data bytes that a frame's length can say */
+
+/* Where the value of a sent signal comes from. */
+enum tx_source {
+    TX_START_VALUE = 0, /* nowhere: the signal keeps its start value */
+    /* of a drive */
+    TX_ADHESION = 1,
+    TX_THERMAL = 2,
+    TX_HEALTH = 3,
+    TX_SPEED = 4,            /* 1/min */
+    TX_LOAD = 5,             /* Nm */
+    TX_LOSS_PROBABILITY = 6, /* % */
+    TX_NIS = 7,
+    TX_FAULT_CLASS = 8,
+    TX_FAULT_SENSOR = 9,
+    TX_MIXED = 10, /* degC */
+    TX_MAISD = 11, /* K */
+    TX_RATE = 12,  /* K/h */
+    TX_JUMPS = 13,
+    /* of the train */
+    TX_ADHESION_REASON = 14,
+    TX_FAULTS_REASON = 15,
+    TX_SENSOR = 16,
+    TX_COMM = 17,
+    TX_ESTIMATOR = 18,
+    TX_OVERRUN = 19,
+    TX_STATE = 20,
+    TX_DETECTOR = 21,
+    TX_COMMON_MODE = 22,
+    TX_AGE = 23,             /* ms */
+    TX_TEMPERATURE_AGE = 24, /* ms */
+    /* of what is counted and measured */
+    TX_DEADLINE_MISSES = 25,
+    TX_REJECTED = 26,
+    TX_LOST = 27,
+    TX_BUS_LOAD = 28, /* % */
+    TX_LATENCY = 29,  /* us */
+    TX_LATENESS = 30, /* us */
+    TX_CONFIG_HASH = 31,
+};
+
+/* One signal of a sent message; constant. */
+struct tx_signal {
+    uint8_t source; /* enum tx_source */
+    uint16_t drive; /* index of the drive that it is of */
+};
+
+/* One message that the gateway sends. */
+struct tx_message {
+    /* constants */
+    int64_t cycle_ns; /* at least 1 */
+    struct e2e_config e2e_config;
+    int32_t signal_count;
+    uint8_t on_change; /* 1: sent at a change of the flags that faults are told by, too */
+    const struct tx_signal *signals;
+    /* state */
+    int64_t next_ns; /* when it is due */
+    uint8_t counter; /* frames sent, modulo 256 */
+};
+
+/* One frame that is sent. */
+struct tx_frame {
+    int64_t t_ns;
+    int32_t message; /* index of its `struct tx_message` */
+    uint8_t data[PAYLOAD_BYTES];
+};
+
+/* What is counted and measured, as it is sent. NaN: not known. */
+struct gateway_counts {
+    double deadline_misses;  /* ticks that were skipped */
+    double rejected;         /* frames with a known identifier whose values were not used */
+    double lost;             /* frames that did not come */
+    double bus_load_percent; /* see busload.c */
+    double latency_p99_us;   /* measured by the driver */
+    double lateness_p99_us;  /* likewise */
+    double config_hash;      /* of the configuration; constant */
+    int64_t rejected_before; /* without those that are still in the receiver's counters */
+    int64_t lost_before;     /* likewise */
+};
+
+/* Everything that sends; messages in the order of their identifiers. */
+struct transmitter {
+    /* constants */
+    const struct codec *codec; /* whose messages these are */
+    struct tx_message *messages;
+    int32_t message_count;
+    int32_t drive_count;
+    int64_t tick_ns;  /* period of the loop */
+    int64_t slack_ns; /* what is due within this is due now */
+    /* state */
+    struct gateway_counts counts;
+    uint8_t *thermal_sent;   /* (drives) thermal flags of the last tick (enum flag_state) */
+    uint8_t summary_sent[4]; /* sensor, comm, estimator and overrun of the last tick */
+    /* workspace for one frame: (width of the codec) */
+    double *value;
+    uint8_t *given;
+};
+
+/* Share of the bus in use, worst-case stuffing, over the last full second. */
+struct bus_load {
+    double classic_s[MAX_DATA_BYTES]; /* s, of a classic frame by its number of data bytes */
+    double fd_s[MAX_DATA_BYTES];      /* s, of a CAN FD frame */
+    int64_t since_ns;                 /* start of the window */
+    double busy_s;                    /* s, frames of the window */
+    double percent;                   /* of the last window; NaN: none yet */
+};
+
+/* ---- degradation, and a train's thermal monitor (estimators/thermal/trend.c, monitor.c) */
+
+/* How fast one motor grows warmer than the others: a local linear trend. */
+struct trend {
+    double level_k;    /* K above the others; NaN: nothing seen yet */
+    double rate_k_h;   /* K/h */
+    double cov[2][2];  /* covariance of level and rate */
+    double observed_h; /* h of readings */
+};
+
+/* Monitor of all motors; `struct thermal_motor` holds what is remembered of each. */
+struct thermal_monitor {
+    const struct thermal_config *config;
+    const struct thermal_motor_config *known; /* (motor_count) */
+    struct thermal_motor *motors;             /* (motor_count) */
+    double *workspace;                        /* 8 numbers per motor */
+    int32_t motor_count;
+    int32_t position; /* samples of the block that is under way */
+    int32_t waiting;  /* motors of the last block that are not judged yet, the last ones */
+};
+
+/* ---- temperatures in the gateway (gateway/core/thermal.c, thermal_evidence.c) */
+
+/* What is averaged over a second: the sensors' temperatures, degC, and behind them these. */
+enum thermal_quantity {
+    THERMAL_CURRENT_SQUARE = 3, /* A^2, of the current's amplitude */
+    THERMAL_SPEED = 4,          /* rad/s, without sign */
+    THERMAL_AMBIENT = 5,        /* degC */
+    THERMAL_QUANTITIES = 6,
+};
+
+/* How motors are judged. */
+enum thermal_method {
+    THERMAL_UNCALIBRATED = 0, /* not at all */
+    THERMAL_MAISD = 1,        /* by how they differ from one another (estimators/maisd.c) */
+    THERMAL_MODEL = 2,        /* by their thermal models (estimators/thermal/monitor.c) */
+};
+
+/* Evidence of one motor's temperatures. NaN: not known. */
+struct thermal_evidence {
+    double mixed_c;       /* degC, mean over the sensors that are valid */
+    double maisd_k;       /* K, largest MAISD of all points */
+    double rate_k_h;      /* K/h, of degradation */
+    int64_t jumps;        /* steps of its sensors */
+    uint8_t thermal;      /* enum flag_state */
+    uint8_t sensor;       /* enum flag_state */
+    uint8_t reason;       /* enum reason why `thermal` is unknown */
+    uint8_t fault_class;  /* enum fault_class */
+    uint8_t fault_sensor; /* enum fault_sensor */
+};
+
+/* Temperatures of one drive's motor. */
+struct motor_temperatures {
+    /* constants */
+    int64_t age_limit_ns; /* older readings are stale */
+    int32_t status;       /* index of the channel with current and command; -1: none */
+    int32_t motion;       /* index of the channel with the speed; -1: none */
+    /* state */
+    double ambient_c;                  /* as last received; NaN: not valid */
+    double total[THERMAL_QUANTITIES];  /* sums of the second that is under way */
+    double number[THERMAL_QUANTITIES]; /* values in each of these */
+    double mean[THERMAL_QUANTITIES];   /* of the last complete second; NaN: no value */
+    struct trend trend;
+    double step_k[THERMAL_POINTS];    /* K, that each sensor has stepped by, as last seen */
+    int64_t jumps;                    /* how often that has changed */
+    struct thermal_evidence evidence; /* as last judged */
+    int64_t valid_until_ns;           /* until then it stands; NO_TIME: to be judged anew */
+    uint8_t fresh;                    /* 1: its readings are within their age limit */
+};
+
+/* Temperatures over a window, (drives, THERMAL_POINTS), and how they differ: MAISD. */
+struct temperature_window {
+    /* constants */
+    double *gain;                   /* of each sensor against the fleet */
+    double *offset_k;               /* K, likewise */
+    double limit_k[THERMAL_POINTS]; /* K, of `spread` */
+    double apart_k[THERMAL_POINTS]; /* K, of `deviation` */
+    int32_t samples;                /* of the window */
+    /* state */
+    double *ring;                  /* (samples, drives, THERMAL_POINTS) degC, NaN: not valid */
+    double *value;                 /* last valid values, degC */
+    uint8_t *valid;                /* 1: that is valid now */
+    double *mean;                  /* over the window, degC */
+    uint8_t *known;                /* 1: that is known, and the sensor is valid now */
+    double *centred;               /* mean less offset, over gain, K */
+    double *deviation;             /* K from the median of the others; NaN: none */
+    double spread[THERMAL_POINTS]; /* K, MAISD; NaN: of fewer than two motors */
+    /* workspace */
+    int64_t *number;
+    double *ranked; /* (drives) */
+};
+
+/* All motors' temperatures. */
+struct temperature_monitor {
+    /* constants */
+    int64_t period_ns; /* cycle of the readings */
+    int32_t drive_count;
+    int32_t cycles_per_second; /* readings in what the model takes for one sample */
+    double named;        /* share of a fault's probability by which heat or a sensor is named */
+    uint8_t method;      /* enum thermal_method */
+    uint8_t sum_seconds; /* 1: seconds are averaged; always so with a model */
+    struct temperature_drive *sensors; /* (drive_count) */
+    struct motor_temperatures *motors; /* (drive_count) */
+    struct thermal_monitor *model;     /* NULL without one */
+    struct temperature_window window;
+    /* state */
+    int64_t next_ns;         /* when the next temperature cycle is due; NO_TIME: no reading yet */
+    int64_t cycles;          /* temperature cycles so far */
+    int64_t next_report_ns;  /* when evidence changes though nothing is received */
+    int32_t cycle;           /* temperature cycles in the second that is under way */
+    uint8_t second_complete; /* 1: the last cycle completed a second */
+    uint8_t dirty;           /* 1: evidence may have changed since it was last reported */
+    /* workspace for one sample of the model: (drives, THERMAL_POINTS) and (drives) */
+    double *reading;
+    struct thermal_input *input;
 };
 
 #endif

@@ -76,11 +76,11 @@ class Learner:
         if side.last is not None:
             self.seconds[-1].append(side.last)
             self.dt_s = side.dt_s
-        sensors, averages = side.warmth.drives["sensor"], side.warmth.averages
-        values, fitted = sensors["value_c"].copy(), averages.configured
-        if averages.known[fitted].all():
+        sensors, fitted = side.sensors.drives["sensor"], side.sensors.configured
+        values = sensors["value_c"].copy()
+        if side.window.known[fitted].all():
             self.fitted = fitted
-            self.means.append(averages.mean.copy())
+            self.means.append(side.window.mean.copy())
             self.samples += 1
             for j, k in np.argwhere(fitted).tolist():
                 held = now - sensors["changed_ns"].item(j, k)

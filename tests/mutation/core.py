@@ -77,6 +77,12 @@ TESTS = {
         "gateway/core/supervision.c",
     ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
+    "estimators/thermal/trend.c": ("tests/unit/test_thermal_trend.py",),
+    **dict.fromkeys(("gateway/core/thermal.c", "gateway/core/thermal_evidence.c"), (
+        "tests/unit/test_temperature_monitor.py", "tests/unit/test_thermal.py",
+    )),
+    "gateway/core/busload.c": ("tests/unit/test_outbox.py",),
+    "gateway/core/transmit.c": ("tests/unit/test_outbox.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
 }  # fmt: skip
 """Those that answer for a source."""

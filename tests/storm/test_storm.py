@@ -317,9 +317,9 @@ def changes_are_not_sent(monkeypatch):
     """Not in their own tick: in the next tenth one."""
 
     def change(made):
-        sheet = made.outbox.sheet
-        slowest = int(np.argmax(sheet.cycle_ns))
-        made.outbox.sheet = sheet._replace(changing=slowest)
+        messages = made.outbox.messages
+        messages["on_change"] = 0
+        messages["on_change"][np.argmax(messages["cycle_ns"])] = 1
 
     built(monkeypatch, change)
 

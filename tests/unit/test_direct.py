@@ -11,8 +11,8 @@ from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
     "look", "tell",
-    "observe_motion", "merge_motion", "compare", "conclude", "teach", "hear", "advance", "report",
-    "fill_inputs", "send", "check_values", "assess_train", "run_filters",
+    "observe_motion", "merge_motion", "compare", "conclude", "teach",
+    "fill_inputs", "check_values", "assess_train", "run_filters",
 }  # fmt: skip
 
 

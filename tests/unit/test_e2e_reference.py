@@ -10,7 +10,6 @@ import pytest
 from _traction_core import ffi, lib
 
 from dbc import e2e
-from dbc._e2e_kernels import e2e_check, e2e_protect, e2e_sm_check
 from dbc.codec import bind
 from dbc.e2e import HEADER_BYTES, Check, Profile, SmState, configs, states
 from dbc.records import E2E_CONFIG, E2E_STATE
@@ -26,6 +25,28 @@ SPECS = [
     )
 ]
 CONFIGS = configs(SPECS)
+
+
+def one(kind, array, k):
+    """Address of record k."""
+    return ffi.addressof(ffi.from_buffer(f"struct {kind}[]", array), k)
+
+
+def e2e_check(data, row, c, config, state):
+    """A frame of channel c, its bytes in a row of data (n, 64)."""
+    frame = ffi.from_buffer("uint8_t[]", data[row])
+    return lib.e2e_check(one("e2e_config", config, c), one("e2e_state", state, c), frame)
+
+
+def e2e_sm_check(c, status, state):
+    """One receiver cycle of channel c."""
+    return lib.e2e_sm_check(one("e2e_state", state, c), status)
+
+
+def e2e_protect(payload, row, c, counter, config):
+    """Header of a frame of channel c, in a row of payload (n, 64)."""
+    frame = ffi.from_buffer("uint8_t[]", payload[row])
+    lib.e2e_protect(one("e2e_config", config, c), frame, counter)
 
 
 def frame(spec, counter, rng):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from _traction_core import ffi, lib
 
-from dbc.records import DRIVE_STATUS
-from gateway import flags, inputs, said, tracks
+from dbc.records import DRIVE_STATUS, FLAG_INPUTS
+from gateway import flags, inputs, tracks
 from gateway._flags_kernels import fill_inputs
 from gateway.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
 from gateway.health import (
@@ -142,9 +142,15 @@ def test_ranks_are_the_priorities_and_what_is_no_reason_ranks_as_none():
         assert lib.reason_rank(number) == lib.reason_rank(Reason.NONE)
 
 
+TEMPERATURES = (
+    "thermal", "sensor", "thermal_reason", "fault_class", "fault_sensor", "mixed_c", "maisd_k",
+    "rate_k_h", "jumps", "temperature_ns",
+)  # fmt: skip
+
+
 def drawn(rng):
     """Anything that the stations before can have found, whether it can come together or not."""
-    told, found, come = tracks.told(N), said.findings(N), inputs.inputs(N)
+    told, found, come = tracks.told(N), np.zeros(N, FLAG_INPUTS).view(np.recarray), inputs.inputs(N)
     told.health[:] = rng.integers(0, len(Health), N)
     if rng.random() < 0.3:
         told.health[:] = rng.integers(0, 3)
@@ -155,10 +161,10 @@ def drawn(rng):
     come.cause[:] = rng.integers(0, len(Reason), N) * (rng.random(N) < 0.5)
     come.suspect[:], come.comm[:] = rng.random(N) < 0.2, rng.integers(0, 3, N)
     found.thermal[:], found.sensor[:] = rng.integers(0, 3, (2, N))
-    found.reason[:] = rng.integers(0, len(Reason), N) * (rng.random(N) < 0.7)
+    found.thermal_reason[:] = rng.integers(0, len(Reason), N) * (rng.random(N) < 0.7)
     found.fault_class[:], found.fault_sensor[:] = rng.integers(0, 5, (2, N))
     found.jumps[:] = rng.integers(0, 9, N)
-    found.heard_ns[:] = rng.choice([NEVER, 0, 5, 77], N, p=[0.1, 0.3, 0.3, 0.3])
+    found.temperature_ns[:] = rng.choice([NEVER, 0, 5, 77], N, p=[0.1, 0.3, 0.3, 0.3])
     return told, found, come
 
 
@@ -208,8 +214,10 @@ def evidence_of(k, told, found, come, world):
 
 def filled(made, told, found, come, world):
     """Every input that a tick gives."""
+    for name in TEMPERATURES:
+        made.inputs[name] = found[name]
     fill_inputs(come, world.wrong, world.uncertain, told, world.lost, world.known, world.severe,
-                found, world.sample_ns, made.inputs)  # fmt: skip
+                world.sample_ns, made.inputs)  # fmt: skip
     made.note_train(world.doubt, world.mode, world.silent, world.overrun)
 
 
@@ -247,8 +255,10 @@ def sent_of(k, told, found, come, world, before):
     kind = FaultClass.SENSOR_BIAS if current else found.fault_class[k]
     if thermal == Flag.GOOD and evidence["of"][FlagKind.THERMAL] != Flag.GOOD:
         kind = before["fault_class"][k]  # the flag still says good: no word of a fault
-    why = Reason.INTRUDER if world.doubt is Reason.INTRUDER else found.reason[k] or Reason.STARTING
-    heard, sampled = found.heard_ns[k], world.sample_ns[k]
+    why = found.thermal_reason[k] or Reason.STARTING
+    if world.doubt is Reason.INTRUDER:
+        why = Reason.INTRUDER
+    heard, sampled = found.temperature_ns[k], world.sample_ns[k]
     moving = {"speed_rad_s": told.speed, "load_nm": told.load, "load_sigma_nm": told.sigma,
               "nis": told.nis}  # fmt: skip
     same = ("mixed_c", "maisd_k", "rate_k_h", "jumps")

@@ -8,16 +8,17 @@ import pytest
 
 from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
-from gateway import calibration, inputs, slow
+from gateway import calibration
 from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
-from gateway.channel import ChannelState, records, state_of
 from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import Sample
-from gateway.inbox import Temperatures
+from gateway.inbox import Inbox, Temperatures
 from gateway.results.calibrating import Learner
-from gateway.thermal import Beside, ThermalSide
+from gateway.supervision import Supervision
+from gateway.thermal import ThermalSide
+from tests.sender import codec_for
 
 MS = 1_000_000
 NODES = (1, 2, 3)
@@ -31,18 +32,27 @@ class Line(NamedTuple):
     fresh: bool = True
 
 
-def beside(lines):
-    """What they have said, channels 2 k and 2 k + 1 of drive k."""
-    n = len(lines)
-    said, state = slow.start(n), state_of(records([]))
-    state = ChannelState(*(np.zeros(2 * n, dtype=column.dtype) for column in state))
-    state.limit_ns[:] = 1 << 62
-    for k, line in enumerate(lines):
-        said.irms[k], said.command[k] = (np.nan, np.nan) if line.irms is None else (line.irms, 1.0)
-        said.speed[k] = np.nan if line.speed is None else line.speed
-        state.reason[2 * k : 2 * k + 2] = Reason.NONE if line.fresh else Reason.STALE
-    rows = [(2 * k, 2 * k + 2, [], 2 * k, 2 * k + 1) for k in range(n)]
-    return Beside(inputs.places(rows, [0] * n, [0.0] * n), state, said)
+class Others:
+    """What drives have sent beside their temperatures."""
+
+    def __init__(self, nodes, side):
+        self.inbox = Inbox(codec_for(nodes), nodes, 10 * MS, Supervision(nodes, 300 * MS))
+        side.wire(self.inbox.places([0.0] * len(nodes)), [310 * MS] * len(nodes))
+
+    def say(self, lines, now):
+        """Each drive's Status and Motion, received at `now`."""
+        receiver = self.inbox.receiver
+        for drive, inputs, line in zip(self.inbox.drives, receiver.drives, lines, strict=True):
+            inputs["irms"], inputs["command"] = (
+                (np.nan, np.nan) if line.irms is None else (line.irms, 1.0)
+            )
+            inputs["speed"] = np.nan if line.speed is None else line.speed
+            for channel in (drive.motion, drive.status):
+                record = receiver.channels[channel.row]
+                record["good_ns"], record["reason"] = now, Reason.NONE
+                if not line.fresh:
+                    record["reason"] = Reason.STALE
+        return receiver
 
 
 def reading(drive, t_ns, celsius):
@@ -59,11 +69,11 @@ def shipped():
 def test_a_second_is_the_mean_of_what_was_known():
     side = ThermalSide(2, 100 * MS, 5.0, None, (1, 2), [("stator", "drive_end"), POINTS])
     side.learning = True
-    lines = beside([Line(), Line(irms=None)])
+    lines, others = [Line(), Line(irms=None)], Others((1, 2), side)
     for k in range(10):
         now = (k + 1) * 100 * MS
         side.take([reading(0, now, (50 + k / 10, 40, 30, 20)), reading(1, now, (50, 40, 30, 20))],
-                  now, lines)  # fmt: skip
+                  now, others.say(lines, now))  # fmt: skip
         assert (side.last is None) == (k < 9)
     assert side.dt_s == 1.0
     sample = side.last
@@ -80,12 +90,13 @@ class Rig:
         self.cells = shipped()
         self.side = ThermalSide(3, 100 * MS, 5.0, self.cells, NODES, model=True)
         self.known = self.cells.known(NODES)
+        self.others = Others(NODES, self.side)
         self.k = 0
 
     def run(self, seconds, drives=None, extra=None):
         """extra (3, 5): heat in the lumps, K/s."""
         n = 10 * seconds
-        lines = beside(drives or [Line(8.0), Line(8.0), Line(8.0)])
+        lines = drives or [Line(8.0), Line(8.0), Line(8.0)]
         inputs = Inputs(
             np.full((n, 3), 128.0), np.full(n, 25.0), np.full(n, 20.0), np.arange(n), 0.1
         )  # fmt: skip
@@ -96,7 +107,8 @@ class Rig:
             self.k += 1
             now = self.k * 100 * MS
             noisy = np.round(row + rng.normal(0.0, 0.1, (3, 3)), 1)
-            self.side.take([reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, lines)
+            beside = self.others.say(lines, now)
+            self.side.take([reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, beside)
         self.last = out[-1]
         return [self.side.report(j, now, 310 * MS) for j in range(3)]
 
@@ -137,7 +149,7 @@ def test_quick_heat_is_not_called_its_sensors(lump, rate, classes):
 def test_a_motor_that_may_well_be_ill_is_not_good_before_it_is_named():
     rig = Rig()
     rig.run(20)
-    now, monitor = rig.k * 100 * MS, rig.side.heat.monitor
+    now, monitor = rig.k * 100 * MS, rig.side.model
     for probability, flag, reason in (
         (0.49, Flag.GOOD, Reason.NONE),
         (0.51, Flag.UNKNOWN, Reason.DIVERGED),
@@ -162,8 +174,8 @@ def test_blind_is_unknown_and_says_stale(line):
 def test_one_motor_without_others_is_unknown():
     rig = Rig()
     rig.run(20)
-    rig.side.heat.monitor.motors["off_k"][0] = np.nan
-    rig.side.warmth.kept_ns[:] = NEVER
+    rig.side.model.motors["off_k"][0] = np.nan
+    rig.side.motors["valid_until_ns"] = NEVER
     report = rig.side.report(0, rig.k * 100 * MS, 310 * MS)
     assert (report.thermal, report.reason) == (Flag.UNKNOWN, Reason.TOO_FEW_DRIVES)
 
@@ -171,22 +183,26 @@ def test_one_motor_without_others_is_unknown():
 def test_a_sensor_that_creeps_is_the_sensors_and_no_heat():
     rig = Rig()
     rig.run(30)
-    motors = rig.side.heat.monitor.motors
+    motors = rig.side.model.motors
     motors["held"][2] = True
     motors["kind"][2] = 0.0
     motors["kind"][2, 6] = 0.95
-    found = rig.side.heat.finding(2)
-    assert (found.fault, found.sensor) == (FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END)
+    rig.side.motors["valid_until_ns"] = NEVER
+    found = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
+    assert (found.thermal, found.sensor) == (Flag.UNKNOWN, Flag.BAD)
+    assert (found.fault_class, found.fault_sensor) == (
+        FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END,
+    )  # fmt: skip
 
 
 def test_hot_motor_or_sensor_is_unknown_and_no_guess():
     rig = Rig()
     rig.run(30)
-    motors = rig.side.heat.monitor.motors
+    motors = rig.side.model.motors
     motors["held"][2] = True
     motors["kind"][2] = 0.0
     motors["kind"][2, 0], motors["kind"][2, 5] = 0.9, 0.05
-    rig.side.warmth.kept_ns[:] = NEVER
+    rig.side.motors["valid_until_ns"] = NEVER
     report = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
     assert (report.thermal, report.sensor) == (Flag.UNKNOWN, Flag.UNKNOWN)
     assert (report.fault_class, report.reason) == (FaultClass.UNKNOWN, Reason.DIVERGED)

@@ -1,16 +1,22 @@
-"""What goes out is what is said, signal by signal; and the schedule."""
+"""What goes out is what is known, signal by signal; the schedule; and the load of the bus."""
 
 import math
 
 import numpy as np
 import pytest
+from _traction_core import lib
 
-from gateway import outbox as module
-from gateway._outbox_kernels import send
+from dbc.block import block_of
+from dbc.frame import EXTENDED, FD, SECOND, Frame
+from dbc.records import BUS_LOAD, TX_FRAME, pointer
+from gateway.busload import BusLoad
 from gateway.flags import FlagKind, unknown_status
-from gateway.health import NEVER
+from gateway.health import NEVER, REJECTED
 from gateway.heatside import Wear
+from gateway.inbox import Inbox
 from gateway.outbox import Outbox
+from gateway.receiving import Tally
+from gateway.supervision import Supervision
 from gateway.view import Counted, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
 
@@ -84,7 +90,6 @@ def test_every_signal_says_what_is_said(file):
     codec, rng = codec_for(NODES, file), np.random.default_rng(2)
     for _ in range(100):
         box, words = Outbox(codec, NODES, 0xABCDEF, TICK), drawn(rng)
-        assert box.wants_counts(0)
         box.note_counts(COUNTED)
         frames = box.due(words, 0)
         wanted = expected(words, 0xABCDEF)
@@ -118,8 +123,6 @@ def test_each_goes_out_in_its_cycle_and_faults_at_a_change_too():
             words.drives["flag"]["state"][1, FlagKind.THERMAL] = 2
         if tick == 163:
             words.train["comm"] = 1
-        if box.wants_counts(tick * TICK):
-            box.note_counts(COUNTED)
         for name in names(codec, box.due(words, tick * TICK)):
             sent.setdefault(name, []).append(tick)
     assert sent["Gateway_Adhesion"] == list(range(300))
@@ -137,15 +140,147 @@ def test_the_grid_stays_however_late_a_tick_is():
     assert sent == [0, 10, 31, 47, 52]
 
 
-def test_the_loop_is_the_same_function_uncompiled(monkeypatch):
-    codec, made = codec_for(NODES), []
-    for kernel in (send, send.py_func):
-        monkeypatch.setattr(module, "send", kernel)
-        box, rng = Outbox(codec, NODES, 0x123456, TICK), np.random.default_rng(5)
-        out = []
-        for tick in range(40):
-            box.note_counts(COUNTED)
-            with np.errstate(over="ignore"):
-                out += box.due(drawn(rng), tick * TICK)
-        made.append(out)
-    assert made[0] == made[1]
+def test_a_cycle_shorter_than_the_loop_goes_out_with_every_tick():
+    codec = codec_for(NODES)
+    box, words = Outbox(codec, NODES, 0, 15 * MS), unknown_status(N, 1)
+    for tick in range(40):
+        sent = names(codec, box.due(words, tick * 15 * MS))
+        assert "Gateway_Adhesion" in sent, "10 ms"
+        assert ("Drive1_Estimate" in sent) == (tick % 4 != 2), "20 ms, within half a tick"
+
+
+def test_after_a_restart_everything_is_due_once_more():
+    codec = codec_for(NODES)
+    box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
+    first = names(codec, box.due(words, 0))
+    assert len(first) == 4 + 2 * N
+    assert len(box.due(words, TICK)) < len(first)
+    box.restart(2 * TICK)
+    assert names(codec, box.due(words, 2 * TICK)) == first
+
+
+@pytest.mark.parametrize(("age", "told"), [
+    (0, (0, 0)), (-1, (-1, -10)), (-1_000_000, (-1, -10)), (254 * MS, (254, 250)),
+    (255 * MS - 1, (254, 250)), (255 * MS, (254, 250)), (2539 * MS, (254, 2530)),
+    (2540 * MS, (254, 2540)), ((1 << 63) - 1, (254, 2540)), (NEVER, (None, None)),
+])  # fmt: skip
+def test_ages_are_whole_steps_of_their_signal_and_no_more_than_fits(age, told):
+    """Of a stamp from the future, which no receiver accepts: rounded down, and sent as 0."""
+    codec, words = codec_for(NODES), unknown_status(N, 1)
+    words.train["age_ns"] = words.train["temperature_age_ns"] = age
+    frames = {codec.by_id[f.can_id].name: f for f in Outbox(codec, NODES, 0, TICK).due(words, 0)}
+    for name, value in zip(("Gateway_Adhesion", "Gateway_Faults"), told, strict=True):
+        spec = codec.by_name[name]
+        reading = codec.decode(spec, frames[name].data)["Age"]
+        got = reading.value if reading.validity == 0 else None
+        assert got == (value if value is None else max(value, 0))
+
+
+def test_a_number_of_a_source_that_there_is_not_goes_out_as_not_available():
+    codec, words = codec_for(NODES), unknown_status(N, 1)
+    for wrong in (lib.TX_CONFIG_HASH + 1, 255):
+        box = Outbox(codec, NODES, 0, TICK)
+        row = list(box.specs).index("Drive1_Estimate")
+        box.signals[row, codec.by_name["Drive1_Estimate"].column("Speed")] = wrong, 0
+        frame = next(f for f in box.due(words, 0) if f.can_id == box.heads[row][0])
+        assert codec.decode(box.specs["Drive1_Estimate"], frame.data)["Speed"].validity == 1
+
+
+def test_damaged_status_costs_no_more_than_a_wrong_frame():
+    """Every value that memory could hold; each message keeps its cycle of at least 1 ns."""
+    codec, rng = codec_for(NODES), np.random.default_rng(3)
+    box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
+    box.due(words, 0)
+    for _ in range(300):
+        for table in words:
+            table.view(np.uint8)[:] = rng.integers(0, 256, table.nbytes, dtype=np.uint8)
+        now = int(rng.integers(-(1 << 63), (1 << 63) - 1))
+        box.messages["next_ns"] = rng.integers(-(1 << 63), (1 << 63) - 1, len(box.messages))
+        with np.errstate(over="ignore"):
+            assert len(box.due(words, now)) <= len(box.messages)
+
+
+def test_counts_are_those_taken_over_and_those_in_the_receiver():
+    codec = codec_for(NODES)
+    box, load = Outbox(codec, NODES, 7, TICK), BusLoad(500_000, 2_000_000, 0)
+    inbox = Inbox(codec, NODES, TICK, Supervision(NODES, 300 * MS))
+    counters = inbox.receiver.counters
+    box.note_counts(COUNTED)
+    counters[:] = 10 ** np.arange(len(Tally)) % 1_000_007
+    load.record["percent"] = 17.0
+    for now, percent in ((0, 17.0), (2 * SECOND, 17.0), (2 * SECOND + 1, math.nan)):
+        lib.update_counts(box.pointer, inbox.receiver.pointer, load.pointer, now)
+        counts = box.record["counts"][0]
+        rejected = sum(int(counters[Tally[name.upper()]]) for name in REJECTED)
+        assert counts["rejected"] == COUNTED.rejected + rejected
+        assert counts["lost"] == COUNTED.lost + counters[Tally.LOST]
+        np.testing.assert_equal(counts["bus_load_percent"], percent)
+        assert (counts["deadline_misses"], counts["config_hash"]) == (3, 7)
+
+
+# ---- load of the bus
+
+
+def busy(load):
+    return float(load.record["busy_s"][0])
+
+
+@pytest.mark.parametrize("path", [CLASSIC, FD_FILE])
+def test_time_on_the_bus_leaves_out_what_the_gateway_has_sent_itself(path):
+    codec, rng = codec_for(NODES, path), np.random.default_rng(1)
+    inbox = Inbox(codec, NODES, TICK, Supervision(NODES, 300 * MS))
+    ids = [spec.can_id for spec in codec.messages] + [0x720, 0x0A0, 0x123, 0x701]
+    frames = [
+        Frame(TICK, can_id, bytes(rng.choice([0, 3, 8, 64] if flags & FD else [0, 3, 8])), flags)
+        for can_id in ids
+        for flags in (0, FD, EXTENDED)
+    ]
+    block = block_of(frames)
+    cost = [(1000.0 if f.flags & FD else 0.0) + len(f.data) for f in frames]
+    own = {spec.key for spec in codec.messages if spec.is_gateway} | {0x720, 0x0A0}
+    keys = [f.can_id | (1 << 31 if f.flags & EXTENDED else 0) for f in frames]
+    others = sum(c for c, key in zip(cost, keys, strict=True) if key not in own)
+    for receiver, wanted in ((None, sum(cost)), (inbox.receiver, others)):
+        load = BusLoad(500_000, 2_000_000, 0)
+        load.record["classic_s"] = np.arange(256.0)
+        load.record["fd_s"] = 1000.0 + np.arange(256.0)
+        load.record["busy_s"] = 0.5
+        load.add_block(block, receiver, TICK)
+        assert busy(load) == 0.5 + wanted
+
+
+@pytest.mark.parametrize("file", [CLASSIC, FD_FILE])
+def test_sent_frames_cost_what_they_would_cost_received(file):
+    codec = codec_for(NODES, file)
+    box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
+    frames = box.due(words, 0)
+    one, two, three = (BusLoad(500_000, 2_000_000, 0) for _ in range(3))
+    one.add(frames)
+    two.add_block(block_of(frames), None, 0)
+    sent = pointer("struct tx_frame", box.frames)
+    lib.bus_load_transmit(three.pointer, box.pointer, len(frames), sent)
+    assert busy(one) == busy(two) == busy(three) > 0.0
+    assert box.frames.dtype == TX_FRAME
+    assert one.record.dtype == BUS_LOAD
+
+
+def test_a_window_closes_with_the_first_tick_after_a_second():
+    load = BusLoad(500_000, 2_000_000, 5 * SECOND)
+    none = block_of([])
+    assert load.percent(5 * SECOND) is None
+    frame = Frame(0, 0x123, bytes(8))
+    bits = 47 + 64 + (33 + 64) // 4
+    for _ in range(1000):
+        load.add([frame])
+    load.add_block(none, None, 6 * SECOND - 1)
+    assert load.percent(6 * SECOND - 1) is None
+    load.add_block(none, None, 6 * SECOND)
+    assert load.percent(6 * SECOND) == pytest.approx(100.0 * 1000 * bits / 500_000)
+    load.add([frame] * 100)
+    load.add_block(none, None, 8 * SECOND)
+    assert load.percent(8 * SECOND) == pytest.approx(50.0 * 100 * bits / 500_000)
+    assert load.percent(10 * SECOND) is not None
+    assert load.percent(10 * SECOND + 1) is None, "long past"
+    load.add([frame] * 100_000)
+    load.add_block(none, None, 11 * SECOND)
+    assert load.percent(11 * SECOND) == 126.0, "the most that the signal can tell"

@@ -459,34 +459,6 @@ def test_why_a_channel_is_unknown(fields, reason):
     assert box.channels[0].state is reason
 
 
-@pytest.mark.parametrize("path", [CLASSIC, FD_FILE])
-def test_time_on_the_bus_leaves_out_the_gateways_own(path):
-    codec = codec_for(NODES, path)
-    box, _ = both(codec)
-    frames = Bus(codec, 3, 0.2).frames(TICK)
-    frames += [Frame(TICK, spec.can_id, bytes(8)) for spec in codec.messages if spec.is_gateway]
-    block = block_of(frames)
-    classic, fd = np.arange(256.0), 1000.0 + np.arange(256.0)
-
-    def spent(pointer):
-        columns = [
-            ffi.from_buffer(f"{kind}[]", column)
-            for kind, column in (
-                ("uint32_t", block.can_id), ("uint8_t", block.flags), ("uint8_t", block.length),
-                ("double", classic), ("double", fd),
-            )
-        ]  # fmt: skip
-        return lib.bus_time(pointer, block.size, *columns, 0.5)
-
-    cost = [(1000.0 if f.flags & FD else 0.0) + len(f.data) for f in frames]
-    own = {spec.key for spec in codec.messages if spec.is_gateway} | {0x720, 0x0A0}
-    keys = [f.can_id | (1 << 31 if f.flags & EXTENDED else 0) for f in frames]
-    assert spent(ffi.NULL) == 0.5 + sum(cost)
-    assert spent(box.receiver.pointer) == 0.5 + sum(
-        c for c, key in zip(cost, keys, strict=True) if key not in own
-    )
-
-
 def test_signs_of_a_second_sender_at_the_end_of_time():
     guard = sequence_guards([10 * MS])
     pointer = ffi.from_buffer("struct sequence_guard *", guard)

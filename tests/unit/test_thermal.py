@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from dbc.records import FLAG_INPUTS
 from gateway.calibration import Calibration, MotorCalibration
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
-from gateway.said import findings
 from gateway.thermal import ThermalSide
 
 MS = 1_000_000
@@ -130,8 +130,10 @@ def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
     """Readings that come, fail, stop for good or for a while; ticks of any length."""
     rng = np.random.default_rng(seed)
     told, asked = (ThermalSide(3, 100 * MS, 2.0, calibration(), NODES) for _ in range(2))
-    out, met, now = findings(3), set(), 0
+    out, met, now = np.zeros(3, FLAG_INPUTS), set(), 0
     limits = np.array([310 * MS, 310 * MS, 0])
+    for side in (told, asked):
+        side.motors["age_limit_ns"] = limits
     gone = set()
     for tick in range(1500):
         now += int(rng.choice([10, 10, 10, 7, 40])) * MS
@@ -144,10 +146,10 @@ def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
                 readings.append(Temperatures(j, now - MS, celsius, valid, tuple(raw.tolist())))
         for side in (told, asked):
             side.take(readings, now)
-        told.tell(now, limits, out)
+        told.tell(now, out)
         for k, limit in enumerate(limits.tolist()):
             report = asked.report(k, now, limit)
-            assert told.told(k, out) == report
-            assert out.heard_ns[k] == asked.sensors.drives["received_ns"][k]
+            assert told.told(k, out[k]) == report
+            assert out["temperature_ns"][k] == asked.sensors.drives["received_ns"][k]
             met.add(report.reason)
     assert {Reason.STALE, Reason.STARTING} < met

@@ -106,7 +106,7 @@ def judge(train, off, sums, bursts):
     """One block of its only motor."""
     motor = train.motors[0]
     motor["started"], motor["off_k"], motor["inputs"], motor["bursts"] = 1, off, sums[0], bursts
-    train.waiting = 1
+    train.record["waiting"] = 1
     train.judge(1)
     return motor
 
@@ -185,8 +185,8 @@ def closed(blocks):
     one, out = train(1), []
     for block in blocks:
         one.motors["raw"][0, :, : one.block] = one.motors["block"][0, :, : one.block] = block
-        one._close_block()
-        one.waiting = 0
+        one.close_block()
+        one.record["waiting"] = 0
         out.append(one.motors["bursts"][0, 0])
     return out
 
@@ -224,7 +224,7 @@ def test_a_block_closes_with_medians_and_what_bursts_make_likely():
     fleet = train(motors)
     fleet.motors["raw"][:, :, :together], fleet.motors["block"][:, :, :together] = raw, block
     fleet.motors["base_k"], fleet.motors["held"] = base, np.arange(motors) == 1
-    fleet._close_block()
+    fleet.close_block()
     middle, off, odds = (fleet.motors[name] for name in ("middle_k", "off_k", "bursts"))
     want = np.nanmedian(block, axis=2)
     want[2, 1] = np.nan

@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
+from _traction_core import ffi, lib
 
-from estimators.thermal.trend import ENOUGH_H, READING_K, Trend
+from dbc.records import TREND, pointer
+from estimators.thermal import trend as module
+from tests.reference.trend import ENOUGH_H, READING_K
+from tests.reference.trend import Trend as Reference
 
 BLOCK_H = 30.0 / 3600.0
 
@@ -12,6 +16,52 @@ def course(rate_k_h, hours, seed=0, motors=3):
     t = np.arange(round(hours / BLOCK_H))[:, None] * BLOCK_H
     noise = READING_K * np.random.default_rng(seed).standard_normal((len(t), motors))
     return rate_k_h * t + noise
+
+
+class Trend:
+    """M motors, each its record."""
+
+    def __init__(self, motors):
+        self.records = np.zeros(motors, TREND)
+        self.each = pointer("struct trend", self.records)
+        for one in self.each:
+            lib.trend_reset(ffi.addressof(one))
+
+    def take(self, deviation, hours):
+        for one, kelvin in zip(self.each, deviation.tolist(), strict=True):
+            lib.trend_add(ffi.addressof(one), kelvin, hours)
+
+    @property
+    def level(self):
+        return self.records["level_k"]
+
+    def told(self, m):
+        return module.rate_of(self.records[m : m + 1])
+
+    def time_to(self, m, limit_k):
+        return module.time_to(self.records[m : m + 1], limit_k)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_equals_the_reference(seed):
+    """Lines with jumps and holes, and motors that nothing is seen of."""
+    rng = np.random.default_rng(seed)
+    ours, theirs = Trend(5), Reference(5)
+    jump = np.zeros(5)
+    for _ in range(600):
+        jump += np.where(rng.random(5) < 0.01, rng.normal(0.0, 8.0, 5), 0.0)
+        deviation = jump + rng.normal(0.0, 0.5, 5)
+        deviation[rng.random(5) < 0.2] = np.nan
+        deviation[4] = np.nan
+        hours = float(rng.choice([1e-4, 0.01, 0.5]))
+        ours.take(deviation, hours), theirs.take(deviation, hours)
+        for name, wanted in (("level_k", theirs.level), ("rate_k_h", theirs.rate),
+                             ("cov", theirs.cov), ("observed_h", theirs.hours)):  # fmt: skip
+            np.testing.assert_allclose(ours.records[name], wanted, rtol=1e-9, atol=1e-12)
+        for m in range(5):
+            one, two = ours.told(m), theirs.told(m)
+            assert (one is None) == (two is None)
+            assert one is None or one == pytest.approx(two, rel=1e-9)
 
 
 def run(deviations):

@@ -1,0 +1,58 @@
+/* Share of the bus in use, worst-case stuffing, over the last full second.
+ *
+ * Nothing here can fail: a length of 8 bits is below MAX_DATA_BYTES, and a window that is divided by
+ * is at least a second long. */
+#include "gateway/core/busload.h"
+
+#include <math.h>
+
+#include "gateway/core/receive.h"
+
+#define SECOND_NS    1000000000
+#define MOST_PERCENT 126.0 /* one below the signal's code for not available */
+
+enum { FD = 8 }; /* dbc/frame.py */
+
+/* Time from the start of the window, ns. It wraps where a record holds nonsense. */
+static int64_t window_ns(const struct bus_load *load, int64_t now_ns)
+{
+    return (int64_t)((uint64_t)now_ns - (uint64_t)load->since_ns);
+}
+
+void bus_load_tick(struct bus_load *load, int64_t now_ns)
+{
+    const int64_t window = window_ns(load, now_ns);
+    if (window < SECOND_NS)
+        return;
+    const double percent = 100.0 * load->busy_s * SECOND_NS / (double)window;
+    load->percent = percent < MOST_PERCENT ? percent : MOST_PERCENT;
+    load->since_ns = now_ns;
+    load->busy_s = 0.0;
+}
+
+void bus_load_receive(struct bus_load *load, const struct receiver *receiver, int64_t frames,
+                      const uint32_t *can_id, const uint8_t *flags, const uint8_t *length)
+{
+    for (int64_t k = 0; k < frames; k++)
+        if (!receiver || lookup_id(receiver, can_id[k], flags[k]) != ID_OWN)
+            bus_load_send(load, flags[k] & FD, length[k]);
+}
+
+void bus_load_send(struct bus_load *load, int fd, uint8_t length)
+{
+    load->busy_s += fd ? load->fd_s[length] : load->classic_s[length];
+}
+
+void bus_load_transmit(struct bus_load *load, const struct transmitter *tx, int frames,
+                       const struct tx_frame *frame)
+{
+    for (int k = 0; k < frames; k++) {
+        const struct e2e_config *config = &tx->messages[frame[k].message].e2e_config;
+        bus_load_send(load, config->fd, (uint8_t)config->length);
+    }
+}
+
+double bus_load_percent(const struct bus_load *load, int64_t now_ns)
+{
+    return window_ns(load, now_ns) <= 2 * (int64_t)SECOND_NS ? load->percent : NAN;
+}

@@ -1,0 +1,25 @@
+/* Share of the bus in use, worst-case stuffing, over the last full second. */
+#ifndef TRACTION_BUSLOAD_H
+#define TRACTION_BUSLOAD_H
+
+#include "gateway/core/records.h"
+
+/* A tick begins: close the window if its second is over. */
+void bus_load_tick(struct bus_load *load, int64_t now_ns);
+
+/* Count received frames, columns of a block as in receive.h. The gateway's own are left out: they are
+ * counted as they are sent. receiver: NULL where no frame is its own. */
+void bus_load_receive(struct bus_load *load, const struct receiver *receiver, int64_t frames,
+                      const uint32_t *can_id, const uint8_t *flags, const uint8_t *length);
+
+/* Count one sent frame; fd: 1 for CAN FD; length: number of its data bytes. */
+void bus_load_send(struct bus_load *load, int fd, uint8_t length);
+
+/* Count what `transmit` has filled. */
+void bus_load_transmit(struct bus_load *load, const struct transmitter *tx, int frames,
+                       const struct tx_frame *frame);
+
+/* The last closed window, % and at most 126; NaN before the first, or when it is long past. */
+double bus_load_percent(const struct bus_load *load, int64_t now_ns);
+
+#endif

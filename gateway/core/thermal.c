@@ -1,0 +1,267 @@
+/* Temperatures of the motors, tick by tick: readings, seconds, window averages, and evidence.
+ *
+ * Nothing here can fail: drives, channels and columns come from constant tables, what is divided by
+ * is a count above 0 or the cycle of the readings, which is above 0, and time only goes on. */
+#include "gateway/core/thermal.h"
+
+#include <math.h>
+
+#include "dbc/rounding.h"
+#include "estimators/maisd.h"
+#include "estimators/thermal/monitor.h"
+#include "estimators/thermal/trend.h"
+#include "gateway/core/receive.h"
+#include "gateway/core/temperature.h"
+#include "gateway/core/thermal_evidence.h"
+
+enum { P = THERMAL_POINTS };
+enum { AMBIENT_COLUMN = P }; /* gateway/channel.py: the sensors' columns, then this one */
+
+static const double MOST_TENTHS = 1e15; /* a value beyond it, tenths of a degree, has no number */
+
+/* ---- readings */
+
+static int is_usable(const struct channel *channel, const double *value)
+{
+    const int32_t quality = channel->quality;
+    return quality < 0 || value[quality] == 1.0 || value[quality] == 2.0; /* Valid, Degraded */
+}
+
+/* A value in tenths of a degree, as it was received. */
+static int64_t tenths_of(double value_c)
+{
+    const double tenths = value_c * 10.0;
+    return fabs(tenths) < MOST_TENTHS ? round_half_even(tenths) : -1;
+}
+
+/* One decoded row of temperatures. Each point by itself: one dead sensor must not silence others. */
+static void receive_reading(struct temperature_monitor *all, const struct receiver *receiver,
+                            int64_t row)
+{
+    const struct channel *channel = &receiver->channels[receiver->channel[row]];
+    const double *value = receiver->value + row * receiver->codec->width;
+    const uint8_t *validity = receiver->validity + row * receiver->codec->width;
+    const int64_t t_ns = receiver->t_ns[row];
+    const int usable = is_usable(channel, value);
+    struct temperature_drive *drive = &all->sensors[channel->drive];
+    temperature_add_reading(drive, t_ns);
+    for (int k = 0; k < P; k++) {
+        const int32_t column = channel->columns[k];
+        if (usable && validity[column] == SIGNAL_VALID && drive->sensor[k].configured)
+            temperature_add_value(drive, k, t_ns, value[column], tenths_of(value[column]));
+    }
+    const int32_t column = channel->columns[AMBIENT_COLUMN];
+    const int valid = usable && validity[column] == SIGNAL_VALID;
+    all->motors[channel->drive].ambient_c = valid ? value[column] : NAN;
+}
+
+int receive_temperatures(struct temperature_monitor *all, const struct receiver *receiver)
+{
+    for (int64_t k = 0; k < receiver->tick.temperatures; k++)
+        receive_reading(all, receiver, receiver->temperature_rows[k]);
+    return receiver->tick.temperatures > 0;
+}
+
+/* ---- seconds */
+
+static void add_quantity(struct motor_temperatures *motor, int quantity, double value)
+{
+    motor->total[quantity] += value;
+    motor->number[quantity] += 1.0;
+}
+
+/* Current and speed of drive j, where they are known and fresh. */
+static void add_load(struct motor_temperatures *motor, const struct receiver *receiver, int j,
+                     int64_t now_ns)
+{
+    const struct drive_input *in = &receiver->drives[j];
+    if (!isnan(in->command) && motor->status >= 0 &&
+        channel_is_fresh(&receiver->channels[motor->status], now_ns))
+        add_quantity(motor, THERMAL_CURRENT_SQUARE, 2.0 * (in->irms * in->irms)); /* amplitude */
+    if (!isnan(in->speed) && motor->motion >= 0 &&
+        channel_is_fresh(&receiver->channels[motor->motion], now_ns))
+        add_quantity(motor, THERMAL_SPEED, fabs(in->speed));
+}
+
+/* Means of a second that is complete; the next one starts. */
+static void close_second(struct motor_temperatures *motor)
+{
+    for (int k = 0; k < THERMAL_QUANTITIES; k++) {
+        const double number = motor->number[k];
+        motor->mean[k] = number > 0.0 ? motor->total[k] / number : NAN;
+        motor->total[k] = motor->number[k] = 0.0;
+    }
+}
+
+/* One temperature cycle of a second: 1 if it is the last one, and the means are those of it. */
+static int add_cycle(struct temperature_monitor *all, const struct receiver *receiver,
+                     int64_t now_ns)
+{
+    for (int j = 0; j < all->drive_count; j++) {
+        struct motor_temperatures *motor = &all->motors[j];
+        int any_valid = 0;
+        for (int k = 0; k < P; k++) {
+            if (all->window.valid[j * P + k]) {
+                any_valid = 1;
+                add_quantity(motor, k, all->window.value[j * P + k]);
+            }
+        }
+        if (receiver)
+            add_load(motor, receiver, j, now_ns);
+        if (any_valid && isfinite(motor->ambient_c))
+            add_quantity(motor, THERMAL_AMBIENT, motor->ambient_c);
+    }
+    all->cycle += 1;
+    if (all->cycle < all->cycles_per_second)
+        return 0;
+    all->cycle = 0;
+    for (int j = 0; j < all->drive_count; j++)
+        close_second(&all->motors[j]);
+    return 1;
+}
+
+/* ---- window averages */
+
+/* MAISD of the window with the newest values in it. */
+static void advance_window(struct temperature_window *w, int drives, int64_t cycle)
+{
+    const int cells = drives * P;
+    maisd_push(w->ring, w->samples, cells, cycle, w->value, w->valid);
+    maisd_average(w->ring, w->samples, cells, w->mean, w->number, w->known);
+    for (int c = 0; c < cells; c++) {
+        w->known[c] = w->known[c] && w->valid[c];
+        const double apart = w->mean[c] - w->offset_k[c];
+        /* A sensor that stood still while the fleet was learnt from has gain 0. */
+        w->centred[c] = w->gain[c] != 0.0 ? apart / w->gain[c] : apart * INFINITY;
+    }
+    maisd_compare(w->centred, w->known, drives, P, w->ranked, w->spread, w->deviation);
+}
+
+/* ---- one tick */
+
+/* 1 if a temperature cycle is due; if so, when the next one is. */
+static int cycle_due(struct temperature_monitor *all, int64_t now_ns)
+{
+    const int64_t due = all->next_ns;
+    if (due == NO_TIME || now_ns < due)
+        return 0;
+    all->next_ns = due + all->period_ns * (1 + (now_ns - due) / all->period_ns);
+    return 1;
+}
+
+/* 1 if it completed a second. */
+static int advance_cycle(struct temperature_monitor *all, const struct receiver *receiver,
+                         int64_t now_ns)
+{
+    for (int j = 0; j < all->drive_count; j++)
+        all->motors[j].valid_until_ns = NO_TIME;
+    temperature_values(all->sensors, all->drive_count, now_ns, all->window.value,
+                       all->window.valid);
+    const int complete = all->sum_seconds && add_cycle(all, receiver, now_ns);
+    advance_window(&all->window, all->drive_count, all->cycles);
+    all->cycles += 1;
+    return complete;
+}
+
+void advance_temperatures(struct temperature_monitor *all, const struct receiver *receiver,
+                          int received, int64_t now_ns)
+{
+    if (received) {
+        all->dirty = 1;
+        if (all->next_ns == NO_TIME)
+            all->next_ns = now_ns;
+    }
+    int complete = 0;
+    if (cycle_due(all, now_ns)) {
+        all->dirty = 1;
+        complete = advance_cycle(all, receiver, now_ns);
+        all->second_complete = (uint8_t)complete;
+    }
+    if (!all->model)
+        return;
+    if (complete)
+        add_thermal_second(all);
+    thermal_monitor_judge(all->model, 1);
+}
+
+/* ---- evidence */
+
+static void fill_evidence(const struct thermal_evidence *evidence, struct flag_inputs *out)
+{
+    out->thermal = evidence->thermal;
+    out->sensor = evidence->sensor;
+    out->thermal_reason = evidence->reason;
+    out->fault_class = evidence->fault_class;
+    out->fault_sensor = evidence->fault_sensor;
+    out->mixed_c = evidence->mixed_c;
+    out->maisd_k = evidence->maisd_k;
+    out->rate_k_h = evidence->rate_k_h;
+    out->jumps = evidence->jumps;
+}
+
+int64_t report_motor(struct temperature_monitor *all, int j, int64_t now_ns,
+                     struct flag_inputs *out)
+{
+    struct motor_temperatures *motor = &all->motors[j];
+    const int64_t received_ns = all->sensors[j].received_ns;
+    out->temperature_ns = received_ns;
+    motor->fresh = received_ns != NO_TIME && now_ns - received_ns <= motor->age_limit_ns;
+    if (!motor->fresh) {
+        const struct thermal_evidence none =
+            no_evidence(received_ns == NO_TIME ? REASON_STARTING : REASON_STALE);
+        fill_evidence(&none, out);
+        return INT64_MAX;
+    }
+    if (now_ns >= motor->valid_until_ns) {
+        judge_temperatures(all, j, now_ns, &motor->evidence);
+        /* Nothing here changes faster than the temperatures come. */
+        motor->valid_until_ns = now_ns + all->period_ns;
+    }
+    fill_evidence(&motor->evidence, out);
+    const int64_t stale_ns = received_ns + motor->age_limit_ns + 1;
+    return motor->valid_until_ns < stale_ns ? motor->valid_until_ns : stale_ns;
+}
+
+void report_temperatures(struct temperature_monitor *all, int64_t now_ns, struct flag_inputs *out)
+{
+    if (!all->dirty && now_ns < all->next_report_ns)
+        return;
+    all->dirty = 0;
+    all->next_report_ns = INT64_MAX;
+    for (int j = 0; j < all->drive_count; j++) {
+        const int64_t until_ns = report_motor(all, j, now_ns, &out[j]);
+        if (until_ns < all->next_report_ns)
+            all->next_report_ns = until_ns;
+    }
+}
+
+void monitor_temperatures(struct temperature_monitor *all, const struct receiver *receiver,
+                          int64_t now_ns, struct flag_inputs *out)
+{
+    const int received = receive_temperatures(all, receiver);
+    advance_temperatures(all, receiver, received, now_ns);
+    report_temperatures(all, now_ns, out);
+}
+
+void temperatures_reset(struct temperature_monitor *all)
+{
+    all->next_ns = NO_TIME;
+    all->next_report_ns = all->cycles = 0;
+    all->cycle = 0;
+    all->second_complete = 0;
+    all->dirty = 1;
+    for (int j = 0; j < all->drive_count; j++) {
+        struct motor_temperatures *motor = &all->motors[j];
+        *motor = (struct motor_temperatures){
+            .age_limit_ns = motor->age_limit_ns,
+            .status = motor->status,
+            .motion = motor->motion,
+            .ambient_c = NAN,
+            .evidence = no_evidence(REASON_STARTING),
+            .valid_until_ns = NO_TIME,
+        };
+        for (int k = 0; k < THERMAL_QUANTITIES; k++)
+            motor->mean[k] = NAN;
+        trend_reset(&motor->trend);
+    }
+}

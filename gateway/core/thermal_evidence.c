@@ -1,0 +1,243 @@
+/* Evidence of one motor's temperatures: of its sensors (temperature.c), and by its thermal model
+ * (estimators/thermal/monitor.c) or by how it differs from the others (estimators/maisd.c).
+ *
+ * Nothing here can fail: what is divided by is a count above 0, kinds of faults are below
+ * THERMAL_KINDS, and a comparison with NaN is false, which raises nothing. */
+#include "gateway/core/thermal_evidence.h"
+
+#include <math.h>
+
+#include "estimators/thermal/hypotheses.h"
+#include "estimators/thermal/monitor.h"
+#include "estimators/thermal/trend.h"
+#include "gateway/core/temperature.h"
+
+enum { P = THERMAL_POINTS };
+
+static const double LIKELY = 0.5; /* probability of a fault from which a motor is not called good */
+static const double BLIND_S = 5.0; /* s without current, speed or ambient: nothing is known of it */
+
+/* Of the kinds of heat, in the order of estimators/thermal/hypotheses.py. */
+static const uint8_t HEAT_CLASS[IMM_HEATS] = {FAULT_OVERHEATING, FAULT_COOLING_LOSS, FAULT_BEARING,
+                                              FAULT_BEARING, FAULT_WINDING_RESISTANCE};
+
+struct thermal_evidence no_evidence(uint8_t reason)
+{
+    return (struct thermal_evidence){
+        .mixed_c = NAN, .maisd_k = NAN, .rate_k_h = NAN, .reason = reason};
+}
+
+/* ---- by the thermal model */
+
+/* A step of any of a motor's sensors is a jump. */
+static void count_jumps(const struct thermal_motor *model, struct motor_temperatures *motor)
+{
+    int jumped = 0;
+    for (int q = 0; q < P; q++) {
+        jumped |= motor->step_k[q] != model->step[q].offset_k;
+        motor->step_k[q] = model->step[q].offset_k;
+    }
+    motor->jumps += jumped;
+}
+
+/* Mean deviation of a motor's block from the other motors; NaN without one. What a fault does is no
+ * degradation. */
+static double block_deviation(const struct thermal_motor *model)
+{
+    double total = 0.0;
+    int count = 0;
+    for (int q = 0; q < P; q++) {
+        const double beside = model->off_k[q] + model->base_k[q];
+        if (isfinite(beside)) {
+            total += beside;
+            count++;
+        }
+    }
+    return count == 0 || model->held ? NAN : total / count;
+}
+
+void add_thermal_second(struct temperature_monitor *all)
+{
+    struct thermal_monitor *model = all->model;
+    for (int j = 0; j < all->drive_count; j++) {
+        const double *mean = all->motors[j].mean;
+        for (int q = 0; q < P; q++)
+            all->reading[j * P + q] = mean[q];
+        all->input[j] = (struct thermal_input){.current_square = mean[THERMAL_CURRENT_SQUARE],
+                                               .speed = mean[THERMAL_SPEED],
+                                               .ambient = mean[THERMAL_AMBIENT]};
+    }
+    thermal_monitor_add_sample(model, all->reading, all->input);
+    const double block_h = model->config->block * model->config->dt_s / 3600.0;
+    for (int j = 0; j < all->drive_count; j++) {
+        count_jumps(&model->motors[j], &all->motors[j]);
+        if (model->position == 0) /* a block is complete */
+            trend_add(&all->motors[j].trend, block_deviation(&model->motors[j]), block_h);
+    }
+}
+
+/* 1 if a block of the motor could be compared with others. */
+static int is_compared(const struct thermal_motor *model)
+{
+    return isfinite(model->off_k[0]) || isfinite(model->off_k[1]) || isfinite(model->off_k[2]);
+}
+
+/* 1 if a fault is reported, or a sensor has stepped. */
+static int has_finding(const struct thermal_motor *model)
+{
+    int found = model->held != 0;
+    for (int q = 0; q < P; q++)
+        found |= model->step[q].offset_k != 0.0;
+    return found;
+}
+
+/* Kind with the largest probability of kinds first to last - 1. */
+static int likeliest(const double *kind, int first, int last)
+{
+    int most = first;
+    for (int c = first + 1; c < last; c++)
+        if (kind[c] > kind[most])
+            most = c;
+    return most;
+}
+
+/* What is wrong with a motor of which something is. */
+static void name_finding(const struct thermal_motor *model, double named,
+                         struct thermal_evidence *out)
+{
+    double kind[THERMAL_KINDS];
+    thermal_kinds(model, 1, kind);
+    const int side = thermal_side(kind, named);
+    if (side == 0) { /* a hot motor as well as a sensor that is off */
+        out->sensor = FLAG_UNKNOWN;
+        out->reason = REASON_DIVERGED;
+    } else if (side > 0) {
+        out->thermal = FLAG_BAD;
+        out->reason = REASON_NONE;
+        out->fault_class = HEAT_CLASS[likeliest(kind, 0, IMM_HEATS)];
+    } else { /* a loose connector is a sensor that is off at times */
+        const int c = likeliest(kind, IMM_HEATS, THERMAL_KINDS);
+        out->sensor = FLAG_BAD;
+        out->reason = REASON_NOT_AVAILABLE;
+        out->fault_class = FAULT_SENSOR_BIAS;
+        out->fault_sensor = (uint8_t)(FAULT_ON_STATOR + (c - IMM_HEATS) % P);
+    }
+}
+
+static void judge_by_model(const struct temperature_monitor *all, int j,
+                           struct thermal_evidence *out)
+{
+    const struct thermal_motor *model = &all->model->motors[j];
+    if (model->unknown_s > BLIND_S) {
+        out->reason = REASON_STALE;
+    } else if (model->judged == 0) {
+        out->reason = REASON_STARTING;
+    } else if (!is_compared(model)) {
+        out->reason = REASON_TOO_FEW_DRIVES;
+    } else if (has_finding(model)) {
+        name_finding(model, all->named, out);
+    } else if (model->fault_probability > LIKELY) {
+        /* What follows the model no longer is not good, although no cause is certain yet. */
+        out->reason = REASON_DIVERGED;
+    } else {
+        out->thermal = FLAG_GOOD;
+        out->reason = REASON_NONE;
+        out->fault_class = FAULT_NONE;
+    }
+}
+
+/* ---- by how motors differ */
+
+/* Which points are hot, a bit each: MAISD says that the fleet differs, the deviation which motor. */
+static unsigned hot_points(const struct temperature_window *window, int j)
+{
+    unsigned hot = 0;
+    for (int k = 0; k < P; k++)
+        if (window->deviation[j * P + k] > window->apart_k[k] &&
+            window->spread[k] > window->limit_k[k])
+            hot |= 1u << k;
+    return hot;
+}
+
+/* enum reason why motor j cannot be compared with others; REASON_NONE if it can. */
+static uint8_t compare_reason(const struct temperature_monitor *all, int j)
+{
+    uint8_t reason = REASON_NONE;
+    for (int k = 0; k < P; k++) {
+        if (!all->sensors[j].sensor[k].configured)
+            continue;
+        if (!all->window.known[j * P + k])
+            return REASON_STARTING;
+        if (!isfinite(all->window.deviation[j * P + k]))
+            reason = REASON_TOO_FEW_DRIVES;
+    }
+    return reason;
+}
+
+static void judge_by_maisd(const struct temperature_monitor *all, int j,
+                           struct thermal_evidence *out)
+{
+    out->reason = compare_reason(all, j);
+    if (out->reason != REASON_NONE)
+        return;
+    const unsigned hot = hot_points(&all->window, j);
+    out->thermal = hot ? FLAG_BAD : FLAG_GOOD;
+    out->fault_class = FAULT_NONE;
+    if (hot)
+        out->fault_class = FAULT_BEARING;
+    if (hot & 1u) /* the winding, alone or with the ends */
+        out->fault_class = hot > 1u ? FAULT_COOLING_LOSS : FAULT_OVERHEATING;
+}
+
+/* ---- all together */
+
+/* Mean of the known window averages of motor j, degC. */
+static double mixed_temperature(const struct temperature_window *window, int j)
+{
+    double total = 0.0;
+    int count = 0;
+    for (int k = j * P; k < (j + 1) * P; k++) {
+        if (window->known[k]) {
+            total += window->mean[k];
+            count++;
+        }
+    }
+    return count > 0 ? total / count : NAN;
+}
+
+/* The largest MAISD, K; NaN where there is none. */
+static double largest_spread(const double *spread)
+{
+    double found = NAN;
+    for (int k = 0; k < P; k++)
+        if (isfinite(spread[k]) && !(found >= spread[k]))
+            found = spread[k];
+    return found;
+}
+
+void judge_temperatures(const struct temperature_monitor *all, int j, int64_t now_ns,
+                        struct thermal_evidence *out)
+{
+    const struct temperature_drive *sensors = &all->sensors[j];
+    const struct motor_temperatures *motor = &all->motors[j];
+    *out = no_evidence(REASON_STARTING);
+    out->mixed_c = mixed_temperature(&all->window, j);
+    out->maisd_k = largest_spread(all->window.spread);
+    out->rate_k_h = trend_rate_k_h(&motor->trend);
+    out->jumps = motor->jumps;
+    const int fault = temperature_fault(sensors, now_ns);
+    if (fault != FAULT_NONE) {
+        out->sensor = FLAG_BAD;
+        out->reason = REASON_NOT_AVAILABLE;
+        out->fault_class = (uint8_t)fault;
+        out->fault_sensor = (uint8_t)temperature_fault_sensor(sensors, now_ns);
+        return;
+    }
+    out->sensor = temperature_not_yet_valid(sensors) ? FLAG_UNKNOWN : FLAG_GOOD;
+    if (all->method == THERMAL_MODEL)
+        judge_by_model(all, j, out);
+    else if (all->method == THERMAL_MAISD)
+        judge_by_maisd(all, j, out);
+    else
+        out->reason = REASON_CONFIG;
+}

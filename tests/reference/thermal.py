@@ -1,0 +1,156 @@
+"""Temperatures of motors in plain Python, which `gateway/core/thermal.c` is compared with.
+
+Validity of sensors, windows, MAISD and the thermal monitor have references of their own; here the
+product's are used.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimators import maisd
+from estimators.thermal.hypotheses import HEAT, KINDS, side
+from gateway.health import FaultClass, FaultSensor, Flag, Reason
+
+NEVER = -(1 << 63)
+POINTS = 3
+BLIND_S, LIKELY = 5.0, 0.5
+CLASSES = {
+    "overheating": FaultClass.OVERHEATING, "cooling_loss": FaultClass.COOLING_LOSS,
+    "bearing_de": FaultClass.BEARING, "bearing_nde": FaultClass.BEARING,
+    "winding_resistance": FaultClass.WINDING_RESISTANCE,
+}  # fmt: skip
+NOTHING = (FaultClass.UNKNOWN, FaultSensor.NONE)
+
+
+def words(motor, kind):
+    """Thermal and sensor evidence, reason, class, whose sensor; sensor None: the model tells none.
+
+    motor: one `struct thermal_motor`; kind (11,): `ThermalMonitor.kinds`.
+    """
+    if motor["unknown_s"] > BLIND_S:
+        return Flag.UNKNOWN, None, Reason.STALE, *NOTHING
+    if not motor["judged"]:
+        return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
+    if not np.isfinite(motor["off_k"]).any():
+        return Flag.UNKNOWN, None, Reason.TOO_FEW_DRIVES, *NOTHING
+    if not motor["held"] and not motor["step"]["offset_k"].any():
+        if motor["fault_probability"] > LIKELY:
+            return Flag.UNKNOWN, None, Reason.DIVERGED, *NOTHING
+        return Flag.GOOD, None, Reason.NONE, FaultClass.NONE, FaultSensor.NONE
+    whose = int(side(kind))
+    if whose == 0:
+        return Flag.UNKNOWN, Flag.UNKNOWN, Reason.DIVERGED, *NOTHING
+    if whose > 0:
+        name = KINDS[int(kind[: len(HEAT)].argmax())]
+        return Flag.BAD, None, Reason.NONE, CLASSES[name], FaultSensor.NONE
+    point = int(kind[len(HEAT) :].argmax()) % POINTS
+    bias = FaultClass.SENSOR_BIAS, FaultSensor(point + 1)
+    return Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, *bias
+
+
+class Temperatures:
+    """Of all motors, beside a `ThermalSide` whose sensors and monitor it looks at."""
+
+    def __init__(self, side, calibration, nodes, window, every, limits):
+        n = len(side.motors)
+        self.side, self.every, self.limits = side, every, limits
+        self.period = int(side.record["period_ns"][0])
+        self.calibration = calibration
+        self.gain, self.offset = np.ones((n, POINTS)), np.zeros((n, POINTS))
+        if calibration is not None:
+            self.gain, self.offset = calibration.centring(nodes)
+        self.ring = []
+        self.window, self.cycles, self.due, self.at = window, 0, None, 0
+        self.ambient = np.full(n, np.nan)
+        self.rows = [[] for _ in range(n)]
+        self.mean = np.full((n, POINTS + 3), np.nan)
+        self.kept, self.until = [None] * n, [NEVER] * n
+        self.averages = self.known = self.deviation = None
+        self.spread = np.full(POINTS, np.nan)
+
+    def tick(self, received, now, loads):
+        """After the sensors have got their readings. loads (N, 2): current and speed, NaN: none."""
+        if received and self.due is None:
+            self.due = now
+        if self.due is None or now < self.due:
+            return
+        self.due += self.period * (1 + (now - self.due) // self.period)
+        self.until = [NEVER] * len(self.until)
+        valid = self.side.sensors.valid(now)
+        values = self.side.sensors.drives["sensor"]["value_c"]
+        self._second(valid, values, loads)
+        self.ring = [*self.ring, np.where(valid, values, np.nan)][-self.window :]
+        seen = np.isfinite(self.ring)
+        count = seen.sum(axis=0)
+        total = np.where(seen, self.ring, 0.0).sum(axis=0)
+        self.averages = total / np.maximum(count, 1)
+        self.known = (2 * count >= self.window) & valid
+        with np.errstate(divide="ignore", invalid="ignore"):
+            centred = (self.averages - self.offset) / self.gain
+        self.spread, self.deviation = maisd.compare(centred, self.known)
+        self.cycles += 1
+
+    def _second(self, valid, values, loads):
+        for j, (good, celsius) in enumerate(zip(valid, values, strict=True)):
+            row = np.full(POINTS + 3, np.nan)
+            row[:POINTS] = np.where(good, celsius, np.nan)
+            row[POINTS], row[POINTS + 1] = 2.0 * loads[j, 0] ** 2, abs(loads[j, 1])
+            row[POINTS + 2] = self.ambient[j] if good.any() else np.nan
+            self.rows[j].append(row)
+        self.at += 1
+        if self.at < self.every:
+            return
+        self.at = 0
+        for j, rows in enumerate(self.rows):
+            with np.errstate(invalid="ignore"):
+                there = np.isfinite(rows).sum(axis=0)
+                self.mean[j] = np.nansum(rows, axis=0) / np.where(there, there, np.nan)
+        self.rows = [[] for _ in self.rows]
+
+    def report(self, j, now):
+        """Evidence of one motor: flags, reason, class, sensor, temperature and MAISD."""
+        received = int(self.side.sensors.drives["received_ns"][j])
+        if received == NEVER or now - received > self.limits[j]:
+            why = Reason.STARTING if received == NEVER else Reason.STALE
+            return Flag.UNKNOWN, Flag.UNKNOWN, why, *NOTHING, math.nan, math.nan
+        if now >= self.until[j]:
+            self.kept[j], self.until[j] = self._judge(j, now), now + self.period
+        return self.kept[j]
+
+    def _judge(self, j, now):
+        mixed = largest = math.nan
+        if self.averages is not None and self.known[j].any():
+            mixed = self.averages[j][self.known[j]].mean()
+        if np.isfinite(self.spread).any():
+            largest = np.nanmax(self.spread)
+        sensors = self.side.sensors
+        kind, whose = sensors.verdict(j, now)
+        if kind is not FaultClass.NONE:
+            found = Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
+            return *found, mixed, largest
+        sensor = Flag.UNKNOWN if sensors.not_yet_valid(j) else Flag.GOOD
+        if self.calibration is None:
+            thermal, own, why, *fault = Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
+        elif self.side.model is None:
+            thermal, own, why, *fault = self._unlike(j)
+        else:
+            monitor = self.side.model
+            thermal, own, why, *fault = words(monitor.motors[j], monitor.kinds()[0][j])
+        return thermal, sensor if own is None else own, why, *fault, mixed, largest
+
+    def _unlike(self, j):
+        fitted = self.side.sensors.configured[j]
+        if self.known is None or not self.known[j][fitted].all():
+            return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
+        if not np.isfinite(self.deviation[j][fitted]).all():
+            return Flag.UNKNOWN, None, Reason.TOO_FEW_DRIVES, *NOTHING
+        learnt = self.calibration
+        hot = (self.deviation[j] > learnt.deviation_limit_k) & (self.spread > learnt.maisd_limit_k)
+        kind = FaultClass.BEARING if hot.any() else FaultClass.NONE
+        if hot[0]:
+            kind = FaultClass.COOLING_LOSS if hot[1:].any() else FaultClass.OVERHEATING
+        flag = Flag.BAD if hot.any() else Flag.GOOD
+        return flag, None, Reason.NONE, kind, FaultSensor.NONE

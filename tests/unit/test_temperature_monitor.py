@@ -1,0 +1,295 @@
+"""`gateway/core/thermal.c` on rows of any sort: of frames, of a recording, and by the reference."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dbc.records import FLAG_INPUTS
+from gateway import calibration
+from gateway.commands.common import scenario_thermal
+from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.inbox import Inbox, Temperatures
+from gateway.supervision import Supervision
+from gateway.thermal import ThermalSide
+from tests.reference import thermal as reference
+from tests.sender import MS, codec_for
+
+NODES = (1, 2, 3)
+CODEC = codec_for(NODES)
+FITTED = (("stator", "drive_end", "non_drive_end"), ("stator", "non_drive_end"), ("drive_end",))
+TOP_C = 300.0
+
+
+class Bus:
+    """Rows of temperatures as the receiver leaves them; what else drives say comes and goes."""
+
+    def __init__(self, seed):
+        self.inbox = Inbox(CODEC, NODES, 10 * MS, Supervision(NODES, 300 * MS))
+        self.places = self.inbox.places([1.0] * 3)
+        self.rng = np.random.default_rng(seed)
+        self.level = np.tile([60.0, 50.0, 48.0, 20.0], (3, 1))
+        self.off, self.lost = np.zeros((3, 4)), np.zeros((3, 4), dtype=bool)
+        self.held = np.zeros((3, 4), dtype=bool)
+        self.gone = np.zeros(3, dtype=bool)
+        self.now = self.tick = 0
+
+    def _change(self):
+        rng = self.rng
+        if rng.random() < 0.02:
+            self.off[rng.integers(3)] = rng.choice([0.0, 9.0, -9.0, 250.0])
+            self.off[rng.integers(3), rng.integers(4)] = rng.choice([0.0, 3.0, 9.0])
+        for what in (self.lost, self.held):
+            if rng.random() < 0.02:
+                what[rng.integers(3), rng.integers(4)] ^= True
+            if rng.random() < 0.02:
+                what[rng.integers(3)] ^= True
+        if rng.random() < 0.02:
+            self.gone[rng.integers(3)] ^= True
+        if rng.random() < 0.05:
+            for what in (self.off, self.lost, self.held, self.gone):
+                what[:] = 0
+        slow, state = self.inbox.slow, self.inbox.state
+        for column in (slow.speed, slow.irms, slow.command):
+            column[:] = np.where(rng.random(3) < 0.03, np.nan, rng.normal(0.0, 20.0, 3))
+        # It is sent with the command.
+        slow.irms[:] = np.where(np.isnan(slow.irms), 5.0, slow.irms)
+        state.good_ns[:] = self.now - rng.choice([0, 10, 5000], len(state.good_ns)) * MS
+        state.reason[:] = rng.choice([Reason.NONE] * 9 + [Reason.STALE], len(state.reason))
+
+    def go_on(self):
+        """The next tick's rows."""
+        rng, inbox, scratch = self.rng, self.inbox, self.inbox.scratch
+        self._change()
+        self.tick += 1
+        hole = self.tick % 700 == 0
+        self.now += 12_000 * MS if hole else int(rng.choice([10] * 20 + [7, 40])) * MS
+        self.level[:, :3] += rng.normal(0.02, 0.01, (3, 3)) * (self.tick < 400)
+        inbox.seen = 0
+        for j, drive in enumerate(inbox.drives):
+            if self.gone[j] or (self.tick + 3 * j) % 10:
+                continue
+            channel = drive.channels["Temperatures"]
+            row = 2 * j + 1
+            scratch.seen[inbox.seen] = row
+            inbox.seen += 1
+            scratch.channel[row], scratch.t_ns[row] = channel.row, self.now - MS
+            picked = list(channel.picked)
+            shaky = np.where(self.held[j], 0.0, rng.normal(0.0, 0.15, 4))
+            celsius = np.minimum(np.round(self.level[j] + self.off[j] + shaky, 1), TOP_C)
+            scratch.value[row, picked] = celsius
+            scratch.validity[row, picked] = np.where(self.lost[j], rng.integers(1, 4, 4), 0)
+            scratch.value[row, channel.quality] = rng.choice([1.0] * 40 + [0.0, 2.0, 3.0])
+        inbox.receiver.tick["temperatures"] = inbox.seen
+
+
+def cells():
+    return calibration.load(Path(scenario_thermal()["calibration"]), NODES, 5.0)
+
+
+def made(method, seed, fitted=FITTED):
+    """A thermal side, its bus and its reference."""
+    learnt = None if method == "none" else cells()
+    side = ThermalSide(3, 100 * MS, 5.0, learnt, NODES, fitted, model=method == "model")
+    side.learning = True
+    bus, limits = Bus(seed), [310 * MS, 310 * MS, 150 * MS]
+    side.wire(bus.places, limits)
+    # A window and a second of the calibration's length in cycles.
+    plain = reference.Temperatures(side, learnt, NODES, 50, 10, limits)
+    return side, bus, plain
+
+
+def loads_of(bus):
+    """(N, 2) current and speed that are known and fresh."""
+    inbox, out = bus.inbox, np.full((3, 2), np.nan)
+    for drive, row, load in zip(inbox.drives, inbox.receiver.drives, out, strict=True):
+        if not np.isnan(row["command"]) and drive.status.fresh(bus.now):
+            load[0] = row["irms"]
+        if drive.motion.fresh(bus.now):
+            load[1] = row["speed"]
+    return out
+
+
+def everything(side):
+    """All that goes on to the next tick."""
+    parts = [side.record[name].tolist() for name in ("next_ns", "cycles", "cycle", "dirty")]
+    if side.model is not None:
+        parts.append(side.model.motors.tolist())
+    return repr([*parts, side.motors.tolist(), *map(np.ndarray.tolist, side.window), side._ring])
+
+
+@pytest.mark.parametrize(("method", "seed"), [("none", 1), ("maisd", 2), ("model", 3)])
+def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, seed):
+    """Sensors that fail in every way, drives that fall silent, ticks of any length."""
+    side, bus, plain = made(method, seed)
+    other, _, _ = made(method, seed)
+    inputs, again, met = np.zeros(3, FLAG_INPUTS), np.zeros(3, FLAG_INPUTS), set()
+    for tick in range(3000):
+        bus.go_on()
+        side.hear(bus.inbox, bus.now, inputs)
+        for reading in bus.inbox.temperatures:
+            celsius, valid = reading.celsius[3], reading.valid[3]
+            plain.ambient[reading.drive] = celsius if valid else np.nan
+        plain.tick(bus.inbox.seen > 0, bus.now, loads_of(bus))
+        other.take(bus.inbox.temperatures, bus.now, bus.inbox.receiver)
+        other.tell(bus.now, again)
+        assert repr(inputs.tolist()) == repr(again.tolist())
+        np.testing.assert_allclose(side.motors["mean"], plain.mean, rtol=1e-12)
+        for k in range(3):
+            told, wanted = side.told(k, inputs[k]), plain.report(k, bus.now)
+            assert tuple(told[:5]) == wanted[:5], (tick, k)
+            numbers = [inputs[k]["mixed_c"], inputs[k]["maisd_k"]]
+            np.testing.assert_allclose(numbers, wanted[5:], rtol=1e-9, atol=1e-9)
+            met.add((told.reason, told.fault_class))
+    assert everything(side) == everything(other)
+    assert {FaultClass.SENSOR_BIAS, FaultClass.SENSOR_LOST} <= {kind for _, kind in met}
+    assert {Reason.STALE, Reason.NOT_AVAILABLE} <= {reason for reason, _ in met}
+
+
+def test_a_copy_goes_on_by_itself():
+    side, bus, _ = made("model", 5)
+    inputs = np.zeros(3, FLAG_INPUTS)
+    for _ in range(200):
+        bus.go_on()
+        side.hear(bus.inbox, bus.now, inputs)
+    other, before = copy.deepcopy(side), everything(side)
+    assert everything(other) == before
+    for _ in range(200):
+        bus.go_on()
+        other.hear(bus.inbox, bus.now, inputs)
+    assert everything(side) == before != everything(other)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
+    rng = np.random.default_rng(seed)
+    side, bus, _ = made("model", 3)
+    inputs, met = np.zeros(3, FLAG_INPUTS), set()
+    while side.sensors.valid(bus.now).sum() < 6 or bus.tick < 100:
+        bus.go_on()
+        bus.lost[:], bus.off[:], bus.gone[:] = False, 0.0, False
+        side.hear(bus.inbox, bus.now, inputs)
+    motors = side.model.motors
+    for _ in range(1000):
+        motors["unknown_s"] = rng.choice([0.0, 5.0, 5.1], 3, p=[0.8, 0.1, 0.1])
+        motors["judged"] = rng.random(3) < 0.9
+        motors["off_k"] = np.where(rng.random((3, 3)) < 0.4, np.nan, 1.0)
+        motors["held"] = rng.random(3) < 0.6
+        motors["fault_probability"] = rng.choice([0.5, 0.51], 3)
+        steps = np.where(rng.random((3, 3)) < 0.1, 4.0, 0.0)
+        motors["step"]["offset_k"] = steps
+        for k in range(3):
+            parts = np.array([0.0, *np.sort(rng.random(10)), 1.0])
+            part = np.diff(parts)
+            hidden = rng.choice(3, p=[0.4, 0.4, 0.2])
+            part[[slice(5, 8), slice(0, 5), slice(0, 0)][hidden]] *= 1e-4
+            part[8:] *= rng.choice([0.0, 1.0, 5.0])
+            motors["kind"][k] = part / part.sum()
+        kinds = side.model.kinds()[0]
+        for k in range(3):
+            side.motors["valid_until_ns"] = NEVER
+            told = side.report(k, bus.now, 1 << 60)
+            thermal, own, *rest = reference.words(motors[k], kinds[k])
+            if side.sensors.verdict(k, bus.now)[0] is not FaultClass.NONE:
+                continue
+            sensor = Flag.UNKNOWN if side.sensors.not_yet_valid(k) else Flag.GOOD
+            wanted = (thermal, sensor if own is None else own, *rest)
+            assert tuple(told[:5]) == wanted
+            met.add(wanted)
+    assert {kind for *_, kind, _ in met} >= set(FaultClass) - {
+        FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST,
+    }  # fmt: skip
+    assert {whose for *_, whose in met} == set(FaultSensor) - {
+        FaultSensor.AMBIENT, FaultSensor.CURRENT,
+    }  # fmt: skip
+
+
+def test_a_step_of_a_sensor_is_a_jump_and_blocks_are_observed():
+    side, bus, _ = made("model", 3, [FITTED[0]] * 3)
+    inputs, model = np.zeros(3, FLAG_INPUTS), side.model
+    steps, jumps, blocks = model.offsets.copy(), np.zeros(3, int), 0
+    for tick in range(3000):
+        bus.go_on()
+        bus.lost[:], bus.off[:], bus.gone[:], bus.held[:] = False, 0.0, False, False
+        if tick % 500 == 7:
+            model.motors["step"]["offset_k"][1, 0] = tick % 1000
+        cycles, position = side.cycles, model.position
+        side.hear(bus.inbox, bus.now, inputs)
+        if side.cycles == cycles or side.last is None:
+            assert model.position == position
+            continue
+        jumps += (model.offsets != steps).any(axis=1)
+        steps = model.offsets.copy()
+        blocks += model.position == 0
+    assert side.motors["jumps"].tolist() == jumps.tolist()
+    assert jumps[1] >= 5
+    observed = side.motors["trend"]["observed_h"] / (model.block_s / 3600.0)
+    assert blocks > 3
+    assert 0 < observed.max() <= blocks + 1e-9
+
+
+def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
+    """From a DBC of any range: neither its tenths nor its mean fail."""
+    side, bus, _ = made("maisd", 3)
+    inputs, scratch = np.zeros(3, FLAG_INPUTS), bus.inbox.scratch
+    for tick in range(400):
+        bus.go_on()
+        seen = bus.inbox.seen
+        for row in scratch.seen[:seen]:
+            picked = list(bus.inbox.channels[scratch.channel[row]].picked)
+            scratch.value[row, picked] = (1e300, -1e300, 9e14, np.inf)[tick % 4]
+            scratch.validity[row, picked] = 0
+        side.hear(bus.inbox, bus.now, inputs)
+    assert set(inputs["thermal"].tolist()) <= {0, 1, 2}
+
+
+def test_an_absent_receiver_is_no_load():
+    side = ThermalSide(3, 100 * MS, 2.0, None, NODES)
+    side.learning = True
+    for k in range(11):
+        side.take([Temperatures(0, k * 100 * MS, (50.0,) * 4, (True,) * 4, (500,) * 4)],
+                  k * 100 * MS)  # fmt: skip
+    assert np.isnan(side.last.square).all() if side.last else True
+    np.testing.assert_array_equal(side.motors["mean"][:, 3:5], np.nan)
+    assert side.learning
+
+
+def test_a_drive_without_quality_status_or_motion_has_no_load_and_readings_that_count():
+    """As of a mapped inverter."""
+    side, bus, _ = made("none", 3)
+    bus.inbox.receiver.channels["quality"] = -1
+    side.motors["status"] = side.motors["motion"] = -1
+    inputs = np.zeros(3, FLAG_INPUTS)
+    for _ in range(400):
+        bus.go_on()
+        side.hear(bus.inbox, bus.now, inputs)
+    np.testing.assert_array_equal(side.motors["mean"][:, 3:5], np.nan)
+    assert np.isfinite(side.motors["mean"][:, 0]).any()
+
+
+@pytest.mark.parametrize(("gain", "limit_k", "thermal"), [
+    (1.0, 0.5, Flag.BAD), (1.0, 1e9, Flag.GOOD), (0.0, 0.5, Flag.UNKNOWN),
+])  # fmt: skip
+def test_maisd_raises_where_the_fleet_differs_and_a_sensor_of_gain_0_raises_nothing(
+    gain, limit_k, thermal
+):
+    """Who stood still while the fleet was learnt from is infinitely far, or nowhere."""
+    side, now = ThermalSide(3, 100 * MS, 2.0, cells(), NODES), 0
+    side.window.gain[:], side.window.offset_k[:] = 1.0, 0.0
+    side.window.gain[:, 1] = gain
+    side.record["window"]["limit_k"], side.record["window"]["apart_k"] = limit_k, 1.0
+    for k in range(100):
+        now = k * 100 * MS
+        warm = 0.1 * k
+        side.take(
+            [
+                Temperatures(
+                    j, now, (60.0, 50.0 + warm * (j == 1), 50.0, 20.0), (True,) * 4,
+                    (600, round(500 + 10 * warm * (j == 1)), 500, 200),
+                )
+                for j in range(3)
+            ],
+            now,
+        )  # fmt: skip
+    assert side.report(1, now, 310 * MS).thermal is thermal
