@@ -51,6 +51,8 @@ HEADERS = (
     "gateway/core/sequence.h",
     "gateway/core/pairing.h",
     "gateway/core/receive.h",
+    "dbc/candump_read.h",
+    "dbc/candump_write.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -91,12 +93,15 @@ SOURCES = (
     "gateway/core/sequence.c",
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
+    "dbc/candump_read.c",
+    "dbc/candump_write.c",
 )
 DEPENDS = (
     *HEADERS,
     "dbc/crc.h",
     "dbc/bytes.h",
     "dbc/rounding.h",
+    "dbc/fd_length.h",
     "estimators/numbers.h",
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",

@@ -112,6 +112,7 @@ SUPERVISION: Final = dtype_of(ffi.typeof("struct supervision"))
 ID_ENTRY: Final = dtype_of(ffi.typeof("struct id_entry"))
 RECEIVED: Final = dtype_of(ffi.typeof("struct received"))
 RECEIVER: Final = dtype_of(ffi.typeof("struct receiver"))
+INTERFACE_NAME: Final = dtype_of(ffi.typeof("struct interface_name"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

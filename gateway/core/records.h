@@ -885,10 +885,10 @@ struct channel {
     int64_t good_ns;     /* last frame whose values could be used */
     struct sequence_guard guard;
     uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
-    uint8_t reject_reason;     /* why the last values could not be used (enum reason) */
-    uint8_t protection_reason; /* what last went wrong in the protection */
-    uint8_t reason;            /* why the channel is unknown now; REASON_NONE: it is not */
-    uint8_t was_valid;         /* 1: its receiver was once in E2E_SM_VALID */
+    uint8_t reject_reason;             /* why the last values could not be used (enum reason) */
+    uint8_t protection_reason;         /* what last went wrong in the protection */
+    uint8_t reason;                    /* why the channel is unknown now; REASON_NONE: it is not */
+    uint8_t was_valid;                 /* 1: its receiver was once in E2E_SM_VALID */
 };
 
 /* Currents or voltages that wait for the other half of a sample. */
@@ -990,6 +990,39 @@ struct receiver {
     int64_t *emergency_rows;       /* received frames that are emergencies */
     int64_t counters[RX_COUNTERS]; /* since Python last took them over */
     struct received tick;
+};
+
+/* ---- candump text (dbc/candump_read.c, dbc/candump_write.c) ---- */
+
+#define CANDUMP_MAX_NAME 21  /* bytes of an interface name in a line */
+#define CANDUMP_NAMES    64  /* interface names of a log that are read without Python */
+#define CANDUMP_MAX_TEXT 192 /* bytes of a line that is written, its line end included */
+
+/* What a line is. Only the first two have a frame. */
+enum candump_line {
+    LINE_CLASSIC = 0,
+    LINE_FD = 1,
+    LINE_OTHER = 2, /* dbc/logline.py decides */
+    LINE_BLANK = 3,
+    LINE_COMMENT = 4,
+    LINE_MALFORMED = 5,
+};
+
+/* Name of a CAN interface, as it stands in a line. */
+struct interface_name {
+    uint8_t text[CANDUMP_MAX_NAME];
+    uint8_t length; /* bytes of it; 0: no name, or one that no line can have */
+};
+
+/* Frames as columns (dbc/block.py), one row per frame. */
+struct frame_columns {
+    int64_t *t_ns;
+    uint32_t *can_id;
+    uint8_t *flags;    /* dbc/frame.py */
+    uint8_t *length;   /* bytes of data; 255: more than a row keeps */
+    uint8_t *data;     /* PAYLOAD_BYTES per row, 0 behind the length */
+    int8_t *dlc;       /* -1: the length; else a raw length, or what a remote frame asks for */
+    uint16_t *channel; /* index of its interface name */
 };
 
 #endif
