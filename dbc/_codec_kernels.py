@@ -1,4 +1,4 @@
-"""Decoding and encoding of the compiled core for loops that are still numba's."""
+"""Encoding by the compiled core, for the loop of the outbox, which is still numba's."""
 
 from __future__ import annotations
 
@@ -10,19 +10,7 @@ from dbc._lean import inlined
 
 Bytes = NDArray[np.uint8]
 
-_decode, _encode = symbol("decode_frames"), symbol("encode_frame")
-
-
-@inlined
-def decode_frames(
-    codec: int, frames: int, message: NDArray[np.int32], payload: Bytes,
-    value: NDArray[np.float64], validity: Bytes,
-) -> None:  # fmt: skip
-    """`decode_frames` in dbc/decode.c: the first `frames` rows. codec: `CodecTables.address`."""
-    _decode(
-        codec, frames, message.ctypes.data, payload.ctypes.data, value.ctypes.data,
-        validity.ctypes.data,
-    )  # fmt: skip
+_encode = symbol("encode_frame")
 
 
 @inlined

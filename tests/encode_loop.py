@@ -1,10 +1,9 @@
-"""Frames of several messages in a compiled loop: encoded and protected, as the outbox does it."""
+"""Frames of several messages, encoded and protected by the compiled core as the outbox does it."""
 
 import numpy as np
+from _traction_core import ffi, lib
 
-from dbc._codec_kernels import encode_frame
-from dbc._e2e_kernels import e2e_protect
-from dbc._lean import lean
+from dbc.records import pointer
 
 
 def given_of(specs, given):
@@ -16,9 +15,11 @@ def given_of(specs, given):
     return found
 
 
-@lean
 def encode_rows(message, value, counter, codec, given, config, payload):
     """N frames: message (n,) their numbers, value (n, S), counter (n,); fills payload (n, 64)."""
-    for row in range(message.shape[0]):
-        encode_frame(codec, message[row], value, given, payload, row)
-        e2e_protect(payload, row, message[row], counter[row] & 0xFF, config)
+    codec, configs = ffi.cast("struct codec *", codec), pointer("struct e2e_config", config)
+    for m, row, count, data in zip(message, value, counter, payload, strict=True):
+        lib.encode_frame(
+            codec, m, pointer("double", row), pointer("uint8_t", given[m]), pointer("uint8_t", data)
+        )
+        lib.e2e_protect(configs + int(m), pointer("uint8_t", data), int(count) & 0xFF)
