@@ -79,6 +79,8 @@ TESTS = {
     ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
+    "sim/plant.c": ("tests/unit/test_sim_plant.py", "tests/unit/test_sim_adhesion.py"),
+    "sim/thermal.c": ("tests/unit/test_sim_thermal.py",),
     **dict.fromkeys(("dbc/candump_read.c", "dbc/candump_write.c"), CANDUMP),
 }  # fmt: skip
 """Those that answer for a source."""
