@@ -1,8 +1,9 @@
 """Build of the compiled core: a setuptools backend, and what cffi is told.
 
-The core is C11 in `dbc/`, `estimators/` and `gateway/core/`, one file per station. cffi reads the
-headers as they are, so no layout and no prototype is written twice. The result is one module,
-`_traction_core`, for every Python from 3.11 on. Without a C compiler ziglang brings one, from pip.
+The core is C11 in `dbc/`, `estimators/` and `gateway/core/`, one file per station; the loops of the
+simulator are C in `sim/`. cffi reads the headers as they are, so no layout and no prototype is
+written twice. The result is one module, `_traction_core`, for every Python from 3.11 on. Without a
+C compiler ziglang brings one, from pip.
 """
 
 from __future__ import annotations
@@ -56,6 +57,11 @@ HEADERS = (
     "estimators/thermal/trend.h",
     "gateway/core/thermal_evidence.h",
     "gateway/core/thermal.h",
+    "dbc/candump_read.h",
+    "dbc/candump_write.h",
+    "sim/records.h",
+    "sim/plant.h",
+    "sim/thermal.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -101,12 +107,17 @@ SOURCES = (
     "estimators/thermal/trend.c",
     "gateway/core/thermal_evidence.c",
     "gateway/core/thermal.c",
+    "dbc/candump_read.c",
+    "dbc/candump_write.c",
+    "sim/plant.c",
+    "sim/thermal.c",
 )
 DEPENDS = (
     *HEADERS,
     "dbc/crc.h",
     "dbc/bytes.h",
     "dbc/rounding.h",
+    "dbc/fd_length.h",
     "estimators/numbers.h",
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",

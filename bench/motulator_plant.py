@@ -38,7 +38,7 @@ from bench.motulator_log import (
 )
 from dbc.codec import bind
 from gateway.config import ConfigError, parse
-from sim import _kernels as kernels
+from sim import plant as columns
 from sim.families import ALL, draw
 from sim.faults import Schedule
 from sim.plant import DT, MOTORS, OUT, Motor
@@ -65,11 +65,11 @@ class Drive:
     """One drive made of motulator's parts."""
 
     def __init__(
-        self, motor: Motor, p: Array, w_0: float, theta_0: float, load_0: float, setup: Setup
+        self, motor: Motor, p: np.record, w_0: float, theta_0: float, load_0: float, setup: Setup
     ) -> None:
         """Rolling at `w_0` rad/s (rotor), electrical angle `theta_0` rad, `load_0` Nm met.
 
-        `p` (14,): the machine's own parameters; its control believes those of `motor`.
+        `p`, a `struct sim_motor`: the machine's own parameters; its control has those of `motor`.
         """
         from motulator.common.control import PWM
         from motulator.drive import model
@@ -77,14 +77,17 @@ class Drive:
         from motulator.drive.utils import SynchronousMachinePars
 
         poles = motor.pole_pairs
-        R_s, L_s, psi_pm, _, J, B = p[:6].tolist()
-        real = SynchronousMachinePars(n_p=poles, R_s=R_s, L_d=L_s, L_q=L_s, psi_f=psi_pm)
+        real = SynchronousMachinePars(
+            n_p=poles, R_s=float(p.R_s), L_d=float(p.L_s), L_q=float(p.L_s), psi_f=float(p.psi_pm)
+        )
         believed = SynchronousMachinePars(
             n_p=poles, R_s=motor.R_s, L_d=motor.L_s, L_q=motor.L_s, psi_f=motor.psi_pm
         )
         self._load_nm, self._w_ref = load_0, w_0
         self._machine = model.SynchronousMachine(real)
-        self._mechanics = model.StiffMechanicalSystem(J, B, lambda _t: self._load_nm)
+        self._mechanics = model.StiffMechanicalSystem(
+            float(p.J), float(p.B), lambda _t: self._load_nm
+        )
         self._model = model.Drive(
             model.VoltageSourceConverter(motor.U_dc), self._machine, self._mechanics
         )
@@ -129,13 +132,13 @@ class Drive:
         mean = volt_seconds / wanted.T_s
         turned = self._machine.state.exp_j_theta_m
         current = self._machine.i_s * turned
-        out[kernels.I_ALPHA], out[kernels.I_BETA] = current.real, current.imag
-        out[kernels.U_ALPHA], out[kernels.U_BETA] = mean.real, mean.imag
-        out[kernels.U_DC] = converter.u_dc
-        out[kernels.TORQUE] = self._machine.tau_M
-        out[kernels.SPEED] = self._mechanics.meas_speed()
-        out[kernels.ANGLE] = cmath.phase(turned) % (2.0 * math.pi)
-        out[kernels.LOAD] = load_nm
+        out[columns.I_ALPHA], out[columns.I_BETA] = current.real, current.imag
+        out[columns.U_ALPHA], out[columns.U_BETA] = mean.real, mean.imag
+        out[columns.U_DC] = converter.u_dc
+        out[columns.TORQUE] = self._machine.tau_M
+        out[columns.SPEED] = self._mechanics.meas_speed()
+        out[columns.ANGLE] = cmath.phase(turned) % (2.0 * math.pi)
+        out[columns.LOAD] = load_nm
 
 
 def _runge_kutta(model: Any, lasts_s: float) -> None:
@@ -185,10 +188,10 @@ def waveforms(scenario: Scenario, setup: Setup) -> Array:
     load = demand[:, None] * variety.share(0.0) * Schedule(scenario, motor).carry(t_s, demand)
     rolling = scenario.motion.start == "rolling"
     out = np.empty((len(t_s), scenario.drives, OUT))
-    out[:, :, kernels.COMMAND] = (demand + motor.J * w_acc)[:, None]
+    out[:, :, columns.COMMAND] = (demand + motor.J * w_acc)[:, None]
     for d in range(scenario.drives):
         theta = np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * math.pi)
-        wanted = w_ref / variety.p[d, kernels.WHEEL]
+        wanted = w_ref / variety.p.wheel[d]
         w_0 = float(wanted[0]) if rolling else 0.0
         drive = Drive(motor, variety.p[d], w_0, float(theta), float(load[0, d]), setup)
         for k, (w, nm) in enumerate(zip(wanted.tolist(), load[:, d].tolist(), strict=True)):

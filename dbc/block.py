@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Final, NamedTuple
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from _traction_core import ffi
 from numpy.typing import NDArray
 
 from dbc.frame import Frame
+from dbc.records import pointer
 
 ROOM: Final = 64
 """Bytes kept per frame: the most that CAN FD carries."""
@@ -35,6 +38,15 @@ class Block(NamedTuple):
     def size(self) -> int:
         """Number of frames."""
         return len(self.t_ns)
+
+    def columns(self) -> Any:
+        """Where the columns lie, a `struct frame_columns`. The block has to outlive its use."""
+        return ffi.new("struct frame_columns *", [
+            pointer("int64_t", self.t_ns), pointer("uint32_t", self.can_id),
+            pointer("uint8_t", self.flags), pointer("uint8_t", self.length),
+            pointer("uint8_t", self.data), pointer("int8_t", self.dlc),
+            pointer("uint16_t", self.channel),
+        ])  # fmt: skip
 
     def part(self, first: int, last: int) -> Block:
         """Frames first .. last - 1, as views."""
@@ -66,7 +78,15 @@ class Block(NamedTuple):
 
     def frames(self) -> Iterator[Frame]:
         """All frames."""
-        return (self.frame(k) for k in range(self.size))
+        data = self.data.tobytes()
+        ends = (ROOM * np.arange(self.size) + np.minimum(self.length, ROOM)).tolist()
+        bytes_of = [data[ROOM * k : end] for k, end in enumerate(ends)]
+        names = [self.names[k] for k in self.channel.tolist()]
+        rows = zip(
+            self.t_ns.tolist(), self.can_id.tolist(), bytes_of, self.flags.tolist(), names,
+            self.dlc.tolist(), strict=True,
+        )  # fmt: skip
+        return map(partial(tuple.__new__, Frame), rows)
 
     def ordered(self) -> Block:
         """By time stamp, then id; frames with the same of both stay in the order they came."""

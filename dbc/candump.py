@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import zlib
-from binascii import a2b_hex
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -17,16 +16,13 @@ from typing import IO, Final, NamedTuple
 
 import numpy as np
 
-from dbc._candump_kernels import MALFORMED, OTHER
-from dbc._candump_kernels import PLAIN as PLAIN_ROW
 from dbc.ahead import ahead
 from dbc.block import Block, block_of
-from dbc.frame import FD, Frame
-from dbc.logblocks import Lines, Scanner
+from dbc.frame import Frame
+from dbc.logblocks import LineKind, Lines, Scanner
 from dbc.logline import (
     DROPS,
     MAX_LINE,
-    PLAIN,
     Verdict,
     format_frame,
     parse_line,
@@ -42,9 +38,10 @@ _PIECE, _SMALL = 1 << 18, 1 << 12
 _IDS_KEPT: Final = 100_000
 _LINE_ENDS: Final = re.compile(rb"\n+")
 _VERDICTS: Final = np.array(
-    [Verdict.OK, Verdict.OK, Verdict.BLANK, Verdict.COMMENT, Verdict.MALFORMED], dtype=np.uint8
+    [Verdict.OK, Verdict.FD, Verdict.OK, Verdict.BLANK, Verdict.COMMENT, Verdict.MALFORMED],
+    dtype=np.uint8,
 )
-"""Of the rows of a scan that nobody judges one by one."""
+"""Of lines by their `LineKind`; those of kind OTHER are judged one by one."""
 _TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
 
 
@@ -68,10 +65,11 @@ class Problem(NamedTuple):
 class Reader:
     """Frames of a log, in file order: data, remote and error frames, told apart by flags.
 
-    `source` is a path (gzip is recognised by its first bytes) or a binary stream. During and
-    after reading: `counts` (Verdict -> lines; their sum is `lines`), `problems` (the first 100
-    faults), `drops` (frames candump says it lost), `truncated` (why a gzip stream ended early,
-    else ""). Memory does not grow with the file. Each iteration of a path starts anew.
+    `source` is a path (gzip is recognised by its first bytes) or a binary stream. After reading:
+    `counts` (Verdict -> lines; their sum is `lines`), `problems` (the first 100 faults), `drops`
+    (frames candump says it lost), `truncated` (why a gzip stream ended early, else ""); during it
+    they are those of all lines up to the end of the block that was last read. Memory does not grow
+    with the file. Each iteration of a path starts anew.
 
     An unterminated last line may be the start of a longer one: a frame cut inside its data is
     a perfectly good shorter frame. It is believed only if the last frame of the same id had
@@ -99,16 +97,11 @@ class Reader:
 
     def __iter__(self) -> Iterator[Frame]:
         """Read from the start."""
-        self._reset()
-        self.bytes_read = 0
-        with ExitStack() as stack:
-            yield from self._frames(self._chunks(stack))
+        for block in self.blocks():
+            yield from block.frames()
 
     def blocks(self) -> Iterator[Block]:
-        """Read from the start, in blocks of lines: the same frames, verdicts and counts, faster.
-
-        Counts and problems are those of all lines up to the end of the block last given.
-        """
+        """Read from the start, in blocks of lines: the same frames, faster."""
         self._reset()
         self.bytes_read = 0
         with ExitStack() as stack:
@@ -129,20 +122,20 @@ class Reader:
                 if skipping:
                     continue
                 self._judge(_TOO_LONG, tails)
-            text = np.frombuffer(piece, dtype=np.uint8)
             while True:
                 if (run := _LINE_ENDS.match(piece, start)) is not None:
                     # Gigabytes of them pack into a megabyte.
-                    self._count(run.end() - start, Verdict.BLANK)
+                    self.lines += run.end() - start
+                    self.counts[Verdict.BLANK] += run.end() - start
                     start = run.end()
-                if not (lines := scanner.read(text, start)).rows.size:
+                if not (lines := scanner.read(piece, start)).rows.size:
                     break
                 block, fault = self._accept(scanner, lines, piece, tails)
                 if block.size:
                     yield block
                 if fault is not None:
                     raise fault
-                start = lines.place
+                start = lines.end
             rest = piece[start:]
             if len(rest) > MAX_LINE:
                 rest = b""
@@ -157,13 +150,13 @@ class Reader:
         self, scanner: Scanner, lines: Lines, text: bytes, tails: dict[bytes, int]
     ) -> tuple[Block, LogError | None]:
         """Judge the lines that are not plain; all frames, or those before the fault."""
-        what = lines.what
-        kept = what == PLAIN_ROW
-        by_hand = what == OTHER
+        kind = lines.kind
+        kept = kind <= LineKind.FD
+        by_hand = kind == LineKind.OTHER
         if self.strict or len(self.problems) < PROBLEMS_KEPT:
-            by_hand |= what == MALFORMED
+            by_hand |= kind == LineKind.MALFORMED
         fault = None
-        done, last = 0, what.size
+        done, last = 0, kind.size
         for k in np.flatnonzero(by_hand).tolist():
             self.lines += k - done
             done = k + 1
@@ -179,9 +172,7 @@ class Reader:
                 kept[k] = True
                 scanner.put(lines, k, frame, line)
         self.lines += last - done
-        verdicts = _VERDICTS[what]
-        verdicts[(what == PLAIN_ROW) & (lines.rows.flags & FD != 0)] = Verdict.FD
-        counts = np.bincount(verdicts[:last][~by_hand[:last]])
+        counts = np.bincount(_VERDICTS[kind[:last][~by_hand[:last]]])
         self.counts.update({Verdict(v): n for v, n in enumerate(counts.tolist()) if n})
         return scanner.finish(lines, kept), fault
 
@@ -243,59 +234,6 @@ class Reader:
             self.truncated = f"compressed data are damaged ({error})"
         yield b"".join(done)
 
-    def _frames(self, chunks: Iterator[bytes]) -> Iterator[Frame]:
-        """The hot loop: plain classic frames here, everything else in `parse_line`."""
-        fast = PLAIN.fullmatch
-        unhex = a2b_hex
-        make = tuple.__new__
-        ids: dict[bytes, int] = {}
-        names: dict[bytes, str] = {}
-        tails: dict[bytes, int] = {}
-        rest = b""
-        skipping = False
-        plain = 0
-        try:
-            for chunk in chunks:
-                lines = (rest + chunk).split(b"\n")
-                rest = lines.pop()
-                if skipping and lines:
-                    lines[0] = _TOO_LONG
-                    skipping = False
-                for line in lines:
-                    match = fast(line)
-                    if match is not None:
-                        seconds, micros, name, digits, data = match.groups()
-                        size = len(data)
-                        if not size & 1:
-                            can_id = ids.get(digits)
-                            if can_id is None:
-                                can_id = ids[digits] = int(digits, 16)
-                            channel = names.get(name)
-                            if channel is None:
-                                channel = _remember(names, name)
-                            tails[digits] = size
-                            plain += 1
-                            yield make(
-                                Frame,
-                                (int(seconds + micros) * 1000, can_id, unhex(data), 0, channel, -1),
-                            )
-                            continue
-                    self._count(plain)
-                    plain = 0
-                    frame = self._judge(line, tails)
-                    if frame is not None:
-                        yield frame
-                self._count(plain)
-                plain = 0
-                if len(rest) > MAX_LINE:
-                    rest = b""
-                    skipping = True
-        finally:
-            self._count(plain)
-        frame = self._last(_TOO_LONG if skipping else rest, tails)
-        if frame is not None:
-            yield frame
-
     def _last(self, rest: bytes, tails: dict[bytes, int]) -> Frame | None:
         """What stands behind the last line end."""
         if rest:
@@ -304,14 +242,8 @@ class Reader:
             self._fault(Problem(self.lines, Verdict.CUT, self.truncated))
         return None
 
-    def _count(self, plain: int, verdict: Verdict = Verdict.OK) -> None:
-        """Add the lines of the fast path, which counts by itself."""
-        if plain:
-            self.lines += plain
-            self.counts[verdict] += plain
-
     def _judge(self, line: bytes, tails: dict[bytes, int], *, last: bool = False) -> Frame | None:
-        """Verdict, count and frame of a line off the fast path."""
+        """Verdict, count and frame of a line that is judged by itself."""
         verdict, frame = parse_line(line)
         if last and self.truncated:
             # Whatever it looks like: more would have come, and strict reading must say so.
@@ -339,14 +271,6 @@ class Reader:
         if self.strict:
             name = problem.verdict.name.lower().replace("_", " ")
             raise LogError(self.name, problem.line, f"{name}: {problem.text}")
-
-
-def _remember(names: dict[bytes, str], name: bytes) -> str:
-    """Decode an interface name once; hostile logs do not fill the memory with names."""
-    if len(names) > 1000:
-        names.clear()
-    channel = names[name] = name.decode("utf-8", "surrogateescape")
-    return channel
 
 
 def _unterminated(

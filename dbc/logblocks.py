@@ -1,40 +1,58 @@
-"""Pieces of candump text as blocks: plain lines by the compiled scan, the others left marked."""
+"""Pieces of candump text as blocks: dbc/candump_read.c reads most lines, and marks the others."""
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
-from dbc._candump_kernels import FD_LENGTH, HEX, scan
 from dbc.block import ROOM, Block, blank
 from dbc.frame import EXTENDED, FD, Frame
 from dbc.logline import tail_of
+from dbc.records import INTERFACE_NAME, pointer, zeros
 
 ROWS: Final = 1 << 15
 """Most lines of a block."""
-_NAMES: Final = 64
-MOST_NAME: Final = 21
 _NAMES_KEPT: Final = 40_000
 """Interface names that a hostile log may fill before they are forgotten."""
 
 
-class Lines(NamedTuple):
-    """Consecutive lines of a text.
+class LineKind(IntEnum):
+    """What a line is, as far as dbc/candump_read.c decides. Only the first two have a frame."""
 
-    rows: a row per line; what (n,): PLAIN for frames, the others' text is `line`; place: behind the
-    last line; tail (n,): characters after the `#`.
+    CLASSIC = lib.LINE_CLASSIC
+    FD = lib.LINE_FD
+    OTHER = lib.LINE_OTHER
+    """For `logline.parse_line`."""
+    BLANK = lib.LINE_BLANK
+    COMMENT = lib.LINE_COMMENT
+    MALFORMED = lib.LINE_MALFORMED
+
+
+class Lines(NamedTuple):
+    """n consecutive lines of a text.
+
+    rows: a row per line, with numbers where there is a frame; kind (n,): `LineKind`; start
+    (n + 1,): where each line starts, and where the next one would; tail (n,): characters after
+    the `#`.
     """
 
     rows: Block
-    what: NDArray[np.uint8]
-    place: int
+    kind: NDArray[np.uint8]
+    start: NDArray[np.int64]
     tail: NDArray[np.int64]
 
+    @property
+    def end(self) -> int:
+        """Place behind the last line."""
+        return self.start.item(-1)
+
     def line(self, text: bytes, k: int) -> bytes:
-        """A line that is not plain, until it is `put`."""
-        return text[self.rows.can_id.item(k) : self.rows.t_ns.item(k)]
+        """One line, without its line feed."""
+        return text[self.start.item(k) : self.start.item(k + 1) - 1]
 
 
 class Scanner:
@@ -45,26 +63,28 @@ class Scanner:
         self.names: list[str] = []
         self.tails = np.full(0x800, -1, dtype=np.int64)
         """Characters after the `#` in the last line of each 11-bit identifier; -1 none."""
-        self._table = np.zeros((_NAMES, MOST_NAME), dtype=np.uint8)
-        self._sizes = np.zeros(_NAMES, dtype=np.int64)
+        self._names = zeros(lib.CANDUMP_NAMES, INTERFACE_NAME)
+        """The first of `names`, as dbc/candump_read.c looks them up."""
 
-    def read(self, text: NDArray[np.uint8], start: int) -> Lines:
+    def read(self, text: bytes, start: int) -> Lines:
         """At most `ROWS` complete lines from text[start:] on; none if there is no line end."""
         if len(self.names) > _NAMES_KEPT:
             self.names = []
-            self._sizes[:] = 0
+            self._names.length = 0
         rows = blank(ROWS, self.names)
-        what = np.empty(ROWS, dtype=np.uint8)
-        n, place = scan(
-            text, start, rows.t_ns, rows.can_id, rows.flags, rows.length, rows.data,
-            rows.channel, what, self._table, self._sizes, HEX, FD_LENGTH,
+        kind = np.empty(ROWS, dtype=np.uint8)
+        places = np.empty(ROWS + 1, dtype=np.int64)
+        n = lib.candump_read(
+            text, start, len(text), ROWS, rows.columns(),
+            pointer("struct interface_name", self._names), pointer("uint8_t", kind),
+            pointer("int64_t", places),
         )  # fmt: skip
-        for k in range(len(self.names), np.count_nonzero(self._sizes)):
-            name = self._table[k, : self._sizes[k]].tobytes()
-            self.names.append(name.decode("utf-8", "surrogateescape"))
+        known = np.count_nonzero(self._names.length)
+        for name, length in self._names[len(self.names) : known].tolist():
+            self.names.append(name[:length].tobytes().decode("utf-8", "surrogateescape"))
         rows = rows.part(0, n)
         tail = np.where(rows.flags & FD, 2, 0) + 2 * rows.length.astype(np.int64)
-        return Lines(rows, what[:n], place, tail)
+        return Lines(rows, kind[:n], places[: n + 1], tail)
 
     def put(self, lines: Lines, k: int, frame: Frame, line: bytes) -> None:
         """Enter the frame of a line that was not plain."""
@@ -81,9 +101,9 @@ class Scanner:
         if name not in self.names:
             n = len(self.names)
             raw = name.encode("utf-8", "surrogateescape")
-            if n < _NAMES:
-                self._sizes[n] = len(raw)
-                self._table[n, : len(raw)] = list(raw)
+            if n < len(self._names):
+                self._names.text[n, : len(raw)] = list(raw)
+                self._names.length[n] = len(raw)
             self.names.append(name)
         return self.names.index(name)
 

@@ -1,18 +1,23 @@
-"""The grammar of one candump log line, both ways. Regular expressions on bytes; pure.
+"""The grammar of one candump log line, both ways; pure.
 
-That of can-utils (lib.h, candump.c): six or nine decimals, a padded interface name, classic,
-FD, remote and error frames, `_E` raw lengths, CAN XL (recognised, not decoded), `DROPCOUNT:`
-lines, the ` R`/` T` suffix of `-x`. Stricter than can-utils in one way: what is not exactly a
-frame is not made into one.
+Regular expressions on bytes read any line. dbc/candump_read.c reads the form that most lines have,
+many at once; dbc/candump_write.c writes lines.
+
+The grammar is that of can-utils (lib.h, candump.c): six or nine decimals, a padded interface name,
+classic, FD, remote and error frames, `_E` raw lengths, CAN XL (recognised, not decoded),
+`DROPCOUNT:` lines, the ` R`/` T` suffix of `-x`. Stricter than can-utils in one way: what is not
+exactly a frame is not made into one.
 """
 
 from __future__ import annotations
 
 import re
-from binascii import a2b_hex, b2a_hex
+from binascii import a2b_hex
 from enum import IntEnum
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
+
+from _traction_core import ffi, lib
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
@@ -56,12 +61,6 @@ _NAME: Final = rb"([^\x00-\x20\x7f]{1,21})"
 _END: Final = rb"(?: {1,21}[RT])?[ \t]{0,21}"
 # candump pads interface names to the longest one.
 _GAP: Final = rb" {1,21}"
-PLAIN: Final = re.compile(
-    rb"\((\d{1,9}|[0-8]\d{9})\.(\d{6})\)"
-    + (_GAP + _NAME + _GAP)
-    + rb"([0-7]%b{2})#(%b{0,16})(?: [RT])?\r?" % (_HEX, _HEX)
-)
-"""The line of most logs: classic, 11 bits, microseconds. Its data may still be an odd number."""
 _LINE: Final = re.compile(_STAMP + _GAP + _NAME + _GAP + rb"(\S+)" + _END)
 _BODY: Final = re.compile(
     rb"(?P<id>%b{8}|%b{3})#"
@@ -76,7 +75,6 @@ DROPS: Final = re.compile(
 _COMMENTS: Final = (b"#", b";", b"//")
 _ERROR_BIT: Final = 0x2000_0000
 _ID_BITS: Final = 0x1FFF_FFFF
-_LAST_NS: Final = 9_000_000_000 * 1_000_000_000 - 1
 _NAMED: Final = re.compile(_NAME)
 
 
@@ -162,56 +160,30 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
 
     `channel` stands in where the frame has none. Everything `parse_line` reads comes back, the
     error class and a remote frame's length included. Raises ValueError for what no candump
-    line can say (negative time, impossible id, length or name).
+    line can say (negative time, impossible id, length or name). See dbc/candump_write.c.
     """
     t_ns, can_id, data, flags, own, dlc = frame
-    size = len(data)
-    if not flags and dlc < 9 and size <= 8 and 0 <= can_id <= 0x7FF and 0 <= t_ns <= _LAST_NS:
-        # What nearly every frame is.
-        return b"%b%b%b" % (_stamp(t_ns), _head(own or channel, can_id), b2a_hex(data).upper())
-    if flags & ERROR:
-        fits = not flags & (REMOTE | FD | EXTENDED) and can_id <= _ID_BITS
-        digits = f"{can_id | _ERROR_BIT:08X}"
-    elif flags & EXTENDED:
-        fits = can_id <= _ID_BITS
-        digits = f"{can_id:08X}"
-    else:
-        fits = can_id <= 0x7FF
-        digits = f"{can_id:03X}"
-    if flags & (BRS | ESI) and not flags & FD:
-        fits = False
-    if flags & REMOTE:
-        fits = fits and not size and not flags & FD and dlc <= 15
-        body = f"R{dlc if dlc > 0 else ''}" if dlc < 9 else f"R8_{dlc:X}"
-    elif flags & FD:
-        fits = fits and size in FD_LENGTHS and dlc < 9
-        body = f"#{(1 if flags & BRS else 0) | (2 if flags & ESI else 0)}{data.hex().upper()}"
-    else:
-        fits = fits and size <= 8 and (dlc < 9 or (size == 8 and dlc <= 15))
-        body = data.hex().upper() + (f"_{dlc:X}" if dlc > 8 else "")
-    name = name_bytes(own or channel)
-    if not (fits and can_id >= 0 and 0 <= t_ns <= _LAST_NS and name):
-        msg = f"cannot be written as a candump line: {frame}"
-        raise ValueError(msg)
-    return b"%b%b %b#%b" % (_stamp(t_ns), name, digits.encode(), body.encode())
+    text = ffi.new("char[]", lib.CANDUMP_MAX_TEXT)
+    try:
+        size = lib.candump_write_line(
+            t_ns, can_id, flags, dlc, len(data), data, _name_record(own or channel), text
+        )
+    except OverflowError:
+        size = 0
+    if not size:
+        raise not_writable(frame)
+    return ffi.unpack(text, size)  # type: ignore[no-any-return]
 
 
-@lru_cache(maxsize=4)
-def _stamp(t_ns: int) -> bytes:
-    """The time as it stands in a line; frames of a tick have the same."""
-    seconds, nanos = divmod(t_ns, 1_000_000_000)
-    decimals = f"{nanos:09d}" if nanos % 1000 else f"{nanos // 1000:06d}"
-    return b"(%010d.%b) " % (seconds, decimals.encode())
+def not_writable(frame: Frame) -> ValueError:
+    """The error for a frame that no line can say."""
+    return ValueError(f"cannot be written as a candump line: {frame}")
 
 
-@lru_cache(maxsize=4096)
-def _head(channel: str, can_id: int) -> bytes:
-    """Name and identifier of a plain frame. Raises ValueError for a name that no line can have."""
+@lru_cache(maxsize=64)
+def _name_record(channel: str) -> Any:
     name = name_bytes(channel)
-    if not name:
-        msg = f"cannot be written as a candump line: channel {channel!r}"
-        raise ValueError(msg)
-    return b"%b %03X#" % (name, can_id)
+    return ffi.new("struct interface_name *", (name, len(name)))
 
 
 @lru_cache(maxsize=64)

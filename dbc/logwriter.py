@@ -8,13 +8,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Final, Self, cast
 
-import numpy as np
+from _traction_core import ffi, lib
 
-from dbc._logline_kernels import DIGITS, FD_LENGTH, MOST_LINE, write_lines
 from dbc.block import ROOM, Block
 from dbc.frame import Frame
-from dbc.logblocks import MOST_NAME
-from dbc.logline import format_frame, name_bytes
+from dbc.logline import format_frame, name_bytes, not_writable
 
 _LINES: Final = 512
 """That there is room for at once."""
@@ -26,7 +24,7 @@ class Writer:
     def __init__(self, target: Path | str | IO[bytes], channel: str = "can0") -> None:
         """Create or empty the file; `channel` is for frames without one. Raises OSError."""
         self._channel = channel
-        self._lines = np.zeros(_LINES * MOST_LINE, dtype=np.uint8)
+        self._text = ffi.new("char[]", _LINES * lib.CANDUMP_MAX_TEXT)
         self._stack = ExitStack()
         self._stream: IO[bytes]
         if isinstance(target, (Path, str)):
@@ -54,24 +52,20 @@ class Writer:
         if not block.size:
             return
         names = [name_bytes(name or channel or self._channel) for name in block.names]
-        sizes = np.array([len(name) for name in names], dtype=np.int64)
-        table = np.frombuffer(
-            bytearray().join([name.ljust(MOST_NAME, b"\0") for name in names]), dtype=np.uint8
-        ).reshape(-1, MOST_NAME)
+        records = ffi.new("struct interface_name[]", [(name, len(name)) for name in names])
+        columns, filled = block.columns(), ffi.new("int64_t *")
         row = 0
         while row < block.size:
-            row, size = write_lines(
-                row, block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
-                block.channel, table, sizes, DIGITS, FD_LENGTH, self._lines,
-            )  # fmt: skip
-            self._stream.write(self._lines[:size].tobytes())
-            if not size:
+            row = lib.candump_write(
+                columns, row, block.size, records, self._text, len(self._text), filled
+            )
+            self._stream.write(ffi.unpack(self._text, filled[0]))
+            if row < block.size and not filled[0]:
                 # A block keeps no more than this of a frame, and what is cut would look whole.
                 if block.length[row] > ROOM:
                     msg = f"cannot be written as a candump line: more than {ROOM} bytes"
                     raise ValueError(msg)
-                self.write(block.frame(row), channel)
-                row += 1
+                raise not_writable(block.frame(row))
 
     def close(self) -> None:
         """Flush and close what was opened here; a given stream stays open."""

@@ -20,7 +20,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim._kernels import SPEED_FLOOR_M_S
+SPEED_FLOOR_M_S: Final = 0.5
+"""Creep is sliding speed over train speed; the floor keeps it finite at standstill."""
 
 
 class Rail(NamedTuple):

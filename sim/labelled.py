@@ -19,8 +19,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim._labelled_kernels import run
 from sim.plant import TRACTION_350KW
+from sim.records import ffi, lib, pointer
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -369,10 +369,17 @@ def _heat(
     iron = IRON[0] * np.abs(speed) + IRON[1] * speed**2
     rub = FRICTION * np.abs(speed)[:, None] * friction
     out = np.empty((len(at), MOTORS, NODES))
-    run(
-        state, copper, iron, rub, cooling, local, ills.heat, ills.motor, ills.node, links, CAPACITY,
-        np.array([BEARING_AIR, ROTOR_SHARE, COPPER_SLOPE, COPPER_REFERENCE]), base.step_s, at, out,
-    )  # fmt: skip
+    held = [np.ascontiguousarray(x, float) for x in (
+        copper, iron, rub, cooling, local, ills.heat, links, CAPACITY,
+    )]  # fmt: skip
+    *courses, link, capacity = (pointer("double", x) for x in held)
+    steps = np.ascontiguousarray(at, np.int64)
+    record = ffi.new("struct sim_heat_record *", [
+        len(copper), MOTORS, len(at), base.step_s, BEARING_AIR, ROTOR_SHARE, COPPER_SLOPE,
+        COPPER_REFERENCE, *courses, ills.motor, ills.node, link, capacity,
+        pointer("int64_t", steps),
+    ])  # fmt: skip
+    lib.sim_heat_record(record, pointer("double", state), pointer("double", out))
     return out[:, :, list(MEASURED)]
 
 

@@ -26,22 +26,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import _kernels as kernels
-from sim._kernels import (
-    ANGLE,
-    COMMAND,
-    DT,
-    I_ALPHA,
-    I_BETA,
-    LOAD,
-    OUT,
-    SPEED,
-    TORQUE,
-    U_ALPHA,
-    U_BETA,
-    U_DC,
-)  # fmt: skip
-from sim.adhesion import Rail, available, peak_creep
+from sim.adhesion import SPEED_FLOOR_M_S, Rail, available, peak_creep
+from sim.records import DRIVE, MOTOR, Columns, ffi, lib, pointer, zeros
+from sim.records import TRAIN as TRAIN_RECORD
 
 __all__ = [
     "ANGLE", "BENCH", "COMMAND", "DT", "I_ALPHA", "I_BETA", "LOAD", "MOTORS", "OUT",
@@ -50,6 +37,26 @@ __all__ = [
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
+
+OUT: Final[int] = lib.OUT_COLUMNS
+I_ALPHA: Final[int] = lib.OUT_I_ALPHA
+I_BETA: Final[int] = lib.OUT_I_BETA
+U_ALPHA: Final[int] = lib.OUT_U_ALPHA
+U_BETA: Final[int] = lib.OUT_U_BETA
+U_DC: Final[int] = lib.OUT_U_DC
+TORQUE: Final[int] = lib.OUT_TORQUE
+SPEED: Final[int] = lib.OUT_SPEED
+ANGLE: Final[int] = lib.OUT_ANGLE
+LOAD: Final[int] = lib.OUT_LOAD
+COMMAND: Final[int] = lib.OUT_COMMAND
+
+DT: Final = 125e-6
+"""Control period, s: voltages are constant over it."""
+CREEP_LIMIT: Final = 0.05
+"""What a fast slip limiter allows; a wheel beyond it and beyond the curve's peak slides."""
+CUT_PER_S: Final = 7.0
+RESTORE_PER_S: Final = 0.7
+"""How fast a drive's torque limiter falls, within 100 ms, and returns, over 1 s."""
 RAIL_STEPS: Final = 4
 """Runge-Kutta steps per period on the rail: the contact's time constant goes down to 15 us."""
 CUT_LEVEL: Final = 0.3
@@ -69,7 +76,7 @@ class SlipLimiter(NamedTuple):
 
 
 SLIP_LIMITERS: Final[dict[str, SlipLimiter]] = {
-    "fast": SlipLimiter(kernels.CREEP_LIMIT, 200.0, 30.0),
+    "fast": SlipLimiter(CREEP_LIMIT, 200.0, 30.0),
     "slow": SlipLimiter(0.15, 8.0, 8.0),
     "none": SlipLimiter(math.inf, 0.0, 0.0),
 }
@@ -161,17 +168,24 @@ bench and the rail conditions mean the same for both; at speed the creep curves 
 dry rail carries 770 Nm, wet 430 Nm."""
 
 
-def parameters(motor: Motor, drives: int) -> Array:
-    """(N, 18) parameters as the kernels take them: all drives as the data sheet says.
+def parameters(motor: Motor, drives: int) -> Columns:
+    """(N,) `struct sim_motor`: all drives as the data sheet says.
 
     Their slip limiters are fast, their friction brakes released.
     """
-    row = [
-        motor.R_s, motor.L_s, motor.psi_pm, motor.pole_pairs, motor.J, motor.B, motor.k_p,
-        1.5 * motor.T_rated, CUT_LEVEL, 1.0, 1.0, 0.0, motor.psi_pm,
-        1.5 * motor.T_rated, *SLIP_LIMITERS["fast"], 0.0,
-    ]  # fmt: skip
-    return np.tile(row, (drives, 1))
+    p = zeros(drives, MOTOR)
+    for name in ("R_s", "L_s", "psi_pm", "pole_pairs", "J", "B", "k_p"):
+        p[name] = getattr(motor, name)
+    p.T_max = p.effort_nm = 1.5 * motor.T_rated
+    p.cut_level, p.psi_pm_control = CUT_LEVEL, motor.psi_pm
+    p.share = p.wheel = 1.0
+    set_slip_limiter(p, SLIP_LIMITERS["fast"])
+    return p
+
+
+def set_slip_limiter(p: Columns, limiter: SlipLimiter) -> None:
+    """All drives get this one."""
+    p.creep_max, p.slip_bandwidth, p.slip_rate = limiter
 
 
 class Plant:
@@ -186,55 +200,83 @@ class Plant:
         w_0: float,
         load_0: float,
         train: Train = TRAIN,
-        p: Array | None = None,
+        p: Columns | None = None,
     ) -> None:
         """Rolling at `w_0` rad/s (rotor) with angles `theta_0` (N,), the load `load_0` Nm met.
 
-        `p` (N, 18): the drives' own parameters, default all as `motor` (see `parameters`).
+        `p` (N,): the drives' own parameters, default all as `motor` (see `parameters`).
         """
         n = len(theta_0)
         self.motor, self.train, self.on_rail = motor, train, on_rail
         self.p = parameters(motor, n) if p is None else p
-        self.x = np.zeros((n, 10))
-        self.x[:, 2] = w_0 / self.p[:, kernels.WHEEL]
-        self.x[:, 3] = np.mod(theta_0, 2.0 * math.pi)
-        self.x[:, 8] = load_0 * self.p[:, kernels.SHARE]
-        self.x[:, 9] = 1.0
-        e = self.p[:, 2] * motor.pole_pairs * self.x[:, 2]
-        self.x[:, 6] = -e * np.sin(self.x[:, 3])
-        self.x[:, 7] = e * np.cos(self.x[:, 3])
-        self.train_state = np.array([w_0, load_0, load_0])
+        self.drives = zeros(n, DRIVE)
+        self.drives.w_m = w_0 / self.p.wheel
+        self.drives.theta_e = np.mod(theta_0, 2.0 * math.pi)
+        self.drives.integral_nm = load_0 * self.p.share
+        self.drives.limiter = 1.0
+        e = self.p.psi_pm * motor.pole_pairs * self.drives.w_m
+        self.drives.u_alpha = -e * np.sin(self.drives.theta_e)
+        self.drives.u_beta = e * np.cos(self.drives.theta_e)
         self.wheel_load_nm = train.wheel_load_nm(motor)
+        self.state = zeros(1, TRAIN_RECORD)
+        """The train, `struct sim_train`."""
+        self.state[0] = (
+            DT, motor.U_dc, train.wheel_radius_m, self.wheel_load_nm, train.inertia(motor),
+            SPEED_FLOOR_M_S, CUT_PER_S, RESTORE_PER_S, RAIL_STEPS if on_rail else 1, on_rail,
+            w_0, load_0, load_0,
+        )  # fmt: skip
 
     @property
     def demand_nm(self) -> float:
         """The train's torque demand on each drive, before limiter and slip limit, Nm."""
-        return float(self.train_state[2])
+        return float(self.state.demand_nm[0])
+
+    @property
+    def w_train(self) -> float:
+        """The train's speed, rad/s of a rotor with a nominal wheel that does not slide."""
+        return float(self.state.w_m[0])
+
+    @property
+    def v_m_s(self) -> float:
+        """The train's speed."""
+        return self.w_train * self.train.wheel_radius_m
 
     def advance(
         self, w_ref: Array, w_acc: Array, load: Array, carry: Array, cut: NDArray[np.bool_],
         rails: Array,
     ) -> Array:  # fmt: skip
-        """Advance n periods; inputs as in `_kernels.advance`; gives (n, N, 10), columns OUT."""
+        """Advance n periods; gives (n, N, 10), columns OUT, at the end of each.
+
+        `w_ref` (n,) rotor speed wanted rad/s, `w_acc` (n,) its slope rad/s2, `load` (n,) healthy
+        load per drive Nm (rail: running resistance), `carry` (n, N) share of what is asked of the
+        wheel, motor and friction brake together, that the rail can carry (1 = all), `cut` (n, N)
+        limiter commanded down, `rails` (n, N, 6) curves in force. See sim/plant.c.
+        """
+        numbers = [np.ascontiguousarray(x, float) for x in (w_ref, w_acc, load, carry, rails)]
+        down = np.ascontiguousarray(cut, np.uint8)
         out = np.empty((*carry.shape, OUT))
-        kernels.advance(
-            self.x, self.train_state, self.p, self.on_rail, RAIL_STEPS if self.on_rail else 1,
-            self.motor.U_dc, w_ref, w_acc, load, carry, cut, rails, self.train.wheel_radius_m,
-            self.wheel_load_nm, self.train.inertia(self.motor), out,
+        *columns, curves = (pointer("double", x) for x in numbers)
+        schedule = ffi.new("struct sim_schedule *", [
+            *carry.shape, *columns, pointer("uint8_t", down),
+            ffi.cast("struct sim_rail *", curves),
+        ])  # fmt: skip
+        lib.sim_advance(
+            pointer("struct sim_train", self.state), pointer("struct sim_motor", self.p),
+            pointer("struct sim_drive", self.drives), schedule, pointer("double", out),
         )  # fmt: skip
         return out
 
     def set_share(self, share: Array) -> None:
         """What part of the train's demand falls to each drive from now on, (N,)."""
-        self.p[:, kernels.SHARE] = share
+        self.p.share = share
 
     def set_open(self, phase_a: NDArray[np.bool_]) -> None:
         """Which drives have phase a open from now on, (N,)."""
-        self.p[:, kernels.PHASE_OPEN] = phase_a
+        self.p.phase_a_open = phase_a
 
     def set_brake(self, torque: Array) -> None:
         """Torque of the friction brakes from now on, Nm at the motor shaft, (N,), 0 = released."""
-        self.p[:, kernels.BRAKE] = torque
+        self.p.brake_nm = torque
 
     def slips(self, drive: int, condition: Rail) -> bool:
         """True when this rail cannot carry what is asked of this drive's wheel.
@@ -246,11 +288,11 @@ class Plant:
             return False
         if abs(self._asked(drive)) > self._limit(drive, condition):
             return True
-        v = float(self.train_state[0]) * self.train.wheel_radius_m
-        radius = self.train.wheel_radius_m * float(self.p[drive, kernels.WHEEL])
-        w = float(self.x[drive, 2]) * radius
-        creep = abs(w - v) / max(abs(v), kernels.SPEED_FLOOR_M_S)
-        return creep > kernels.CREEP_LIMIT and creep > peak_creep(condition, v)
+        v = self.v_m_s
+        radius = self.train.wheel_radius_m * float(self.p.wheel[drive])
+        w = float(self.drives.w_m[drive]) * radius
+        creep = abs(w - v) / max(abs(v), SPEED_FLOOR_M_S)
+        return creep > CREEP_LIMIT and creep > peak_creep(condition, v)
 
     def shortage(self, drive: int, condition: Rail, load: float) -> float:
         """Share of what is asked that a drive which `slips` does not get onto the rail.
@@ -269,18 +311,18 @@ class Plant:
         A brake on a train that stands holds: it asks nothing of the rail. A train stands when a
         locked wheel's creep is within 5 %: below 25 mm/s.
         """
-        asked = self.demand_nm * float(self.p[drive, kernels.SHARE])
-        v = float(self.train_state[0]) * self.train.wheel_radius_m
-        if abs(v) > kernels.CREEP_LIMIT * kernels.SPEED_FLOOR_M_S:
-            asked -= math.copysign(float(self.p[drive, kernels.BRAKE]), v)
+        asked = self.demand_nm * float(self.p.share[drive])
+        v = self.v_m_s
+        if abs(v) > CREEP_LIMIT * SPEED_FLOOR_M_S:
+            asked -= math.copysign(float(self.p.brake_nm[drive]), v)
         return asked
 
     def _limit(self, drive: int, condition: Rail) -> float:
         """Most that this rail carries within the drive's slip limit, Nm."""
-        v = float(self.train_state[0]) * self.train.wheel_radius_m
-        creep = float(self.p[drive, kernels.CREEP_MAX])
+        v = self.v_m_s
+        creep = float(self.p.creep_max[drive])
         most = available(condition, v, peak_creep(condition, v) if math.isinf(creep) else creep)
-        return self.wheel_load_nm * float(self.p[drive, kernels.SHARE]) * most
+        return self.wheel_load_nm * float(self.p.share[drive]) * most
 
 
 class QuasiStatic:
@@ -303,8 +345,8 @@ class QuasiStatic:
         """Advance by 10 ms; `carry`, `cut` (N,); gives (N, 10) columns OUT at the end."""
         m = self.motor
         dt = self.STEP_NS * 1e-9
-        down = np.maximum(self.limit - kernels.CUT_PER_S * dt, CUT_LEVEL)
-        up = np.minimum(self.limit + kernels.RESTORE_PER_S * dt, 1.0)
+        down = np.maximum(self.limit - CUT_PER_S * dt, CUT_LEVEL)
+        up = np.minimum(self.limit + RESTORE_PER_S * dt, 1.0)
         self.limit = np.where(cut, down, up)
         self.demand_nm = load
         w_e = m.pole_pairs * w_m
@@ -328,5 +370,5 @@ class QuasiStatic:
 
 
 def rail_array(conditions: list[Rail]) -> Array:
-    """(N, 6) of the curves in force, as the kernel takes them."""
+    """(N, 6) of the curves in force, as `struct sim_rail`."""
     return np.array(conditions, dtype=np.float64)

@@ -24,12 +24,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import _kernels as kernels
 from sim.plant import BENCH, Motor
+from sim.records import lib, pointer
 
 Array = NDArray[np.float64]
 
-NODES: Final = 6
+NODES: Final[int] = lib.SIM_NODES
 WINDING, CORE, FRAME, BEARING_DE, BEARING_NDE, ROTOR = range(NODES)
 MEASURED: Final = (WINDING, BEARING_DE, BEARING_NDE)
 """Nodes with a sensor: stator, drive end, non-drive end."""
@@ -148,4 +148,18 @@ class ThermalTrain:
         q[:, WINDING] += copper * COPPER_SLOPE * (self._state[:, WINDING] - COPPER_REFERENCE)
         q[: self.drives] += extra_w
         self._cooling(w, cooling_lost)
-        kernels.heat(self._state, q, self._link, self.capacity, self._air, STEP_NS * 1e-9)
+        heat_step(self._state, q, self._link, self.capacity, self._air, STEP_NS * 1e-9)
+
+
+def heat_step(
+    state: Array, sources: Array, link: Array, capacity: Array, air: Array, dt: float
+) -> None:
+    """One step of M networks, `sim_heat_step` in sim/thermal.c; `state` (M, 6) degC in place.
+
+    `sources` (M, 6) W, `link` (M, 6, 7) W/K (column 6: to the air), `capacity` (6,) J/K, `air` (M,)
+    degC.
+    """
+    lib.sim_heat_step(
+        len(state), pointer("double", sources), pointer("double", link),
+        pointer("double", capacity), pointer("double", air), dt, pointer("double", state),
+    )  # fmt: skip

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import _kernels as kernels
-from sim.plant import SLIP_LIMITERS, Motor, parameters
+from sim.plant import SLIP_LIMITERS, Motor, parameters, set_slip_limiter
 from sim.scenario import Scenario
 from sim.sensors import PHASES
 from sim.tables import Curve, Factors
@@ -28,17 +27,16 @@ class Variety:
         self._seed, self._n = scenario.seed, scenario.drives
         m, load, sensors = scenario.mismatch, scenario.load, scenario.sensors
         self.p = parameters(motor, self._n)
-        """(N, 18) parameters of the plant."""
-        self.p[:, 0] *= self._factors(m.R_s, m.R_s_within, _R_S)
-        self.p[:, 1] *= self._factors(m.L_s, m.L_s_within, _L_S)
-        self.p[:, 2] *= self._factors(m.psi_pm, m.psi_pm_within, _PSI)
-        self.p[:, kernels.SHARE] = self._factors(load.share, load.share_within, _SHARE)
-        self.p[:, kernels.WHEEL] = self._factors(load.wheel, load.wheel_within, _WHEEL)
-        limiter = SLIP_LIMITERS[scenario.slip_limiter]
-        self.p[:, kernels.CREEP_MAX : kernels.SLIP_RATE + 1] = limiter
+        """(N,) parameters of the plant, `struct sim_motor`."""
+        self.p.R_s *= self._factors(m.R_s, m.R_s_within, _R_S)
+        self.p.L_s *= self._factors(m.L_s, m.L_s_within, _L_S)
+        self.p.psi_pm *= self._factors(m.psi_pm, m.psi_pm_within, _PSI)
+        self.p.share = self._factors(load.share, load.share_within, _SHARE)
+        self.p.wheel = self._factors(load.wheel, load.wheel_within, _WHEEL)
+        set_slip_limiter(self.p, SLIP_LIMITERS[scenario.slip_limiter])
         if scenario.motion.effort_nm is not None:
-            self.p[:, kernels.EFFORT] = scenario.motion.effort_nm
-        self.torque_scale: Array = motor.psi_pm / self.p[:, 2]
+            self.p.effort_nm = scenario.motion.effort_nm
+        self.torque_scale: Array = motor.psi_pm / self.p["psi_pm"]
         """(N,) torque that a drive believes over what it is."""
         self.offset: Array = sensors.current_offset_a + self._within(
             sensors.current_offset_within_a, _OFFSET, PHASES
@@ -48,7 +46,7 @@ class Variety:
             1.0 + self._within(sensors.current_gain_within, _GAIN, PHASES)
         )
         """(N, 3), per phase."""
-        self._share = self.p[:, kernels.SHARE].copy()
+        self._share = self.p.share.copy()
         self._curves: list[Curve] = load.curve
 
     def share(self, t_s: float) -> Array:

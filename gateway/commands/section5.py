@@ -111,8 +111,8 @@ def simulate(scenario: Scenario) -> World:
         p=Variety(scenario, motor).p,
     )
     start = np.zeros((n, 5))
-    start[:, 2] = motor.pole_pairs * plant.x[:, 2]
-    start[:, 3] = plant.x[:, 3]
+    start[:, 2] = motor.pole_pairs * plant.drives.w_m
+    start[:, 3] = plant.drives.theta_e
     start[:, 4] = load[0]
     cut = np.zeros((len(t_s), n), dtype=np.bool_)
     rails = np.repeat(rail_array(schedule.rails(0.0))[None], len(t_s), axis=0)

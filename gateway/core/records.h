@@ -1218,4 +1218,37 @@ struct temperature_monitor {
     struct thermal_input *input;
 };
 
+/* ---- candump text (dbc/candump_read.c, dbc/candump_write.c) ---- */
+
+#define CANDUMP_MAX_NAME 21  /* bytes of an interface name in a line */
+#define CANDUMP_NAMES    64  /* interface names of a log that are read without Python */
+#define CANDUMP_MAX_TEXT 192 /* bytes of a line that is written, its line end included */
+
+/* What a line is. Only the first two have a frame. */
+enum candump_line {
+    LINE_CLASSIC = 0,
+    LINE_FD = 1,
+    LINE_OTHER = 2, /* dbc/logline.py decides */
+    LINE_BLANK = 3,
+    LINE_COMMENT = 4,
+    LINE_MALFORMED = 5,
+};
+
+/* Name of a CAN interface, as it stands in a line. */
+struct interface_name {
+    uint8_t text[CANDUMP_MAX_NAME];
+    uint8_t length; /* bytes of it; 0: no name, or one that no line can have */
+};
+
+/* Frames as columns (dbc/block.py), one row per frame. */
+struct frame_columns {
+    int64_t *t_ns;
+    uint32_t *can_id;
+    uint8_t *flags;    /* dbc/frame.py */
+    uint8_t *length;   /* bytes of data; 255: more than a row keeps */
+    uint8_t *data;     /* PAYLOAD_BYTES per row, 0 behind the length */
+    int8_t *dlc;       /* -1: the length; else a raw length, or what a remote frame asks for */
+    uint16_t *channel; /* index of its interface name */
+};
+
 #endif

@@ -99,8 +99,9 @@ def _fails(run, name: str) -> None:
 
 
 class _Miscounts(Reader):
-    def _count(self, plain: int, verdict: Verdict = Verdict.OK) -> None:
-        super()._count(max(0, plain - 1), verdict)
+    def _accept(self, *lines):
+        self.lines += 1
+        return super()._accept(*lines)
 
 
 class _NeverStrict(Reader):

@@ -29,6 +29,7 @@ from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
 E2E = ("tests/unit/test_e2e_reference.py", "tests/unit/test_e2e.py")
+CANDUMP = ("tests/unit/test_dbc_candump.py", "tests/property/test_dbc_candump_property.py")
 CODEC = ("tests/unit/test_codec_reference.py",)
 RESPONSE = ("tests/unit/test_response_reference.py", "tests/unit/test_detect_learning.py")
 MONITOR = (
@@ -84,6 +85,9 @@ TESTS = {
     "gateway/core/busload.c": ("tests/unit/test_outbox.py",),
     "gateway/core/transmit.c": ("tests/unit/test_outbox.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
+    "sim/plant.c": ("tests/unit/test_sim_plant.py", "tests/unit/test_sim_adhesion.py"),
+    "sim/thermal.c": ("tests/unit/test_sim_thermal.py",),
+    **dict.fromkeys(("dbc/candump_read.c", "dbc/candump_write.c"), CANDUMP),
 }  # fmt: skip
 """Those that answer for a source."""
 NOT_YET = tuple(source for source in TESTS if source not in ("dbc/crc.c", "dbc/e2e.c"))

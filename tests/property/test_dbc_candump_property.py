@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from dbc import candump, logwriter
 from dbc.block import block_of
 from dbc.candump import LogError, Reader, Writer, format_frame, parse_line
-from dbc.frame import BRS, FD, Frame
+from dbc.frame import BRS, FD, REMOTE, Frame
 from dbc.logline import Verdict
 from tests.fuzz import examples
+from tests.reference import candump as reference
 from tests.strategies import frames, log_lines
 
 
@@ -80,28 +81,24 @@ NO_FRAMES = st.sampled_from([
     st.sampled_from([0, 1, 3, 100]),
 )
 @settings(max_examples=examples(1000))
-def test_blocks_say_the_same(
+def test_reading_equals_the_reference(
     lines: list[bytes], terminated: bool, strict: bool, chunk: int, problems: int
 ) -> None:
-    """The compiled scan equals the plain reader: frames, verdicts, counts, the fault in strict."""
+    """Frames, verdicts, counts and the fault in strict mode are those of reading line by line."""
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(candump, "_CHUNK", chunk)
         patch.setattr(candump, "PROBLEMS_KEPT", problems)
-        plain, fast = (Reader(io.BytesIO(data), strict=strict) for _ in range(2))
-        blocks = (frame for block in fast.blocks() for frame in block.frames())
-        said = []
-        for reader, found in ((plain, iter(plain)), (fast, blocks)):
-            frames: list[Frame] = []
-            fault = ""
-            try:
-                for frame in found:
-                    frames.append(frame)  # noqa: PERF402 - what came before a fault counts
-            except LogError as error:
-                fault = str(error)
-            told = (+reader.counts, reader.lines, reader.problems, reader.drops, fault)
-            said.append((frames, *told))
-    assert said[0] == said[1]
+        reader = Reader(io.BytesIO(data), strict=strict)
+        found: list[Frame] = []
+        fault = ""
+        try:
+            for frame in reader:
+                found.append(frame)  # noqa: PERF402 - what came before a fault counts
+        except LogError as error:
+            fault = str(error)
+    read = (found, +reader.counts, reader.lines, reader.problems, reader.drops, fault)
+    assert read == reference.read(data, strict=strict, problems_kept=problems)
 
 
 @given(st.lists(frames().map(format_frame) | log_lines(), max_size=10))
@@ -153,6 +150,19 @@ def test_a_block_is_written_as_its_frames_are(many: list[Frame], channel: str, r
         Writer(other).write_block(block_of(many), channel)
     assert other.getvalue() == one.getvalue()
     assert one.getvalue() == b"".join(format_frame(f, channel or "can0") + b"\n" for f in many)
+
+
+@given(frames() | ODD_FRAMES, st.sampled_from(["can0", "vcan1", "a b"]))
+@settings(max_examples=examples(1000))
+@example(Frame(-(1 << 63) - 1, 1), "can0")
+@example(Frame(0, 1 << 64), "can0")
+@example(Frame(0, 1, b"", REMOTE, "", 1 << 31), "can0")
+def test_a_written_line_equals_the_reference(frame: Frame, channel: str) -> None:
+    try:
+        line = format_frame(frame, channel)
+    except ValueError:
+        line = None
+    assert line == reference.write(frame, channel)
 
 
 @given(frames(), ODD_FRAMES)

@@ -16,7 +16,7 @@ import numpy as np
 from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND
-from sim._kernels import SPEED_FLOOR_M_S
+from sim.adhesion import SPEED_FLOOR_M_S
 from sim.plant import TRAIN
 from sim.scenario import parse
 from sim.simulation import Simulation
@@ -109,7 +109,7 @@ def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
     for k in range(1, 2 * LOOP_TICKS + 1):
         block = block_of(simulation.step((), k * TICK))
         frames.append(block._replace(t_ns=block.t_ns - LOOP_NS))
-        rolling.append(simulation._plant.train_state[0])
+        rolling.append(simulation._plant.w_train)
     rows = simulation.truth_rows()[-LOOP_TICKS * len(NODES) :]
 
     def of(name: str, kind: type) -> np.ndarray:

@@ -12,7 +12,7 @@ from _traction_core import ffi, lib
 from dbc import e2e
 from dbc.codec import bind
 from dbc.e2e import HEADER_BYTES, Check, Profile, SmState, configs, states
-from dbc.records import E2E_CONFIG, E2E_STATE
+from dbc.records import E2E_CONFIG, E2E_STATE, pointer
 from gateway.config import shipped_dbc
 from tests.reference import e2e as reference
 
@@ -60,6 +60,24 @@ def rows(payload, at=0):
     found = np.full((3, 64), 0xA5, np.uint8)
     found[at] = np.frombuffer(bytes(payload).ljust(64, b"\0"), dtype=np.uint8)
     return found
+
+
+def e2e_check(data, row, c, config, state):
+    """Of the frame in a row of data, by the records of message c."""
+    return lib.e2e_check(
+        pointer("struct e2e_config", config) + c, pointer("struct e2e_state", state) + c,
+        pointer("uint8_t", data[row]),
+    )  # fmt: skip
+
+
+def e2e_sm_check(c, status, state):
+    return lib.e2e_sm_check(pointer("struct e2e_state", state) + c, status)
+
+
+def e2e_protect(data, row, c, counter, config):
+    lib.e2e_protect(
+        pointer("struct e2e_config", config) + c, pointer("uint8_t", data[row]), counter
+    )
 
 
 def test_the_numbers_are_those_of_the_reference():

@@ -15,7 +15,6 @@ from dbc.codec import Codec, bind
 from dbc.e2e import Profile
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from dbc.records import SEQUENCE_GUARD
-from gateway import _receive_kernels as kernels
 from gateway.channel import SHORTEST_STEP, USED, Kind, sequence_guards
 from gateway.health import Reason
 from gateway.inbox import MAX_GAP_NS, Inbox
@@ -510,7 +509,6 @@ def test_heartbeats_equal_the_reference(period_ns):
             for later in (0, 1, 150 * MS, TIMEOUT, TIMEOUT + 1, 10 * SECOND):
                 lost = plain.any_lost(t + later)
                 assert ours.any_lost(t + later) == lost
-                assert kernels.any_node_lost(ours.address, t + later) == lost
         assert ours.malformed == plain.malformed
     assert seen == {-1, 0, 11}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -45,7 +46,7 @@ def test_offsets_and_sizes_are_the_compilers(target, tmp_path, request):
         for field, (kind, offset) in dtype.fields.items():
             asserted.append(f"offsetof(struct {name}, {field}) == {offset}")
             asserted.append(f"sizeof(((struct {name} *)0)->{field}) == {kind.itemsize}")
-    text = ["#include <stddef.h>", '#include "gateway/core/records.h"']
+    text = ["#include <stddef.h>", '#include "gateway/core/records.h"', '#include "sim/records.h"']
     text += [f'_Static_assert({one}, "{one}");' for one in asserted]
 
     def compiled(lines):
@@ -58,6 +59,14 @@ def test_offsets_and_sizes_are_the_compilers(target, tmp_path, request):
     assert done.returncode == 0, done.stderr
     wrong = compiled([*text, '_Static_assert(sizeof(struct e2e_state) == 1, "made to fail");'])
     assert "made to fail" in wrong.stderr
+
+
+def test_the_core_does_not_include_the_simulator():
+    """Nor the other way round: what is true cannot reach an estimate."""
+    for source in (*core_build.SOURCES, *core_build.DEPENDS):
+        own = source.split("/")[0]
+        included = re.findall(r'^#include "(\w+)/', (ROOT / source).read_text(), re.MULTILINE)
+        assert {one == "sim" for one in included} <= {own == "sim"}, source
 
 
 def test_a_record_is_read_and_written_by_name():

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from sim import _kernels
-from sim.adhesion import RAILS, available, peak_creep, rail, traction_coefficient
+from sim.adhesion import RAILS, SPEED_FLOOR_M_S, available, peak_creep, rail, traction_coefficient
+from sim.records import RAIL, ffi, lib
 from tests.strategies import contacts
 
 CREEP = np.linspace(0.0, 0.5, 2001)
@@ -51,12 +51,19 @@ def test_falls_with_sliding_speed():
 
 @settings(deadline=None)
 @given(contacts())
-def test_kernel_equals_plain_twin(contact):
+def test_the_torque_is_that_of_the_curve(contact):
     name, v, slide, load_nm = contact
     curve = RAILS[name]
-    creep = slide / max(abs(v), _kernels.SPEED_FLOOR_M_S)
+    creep = slide / max(abs(v), SPEED_FLOOR_M_S)
     plain = load_nm * traction_coefficient(curve, np.array([creep]), v)[0]
-    assert _kernels.creep_torque(slide, v, load_nm, *curve) == pytest.approx(plain, abs=1e-9)
+    contact = ffi.new("struct sim_contact *", {
+        "rail": curve, "v_m_s": v, "weight_nm": load_nm, "speed_floor_m_s": SPEED_FLOOR_M_S,
+    })  # fmt: skip
+    assert lib.sim_creep_torque(contact, slide) == pytest.approx(plain, abs=1e-9)
+
+
+def test_a_rail_has_the_fields_of_its_record():
+    assert RAIL.names == RAILS["dry"]._fields
 
 
 def test_available_is_bounded_by_the_creep_allowed():

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim import _kernels
 from sim import plant as c
-from sim.adhesion import RAILS
+from sim.adhesion import RAILS, SPEED_FLOOR_M_S
 from sim.plant import BENCH, DT, MOTORS, TRAIN, Plant, QuasiStatic, rail_array
+from sim.records import ffi, lib, pointer
+from tests.reference import plant as reference
 
 
 def run(plant, seconds, *, w_ref, load, carry=None, cut=None, rails=None, drives=3):
@@ -32,6 +33,21 @@ def build(*, on_rail, w_0=25.0, load=18.0, drives=3, motor=BENCH):
     return Plant(motor, np.arange(float(drives)), on_rail=on_rail, w_0=w_0, load_0=load)
 
 
+def columns(records):
+    """(N, fields) of numbers, as the reference has them."""
+    return np.array(records.tolist(), float)
+
+
+def integrate(plant, u_a, u_b, steps, **contact):
+    """The first drive over so many parts of a control period."""
+    contact = {"rail": RAILS["dry"], "radius_m": 0.2, "weight_nm": 94.0, "limit_nm": 1e30,
+               "speed_floor_m_s": SPEED_FLOOR_M_S, **contact}  # fmt: skip
+    lib.sim_integrate(
+        pointer("struct sim_motor", plant.p), ffi.new("struct sim_contact *", contact), u_a, u_b,
+        DT / steps, steps, pointer("struct sim_drive", plant.drives),
+    )  # fmt: skip
+
+
 def dq_rates(_t, y, u_a, u_b, m, load):
     """The same machine in rotor coordinates: an independent statement of the equations."""
     i_d, i_q, w_m, theta = y
@@ -52,58 +68,69 @@ def dq_rates(_t, y, u_a, u_b, m, load):
 def test_drive_agrees_with_scipy_in_dq(motor, w_m):
     rng = np.random.default_rng(3)
     plant = build(on_rail=False, w_0=w_m, drives=1, motor=motor)
-    x, p = plant.x[0], plant.p[0]
-    x[:4] = [3.0, -7.0, w_m, 1.2]
+    drive = plant.drives[0]
+    drive.i_alpha, drive.i_beta, drive.theta_e = 3.0, -7.0, 1.2
     sin, cos = math.sin(1.2), math.cos(1.2)
     y = np.array([3.0 * cos - 7.0 * sin, -7.0 * cos - 3.0 * sin, w_m, 1.2])
-    curve = rail_array([RAILS["dry"]])[0]
     for _ in range(40):
         u_a, u_b = rng.uniform(-100, 100, 2)
         load = rng.uniform(-30, 30)
-        _kernels.integrate(x, u_a, u_b, p, DT, 1, False, load, 0.0, 0.2, 94.0, curve, 1e30)
+        integrate(plant, u_a, u_b, 1, load_nm=load)
         y = solve_ivp(dq_rates, (0, DT), y, args=(u_a, u_b, motor, load), rtol=1e-12, atol=1e-12).y[
             :, -1
         ]
     i_a = y[0] * math.cos(y[3]) - y[1] * math.sin(y[3])
     i_b = y[0] * math.sin(y[3]) + y[1] * math.cos(y[3])
-    np.testing.assert_allclose(x[:3], [i_a, i_b, y[2]], rtol=1e-6, atol=1e-6)
-    assert math.cos(x[3] - y[3]) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(drive.tolist()[:3], [i_a, i_b, y[2]], rtol=1e-6, atol=1e-6)
+    assert math.cos(drive.theta_e - y[3]) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("w_m", [25.0, 0.02, 0.0, -0.02])
 @pytest.mark.parametrize("brake", [2.0, 60.0])
-def test_compiled_brake_equals_plain_python(w_m, brake):
-    plants = [build(on_rail=True, w_0=w_m, drives=1) for _ in range(2)]
-    for plant, integrate in zip(
-        plants, (_kernels.integrate, _kernels.integrate.py_func), strict=True
-    ):
-        plant.set_brake(np.array([brake]))
-        curve = rail_array([RAILS["dry"]])[0]
-        for _ in range(5):
-            integrate(plant.x[0], 3.0, -2.0, plant.p[0], DT / 4, 4, True, 0.0, 0.1, 0.2, 94.0,
-                      curve, 1e30)  # fmt: skip
-    np.testing.assert_allclose(plants[0].x, plants[1].x, rtol=1e-12, atol=1e-12)
+def test_the_brake_equals_the_reference(w_m, brake):
+    """To the bit: also where it stops the wheel, and where it holds it or cannot."""
+    plant = build(on_rail=True, w_0=w_m, drives=1)
+    plant.set_brake(np.array([brake]))
+    x, p = columns(plant.drives)[0], columns(plant.p)[0]
+    curve = rail_array([RAILS["dry"]])[0]
+    for _ in range(5):
+        integrate(plant, 3.0, -2.0, 4, v_m_s=0.1, on_rail=1)
+        reference.integrate(x, 3.0, -2.0, p, DT / 4, 4, True, 0.0, 0.1, 0.2, 94.0, curve, 1e30)
+        assert columns(plant.drives)[0].tolist() == x.tolist()
 
 
-def test_compiled_loop_equals_plain_python():
-    n = 40
-    rails = np.tile(rail_array([RAILS["wet"]] * 2), (n, 1, 1))
-    speed, load = np.full(n, 25.0), np.full(n, 18.0)
-    args = (speed, np.zeros(n), load, np.ones((n, 2)), np.zeros((n, 2), bool), rails)
-    for on_rail, limiter, brake in [
-        (False, "fast", 0.0), (True, "fast", 0.0), (True, "slow", 0.0), (True, "none", 9.0),
-    ]:  # fmt: skip
-        fast, plain = (build(on_rail=on_rail, drives=2) for _ in range(2))
-        for plant in (fast, plain):
-            plant.p[:, _kernels.CREEP_MAX : _kernels.SLIP_RATE + 1] = c.SLIP_LIMITERS[limiter]
-            plant.set_brake(np.array([0.0, brake]))
-        out = fast.advance(*args)
-        twin = np.empty_like(out)
-        _kernels.advance.py_func(
-            plain.x, plain.train_state, plain.p, on_rail, 4 if on_rail else 1, BENCH.U_dc,
-            *args, TRAIN.wheel_radius_m, plain.wheel_load_nm, TRAIN.inertia(BENCH), twin,
+@pytest.mark.parametrize("seed", range(18))
+def test_the_plant_equals_the_reference(seed):
+    """To the bit: every motor, slip limiter and way to load, brakes, open phases, poor rails."""
+    rng = np.random.default_rng(seed)
+    n, on_rail, motor = 20, seed % 2 == 1, list(MOTORS.values())[seed % 3]
+    plant = build(on_rail=on_rail, w_0=25.0 * (seed % 5 - 1), motor=motor, drives=2)
+    c.set_slip_limiter(plant.p, list(c.SLIP_LIMITERS.values())[seed % 3])
+    plant.p.share, plant.p.wheel = [0.9, 1.1], [1.0, 0.98]
+    plant.p.effort_nm *= seed < 15  # the last ones coast
+    x, p = columns(plant.drives), columns(plant.p)
+    train = np.array([plant.w_train, 18.0, 18.0])
+    for k in range(10):
+        p[:, reference.BRAKE] = [rng.choice([0.0, 20.0]), 20.0 * (k % 3)]
+        p[:, reference.PHASE_OPEN] = rng.random(2) < 0.2
+        plant.set_brake(p[:, reference.BRAKE])
+        plant.set_open(p[:, reference.PHASE_OPEN])
+        x[:, 2] += rng.choice([0.0, 20.0, -20.0], 2)  # wheels that run away
+        plant.drives.w_m = x[:, 2]
+        names = rng.choice(list(RAILS), (n, 2))
+        args = (
+            np.full(n, rng.uniform(-60, 60)), rng.uniform(-3, 3, n),
+            np.full(n, rng.choice([0.0, 18.0, -25.0])), rng.choice([1.0, 0.4, 0.0], (n, 2)),
+            rng.random((n, 2)) < 0.2, np.array([[RAILS[name] for name in row] for row in names]),
         )  # fmt: skip
-        np.testing.assert_allclose(out, twin, rtol=1e-12, atol=1e-12)
+        out = plant.advance(*args)
+        twin = np.empty_like(out)
+        reference.advance(
+            x, train, p, on_rail, 4 if on_rail else 1, motor.U_dc, *args, TRAIN.wheel_radius_m,
+            plant.wheel_load_nm, TRAIN.inertia(motor), twin,
+        )  # fmt: skip
+        np.testing.assert_array_equal(out, twin)
+        assert plant.demand_nm == train[2]
 
 
 @pytest.mark.parametrize("on_rail", [False, True])
@@ -141,7 +168,7 @@ def test_momentum_of_the_train():
     plant = build(on_rail=True)
     out = run(plant, 1.5, w_ref=25.0, load=18.0, carry=lambda t: [0.0 if t > 0.2 else 1, 1, 1])
     impulse = ((out[:, :, c.LOAD].mean(axis=1) - 18.0) * DT).sum()
-    change = (plant.train_state[0] - 25.0) * TRAIN.inertia(BENCH)
+    change = (plant.w_train - 25.0) * TRAIN.inertia(BENCH)
     assert impulse == pytest.approx(change, rel=1e-6)
     assert change < -1.0
 

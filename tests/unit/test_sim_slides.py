@@ -51,7 +51,7 @@ def brake(nm, at_s=0.5, drive="all", **more):
 
 
 def advance(plant, seconds, *, w_ref=25.0, load=0.0, carry=1.0, rail="dry"):
-    drives = len(plant.x)
+    drives = len(plant.drives)
     n = round(seconds / DT)
     rails = np.tile(rail_array([RAILS[rail]] * drives), (n, 1, 1))
     shares = np.full((n, drives), carry)
@@ -232,7 +232,7 @@ def test_momentum_and_energy_with_brakes_and_a_slide(w_0):
     v = np.concatenate([[w_0], np.zeros(len(out))])
     impulse = np.cumsum(out[:, :, c.LOAD].mean(axis=1) * DT)
     v[1:] = w_0 + impulse / TRAIN.inertia(BENCH)
-    assert plant.train_state[0] == pytest.approx(v[-1], rel=1e-9)
+    assert plant.w_train == pytest.approx(v[-1], rel=1e-9)
     # Kinetic energy that is gone = work of the brakes + what the sliding contact takes.
     w = np.concatenate([np.full((1, 2), w_0), out[:, :, c.SPEED]])
     mean_w, mean_v = 0.5 * (w[1:] + w[:-1]), 0.5 * (v[1:] + v[:-1])[:, None]

@@ -3,6 +3,7 @@ import pytest
 
 from sim import thermal
 from sim.plant import BENCH, MOTORS
+from sim.records import ffi, lib, pointer
 from sim.thermal import (
     BEARING_DE,
     BEARING_NDE,
@@ -44,7 +45,7 @@ def test_settled_motor_stays_and_is_warm():
     assert np.all(before[:, WINDING] < 120.0)
 
 
-def test_kernel_equals_matrix_form():
+def test_a_step_equals_the_matrix_form():
     rng = np.random.default_rng(1)
     state = rng.uniform(10, 90, (4, NODES))
     link = rng.uniform(0, 5, (4, NODES, NODES + 1))
@@ -53,8 +54,39 @@ def test_kernel_equals_matrix_form():
     ones = np.concatenate([state, air[:, None]], axis=1)
     flow = np.einsum("mab,mb->ma", link, ones) - link.sum(axis=2) * state + sources
     expected = state + 0.01 * flow / CAPACITY
-    thermal.kernels.heat(state, sources, link, CAPACITY, air, 0.01)
+    thermal.heat_step(state, sources, link, CAPACITY, air, 0.01)
     np.testing.assert_allclose(state, expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("fault", [(-1, -1), (1, 2)])
+def test_a_record_equals_the_matrix_form(fault):
+    rng = np.random.default_rng(2)
+    steps, motors, at = 50, 3, np.array([0, 7, 7, 49])
+    copper, rub, cooling, air = rng.uniform(1, 50, (4, steps, motors))
+    iron, heat = rng.uniform(1, 50, (2, steps))
+    links = rng.uniform(0, 5, (NODES, NODES))
+    state = rng.uniform(10, 90, (motors, NODES))
+    expected, kept = state.copy(), []
+    for k in range(steps):
+        q = expected @ links.T - links.sum(axis=1) * expected
+        q[:, WINDING] += copper[k] * (1.0 + 0.004 * (expected[:, WINDING] - 60.0))
+        q[:, 1] += 0.8 * iron[k]
+        q[:, 5] += 0.2 * iron[k]
+        q[:, FRAME] += cooling[k] * (air[k] - expected[:, FRAME])
+        q[:, 3:5] += rub[k][:, None] + 0.25 * (air[k][:, None] - expected[:, 3:5])
+        if fault[0] >= 0:
+            q[fault] += heat[k]
+        expected += 0.5 * q / CAPACITY
+        kept += [expected.copy()] * np.count_nonzero(at == k)
+    out = np.empty((len(at), motors, NODES))
+    courses = (pointer("double", x) for x in (copper, iron, rub, cooling, air, heat))
+    record = ffi.new("struct sim_heat_record *", [
+        steps, motors, len(at), 0.5, 0.25, 0.2, 0.004, 60.0, *courses, *fault,
+        pointer("double", links), pointer("double", CAPACITY), pointer("int64_t", at),
+    ])  # fmt: skip
+    lib.sim_heat_record(record, pointer("double", state), pointer("double", out))
+    np.testing.assert_allclose(out, kept, rtol=1e-12)
+    np.testing.assert_allclose(state, expected, rtol=1e-12)
 
 
 def test_heat_is_conserved_without_air():

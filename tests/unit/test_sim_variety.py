@@ -37,18 +37,18 @@ def test_without_tables_all_drives_are_the_data_sheet():
 
 def test_factors_are_given_or_drawn_from_the_seed():
     v = variety(mismatch={"R_s": [1.2, 0.8, 1.0], "psi_pm": 0.9})
-    np.testing.assert_allclose(v.p[:, 0], BENCH.R_s * np.array([1.2, 0.8, 1.0]))
-    np.testing.assert_allclose(v.p[:, 2], BENCH.psi_pm * 0.9)
-    np.testing.assert_allclose(v.p[:, 12], BENCH.psi_pm)
+    np.testing.assert_allclose(v.p.R_s, BENCH.R_s * np.array([1.2, 0.8, 1.0]))
+    np.testing.assert_allclose(v.p.psi_pm, BENCH.psi_pm * 0.9)
+    np.testing.assert_allclose(v.p.psi_pm_control, BENCH.psi_pm)
     table = {"R_s_within": 0.2, "L_s_within": 0.05, "psi_pm_within": 0.03}
     one, same, other = (variety(seed=seed, mismatch=table) for seed in (4, 4, 5))
     np.testing.assert_array_equal(one.p, same.p)
-    off = one.p[:, :3] / parameters(BENCH, 3)[:, :3] - 1.0
-    for column, limit in ((0, 0.2), (1, 0.05), (2, 0.03)):
-        assert np.all(np.abs(off[:, column]) <= limit)
-        assert len(set(off[:, column].tolist())) == 3
-        assert not np.any(one.p[:, column] == other.p[:, column])
-    drawn = np.array([variety(seed=s, mismatch=table).p[:, 0] for s in range(40)]) / BENCH.R_s
+    for name, limit in (("R_s", 0.2), ("L_s", 0.05), ("psi_pm", 0.03)):
+        off = one.p[name] / getattr(BENCH, name) - 1.0
+        assert np.all(np.abs(off) <= limit)
+        assert len(set(off.tolist())) == 3
+        assert not np.any(one.p[name] == other.p[name])
+    drawn = np.array([variety(seed=s, mismatch=table).p.R_s for s in range(40)]) / BENCH.R_s
     assert drawn.min() < 0.82
     assert drawn.max() > 1.18
 

@@ -1,7 +1,4 @@
-"""Compiled loops of the plant and the thermal network.
-
-Plain twins for the tests: `sim.adhesion.traction_coefficient` for the creep curve, SciPy's
-solver of the dq equations for the drive, the network's matrices for the heat.
+"""Drives and train of the simulator, number by number in Python: the oracle of `sim/plant.c`.
 
 State of one drive, columns of `x` (N, 10):
     0, 1  i_alpha, i_beta   A        4, 5  integrators of the current control, V (d, q)
@@ -17,7 +14,7 @@ Parameters of one drive, columns of `p` (N, 18):
     bandwidth rad/s, 16 rate of its integrator 1/s  17 torque of the friction brake Nm
 Train, `train` (3,): speed at the rotor rad/s, integrator of the driver Nm, last demand Nm.
 
-May know: physics of the drive. May not know: bits, faults by name, sensors.
+The columns are the fields of `struct sim_drive`, `struct sim_motor` and `struct sim_train`.
 """
 
 from __future__ import annotations
@@ -27,8 +24,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-
-from dbc._kernelcache import njit
 
 Array = NDArray[np.float64]
 
@@ -60,7 +55,6 @@ OUT: Final = 10
 I_ALPHA, I_BETA, U_ALPHA, U_BETA, U_DC, TORQUE, SPEED, ANGLE, LOAD, COMMAND = range(OUT)
 
 
-@njit(cache=True)
 def creep_torque(
     slide: float, v: float, load_nm: float, mu_0: float, a: float, b: float,
     k_a: float, k_s: float, k_c: float,
@@ -75,7 +69,6 @@ def creep_torque(
     return torque if slide >= 0.0 else -torque
 
 
-@njit(cache=True)
 def rail_torque(
     w_m: float, v: float, radius: float, load_nm: float, curve: Array, limit: float
 ) -> float:
@@ -86,7 +79,6 @@ def rail_torque(
     return min(max(torque, -limit), limit)
 
 
-@njit(cache=True)
 def electric(
     i_a: float, i_b: float, w_m: float, theta: float, u_a: float, u_b: float, p: Array
 ) -> tuple[float, float, float]:
@@ -107,7 +99,6 @@ def electric(
     return d_a, d_b, torque
 
 
-@njit(cache=True)
 def integrate(
     x: Array, u_a: float, u_b: float, p: Array, h: float, steps: int, on_rail: bool,
     load: float, v: float, radius: float, load_nm: float, curve: Array, limit: float,
@@ -160,7 +151,6 @@ def integrate(
     x[3] -= turn * math.floor(x[3] / turn)
 
 
-@njit(cache=True)
 def current_control(x: Array, torque_ref: float, u_max: float, p: Array) -> None:
     """Field-oriented PI control with decoupling; the result acts in the next period.
 
@@ -176,7 +166,7 @@ def current_control(x: Array, torque_ref: float, u_max: float, p: Array) -> None
     gain = CURRENT_BANDWIDTH * p[1]
     u_d = gain * e_d + x[4] - w_e * p[1] * i_q
     u_q = gain * e_q + x[5] + w_e * (p[1] * i_d + p[2])
-    size = math.hypot(u_d, u_q)
+    size = np.hypot(u_d, u_q)  # libm's, as in C
     if size > u_max:
         u_d *= u_max / size
         u_q *= u_max / size
@@ -189,7 +179,6 @@ def current_control(x: Array, torque_ref: float, u_max: float, p: Array) -> None
     x[7] = u_d * math.sin(ahead) + u_q * math.cos(ahead)
 
 
-@njit(cache=True)
 def slip_limit(x: Array, command: float, w_train: float, p: Array) -> float:
     """Torque reference, Nm: the command unless the wheel leaves the creep band (backstop).
 
@@ -212,7 +201,6 @@ def slip_limit(x: Array, command: float, w_train: float, p: Array) -> float:
     return held
 
 
-@njit(cache=True)
 def speed_control(x: Array, w_ref: float, p: Array) -> float:
     """Torque reference, Nm, of a PI speed control with clamped integrator."""
     gain = SPEED_BANDWIDTH * p[4]
@@ -223,7 +211,6 @@ def speed_control(x: Array, w_ref: float, p: Array) -> float:
     return wanted
 
 
-@njit(cache=True)
 def limiter(now: float, cut: bool, floor: float) -> float:
     """The torque limiter after one period: falls within 100 ms, returns over 1 s."""
     if cut:
@@ -231,7 +218,6 @@ def limiter(now: float, cut: bool, floor: float) -> float:
     return min(now + RESTORE_PER_S * DT, 1.0)
 
 
-@njit(cache=True)
 def advance(
     x: Array, train: Array, p: Array, on_rail: bool, inner: int, u_dc: float,
     w_ref: Array, w_acc: Array, load: Array, carry: Array, cut: NDArray[np.bool_],
@@ -312,22 +298,3 @@ def advance(
             train[0] += DT * (pull / drives - load[k]) / mass_j
         else:
             train[0] = w_ref[k]
-
-
-@njit(cache=True)
-def heat(temps: Array, sources: Array, link: Array, capacity: Array, air: Array, dt: float) -> None:
-    """One explicit step of M thermal networks of 6 nodes; `temps` (M, 6) degC in place.
-
-    `sources` (M, 6) W, `link` (M, 6, 7) W/K (column 6: to ambient), `capacity` (6,) J/K,
-    `air` (M,) degC. All time constants are above 20 s, so a step of 10 ms errs below 1e-3.
-    """
-    m, nodes = temps.shape
-    flow = np.empty(nodes)
-    for j in range(m):
-        for a in range(nodes):
-            q = sources[j, a] + link[j, a, nodes] * (air[j] - temps[j, a])
-            for b in range(nodes):
-                q += link[j, a, b] * (temps[j, b] - temps[j, a])
-            flow[a] = q
-        for a in range(nodes):
-            temps[j, a] += dt * flow[a] / capacity[a]
