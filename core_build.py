@@ -46,6 +46,7 @@ HEADERS = (
     "estimators/filter.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
+    "gateway/core/adhesion.h",
     "gateway/core/temperature.h",
     "gateway/core/supervision.h",
     "gateway/core/sequence.h",
@@ -86,6 +87,8 @@ SOURCES = (
     "gateway/core/flags.c",
     "gateway/core/rotors.c",
     "gateway/core/train.c",
+    "gateway/core/loads.c",
+    "gateway/core/adhesion.c",
     "gateway/core/temperature.c",
     "gateway/core/supervision.c",
     "gateway/core/sequence.c",
@@ -104,6 +107,8 @@ DEPENDS = (
     "estimators/filter_simd.h",
     "estimators/filter_simd.c",
     "gateway/core/rotors.h",
+    "gateway/core/loads.h",
+    "gateway/core/times.h",
 )
 """All that sources include."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc._core_symbols import symbol
-from dbc._lean import inlined, lean, unlocked
-from gateway._adhesion_kernels import compare, conclude, teach
+from dbc._lean import inlined, unlocked
 from gateway._flags_kernels import fill_inputs, update_flags
 from gateway._inputs_kernels import look
 from gateway._motion_kernels import merge_motion, observe_motion
@@ -23,12 +22,13 @@ from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
 from gateway._sweep_kernels import run_filters
 from gateway._thermal_kernels import advance, hear, report
-from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 
 if TYPE_CHECKING:
     from dbc.records import Records
+    from gateway.inputs import Inputs
     from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
+    from gateway.tracks import Told
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -38,33 +38,18 @@ WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_vb_detect = symbol("vb_detect")
+_detect_loss = symbol("detect_loss")
 
 
 @inlined
-def _enough(usable: Bools) -> bool:
-    """Two drives are known, the least that can be compared."""
-    known = 0
-    for k in range(usable.shape[0]):
-        known += usable[k]
-    return known >= 2
-
-
-@lean
-def _opinion(judging: Judging) -> float:
-    """`VariationalDetector`: fills lost and known of `judging`, gives the common load."""
-    known, room = judging.at.known, judging.room
-    enough = _enough(known)
-    for k in range(known.shape[0]):
-        judging.lost[k] = 0.0
-        judging.known[k] = enough and known[k]
-    if not enough:
-        return 0.0
-    return _vb_detect(  # type: ignore[no-any-return]
-        judging.priors.ctypes.data, judging.sweeps, room.referred.ctypes.data,
-        room.spread.ctypes.data, known.ctypes.data, known.shape[0], judging.rough.ctypes.data,
-        judging.lost.ctypes.data,
-    )  # fmt: skip
+def _detect(now: int, inputs: Inputs, told: Told, judging: Judging, drives: Records) -> None:
+    """As `AdhesionMonitor.detect`; drives: `drive_status`."""
+    for k in range(inputs.speed.shape[0]):
+        mine = judging.rotor_inputs[k]
+        mine["measured_rad_s"], mine["command_valid"] = inputs.speed[k], inputs.commanded[k]
+    _detect_loss(
+        judging.adhesion, told.estimates.ctypes.data, judging.drives, drives.ctypes.data, now
+    )
 
 
 @inlined
@@ -101,11 +86,10 @@ def several(
     Fills `went`. Gives the fields of `Left`, not one of these: see `Direct`.
     """
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
-    busy, common, out, first = receiving.busy_s, 0.0, 0, 0
+    busy, out, first = receiving.busy_s, 0, 0
     done, stage = 0, WHOLE
     samples = seen = motions = 0
     changed = False
-    learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
         if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
@@ -166,30 +150,7 @@ def several(
             inputs, filtering.believed.sensors, filtering.check.until_ns, now, told,
             filtering.motion, filtering.limits,
         )  # fmt: skip
-        assess_train(
-            inputs.speed, inputs.commanded, receiving.slow, judging.flag, now, judging.tick_s,
-            told, judging.train,
-        )  # fmt: skip
-        compare(
-            told, receiving.slow, inputs.commanded, judging.flag, judging.since_ns, now,
-            judging.tick_s, judging.rotors, judging.reference, judging.passing, judging.at,
-            judging.responses, judging.room,
-        )  # fmt: skip
-        common = _opinion(judging)
-        answered = conclude(
-            judging.lost, judging.known, common, now, judging.tick_s, judging.own, judging.at,
-            judging.responses, judging.train, judging.part, judging.spreads, judging.rules,
-            judging.common_mode, judging.trust, judging.room,
-        )  # fmt: skip
-        due = now >= learn_ns
-        if answered or due:
-            if due:
-                learn_ns = now + judging.every_ns
-            teach(
-                answered, due, now, judging.tick_s, common, judging.flag, receiving.slow.operating,
-                judging.reference, judging.own, judging.at, judging.responses, judging.settled_ns,
-                judging.probably, judging.trust, judging.room,
-            )  # fmt: skip
+        _detect(now, inputs, told, judging, saying.status.drives)
         if seen:
             hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
         advance(
@@ -197,10 +158,9 @@ def several(
             warming.warmth,
         )  # fmt: skip
         report(now, warming.limit_ns, warming.warmth, saying.findings)
-        lost, known = judging.room.lost, judging.room.known
         fill_inputs(
-            inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
-            judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
+            inputs, filtering.motion.wrong, judging.uncertain, told, judging.lost, judging.known,
+            judging.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
         saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
         changed = update_flags(
@@ -223,6 +183,4 @@ def several(
         now += period
         if changed:
             break
-    return (
-        done, stage, first, samples, seen, motions, changed, out, busy, common, learn_ns,
-    )  # fmt: skip
+    return done, stage, first, samples, seen, motions, changed, out, busy

@@ -27,7 +27,7 @@ from gateway._direct import Direct
 from gateway._flags_kernels import fill_inputs
 from gateway._inputs_kernels import look
 from gateway._plausibility_kernels import check_values
-from gateway.adhesion import AdhesionSide
+from gateway.adhesion import AdhesionMonitor
 from gateway.bank import Bank
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
@@ -113,8 +113,8 @@ class Gateway:
         severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
         tick_ns = config.loop.period_ns
         by = rules(timing, severe, a.raise_probability, a.clear_probability, tick_ns)
-        self.adhesion = AdhesionSide(a, motors, by, tick_ns)
-        self.plausibility = plausibility.start(len(nodes), self.adhesion.train.doubt_ns)
+        self.adhesion = AdhesionMonitor(a, motors, by, tick_ns)
+        self.plausibility = plausibility.start(len(nodes), self.adhesion.doubt_until_ns)
         self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
         self.status = self.flags.status
         self.changed = True
@@ -190,8 +190,8 @@ class Gateway:
         )  # fmt: skip
         until_ns = self.plausibility.until_ns
         self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
-        flag, since = self.flags.adhesion["state"], self.flags.adhesion["since_ns"]
-        opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
+        drives = self.flags.status.drives
+        opinion = self.adhesion.detect(told, inbox.receiver.drives, inputs, drives, now)
         return self.judged(opinion, now)
 
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
@@ -203,7 +203,7 @@ class Gateway:
         silent, self.silent = self.silent, self.stops and intruder
         flags = self.flags
         self._fill_inputs(
-            inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
+            inputs, wrong, self.adhesion.uncertain, told, opinion.lost, opinion.known,
             self.adhesion.severe, self.findings, inbox.pairs.sample_ns, flags.inputs,
         )  # fmt: skip
         common_mode = self.adhesion.common_mode["state"].item()

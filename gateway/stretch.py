@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.records import Records
-from gateway import loads, motion, plausibility, sources, tracks, train
+from gateway import motion, plausibility, sources, tracks
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
@@ -66,36 +66,20 @@ class Filtering(NamedTuple):
 
 
 class Judging(NamedTuple):
-    """As `AdhesionSide.judge` with `VariationalDetector`, whose opinion fills lost, known (N,).
+    """As `AdhesionMonitor.detect` with the detector in the core, which fills lost, known (N,).
 
-    rough (4, N): its workspace; learn_ns: when drives are learnt from next; every_ns: how often.
+    adhesion, drives: addresses of `struct adhesion` and of `struct drive_input` (N,).
     """
 
-    flag: Ints
-    since_ns: Ints
-    tick_s: float
-    rotors: loads.Rotors
-    train: train.Train
-    reference: loads.LoadReference
-    own: loads.LoadReference
-    passing: float
-    part: float
-    spreads: float
-    at: loads.Instant
-    responses: Records
-    trust: loads.Trust
-    room: loads.Room
-    rules: Records
-    common_mode: Records
-    priors: Array
-    sweeps: int
+    adhesion: int
+    drives: int
+    rotor_inputs: Records
     lost: Array
     known: Bools
-    rough: Array
-    learn_ns: int
-    every_ns: int
-    settled_ns: int
-    probably: float
+    severe: NDArray[np.uint8]
+    uncertain: NDArray[np.uint8]
+    rules: Records
+    common_mode: Records
 
 
 class Warming(NamedTuple):
@@ -153,8 +137,7 @@ class Left(NamedTuple):
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
     first frame that is not in, or that behind the last; samples, seen, motions: of the last frames
     (samples, temperatures, motions of `struct received`); changed: whether the last whole tick
-    changed a flag; frames: in `Went`; busy_s; common: load in the last tick, per unit; learn_ns:
-    when drives are learnt from next.
+    changed a flag; frames: in `Went`; busy_s.
     """
 
     done: int
@@ -166,8 +149,6 @@ class Left(NamedTuple):
     changed: bool
     frames: int
     busy_s: float
-    common: float
-    learn_ns: int
 
 
 def went(rows: int, most: int, n: int) -> Went:

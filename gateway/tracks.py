@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import FILTER_SAMPLE, Columns, zeros
+from dbc.records import DRIVE_ESTIMATE, FILTER_SAMPLE, Columns, Records, zeros
 from gateway.health import Reason
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
 
 
 class Tracks(NamedTuple):
@@ -56,13 +57,11 @@ class Limits(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What every drive is found to be in a tick, (N,); NaN where a number is not known.
+    """`struct drive_estimate` of every drive, (N,), and its columns."""
 
-    health, and the reason where it is not tracking: numbers of `gateway.health`.
-    """
-
-    health: Ints
-    reason: Ints
+    estimates: Records
+    health: Bytes
+    reason: Bytes
     agrees: Ints
     begins: Flags
     speed: Array
@@ -129,7 +128,10 @@ def tracks(n: int) -> Tracks:
 
 def told(n: int) -> Told:
     """Room for N drives."""
-    speed, load, sigma, nis = np.full((4, n), np.nan)
-    health, reason, agrees = np.zeros((3, n), dtype=np.int64)
-    reason[:] = Reason.STARTING
-    return Told(health, reason, agrees, np.zeros(n, dtype=np.bool_), speed, load, sigma, nis)
+    made = np.zeros(n, DRIVE_ESTIMATE)
+    numbers = [made[name] for name in ("speed_rad_s", "load_nm", "load_sigma_nm", "nis")]
+    for column in numbers:
+        column[:] = np.nan
+    made["health_reason"] = Reason.STARTING
+    agrees, begins = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+    return Told(made, made["health"], made["health_reason"], agrees, begins, *numbers)

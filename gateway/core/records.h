@@ -885,10 +885,10 @@ struct channel {
     int64_t good_ns;     /* last frame whose values could be used */
     struct sequence_guard guard;
     uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
-    uint8_t reject_reason;     /* why the last values could not be used (enum reason) */
-    uint8_t protection_reason; /* what last went wrong in the protection */
-    uint8_t reason;            /* why the channel is unknown now; REASON_NONE: it is not */
-    uint8_t was_valid;         /* 1: its receiver was once in E2E_SM_VALID */
+    uint8_t reject_reason;             /* why the last values could not be used (enum reason) */
+    uint8_t protection_reason;         /* what last went wrong in the protection */
+    uint8_t reason;                    /* why the channel is unknown now; REASON_NONE: it is not */
+    uint8_t was_valid;                 /* 1: its receiver was once in E2E_SM_VALID */
 };
 
 /* Currents or voltages that wait for the other half of a sample. */
@@ -990,6 +990,69 @@ struct receiver {
     int64_t *emergency_rows;       /* received frames that are emergencies */
     int64_t counters[RX_COUNTERS]; /* since Python last took them over */
     struct received tick;
+};
+
+/* ---- Adhesion (gateway/core/loads.c, adhesion.c). Loads and torques are per unit of rated torque;
+ * NaN: not known. ---- */
+
+/* Estimate of one drive in this tick. */
+struct drive_estimate {
+    double speed_rad_s;    /* of the rotor */
+    double load_nm;        /* load torque */
+    double load_sigma_nm;  /* standard deviation of the load */
+    double nis;            /* normalised innovation squared, smoothed */
+    uint8_t health;        /* enum filter_health */
+    uint8_t health_reason; /* enum reason why the filter does not track */
+};
+
+/* What is found and remembered of the load of one drive. */
+struct drive_load {
+    double load;             /* in the direction of the train; 0: not known */
+    double command_ratio;    /* torque command over the largest of all drives */
+    double p_response;       /* probability of a loss by its own command */
+    double last_speed;       /* of the tick before, rad/s; NaN unless the drive is judged alone */
+    double last_spin_up;     /* torque that accelerated the rotor in the tick before */
+    int64_t flagged_ns;      /* last tick with its adhesion flag bad; NO_TIME: none */
+    int64_t known_since_ns;  /* NO_TIME: its load is not known */
+    uint8_t derating_active; /* 1: its flag is, or was just now, bad: it takes back its torque */
+    uint8_t response_valid;  /* 1: `p_response` means something */
+    uint8_t severe_loss;     /* 1: carries so little that noise is not the cause */
+};
+
+/* Everything that judges adhesion; `adhesion_reset` makes one that remembers nothing. */
+struct adhesion {
+    /* constants */
+    const struct flag_rules *rules;
+    struct vb_priors priors;
+    double tick_s;
+    int32_t iterations; /* of the default detector */
+    int32_t n;          /* drives */
+    /* of every drive, (n,) */
+    struct rotor *rotors;
+    struct rotor_inputs *rotor_inputs;  /* measured_rad_s and command_valid are the caller's */
+    struct command_response *responses; /* load and command in the direction of the motor */
+    struct load_ratio *response_ratios; /* load over the drive's own command, as learnt */
+    struct load_ratio *ratios;          /* load over that of the others, as learnt */
+    struct load_observation *observed;  /* workspace */
+    struct drive_load *loads;
+    /* what the detector is given: loads as if the drives were equal and fully commanded */
+    double *normalised;
+    double *sigma;  /* standard deviation of a healthy drive's around the common one */
+    uint8_t *known; /* 1: the load is known */
+    /* what it finds; fused with the responses in place */
+    double *loss_probability;
+    uint8_t *loss_known; /* 1: `loss_probability` means something */
+    uint8_t *may_learn;  /* 1: the drive certainly adheres */
+    double *workspace;   /* 4 n numbers */
+    /* state */
+    struct load_spread response_spread; /* of loads over commands */
+    struct load_spread spread;          /* of loads over the common one */
+    struct flag common_mode;            /* all drives have lost adhesion at once */
+    int64_t learn_ns;                   /* next time that ratios are learnt; NO_TIME: at once */
+    int64_t flagged_ns;                 /* last tick with any adhesion flag bad; NO_TIME: none */
+    double common;                      /* load that adhering drives share, by the detector */
+    double common_smoothed;             /* the same, smoothed */
+    uint8_t comparable;                 /* 1: drives carry enough to be compared */
 };
 
 #endif

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from gateway import _inputs_kernels as kernels
-from gateway import adhesion, core
+from gateway import core
+from gateway.adhesion import AdhesionMonitor
 from gateway.flags import FlagKind, Flags
 from gateway.health import Flag, Health, Reason
 from gateway.outbox import Outbox
@@ -26,8 +27,6 @@ from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 
 SEEDS, TICKS = range(20), 100_000
-COMMON_MODE = 12
-"""Argument of `conclude`: the flag of all drives' loss."""
 FD, FD_TICKS = (6, 7, 8), 30_000
 """Two seeds of several ticks in a call, one of single steps."""
 
@@ -191,20 +190,20 @@ def clear(flags):
 
 
 def unknown_clears(monkeypatch):
-    debounce, conclude = Flags.debounce, adhesion.conclude
+    debounce, detect = Flags.debounce, AdhesionMonitor.detect
 
     def flags_of_drives(self, now):
         changed = debounce(self, now)
         clear(self.status.drives["flag"])
         return changed
 
-    def flag_of_all(*words):
-        answered = conclude(*words)
-        clear(words[COMMON_MODE])
-        return answered
+    def flag_of_all(self, *given):
+        opinion = detect(self, *given)
+        clear(self.common_mode)
+        return opinion
 
     monkeypatch.setattr(Flags, "debounce", flags_of_drives)
-    monkeypatch.setattr(adhesion, "conclude", flag_of_all)
+    monkeypatch.setattr(AdhesionMonitor, "detect", flag_of_all)
 
 
 def evidence(monkeypatch, change):
