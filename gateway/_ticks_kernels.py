@@ -16,7 +16,6 @@ from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean, unlocked
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._flags_kernels import fill_inputs, update_flags
-from gateway._inputs_kernels import look
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
@@ -38,7 +37,7 @@ WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_vb_detect = symbol("vb_detect")
+_assess_inputs, _vb_detect = symbol("assess_inputs"), symbol("vb_detect")
 
 
 @inlined
@@ -138,10 +137,7 @@ def several(
         )  # fmt: skip
         first = last
         inputs, told = filtering.inputs, filtering.believed.told
-        look(
-            now, receiving.lost, False, receiving.places, receiving.state, receiving.pairs,
-            receiving.slow, inputs,
-        )  # fmt: skip
+        _assess_inputs(receiving.receiver, receiving.drive_channels, 0, now, receiving.input_status)
         taken = Samples(
             receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
             receiving.out.steps[:samples], receiving.out.gap[:samples],

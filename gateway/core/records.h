@@ -885,10 +885,10 @@ struct channel {
     int64_t good_ns;     /* last frame whose values could be used */
     struct sequence_guard guard;
     uint8_t last_frame[PAYLOAD_BYTES]; /* bytes of the last frame with a good checksum */
-    uint8_t reject_reason;     /* why the last values could not be used (enum reason) */
-    uint8_t protection_reason; /* what last went wrong in the protection */
-    uint8_t reason;            /* why the channel is unknown now; REASON_NONE: it is not */
-    uint8_t was_valid;         /* 1: its receiver was once in E2E_SM_VALID */
+    uint8_t reject_reason;             /* why the last values could not be used (enum reason) */
+    uint8_t protection_reason;         /* what last went wrong in the protection */
+    uint8_t reason;                    /* why the channel is unknown now; REASON_NONE: it is not */
+    uint8_t was_valid;                 /* 1: its receiver was once in E2E_SM_VALID */
 };
 
 /* Currents or voltages that wait for the other half of a sample. */
@@ -990,6 +990,30 @@ struct receiver {
     int64_t *emergency_rows;       /* received frames that are emergencies */
     int64_t counters[RX_COUNTERS]; /* since Python last took them over */
     struct received tick;
+};
+
+/* ---- which inputs are valid (gateway/core/inputs.c) ---- */
+
+/* Channels of one drive, and how good its inputs have to be; constant. */
+struct drive_channels {
+    double max_current_sum_a; /* phase currents whose sum is larger are not those of a motor */
+    int64_t max_age_ns;       /* of a sample of current */
+    int32_t first;            /* index of its first channel; the others follow */
+    int32_t end;              /* index behind its last one */
+    int32_t electrical[2];    /* channels of currents and voltages; -1: none */
+    int32_t motion;           /* channel of Motion; -1: none */
+    int32_t status;           /* channel of Status; -1: none */
+};
+
+/* What is valid of the inputs of one drive in this tick. */
+struct input_status {
+    double speed_rad_s;        /* of the rotor, by a fresh Motion; NaN: not known */
+    uint8_t heartbeat_lost;    /* 1: its heartbeat was received and has stopped; not of inputs.c */
+    uint8_t reason;            /* enum reason why currents and voltages are not valid */
+    uint8_t sample_fresh;      /* 1: the newest sample is within its age limit */
+    uint8_t command_valid;     /* 1: the torque command is known */
+    uint8_t current_sum_fault; /* 1: the sum of the phase currents is not zero */
+    uint8_t comm;              /* enum flag_state: evidence of the messages */
 };
 
 #endif

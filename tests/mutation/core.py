@@ -78,6 +78,7 @@ TESTS = {
     ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/inputs.c": ("tests/unit/test_inputs.py",),
 }  # fmt: skip
 """Those that answer for a source."""
 NOT_YET = tuple(source for source in TESTS if source not in ("dbc/crc.c", "dbc/e2e.c"))
