@@ -52,6 +52,7 @@ HEADERS = (
     "gateway/core/sequence.h",
     "gateway/core/pairing.h",
     "gateway/core/receive.h",
+    "gateway/core/inputs.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -94,6 +95,7 @@ SOURCES = (
     "gateway/core/sequence.c",
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
+    "gateway/core/inputs.c",
 )
 DEPENDS = (
     *HEADERS,

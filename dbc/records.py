@@ -115,6 +115,8 @@ SUPERVISION: Final = dtype_of(ffi.typeof("struct supervision"))
 ID_ENTRY: Final = dtype_of(ffi.typeof("struct id_entry"))
 RECEIVED: Final = dtype_of(ffi.typeof("struct received"))
 RECEIVER: Final = dtype_of(ffi.typeof("struct receiver"))
+DRIVE_CHANNELS: Final = dtype_of(ffi.typeof("struct drive_channels"))
+INPUT_STATUS: Final = dtype_of(ffi.typeof("struct input_status"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

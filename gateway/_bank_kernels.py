@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from gateway.tracks import Limits, Told, Tracks
 
 Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
@@ -151,7 +152,7 @@ def _tell(
 def follow(
     drive: NDArray[np.int32],
     now: int,
-    inputs: Ints,
+    inputs: Bytes,
     fresh: Flags,
     chords: Columns,
     filters: Columns,
@@ -197,7 +198,7 @@ def follow(
 
 @lean
 def tell(
-    inputs: Ints, fresh: Flags, filters: Columns, tracks: Tracks, limits: Limits, told: Told
+    inputs: Bytes, fresh: Flags, filters: Columns, tracks: Tracks, limits: Limits, told: Told
 ) -> None:
     """Fills `told` for the drives that have just begun; their chords agree with them."""
     for k in range(told.begins.shape[0]):

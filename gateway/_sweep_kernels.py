@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from gateway.pairing import Samples
     from gateway.tracks import Believed, Constants, Room
 
-Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 
 _calibrate = symbol("calibrate_currents")
@@ -56,7 +56,7 @@ def _estimate(m: int, believed: Believed, constants: Constants, room: Room) -> N
 
 @lean
 def run_filters(
-    samples: Samples, now: int, causes: Ints, fresh: Flags, believed: Believed,
+    samples: Samples, now: int, causes: Bytes, fresh: Flags, believed: Believed,
     constants: Constants, room: Room,
 ) -> bool:  # fmt: skip
     """One tick of N drives, M samples; fills `believed.told`. True where a filter has to begin.

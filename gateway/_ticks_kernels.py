@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from dbc._core_symbols import symbol
 from dbc._lean import inlined, unlocked
 from gateway._flags_kernels import fill_inputs, update_flags
-from gateway._inputs_kernels import look
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
@@ -26,9 +25,7 @@ from gateway.pairing import Samples
 
 if TYPE_CHECKING:
     from dbc.records import Records
-    from gateway.inputs import Inputs
     from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
-    from gateway.tracks import Told
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -38,18 +35,7 @@ WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_detect_loss = symbol("detect_loss")
-
-
-@inlined
-def _detect(now: int, inputs: Inputs, told: Told, judging: Judging, drives: Records) -> None:
-    """As `AdhesionMonitor.detect`; drives: `drive_status`."""
-    for k in range(inputs.speed.shape[0]):
-        mine = judging.rotor_inputs[k]
-        mine["measured_rad_s"], mine["command_valid"] = inputs.speed[k], inputs.commanded[k]
-    _detect_loss(
-        judging.adhesion, told.estimates.ctypes.data, judging.drives, drives.ctypes.data, now
-    )
+_assess_inputs, _detect_loss = symbol("assess_inputs"), symbol("detect_loss")
 
 
 @inlined
@@ -122,10 +108,7 @@ def several(
         )  # fmt: skip
         first = last
         inputs, told = filtering.inputs, filtering.believed.told
-        look(
-            now, receiving.lost, False, receiving.places, receiving.state, receiving.pairs,
-            receiving.slow, inputs,
-        )  # fmt: skip
+        _assess_inputs(receiving.receiver, receiving.drive_channels, 0, now, receiving.input_status)
         taken = Samples(
             receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
             receiving.out.steps[:samples], receiving.out.gap[:samples],
@@ -150,7 +133,10 @@ def several(
             inputs, filtering.believed.sensors, filtering.check.until_ns, now, told,
             filtering.motion, filtering.limits,
         )  # fmt: skip
-        _detect(now, inputs, told, judging, saying.status.drives)
+        _detect_loss(
+            judging.adhesion, told.estimates.ctypes.data, receiving.input_status, judging.drives,
+            saying.status.drives.ctypes.data, now,
+        )  # fmt: skip
         if seen:
             hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
         advance(

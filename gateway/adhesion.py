@@ -29,7 +29,6 @@ from dbc.records import (
 from estimators.detect import Evidence, Opinion, make
 from estimators.detect.variational import VariationalDetector
 from gateway.config import Adhesion, Motor
-from gateway.inputs import Inputs
 from gateway.tracks import Told
 
 BASE_NM: Final = 30.0
@@ -85,23 +84,21 @@ class AdhesionMonitor(Addressed):
         """(N,) until then the currents of a drive accuse nobody."""
 
     def detect(
-        self, told: Told, drives: Records, inputs: Inputs, status: Records, now: Nanos
+        self, told: Told, inputs: Records, drives: Records, status: Records, now: Nanos
     ) -> Opinion:
         """Probabilities of lost adhesion.
 
-        drives: `drive_input` (N,); inputs: speeds as measured, and which drives' commands are
-        known; status: `drive_status` (N,), of which the adhesion flags so far are read.
+        inputs: `input_status` (N,); drives: `drive_input` (N,); status: `drive_status` (N,), of
+        which the adhesion flags so far are read.
         """
-        rotor_inputs = self.rotor_inputs
-        rotor_inputs["measured_rad_s"] = inputs.speed
-        rotor_inputs["command_valid"] = inputs.commanded
         mine, received = self._pointer, pointer("struct drive_input", drives)
         estimates = pointer("struct drive_estimate", told.estimates)
+        valid = pointer("struct input_status", inputs)
         flags = pointer("struct drive_status", status)
         if self.in_core:
-            lib.detect_loss(mine, estimates, received, flags, now)
+            lib.detect_loss(mine, estimates, valid, received, flags, now)
         else:
-            lib.adhesion_prepare(mine, estimates, received, flags, now)
+            lib.adhesion_prepare(mine, estimates, valid, received, flags, now)
             self._ask_detector(told)
             lib.adhesion_fuse(mine, received, flags, now)
         return self.opinion

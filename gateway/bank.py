@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dbc.frame import MS, SECOND, Nanos
 from estimators import acquisition, adaptation, current_calibration, filters
 from estimators.models import pmsm
-from gateway import tracks
+from gateway import inputs, tracks
 from gateway._bank_kernels import forget, tell
 from gateway._direct import Direct
 from gateway._sweep_kernels import run_filters
@@ -97,20 +97,20 @@ class Bank:
         self._advance = Direct(run_filters)
         self._tell = Direct(tell)
         # Compiled, or loaded, now and not when the first filter begins.
-        causes, fresh = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
-        self._tell(causes, fresh, self.filters, self.tracks, self.limits, self.told)
+        none = inputs.inputs(n)
+        self._tell(none.cause, none.fresh, self.filters, self.tracks, self.limits, self.told)
 
     def advance(
         self,
         samples: Samples,
         restart: Collection[int],
-        inputs: NDArray[np.int64],
+        causes: NDArray[np.uint8],
         fresh: NDArray[np.bool_],
         now: Nanos,
     ) -> None:
         """Filter this tick's samples and judge every drive; fills `told`.
 
-        restart: drives whose samples begin anew; inputs (N,): `Reason` why a drive's input cannot
+        restart: drives whose samples begin anew; causes (N,): `Reason` why a drive's input cannot
         be believed; fresh (N,): whether its newest sample is within its age limit.
         """
         for k in restart:
@@ -121,14 +121,14 @@ class Bank:
         if len(samples.drive) > len(self.room.samples):
             self.room = tracks.room(2 * len(samples.drive))
         if self._advance(
-            samples, now, inputs, fresh, self.believed, self.constants, self.room
+            samples, now, causes, fresh, self.believed, self.constants, self.room
         ):  # fmt: skip
-            self.begin(inputs, fresh)
+            self.begin(causes, fresh)
 
-    def begin(self, inputs: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
+    def begin(self, causes: NDArray[np.uint8], fresh: NDArray[np.bool_]) -> None:
         """Start the filters that `told.begins` names, and judge them."""
         self._begin()
-        self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
+        self._tell(causes, fresh, self.filters, self.tracks, self.limits, self.told)
 
     def _begin(self) -> None:
         """Filters of the drives whose chords are ready."""

@@ -25,7 +25,6 @@ from estimators.detect import Opinion
 from gateway import calibration, foreign, inputs, plausibility, said
 from gateway._direct import Direct
 from gateway._flags_kernels import fill_inputs
-from gateway._inputs_kernels import look
 from gateway._plausibility_kernels import check_values
 from gateway.adhesion import AdhesionMonitor
 from gateway.bank import Bank
@@ -88,8 +87,8 @@ class Gateway:
             times.period_ns, SETTLED_READINGS,
         )  # fmt: skip
         self._check_values = Direct(check_values)
-        self.inputs = inputs.inputs(len(nodes))
         self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
+        self.inputs = inputs.InputMonitor(self.inbox.receiver, self.places.channels)
         cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
@@ -120,7 +119,7 @@ class Gateway:
         self.changed = True
         """Whether a flag of any drive is another than in the tick before."""
         self.findings = said.findings(len(nodes))
-        self._look, self._fill_inputs = Direct(look), Direct(fill_inputs)
+        self._fill_inputs = Direct(fill_inputs)
         own_hash = calibration.config_hash(config, codec.digest, cells)
         self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
@@ -130,8 +129,6 @@ class Gateway:
             config.loop.period_ns, told_apart=told_apart,
             intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
         )  # fmt: skip
-        self.lost = np.zeros(len(nodes), dtype=np.bool_)
-        """(N,) drives that are supervised by their heartbeat, and it has stopped."""
         self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
@@ -167,19 +164,16 @@ class Gateway:
         self.load.add_block(heard, inbox.receiver, now)
         if self._any_lost or self.supervision.any_lost(now):
             lives = [self.supervision.life(node, now) for node in self.nodes]
-            self.lost[:] = [life is Life.LOST for life in lives]
+            self.inputs.status["heartbeat_lost"] = [life is Life.LOST for life in lives]
             self._any_lost = Life.LOST in lives
-        inputs = self.inputs
-        self._look(
-            now, self.lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
-            inputs,
-        )  # fmt: skip
+        self.inputs.assess(self.doubt.intruder, now)
+        inputs = self.inputs.columns
         self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
         return self.estimated(now)
 
     def estimated(self, now: Nanos) -> list[Frame]:
         """The rest of a step once the filters have been advanced."""
-        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
+        inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
         self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
         believed = self.bank.believed
         self._check_values(
@@ -191,12 +185,12 @@ class Gateway:
         until_ns = self.plausibility.until_ns
         self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
         drives = self.flags.status.drives
-        opinion = self.adhesion.detect(told, inbox.receiver.drives, inputs, drives, now)
+        opinion = self.adhesion.detect(told, self.inputs.status, inbox.receiver.drives, drives, now)
         return self.judged(opinion, now)
 
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
         """The rest of a step once adhesion has been judged."""
-        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
+        inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
         intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
         self.thermal.hear(inbox, self.places, now)
         self.thermal.tell(now, self.temperature_limit_ns, self.findings)

@@ -29,8 +29,8 @@ Bools = NDArray[np.bool_]
 class Receiving(NamedTuple):
     """Frames in, as `Inbox.take` and `BusLoad.add_block`; which inputs are believed.
 
-    receiver, supervision: addresses of the records; tick, counters: parts of the receiver's; lost
-    (N,): drives whose heartbeat has stopped.
+    receiver, supervision, drive_channels, input_status: addresses of the records; tick, counters:
+    parts of the receiver's.
     """
 
     period_ns: int
@@ -48,7 +48,8 @@ class Receiving(NamedTuple):
     busy_s: float
     classic_s: Array
     fd_s: Array
-    lost: Bools
+    drive_channels: int
+    input_status: int
     places: Places
 
 
@@ -73,7 +74,6 @@ class Judging(NamedTuple):
 
     adhesion: int
     drives: int
-    rotor_inputs: Records
     lost: Array
     known: Bools
     severe: NDArray[np.uint8]

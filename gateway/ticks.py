@@ -129,7 +129,8 @@ class Ticks:
         if left.stage == FILTERED:
             gateway.doubt.tick(at, 0)
             inbox.motions, inbox.samples = left.motions, inbox.room.first(left.samples)
-            gateway.bank.begin(gateway.inputs.cause, gateway.inputs.fresh)
+            inputs = gateway.inputs.columns
+            gateway.bank.begin(inputs.cause, inputs.fresh)
             return done + 1, [*out, block_of(gateway.estimated(at))]
         return done, out
 
@@ -150,22 +151,21 @@ class Ticks:
             self._period_ns, receiver.address, receiver.tick, receiver.counters, receiver.state,
             receiver.wiring, receiver.pairs, receiver.slow, receiver.scratch, receiver.readings,
             receiver.room, gateway.supervision.address, load.busy_s, load.classic_s, load.fd_s,
-            gateway.lost, gateway.places,
+            gateway.inputs.channels.ctypes.data, gateway.inputs.status.ctypes.data, gateway.places,
         )  # fmt: skip
 
     def _filtering(self) -> Filtering:
         bank, motion = self.gateway.bank, self.gateway.motion
         return Filtering(
-            self.gateway.inputs, bank.believed, bank.constants, bank.room, motion.memory,
+            self.gateway.inputs.columns, bank.believed, bank.constants, bank.room, motion.memory,
             motion.limits, self.gateway.plausibility, self.gateway.plausibility_limits,
         )  # fmt: skip
 
     def _judging(self) -> Judging:
         side = self.gateway.adhesion
         return Judging(
-            side.address, self.gateway.inbox.receiver.drives.ctypes.data, side.rotor_inputs,
-            side.loss_probability, side.loss_known, side.severe, side.uncertain, side.rules,
-            side.common_mode,
+            side.address, self.gateway.inbox.receiver.drives.ctypes.data, side.loss_probability,
+            side.loss_known, side.severe, side.uncertain, side.rules, side.common_mode,
         )  # fmt: skip
 
     def _warming(self) -> Warming:

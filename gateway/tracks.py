@@ -130,7 +130,7 @@ def told(n: int) -> Told:
     """Room for N drives."""
     made = np.zeros(n, DRIVE_ESTIMATE)
     numbers = [made[name] for name in ("speed_rad_s", "load_nm", "load_sigma_nm", "nis")]
-    for column in numbers:
+    for column in (*numbers, made["flux_ratio"]):
         column[:] = np.nan
     made["health_reason"] = Reason.STARTING
     agrees, begins = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gateway import inputs
 from gateway.bank import Bank
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
@@ -41,6 +42,7 @@ def estimates_of(told: Told) -> list[DriveEstimate]:
 
 def step(bank: Bank, samples: Samples, heard: Sequence[bool], now: int) -> list[DriveEstimate]:
     """One tick; heard: which drives' newest sample is within its limit."""
-    causes = np.full(len(heard), Reason.NONE, dtype=np.int64)
-    bank.advance(samples, (), causes, np.array(heard), now)
+    come = inputs.inputs(len(heard))
+    come.cause[:], come.fresh[:] = Reason.NONE, heard
+    bank.advance(samples, (), come.cause, come.fresh, now)
     return estimates_of(bank.told)

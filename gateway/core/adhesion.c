@@ -63,17 +63,19 @@ void adhesion_reset(struct adhesion *a, double spread)
 
 /* Commands that cannot be right, and drives that cannot be judged. */
 static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
-                        const struct drive_input *inputs, const struct drive_status *status,
-                        int64_t now_ns)
+                        const struct input_status *inputs, const struct drive_input *drives,
+                        const struct drive_status *status, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++) {
         struct rotor_inputs *in = &a->rotor_inputs[k];
+        in->measured_rad_s = inputs[k].speed_rad_s;
+        in->command_valid = inputs[k].command_valid;
         in->speed_rad_s = estimates[k].speed_rad_s;
         in->load_nm = estimates[k].load_nm;
         in->health = estimates[k].health;
-        in->command_nm = inputs[k].command;
-        in->previous_command_nm = inputs[k].previous_command;
-        in->operating = inputs[k].operating;
+        in->command_nm = drives[k].command;
+        in->previous_command_nm = drives[k].previous_command;
+        in->operating = drives[k].operating;
         in->adhesion = status[k].flag[FLAG_ADHESION].state;
         in->not_judged = 0;
     }
@@ -90,11 +92,11 @@ static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
 }
 
 void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
-                      const struct drive_input *inputs, const struct drive_status *status,
-                      int64_t now_ns)
+                      const struct input_status *inputs, const struct drive_input *drives,
+                      const struct drive_status *status, int64_t now_ns)
 {
-    judge_train(a, estimates, inputs, status, now_ns);
-    relate_loads(a, estimates, inputs, status, now_ns);
+    judge_train(a, estimates, inputs, drives, status, now_ns);
+    relate_loads(a, estimates, drives, status, now_ns);
     for (int k = 0; k < a->n; k++) {
         const double load = a->loads[k].load, ratio = a->loads[k].command_ratio;
         a->normalised[k] = normalise_load(&a->ratios[k], load, ratio);
@@ -218,12 +220,12 @@ static int common_mode_evidence(const struct adhesion *a)
 /* ---- What is learnt ---- */
 
 /* Drives that may be learnt from: none while any is lost, or finds its grip again. */
-static void find_healthy(struct adhesion *a, const struct drive_input *inputs,
+static void find_healthy(struct adhesion *a, const struct drive_input *drives,
                          const struct drive_status *status, int64_t now_ns)
 {
     for (int k = 0; k < a->n; k++)
         /* A drive that is cut out keeps its flag, and stops nobody from learning. */
-        if (status[k].flag[FLAG_ADHESION].state == FLAG_BAD && inputs[k].operating)
+        if (status[k].flag[FLAG_ADHESION].state == FLAG_BAD && drives[k].operating)
             a->flagged_ns = now_ns;
     const int shaken = is_soon_after(a->flagged_ns, now_ns);
     for (int k = 0; k < a->n; k++) {
@@ -250,13 +252,13 @@ static void learn_differences(struct adhesion *a)
 }
 
 /* Responses from every new command (`answered`), differences every LEARN_PERIOD_S. */
-static void learn(struct adhesion *a, int answered, const struct drive_input *inputs,
+static void learn(struct adhesion *a, int answered, const struct drive_input *drives,
                   const struct drive_status *status, int64_t now_ns)
 {
     const int due = now_ns >= a->learn_ns;
     if (!answered && !due)
         return;
-    find_healthy(a, inputs, status, now_ns);
+    find_healthy(a, drives, status, now_ns);
     if (answered)
         learn_responses(a->responses, &a->response_spread, a->response_ratios, a->may_learn, a->n,
                         a->tick_s, a->observed);
@@ -266,7 +268,7 @@ static void learn(struct adhesion *a, int answered, const struct drive_input *in
     }
 }
 
-void adhesion_fuse(struct adhesion *a, const struct drive_input *inputs,
+void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
                    const struct drive_status *status, int64_t now_ns)
 {
     const int answered = respond_alone(a);
@@ -275,14 +277,14 @@ void adhesion_fuse(struct adhesion *a, const struct drive_input *inputs,
     find_severe(a, now_ns);
     debounce(&a->common_mode, common_mode_evidence(a), &a->rules->timing[FLAG_ADHESION],
              a->rules->tick_ns, now_ns);
-    learn(a, answered, inputs, status, now_ns);
+    learn(a, answered, drives, status, now_ns);
 }
 
 void detect_loss(struct adhesion *a, struct drive_estimate *estimates,
-                 const struct drive_input *inputs, const struct drive_status *status,
-                 int64_t now_ns)
+                 const struct input_status *inputs, const struct drive_input *drives,
+                 const struct drive_status *status, int64_t now_ns)
 {
-    adhesion_prepare(a, estimates, inputs, status, now_ns);
+    adhesion_prepare(a, estimates, inputs, drives, status, now_ns);
     adhesion_detect(a);
-    adhesion_fuse(a, inputs, status, now_ns);
+    adhesion_fuse(a, drives, status, now_ns);
 }

@@ -10,24 +10,23 @@ void adhesion_reset(struct adhesion *a, double spread);
 
 /* What the detector is given: fills `normalised`, `sigma` and `known`.
  *
- * rotor_inputs: measured_rad_s and command_valid are filled before; command_valid is cleared where a
- * command cannot be right. estimates: those of drives that are not judged lose their numbers.
- * status: adhesion flags so far. */
+ * estimates: those of drives that are not judged lose their numbers. inputs: measured speeds, and
+ * which commands are known; drives: commands; status: adhesion flags so far. */
 void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
-                      const struct drive_input *inputs, const struct drive_status *status,
-                      int64_t now_ns);
+                      const struct input_status *inputs, const struct drive_input *drives,
+                      const struct drive_status *status, int64_t now_ns);
 
 /* The default detector, variational Bayes: fills `loss_probability`, `loss_known` and `common`. */
 void adhesion_detect(struct adhesion *a);
 
 /* What the detector has found, fused in place with the response of every drive to its own command;
  * severe losses; loss of all drives at once (`common_mode`). Learns from drives that adhere. */
-void adhesion_fuse(struct adhesion *a, const struct drive_input *inputs,
+void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
                    const struct drive_status *status, int64_t now_ns);
 
 /* One tick with the default detector: all three. */
 void detect_loss(struct adhesion *a, struct drive_estimate *estimates,
-                 const struct drive_input *inputs, const struct drive_status *status,
-                 int64_t now_ns);
+                 const struct input_status *inputs, const struct drive_input *drives,
+                 const struct drive_status *status, int64_t now_ns);
 
 #endif

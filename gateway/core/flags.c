@@ -26,7 +26,7 @@ int reason_rank(int reason)
     return RANKS[known ? reason : REASON_NONE];
 }
 
-static uint8_t worse_reason(uint8_t one, uint8_t other)
+uint8_t worse_reason(uint8_t one, uint8_t other)
 {
     return reason_rank(one) <= reason_rank(other) ? one : other;
 }

@@ -27,9 +27,9 @@ static double known_or_zero(double x)
 }
 
 /* Command of drive k over its rated torque. */
-static double relative_command(const struct adhesion *a, const struct drive_input *inputs, int k)
+static double relative_command(const struct adhesion *a, const struct drive_input *drives, int k)
 {
-    return fabs(inputs[k].command) / a->rotors[k].rated_nm;
+    return fabs(drives[k].command) / a->rotors[k].rated_nm;
 }
 
 /* Median load of the drives that do not follow their own flag; NaN of none. */
@@ -56,15 +56,15 @@ static void find_derating(struct adhesion *a, const struct drive_status *status,
 }
 
 /* The largest command, per unit; whether all commands are steady, but for those that follow a flag. */
-static double largest_command(const struct adhesion *a, const struct drive_input *inputs,
+static double largest_command(const struct adhesion *a, const struct drive_input *drives,
                               int *steady)
 {
     double largest = 0.0;
     *steady = 1;
     for (int k = 0; k < a->n; k++) {
-        *steady = *steady && (inputs[k].command_steady || a->loads[k].derating_active);
+        *steady = *steady && (drives[k].command_steady || a->loads[k].derating_active);
         if (a->rotor_inputs[k].command_valid)
-            largest = larger(relative_command(a, inputs, k), largest);
+            largest = larger(relative_command(a, drives, k), largest);
     }
     return largest;
 }
@@ -74,10 +74,10 @@ static double largest_command(const struct adhesion *a, const struct drive_input
  * `Status` frames of the drives are up to a cycle apart, so commands that change with the train
  * differ by their age alone. They are compared while all are steady; that of a drive which follows
  * its own flag is compared always. */
-static void relate_commands(struct adhesion *a, const struct drive_input *inputs, int64_t now_ns)
+static void relate_commands(struct adhesion *a, const struct drive_input *drives, int64_t now_ns)
 {
     int steady;
-    const double largest = largest_command(a, inputs, &steady);
+    const double largest = largest_command(a, drives, &steady);
     for (int k = 0; k < a->n; k++)
         a->loads[k].command_ratio = 1.0;
     if (largest <= COASTING)
@@ -87,7 +87,7 @@ static void relate_commands(struct adhesion *a, const struct drive_input *inputs
         struct drive_load *mine = &a->loads[k];
         if (!a->rotor_inputs[k].command_valid || !(steady || mine->derating_active))
             continue;
-        const double ratio = relative_command(a, inputs, k) / largest;
+        const double ratio = relative_command(a, drives, k) / largest;
         const double load = a->rotors[k].load;
         /* A command that makes the load less like the others' is not what the drive obeys. */
         const double off = ratio > 0.0 ? fabs(load / ratio - common) : HUGE_VAL;
@@ -132,11 +132,11 @@ static double spin_up(const struct adhesion *a, int k, double speed)
 }
 
 void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
-                  const struct drive_input *inputs, const struct drive_status *status,
+                  const struct drive_input *drives, const struct drive_status *status,
                   int64_t now_ns)
 {
     find_derating(a, status, now_ns);
-    relate_commands(a, inputs, now_ns);
+    relate_commands(a, drives, now_ns);
     const int alone = find_known(a, estimates) < ENOUGH_TO_COMPARE;
     for (int k = 0; k < a->n; k++) {
         const struct rotor *r = &a->rotors[k];
@@ -145,9 +145,9 @@ void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
         response->load = load + r->acceleration_torque;
         response->acceleration_torque =
             spin_up(a, k, alone ? estimates[k].speed_rad_s : (double)NAN);
-        response->command = known_or_zero(inputs[k].command) / r->rated_nm;
-        response->previous_command = known_or_zero(inputs[k].previous_command) / r->rated_nm;
-        response->command_age_s = (double)elapsed(inputs[k].command_ns, now_ns) / SECOND_NS;
+        response->command = known_or_zero(drives[k].command) / r->rated_nm;
+        response->previous_command = known_or_zero(drives[k].previous_command) / r->rated_nm;
+        response->command_age_s = (double)elapsed(drives[k].command_ns, now_ns) / SECOND_NS;
         response->usable = a->rotor_inputs[k].command_valid && a->known[k];
     }
 }

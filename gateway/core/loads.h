@@ -18,7 +18,7 @@ static inline int is_soon_after(int64_t flagged_ns, int64_t now_ns)
 /* Fills `known`, and load, command_ratio and derating_active of `loads`, in the direction of the
  * train; and `responses`, in the direction of each motor. status: adhesion flags so far. */
 void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
-                  const struct drive_input *inputs, const struct drive_status *status,
+                  const struct drive_input *drives, const struct drive_status *status,
                   int64_t now_ns);
 
 #endif

@@ -992,17 +992,42 @@ struct receiver {
     struct received tick;
 };
 
+/* ---- which inputs are valid (gateway/core/inputs.c) ---- */
+
+/* Channels of one drive, and how good its inputs have to be; constant. */
+struct drive_channels {
+    double max_current_sum_a; /* phase currents whose sum is larger are not those of a motor */
+    int64_t max_age_ns;       /* of a sample of current */
+    int32_t first;            /* index of its first channel; the others follow */
+    int32_t end;              /* index behind its last one */
+    int32_t electrical[2];    /* channels of currents and voltages; -1: none */
+    int32_t motion;           /* channel of Motion; -1: none */
+    int32_t status;           /* channel of Status; -1: none */
+};
+
+/* What is valid of the inputs of one drive in this tick. */
+struct input_status {
+    double speed_rad_s;        /* of the rotor, by a fresh Motion; NaN: not known */
+    uint8_t heartbeat_lost;    /* 1: its heartbeat was received and has stopped; not of inputs.c */
+    uint8_t reason;            /* enum reason why currents and voltages are not valid */
+    uint8_t sample_fresh;      /* 1: the newest sample is within its age limit */
+    uint8_t command_valid;     /* 1: the torque command is known */
+    uint8_t current_sum_fault; /* 1: the sum of the phase currents is not zero */
+    uint8_t comm;              /* enum flag_state: evidence of the messages */
+};
+
 /* ---- Adhesion (gateway/core/loads.c, adhesion.c). Loads and torques are per unit of rated torque;
  * NaN: not known. ---- */
 
-/* Estimate of one drive in this tick. */
+/* What is estimated of one drive in this tick; NaN: not known. */
 struct drive_estimate {
-    double speed_rad_s;    /* of the rotor */
-    double load_nm;        /* load torque */
+    double speed_rad_s;
+    double load_nm;
     double load_sigma_nm;  /* standard deviation of the load */
     double nis;            /* normalised innovation squared, smoothed */
+    double flux_ratio;     /* flux of the magnets over that of the data sheet */
     uint8_t health;        /* enum filter_health */
-    uint8_t health_reason; /* enum reason why the filter does not track */
+    uint8_t health_reason; /* enum reason why it does not track */
 };
 
 /* What is found and remembered of the load of one drive. */
@@ -1029,7 +1054,7 @@ struct adhesion {
     int32_t n;          /* drives */
     /* of every drive, (n,) */
     struct rotor *rotors;
-    struct rotor_inputs *rotor_inputs;  /* measured_rad_s and command_valid are the caller's */
+    struct rotor_inputs *rotor_inputs;
     struct command_response *responses; /* load and command in the direction of the motor */
     struct load_ratio *response_ratios; /* load over the drive's own command, as learnt */
     struct load_ratio *ratios;          /* load over that of the others, as learnt */

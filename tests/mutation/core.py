@@ -80,6 +80,7 @@ TESTS = {
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/loads.c": ("tests/unit/test_adhesion_reference.py",),
     "gateway/core/adhesion.c": ("tests/unit/test_adhesion_reference.py",),
+    "gateway/core/inputs.c": ("tests/unit/test_inputs.py",),
 }  # fmt: skip
 """Those that answer for a source."""
 NOT_YET = tuple(source for source in TESTS if source not in ("dbc/crc.c", "dbc/e2e.c"))

@@ -12,11 +12,11 @@ from itertools import count as count_up
 import numpy as np
 import pytest
 
-from gateway import _inputs_kernels as kernels
 from gateway import core
 from gateway.adhesion import AdhesionMonitor
 from gateway.flags import FlagKind, Flags
 from gateway.health import Flag, Health, Reason
+from gateway.inputs import InputMonitor
 from gateway.outbox import Outbox
 from gateway.receiving import NAMES
 from sim.hostile import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
@@ -175,12 +175,13 @@ def test_a_whole_copy_stands_for_a_frame_that_was_spoilt():
 
 
 def stale_is_believed(monkeypatch):
-    def look(*words):
-        kernels.look(*words)
-        words[-1].cause[:] = Reason.NONE
-        words[-1].fresh[:] = True
+    real = InputMonitor.assess
 
-    monkeypatch.setattr(core, "look", look)
+    def assess(self, intruder, now):
+        real(self, intruder, now)
+        self.status["reason"], self.status["sample_fresh"] = Reason.NONE, True
+
+    monkeypatch.setattr(InputMonitor, "assess", assess)
 
 
 def clear(flags):

@@ -67,6 +67,13 @@ def anything(rng, n, ticks):
         yield health, load, speed, command, before, sent, fresh, rng.choice([1.0, 0.5])
 
 
+def validity(commanded, speed):
+    """`input_status`: commands that are known, and measured speeds."""
+    made = inputs.statuses(len(speed))
+    made["command_valid"], made["speed_rad_s"] = commanded, speed
+    return made
+
+
 class Both:
     """The station and its reference on the same ticks."""
 
@@ -86,14 +93,14 @@ class Both:
         mine = self.slow
         mine.command[:], mine.before[:], mine.command_ns[:] = command, before, sent
         mine.steady[:], mine.operating[:] = steady, operating
-        come = inputs.inputs(self.n)._replace(commanded=fresh.copy(), speed=speed * measured)
+        come = validity(fresh, speed * measured)
         flag = self.status["flag"][:, FlagKind.ADHESION]
         again = copied(told)
-        opinion = self.core.detect(told, self.drives, come, self.status, now)
+        opinion = self.core.detect(told, come, self.drives, self.status, now)
         if self.plain is None:
             return opinion
         kept = flag["state"].astype(np.int64), flag["since_ns"].copy()
-        self.plain.tick(again, mine, come.speed, fresh, *kept, now)
+        self.plain.tick(again, mine, come["speed_rad_s"], fresh, *kept, now)
         self.same(told, again)
         return opinion
 
@@ -201,8 +208,8 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
         for side in (inside, outside):
             told = tracks.told(N)
             told.health[:], told.load[:], told.speed[:] = health, load, speed
-            come = inputs.inputs(N)._replace(commanded=fresh.copy(), speed=speed)
-            opinion = side.detect(told, drives, come, status, tick * TICK)
+            come = validity(fresh, speed)
+            opinion = side.detect(told, come, drives, status, tick * TICK)
             said.append((opinion.lost.tolist(), opinion.known.tolist(), opinion.common))
         assert said[0] == said[1] or name != "vb"
         met |= {p > 0.7 for p in said[1][0]}
@@ -212,8 +219,7 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
 def test_what_nothing_is_known_of_is_not_judged():
     both = Both([BENCH_MOTOR] * N)
     told = tracks.told(N)
-    come = inputs.inputs(N)
-    opinion = both.core.detect(told, both.drives, come, both.status, 0)
+    opinion = both.core.detect(told, inputs.statuses(N), both.drives, both.status, 0)
     assert not opinion.known.any()
     assert opinion.common == 0.0
     assert (both.core.doubt_until_ns == NEVER).all()

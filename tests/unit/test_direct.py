@@ -10,7 +10,7 @@ from tests.soak.real import run
 from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
-    "look", "tell",
+    "tell",
     "observe_motion", "merge_motion", "compare", "conclude", "teach", "hear", "advance", "report",
     "fill_inputs", "send", "check_values", "assess_train",
 }  # fmt: skip

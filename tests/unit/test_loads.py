@@ -43,8 +43,9 @@ def prepared(drives, *, follows=(False,) * N, fresh=(True,) * N, core=None):
     flag = status["flag"][:, FlagKind.ADHESION]
     flag["state"] = np.where(follows, Flag.BAD, Flag.GOOD)
     flag["since_ns"] = -DERATING_NS
-    come = inputs.inputs(N)._replace(commanded=np.array(fresh), speed=drives.told.speed.copy())
-    core.detect(drives.told, drives.records, come, status, 10 * MS)
+    come = inputs.statuses(N)
+    come["command_valid"], come["speed_rad_s"] = fresh, drives.told.speed
+    core.detect(drives.told, come, drives.records, status, 10 * MS)
     return core
 
 

@@ -99,7 +99,7 @@ def stops(told, most):
 def state(gateway):
     """Numbers of everything that goes on to the next tick."""
     tables = (
-        gateway.findings, gateway.inputs, gateway.bank.filters,
+        gateway.findings, gateway.inputs.columns, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
         gateway.motion.memory, gateway.adhesion.responses, gateway.adhesion.ratios,
         gateway.adhesion.response_ratios, gateway.adhesion.rotors, gateway.adhesion.loads,
