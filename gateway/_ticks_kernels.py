@@ -19,7 +19,6 @@ from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
 from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
-from gateway._sweep_kernels import run_filters
 from gateway._thermal_kernels import advance, hear, report
 from gateway.pairing import Samples
 
@@ -31,11 +30,12 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-WHOLE, HEARD, FILTERED = range(3)
+WHOLE, HEARD = range(2)
 """What is done of a tick: all, or everything up to here."""
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_assess_inputs, _detect_loss = symbol("assess_inputs"), symbol("detect_loss")
+_assess_inputs, _run_filters = symbol("assess_inputs"), symbol("run_filters")
+_detect_loss = symbol("detect_loss")
 
 
 @inlined
@@ -74,7 +74,7 @@ def several(
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
     busy, out, first = receiving.busy_s, 0, 0
     done, stage = 0, WHOLE
-    samples = seen = motions = 0
+    seen = 0
     changed = False
     for k in range(ends.shape[0]):
         last = ends[k]
@@ -90,13 +90,10 @@ def several(
             tick = receiving.tick[0]
             samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
             odd = tick["only_decoded"] == 0
-            others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
+            others = tick["emergencies"] + tick["unpaired"] + tick["late"] > 0
         else:
             check_timeouts(receiving.receiver, now)
-        if (
-            others or samples > filtering.room.samples.shape[0]
-            or any_node_lost(receiving.supervision, now)
-        ):  # fmt: skip
+        if others or any_node_lost(receiving.supervision, now):
             stage = HEARD
             break
         went.tally[0] += last - first
@@ -107,30 +104,27 @@ def several(
             receiving.fd_s, busy,
         )  # fmt: skip
         first = last
-        inputs, told = filtering.inputs, filtering.believed.told
+        inputs, told = filtering.inputs, filtering.told
         _assess_inputs(receiving.receiver, receiving.drive_channels, 0, now, receiving.input_status)
         taken = Samples(
             receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
             receiving.out.steps[:samples], receiving.out.gap[:samples],
         )  # fmt: skip
-        if run_filters(
-            taken, now, inputs.cause, inputs.fresh, filtering.believed, filtering.constants,
-            filtering.room,
-        ):  # fmt: skip
-            stage = FILTERED
-            break
+        _run_filters(
+            filtering.estimator, receiving.receiver, receiving.input_status,
+            told.estimates.ctypes.data, now,
+        )  # fmt: skip
         observe_motion(
-            receiving.readings, motions, filtering.believed.tracks.flux, filtering.motion,
+            receiving.readings, motions, told.flux, filtering.motion,
             filtering.limits,
         )  # fmt: skip
         check_values(
             taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
-            receiving.slow, now, filtering.believed.chords, filtering.believed.filters,
-            filtering.believed.tracks, told, filtering.motion, filtering.check,
-            filtering.check_limits,
+            receiving.slow, now, filtering.chords, filtering.filters, told, filtering.motion,
+            filtering.check, filtering.check_limits,
         )  # fmt: skip
         merge_motion(
-            inputs, filtering.believed.sensors, filtering.check.until_ns, now, told,
+            inputs, filtering.sensors, filtering.check.until_ns, now, told,
             filtering.motion, filtering.limits,
         )  # fmt: skip
         _detect_loss(
@@ -169,4 +163,4 @@ def several(
         now += period
         if changed:
             break
-    return done, stage, first, samples, seen, motions, changed, out, busy
+    return done, stage, first, seen, changed, out, busy

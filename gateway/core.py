@@ -167,18 +167,13 @@ class Gateway:
             self.inputs.status["heartbeat_lost"] = [life is Life.LOST for life in lives]
             self._any_lost = Life.LOST in lives
         self.inputs.assess(self.doubt.intruder, now)
-        inputs = self.inputs.columns
-        self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
-        return self.estimated(now)
-
-    def estimated(self, now: Nanos) -> list[Frame]:
-        """The rest of a step once the filters have been advanced."""
-        inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
-        self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
-        believed = self.bank.believed
+        inputs, bank, told = self.inputs.columns, self.bank, self.bank.told
+        bank.make_room(len(inbox.room.drive))
+        bank.run(inbox.receiver.pointer, self.inputs.status, now)
+        self.motion.take(inbox.readings, inbox.motions, told.flux)
         self._check_values(
             inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
-            inbox.slow, now, believed.chords, believed.filters, believed.tracks, told,
+            inbox.slow, now, bank.chords, bank.filters, told,
             self.motion.memory,
             self.plausibility, self.plausibility_limits,
         )  # fmt: skip

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import Records
+from dbc.records import Columns, Records
 from gateway import motion, plausibility, sources, tracks
 from gateway.channel import ChannelState
 from gateway.flags import Status
@@ -54,12 +54,14 @@ class Receiving(NamedTuple):
 
 
 class Filtering(NamedTuple):
-    """As `Bank.advance` and `MotionSide`."""
+    """As `Bank.run` and `MotionSide`. estimator: address of `struct estimator`."""
 
     inputs: Inputs
-    believed: tracks.Believed
-    constants: tracks.Constants
-    room: tracks.Room
+    estimator: int
+    filters: Columns
+    chords: Columns
+    sensors: Columns
+    told: tracks.Told
     motion: motion.Memory
     limits: motion.Limits
     check: plausibility.Plausibility
@@ -135,17 +137,14 @@ class Left(NamedTuple):
     """How a call was left.
 
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
-    first frame that is not in, or that behind the last; samples, seen, motions: of the last frames
-    (samples, temperatures, motions of `struct received`); changed: whether the last whole tick
-    changed a flag; frames: in `Went`; busy_s.
+    first frame that is not in, or that behind the last; seen: `temperatures` of `struct received`;
+    changed: whether the last whole tick changed a flag; frames: in `Went`; busy_s.
     """
 
     done: int
     stage: int
     first: int
-    samples: int
     seen: int
-    motions: int
     changed: bool
     frames: int
     busy_s: float

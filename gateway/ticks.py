@@ -18,7 +18,7 @@ from dbc.block import Block, blank, block_of
 from dbc.frame import Frame, Nanos
 from gateway import stretch
 from gateway._direct import Direct
-from gateway._ticks_kernels import FILTERED, HEARD, several
+from gateway._ticks_kernels import HEARD, several
 from gateway.core import Gateway
 from gateway.health import REJECTED, Flag, Reason
 from gateway.receiving import NAMES
@@ -126,12 +126,6 @@ class Ticks:
             inbox.note(part)
             last = gateway.heard(part, inbox.counts["own"] - own, at)
             return done + 1, [*out, block_of(last)]
-        if left.stage == FILTERED:
-            gateway.doubt.tick(at, 0)
-            inbox.motions, inbox.samples = left.motions, inbox.room.first(left.samples)
-            inputs = gateway.inputs.columns
-            gateway.bank.begin(inputs.cause, inputs.fresh)
-            return done + 1, [*out, block_of(gateway.estimated(at))]
         return done, out
 
     def _frames(self, rows: int, now: Nanos) -> Block:
@@ -156,9 +150,11 @@ class Ticks:
 
     def _filtering(self) -> Filtering:
         bank, motion = self.gateway.bank, self.gateway.motion
+        bank.make_room(len(self.gateway.inbox.room.drive))
         return Filtering(
-            self.gateway.inputs.columns, bank.believed, bank.constants, bank.room, motion.memory,
-            motion.limits, self.gateway.plausibility, self.gateway.plausibility_limits,
+            self.gateway.inputs.columns, bank.address, bank.filters, bank.chords, bank.sensors,
+            bank.told, motion.memory, motion.limits, self.gateway.plausibility,
+            self.gateway.plausibility_limits,
         )  # fmt: skip
 
     def _judging(self) -> Judging:

@@ -34,12 +34,23 @@
  * SIGMA_RISE in a tick: sensors may become noisier for good. */
 #define SIGMA_LIMIT 2.0
 #define SIGMA_RISE  1.01
-#define MOVING 0.07 /* of the rated torque in a tick: more than the noise of a steady load */
+#define MOVING      0.07 /* of the rated torque in a tick: more than the noise of a steady load */
 /* What the chords say of the flux is used beyond FLUX_SURE of it, and beyond what an R_s that is off
  * by RESISTANCE_SURE would make of it. */
 #define FLUX_TAU_S      0.5
 #define FLUX_SURE       0.03
 #define RESISTANCE_SURE 0.25
+
+void estimator_reset(struct estimator *e)
+{
+    for (int k = 0; k < e->n; k++) {
+        e->filters[k] = (struct filter){.nis = 2.0, .r_scale = 1.0, .is_finite = 1};
+        filter_reset(&e->filters[k]);
+        acquisition_restart(&e->chords[k]);
+        e->sensors[k] = (struct current_calibration){.turns = 0};
+        e->tracks[k] = (struct filter_track){.diverged_ns = -1, .best_sigma_nm = HUGE_VAL};
+    }
+}
 
 /* ---- Filters of a tick ---- */
 
@@ -69,7 +80,6 @@ static int load_samples(struct estimator *e, const struct receiver *r)
         s->drive = r->sample_drive[k];
         s->steps = r->sample_steps[k];
         s->gap = r->sample_gap[k];
-        /* As they are, whatever they are: a product with I makes NaN of infinity. */
         s->u = vector_of(u[0], u[1]);
         s->i = vector_of(y[0], y[1]);
         const int64_t longest = s->steps > LONGEST_GAP ? s->steps : LONGEST_GAP;
@@ -87,6 +97,19 @@ static void run_samples(struct estimator *e, int m)
     acquisition_add(e->samples, m, e->motors, e->chords, &e->limits, dt);
     filter_run(e->samples, m, e->motors, e->noise, e->filters, e->n, &e->settings);
     adapt_filters(e->samples, m, e->filters, e->chords, e->motors, e->rated_a, dt);
+}
+
+/* Filters that would have become not finite. */
+static void drop_not_finite(struct estimator *e)
+{
+    for (int k = 0; k < e->n; k++) {
+        struct filter *filter = &e->filters[k];
+        if (filter->is_finite)
+            continue;
+        const int active = filter->active;
+        drop(filter);
+        filter->steps = active ? -1 : 0; /* -1: a divergence, reported from this tick on */
+    }
 }
 
 /* ---- What is remembered beside the filters ---- */
@@ -116,36 +139,22 @@ static void learn_flux(const struct estimator *e, int k, double *flux_ratio)
     const struct pmsm *motor = &e->motors[k];
     if (!a->ready || !isfinite(a->psi) || a->w == 0.0)
         return;
-    const double by_resistance =
-        RESISTANCE_SURE * motor->R_s * length_of(a->i_last) / fabs(a->w);
+    const double by_resistance = RESISTANCE_SURE * motor->R_s * length_of(a->i_last) / fabs(a->w);
     const double sure = FLUX_SURE * motor->psi_f + by_resistance;
     const double off = a->psi - motor->psi_f;
-    const double beyond = copysign(larger(fabs(off) - sure, 0.0), off) / motor->psi_f;
+    const double beyond = copysign(larger(0.0, fabs(off) - sure), off) / motor->psi_f;
     const double before = isnan(*flux_ratio) ? beyond : *flux_ratio - 1.0;
     *flux_ratio = 1.0 + before + e->tick_s / FLUX_TAU_S * (beyond - before);
 }
 
-/* Filters that cannot go on: become not finite, or without their witness. */
-static void drop_lost(struct estimator *e, int k)
-{
-    struct filter *filter = &e->filters[k];
-    if (!filter->is_finite) {
-        const int active = filter->active;
-        drop(filter);
-        filter->steps = active ? -1 : 0; /* reported from this tick on */
-    }
-    if (filter->active && e->chords[k].pairs < ACQUISITION_PAIRS)
-        filter_reset(filter);
-}
-
 /* ---- What is known of a drive ---- */
 
-/* Drop a filter that the chords contradict; note a divergence. */
-static void check(struct estimator *e, int k, int consistency, int64_t now_ns)
+/* Drop a filter that the chords contradict, and note a divergence. */
+static void supervise(struct estimator *e, int k, int consistency, int64_t now_ns)
 {
     struct filter *filter = &e->filters[k];
     struct filter_track *t = &e->tracks[k];
-    const int64_t steps = filter->steps;
+    const int64_t steps = filter->steps; /* before it is dropped */
     if (steps < 0) {
         filter->steps = 0;
         t->diverged_ns = now_ns;
@@ -216,13 +225,16 @@ static uint8_t describe(struct estimator *e, int k, const struct input_status *i
     return sigma > SIGMA_LIMIT * t->best_sigma_nm ? HEALTH_CONVERGING : HEALTH_TRACKING;
 }
 
+/* What is known of one drive; its filter starts here. */
 static void estimate(struct estimator *e, int k, const struct input_status *input,
                      struct drive_estimate *out, int64_t now_ns)
 {
     const struct acquisition *a = &e->chords[k];
-    const struct filter *filter = &e->filters[k];
+    struct filter *filter = &e->filters[k];
+    if (filter->active && a->pairs < ACQUISITION_PAIRS)
+        filter_reset(filter); /* the chords have started anew, and are its only witness */
     int consistency = acquisition_check(a, filter);
-    check(e, k, consistency, now_ns);
+    supervise(e, k, consistency, now_ns);
     out->speed_rad_s = out->load_nm = out->load_sigma_nm = out->nis = NAN;
     const int64_t diverged_ns = e->tracks[k].diverged_ns;
     if (diverged_ns >= 0 && elapsed(diverged_ns, now_ns) < DIVERGED_NS) {
@@ -246,21 +258,10 @@ void run_filters(struct estimator *e, const struct receiver *receiver,
             restart(e, k, &estimates[k]);
     const int m = load_samples(e, receiver);
     run_samples(e, m);
+    drop_not_finite(e);
     note_changes(e, m);
     for (int k = 0; k < e->n; k++) {
         learn_flux(e, k, &estimates[k].flux_ratio);
-        drop_lost(e, k);
         estimate(e, k, &inputs[k], &estimates[k], now_ns);
-    }
-}
-
-void estimator_reset(struct estimator *e)
-{
-    for (int k = 0; k < e->n; k++) {
-        e->filters[k] = (struct filter){.nis = 2.0, .r_scale = 1.0, .is_finite = 1};
-        filter_reset(&e->filters[k]);
-        acquisition_restart(&e->chords[k]);
-        e->sensors[k] = (struct current_calibration){.turns = 0};
-        e->tracks[k] = (struct filter_track){.diverged_ns = -1, .best_sigma_nm = HUGE_VAL};
     }
 }

@@ -1080,4 +1080,36 @@ struct adhesion {
     uint8_t comparable;                 /* 1: drives carry enough to be compared */
 };
 
+/* ---- Estimates by the filters (gateway/core/estimate.c) ---- */
+
+/* What is remembered of one drive beside its filter. */
+struct filter_track {
+    double best_sigma_nm;   /* standard deviation of the load when it was known best of late */
+    double load_nm;         /* after the last tick with samples, at the flux of the data sheet */
+    double load_change_nm;  /* by how much it had changed in that tick */
+    int64_t diverged_ns;    /* since when the drive is reported as diverged; -1: it is not */
+    int64_t disagree_ticks; /* in a row that the chords have contradicted the filter */
+    uint8_t silent;         /* 1: no samples in this tick */
+};
+
+/* The filters of n drives; `estimator_reset` makes one that knows nothing of them. */
+struct estimator {
+    /* constants, of every drive, (n,) */
+    const struct pmsm *motors;
+    const struct filter_noise *noise;
+    const double *rated_a;  /* rated current, A, above 0 */
+    const double *rated_nm; /* rated torque, Nm */
+    /* constants of all */
+    struct acquisition_limits limits;
+    struct filter_settings settings;
+    double tick_s;
+    int32_t n; /* drives */
+    /* of every drive, (n,) */
+    struct filter *filters;
+    struct acquisition *chords;
+    struct current_calibration *sensors;
+    struct filter_track *tracks;
+    struct filter_sample *samples; /* of the last tick; room for as many as the receiver's */
+};
+
 #endif

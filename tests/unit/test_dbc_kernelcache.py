@@ -231,7 +231,7 @@ def imported(root: Path, module: str) -> set[str]:
 
 @pytest.mark.parametrize(
     "module",
-    ["dbc._e2e_kernels", "gateway._sweep_kernels", "gateway._flags_kernels", "sim._kernels"],
+    ["dbc._e2e_kernels", "gateway._ticks_kernels", "gateway._flags_kernels", "sim._kernels"],
 )
 def test_a_real_kernel_is_stamped_by_all_that_it_imports_and_nothing_else(
     module: str, tmp_path: Path
