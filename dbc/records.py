@@ -18,7 +18,7 @@ Columns = np.recarray[Any, np.dtype[Any]]
 """The same, read by columns: `filters.x` is (N, 5), `filters.steps[k] = 0` writes into record k."""
 
 
-_NAMES: Final = {"_cffi_double_complex_t": "complex128"}
+_NAMES: Final = {"_cffi_double_complex_t": "complex128", "size_t": "uintp"}
 """Where cffi's name is not NumPy's."""
 
 
@@ -102,6 +102,10 @@ FILTER_TRACK: Final = dtype_of(ffi.typeof("struct filter_track"))
 ESTIMATOR: Final = dtype_of(ffi.typeof("struct estimator"))
 DRIVE_LOAD: Final = dtype_of(ffi.typeof("struct drive_load"))
 ADHESION: Final = dtype_of(ffi.typeof("struct adhesion"))
+SOCKET_FRAME: Final = dtype_of(ffi.typeof("struct socket_frame"))
+SOCKET_VECTOR: Final = dtype_of(ffi.typeof("struct socket_vector"))
+SOCKET_MESSAGE: Final = dtype_of(ffi.typeof("struct socket_message"))
+SOCKET_COUNTS: Final = dtype_of(ffi.typeof("struct socket_counts"))
 ROTOR: Final = dtype_of(ffi.typeof("struct rotor"))
 ROTOR_INPUTS: Final = dtype_of(ffi.typeof("struct rotor_inputs"))
 TEMPERATURE_SENSOR: Final = dtype_of(ffi.typeof("struct temperature_sensor"))

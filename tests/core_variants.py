@@ -43,6 +43,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_est_current_calibration.py",
        "tests/unit/test_train_reference.py",
        "tests/unit/test_adhesion_reference.py",
+       "tests/unit/test_drivers_batch.py",
        "tests/unit/test_estimate_reference.py",
        "tests/unit/test_temperature.py",
        "tests/unit/test_est_filter.py",

@@ -5,6 +5,7 @@
 #ifndef TRACTION_RECORDS_H
 #define TRACTION_RECORDS_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #define E2E_WINDOW    5 /* receiver cycles that the state machine looks back */
@@ -1110,6 +1111,77 @@ struct estimator {
     struct current_calibration *sensors;
     struct filter_track *tracks;
     struct filter_sample *samples; /* of the last tick; room for as many as the receiver's */
+};
+
+/* ---- frames from a socket (dbc/socketcan.c) ---- */
+
+/* Flags of a frame; the numbers are those of dbc/frame.py. */
+enum frame_flag {
+    FRAME_EXTENDED = 1,
+    FRAME_REMOTE = 2,
+    FRAME_ERROR = 4,
+    FRAME_FD = 8,
+    FRAME_BRS = 16,
+    FRAME_ESI = 32,
+};
+
+/* struct canfd_frame; of struct can_frame (linux/can.h) 8 bytes of data are there. */
+struct socket_frame {
+    uint32_t id;        /* with three flags above it */
+    uint8_t length;     /* bytes; any number may come */
+    uint8_t flags;      /* of CAN FD */
+    uint8_t reserved;   /* nothing */
+    uint8_t raw_length; /* of a classic frame of 8 bytes: its DLC, 9 to 15; else 0 */
+    uint8_t data[PAYLOAD_BYTES];
+};
+
+/* Room for one message: struct iovec. */
+struct socket_vector {
+    struct socket_frame *frame;
+    size_t bytes;
+};
+
+/* struct msghdr of recvmsg(2). */
+struct socket_header {
+    uint8_t *name;
+    uint32_t name_size;
+    struct socket_vector *vector; /* one */
+    size_t vectors;
+    uint8_t *control;    /* aligned as a pointer is */
+    size_t control_size; /* bytes: room before, used after the call */
+    int32_t flags;       /* MSG_TRUNC and others */
+};
+
+/* struct mmsghdr of recvmmsg(2). */
+struct socket_message {
+    struct socket_header head;
+    uint32_t size; /* bytes that were received */
+};
+
+/* Two clocks at one instant, ns. */
+struct socket_clock {
+    int64_t real_ns;    /* of the kernel's stamps */
+    int64_t now_ns;     /* monotonic */
+    int64_t max_age_ns; /* no frame has waited for longer */
+};
+
+/* Columns of a block of frames. */
+struct frame_rows {
+    int64_t *t_ns;
+    uint32_t *can_id;
+    uint8_t *flags; /* enum frame_flag */
+    uint8_t *length;
+    uint8_t *data; /* PAYLOAD_BYTES each */
+    int8_t *dlc;   /* -1: as the length says */
+    uint16_t *channel;
+};
+
+struct socket_counts {
+    int64_t frames;     /* rows */
+    int64_t malformed;  /* messages that are no CAN frames */
+    int64_t errors;     /* error frames among the rows */
+    int64_t dropped;    /* frames that the kernel has dropped since the last call */
+    int64_t drops_seen; /* its counter of them, 32 bits, which wraps */
 };
 
 #endif

@@ -79,6 +79,7 @@ TESTS = {
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/loads.c": ("tests/unit/test_adhesion_reference.py",),
+    "dbc/socketcan.c": ("tests/unit/test_drivers_batch.py",),
     "gateway/core/estimate.c": ("tests/unit/test_estimate_reference.py",),
     "gateway/core/adhesion.c": ("tests/unit/test_adhesion_reference.py",),
     "gateway/core/inputs.c": ("tests/unit/test_inputs.py",),
