@@ -25,6 +25,7 @@ HEADERS = (
     "dbc/e2e.h",
     "dbc/decode.h",
     "dbc/encode.h",
+    "dbc/socketcan.h",
     "estimators/detect/variational.h",
     "estimators/detect/load_reference.h",
     "estimators/detect/command_response.h",
@@ -47,6 +48,8 @@ HEADERS = (
     "estimators/filter.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
+    "gateway/core/adhesion.h",
+    "gateway/core/estimate.h",
     "gateway/core/temperature.h",
     "gateway/core/supervision.h",
     "gateway/core/sequence.h",
@@ -62,6 +65,7 @@ HEADERS = (
     "sim/records.h",
     "sim/plant.h",
     "sim/thermal.h",
+    "gateway/core/inputs.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -69,6 +73,7 @@ SOURCES = (
     "dbc/e2e.c",
     "dbc/decode.c",
     "dbc/encode.c",
+    "dbc/socketcan.c",
     "estimators/detect/variational.c",
     "estimators/detect/load_reference.c",
     "estimators/detect/command_response.c",
@@ -97,6 +102,9 @@ SOURCES = (
     "gateway/core/flags.c",
     "gateway/core/rotors.c",
     "gateway/core/train.c",
+    "gateway/core/loads.c",
+    "gateway/core/adhesion.c",
+    "gateway/core/estimate.c",
     "gateway/core/temperature.c",
     "gateway/core/supervision.c",
     "gateway/core/sequence.c",
@@ -111,6 +119,7 @@ SOURCES = (
     "dbc/candump_write.c",
     "sim/plant.c",
     "sim/thermal.c",
+    "gateway/core/inputs.c",
 )
 DEPENDS = (
     *HEADERS,
@@ -125,6 +134,8 @@ DEPENDS = (
     "estimators/filter_simd.h",
     "estimators/filter_simd.c",
     "gateway/core/rotors.h",
+    "gateway/core/loads.h",
+    "gateway/core/times.h",
 )
 """All that sources include."""
 FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")

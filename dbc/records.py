@@ -18,7 +18,7 @@ Columns = np.recarray[Any, np.dtype[Any]]
 """The same, read by columns: `filters.x` is (N, 5), `filters.steps[k] = 0` writes into record k."""
 
 
-_NAMES: Final = {"_cffi_double_complex_t": "complex128"}
+_NAMES: Final = {"_cffi_double_complex_t": "complex128", "size_t": "uintp"}
 """Where cffi's name is not NumPy's."""
 
 
@@ -97,6 +97,15 @@ ACQUISITION: Final = dtype_of(ffi.typeof("struct acquisition"))
 REVOLUTION_SUMS: Final = dtype_of(ffi.typeof("struct revolution_sums"))
 CURRENT_CALIBRATION: Final = dtype_of(ffi.typeof("struct current_calibration"))
 FILTER: Final = dtype_of(ffi.typeof("struct filter"))
+DRIVE_ESTIMATE: Final = dtype_of(ffi.typeof("struct drive_estimate"))
+FILTER_TRACK: Final = dtype_of(ffi.typeof("struct filter_track"))
+ESTIMATOR: Final = dtype_of(ffi.typeof("struct estimator"))
+DRIVE_LOAD: Final = dtype_of(ffi.typeof("struct drive_load"))
+ADHESION: Final = dtype_of(ffi.typeof("struct adhesion"))
+SOCKET_FRAME: Final = dtype_of(ffi.typeof("struct socket_frame"))
+SOCKET_VECTOR: Final = dtype_of(ffi.typeof("struct socket_vector"))
+SOCKET_MESSAGE: Final = dtype_of(ffi.typeof("struct socket_message"))
+SOCKET_COUNTS: Final = dtype_of(ffi.typeof("struct socket_counts"))
 ROTOR: Final = dtype_of(ffi.typeof("struct rotor"))
 ROTOR_INPUTS: Final = dtype_of(ffi.typeof("struct rotor_inputs"))
 TEMPERATURE_SENSOR: Final = dtype_of(ffi.typeof("struct temperature_sensor"))
@@ -122,6 +131,8 @@ THERMAL_MONITOR: Final = dtype_of(ffi.typeof("struct thermal_monitor"))
 MOTOR_TEMPERATURES: Final = dtype_of(ffi.typeof("struct motor_temperatures"))
 TEMPERATURE_MONITOR: Final = dtype_of(ffi.typeof("struct temperature_monitor"))
 INTERFACE_NAME: Final = dtype_of(ffi.typeof("struct interface_name"))
+DRIVE_CHANNELS: Final = dtype_of(ffi.typeof("struct drive_channels"))
+INPUT_STATUS: Final = dtype_of(ffi.typeof("struct input_status"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

@@ -11,6 +11,16 @@
  * would dominate the running sums for seconds, and its square would overflow. */
 static const double IMPLAUSIBLE = 1e5;
 
+/* alpha + j beta, whatever they are: a product with I would make NaN of infinity. */
+static inline double _Complex vector_of(double alpha, double beta)
+{
+    const union {
+        double parts[2];
+        double _Complex z;
+    } both = {{alpha, beta}};
+    return both.z;
+}
+
 /* |z|^2 */
 static inline double square_of(double _Complex z)
 {

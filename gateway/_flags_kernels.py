@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean
-from dbc.records import FLAG_RULES
 
 if TYPE_CHECKING:
     from dbc.records import Records
     from gateway.flags import Status
     from gateway.inputs import Inputs
+    from gateway.said import Findings
     from gateway.tracks import Told
 
 Array = NDArray[np.float64]
@@ -22,17 +22,16 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 
-_TIMING = FLAG_RULES.fields["timing"][1]
 _collect, _debounce_flags = symbol("collect_evidence"), symbol("debounce_flags")
-_publish, _debounce, _loss = symbol("publish"), symbol("debounce"), symbol("loss_evidence")
+_publish = symbol("publish")
 
 
 @lean
 def fill_inputs(
     inputs: Inputs, wrong: Bools, uncertain: Bytes, told: Told, lost: Array, known: Bools,
-    severe: Bools, sample_ns: Ints, out: Records,
+    severe: Bytes, findings: Findings, sample_ns: Ints, out: Records,
 ) -> None:  # fmt: skip
-    """`flag_inputs` of N drives from the columns of the stations before, temperatures left out.
+    """`flag_inputs` of N drives from the columns of the stations before.
 
     wrong (N,): the input cannot be what it seems; uncertain (N,): the rotor may run away; lost,
     known (N,): the detector's probabilities; sample_ns (N,): stamp of the newest sample.
@@ -47,6 +46,12 @@ def fill_inputs(
         one["load_nm"], one["load_sigma_nm"] = told.load[k], told.sigma[k]
         one["loss_probability"], one["loss_known"] = lost[k], known[k]
         one["may_spin_up"], one["severe_loss"] = uncertain[k], severe[k]
+        one["thermal"], one["sensor"] = findings.thermal[k], findings.sensor[k]
+        one["thermal_reason"], one["jumps"] = findings.reason[k], findings.jumps[k]
+        one["fault_class"] = findings.fault_class[k]
+        one["fault_sensor"] = findings.fault_sensor[k]
+        one["mixed_c"], one["maisd_k"] = findings.mixed_c[k], findings.maisd_k[k]
+        one["rate_k_h"], one["temperature_ns"] = findings.rate_k_h[k], findings.heard_ns[k]
 
 
 @inlined
@@ -63,16 +68,3 @@ def update_flags(
         train, inputs.ctypes.data, evidence.ctypes.data, n, now, drives, status.train.ctypes.data
     )
     return changed != 0  # type: ignore[no-any-return]
-
-
-@inlined
-def loss_evidence(probability: float, rules: Records) -> int:
-    """`loss_evidence` in gateway/core/flags.c."""
-    return _loss(rules.ctypes.data, probability)  # type: ignore[no-any-return]
-
-
-@inlined
-def debounce_common_mode(flag: Records, evidence: int, now: int, rules: Records) -> None:
-    """`debounce` of the flag of all drives' loss, (1,), by the times of the adhesion flags."""
-    timing, tick_ns = rules.ctypes.data + _TIMING, rules[0]["tick_ns"]
-    _debounce(flag.ctypes.data, evidence, timing, tick_ns, now)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean
+from dbc.records import FILTER
 from gateway import plausibility as p
-from gateway._bank_kernels import forget
 
 if TYPE_CHECKING:
     from dbc.records import Columns
@@ -18,12 +19,13 @@ if TYPE_CHECKING:
     from gateway.pairing import Samples
     from gateway.plausibility import Plausibility, PlausibilityLimits
     from gateway.slow import Readings, SlowState
-    from gateway.tracks import Told, Tracks
+    from gateway.tracks import Told
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+_reset, _FILTER = symbol("filter_reset"), FILTER.itemsize
 _TRACKING = 2  # Health
 _W_E, _THETA = 2, 3  # pmsm
 _OBSERVED_LOAD = 1  # observer.LoadState
@@ -296,7 +298,7 @@ def _electrical_speed(k: int, measured: Array, chords: Columns, pole_pairs: Arra
 @lean
 def check_values(
     samples: Samples, sample_ns: Ints, readings: Readings, count: int, measured: Array,
-    slow: SlowState, now: int, chords: Columns, filters: Columns, tracks: Tracks, told: Told,
+    slow: SlowState, now: int, chords: Columns, filters: Columns, told: Told,
     motion: Memory, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """A tick's samples and the first `count` readings; sets `check.until_ns`.
@@ -316,7 +318,7 @@ def check_values(
     for r in range(count):
         k = readings.drive[r]
         _check_reading(
-            r, now, samples, sample_ns[k], readings, told.health[k], filters, tracks.flux[k],
+            r, now, samples, sample_ns[k], readings, told.health[k], filters, told.flux[k],
             check, limits,
         )  # fmt: skip
         own = _own_speed(k, filters, told, limits)
@@ -331,7 +333,7 @@ def check_values(
             measured[k] = math.nan
         if check.restart[k] and now + _RESTART_NS >= check.until_ns[k]:
             # What the filter has learnt meanwhile is of no use.
-            forget(k, filters, tracks)
+            _reset(filters.ctypes.data + int(k) * _FILTER)
             filters.v_q_bias[k] = 0.0
-            tracks.flux[k] = math.nan
+            told.flux[k] = math.nan
             check.restart[k] = now < check.until_ns[k]

@@ -1,9 +1,7 @@
-"""The adhesion side: what the loads of all drives say, with what has been learnt of each.
+"""Which drives have lost adhesion: records of `gateway/core/adhesion.c`, and the detector.
 
-Two views are fused. Drives are compared with one another (the configured detector), each
-referred to full command, to the train's direction and to its own learnt ratio. And every drive's
-load is held against its own command, which sees what no comparison can: all drives lost at
-once, and a drive alone. May know: estimators, estimates, commands. May not know: frames, bits.
+The rules are in C, the fields of the records in `gateway/core/records.h`. May know: estimators,
+estimates, commands. May not know: frames, bits.
 """
 
 from __future__ import annotations
@@ -15,119 +13,120 @@ import numpy as np
 from _traction_core import lib
 from numpy.typing import NDArray
 
-from dbc.frame import MS, SECOND, Nanos
-from dbc.records import Records
+from dbc.frame import SECOND, Nanos
+from dbc.records import (
+    ADHESION,
+    COMMAND_RESPONSE,
+    DRIVE_LOAD,
+    LOAD_OBSERVATION,
+    LOAD_RATIO,
+    ROTOR,
+    ROTOR_INPUTS,
+    Addressed,
+    Records,
+    pointer,
+)
 from estimators.detect import Evidence, Opinion, make
-from gateway import flags, loads, train
-from gateway._adhesion_kernels import compare, conclude, teach
-from gateway._direct import Direct
-from gateway._train_kernels import assess_train
+from estimators.detect.variational import VariationalDetector
 from gateway.config import Adhesion, Motor
-from gateway.health import NEVER
-from gateway.inputs import Inputs
-from gateway.slow import SlowState
 from gateway.tracks import Told
 
-LEARN_NS: Final[Nanos] = round(lib.LEARN_PERIOD_S * SECOND)
-PROBABLY_GOOD: Final = 0.5
-"""A loss more probable than this is not learnt from. Not less: learning only what looks best would
-be learning something better than it is."""
-SETTLED_NS: Final[Nanos] = 300 * MS
-"""A load is learnt from only when it has been known for this long."""
-SEVERE: Final = 0.35
-SEVERE_SPREADS: Final = 6.0
-"""Share of the load that is missing, and in spreads, from which on noise is not the cause."""
-PASSING: Final = 0.035
-"""Loads differ by this much, standard deviation, for some seconds: curves, load steps. Too short to
-be learnt."""
 BASE_NM: Final = 30.0
 """Rated torque of the motor that `spread_nm` is stated for."""
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
-
-class AdhesionSide:
-    """Memory of the drives' healthy loads; `judge` per tick is the only mutator."""
+class AdhesionMonitor(Addressed):
+    """A `struct adhesion` with everything that it points to; `detect` per tick changes it."""
 
     def __init__(
         self, config: Adhesion, motors: Sequence[Motor], rules: Records, tick_ns: Nanos
     ) -> None:
         """rules: of the flags; motors: per drive."""
-        self.config = config
+        self.config, self.rules = config, rules
         self.rated = tuple(motor.T_rated for motor in motors)
-        n = len(motors)
-        self.rotors, self.at = loads.rotors(motors), loads.instant(n)
-        self.responses = loads.responses(n)
-        self.train = train.start(motors)
-        self.rotors = self.rotors._replace(
-            taken=self.train.rotors["acceleration_torque"],
-            load=self.train.rotors["load"],
-            above=self.train.rotors["above"],
-            rank=self.train.rank,
-        )
-        self.rules = rules
-        self.tick_s = tick_ns / SECOND
         self.detector = make(config.detector, config.observe)
-        spread = config.spread_nm / BASE_NM
-        self.reference = loads.load_reference(n, spread)
-        """Of drives that are compared with one another."""
-        self.own = loads.load_reference(n, spread)
-        """Of each drive's load over its own command."""
-        self.common_mode = flags.flag(0)
-        """One flag: whether all drives have lost adhesion at once."""
-        self.trust, self.room = loads.trust(n), loads.room(n)
-        self.severe = self.room.severe
-        """(N,) drives that carry so much less than the others that noise cannot be the cause."""
-        self._compare, self._conclude = Direct(compare), Direct(conclude)
-        self._teach, self._assess = Direct(teach), Direct(assess_train)
-        self.learn_ns: Nanos = NEVER
+        self.in_core = isinstance(self.detector, VariationalDetector)
+        """Whether the detector is the one in the core."""
+        n = len(motors)
+        self.rotors = _rotors(motors)
+        self.rotor_inputs = np.zeros(n, ROTOR_INPUTS)
+        self.responses = np.zeros(n, COMMAND_RESPONSE)
+        self.response_ratios, self.ratios = np.zeros((2, n), LOAD_RATIO)
+        self.observed, self.loads = np.zeros(n, LOAD_OBSERVATION), np.zeros(n, DRIVE_LOAD)
+        self.normalised, self.sigma, self.loss_probability = np.zeros((3, n))
+        self.known, self.loss_known, self.may_learn = np.zeros((3, n), dtype=np.bool_)
+        self.workspace = np.zeros((4, n))
+        self.record = np.zeros(1, ADHESION)
+        self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
+        if isinstance(self.detector, VariationalDetector):
+            self.record["priors"] = tuple(self.detector.priors)
+            self.record["iterations"] = self.detector.sweeps
+        self.link()
+        lib.adhesion_reset(self._pointer, config.spread_nm / BASE_NM)
 
-    def judge(
-        self, told: Told, slow: SlowState, inputs: Inputs, flag: Ints, since_ns: Ints, now: Nanos
+    def link(self) -> None:
+        """See `Addressed`."""
+        for name in (
+            "rules", "rotors", "rotor_inputs", "responses", "response_ratios", "ratios", "observed",
+            "loads", "normalised", "sigma", "known", "loss_probability", "loss_known", "may_learn",
+            "workspace",
+        ):  # fmt: skip
+            self.record[name] = getattr(self, name).ctypes.data
+        self.address = self.record.ctypes.data
+        self._pointer = pointer("struct adhesion", self.record)
+        self.common_mode = self.record["common_mode"]
+        """One flag: whether all drives have lost adhesion at once."""
+        self.severe: NDArray[np.uint8] = self.loads["severe_loss"]
+        """(N,) drives that carry so much less than the others that noise cannot be the cause."""
+        self.uncertain: NDArray[np.uint8] = self.rotors["uncertain"]
+        """(N,) drives whose rotor may run away."""
+        self.doubt_until_ns: NDArray[np.int64] = self.rotors["doubt_until_ns"]
+        """(N,) until then the currents of a drive accuse nobody."""
+
+    def detect(
+        self, told: Told, inputs: Records, drives: Records, status: Records, now: Nanos
     ) -> Opinion:
         """Probabilities of lost adhesion.
 
-        inputs: speeds as measured, and which drives' commands are known, changed here where one
-        cannot be right; flag, since_ns (N,): their adhesion flags so far, and since when the
-        evidence of each is the same.
+        inputs: `input_status` (N,); drives: `drive_input` (N,); status: `drive_status` (N,), of
+        which the adhesion flags so far are read.
         """
-        at, responses, room = self.at, self.responses, self.room
-        fresh = inputs.commanded
-        self._assess(inputs.speed, fresh, slow, flag, now, self.tick_s, told, self.train)
-        self._compare(
-            told, slow, fresh, flag, since_ns, now, self.tick_s, self.rotors, self.reference,
-            PASSING, at, responses, room,
-        )  # fmt: skip
+        mine, received = self._pointer, pointer("struct drive_input", drives)
+        estimates = pointer("struct drive_estimate", told.estimates)
+        valid = pointer("struct input_status", inputs)
+        flags = pointer("struct drive_status", status)
+        if self.in_core:
+            lib.detect_loss(mine, estimates, valid, received, flags, now)
+        else:
+            lib.adhesion_prepare(mine, estimates, valid, received, flags, now)
+            self._ask_detector(told)
+            lib.adhesion_fuse(mine, received, flags, now)
+        return self.opinion
+
+    def _ask_detector(self, told: Told) -> None:
+        """As `adhesion_detect`, by a detector that is not in the core."""
         speeds = None if self.config.observe == "torque" else np.abs(told.speed)
         lost, known, common = self.detector(
-            Evidence(room.referred, room.spread, at.known, speeds)
+            Evidence(self.normalised, self.sigma, self.known, speeds)
         )  # fmt: skip
-        answered = self._conclude(
-            lost, known, common, now, self.tick_s, self.own, at, responses, self.train,
-            SEVERE, SEVERE_SPREADS, self.rules, self.common_mode, self.trust, room,
-        )  # fmt: skip
-        return self.learn(answered, common, flag, slow.operating, now)
+        self.loss_probability[:], self.loss_known[:] = lost, known
+        self.record["common"] = common
 
-    def learn(
-        self, answered: bool, common: float, flag: Ints, operating: Flags, now: Nanos
-    ) -> Opinion:
-        """Responses from every new command, differences between drives every LEARN_NS.
+    @property
+    def opinion(self) -> Opinion:
+        """Of the last tick, fused."""
+        return Opinion(self.loss_probability, self.loss_known, self.record["common"].item())
 
-        Gives this tick's opinion.
-        """
-        if answered or now >= self.learn_ns:
-            self._learn(answered, common, flag, operating, now)
-        return Opinion(self.room.lost, self.room.known, common)
 
-    def _learn(
-        self, answered: bool, common: float, flag: Ints, operating: Flags, now: Nanos
-    ) -> None:
-        due = now >= self.learn_ns
-        if due:
-            self.learn_ns = now + LEARN_NS
-        self._teach(
-            answered, due, now, self.tick_s, common, flag, operating, self.reference, self.own,
-            self.at, self.responses, SETTLED_NS, PROBABLY_GOOD, self.trust, self.room,
-        )  # fmt: skip
+def _rotors(motors: Sequence[Motor]) -> Records:
+    """Ratings. Speeds are compared between drives whose motors have the same ratings.
+
+    What was measured on each motor, such as its flux, may differ.
+    """
+    made = np.zeros(len(motors), ROTOR)
+    ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
+    kinds = list(dict.fromkeys(ratings))
+    made["rated_nm"] = [m.T_rated for m in motors]
+    made["inertia_kg_m2"] = [m.J for m in motors]
+    made["motor"] = [kinds.index(rating) for rating in ratings]
+    return made

@@ -1,57 +1,52 @@
-"""The bank of filters: samples in, per drive state, health and age out.
+"""Estimates of N drives by their filters: records and constants of `gateway/core/estimate.c`.
 
-A drive is acquired by its flux chords, then filtered, and watched by the chords for as long
-as it is tracked: the filter's own word is never the proof that it is locked. May know:
-estimators. May not know: frames, clocks, flags.
+When a filter starts or is dropped, and what is known of a drive, stands in C; the fields of the
+records in `gateway/core/records.h`. May know: motors. May not know: frames, clocks, flags.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Sequence
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 from _traction_core import lib
-from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
-from estimators import acquisition, adaptation, current_calibration, filters
+from dbc.records import (
+    ACQUISITION,
+    CURRENT_CALIBRATION,
+    ESTIMATOR,
+    FILTER,
+    FILTER_SAMPLE,
+    FILTER_TRACK,
+    Addressed,
+    Records,
+    pointer,
+    zeros,
+)
+from estimators import acquisition, filters
 from estimators.models import pmsm
 from gateway import tracks
-from gateway._bank_kernels import forget, tell
-from gateway._direct import Direct
-from gateway._sweep_kernels import run_filters
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
-from gateway.pairing import Samples
 
 SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS
-"""Sub-steps (60 ms) a new filter runs before its load is believed."""
-DISAGREE_TICKS: Final = 3
-"""Ticks in a row that the chords must contradict the filter before it counts as diverged."""
-LONGEST_COAST: Final = 64
-"""Sub-steps (8 ms) without samples that a filter bridges: what the voltage did meanwhile may turn
-the rotor by some tenths of a radian. After longer gaps the chords find speed and angle anew."""
-LOOSE: Final = 2.0
-"""A load is no evidence while its standard deviation is this many times its best."""
-FORGET: Final = 1.01
-"""Rise of that best per tick: sensors may become noisier for good."""
-MOVING: Final = 0.07
-"""Of the rated torque in a tick: more than the noise of a steady load."""
-FLUX_TAU_S: Final = 0.5
-FLUX_SURE: Final = 0.03
-"""What the chords say of the flux is believed beyond this, and beyond what an R_s that is off by
-`RESISTANCE_SURE` would make of it."""
-RESISTANCE_SURE: Final = 0.25
-DIVERGED_NS: Final = 100 * MS
-"""A divergence is said for at least this long before the drive is acquired anew."""
-SAMPLES_AT_FIRST: Final = 256
+"""Sub-steps (60 ms) a new filter runs before its load is valid."""
+SAMPLES_AT_FIRST: Final = 512
 """Of a tick, that there is room for before one brings more."""
 
 
-class Bank:
-    """Filters of N drives. `advance` once per tick is the only mutator."""
+class Bank(Addressed):
+    """A `struct estimator` with everything that it points to; `run` once per tick changes it.
+
+    estimates: `drive_estimate` of every drive; told: its fields.
+    """
+
+    told: tracks.Told
+    address: int
+    _pointer: Any
+    _estimates: Any
 
     def __init__(
         self,
@@ -61,84 +56,54 @@ class Bank:
         tick_ns: Nanos = 10 * MS,
     ) -> None:
         """current_step_a: resolution of the currents on the bus, part of R."""
-        self.tick_s = tick_ns / SECOND
-        rows = [(m.R_s, m.L_s, m.psi_pm, float(m.pole_pairs), m.J, m.B, m.k_p) for m in motors]
-        self.par = pmsm.motors(*rows)
-        self.rated = pmsm.Rated(
-            np.array([m.I_rated for m in motors]), np.array([m.T_rated for m in motors])
-        )
-        self.noise = _noise(self.par, self.rated, config, current_step_a)
-        self.table = pmsm.table(self.par)
         n = len(motors)
-        self.filters, self.tracks, self.told = (
-            adaptation.filters(n),
-            tracks.tracks(n),
-            tracks.told(n),
+        rows = [(m.R_s, m.L_s, m.psi_pm, float(m.pole_pairs), m.J, m.B, m.k_p) for m in motors]
+        par = pmsm.motors(*rows)
+        self.motors = pmsm.table(par)
+        self.rated_a = np.array([m.I_rated for m in motors])
+        self.rated_nm = np.array([m.T_rated for m in motors])
+        rated = pmsm.Rated(self.rated_a, self.rated_nm)
+        self.noise = filters.noise_records(_noise(par, rated, config, current_step_a))
+        self.filters, self.chords = zeros(n, FILTER), zeros(n, ACQUISITION)
+        self.sensors, self.tracks = zeros(n, CURRENT_CALIBRATION), zeros(n, FILTER_TRACK)
+        self.samples = zeros(SAMPLES_AT_FIRST, FILTER_SAMPLE)
+        """Of the last tick, with their `nis`."""
+        self.estimates = tracks.estimates(n)
+        self.record = np.zeros(1, ESTIMATOR)
+        self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
+        self.record["settings"] = filters.settings(SAMPLE_NS * 1e-9, config.kind)
+        self.record["limits"] = acquisition.limits(
+            config.min_speed_rad_s, 0.75 * config.min_speed_rad_s
         )
-        self.x, self.P = self.filters.x, self.filters.P
-        self.chords = acquisition.start(n)
-        self.sensors = current_calibration.start(n)
-        self.limits = tracks.Limits(
-            self.par.R_s, self.par.psi_f, self.par.p, MOVING * self.rated.T, acquisition.PAIRS,
-            SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
-            self.tick_s / FLUX_TAU_S, FLUX_SURE, RESISTANCE_SURE,
-        )  # fmt: skip
-        self.believed = tracks.Believed(
-            self.filters, self.tracks, self.chords, self.sensors, self.told
-        )
-        self.constants = tracks.Constants(
-            self.table, filters.noise_records(self.noise), self.rated.I,
-            acquisition.limits(config.min_speed_rad_s, 0.75 * config.min_speed_rad_s),
-            filters.settings(SAMPLE_NS * 1e-9, config.kind), self.limits, SAMPLE_NS * 1e-9,
-            LONGEST_COAST,
-        )  # fmt: skip
-        self.room = tracks.room(SAMPLES_AT_FIRST)
-        """Of the last tick; its first samples, with their `nis`, are those."""
-        self._advance = Direct(run_filters)
-        self._tell = Direct(tell)
-        # Compiled, or loaded, now and not when the first filter begins.
-        causes, fresh = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
-        self._tell(causes, fresh, self.filters, self.tracks, self.limits, self.told)
+        self.link()
+        lib.estimator_reset(self._pointer)
 
-    def advance(
-        self,
-        samples: Samples,
-        restart: Collection[int],
-        inputs: NDArray[np.int64],
-        fresh: NDArray[np.bool_],
-        now: Nanos,
-    ) -> None:
-        """Filter this tick's samples and judge every drive; fills `told`.
-
-        restart: drives whose samples begin anew; inputs (N,): `Reason` why a drive's input cannot
-        be believed; fresh (N,): whether its newest sample is within its age limit.
-        """
-        for k in restart:
-            forget(k, self.filters, self.tracks)
-            acquisition.restart(self.chords, k)
-            current_calibration.restart(self.sensors, k)
-            self.tracks.flux[k] = math.nan
-        if len(samples.drive) > len(self.room.samples):
-            self.room = tracks.room(2 * len(samples.drive))
-        if self._advance(
-            samples, now, inputs, fresh, self.believed, self.constants, self.room
+    def link(self) -> None:
+        """See `Addressed`."""
+        for name in (
+            "motors", "noise", "rated_a", "rated_nm", "filters", "chords", "sensors", "tracks",
+            "samples",
         ):  # fmt: skip
-            self.begin(inputs, fresh)
+            self.record[name] = getattr(self, name).ctypes.data
+        self.address = self.record.ctypes.data
+        self._pointer = pointer("struct estimator", self.record)
+        self._estimates = pointer("struct drive_estimate", self.estimates)
+        self.told = tracks.told_of(self.estimates)
+        self.x, self.P = self.filters.x, self.filters.P
 
-    def begin(self, inputs: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
-        """Start the filters that `told.begins` names, and judge them."""
-        self._begin()
-        self._tell(inputs, fresh, self.filters, self.tracks, self.limits, self.told)
+    def make_room(self, samples: int) -> None:
+        """For so many samples of a tick."""
+        if samples > len(self.samples):
+            self.samples = zeros(samples, FILTER_SAMPLE)
+            self.link()
 
-    def _begin(self) -> None:
-        """Filters of the drives whose chords are ready."""
-        mine, chords, rated = self.filters, self.chords, self.rated
-        for k in np.flatnonzero(self.told.begins).tolist():
-            acquisition.start_filter(chords, k, self.table, self.noise.R, rated.T.item(k), mine)
-            mine.active[k], mine.steps[k], mine.nis[k] = True, 0, 2.0
-            self.tracks.diverged_ns[k], self.tracks.doubts[k] = -1, 0
-            if not mine.v_q_bias.item(k):
-                mine.v_q_bias[k] = adaptation.first_q_bias(chords, k, self.table, rated.I.item(k))
+    def run(self, receiver: Any, inputs: Records, now: Nanos) -> None:
+        """`run_filters`; receiver: `struct receiver *`; inputs: `input_status` (N,).
+
+        There has to be room for its samples.
+        """
+        valid = pointer("struct input_status", inputs)
+        lib.run_filters(self._pointer, receiver, valid, self._estimates, now)
 
 
 def _noise(par: pmsm.Pmsm, rated: pmsm.Rated, config: Estimator, step_a: float) -> pmsm.Noise:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dbc import e2e
 from dbc.frame import Nanos
-from dbc.records import CHANNEL, SEQUENCE_GUARD, Records
+from dbc.records import CHANNEL, SEQUENCE_GUARD, Records, pointer
 from dbc.spec import MessageSpec
 from gateway.health import Reason
 
@@ -81,6 +81,7 @@ class HasState(Protocol):
     """Whoever holds the records: `receiving.Receiver`."""
 
     state: ChannelState
+    channels: Records
 
 
 class Channel:
@@ -125,8 +126,8 @@ class Channel:
 
     def fresh(self, now: Nanos) -> bool:
         """True while the last good value is within the age limit and the channel is known."""
-        good = self.good_ns
-        return good >= 0 and now - good <= self.limit_ns and self.state is Reason.NONE
+        record = pointer("struct channel", self._receiver.channels) + self.row
+        return bool(lib.is_channel_fresh(record, now))
 
 
 def records(channels: Sequence[Channel]) -> Records:

@@ -22,12 +22,11 @@ from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
-from gateway import calibration, foreign, inputs, plausibility
+from gateway import calibration, foreign, inputs, plausibility, said
 from gateway._direct import Direct
 from gateway._flags_kernels import fill_inputs
-from gateway._inputs_kernels import look
 from gateway._plausibility_kernels import check_values
-from gateway.adhesion import AdhesionSide
+from gateway.adhesion import AdhesionMonitor
 from gateway.bank import Bank
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
@@ -88,17 +87,18 @@ class Gateway:
             times.period_ns, SETTLED_READINGS,
         )  # fmt: skip
         self._check_values = Direct(check_values)
-        self.inputs = inputs.inputs(len(nodes))
         self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
+        self.inputs = inputs.InputMonitor(self.inbox.receiver, self.places.channels)
         cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
+        limits = [c.limit_ns if c else 0 for c in temperatures]
+        self.temperature_limit_ns = np.array(limits, dtype=np.int64)
         fitted = [d.sensors for d in config.drive]
         self.thermal = ThermalSide(
             len(nodes), period, config.thermal.window_s, cells, nodes, fitted,
             model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
         )  # fmt: skip
-        self.thermal.wire(self.places, [c.limit_ns if c else 0 for c in temperatures])
         a, t = config.adhesion, config.thermal
         adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
         timing = [
@@ -112,13 +112,14 @@ class Gateway:
         severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
         tick_ns = config.loop.period_ns
         by = rules(timing, severe, a.raise_probability, a.clear_probability, tick_ns)
-        self.adhesion = AdhesionSide(a, motors, by, tick_ns)
-        self.plausibility = plausibility.start(len(nodes), self.adhesion.train.doubt_ns)
+        self.adhesion = AdhesionMonitor(a, motors, by, tick_ns)
+        self.plausibility = plausibility.start(len(nodes), self.adhesion.doubt_until_ns)
         self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
         self.status = self.flags.status
         self.changed = True
         """Whether a flag of any drive is another than in the tick before."""
-        self._look, self._fill_inputs = Direct(look), Direct(fill_inputs)
+        self.findings = said.findings(len(nodes))
+        self._fill_inputs = Direct(fill_inputs)
         own_hash = calibration.config_hash(config, codec.digest, cells)
         self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
@@ -128,8 +129,6 @@ class Gateway:
             config.loop.period_ns, told_apart=told_apart,
             intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
         )  # fmt: skip
-        self.lost = np.zeros(len(nodes), dtype=np.bool_)
-        """(N,) drives that are supervised by their heartbeat, and it has stopped."""
         self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
@@ -165,43 +164,36 @@ class Gateway:
         self.load.add_block(heard, inbox.receiver, now)
         if self._any_lost or self.supervision.any_lost(now):
             lives = [self.supervision.life(node, now) for node in self.nodes]
-            self.lost[:] = [life is Life.LOST for life in lives]
+            self.inputs.status["heartbeat_lost"] = [life is Life.LOST for life in lives]
             self._any_lost = Life.LOST in lives
-        inputs = self.inputs
-        self._look(
-            now, self.lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
-            inputs,
-        )  # fmt: skip
-        self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
-        return self.estimated(now)
-
-    def estimated(self, now: Nanos) -> list[Frame]:
-        """The rest of a step once the filters have been advanced."""
-        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
-        self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
-        believed = self.bank.believed
+        self.inputs.assess(self.doubt.intruder, now)
+        inputs, bank, told = self.inputs.columns, self.bank, self.bank.told
+        bank.make_room(len(inbox.room.drive))
+        bank.run(inbox.receiver.pointer, self.inputs.status, now)
+        self.motion.take(inbox.readings, inbox.motions, told.flux)
         self._check_values(
             inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
-            inbox.slow, now, believed.chords, believed.filters, believed.tracks, told,
+            inbox.slow, now, bank.chords, bank.filters, told,
             self.motion.memory,
             self.plausibility, self.plausibility_limits,
         )  # fmt: skip
         until_ns = self.plausibility.until_ns
         self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
-        flag, since = self.flags.adhesion["state"], self.flags.adhesion["since_ns"]
-        opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
+        drives = self.flags.status.drives
+        opinion = self.adhesion.detect(told, self.inputs.status, inbox.receiver.drives, drives, now)
         return self.judged(opinion, now)
 
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
         """The rest of a step once adhesion has been judged."""
-        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
+        inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
         intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
-        self.thermal.hear(inbox, now, self.flags.inputs)
+        self.thermal.hear(inbox, self.places, now)
+        self.thermal.tell(now, self.temperature_limit_ns, self.findings)
         silent, self.silent = self.silent, self.stops and intruder
         flags = self.flags
         self._fill_inputs(
-            inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
-            self.adhesion.severe, inbox.pairs.sample_ns, flags.inputs,
+            inputs, wrong, self.adhesion.uncertain, told, opinion.lost, opinion.known,
+            self.adhesion.severe, self.findings, inbox.pairs.sample_ns, flags.inputs,
         )  # fmt: skip
         common_mode = self.adhesion.common_mode["state"].item()
         flags.note_train(self.doubt.reason, common_mode, self.silent, self.doubt.overrun)
@@ -209,7 +201,8 @@ class Gateway:
         self.changed = flags.debounce(now) or self._opinion is None
         flags.publish(now)
         self.note(opinion, now)
-        self.outbox.note_counts(self.counted(now))
+        if self.outbox.wants_counts(now):
+            self.outbox.note_counts(self.counted(self._now))
         # The tick that finds an intruder still says so.
         out = [] if silent else self.outbox.due(self.status, now)
         self.load.add(out)

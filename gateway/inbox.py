@@ -104,7 +104,6 @@ class Inbox:
         """Rows of `scratch` with temperatures that came in this tick."""
         self.motions = 0
         """Rows of `readings` that came in this tick."""
-        self.restart: set[int] = set()
         own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
         self.channels: list[Channel] = []
         keys: dict[int, int] = {}
@@ -170,10 +169,14 @@ class Inbox:
             rows.append((min(mine), max(mine) + 1, electrical, slowly[0], slowly[1]))
         return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
 
+    @property
+    def restart(self) -> set[int]:
+        """Drives whose filter starts anew in this tick."""
+        return set(np.flatnonzero(self.receiver.drives["restart"]).tolist())
+
     def begin(self) -> None:
         """Nothing has come in this tick yet."""
         self.seen = self.motions = 0
-        self.restart.clear()
 
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
         """Accept the frames of one tick, in the order of their time stamps, then ids.
@@ -213,8 +216,6 @@ class Inbox:
         if found.unpaired or found.late:
             self.counts["unpaired"] += found.unpaired
             self.counts["late"] += found.late
-        if found.restarts:
-            self.restart.update(np.flatnonzero(self.receiver.drives["restart"]).tolist())
 
     def count(self) -> None:
         """Take over the receiver's counters."""

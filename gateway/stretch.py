@@ -10,14 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import TX_FRAME, Records
-from gateway import loads, motion, plausibility, tracks, train
+from dbc.records import Columns, Records
+from gateway import motion, plausibility, sources, tracks
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
 from gateway.pairing import PairState, Samples
 from gateway.receiving import Scratch, Wiring
+from gateway.said import Findings
 from gateway.slow import Readings, SlowState
+from gateway.warmth import Warmth
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,13 +29,14 @@ Bools = NDArray[np.bool_]
 class Receiving(NamedTuple):
     """Frames in, as `Inbox.take` and `BusLoad.add_block`; which inputs are believed.
 
-    receiver, supervision, load: addresses of the records; tick: part of the receiver's; lost
-    (N,): drives whose heartbeat has stopped.
+    receiver, supervision, drive_channels, input_status: addresses of the records; tick, counters:
+    parts of the receiver's.
     """
 
     period_ns: int
     receiver: int
     tick: Records
+    counters: Ints
     state: ChannelState
     wiring: Wiring
     pairs: PairState
@@ -42,18 +45,23 @@ class Receiving(NamedTuple):
     readings: Readings
     out: Samples
     supervision: int
-    load: int
-    lost: Bools
+    busy_s: float
+    classic_s: Array
+    fd_s: Array
+    drive_channels: int
+    input_status: int
     places: Places
 
 
 class Filtering(NamedTuple):
-    """As `Bank.advance` and `MotionSide`."""
+    """As `Bank.run` and `MotionSide`. estimator: address of `struct estimator`."""
 
     inputs: Inputs
-    believed: tracks.Believed
-    constants: tracks.Constants
-    room: tracks.Room
+    estimator: int
+    filters: Columns
+    chords: Columns
+    sensors: Columns
+    told: tracks.Told
     motion: motion.Memory
     limits: motion.Limits
     check: plausibility.Plausibility
@@ -61,57 +69,65 @@ class Filtering(NamedTuple):
 
 
 class Judging(NamedTuple):
-    """As `AdhesionSide.judge` with `VariationalDetector`, whose opinion fills lost, known (N,).
+    """As `AdhesionMonitor.detect` with the detector in the core, which fills lost, known (N,).
 
-    rough (4, N): its workspace; learn_ns: when drives are learnt from next; every_ns: how often.
+    adhesion, drives: addresses of `struct adhesion` and of `struct drive_input` (N,).
     """
 
-    flag: Ints
-    since_ns: Ints
-    tick_s: float
-    rotors: loads.Rotors
-    train: train.Train
-    reference: loads.LoadReference
-    own: loads.LoadReference
-    passing: float
-    part: float
-    spreads: float
-    at: loads.Instant
-    responses: Records
-    trust: loads.Trust
-    room: loads.Room
-    rules: Records
-    common_mode: Records
-    priors: Array
-    sweeps: int
+    adhesion: int
+    drives: int
     lost: Array
     known: Bools
-    rough: Array
-    learn_ns: int
-    every_ns: int
-    settled_ns: int
-    probably: float
+    severe: NDArray[np.uint8]
+    uncertain: NDArray[np.uint8]
+    rules: Records
+    common_mode: Records
+
+
+class Warming(NamedTuple):
+    """As `ThermalSide`, of which the model has no part. limit_ns (N,): how old readings may be.
+
+    summed: seconds are added up, none of them is complete in these ticks.
+    """
+
+    warmth: Warmth
+    summed: bool
+    limit_ns: Ints
 
 
 class Saying(NamedTuple):
-    """Temperatures, flags and frames out. temperatures, transmitter: addresses of the records."""
+    """Flags and frames out.
 
-    temperatures: int
+    cost_s (M,): seconds that each message takes on the wire; rejected, lost: frames so far; rejects
+    (T,): which of the receive loop's tallies are of rejected frames.
+    """
+
+    findings: Findings
     train_inputs: Records
     inputs: Records
     evidence: Records
     status: Status
-    transmitter: int
+    counts: Array
+    sheet: sources.Sheet
+    e2e_config: Records
+    memory: sources.Memory
+    room: sources.Room
+    cost_s: Array
+    rejected: int
+    lost: int
+    rejects: Bools
 
 
 class Went(NamedTuple):
-    """Frames that went out, (R,) of `struct tx_frame`, `most` of a tick at most.
+    """Frames that went out, R at most, `most` of a tick: payload (R, 64), message, tick (R,).
 
     tally (2,): frames that came, and those of them that came in ticks where all were decoded;
     peak (N,): largest probability of loss that was said of each drive, NaN while none was.
     """
 
-    frames: Records
+    payload: NDArray[np.uint8]
+    message: Ints
+    tick: Ints
     tally: Ints
     peak: Array
     most: int
@@ -121,24 +137,21 @@ class Left(NamedTuple):
     """How a call was left.
 
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
-    first frame that is not in, or that behind the last; samples, seen, motions: of the last frames
-    (samples, temperatures, motions of `struct received`); changed: whether the last whole tick
-    changed a flag; frames: in `Went`; common: load in the last tick, per unit; learn_ns:
-    when drives are learnt from next.
+    first frame that is not in, or that behind the last; seen: `temperatures` of `struct received`;
+    changed: whether the last whole tick changed a flag; frames: in `Went`; busy_s.
     """
 
     done: int
     stage: int
     first: int
-    samples: int
     seen: int
-    motions: int
     changed: bool
     frames: int
-    common: float
-    learn_ns: int
+    busy_s: float
 
 
 def went(rows: int, most: int, n: int) -> Went:
     """Room for so many rows, and for N drives."""
-    return Went(np.zeros(rows, TX_FRAME), np.zeros(2, dtype=np.int64), np.full(n, np.nan), most)
+    message, tick = np.zeros((2, rows), dtype=np.int64)
+    payload = np.zeros((rows, 64), dtype=np.uint8)
+    return Went(payload, message, tick, np.zeros(2, dtype=np.int64), np.full(n, np.nan), most)

@@ -42,6 +42,9 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_est_adaptation.py",
        "tests/unit/test_est_current_calibration.py",
        "tests/unit/test_train_reference.py",
+       "tests/unit/test_adhesion_reference.py",
+       "tests/unit/test_drivers_batch.py",
+       "tests/unit/test_estimate_reference.py",
        "tests/unit/test_temperature.py",
        "tests/unit/test_est_filter.py",
        "tests/unit/test_receive_reference.py",
@@ -51,7 +54,8 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_thermal.py",
        "tests/unit/test_dbc_candump.py", "tests/property/test_dbc_candump_property.py",
        "tests/unit/test_sim_plant.py", "tests/unit/test_sim_adhesion.py",
-       "tests/unit/test_sim_thermal.py")  # fmt: skip
+       "tests/unit/test_sim_thermal.py",
+       "tests/unit/test_inputs.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

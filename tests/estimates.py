@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gateway import inputs
 from gateway.bank import Bank
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
 from gateway.tracks import Told
+from tests.receivers import Received
 
 
 class DriveEstimate(NamedTuple):
@@ -41,6 +43,12 @@ def estimates_of(told: Told) -> list[DriveEstimate]:
 
 def step(bank: Bank, samples: Samples, heard: Sequence[bool], now: int) -> list[DriveEstimate]:
     """One tick; heard: which drives' newest sample is within its limit."""
-    causes = np.full(len(heard), Reason.NONE, dtype=np.int64)
-    bank.advance(samples, (), causes, np.array(heard), now)
+    m, come = len(samples.drive), inputs.statuses(len(heard))
+    come["reason"], come["sample_fresh"] = Reason.NONE, heard
+    box = Received(len(heard), rows=m // 8 + 1)
+    for mine, given in zip(box.samples, samples, strict=True):
+        mine[:m] = given
+    box.pointer.tick.samples = m
+    bank.make_room(m)
+    bank.run(box.pointer, come, now)
     return estimates_of(bank.told)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.records import COMMAND_RESPONSE, LOAD_OBSERVATION
-from gateway import loads
+from dbc.records import COMMAND_RESPONSE, LOAD_OBSERVATION, LOAD_RATIO, LOAD_SPREAD
 from tests.reference.command_response import Heard
 
 
@@ -14,10 +13,11 @@ class Loads:
     """What is learnt of N drives' loads: `estimators/detect/load_reference.c`."""
 
     def __init__(self, n: int, spread: float) -> None:
-        self.kept = loads.load_reference(n, spread)
-        self.all = ffi.from_buffer("struct load_spread *", self.kept.all)
-        self.drives = ffi.from_buffer("struct load_ratio[]", self.kept.drives)
+        self.ratios = np.zeros(n, LOAD_RATIO)
+        self.all = ffi.from_buffer("struct load_spread *", np.zeros(1, LOAD_SPREAD))
+        self.drives = ffi.from_buffer("struct load_ratio[]", self.ratios)
         self.n = n
+        lib.load_reference_reset(self.all, self.drives, n, spread)
 
     @property
     def spread(self) -> float:
@@ -25,11 +25,11 @@ class Loads:
 
     @property
     def ratio(self):
-        return self.kept.drives["ratio"]
+        return self.ratios["ratio"]
 
     @property
     def variance(self):
-        return self.kept.drives["variance"]
+        return self.ratios["variance"]
 
     def observe(self, load, common, known, healthy, *, relative=True) -> None:
         """Spread, then ratios."""

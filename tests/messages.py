@@ -7,9 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.drivers._batch_kernels import TRUNCATED
 from gateway.drivers.batch import NATIVE, Batch
 from gateway.drivers.wire import FD_SIZE
+
+TRUNCATED = 0x20
+"""MSG_TRUNC."""
 
 
 def put(batch: Batch, payload: bytes, control: Sequence[tuple[int, int, bytes]]) -> None:

@@ -26,13 +26,11 @@ def run(options: argparse.Namespace) -> int:
     from gateway.drivers import kernelcache
 
     made = kernelcache.make(options.kernels)
-    from gateway.drivers.batch import Batch
     from gateway.drivers.warm import warm_up
 
     began, before = time.monotonic(), kernelcache.lost()
     shipped = [{"file": name} for name in ("traction.dbc", "traction_fd.dbc")]
     with patience():
-        Batch(1)  # what reads SocketCAN loads its own when it is made
         for path in options.config:
             warm_up(*prepare(path))
         for given in () if options.config else shipped:

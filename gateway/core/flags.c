@@ -8,6 +8,8 @@
 
 #include <math.h>
 
+#include "gateway/core/times.h"
+
 /* ---- Reasons and summaries ---- */
 
 /* Priority by reason. The worst reason of all drives is the one that is sent. */
@@ -24,7 +26,7 @@ int reason_rank(int reason)
     return RANKS[known ? reason : REASON_NONE];
 }
 
-static uint8_t worse_reason(uint8_t one, uint8_t other)
+uint8_t worse_reason(uint8_t one, uint8_t other)
 {
     return reason_rank(one) <= reason_rank(other) ? one : other;
 }
@@ -43,12 +45,6 @@ static int64_t older(int64_t one, int64_t other)
     if (one == NO_TIME || other == NO_TIME)
         return NO_TIME;
     return one > other ? one : other;
-}
-
-/* Time from `then` to `now`, ns. */
-static int64_t elapsed(int64_t then, int64_t now)
-{
-    return (int64_t)((uint64_t)now - (uint64_t)then);
 }
 
 /* ---- Evidence ---- */

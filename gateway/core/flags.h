@@ -7,6 +7,9 @@
 /* Priority of a reason: 0 is the worst, 11 is REASON_NONE. A number that is none counts as that. */
 int reason_rank(int reason);
 
+/* Of two reasons the one with the higher priority; the first of two with the same. */
+uint8_t worse_reason(uint8_t one, uint8_t other);
+
 /* Evidence of a probability of lost adhesion: an enum flag_state. NaN is unknown. */
 int loss_evidence(const struct flag_rules *rules, double probability);
 

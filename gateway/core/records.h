@@ -5,6 +5,7 @@
 #ifndef TRACTION_RECORDS_H
 #define TRACTION_RECORDS_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #define E2E_WINDOW    5 /* receiver cycles that the state machine looks back */
@@ -1249,6 +1250,197 @@ struct frame_columns {
     uint8_t *data;     /* PAYLOAD_BYTES per row, 0 behind the length */
     int8_t *dlc;       /* -1: the length; else a raw length, or what a remote frame asks for */
     uint16_t *channel; /* index of its interface name */
+};
+
+/* ---- which inputs are valid (gateway/core/inputs.c) ---- */
+
+/* Channels of one drive, and how good its inputs have to be; constant. */
+struct drive_channels {
+    double max_current_sum_a; /* phase currents whose sum is larger are not those of a motor */
+    int64_t max_age_ns;       /* of a sample of current */
+    int32_t first;            /* index of its first channel; the others follow */
+    int32_t end;              /* index behind its last one */
+    int32_t electrical[2];    /* channels of currents and voltages; -1: none */
+    int32_t motion;           /* channel of Motion; -1: none */
+    int32_t status;           /* channel of Status; -1: none */
+};
+
+/* What is valid of the inputs of one drive in this tick. */
+struct input_status {
+    double speed_rad_s;        /* of the rotor, by a fresh Motion; NaN: not known */
+    uint8_t heartbeat_lost;    /* 1: its heartbeat was received and has stopped; not of inputs.c */
+    uint8_t reason;            /* enum reason why currents and voltages are not valid */
+    uint8_t sample_fresh;      /* 1: the newest sample is within its age limit */
+    uint8_t command_valid;     /* 1: the torque command is known */
+    uint8_t current_sum_fault; /* 1: the sum of the phase currents is not zero */
+    uint8_t comm;              /* enum flag_state: evidence of the messages */
+};
+
+/* ---- Adhesion (gateway/core/loads.c, adhesion.c). Loads and torques are per unit of rated torque;
+ * NaN: not known. ---- */
+
+/* What is estimated of one drive in this tick; NaN: not known. */
+struct drive_estimate {
+    double speed_rad_s;
+    double load_nm;
+    double load_sigma_nm;  /* standard deviation of the load */
+    double nis;            /* normalised innovation squared, smoothed */
+    double flux_ratio;     /* flux of the magnets over that of the data sheet */
+    uint8_t health;        /* enum filter_health */
+    uint8_t health_reason; /* enum reason why it does not track */
+};
+
+/* What is found and remembered of the load of one drive. */
+struct drive_load {
+    double load;             /* in the direction of the train; 0: not known */
+    double command_ratio;    /* torque command over the largest of all drives */
+    double p_response;       /* probability of a loss by its own command */
+    double last_speed;       /* of the tick before, rad/s; NaN unless the drive is judged alone */
+    double last_spin_up;     /* torque that accelerated the rotor in the tick before */
+    int64_t flagged_ns;      /* last tick with its adhesion flag bad; NO_TIME: none */
+    int64_t known_since_ns;  /* NO_TIME: its load is not known */
+    uint8_t derating_active; /* 1: its flag is, or was just now, bad: it takes back its torque */
+    uint8_t response_valid;  /* 1: `p_response` means something */
+    uint8_t severe_loss;     /* 1: carries so little that noise is not the cause */
+};
+
+/* Everything that judges adhesion; `adhesion_reset` makes one that remembers nothing. */
+struct adhesion {
+    /* constants */
+    const struct flag_rules *rules;
+    struct vb_priors priors;
+    double tick_s;
+    int32_t iterations; /* of the default detector */
+    int32_t n;          /* drives */
+    /* of every drive, (n,) */
+    struct rotor *rotors;
+    struct rotor_inputs *rotor_inputs;
+    struct command_response *responses; /* load and command in the direction of the motor */
+    struct load_ratio *response_ratios; /* load over the drive's own command, as learnt */
+    struct load_ratio *ratios;          /* load over that of the others, as learnt */
+    struct load_observation *observed;  /* workspace */
+    struct drive_load *loads;
+    /* what the detector is given: loads as if the drives were equal and fully commanded */
+    double *normalised;
+    double *sigma;  /* standard deviation of a healthy drive's around the common one */
+    uint8_t *known; /* 1: the load is known */
+    /* what it finds; fused with the responses in place */
+    double *loss_probability;
+    uint8_t *loss_known; /* 1: `loss_probability` means something */
+    uint8_t *may_learn;  /* 1: the drive certainly adheres */
+    double *workspace;   /* 4 n numbers */
+    /* state */
+    struct load_spread response_spread; /* of loads over commands */
+    struct load_spread spread;          /* of loads over the common one */
+    struct flag common_mode;            /* all drives have lost adhesion at once */
+    int64_t learn_ns;                   /* next time that ratios are learnt; NO_TIME: at once */
+    int64_t flagged_ns;                 /* last tick with any adhesion flag bad; NO_TIME: none */
+    double common;                      /* load that adhering drives share, by the detector */
+    double common_smoothed;             /* the same, smoothed */
+    uint8_t comparable;                 /* 1: drives carry enough to be compared */
+};
+
+/* ---- Estimates by the filters (gateway/core/estimate.c) ---- */
+
+/* What is remembered of one drive beside its filter. */
+struct filter_track {
+    double best_sigma_nm;   /* standard deviation of the load when it was known best of late */
+    double load_nm;         /* after the last tick with samples, at the flux of the data sheet */
+    double load_change_nm;  /* by how much it had changed in that tick */
+    int64_t diverged_ns;    /* since when the drive is reported as diverged; -1: it is not */
+    int64_t disagree_ticks; /* in a row that the chords have contradicted the filter */
+    uint8_t silent;         /* 1: no samples in this tick */
+};
+
+/* The filters of n drives; `estimator_reset` makes one that knows nothing of them. */
+struct estimator {
+    /* constants, of every drive, (n,) */
+    const struct pmsm *motors;
+    const struct filter_noise *noise;
+    const double *rated_a;  /* rated current, A, above 0 */
+    const double *rated_nm; /* rated torque, Nm */
+    /* constants of all */
+    struct acquisition_limits limits;
+    struct filter_settings settings;
+    double tick_s;
+    int32_t n; /* drives */
+    /* of every drive, (n,) */
+    struct filter *filters;
+    struct acquisition *chords;
+    struct current_calibration *sensors;
+    struct filter_track *tracks;
+    struct filter_sample *samples; /* of the last tick; room for as many as the receiver's */
+};
+
+/* ---- frames from a socket (dbc/socketcan.c) ---- */
+
+/* Flags of a frame; the numbers are those of dbc/frame.py. */
+enum frame_flag {
+    FRAME_EXTENDED = 1,
+    FRAME_REMOTE = 2,
+    FRAME_ERROR = 4,
+    FRAME_FD = 8,
+    FRAME_BRS = 16,
+    FRAME_ESI = 32,
+};
+
+/* struct canfd_frame; of struct can_frame (linux/can.h) 8 bytes of data are there. */
+struct socket_frame {
+    uint32_t id;        /* with three flags above it */
+    uint8_t length;     /* bytes; any number may come */
+    uint8_t flags;      /* of CAN FD */
+    uint8_t reserved;   /* nothing */
+    uint8_t raw_length; /* of a classic frame of 8 bytes: its DLC, 9 to 15; else 0 */
+    uint8_t data[PAYLOAD_BYTES];
+};
+
+/* Room for one message: struct iovec. */
+struct socket_vector {
+    struct socket_frame *frame;
+    size_t bytes;
+};
+
+/* struct msghdr of recvmsg(2). */
+struct socket_header {
+    uint8_t *name;
+    uint32_t name_size;
+    struct socket_vector *vector; /* one */
+    size_t vectors;
+    uint8_t *control;    /* aligned as a pointer is */
+    size_t control_size; /* bytes: room before, used after the call */
+    int32_t flags;       /* MSG_TRUNC and others */
+};
+
+/* struct mmsghdr of recvmmsg(2). */
+struct socket_message {
+    struct socket_header head;
+    uint32_t size; /* bytes that were received */
+};
+
+/* Two clocks at one instant, ns. */
+struct socket_clock {
+    int64_t real_ns;    /* of the kernel's stamps */
+    int64_t now_ns;     /* monotonic */
+    int64_t max_age_ns; /* no frame has waited for longer */
+};
+
+/* Columns of a block of frames. */
+struct frame_rows {
+    int64_t *t_ns;
+    uint32_t *can_id;
+    uint8_t *flags; /* enum frame_flag */
+    uint8_t *length;
+    uint8_t *data; /* PAYLOAD_BYTES each */
+    int8_t *dlc;   /* -1: as the length says */
+    uint16_t *channel;
+};
+
+struct socket_counts {
+    int64_t frames;     /* rows */
+    int64_t malformed;  /* messages that are no CAN frames */
+    int64_t errors;     /* error frames among the rows */
+    int64_t dropped;    /* frames that the kernel has dropped since the last call */
+    int64_t drops_seen; /* its counter of them, 32 bits, which wraps */
 };
 
 #endif

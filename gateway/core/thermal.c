@@ -10,7 +10,7 @@
 #include "estimators/maisd.h"
 #include "estimators/thermal/monitor.h"
 #include "estimators/thermal/trend.h"
-#include "gateway/core/receive.h"
+#include "gateway/core/inputs.h"
 #include "gateway/core/temperature.h"
 #include "gateway/core/thermal_evidence.h"
 
@@ -76,10 +76,10 @@ static void add_load(struct motor_temperatures *motor, const struct receiver *re
 {
     const struct drive_input *in = &receiver->drives[j];
     if (!isnan(in->command) && motor->status >= 0 &&
-        channel_is_fresh(&receiver->channels[motor->status], now_ns))
+        is_channel_fresh(&receiver->channels[motor->status], now_ns))
         add_quantity(motor, THERMAL_CURRENT_SQUARE, 2.0 * (in->irms * in->irms)); /* amplitude */
     if (!isnan(in->speed) && motor->motion >= 0 &&
-        channel_is_fresh(&receiver->channels[motor->motion], now_ns))
+        is_channel_fresh(&receiver->channels[motor->motion], now_ns))
         add_quantity(motor, THERMAL_SPEED, fabs(in->speed));
 }
 

@@ -8,15 +8,15 @@ from __future__ import annotations
 import ctypes
 import os
 import struct
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
 from dbc.block import ROOM, Block
 from dbc.frame import Nanos
-from gateway._direct import Direct
-from gateway.drivers import _batch_kernels as compiled
+from dbc.records import SOCKET_MESSAGE, SOCKET_VECTOR, pointer
 from gateway.drivers.wire import FD_SIZE
 
 CONTROL_SIZE: Final = 128
@@ -24,25 +24,9 @@ CONTROL_SIZE: Final = 128
 NATIVE: Final = struct.calcsize("@l")
 _DONTWAIT: Final = 0x40
 
-_IOVEC: Final = np.dtype([("base", np.uintp), ("size", np.uintp)])
-_HEAD: Final = np.dtype(
-    [
-        ("name", np.uintp),
-        ("name_size", np.uint32),
-        ("vector", np.uintp),
-        ("vectors", np.uintp),
-        ("control", np.uintp),
-        ("control_size", np.uintp),
-        ("flags", np.int32),
-    ],
-    align=True,
-)
-_MESSAGE: Final = np.dtype([("head", _HEAD), ("size", np.uint32)], align=True)
-"""`struct msghdr` and `struct mmsghdr` of recvmsg(2) and recvmmsg(2)."""
-
 
 class Batch:
-    """Room for so many messages; `read` fills on, `take` empties.
+    """Room for so many messages; `read` fills on, `take` empties (`dbc/socketcan.c`).
 
     data, control and what is seen of the headers (control_sizes, sizes, flags) the kernel fills.
     """
@@ -51,16 +35,18 @@ class Batch:
         """room: messages."""
         self.room = room
         self.filled = 0
-        self._tally = np.zeros(5, dtype=np.int64)
+        self._counts: Any = ffi.new("struct socket_counts *")
+        self._clock: Any = ffi.new("struct socket_clock *")
+        self._rows: Any = ffi.new("struct frame_rows *")
         self.data = np.zeros((room, FD_SIZE), dtype=np.uint8)
         self.control = np.zeros((room, CONTROL_SIZE), dtype=np.uint8)
         steps = np.arange(room, dtype=np.uint64)
-        self._vectors = np.zeros(room, dtype=_IOVEC)
-        self._vectors["base"] = self.data.ctypes.data + FD_SIZE * steps
-        self._vectors["size"] = FD_SIZE
-        self._messages = np.zeros(room, dtype=_MESSAGE)
+        self._vectors = np.zeros(room, dtype=SOCKET_VECTOR)
+        self._vectors["frame"] = self.data.ctypes.data + FD_SIZE * steps
+        self._vectors["bytes"] = FD_SIZE
+        self._messages = np.zeros(room, dtype=SOCKET_MESSAGE)
         head = self._messages["head"]
-        head["vector"] = self._vectors.ctypes.data + _IOVEC.itemsize * steps
+        head["vector"] = self._vectors.ctypes.data + SOCKET_VECTOR.itemsize * steps
         head["vectors"] = 1
         head["control"] = self.control.ctypes.data + CONTROL_SIZE * steps
         head["control_size"] = CONTROL_SIZE
@@ -73,9 +59,7 @@ class Batch:
         self._call.argtypes = (
             ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
         )  # fmt: skip
-        self._unpack = Direct(compiled.unpack_rows)
-        # Compiled, or loaded, now and not in the first tick.
-        self.take(0, 0, 0, "")
+        self._pointer = pointer("struct socket_message", self._messages)
 
     @property
     def full(self) -> bool:
@@ -84,7 +68,7 @@ class Batch:
 
     def begin(self) -> None:
         """A new socket: its drop counter starts at 0."""
-        self._tally[compiled.LAST_DROPS] = 0
+        self._counts.drops_seen = 0
 
     def read(self, descriptor: int) -> bool:
         """Read what waits. OSError as `recvmsg` raises it; BlockingIOError if nothing waits.
@@ -93,7 +77,7 @@ class Batch:
         then keeps (`SO_ERROR`).
         """
         wanted = self.room - self.filled
-        at = self._first + self.filled * _MESSAGE.itemsize
+        at = self._first + self.filled * SOCKET_MESSAGE.itemsize
         count = self._call(descriptor, at, wanted, _DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
@@ -110,17 +94,18 @@ class Batch:
         numbers of messages that were no frames, of error frames, and of frames that the kernel has
         dropped meanwhile.
         """
-        n, tally = self.filled, self._tally
+        n, counts, clock, rows = self.filled, self._counts, self._clock, self._rows
         block = Block(
             np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.uint8),
             np.empty(n, np.uint8), np.empty((n, ROOM), np.uint8), np.empty(n, np.int8),
             np.empty(n, np.uint16), [name],
         )  # fmt: skip
-        self._unpack(
-            self.data, self.sizes, self.flags, self.control, self.control_sizes, n, NATIVE,
-            block.t_ns, block.can_id, block.flags, block.length, block.data, block.dlc,
-            block.channel, tally, real_ns, now_ns, bound_ns,
-        )  # fmt: skip
-        frames, malformed, errors, dropped, _ = tally.tolist()
-        self.filled = 0
-        return block.part(0, frames) if malformed else block, malformed, errors, dropped
+        clock.real_ns, clock.now_ns, clock.max_age_ns = real_ns, now_ns, bound_ns
+        rows.t_ns, rows.can_id = pointer("int64_t", block.t_ns), pointer("uint32_t", block.can_id)
+        rows.flags, rows.length = pointer("uint8_t", block.flags), pointer("uint8_t", block.length)
+        rows.data, rows.dlc = pointer("uint8_t", block.data), pointer("int8_t", block.dlc)
+        rows.channel = pointer("uint16_t", block.channel)
+        lib.unpack_frames(self._pointer, n, CONTROL_SIZE, clock, rows, counts)
+        self.filled, malformed = 0, counts.malformed
+        whole = block.part(0, counts.frames) if malformed else block
+        return whole, malformed, counts.errors, counts.dropped

@@ -16,9 +16,7 @@ _WARM_UP = """
 from dbc.codec import bind
 from gateway.commands.common import scenario_thermal
 from gateway.config import parse
-from gateway.drivers.batch import Batch
 from gateway.drivers.warm import warm_up
-Batch(1)
 for name in ("traction.dbc", "traction_fd.dbc"):
     config = parse({"dbc": {"file": name}, "thermal": scenario_thermal()})
     warm_up(config, bind(config.dbc_path, config.nodes))

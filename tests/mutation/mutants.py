@@ -1,6 +1,6 @@
 """All mutants of a part in `parts.toml` that cosmic-ray knows, as JSON lines on stdout.
 
-    python tests/mutation/mutants.py said > said.mutants
+    python tests/mutation/mutants.py doubt > doubt.mutants
 
 Runs in cosmic-ray's own environment, so it imports nothing of this project.
 """

@@ -12,10 +12,11 @@ from itertools import count as count_up
 import numpy as np
 import pytest
 
-from gateway import _inputs_kernels as kernels
-from gateway import adhesion, core
+from gateway import core
+from gateway.adhesion import AdhesionMonitor
 from gateway.flags import FlagKind, Flags
 from gateway.health import Flag, Health, Reason
+from gateway.inputs import InputMonitor
 from gateway.outbox import Outbox
 from gateway.receiving import NAMES
 from sim.hostile import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
@@ -26,8 +27,6 @@ from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 
 SEEDS, TICKS = range(20), 100_000
-COMMON_MODE = 12
-"""Argument of `conclude`: the flag of all drives' loss."""
 FD, FD_TICKS = (6, 7, 8), 30_000
 """Two seeds of several ticks in a call, one of single steps."""
 
@@ -176,12 +175,13 @@ def test_a_whole_copy_stands_for_a_frame_that_was_spoilt():
 
 
 def stale_is_believed(monkeypatch):
-    def look(*words):
-        kernels.look(*words)
-        words[-1].cause[:] = Reason.NONE
-        words[-1].fresh[:] = True
+    real = InputMonitor.assess
 
-    monkeypatch.setattr(core, "look", look)
+    def assess(self, intruder, now):
+        real(self, intruder, now)
+        self.status["reason"], self.status["sample_fresh"] = Reason.NONE, True
+
+    monkeypatch.setattr(InputMonitor, "assess", assess)
 
 
 def clear(flags):
@@ -191,20 +191,20 @@ def clear(flags):
 
 
 def unknown_clears(monkeypatch):
-    debounce, conclude = Flags.debounce, adhesion.conclude
+    debounce, detect = Flags.debounce, AdhesionMonitor.detect
 
     def flags_of_drives(self, now):
         changed = debounce(self, now)
         clear(self.status.drives["flag"])
         return changed
 
-    def flag_of_all(*words):
-        answered = conclude(*words)
-        clear(words[COMMON_MODE])
-        return answered
+    def flag_of_all(self, *given):
+        opinion = detect(self, *given)
+        clear(self.common_mode)
+        return opinion
 
     monkeypatch.setattr(Flags, "debounce", flags_of_drives)
-    monkeypatch.setattr(adhesion, "conclude", flag_of_all)
+    monkeypatch.setattr(AdhesionMonitor, "detect", flag_of_all)
 
 
 def evidence(monkeypatch, change):

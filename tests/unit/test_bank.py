@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gateway.bank import LONGEST_COAST, Bank
+from gateway.bank import Bank
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Health
 from gateway.pairing import Samples
@@ -16,6 +16,8 @@ from tests.unit.test_est_truth import TICK_S, Rows, Truth, motor, sampled
 
 TICK = 80
 """Sub-steps in 10 ms."""
+LONGEST_GAP = 64
+"""Sub-steps that a filter predicts, `gateway/core/estimate.c`."""
 
 
 def bank(n: int, every: int = 16, **config) -> Bank:
@@ -70,10 +72,10 @@ def hole(rows: Rows, begin: int, steps: int, drive: int = 0) -> Rows:
 def test_a_short_hole_costs_nothing_a_long_one_the_time_to_begin_anew(every):
     truth = steady(100.0, 15.0)
     rows = sampled(truth, every, 2e-4, seed=1)
-    begin = 40 * TICK - 2 * LONGEST_COAST
-    short = healths(bank(2, every), truth, hole(rows, begin, LONGEST_COAST))
+    begin = 40 * TICK - 2 * LONGEST_GAP
+    short = healths(bank(2, every), truth, hole(rows, begin, LONGEST_GAP))
     assert all(tick == [Health.TRACKING] * 2 for tick in short[20:])
-    long = healths(bank(2, every), truth, hole(rows, begin, LONGEST_COAST + 16))
+    long = healths(bank(2, every), truth, hole(rows, begin, LONGEST_GAP + 16))
     after = [tick[0] for tick in long[39:]]
     assert after[0] is Health.CONVERGING
     assert Health.DIVERGED not in after
@@ -96,7 +98,7 @@ def test_a_load_that_was_moving_is_not_held_through_silence():
         filters = bank(2)
         for end in range(TICK, 30 * TICK + 1, TICK):
             advance(filters, rows, end)
-        filters.tracks.moved[0] += jump
+        filters.tracks.load_change_nm[0] += jump
         nothing = Samples(*(column[:0] for column in rows[:5]))
         said = step(filters, nothing, [True, True], 31 * TICK * 125_000)
         assert [e.health for e in said] == [health, Health.TRACKING]
@@ -215,7 +217,7 @@ def test_a_load_that_is_hardly_known_is_no_evidence():
     filters = bank(2)
     for end in range(TICK, 30 * TICK + 1, TICK):
         advance(filters, rows, end)
-    filters.tracks.best[0] *= 0.4
+    filters.tracks.best_sigma_nm[0] *= 0.4
     after = advance(filters, rows, 31 * TICK)
     assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
 
@@ -297,4 +299,4 @@ def test_a_flux_that_no_resistance_explains_scales_the_load(psi):
     right = Bank([BENCH_MOTOR], Estimator(), 0.02)
     for _ in run(right, truth, sampled(truth, 16, 2e-4, seed=5)):
         pass
-    assert right.tracks.flux[0] == 1.0, "what is within the doubt changes nothing"
+    assert right.told.flux[0] == 1.0, "what is within the doubt changes nothing"

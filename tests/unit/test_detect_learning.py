@@ -59,12 +59,12 @@ def test_what_does_not_belong_to_the_model_is_not_learnt(relative):
 
 def test_nothing_is_learnt_from_too_little():
     memory = Loads(3, SPREAD)
-    start = memory.kept.drives.copy()
+    start = memory.ratios.copy()
     load = np.array([0.5, 0.6, 0.6])
     memory.learn(load, 0.6, np.array([True, False, False]))
     memory.learn(0.01 * load, 0.006, np.ones(3, dtype=bool))
     for name in ("ratio", "variance"):
-        np.testing.assert_array_equal(memory.kept.drives[name], start[name])
+        np.testing.assert_array_equal(memory.ratios[name], start[name])
     memory.learn(load, 0.6, np.array([False, True, True]))
     assert memory.ratio[0] == 1.0
     assert memory.variance[0] == start["variance"][0]

@@ -10,9 +10,8 @@ from tests.soak.real import run
 from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
-    "look", "tell",
-    "observe_motion", "merge_motion", "compare", "conclude", "teach",
-    "fill_inputs", "check_values", "assess_train", "run_filters",
+    "observe_motion", "merge_motion", "hear", "advance", "report", "fill_inputs", "send",
+    "check_values",
 }  # fmt: skip
 
 

@@ -38,12 +38,21 @@ fd = st.builds(
     st.integers(0, 0xFFFF_FFFF), st.integers(0, 255), st.integers(0, 255),
     st.binary(min_size=64, max_size=64),
 )  # fmt: skip
+
+
+def _head(word: int, length: int, raw: int = 0) -> bytes:
+    """A classic frame of zeros."""
+    return struct.pack("=IBBBB", word, length, 0, 0, raw) + bytes(8)
+
+
 # A remote request whose length byte is far above 8.
 _LONG_REQUEST = struct.pack("=IBBBB", 0x4000_0000, 128, 0, 0, 0) + bytes(8)
 
 
 @settings(max_examples=examples(500))
 @example([(_LONG_REQUEST, 0)])
+@example([(_head(0x4000_0181, 3), 0), (_head(0x4000_0181, 0), 0), (_head(0x4000_0181, 8, 13), 0)])
+@example([(_head(0x181, 8, 13), 0), (_head(0x181, 8, 16), 0), (_head(0x181, 8, 8), 0)])
 @given(st.lists(st.tuples(st.one_of(classic, fd, st.binary(max_size=90)), st.integers(0, 10**9))))
 def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, int]]) -> None:
     batch = Batch(64)
@@ -79,6 +88,21 @@ def test_stamps_drops_and_unknown_control_in_any_order() -> None:
     batch.begin()
     put(batch, frame, [drops(4)])
     assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 4
+
+
+def test_control_that_is_cut_off_or_too_short_is_not_read() -> None:
+    batch = Batch(4)
+    frame = struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + bytes(8)
+    level, kind, data = stamp(REAL - 5)
+    put(batch, frame, [(level, kind, data[:8]), (socket.SOL_SOCKET, 40, b"ab")])
+    put(batch, frame, [(level, kind, data)])
+    batch.control_sizes[1] -= 4
+    put(batch, frame, [(level, kind, data)])
+    # A head that says less than its own size.
+    batch.control[2, :8] = 0
+    block, _, _, dropped = batch.take(REAL, NOW, SECOND, "vcan0")
+    assert block.t_ns.tolist() == [NOW] * 3
+    assert dropped == 0
 
 
 def test_what_was_taken_stays_when_the_room_is_filled_again() -> None:

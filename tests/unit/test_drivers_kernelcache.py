@@ -140,6 +140,5 @@ def test_warm_fails_where_it_could_not_keep_all(
         Settings.lost += 1
 
     monkeypatch.setattr("gateway.drivers.warm.warm_up", lose)
-    monkeypatch.setattr("gateway.drivers.batch.Batch", lambda _: None)
     assert warm.run(argparse.Namespace(config=[], kernels=tmp_path)) == 2
     assert "2 kernels could not be kept" in capsys.readouterr().out

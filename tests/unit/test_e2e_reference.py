@@ -27,28 +27,6 @@ SPECS = [
 CONFIGS = configs(SPECS)
 
 
-def one(kind, array, k):
-    """Address of record k."""
-    return ffi.addressof(ffi.from_buffer(f"struct {kind}[]", array), k)
-
-
-def e2e_check(data, row, c, config, state):
-    """A frame of channel c, its bytes in a row of data (n, 64)."""
-    frame = ffi.from_buffer("uint8_t[]", data[row])
-    return lib.e2e_check(one("e2e_config", config, c), one("e2e_state", state, c), frame)
-
-
-def e2e_sm_check(c, status, state):
-    """One receiver cycle of channel c."""
-    return lib.e2e_sm_check(one("e2e_state", state, c), status)
-
-
-def e2e_protect(payload, row, c, counter, config):
-    """Header of a frame of channel c, in a row of payload (n, 64)."""
-    frame = ffi.from_buffer("uint8_t[]", payload[row])
-    lib.e2e_protect(one("e2e_config", config, c), frame, counter)
-
-
 def frame(spec, counter, rng):
     payload = bytearray(rng.integers(0, 256, spec.length, dtype=np.uint8).tobytes())
     reference.protect(spec, payload, counter)

@@ -108,7 +108,7 @@ def nominal_windows(kind: str) -> np.ndarray:
         ]
         core.step(honest.sent(tick), tick * TICK)
         drive = core.inbox.samples.drive
-        nis = core.bank.room.samples.nis[: len(drive)]
+        nis = core.bank.samples.nis[: len(drive)]
         losses = honest.lost[max(tick - 31, 0) : tick + 30].any()
         standing = honest.phase[tick - 1] == PHASES.index("standstill")
         for d, run in enumerate(runs):

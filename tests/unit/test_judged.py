@@ -137,7 +137,7 @@ def test_a_drive_cut_out_while_it_is_lost_keeps_its_flag_and_stops_nobody_from_l
     learnt = []
     for k, tick in enumerate(frames, 1):
         core.step(tick, k * TICK)
-        learnt.append(core.adhesion.train.rotors["learnt_s"].tolist())
+        learnt.append(core.adhesion.rotors["learnt_s"].tolist())
         if 220 <= k < 400:
             assert core.view.drives[0].adhesion is Flag.BAD
     assert core.view.drives[0].adhesion is Flag.GOOD, "and it clears when the drive is back"

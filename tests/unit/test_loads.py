@@ -1,102 +1,103 @@
-"""Loads beside commands, and that the compiled loop is the same function uncompiled."""
-
-import math
+"""Loads beside commands: what the detector and the responses are given (`gateway/core/loads.c`)."""
 
 import numpy as np
 import pytest
 
-from gateway import loads, slow, tracks
-from gateway._loads_kernels import prepare
-from gateway.config import BENCH_MOTOR
+from dbc.records import DRIVE_STATUS
+from gateway import flags, inputs, pairing, slow, tracks
+from gateway.adhesion import AdhesionMonitor
+from gateway.config import BENCH_MOTOR, Adhesion
+from gateway.flags import FlagKind, Timing
 from gateway.health import Flag, Health
+from tests.reference.adhesion import DERATING_NS, RATIO_FLOOR
 
 N = 3
 MS = 1_000_000
 TICK_S = 0.01
+TIMING = Timing(0, 0, 0)
 
 
-def drives(load=(15.0, 15.0, 15.0), speed=(25.0, 25.0, 25.0), command=(20.0, 20.0, 20.0)):
-    told, sent = tracks.told(N), slow.start(N)
-    told.health[:] = Health.TRACKING
-    told.load[:], told.speed[:] = load, speed
-    sent.command[:] = sent.before[:] = command
-    return told, sent
+class Drives:
+    """What is estimated and commanded of N drives."""
+
+    def __init__(
+        self, load=(15.0, 15.0, 15.0), speed=(25.0, 25.0, 25.0), command=(20.0, 20.0, 20.0)
+    ):
+        self.told, self.records = tracks.told(N), pairing.drive_inputs(N)
+        self.sent = slow.state_of(self.records)
+        self.told.health[:] = Health.TRACKING
+        self.told.load[:], self.told.speed[:] = load, speed
+        self.sent.command[:] = self.sent.before[:] = command
+        self.sent.operating[:] = True
 
 
-def prepared(told, sent, *, follows=(False,) * N, fresh=(True,) * N, rotors=None, kernel=prepare):
-    at, heard = loads.instant(N), loads.responses(N)
-    rotors = rotors or loads.rotors([BENCH_MOTOR] * N)
-    flag = np.where(follows, Flag.BAD, Flag.GOOD)
-    since = np.full(N, -loads.FOLLOWING_NS)
-    kernel(told, sent, np.array(fresh), flag, since, 10 * MS, TICK_S, rotors, at, heard)
-    return at, heard
+def monitor():
+    rules = flags.rules([TIMING] * 5, TIMING, 0.7, 0.2, 10 * MS)
+    return AdhesionMonitor(Adhesion(), [BENCH_MOTOR] * N, rules, 10 * MS)
 
 
-def test_a_drive_that_is_told_less_has_a_smaller_share():
-    at, heard = prepared(*drives(command=(20.0, 10.0, -20.0)))
-    assert at.share.tolist() == [1.0, 0.5, 1.0]
-    assert at.known.all()
-    assert heard["command"].tolist() == pytest.approx([2 / 3, 1 / 3, -2 / 3])
+def prepared(drives, *, follows=(False,) * N, fresh=(True,) * N, core=None):
+    """Command ratios, what is known, and loads beside commands, after one tick."""
+    core = core or monitor()
+    status = np.zeros(N, DRIVE_STATUS)
+    flag = status["flag"][:, FlagKind.ADHESION]
+    flag["state"] = np.where(follows, Flag.BAD, Flag.GOOD)
+    flag["since_ns"] = -DERATING_NS
+    come = inputs.statuses(N)
+    come["command_valid"], come["speed_rad_s"] = fresh, drives.told.speed
+    core.detect(drives.told, come, drives.records, status, 10 * MS)
+    return core
+
+
+def ratios(core):
+    return core.loads["command_ratio"].tolist()
+
+
+def test_a_drive_that_is_asked_for_less_has_a_smaller_ratio():
+    core = prepared(Drives((15.0, 7.5, -15.0), (25.0, 25.0, -25.0), (20.0, 10.0, -20.0)))
+    assert ratios(core) == [1.0, 0.5, 1.0]
+    assert core.known.all()
+    assert core.responses["command"].tolist() == pytest.approx([2 / 3, 1 / 3, -2 / 3])
 
 
 def test_commands_that_change_are_compared_for_those_that_follow_their_flag_only():
-    told, sent = drives(command=(20.0, 6.0, 15.0))
-    sent.steady[2] = False
-    assert prepared(told, sent)[0].share.tolist() == [1.0] * N
-    at, _ = prepared(told, sent, follows=(False, True, False))
-    assert at.share.tolist() == pytest.approx([1.0, 0.3, 1.0])
-    sent.steady[2] = True
-    assert prepared(told, sent)[0].share.tolist() == pytest.approx([1.0, 0.3, 0.75])
+    drives = Drives(command=(20.0, 20.0, 6.0), load=(20.0, 20.0, 6.0))
+    drives.sent.steady[1] = False
+    assert ratios(prepared(drives)) == [1.0] * N
+    core = prepared(drives, follows=(False, False, True))
+    assert ratios(core) == pytest.approx([1.0, 1.0, 0.3])
+    drives.sent.steady[1] = True
+    assert ratios(prepared(drives)) == pytest.approx([1.0, 1.0, 0.3])
 
 
 def test_what_is_not_known_is_not_judged():
-    told, sent = drives(command=(20.0, 1.0, 20.0))
-    told.health[2] = Health.PREDICTING
-    at, heard = prepared(told, sent, fresh=(False, True, True))
-    assert at.known.tolist() == [True, False, False], "and a twentieth carries too little"
-    assert not heard["usable"].any()
-    assert at.share[1] == loads.SHARE_FLOOR
+    core = prepared(Drives(command=(20.0, 1.0, 20.0), load=(15.0, 0.75, 15.0)))
+    assert core.known.tolist() == [True, False, True], "a twentieth carries too little"
+    assert ratios(core)[1] == RATIO_FLOOR
+    drives = Drives()
+    drives.told.health[2] = Health.PREDICTING
+    core = prepared(drives, fresh=(False, True, True))
+    assert core.known.tolist() == [True, True, False]
+    assert core.responses["usable"].tolist() == [False, True, False]
 
 
 def test_a_drive_mounted_the_other_way_round():
-    at, heard = prepared(*drives(load=(15.0, -15.0, 15.0), speed=(25.0, -25.0, 25.0)))
-    assert at.load.tolist() == [0.5] * N
-    assert heard["load"].tolist() == [0.5, -0.5, 0.5]
+    core = prepared(Drives(load=(15.0, -15.0, 15.0), speed=(25.0, -25.0, 25.0)))
+    assert core.loads["load"].tolist() == [0.5] * N
+    assert core.responses["load"].tolist() == [0.5, -0.5, 0.5]
 
 
 def test_a_rotor_that_runs_away_shows_where_it_is_alone_and_for_two_ticks():
-    rotors = loads.rotors([BENCH_MOTOR] * N)
-    seen = []
+    core, seen = monitor(), []
     for speed in (25.0, 26.0, 26.0, 26.0):
-        told, sent = drives(speed=(speed,) * N)
-        told.health[1:] = Health.CONVERGING
-        seen.append(prepared(told, sent, rotors=rotors)[1]["acceleration_torque"][0])
+        drives = Drives(speed=(speed,) * N)
+        drives.told.health[1:] = Health.CONVERGING
+        seen.append(prepared(drives, core=core).responses["acceleration_torque"].item(0))
     gained = BENCH_MOTOR.J * 1.0 / TICK_S / BENCH_MOTOR.T_rated
     assert seen == pytest.approx([0.0, gained, gained, 0.0])
-    # With others to compare with it is not asked for, and the speed of long ago says nothing.
-    assert not prepared(*drives(speed=(40.0,) * N), rotors=rotors)[1]["acceleration_torque"].any()
-    told, sent = drives(speed=(99.0,) * N)
-    told.health[1:] = Health.CONVERGING
-    assert not prepared(told, sent, rotors=rotors)[1]["acceleration_torque"].any()
-
-
-def test_compiled_equals_uncompiled():
-    rng = np.random.default_rng(3)
-    both = [loads.rotors([BENCH_MOTOR] * N) for _ in range(2)]
-    for _ in range(300):
-        told, sent = drives(
-            rng.normal(0.0, 20.0, N), rng.normal(5.0, 20.0, N), rng.normal(5.0, 9.0, N)
-        )
-        told.health[:] = rng.choice([1, 2, 2, 2], N)
-        for column in (told.load, told.speed):
-            column[rng.random(N) < 0.1] = math.nan
-        fresh = rng.random(N) < 0.8
-        sent.command[~fresh & (rng.random(N) < 0.5)] = math.nan
-        sent.steady[:] = rng.random(N) < 0.8
-        follows = rng.random(N) < 0.3
-        given = [
-            prepared(told, sent, fresh=fresh, follows=follows, rotors=rotors, kernel=kernel)
-            for rotors, kernel in zip(both, (prepare, prepare.py_func), strict=True)
-        ]
-        for fast, plain in zip(*((*at, heard) for at, heard in given), strict=True):
-            np.testing.assert_array_equal(fast, plain)
+    # With others to compare with it is not wanted, and the speed of long ago says nothing.
+    prepared(Drives(speed=(40.0,) * N), core=core)
+    assert not core.responses["acceleration_torque"].any()
+    drives = Drives(speed=(99.0,) * N)
+    drives.told.health[1:] = Health.CONVERGING
+    assert not prepared(drives, core=core).responses["acceleration_torque"].any()

@@ -16,8 +16,8 @@ CLOSE = {"rtol": 1e-12, "atol": 1e-14}
 
 def same(kept, plain):
     for name in ("ratio", "variance", "residual"):
-        np.testing.assert_allclose(kept.kept.drives[name], getattr(plain, name), **CLOSE)
-    np.testing.assert_array_equal(kept.kept.drives["seen"], plain.seen)
+        np.testing.assert_allclose(kept.ratios[name], getattr(plain, name), **CLOSE)
+    np.testing.assert_array_equal(kept.ratios["seen"], plain.seen)
     np.testing.assert_allclose(kept.spread, plain.spread, **CLOSE)
 
 

@@ -99,24 +99,24 @@ def stops(told, most):
 def state(gateway):
     """Numbers of everything that goes on to the next tick."""
     tables = (
-        [gateway.flags.inputs], gateway.inputs, gateway.bank.filters,
+        gateway.findings, gateway.inputs.columns, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
-        [gateway.adhesion.responses],
-        gateway.adhesion.trust, gateway.adhesion.rotors,
-        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives,
-        [gateway.outbox.messages[name] for name in ("next_ns", "counter")],
-        [gateway.thermal.motors], gateway.thermal.window, gateway.supervision.heartbeats,
+        gateway.motion.memory, gateway.adhesion.responses, gateway.adhesion.ratios,
+        gateway.adhesion.response_ratios, gateway.adhesion.rotors, gateway.adhesion.loads,
+        gateway.adhesion.record[["response_spread", "spread", "flagged_ns", "common_smoothed"]],
+        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
+        *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
     records = (*gateway.status, gateway.adhesion.common_mode)
     numbers += [table.tolist() for table in records]
-    thermal = gateway.thermal
-    numbers += [thermal.record[name].tolist() for name in ("next_ns", "cycles", "cycle", "dirty")]
-    if thermal.model is not None:
-        numbers += [thermal.model.motors.tolist(), thermal.model.position, thermal.model.waiting]
-    load = gateway.load.record
-    one = [repr(load["busy_s"]), repr(load["percent"]), gateway.adhesion.learn_ns, gateway.changed]
+    warmth, heat = gateway.thermal.warmth, gateway.thermal.heat
+    numbers += [warmth.kept_ns.tolist(), warmth.fresh.tolist(), warmth.beat.tolist()]
+    if heat is not None:
+        parts = vars(heat.monitor).values()
+        numbers += [part.tolist() for part in parts if hasattr(part, "tolist")]
+    one = [gateway.load.busy_s, gateway.load.last, gateway.changed]
+    one += gateway.adhesion.record[["learn_ns", "common", "comparable"]].tolist()
     return {
         "arrays": repr(numbers),
         "numbers": one,
@@ -161,7 +161,7 @@ def test_other_detectors_step_one_by_one(detector):
 @pytest.mark.parametrize(("seed", "between"), [(4, 120.0), (11, 60.0), (1, 1e9)])
 def test_the_thermal_model_is_the_same_either_way(seed, between):
     gateway = same(config_of(method="model"), train(), seed, 3000, between)
-    assert gateway.thermal.model.motors["judged"].all()
+    assert gateway.thermal.heat.monitor.motors["judged"].all()
 
 
 @pytest.mark.parametrize("learning", [False, True])

@@ -88,10 +88,9 @@ def test_without_a_configuration_all_that_ships_is_compiled(monkeypatch, tmp_pat
     monkeypatch.setattr(
         "gateway.drivers.warm.warm_up", lambda config, _codec: warmed.append(config)
     )
-    monkeypatch.setattr("gateway.drivers.batch.Batch", made.append)
     monkeypatch.setattr("gateway.drivers.kernelcache.make", made.append)
     monkeypatch.setattr("gateway.drivers.kernelcache.count", lambda _: 5)
     assert warm.run(argparse.Namespace(config=[], kernels=tmp_path)) == 0
-    assert made == [tmp_path, 1]
+    assert made == [tmp_path]
     assert {config.dbc_path.name for config in warmed} == {"traction.dbc", "traction_fd.dbc"}
     assert all(config.calibration_path.is_file() for config in warmed)

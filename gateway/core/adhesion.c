@@ -1,0 +1,290 @@
+/* Which drives have lost adhesion.
+ *
+ * Two views are fused. Drives are compared with one another by the detector: each normalised to
+ * full command, to the direction of the train and to its own learnt ratio. And the load of every
+ * drive is compared with its own command, which sees what no comparison can: all drives lost at
+ * once, and a drive alone.
+ *
+ * Nothing here can fail: the one divisor is a constant, comparisons with NaN are false, and each is
+ * written so that false is the safe answer. */
+#include "gateway/core/adhesion.h"
+
+#include <math.h>
+
+#include "estimators/detect/command_response.h"
+#include "estimators/detect/load_reference.h"
+#include "estimators/detect/variational.h"
+#include "estimators/numbers.h"
+#include "gateway/core/flags.h"
+#include "gateway/core/loads.h"
+#include "gateway/core/train.h"
+
+/* Loads differ by this share, standard deviation, for some seconds: curves, load steps. Too short to
+ * be learnt. */
+#define TRANSIENT_SPREAD 0.035
+/* Common load down to which, and from which on, drives are compared: with less, a lost wheel is as
+ * good as one that holds. */
+#define LEAST_LOAD 0.07
+#define MORE_LOAD  0.10
+#define LOAD_TAU_S 0.2 /* time constant of that common load: noise must not decide */
+/* Share of the load that is missing, and in sigma, from which on noise is not the cause. */
+#define SEVERE_SHARE 0.35
+#define SEVERE_SIGMA 6.0
+/* A loss more probable than this is not learnt from. Not less: learning only what looks best would
+ * be learning something better than it is. */
+#define PROBABLY_GOOD 0.5
+#define SETTLED_NS    300000000 /* a load is learnt from once it has been known for so long */
+
+void adhesion_reset(struct adhesion *a, double spread)
+{
+    train_reset(a->rotors, a->n);
+    load_reference_reset(&a->response_spread, a->response_ratios, a->n, spread);
+    load_reference_reset(&a->spread, a->ratios, a->n, spread);
+    for (int k = 0; k < a->n; k++) {
+        a->rotor_inputs[k] = (struct rotor_inputs){.measured_rad_s = NAN};
+        a->responses[k] = (struct command_response){.usable = 0};
+        a->loads[k] = (struct drive_load){
+            .command_ratio = 1.0,
+            .last_speed = NAN,
+            .flagged_ns = NO_TIME,
+            .known_since_ns = NO_TIME,
+        };
+        a->known[k] = a->loss_known[k] = a->may_learn[k] = 0;
+        a->normalised[k] = a->sigma[k] = a->loss_probability[k] = 0.0;
+    }
+    a->common_mode = (struct flag){.state = FLAG_UNKNOWN, .evidence = FLAG_UNKNOWN};
+    a->learn_ns = a->flagged_ns = NO_TIME;
+    a->common = 0.0;
+    a->common_smoothed = NAN;
+    a->comparable = 0;
+}
+
+/* ---- Before the detector ---- */
+
+/* Commands that cannot be right, and drives that cannot be judged. */
+static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
+                        const struct input_status *inputs, const struct drive_input *drives,
+                        const struct drive_status *status, int64_t now_ns)
+{
+    for (int k = 0; k < a->n; k++) {
+        struct rotor_inputs *in = &a->rotor_inputs[k];
+        in->measured_rad_s = inputs[k].speed_rad_s;
+        in->command_valid = inputs[k].command_valid;
+        in->speed_rad_s = estimates[k].speed_rad_s;
+        in->load_nm = estimates[k].load_nm;
+        in->health = estimates[k].health;
+        in->command_nm = drives[k].command;
+        in->previous_command_nm = drives[k].previous_command;
+        in->operating = drives[k].operating;
+        in->adhesion = status[k].flag[FLAG_ADHESION].state;
+        in->not_judged = 0;
+    }
+    assess_train(a->rotors, a->rotor_inputs, a->n, now_ns, a->tick_s, a->workspace);
+    for (int k = 0; k < a->n; k++) {
+        const struct rotor_inputs *in = &a->rotor_inputs[k];
+        if (in->not_judged) {
+            struct drive_estimate *e = &estimates[k];
+            e->speed_rad_s = e->load_nm = e->load_sigma_nm = e->nis = NAN;
+            e->health = in->health;
+            e->health_reason = in->health_reason;
+        }
+    }
+}
+
+void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
+                      const struct input_status *inputs, const struct drive_input *drives,
+                      const struct drive_status *status, int64_t now_ns)
+{
+    judge_train(a, estimates, inputs, drives, status, now_ns);
+    relate_loads(a, estimates, drives, status, now_ns);
+    for (int k = 0; k < a->n; k++) {
+        const double load = a->loads[k].load, ratio = a->loads[k].command_ratio;
+        a->normalised[k] = normalise_load(&a->ratios[k], load, ratio);
+        a->sigma[k] = normalised_sigma(&a->spread, &a->ratios[k], load, ratio, TRANSIENT_SPREAD);
+    }
+}
+
+void adhesion_detect(struct adhesion *a)
+{
+    int count = 0;
+    for (int k = 0; k < a->n; k++)
+        count += a->known[k] != 0;
+    for (int k = 0; k < a->n; k++) {
+        a->loss_probability[k] = 0.0;
+        a->loss_known[k] = count >= 2 && a->known[k];
+    }
+    a->common = vb_detect(&a->priors, a->iterations, a->normalised, a->sigma, a->known, a->n,
+                          a->workspace, a->loss_probability);
+}
+
+/* ---- After the detector ---- */
+
+/* What every drive says by itself. Returns 1 if the load of one answers a new command. */
+static int respond_alone(struct adhesion *a)
+{
+    int answered = 0;
+    for (int k = 0; k < a->n; k++) {
+        struct drive_load *mine = &a->loads[k];
+        mine->p_response = respond(&a->responses[k], &a->response_spread, &a->response_ratios[k],
+                                   a->tick_s, &mine->response_valid);
+        /* An odd command accuses nobody. */
+        if (a->rotors[k].odd_s > 0.0)
+            mine->p_response = smaller(UNDECIDED, mine->p_response);
+        answered = answered || a->responses[k].command_age_s < a->tick_s;
+    }
+    return answered;
+}
+
+static int any_compared(const struct adhesion *a)
+{
+    for (int k = 0; k < a->n; k++)
+        if (a->loss_known[k])
+            return 1;
+    return 0;
+}
+
+/* A comparison of drives that carry next to nothing is none; one of drives that carry little
+ * accuses nobody. */
+static void limit_comparison(struct adhesion *a)
+{
+    if (!any_compared(a)) {
+        a->common_smoothed = NAN;
+        return;
+    }
+    if (isnan(a->common_smoothed))
+        a->common_smoothed = a->common;
+    a->common_smoothed += smaller(a->tick_s / LOAD_TAU_S, 1.0) * (a->common - a->common_smoothed);
+    const double smoothed = fabs(a->common_smoothed);
+    a->comparable = smoothed >= (a->comparable ? LEAST_LOAD : MORE_LOAD);
+    const int little = smaller(fabs(a->common), smoothed) < MORE_LOAD;
+    for (int k = 0; k < a->n; k++) {
+        const int accused = little && a->loss_probability[k] > UNDECIDED;
+        a->loss_known[k] = a->loss_known[k] && a->comparable && !accused;
+    }
+}
+
+/* One probability of a loss from both views. */
+static void fuse_views(struct adhesion *a, int64_t now_ns)
+{
+    for (int k = 0; k < a->n; k++) {
+        struct rotor *r = &a->rotors[k];
+        const struct drive_load *mine = &a->loads[k];
+        double p = fuse_loss(&a->responses[k], a->loss_probability[k], a->loss_known[k],
+                             mine->p_response, mine->response_valid, r->away);
+        /* Nor is a drive lost that carries more than it is asked to. */
+        const int in_doubt = now_ns < r->doubt_until_ns || r->uncommanded_s > 0.0;
+        if (in_doubt && p > UNDECIDED) {
+            p = UNDECIDED;
+            r->uncertain = 1;
+        }
+        a->loss_probability[k] = p;
+        a->loss_known[k] = a->loss_known[k] || is_asked(&a->responses[k]);
+    }
+}
+
+/* Severe losses, and since when loads are known. */
+static void find_severe(struct adhesion *a, int64_t now_ns)
+{
+    for (int k = 0; k < a->n; k++) {
+        struct drive_load *mine = &a->loads[k];
+        const int severe = is_severe_loss(&a->responses[k], a->common, a->normalised[k],
+                                          a->sigma[k], SEVERE_SHARE, SEVERE_SIGMA);
+        mine->severe_loss = a->known[k] && severe;
+        if (!a->known[k])
+            mine->known_since_ns = NO_TIME;
+        else if (mine->known_since_ns == NO_TIME)
+            mine->known_since_ns = now_ns;
+    }
+}
+
+/* Evidence of a loss of all drives at once. One that holds says no; yes needs all known. Drives that
+ * coast say nothing. */
+static int common_mode_evidence(const struct adhesion *a)
+{
+    int usable = 1, all_known = 1, any_driven = 0;
+    double p = 1.0;
+    for (int k = 0; k < a->n; k++) {
+        if (!a->known[k]) {
+            all_known = 0;
+            continue;
+        }
+        any_driven = any_driven || !is_coasting(&a->responses[k]);
+        usable = usable && a->responses[k].usable;
+        p = smaller(a->loads[k].p_response, p);
+    }
+    if (!any_driven || !usable || !(all_known || p <= a->rules->clear_probability))
+        return FLAG_UNKNOWN;
+    return loss_evidence(a->rules, p);
+}
+
+/* ---- What is learnt ---- */
+
+/* Drives that may be learnt from: none while any is lost, or finds its grip again. */
+static void find_healthy(struct adhesion *a, const struct drive_input *drives,
+                         const struct drive_status *status, int64_t now_ns)
+{
+    for (int k = 0; k < a->n; k++)
+        /* A drive that is cut out keeps its flag, and stops nobody from learning. */
+        if (status[k].flag[FLAG_ADHESION].state == FLAG_BAD && drives[k].operating)
+            a->flagged_ns = now_ns;
+    const int shaken = is_soon_after(a->flagged_ns, now_ns);
+    for (int k = 0; k < a->n; k++) {
+        const int64_t since = a->loads[k].known_since_ns;
+        const int settled = since != NO_TIME && elapsed(since, now_ns) >= SETTLED_NS;
+        const int good = status[k].flag[FLAG_ADHESION].state == FLAG_GOOD;
+        const int certain = a->loss_known[k] && a->loss_probability[k] < PROBABLY_GOOD;
+        a->may_learn[k] = settled && good && certain && !shaken;
+    }
+}
+
+/* Differences between the drives. */
+static void learn_differences(struct adhesion *a)
+{
+    for (int k = 0; k < a->n; k++)
+        a->observed[k] = (struct load_observation){
+            .load = a->loads[k].load / a->loads[k].command_ratio, /* RATIO_FLOOR or more */
+            .common = a->common,
+            .known = a->known[k],
+            .healthy = a->may_learn[k],
+        };
+    update_spread(&a->spread, a->ratios, a->observed, a->n, 1);
+    update_ratios(&a->spread, a->ratios, a->observed, a->n, 1);
+}
+
+/* Responses from every new command (`answered`), differences every LEARN_PERIOD_S. */
+static void learn(struct adhesion *a, int answered, const struct drive_input *drives,
+                  const struct drive_status *status, int64_t now_ns)
+{
+    const int due = now_ns >= a->learn_ns;
+    if (!answered && !due)
+        return;
+    find_healthy(a, drives, status, now_ns);
+    if (answered)
+        learn_responses(a->responses, &a->response_spread, a->response_ratios, a->may_learn, a->n,
+                        a->tick_s, a->observed);
+    if (due) {
+        a->learn_ns = now_ns + (int64_t)(LEARN_PERIOD_S * SECOND_NS); /* a constant */
+        learn_differences(a);
+    }
+}
+
+void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
+                   const struct drive_status *status, int64_t now_ns)
+{
+    const int answered = respond_alone(a);
+    limit_comparison(a);
+    fuse_views(a, now_ns);
+    find_severe(a, now_ns);
+    debounce(&a->common_mode, common_mode_evidence(a), &a->rules->timing[FLAG_ADHESION],
+             a->rules->tick_ns, now_ns);
+    learn(a, answered, drives, status, now_ns);
+}
+
+void detect_loss(struct adhesion *a, struct drive_estimate *estimates,
+                 const struct input_status *inputs, const struct drive_input *drives,
+                 const struct drive_status *status, int64_t now_ns)
+{
+    adhesion_prepare(a, estimates, inputs, drives, status, now_ns);
+    adhesion_detect(a);
+    adhesion_fuse(a, drives, status, now_ns);
+}

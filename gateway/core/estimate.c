@@ -1,0 +1,267 @@
+/* Estimates by the filters, one tick: samples through everything that learns from them, then what is
+ * known of each drive, and which filters start or are dropped.
+ *
+ *  - A filter starts where the flux chords know speed and angle from the very last samples.
+ *  - It is dropped where samples are missing for longer than it can predict, where it would become
+ *    not finite, where the chords have contradicted it for DISAGREE_TICKS, and where they have
+ *    started anew, for they are its only witness. Then the chords find the rotor again.
+ *
+ * Nothing here can fail: pole pairs and fluxes are configured, above 0; a speed that is divided by
+ * is not 0; what a root is taken of is the variance of a filter that is finite, which is not negative
+ * (filter.h). Comparisons with NaN are false, and each is written so that false is the safe answer.
+ */
+#include "gateway/core/estimate.h"
+
+#include <math.h>
+#include <stddef.h>
+
+#include "estimators/acquisition.h"
+#include "estimators/adaptation.h"
+#include "estimators/current_calibration.h"
+#include "estimators/filter.h"
+#include "estimators/numbers.h"
+#include "estimators/vectors.h"
+#include "gateway/core/times.h"
+
+#define W_E 2 /* of the states of a filter */
+#define T_L 4
+/* Sub-steps (8 ms) without samples that a filter predicts: what the voltage did meanwhile may turn
+ * the rotor by some tenths of a radian. One missing sample it always predicts. */
+#define LONGEST_GAP    64
+#define DISAGREE_TICKS 3 /* in a row that the chords must contradict a filter: it has diverged */
+#define DIVERGED_NS    100000000 /* a divergence is reported for at least so long */
+/* A load is no evidence while its standard deviation is this many times its best, which rises by
+ * SIGMA_RISE in a tick: sensors may become noisier for good. */
+#define SIGMA_LIMIT 2.0
+#define SIGMA_RISE  1.01
+#define MOVING      0.07 /* of the rated torque in a tick: more than the noise of a steady load */
+/* What the chords say of the flux is used beyond FLUX_SURE of it, and beyond what an R_s that is off
+ * by RESISTANCE_SURE would make of it. */
+#define FLUX_TAU_S      0.5
+#define FLUX_SURE       0.03
+#define RESISTANCE_SURE 0.25
+
+void estimator_reset(struct estimator *e)
+{
+    for (int k = 0; k < e->n; k++) {
+        e->filters[k] = (struct filter){.nis = 2.0, .r_scale = 1.0, .is_finite = 1};
+        filter_reset(&e->filters[k]);
+        acquisition_restart(&e->chords[k]);
+        e->sensors[k] = (struct current_calibration){.turns = 0};
+        e->tracks[k] = (struct filter_track){.diverged_ns = -1, .best_sigma_nm = HUGE_VAL};
+    }
+}
+
+/* ---- Filters of a tick ---- */
+
+/* No filter, and nothing of what it has learnt. */
+static void drop(struct filter *filter)
+{
+    filter_reset(filter);
+    filter->v_q_bias = 0.0;
+}
+
+static void restart(struct estimator *e, int k, struct drive_estimate *estimate)
+{
+    filter_reset(&e->filters[k]);
+    acquisition_restart(&e->chords[k]);
+    e->sensors[k] = (struct current_calibration){.turns = 0};
+    estimate->flux_ratio = NAN;
+}
+
+/* The samples of the tick as the filters take them. Filters that cannot predict what is missing
+ * start anew. Returns how many there are. */
+static int load_samples(struct estimator *e, const struct receiver *r)
+{
+    const int m = (int)r->tick.samples; /* 8 for each frame of a tick at most */
+    for (int k = 0; k < m; k++) {
+        struct filter_sample *s = &e->samples[k];
+        const double *u = &r->sample_u[2 * (ptrdiff_t)k], *y = &r->sample_y[2 * (ptrdiff_t)k];
+        s->drive = r->sample_drive[k];
+        s->steps = r->sample_steps[k];
+        s->gap = r->sample_gap[k];
+        s->u = vector_of(u[0], u[1]);
+        s->i = vector_of(y[0], y[1]);
+        const int64_t longest = s->steps > LONGEST_GAP ? s->steps : LONGEST_GAP;
+        if (s->gap > longest)
+            filter_reset(&e->filters[s->drive]);
+    }
+    return m;
+}
+
+/* Samples through everything that learns from them. */
+static void run_samples(struct estimator *e, int m)
+{
+    const double dt = e->settings.dt;
+    calibrate_currents(e->samples, m, e->sensors, e->chords, e->rated_a, dt);
+    acquisition_add(e->samples, m, e->motors, e->chords, &e->limits, dt);
+    filter_run(e->samples, m, e->motors, e->noise, e->filters, e->n, &e->settings);
+    adapt_filters(e->samples, m, e->filters, e->chords, e->motors, e->rated_a, dt);
+}
+
+/* Filters that would have become not finite. */
+static void drop_not_finite(struct estimator *e)
+{
+    for (int k = 0; k < e->n; k++) {
+        struct filter *filter = &e->filters[k];
+        if (filter->is_finite)
+            continue;
+        const int active = filter->active;
+        drop(filter);
+        filter->steps = active ? -1 : 0; /* -1: a divergence, reported from this tick on */
+    }
+}
+
+/* ---- What is remembered beside the filters ---- */
+
+/* How far the load of every drive with samples in this tick has moved. */
+static void note_changes(struct estimator *e, int m)
+{
+    for (int k = 0; k < e->n; k++)
+        e->tracks[k].silent = 1;
+    for (int k = 0; k < m; k++)
+        e->tracks[e->samples[k].drive].silent = 0;
+    for (int k = 0; k < e->n; k++) {
+        struct filter_track *t = &e->tracks[k];
+        if (t->silent)
+            continue;
+        t->load_change_nm = fabs(e->filters[k].x[T_L] - t->load_nm);
+        t->load_nm = e->filters[k].x[T_L];
+    }
+}
+
+/* Flux of the magnets over that of the data sheet, by the length of the chords. Errors of R_s lengthen
+ * a chord, too: what they can explain is not taken for flux. Chords reach further than filters, and
+ * what they have found survives a new start. */
+static void learn_flux(const struct estimator *e, int k, double *flux_ratio)
+{
+    const struct acquisition *a = &e->chords[k];
+    const struct pmsm *motor = &e->motors[k];
+    if (!a->ready || !isfinite(a->psi) || a->w == 0.0)
+        return;
+    const double by_resistance = RESISTANCE_SURE * motor->R_s * length_of(a->i_last) / fabs(a->w);
+    const double sure = FLUX_SURE * motor->psi_f + by_resistance;
+    const double off = a->psi - motor->psi_f;
+    const double beyond = copysign(larger(0.0, fabs(off) - sure), off) / motor->psi_f;
+    const double before = isnan(*flux_ratio) ? beyond : *flux_ratio - 1.0;
+    *flux_ratio = 1.0 + before + e->tick_s / FLUX_TAU_S * (beyond - before);
+}
+
+/* ---- What is known of a drive ---- */
+
+/* Drop a filter that the chords contradict, and note a divergence. */
+static void supervise(struct estimator *e, int k, int consistency, int64_t now_ns)
+{
+    struct filter *filter = &e->filters[k];
+    struct filter_track *t = &e->tracks[k];
+    const int64_t steps = filter->steps; /* before it is dropped */
+    if (steps < 0) {
+        filter->steps = 0;
+        t->diverged_ns = now_ns;
+    }
+    if (consistency != INCONSISTENT || !filter->active) {
+        t->disagree_ticks = 0;
+    } else if (++t->disagree_ticks >= DISAGREE_TICKS) {
+        drop(filter);
+        t->disagree_ticks = 0;
+        /* A start that does not settle is tried again; a lost rotor is a divergence. */
+        if (steps >= FILTER_SETTLE_STEPS)
+            t->diverged_ns = now_ns;
+    }
+}
+
+/* A filter from the chords, which know speed and angle from the very last samples. */
+static void start(struct estimator *e, int k)
+{
+    const struct acquisition *a = &e->chords[k];
+    struct filter *filter = &e->filters[k];
+    acquisition_start_filter(a, &e->motors[k], e->noise[k].R, e->rated_nm[k], filter);
+    filter->active = 1;
+    filter->steps = 0;
+    filter->nis = 2.0;
+    e->tracks[k].diverged_ns = -1;
+    if (filter->v_q_bias == 0.0)
+        filter->v_q_bias = first_q_bias(a, &e->motors[k], e->rated_a[k]);
+}
+
+/* Numbers of an active filter. Returns the standard deviation of its load, at data sheet flux. */
+static double fill_numbers(const struct estimator *e, int k, struct drive_estimate *out)
+{
+    const struct filter *filter = &e->filters[k];
+    const double sigma = sqrt(filter->P[T_L][T_L]);
+    const double flux = isnan(out->flux_ratio) ? 1.0 : out->flux_ratio;
+    out->speed_rad_s = filter->x[W_E] / e->motors[k].p;
+    out->load_nm = filter->x[T_L] * flux;
+    out->load_sigma_nm = sigma * flux;
+    out->nis = filter->nis;
+    return sigma;
+}
+
+/* enum filter_health of a drive; fills its numbers where a filter has any. */
+static uint8_t describe(struct estimator *e, int k, const struct input_status *input,
+                        int consistency, struct drive_estimate *out)
+{
+    struct filter_track *t = &e->tracks[k];
+    switch (input->reason) {
+    case REASON_CORRUPTED:
+    case REASON_SEQUENCE:
+    case REASON_RANGE:
+    case REASON_NOT_AVAILABLE:
+        return HEALTH_INPUT_INVALID;
+    default:
+        break;
+    }
+    /* A load that moves is not the load of a tick ago. */
+    const int moving = t->silent && t->load_change_nm > MOVING * e->rated_nm[k];
+    const int fresh = input->sample_fresh && !moving;
+    if (!e->filters[k].active)
+        return fresh ? HEALTH_CONVERGING : HEALTH_UNKNOWN;
+    const double sigma = fill_numbers(e, k, out);
+    if (!fresh)
+        return HEALTH_PREDICTING;
+    if (e->filters[k].steps < FILTER_SETTLE_STEPS || consistency != CONSISTENT)
+        return HEALTH_CONVERGING;
+    t->best_sigma_nm = smaller(sigma, SIGMA_RISE * t->best_sigma_nm);
+    return sigma > SIGMA_LIMIT * t->best_sigma_nm ? HEALTH_CONVERGING : HEALTH_TRACKING;
+}
+
+/* What is known of one drive; its filter starts here. */
+static void estimate(struct estimator *e, int k, const struct input_status *input,
+                     struct drive_estimate *out, int64_t now_ns)
+{
+    const struct acquisition *a = &e->chords[k];
+    struct filter *filter = &e->filters[k];
+    if (filter->active && a->pairs < ACQUISITION_PAIRS)
+        filter_reset(filter); /* the chords have started anew, and are its only witness */
+    int consistency = acquisition_check(a, filter);
+    supervise(e, k, consistency, now_ns);
+    out->speed_rad_s = out->load_nm = out->load_sigma_nm = out->nis = NAN;
+    const int64_t diverged_ns = e->tracks[k].diverged_ns;
+    if (diverged_ns >= 0 && elapsed(diverged_ns, now_ns) < DIVERGED_NS) {
+        out->health = HEALTH_DIVERGED;
+        return;
+    }
+    const int seen = a->ready && a->age < 2.0 * a->span;
+    if (input->sample_fresh && seen && !filter->active) {
+        start(e, k);
+        consistency = CONSISTENT;
+    }
+    out->health = describe(e, k, input, consistency, out);
+}
+
+void run_filters(struct estimator *e, const struct receiver *receiver,
+                 const struct input_status *inputs, struct drive_estimate *estimates,
+                 int64_t now_ns)
+{
+    for (int k = 0; k < e->n; k++)
+        if (receiver->drives[k].restart)
+            restart(e, k, &estimates[k]);
+    const int m = load_samples(e, receiver);
+    run_samples(e, m);
+    drop_not_finite(e);
+    note_changes(e, m);
+    for (int k = 0; k < e->n; k++) {
+        learn_flux(e, k, &estimates[k].flux_ratio);
+        estimate(e, k, &inputs[k], &estimates[k], now_ns);
+    }
+}

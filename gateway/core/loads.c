@@ -1,0 +1,153 @@
+/* What each drive carries beside what it is asked to carry, per unit of its rated torque.
+ *
+ * Commands make loads comparable: a drive that is asked for half as much as the others should carry
+ * half as much. Not in paper `adhesion`, whose drives are commanded alike.
+ *
+ * Nothing here can fail: divisors are rated torques and the period of a tick (configured, above 0),
+ * a largest command above COASTING, and a ratio that is above 0. Comparisons with NaN are false,
+ * and each is written so that false is the safe answer. */
+#include "gateway/core/loads.h"
+
+#include <math.h>
+
+#include "estimators/numbers.h"
+#include "gateway/core/rotors.h"
+
+#define COASTING 0.05 /* share of rated torque below which commands say nothing about each other */
+#define RATIO_FLOOR   0.2 /* no load is divided by less */
+#define RATIO_UNKNOWN 0.1 /* a drive that is asked for less carries too little to be compared */
+/* Drives. With fewer a sudden loss is recognised by the rotor. With more, all of whose loads fall,
+ * it may be a load step of the train, and the next commands decide. */
+#define ENOUGH_TO_COMPARE 2
+
+/* A number that is not known counts as 0. */
+static double known_or_zero(double x)
+{
+    return isnan(x) ? 0.0 : x;
+}
+
+/* Command of drive k over its rated torque. */
+static double relative_command(const struct adhesion *a, const struct drive_input *drives, int k)
+{
+    return fabs(drives[k].command) / a->rotors[k].rated_nm;
+}
+
+/* Median load of the drives that do not follow their own flag; NaN of none. */
+static double median_load(const struct adhesion *a, int64_t now_ns)
+{
+    int count = 0;
+    for (int k = 0; k < a->n; k++)
+        if (!is_soon_after(a->loads[k].flagged_ns, now_ns) && !isnan(a->rotors[k].load))
+            rank_insert(a->rotors[k].load, count++, a->workspace);
+    return rank_median(count, 0, a->workspace);
+}
+
+/* Which drives follow their own flag: down to 30 % of the torque and back. */
+static void find_derating(struct adhesion *a, const struct drive_status *status, int64_t now_ns)
+{
+    for (int k = 0; k < a->n; k++) {
+        const struct flag *flag = &status[k].flag[FLAG_ADHESION];
+        struct drive_load *mine = &a->loads[k];
+        const int bad = flag->state == FLAG_BAD;
+        mine->derating_active = bad || elapsed(flag->since_ns, now_ns) < DERATING_NS;
+        if (bad)
+            mine->flagged_ns = now_ns;
+    }
+}
+
+/* The largest command, per unit; whether all commands are steady, but for those that follow a flag. */
+static double largest_command(const struct adhesion *a, const struct drive_input *drives,
+                              int *steady)
+{
+    double largest = 0.0;
+    *steady = 1;
+    for (int k = 0; k < a->n; k++) {
+        *steady = *steady && (drives[k].command_steady || a->loads[k].derating_active);
+        if (a->rotor_inputs[k].command_valid)
+            largest = larger(relative_command(a, drives, k), largest);
+    }
+    return largest;
+}
+
+/* The command of every drive over the largest one; 1 where that says nothing.
+ *
+ * `Status` frames of the drives are up to a cycle apart, so commands that change with the train
+ * differ by their age alone. They are compared while all are steady; that of a drive which follows
+ * its own flag is compared always. */
+static void relate_commands(struct adhesion *a, const struct drive_input *drives, int64_t now_ns)
+{
+    int steady;
+    const double largest = largest_command(a, drives, &steady);
+    for (int k = 0; k < a->n; k++)
+        a->loads[k].command_ratio = 1.0;
+    if (largest <= COASTING)
+        return;
+    const double common = median_load(a, now_ns);
+    for (int k = 0; k < a->n; k++) {
+        struct drive_load *mine = &a->loads[k];
+        if (!a->rotor_inputs[k].command_valid || !(steady || mine->derating_active))
+            continue;
+        const double ratio = relative_command(a, drives, k) / largest;
+        const double load = a->rotors[k].load;
+        /* A command that makes the load less like the others' is not what the drive obeys. */
+        const double off = ratio > 0.0 ? fabs(load / ratio - common) : HUGE_VAL;
+        if (!(fabs(load - common) < off))
+            mine->command_ratio = ratio;
+    }
+}
+
+/* Which loads may be compared, and how large they are. A drive mounted the other way round turns and
+ * pulls the other way; the sign of its speed brings it to the direction of the train. How many. */
+static int find_known(struct adhesion *a, const struct drive_estimate *estimates)
+{
+    int count = 0;
+    for (int k = 0; k < a->n; k++) {
+        struct drive_load *mine = &a->loads[k];
+        const int tracks = estimates[k].health == HEALTH_TRACKING && !a->rotors[k].above;
+        a->known[k] = tracks && mine->command_ratio >= RATIO_UNKNOWN;
+        mine->command_ratio = larger(RATIO_FLOOR, mine->command_ratio);
+        const double forward = known_or_zero(estimates[k].speed_rad_s) >= 0.0 ? 1.0 : -1.0;
+        mine->load = forward * known_or_zero(estimates[k].load_nm) / a->rotors[k].rated_nm;
+        count += a->known[k];
+    }
+    return count;
+}
+
+/* Torque that accelerated a rotor, mean over a tick: the larger of two ticks. A quick speed control
+ * takes the torque back within a tick; the speed that it could not hold shows for longer.
+ * speed: NaN where it is not known, or not wanted. */
+static double spin_up(const struct adhesion *a, int k, double speed)
+{
+    struct drive_load *mine = &a->loads[k];
+    const int first = isnan(mine->last_speed);
+    const double last_speed = first ? speed : mine->last_speed;
+    const double last = first ? 0.0 : mine->last_spin_up;
+    mine->last_speed = speed;
+    if (isnan(speed))
+        return 0.0;
+    const struct rotor *r = &a->rotors[k];
+    const double torque = r->inertia_kg_m2 * (speed - last_speed) / a->tick_s / r->rated_nm;
+    mine->last_spin_up = torque;
+    return fabs(torque) >= fabs(last) ? torque : last;
+}
+
+void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
+                  const struct drive_input *drives, const struct drive_status *status,
+                  int64_t now_ns)
+{
+    find_derating(a, status, now_ns);
+    relate_commands(a, drives, now_ns);
+    const int alone = find_known(a, estimates) < ENOUGH_TO_COMPARE;
+    for (int k = 0; k < a->n; k++) {
+        const struct rotor *r = &a->rotors[k];
+        struct command_response *response = &a->responses[k];
+        const double load = known_or_zero(estimates[k].load_nm) / r->rated_nm;
+        response->load = load + r->acceleration_torque;
+        response->acceleration_torque =
+            spin_up(a, k, alone ? estimates[k].speed_rad_s : (double)NAN);
+        response->command = known_or_zero(drives[k].command) / r->rated_nm;
+        response->previous_command = known_or_zero(drives[k].previous_command) / r->rated_nm;
+        response->command_age_s = (double)elapsed(drives[k].command_ns, now_ns) / SECOND_NS;
+        response->usable = a->rotor_inputs[k].command_valid && a->known[k];
+    }
+}

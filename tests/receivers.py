@@ -1,0 +1,44 @@
+"""A `struct receiver` in tests, with just what the stations behind it read."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from _traction_core import ffi
+
+from dbc.records import CHANNEL, RECEIVER
+from gateway.pairing import drive_inputs, room
+from gateway.slow import readings
+
+
+class Received:
+    """Of N drives: their channels, what they have sent, readings and samples of a tick."""
+
+    def __init__(self, drives, channels=0, rows=64):
+        self.channels, self.drives = np.zeros(channels, CHANNEL), drive_inputs(drives)
+        self.samples, self.readings = room(rows), readings(rows)
+        self.record = np.zeros(1, RECEIVER)
+        self.record["channel_count"], self.record["drive_count"] = channels, drives
+        arrays = {
+            "channels": self.channels, "drives": self.drives,
+            **{f"sample_{name}": each for name, each in self.samples._asdict().items()},
+            **{f"motion_{name}": each for name, each in self.readings._asdict().items()},
+        }  # fmt: skip
+        for name, array in arrays.items():
+            self.record[name] = array.ctypes.data
+        self.pointer = ffi.from_buffer("struct receiver *", self.record)
+
+    def tick(self, motions=(), samples=()):
+        """Rows of the next tick.
+
+        motions: drive, stamp, speed, torque and, if it is sent, angle; samples: drive, (u alpha,
+        u beta), (i alpha, i beta), steps, gap.
+        """
+        for k, row in enumerate(motions):
+            for column, value in zip(self.readings, (*row, math.nan), strict=False):
+                column[k] = value
+        for k, row in enumerate(samples):
+            for column, value in zip(self.samples, row, strict=True):
+                column[k] = value
+        self.pointer.tick.motions, self.pointer.tick.samples = len(motions), len(samples)

@@ -1,0 +1,266 @@
+"""Adhesion in Python, which `loads.c` and `adhesion.c` in `gateway/core` are compared with.
+
+What they call is that of the core, each compared with a reference of its own: the train, load
+ratios, responses, variational Bayes, and the debouncing of one flag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from statistics import median_low
+from types import SimpleNamespace
+from typing import Any, Final
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
+
+from dbc.records import (
+    COMMAND_RESPONSE,
+    FLAG,
+    LOAD_OBSERVATION,
+    LOAD_RATIO,
+    LOAD_SPREAD,
+    ROTOR,
+    ROTOR_INPUTS,
+    Records,
+    pointer,
+)
+from estimators.detect import Evidence
+from estimators.detect.variational import VariationalDetector
+from gateway.config import Motor
+from gateway.health import NEVER, Flag, Health
+from gateway.slow import SlowState
+from gateway.tracks import Told
+
+DERATING_NS: Final = 2_000_000_000
+COASTING: Final = 0.05
+RATIO_FLOOR: Final = 0.2
+RATIO_UNKNOWN: Final = 0.1
+ENOUGH_TO_COMPARE: Final = 2
+LEAST_LOAD: Final = 0.07
+MORE_LOAD: Final = 0.10
+LOAD_TAU_S: Final = 0.2
+LEARN_NS: Final = 50_000_000
+PROBABLY_GOOD: Final = 0.5
+SETTLED_NS: Final = 300_000_000
+SEVERE_SHARE: Final = 0.35
+SEVERE_SIGMA: Final = 6.0
+TRANSIENT_SPREAD: Final = 0.035
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Adhesion:
+    """N drives; one `tick` after the other."""
+
+    def __init__(
+        self, motors: Sequence[Motor], rules: Records, tick_ns: int, spread: float
+    ) -> None:
+        n = len(motors)
+        self.n, self.tick_s, self.tick_ns = n, tick_ns / 1e9, tick_ns
+        self.rules = ffi.from_buffer("struct flag_rules *", rules)
+        self.detector = VariationalDetector()
+        self.rotors, self.inputs = np.zeros(n, ROTOR), np.zeros(n, ROTOR_INPUTS)
+        self.rotors["rated_nm"] = [m.T_rated for m in motors]
+        self.rotors["inertia_kg_m2"] = [m.J for m in motors]
+        rated = [motor.T_rated for motor in motors]
+        kinds = list(dict.fromkeys(rated))
+        self.rotors["motor"] = [kinds.index(mine) for mine in rated]
+        lib.train_reset(pointer("struct rotor", self.rotors), n)
+        self.responses = np.zeros(n, COMMAND_RESPONSE)
+        self.differences, self.own = self._learnt(spread), self._learnt(spread)
+        self.flag = np.zeros(1, FLAG)
+        self.ratio, self.load = np.ones(n), np.zeros(n)
+        self.flagged_ns, self.known_ns = [NEVER] * n, [NEVER] * n
+        self.speed, self.gain = [math.nan] * n, [0.0] * n
+        self.any_flagged_ns = self.learn_ns = NEVER
+        self.smoothed, self.comparable = math.nan, False
+
+    def _learnt(self, spread: float) -> Any:
+        made = SimpleNamespace(all=np.zeros(1, LOAD_SPREAD), drives=np.zeros(self.n, LOAD_RATIO))
+        made.spread = pointer("struct load_spread", made.all)
+        made.each = pointer("struct load_ratio", made.drives)
+        lib.load_reference_reset(made.spread, made.each, self.n, spread)
+        return made
+
+    def tick(
+        self, told: Told, slow: SlowState, measured: Array, commanded: Flags, flag: Ints,
+        since_ns: Ints, now: int,
+    ) -> None:  # fmt: skip
+        """measured (N,): rad/s; commanded (N,); flag, since_ns (N,): adhesion flags so far."""
+        self._train(told, slow, measured, commanded, flag, now)
+        self._relate(told, slow, flag, since_ns, now)
+        spread, each = self.differences.spread, self.differences.each
+        given = list(zip(self.load.tolist(), self.ratio.tolist(), strict=True))
+        self.normalised = np.array([
+            lib.normalise_load(each + k, *one) for k, one in enumerate(given)
+        ])  # fmt: skip
+        self.sigma = np.array([
+            lib.normalised_sigma(spread, each + k, *one, TRANSIENT_SPREAD)
+            for k, one in enumerate(given)
+        ])  # fmt: skip
+        lost, known, self.common = self.detector(Evidence(self.normalised, self.sigma, self.known))
+        self._fuse(lost.tolist(), known.tolist(), now)
+        answered = bool((self.responses["command_age_s"] < self.tick_s).any())
+        self._learn(answered, slow, flag, now)
+
+    def _train(
+        self, told: Told, slow: SlowState, measured: Array, commanded: Flags, flag: Ints, now: int
+    ) -> None:
+        one = self.inputs
+        one["measured_rad_s"], one["speed_rad_s"], one["load_nm"] = measured, told.speed, told.load
+        one["health"], one["command_nm"] = told.health, slow.command
+        one["previous_command_nm"], one["operating"] = slow.before, slow.operating
+        one["command_valid"], one["adhesion"], one["not_judged"] = commanded, flag, 0
+        lib.assess_train(
+            pointer("struct rotor", self.rotors), pointer("struct rotor_inputs", one), self.n, now,
+            self.tick_s, pointer("double", np.zeros(self.n)),
+        )  # fmt: skip
+        gone = one["not_judged"] == 1
+        told.health[gone], told.reason[gone] = one["health"][gone], one["health_reason"][gone]
+        for column in (told.speed, told.load, told.sigma, told.nis):
+            column[gone] = math.nan
+
+    def _relate(self, told: Told, slow: SlowState, flag: Ints, since_ns: Ints, now: int) -> None:
+        fresh, rated = self.inputs["command_valid"] == 1, self.rotors["rated_nm"]
+        bad = flag == Flag.BAD
+        self.derating = bad | (now < since_ns + DERATING_NS)
+        self.flagged_ns = [now if b else t for b, t in zip(bad, self.flagged_ns, strict=True)]
+        asked = np.abs(slow.command) / rated
+        largest = max([0.0, *asked[fresh].tolist()])
+        self.ratio[:] = 1.0
+        if largest > COASTING:
+            steady = bool((slow.steady | self.derating).all())
+            self._compare_commands(asked / largest, fresh & (steady | self.derating), now)
+        health = told.health == Health.TRACKING
+        self.known = health & (self.rotors["above"] == 0) & (self.ratio >= RATIO_UNKNOWN)
+        self.ratio = np.maximum(self.ratio, RATIO_FLOOR)
+        forward = np.where(np.nan_to_num(told.speed, posinf=1, neginf=-1) >= 0.0, 1.0, -1.0)
+        load = np.where(np.isnan(told.load), 0.0, told.load)
+        self.load = forward * load / rated
+        alone = np.count_nonzero(self.known) < ENOUGH_TO_COMPARE
+        mine = self.responses
+        mine["load"] = load / rated + self.rotors["acceleration_torque"]
+        mine["acceleration_torque"] = [
+            self._spin_up(k, told.speed.item(k) if alone else math.nan) for k in range(self.n)
+        ]
+        for name, command in (("command", slow.command), ("previous_command", slow.before)):
+            mine[name] = np.where(np.isnan(command), 0.0, command) / rated
+        mine["command_age_s"] = (now - slow.command_ns) / 1e9
+        mine["usable"] = fresh & self.known
+
+    def _compare_commands(self, shares: Array, compared: Flags, now: int) -> None:
+        loads = self.rotors["load"].tolist()
+        counted = [
+            load for load, then in zip(loads, self.flagged_ns, strict=True)
+            if not math.isnan(load) and not (then != NEVER and now < then + DERATING_NS)
+        ]  # fmt: skip
+        common = median_low(counted) if counted else math.nan
+        for k in np.flatnonzero(compared).tolist():
+            share = shares.item(k)
+            off = abs(loads[k] / share - common) if share > 0.0 else math.inf
+            if not abs(loads[k] - common) < off:
+                self.ratio[k] = share
+
+    def _spin_up(self, k: int, speed: float) -> float:
+        before, last = self.speed[k], self.gain[k]
+        if math.isnan(before):
+            before, last = speed, 0.0
+        self.speed[k] = speed
+        if math.isnan(speed):
+            return 0.0
+        rotor = self.rotors[k]
+        self.gain[k] = float(
+            rotor["inertia_kg_m2"] * (speed - before) / self.tick_s / rotor["rated_nm"]
+        )
+        return self.gain[k] if abs(self.gain[k]) >= abs(last) else last
+
+    def _fuse(self, lost: list[float], known: list[bool], now: int) -> None:
+        each, n = pointer("struct command_response", self.responses), self.n
+        valid = pointer("uint8_t", np.zeros(n, dtype=np.uint8))
+        alone = [
+            lib.respond(each + k, self.own.spread, self.own.each + k, self.tick_s, valid + k)
+            for k in range(n)
+        ]
+        odd = self.rotors["odd_s"] > 0.0
+        alone = [min(p, lib.UNDECIDED) if odd[k] else p for k, p in enumerate(alone)]
+        known = self._limited(lost, known)
+        self.lost, self.lost_known, self.severe = [], [], []
+        for k in range(n):
+            rotor = self.rotors[k]
+            p = lib.fuse_loss(each + k, lost[k], known[k], alone[k], valid[k], rotor["away"])
+            if (now < rotor["doubt_until_ns"] or rotor["uncommanded_s"] > 0.0) and (
+                p > lib.UNDECIDED
+            ):
+                p, rotor["uncertain"] = lib.UNDECIDED, 1
+            self.lost.append(p)
+            self.lost_known.append(known[k] or bool(lib.is_asked(each + k)))
+            severe = lib.is_severe_loss(
+                each + k, self.common, self.normalised[k], self.sigma[k], SEVERE_SHARE,
+                SEVERE_SIGMA,
+            )  # fmt: skip
+            self.severe.append(bool(self.known[k] and severe))
+            if not self.known[k]:
+                self.known_ns[k] = NEVER
+            elif self.known_ns[k] == NEVER:
+                self.known_ns[k] = now
+        lib.debounce(
+            pointer("struct flag", self.flag), self._of_all(alone, each),
+            self.rules.timing + lib.FLAG_ADHESION, self.rules.tick_ns, now,
+        )  # fmt: skip
+
+    def _limited(self, lost: list[float], known: list[bool]) -> list[bool]:
+        if not any(known):
+            self.smoothed = math.nan
+            return known
+        if math.isnan(self.smoothed):
+            self.smoothed = self.common
+        self.smoothed += min(self.tick_s / LOAD_TAU_S, 1.0) * (self.common - self.smoothed)
+        self.comparable = abs(self.smoothed) >= (LEAST_LOAD if self.comparable else MORE_LOAD)
+        little = min(abs(self.smoothed), abs(self.common)) < MORE_LOAD
+        return [
+            yes and self.comparable and not (little and p > lib.UNDECIDED)
+            for yes, p in zip(known, lost, strict=True)
+        ]
+
+    def _of_all(self, alone: list[float], each: Any) -> int:
+        mine = np.flatnonzero(self.known).tolist()
+        if not any(not lib.is_coasting(each + k) for k in mine):
+            return int(Flag.UNKNOWN)
+        lost = min(alone[k] for k in mine)
+        if not all(self.responses[k]["usable"] for k in mine):
+            return int(Flag.UNKNOWN)
+        if not (len(mine) == self.n or lost <= self.rules.clear_probability):
+            return int(Flag.UNKNOWN)
+        return int(lib.loss_evidence(self.rules, lost))
+
+    def _learn(self, answered: bool, slow: SlowState, flag: Ints, now: int) -> None:
+        due = now >= self.learn_ns
+        if not (answered or due):
+            return
+        if bool(((flag == Flag.BAD) & slow.operating).any()):
+            self.any_flagged_ns = now
+        shaken = self.any_flagged_ns != NEVER and now < self.any_flagged_ns + DERATING_NS
+        healthy = np.array([
+            since != NEVER and now - since >= SETTLED_NS and flag[k] == Flag.GOOD
+            and self.lost_known[k] and self.lost[k] < PROBABLY_GOOD and not shaken
+            for k, since in enumerate(self.known_ns)
+        ], dtype=np.uint8)  # fmt: skip
+        observed = np.zeros(self.n, LOAD_OBSERVATION)
+        seen = pointer("struct load_observation", observed)
+        if answered:
+            lib.learn_responses(
+                pointer("struct command_response", self.responses), self.own.spread, self.own.each,
+                pointer("uint8_t", healthy), self.n, self.tick_s, seen,
+            )  # fmt: skip
+        if due:
+            self.learn_ns = now + LEARN_NS
+            observed["load"], observed["common"] = self.load / self.ratio, self.common
+            observed["known"], observed["healthy"] = self.known, healthy
+            mine = self.differences
+            lib.update_spread(mine.spread, mine.each, seen, self.n, 1)
+            lib.update_ratios(mine.spread, mine.each, seen, self.n, 1)

@@ -1,0 +1,238 @@
+"""`loads.c` and `adhesion.c` against Python: any loads, commands and flags, tick by tick."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+from _traction_core import lib
+
+from dbc.records import DRIVE_STATUS
+from estimators.detect import DETECTORS
+from gateway import flags, inputs, pairing, slow, tracks
+from gateway.adhesion import BASE_NM, AdhesionMonitor
+from gateway.config import BENCH_MOTOR, Adhesion
+from gateway.flags import FlagKind, Timing
+from gateway.health import NEVER, Flag, Health
+from tests.reference import adhesion as reference
+from tests.same import same_numbers
+
+N = 3
+MS = 1_000_000
+TICK = 10 * MS
+ADHESION = Timing(40 * MS, 20 * MS, 60 * MS)
+RULES = flags.rules([ADHESION] * 5, ADHESION, 0.7, 0.2, TICK)
+OTHER = BENCH_MOTOR.model_copy(update={"T_rated": 2.0 * BENCH_MOTOR.T_rated})
+
+
+def train_that_drives(rng, n, ticks):
+    """What is estimated and commanded: losses of one and of all, silence, new commands."""
+    command, share, before = np.full(n, 20.0), np.ones(n), np.full(n, 20.0)
+    lost = np.ones(n)
+    lost[n // 2] = 0.1
+    for tick in range(ticks):
+        if tick % 10 == 0:
+            before = command.copy()
+            if rng.random() < 0.1:
+                command = np.full(n, rng.choice([20.0, 15.0, 0.5, -12.0, 2.5]))
+                command *= rng.choice([1.0, 1.0, 0.5], n)
+        if rng.random() < 0.03:
+            share = rng.choice([np.ones(n), np.full(n, 0.1), lost])
+        health = np.where(rng.random(n) < 0.02, Health.CONVERGING, Health.TRACKING)
+        load = command * share + rng.normal(0.0, 0.1, n)
+        speed = 25.0 + rng.normal(0.0, 0.1, n)
+        speed[rng.random(n) < 0.01] = math.nan
+        sent = (tick - tick % 10) * TICK, rng.random(n) < 0.9
+        told = command.copy()
+        if tick % 100 > 60:
+            # One that reads far more than its drive carries.
+            told[0] *= 10.0
+        yield health, load, speed, told, before, sent, rng.random(n) < 0.98, 1.0
+
+
+def anything(rng, n, ticks):
+    """Numbers that do not go together, some of them none."""
+    numbers = [0.0, 1.0, -1.0, 20.0, -20.0, 1e308, math.nan, math.inf, -math.inf]
+    for tick in range(ticks):
+        load, speed = rng.normal(0.0, 20.0, n), rng.normal(5.0, 20.0, n)
+        command, before = rng.normal(5.0, 12.0, (2, n))
+        for column in (load, speed, before):
+            hit = rng.random(n) < 0.1
+            column[hit] = rng.choice(numbers, n)[hit]
+        command[rng.random(n) < 0.1] = 0.0
+        command[rng.random(n) < 0.1] = math.nan
+        health = rng.choice([Health.TRACKING] * 4 + [Health.CONVERGING], n)
+        sent = tick * TICK - int(rng.integers(0, 30)) * MS, rng.random(n) < 0.8
+        fresh = (rng.random(n) < 0.8) & ~np.isnan(command)
+        yield health, load, speed, command, before, sent, fresh, rng.choice([1.0, 0.5])
+
+
+def validity(commanded, speed):
+    """`input_status`: commands that are known, and measured speeds."""
+    made = inputs.statuses(len(speed))
+    made["command_valid"], made["speed_rad_s"] = commanded, speed
+    return made
+
+
+class Both:
+    """The station and its reference on the same ticks."""
+
+    def __init__(self, motors, tick_ns=TICK):
+        self.n = len(motors)
+        self.core = AdhesionMonitor(Adhesion(), motors, RULES, tick_ns)
+        spread = Adhesion().spread_nm / BASE_NM
+        self.plain = reference.Adhesion(motors, RULES, tick_ns, spread)
+        self.status = np.zeros(self.n, DRIVE_STATUS)
+        self.drives = pairing.drive_inputs(self.n)
+        self.slow = slow.state_of(self.drives)
+
+    def tick(self, told, given, now, operating):
+        health, load, speed, command, before, (sent, steady), fresh, measured = given
+        told.health[:], told.load[:], told.speed[:] = health, load, speed
+        told.sigma[:], told.nis[:] = 0.5, 1.0
+        mine = self.slow
+        mine.command[:], mine.before[:], mine.command_ns[:] = command, before, sent
+        mine.steady[:], mine.operating[:] = steady, operating
+        come = validity(fresh, speed * measured)
+        flag = self.status["flag"][:, FlagKind.ADHESION]
+        again = copied(told)
+        opinion = self.core.detect(told, come, self.drives, self.status, now)
+        if self.plain is None:
+            return opinion
+        kept = flag["state"].astype(np.int64), flag["since_ns"].copy()
+        self.plain.tick(again, mine, come["speed_rad_s"], fresh, *kept, now)
+        self.same(told, again)
+        return opinion
+
+    def same(self, told, again):
+        core, plain = self.core, self.plain
+        same_numbers(told.estimates, again.estimates)
+        for mine, wanted in (
+            (core.rotors, plain.rotors), (core.rotor_inputs, plain.inputs),
+            (core.responses, plain.responses), (core.ratios, plain.differences.drives),
+            (core.response_ratios, plain.own.drives),
+            (core.record["spread"], plain.differences.all),
+            (core.record["response_spread"], plain.own.all), (core.common_mode, plain.flag),
+            (core.normalised, plain.normalised), (core.sigma, plain.sigma),
+            (core.known, plain.known), (core.loss_probability, plain.lost),
+            (core.loss_known, plain.lost_known), (core.severe, plain.severe),
+            (core.loads["command_ratio"], plain.ratio),
+        ):  # fmt: skip
+            same_numbers(mine, wanted)
+
+    def decide(self, opinion, now):
+        """The flags by the opinion alone."""
+        lost = opinion.known & (opinion.lost > 0.7)
+        wanted = np.where(lost, Flag.BAD, np.where(opinion.known, Flag.GOOD, Flag.UNKNOWN))
+        flag = self.status["flag"][:, FlagKind.ADHESION]
+        flag["since_ns"][flag["state"] != wanted] = now
+        flag["state"] = wanted
+        return tuple(wanted.tolist()), self.core.common_mode["state"].item()
+
+
+def copied(told):
+    made = tracks.told(len(told.health))
+    made.estimates[:] = told.estimates
+    return made
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_train_that_drives(seed):
+    rng, both, met = np.random.default_rng(seed), Both([BENCH_MOTOR] * N), set()
+    first = both.core.record["spread"]["spread"].item()
+    for tick, given in enumerate(train_that_drives(rng, N, 800)):
+        opinion = both.tick(tracks.told(N), given, tick * TICK, rng.random() < 0.99)
+        met |= {*both.decide(opinion, tick * TICK)}
+    assert set(Flag) <= met, "common mode"
+    assert (Flag.GOOD, Flag.BAD, Flag.GOOD) in met
+    assert both.core.record["spread"]["spread"].item() != first, "the spread is learnt"
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
+def test_anything(n):
+    rng, both = np.random.default_rng(n), Both(([BENCH_MOTOR, OTHER] * n)[:n])
+    for tick, given in enumerate(anything(rng, n, 1500)):
+        if tick % 7 == 0:
+            both.core.doubt_until_ns[:] = both.plain.rotors["doubt_until_ns"] = (
+                tick + rng.integers(0, 20, n)
+            ) * TICK
+        opinion = both.tick(tracks.told(n), given, tick * TICK, rng.random(n) < 0.9)
+        if rng.random() < 0.7:
+            both.decide(opinion, tick * TICK)
+
+
+def test_the_common_load_is_smoothed_no_further_than_to_itself():
+    """Of ticks longer than its time constant."""
+    both = Both([BENCH_MOTOR] * N, 500 * MS)
+    for tick, given in enumerate(train_that_drives(np.random.default_rng(1), N, 20)):
+        both.tick(tracks.told(N), given, tick * 500 * MS, True)
+    known = both.core.record["common_smoothed"].item()
+    assert known == both.core.record["common"].item()
+
+
+def test_a_copy_goes_on_alone():
+    rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N)
+    given = list(train_that_drives(rng, N, 60))
+    for tick, one in enumerate(given[:30]):
+        both.tick(tracks.told(N), one, tick * TICK, True)
+    twin, kept = copy.deepcopy(both.core), both.core.record.copy()
+    for tick, one in enumerate(given[30:], 30):
+        both.tick(tracks.told(N), one, tick * TICK, True)
+    assert twin.record["learn_ns"] == kept["learn_ns"] < both.core.record["learn_ns"]
+    both.core, done = twin, both.core
+    both.plain = None
+    for tick, one in enumerate(given[30:], 30):
+        both.tick(tracks.told(N), one, tick * TICK, True)
+    for name in ("rotors", "responses", "ratios", "loads", "loss_probability"):
+        same_numbers(getattr(twin, name), getattr(done, name))
+    twin.uncertain[:] = 7
+    assert twin.rotors["uncertain"].tolist() == [7] * N
+    assert 7 not in done.rotors["uncertain"]
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_a_detector_of_ones_own_stops_between_the_stages(name):
+    """With the default one outside of the core: the same to the last bit."""
+    motors = [BENCH_MOTOR] * N
+    inside = AdhesionMonitor(Adhesion(), motors, RULES, TICK)
+    outside = AdhesionMonitor(Adhesion(detector=name), motors, RULES, TICK)
+    outside.in_core = False
+    drives, status = pairing.drive_inputs(N), np.zeros(N, DRIVE_STATUS)
+    mine, met = slow.state_of(drives), set()
+    for tick, given in enumerate(train_that_drives(np.random.default_rng(2), N, 300)):
+        health, load, speed, command, before, (sent, steady), fresh, _ = given
+        mine.command[:], mine.before[:], mine.command_ns[:] = command, before, sent
+        mine.steady[:], mine.operating[:] = steady, True
+        said = []
+        for side in (inside, outside):
+            told = tracks.told(N)
+            told.health[:], told.load[:], told.speed[:] = health, load, speed
+            come = validity(fresh, speed)
+            opinion = side.detect(told, come, drives, status, tick * TICK)
+            said.append((opinion.lost.tolist(), opinion.known.tolist(), opinion.common))
+        assert said[0] == said[1] or name != "vb"
+        met |= {p > 0.7 for p in said[1][0]}
+    assert met == {False, True}
+
+
+def test_what_nothing_is_known_of_is_not_judged():
+    both = Both([BENCH_MOTOR] * N)
+    told = tracks.told(N)
+    opinion = both.core.detect(told, inputs.statuses(N), both.drives, both.status, 0)
+    assert not opinion.known.any()
+    assert opinion.common == 0.0
+    assert (both.core.doubt_until_ns == NEVER).all()
+    assert math.isnan(both.core.record["common_smoothed"].item())
+
+
+def test_rotors_have_the_ratings_of_their_motors():
+    """What is written by the plausibility check and read here is one and the same."""
+    core = AdhesionMonitor(Adhesion(), [BENCH_MOTOR, OTHER, BENCH_MOTOR], RULES, TICK)
+    assert core.rotors["motor"].tolist() == [0, 1, 0]
+    rated = BENCH_MOTOR.T_rated
+    assert core.rotors["rated_nm"].tolist() == [rated, 2.0 * rated, rated]
+    core.doubt_until_ns[1], core.rotors["uncertain"][2] = 7, 1
+    assert core.rotors["doubt_until_ns"].tolist() == [NEVER, 7, NEVER]
+    assert core.uncertain.tolist() == [0, 0, 1]
+    assert round(lib.LEARN_PERIOD_S * 1000) == reference.LEARN_NS // MS
