@@ -44,6 +44,7 @@ HEADERS = (
     "estimators/current_calibration.h",
     "estimators/adaptation.h",
     "estimators/filter.h",
+    "estimators/load_observer.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
     "gateway/core/temperature.h",
@@ -52,6 +53,8 @@ HEADERS = (
     "gateway/core/pairing.h",
     "gateway/core/receive.h",
     "gateway/core/inputs.h",
+    "gateway/core/motion.h",
+    "gateway/core/plausibility.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -81,6 +84,7 @@ SOURCES = (
     "estimators/current_calibration.c",
     "estimators/adaptation.c",
     "estimators/filter.c",
+    "estimators/load_observer.c",
     "estimators/filter_simd.c",
     "estimators/filter_simd_avx2.c",
     "estimators/filter_simd_avx512.c",
@@ -93,6 +97,9 @@ SOURCES = (
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
     "gateway/core/inputs.c",
+    "gateway/core/motion.c",
+    "gateway/core/current_plausibility.c",
+    "gateway/core/plausibility.c",
 )
 DEPENDS = (
     *HEADERS,
@@ -106,6 +113,8 @@ DEPENDS = (
     "estimators/filter_simd.h",
     "estimators/filter_simd.c",
     "gateway/core/rotors.h",
+    "gateway/core/current_plausibility.h",
+    "gateway/core/misfits.h",
 )
 """All that sources include."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")

@@ -29,7 +29,7 @@ STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("  verify, decode, pair, compiled", Receiver, "receive"),
     ("filters", core.Bank, "advance"),
     ("  chords, EKF, judgement, compiled", Direct, "advance_ekf"),
-    ("measured motion", core.MotionSide, "settle"),
+    ("measured motion", core.MotionMonitor, "observe"),
     ("detector and commands", core.AdhesionSide, "judge"),
     ("  before the detector, compiled", Direct, "compare"),
     ("  after the detector, compiled", Direct, "conclude"),

@@ -67,3 +67,14 @@ int filter_run_with(int bits, struct filter_sample *samples, int m, const struct
     }
     return -1;
 }
+
+void filter_reset(struct filter *filter)
+{
+    filter->active = 0;
+    filter->steps = 0;
+    for (int i = 0; i < 5; i++) {
+        filter->x[i] = 0.0;
+        for (int j = 0; j < 5; j++)
+            filter->P[i][j] = i == j ? 1.0 : 0.0;
+    }
+}

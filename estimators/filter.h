@@ -17,4 +17,7 @@ int filter_run_with(int bits, struct filter_sample *samples, int m, const struct
                     const struct filter_noise *noise, struct filter *filters, int n,
                     const struct filter_settings *settings);
 
+/* No filter of this drive any more; it is to be acquired anew. `v_q_bias` stays. */
+void filter_reset(struct filter *filter);
+
 #endif

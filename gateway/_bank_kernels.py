@@ -24,11 +24,10 @@ Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_STATES = 5
 _W_E, _T_L = 2, 4  # pmsm
 _AGREES, _DISAGREES = 1, 2  # enum consistency
 _CHORDS, _FILTER = ACQUISITION.itemsize, FILTER.itemsize
-_check = symbol("acquisition_check")
+_check, _reset = symbol("acquisition_check"), symbol("filter_reset")
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _CORRUPTED, _SEQUENCE, _RANGE, _NOT_AVAILABLE = 3, 4, 5, 6  # Reason
 _STANDS, _BEGINS, _GONE = 0, 1, 2
@@ -38,13 +37,8 @@ _STANDS, _BEGINS, _GONE = 0, 1, 2
 @inlined
 def forget(k: int, filters: Columns, tracks: Tracks) -> None:
     """No filter of drive k any more; it is acquired anew."""
-    filters.active[k] = False
-    filters.steps[k] = 0
+    _reset(filters.ctypes.data + int(k) * _FILTER)
     tracks.doubts[k] = 0
-    for i in range(_STATES):
-        filters.x[k, i] = 0.0
-        for j in range(_STATES):
-            filters.P[k, i, j] = 1.0 if i == j else 0.0
 
 
 @lean

@@ -16,9 +16,7 @@ from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean, unlocked
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._flags_kernels import fill_inputs, update_flags
-from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
-from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
 from gateway._sweep_kernels import run_filters
 from gateway._thermal_kernels import advance, hear, report
@@ -37,7 +35,8 @@ WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_assess_inputs, _vb_detect = symbol("assess_inputs"), symbol("vb_detect")
+_assess_inputs, _observe_load = symbol("assess_inputs"), symbol("observe_load")
+_vb_detect = symbol("vb_detect")
 
 
 @inlined
@@ -148,20 +147,7 @@ def several(
         ):  # fmt: skip
             stage = FILTERED
             break
-        observe_motion(
-            receiving.readings, motions, filtering.believed.tracks.flux, filtering.motion,
-            filtering.limits,
-        )  # fmt: skip
-        check_values(
-            taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
-            receiving.slow, now, filtering.believed.chords, filtering.believed.filters,
-            filtering.believed.tracks, told, filtering.motion, filtering.check,
-            filtering.check_limits,
-        )  # fmt: skip
-        merge_motion(
-            inputs, filtering.believed.sensors, filtering.check.until_ns, now, told,
-            filtering.motion, filtering.limits,
-        )  # fmt: skip
+        _observe_load(filtering.motion, now)
         assess_train(
             inputs.speed, inputs.commanded, receiving.slow, judging.flag, now, judging.tick_s,
             told, judging.train,
@@ -195,7 +181,7 @@ def several(
         report(now, warming.limit_ns, warming.warmth, saying.findings)
         lost, known = judging.room.lost, judging.room.known
         fill_inputs(
-            inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
+            inputs, filtering.implausible, judging.train.uncertain, told, lost, known,
             judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
         saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]

@@ -16,6 +16,7 @@ from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
+from dbc.records import Addressed
 from estimators import acquisition, adaptation, current_calibration, filters
 from estimators.models import pmsm
 from gateway import inputs, tracks
@@ -50,8 +51,8 @@ SAMPLES_AT_FIRST: Final = 256
 """Of a tick, that there is room for before one brings more."""
 
 
-class Bank:
-    """Filters of N drives. `advance` once per tick is the only mutator."""
+class Bank(Addressed):
+    """Filters of N drives; `advance` once per tick. estimates: `drive_estimate` of every one."""
 
     def __init__(
         self,
@@ -70,12 +71,9 @@ class Bank:
         self.noise = _noise(self.par, self.rated, config, current_step_a)
         self.table = pmsm.table(self.par)
         n = len(motors)
-        self.filters, self.tracks, self.told = (
-            adaptation.filters(n),
-            tracks.tracks(n),
-            tracks.told(n),
-        )
-        self.x, self.P = self.filters.x, self.filters.P
+        self.filters, self.tracks = adaptation.filters(n), tracks.tracks(n)
+        self.estimates = tracks.estimates(n)
+        self.told = tracks.told_of(self.estimates)
         self.chords = acquisition.start(n)
         self.sensors = current_calibration.start(n)
         self.limits = tracks.Limits(
@@ -83,9 +81,7 @@ class Bank:
             SETTLE_STEPS, DISAGREE_TICKS, DIVERGED_NS, LOOSE, FORGET,
             self.tick_s / FLUX_TAU_S, FLUX_SURE, RESISTANCE_SURE,
         )  # fmt: skip
-        self.believed = tracks.Believed(
-            self.filters, self.tracks, self.chords, self.sensors, self.told
-        )
+        self.link()
         self.constants = tracks.Constants(
             self.table, filters.noise_records(self.noise), self.rated.I,
             acquisition.limits(config.min_speed_rad_s, 0.75 * config.min_speed_rad_s),
@@ -99,6 +95,16 @@ class Bank:
         # Compiled, or loaded, now and not when the first filter begins.
         none = inputs.inputs(n)
         self._tell(none.cause, none.fresh, self.filters, self.tracks, self.limits, self.told)
+
+    def link(self) -> None:
+        """See `Addressed`: fields of the records for others."""
+        self.x, self.P = self.filters.x, self.filters.P
+        told = tracks.told_of(self.estimates)
+        self.told = told._replace(agrees=self.told.agrees, begins=self.told.begins)
+        self.tracks = self.tracks._replace(flux=self.estimates["flux_ratio"])
+        self.believed = tracks.Believed(
+            self.filters, self.tracks, self.chords, self.sensors, self.told
+        )
 
     def advance(
         self,

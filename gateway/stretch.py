@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.records import Records
-from gateway import loads, motion, plausibility, sources, tracks, train
+from gateway import loads, sources, tracks, train
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
@@ -24,6 +24,7 @@ from gateway.warmth import Warmth
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
 
 
 class Receiving(NamedTuple):
@@ -54,16 +55,14 @@ class Receiving(NamedTuple):
 
 
 class Filtering(NamedTuple):
-    """As `Bank.advance` and `MotionSide`."""
+    """As `Bank.advance` and `MotionMonitor`. motion: address of its record; implausible (N,)."""
 
     inputs: Inputs
     believed: tracks.Believed
     constants: tracks.Constants
     room: tracks.Room
-    motion: motion.Memory
-    limits: motion.Limits
-    check: plausibility.Plausibility
-    check_limits: plausibility.PlausibilityLimits
+    motion: int
+    implausible: Bytes
 
 
 class Judging(NamedTuple):

@@ -173,8 +173,8 @@ class Ticks:
     def _filtering(self) -> Filtering:
         bank, motion = self.gateway.bank, self.gateway.motion
         return Filtering(
-            self.gateway.inputs.columns, bank.believed, bank.constants, bank.room, motion.memory,
-            motion.limits, self.gateway.plausibility, self.gateway.plausibility_limits,
+            self.gateway.inputs.columns, bank.believed, bank.constants, bank.room, motion.address,
+            motion.implausible,
         )  # fmt: skip
 
     def _judging(self) -> Judging:

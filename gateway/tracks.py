@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import FILTER_SAMPLE, Columns, zeros
+from dbc.records import DRIVE_ESTIMATE, FILTER_SAMPLE, Columns, Records, zeros
 from gateway.health import Reason
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
 
 
@@ -56,13 +57,14 @@ class Limits(NamedTuple):
 
 
 class Told(NamedTuple):
-    """What every drive is found to be in a tick, (N,); NaN where a number is not known.
+    """Fields of `drive_estimate` of N drives, (N,), for loops that are still numba's.
 
-    health, and the reason where it is not tracking: numbers of `gateway.health`.
+    reason: `health_reason`; speed, load, sigma: `speed_rad_s`, `load_nm`, `load_sigma_nm`. And what
+    the chords say of each filter (agrees, `enum consistency`), and which filters begin.
     """
 
-    health: Ints
-    reason: Ints
+    health: Bytes
+    reason: Bytes
     agrees: Ints
     begins: Flags
     speed: Array
@@ -127,9 +129,25 @@ def tracks(n: int) -> Tracks:
     )
 
 
+def estimates(n: int) -> Records:
+    """`drive_estimate` of N drives of which nothing is known."""
+    made = np.zeros(n, DRIVE_ESTIMATE)
+    for name in ("speed_rad_s", "load_nm", "load_sigma_nm", "nis", "flux_ratio"):
+        made[name] = np.nan
+    made["health_reason"] = Reason.STARTING
+    return made
+
+
+def told_of(records: Records) -> Told:
+    """Fields of these records."""
+    n = len(records)
+    return Told(
+        records["health"], records["health_reason"], np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=np.bool_), records["speed_rad_s"], records["load_nm"],
+        records["load_sigma_nm"], records["nis"],
+    )  # fmt: skip
+
+
 def told(n: int) -> Told:
-    """Room for N drives."""
-    speed, load, sigma, nis = np.full((4, n), np.nan)
-    health, reason, agrees = np.zeros((3, n), dtype=np.int64)
-    reason[:] = Reason.STARTING
-    return Told(health, reason, agrees, np.zeros(n, dtype=np.bool_), speed, load, sigma, nis)
+    """Of N drives of which nothing is known."""
+    return told_of(estimates(n))

@@ -304,26 +304,6 @@ static void start_tick(struct receiver *receiver)
         receiver->drives[k].restart = 0;
 }
 
-int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_ns,
-                   const uint32_t *can_id, const uint8_t *flags, const uint8_t *length,
-                   const uint8_t *data, int64_t now_ns)
-{
-    if (!in_order(frames, t_ns, can_id))
-        return 0;
-    start_tick(receiver);
-    for (int64_t k = 0; k < frames; k++) {
-        receive_frame(receiver, k, can_id[k], flags[k], length[k], data + k * PAYLOAD_BYTES,
-                      t_ns[k], now_ns);
-    }
-    decode_frames(receiver->codec, receiver->tick.accepted, receiver->message, receiver->payload,
-                  receiver->value, receiver->validity);
-    for (int64_t row = 0; row < receiver->tick.accepted; row++)
-        note_row(receiver, row);
-    check_timeouts(receiver, now_ns);
-    close_counters(receiver, frames);
-    return 1;
-}
-
 /* Why a channel is unknown at `now_ns`; REASON_NONE if it is not. */
 static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
 {
@@ -345,7 +325,8 @@ static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
     return rejected == REASON_RANGE || rejected == REASON_NOT_AVAILABLE ? rejected : REASON_NONE;
 }
 
-void check_timeouts(struct receiver *receiver, int64_t now_ns)
+/* End of a tick: note why each channel is unknown. */
+static void notice_silence(struct receiver *receiver, int64_t now_ns)
 {
     for (int64_t c = 0; c < receiver->channel_count; c++) {
         struct channel *channel = &receiver->channels[c];
@@ -353,4 +334,30 @@ void check_timeouts(struct receiver *receiver, int64_t now_ns)
             e2e_sm_check(&channel->e2e_state, E2E_P_NO_NEW_DATA);
         channel->reason = unknown_reason(channel, now_ns);
     }
+}
+
+int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_ns,
+                   const uint32_t *can_id, const uint8_t *flags, const uint8_t *length,
+                   const uint8_t *data, int64_t now_ns)
+{
+    if (!in_order(frames, t_ns, can_id))
+        return 0;
+    start_tick(receiver);
+    for (int64_t k = 0; k < frames; k++) {
+        receive_frame(receiver, k, can_id[k], flags[k], length[k], data + k * PAYLOAD_BYTES,
+                      t_ns[k], now_ns);
+    }
+    decode_frames(receiver->codec, receiver->tick.accepted, receiver->message, receiver->payload,
+                  receiver->value, receiver->validity);
+    for (int64_t row = 0; row < receiver->tick.accepted; row++)
+        note_row(receiver, row);
+    notice_silence(receiver, now_ns);
+    close_counters(receiver, frames);
+    return 1;
+}
+
+void check_timeouts(struct receiver *receiver, int64_t now_ns)
+{
+    start_tick(receiver);
+    notice_silence(receiver, now_ns);
 }

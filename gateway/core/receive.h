@@ -5,7 +5,7 @@
 #include "gateway/core/records.h"
 
 /* Take in the frames of one tick, in order of stamp and identifier: look up whose each is, verify
- * it, decode it, pair samples, note what Motion and Status say; then `check_timeouts`. The columns
+ * it, decode it, pair samples, note what Motion and Status say; then notice silence. The columns
  * are those of a block (dbc/block.py): t_ns, can_id, flags, length (frames), data (frames,
  * PAYLOAD_BYTES). Every frame ends in one of `receiver->counters`. Returns 1; or 0, and nothing is
  * done, for frames in another order. */
@@ -13,7 +13,7 @@ int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_n
                    const uint32_t *can_id, const uint8_t *flags, const uint8_t *length,
                    const uint8_t *data, int64_t now_ns);
 
-/* End of a tick: notice silence, and note why each channel is unknown (`reason`). */
+/* A tick without frames: notice silence, and note why each channel is unknown (`reason`). */
 void check_timeouts(struct receiver *receiver, int64_t now_ns);
 
 /* Index of the channel that an identifier belongs to, or enum id_owner. */

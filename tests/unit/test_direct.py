@@ -11,8 +11,8 @@ from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
     "tell",
-    "observe_motion", "merge_motion", "compare", "conclude", "teach", "hear", "advance", "report",
-    "fill_inputs", "send", "check_values", "assess_train",
+    "compare", "conclude", "teach", "hear", "advance", "report",
+    "fill_inputs", "send", "assess_train",
 }  # fmt: skip
 FILTERS = {"advance_ekf", "advance_ukf"}
 

@@ -101,7 +101,8 @@ def state(gateway):
     tables = (
         gateway.findings, gateway.inputs.columns, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
+        [gateway.motion.motions, gateway.motion.checks, gateway.motion.others],
+        gateway.adhesion.reference, gateway.adhesion.own,
         [gateway.adhesion.responses],
         gateway.adhesion.trust, gateway.adhesion.rotors,
         gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
