@@ -46,6 +46,7 @@ HEADERS = (
     "estimators/current_calibration.h",
     "estimators/adaptation.h",
     "estimators/filter.h",
+    "estimators/load_observer.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
     "gateway/core/adhesion.h",
@@ -66,6 +67,8 @@ HEADERS = (
     "sim/plant.h",
     "sim/thermal.h",
     "gateway/core/inputs.h",
+    "gateway/core/motion.h",
+    "gateway/core/plausibility.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -96,6 +99,7 @@ SOURCES = (
     "estimators/current_calibration.c",
     "estimators/adaptation.c",
     "estimators/filter.c",
+    "estimators/load_observer.c",
     "estimators/filter_simd.c",
     "estimators/filter_simd_avx2.c",
     "estimators/filter_simd_avx512.c",
@@ -120,6 +124,9 @@ SOURCES = (
     "sim/plant.c",
     "sim/thermal.c",
     "gateway/core/inputs.c",
+    "gateway/core/motion.c",
+    "gateway/core/current_plausibility.c",
+    "gateway/core/plausibility.c",
 )
 DEPENDS = (
     *HEADERS,
@@ -136,6 +143,8 @@ DEPENDS = (
     "gateway/core/rotors.h",
     "gateway/core/loads.h",
     "gateway/core/times.h",
+    "gateway/core/current_plausibility.h",
+    "gateway/core/misfits.h",
 )
 """All that sources include."""
 FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")

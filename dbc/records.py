@@ -133,6 +133,12 @@ TEMPERATURE_MONITOR: Final = dtype_of(ffi.typeof("struct temperature_monitor"))
 INTERFACE_NAME: Final = dtype_of(ffi.typeof("struct interface_name"))
 DRIVE_CHANNELS: Final = dtype_of(ffi.typeof("struct drive_channels"))
 INPUT_STATUS: Final = dtype_of(ffi.typeof("struct input_status"))
+DRIVE_ESTIMATE: Final = dtype_of(ffi.typeof("struct drive_estimate"))
+MECHANICS: Final = dtype_of(ffi.typeof("struct mechanics"))
+LOAD_OBSERVER: Final = dtype_of(ffi.typeof("struct load_observer"))
+MOTION: Final = dtype_of(ffi.typeof("struct motion"))
+PLAUSIBILITY: Final = dtype_of(ffi.typeof("struct plausibility"))
+MOTION_MONITOR: Final = dtype_of(ffi.typeof("struct motion_monitor"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

@@ -105,7 +105,7 @@ static int data_bytes(const struct socket_frame *frame, int flags)
     return frame->length < most ? frame->length : most;
 }
 
-static void unpack_frame(const struct socket_frame *frame, int fd, const struct frame_rows *rows,
+static void unpack_frame(const struct socket_frame *frame, int fd, const struct frame_columns *rows,
                          int64_t row)
 {
     const int flags = frame_flags(frame, fd);
@@ -131,7 +131,7 @@ static int64_t age(const struct socket_clock *clock, int64_t stamp_ns)
 }
 
 void unpack_frames(struct socket_message *messages, int n, size_t control_room,
-                   const struct socket_clock *clock, const struct frame_rows *rows,
+                   const struct socket_clock *clock, const struct frame_columns *rows,
                    struct socket_counts *counts)
 {
     *counts = (struct socket_counts){.drops_seen = counts->drops_seen};

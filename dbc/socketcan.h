@@ -11,7 +11,7 @@
  * message without stamp: now. Fills `counts` but for `drops_seen`, which it keeps from call to call.
  */
 void unpack_frames(struct socket_message *messages, int n, size_t control_room,
-                   const struct socket_clock *clock, const struct frame_rows *rows,
+                   const struct socket_clock *clock, const struct frame_columns *rows,
                    struct socket_counts *counts);
 
 #endif

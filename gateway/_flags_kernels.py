@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean
+from dbc.records import FLAG_RULES
 
 if TYPE_CHECKING:
     from dbc.records import Records
@@ -22,14 +23,15 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 
+_TIMING = FLAG_RULES.fields["timing"][1]
 _collect, _debounce_flags = symbol("collect_evidence"), symbol("debounce_flags")
-_publish = symbol("publish")
+_publish, _debounce, _loss = symbol("publish"), symbol("debounce"), symbol("loss_evidence")
 
 
 @lean
 def fill_inputs(
-    inputs: Inputs, wrong: Bools, uncertain: Bytes, told: Told, lost: Array, known: Bools,
-    severe: Bytes, findings: Findings, sample_ns: Ints, out: Records,
+    inputs: Inputs, wrong: Bytes, uncertain: Bytes, told: Told, lost: Array, known: Bools,
+    severe: Bools, findings: Findings, sample_ns: Ints, out: Records,
 ) -> None:  # fmt: skip
     """`flag_inputs` of N drives from the columns of the stations before.
 
@@ -68,3 +70,16 @@ def update_flags(
         train, inputs.ctypes.data, evidence.ctypes.data, n, now, drives, status.train.ctypes.data
     )
     return changed != 0  # type: ignore[no-any-return]
+
+
+@inlined
+def loss_evidence(probability: float, rules: Records) -> int:
+    """`loss_evidence` in gateway/core/flags.c."""
+    return _loss(rules.ctypes.data, probability)  # type: ignore[no-any-return]
+
+
+@inlined
+def debounce_common_mode(flag: Records, evidence: int, now: int, rules: Records) -> None:
+    """`debounce` of the flag of all drives' loss, (1,), by the times of the adhesion flags."""
+    timing, tick_ns = rules.ctypes.data + _TIMING, rules[0]["tick_ns"]
+    _debounce(flag.ctypes.data, evidence, timing, tick_ns, now)

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc._core_symbols import symbol
-from dbc._lean import inlined, unlocked
+from dbc._lean import inlined, lean, unlocked
+from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._flags_kernels import fill_inputs, update_flags
-from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
-from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
+from gateway._sweep_kernels import run_filters
 from gateway._thermal_kernels import advance, hear, report
+from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 
 if TYPE_CHECKING:
@@ -30,12 +31,38 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-WHOLE, HEARD = range(2)
+WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_assess_inputs, _run_filters = symbol("assess_inputs"), symbol("run_filters")
-_detect_loss = symbol("detect_loss")
+_assess_inputs, _observe_load = symbol("assess_inputs"), symbol("observe_load")
+_vb_detect = symbol("vb_detect")
+
+
+@inlined
+def _enough(usable: Bools) -> bool:
+    """Two drives are known, the least that can be compared."""
+    known = 0
+    for k in range(usable.shape[0]):
+        known += usable[k]
+    return known >= 2
+
+
+@lean
+def _opinion(judging: Judging) -> float:
+    """`VariationalDetector`: fills lost and known of `judging`, gives the common load."""
+    known, room = judging.at.known, judging.room
+    enough = _enough(known)
+    for k in range(known.shape[0]):
+        judging.lost[k] = 0.0
+        judging.known[k] = enough and known[k]
+    if not enough:
+        return 0.0
+    return _vb_detect(  # type: ignore[no-any-return]
+        judging.priors.ctypes.data, judging.sweeps, room.referred.ctypes.data,
+        room.spread.ctypes.data, known.ctypes.data, known.shape[0], judging.rough.ctypes.data,
+        judging.lost.ctypes.data,
+    )  # fmt: skip
 
 
 @inlined
@@ -72,10 +99,11 @@ def several(
     Fills `went`. Gives the fields of `Left`, not one of these: see `Direct`.
     """
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
-    busy, out, first = receiving.busy_s, 0, 0
+    busy, common, out, first = receiving.busy_s, 0.0, 0, 0
     done, stage = 0, WHOLE
-    seen = 0
+    samples = seen = motions = 0
     changed = False
+    learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
         if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
@@ -90,10 +118,13 @@ def several(
             tick = receiving.tick[0]
             samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
             odd = tick["only_decoded"] == 0
-            others = tick["emergencies"] + tick["unpaired"] + tick["late"] > 0
+            others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
         else:
             check_timeouts(receiving.receiver, now)
-        if others or any_node_lost(receiving.supervision, now):
+        if (
+            others or samples > filtering.room.samples.shape[0]
+            or any_node_lost(receiving.supervision, now)
+        ):  # fmt: skip
             stage = HEARD
             break
         went.tally[0] += last - first
@@ -104,33 +135,43 @@ def several(
             receiving.fd_s, busy,
         )  # fmt: skip
         first = last
-        inputs, told = filtering.inputs, filtering.told
+        inputs, told = filtering.inputs, filtering.believed.told
         _assess_inputs(receiving.receiver, receiving.drive_channels, 0, now, receiving.input_status)
         taken = Samples(
             receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
             receiving.out.steps[:samples], receiving.out.gap[:samples],
         )  # fmt: skip
-        _run_filters(
-            filtering.estimator, receiving.receiver, receiving.input_status,
-            told.estimates.ctypes.data, now,
+        if run_filters(
+            taken, now, inputs.cause, inputs.fresh, filtering.believed, filtering.constants,
+            filtering.room,
+        ):  # fmt: skip
+            stage = FILTERED
+            break
+        _observe_load(filtering.motion, now)
+        assess_train(
+            inputs.speed, inputs.commanded, receiving.slow, judging.flag, now, judging.tick_s,
+            told, judging.train,
         )  # fmt: skip
-        observe_motion(
-            receiving.readings, motions, told.flux, filtering.motion,
-            filtering.limits,
+        compare(
+            told, receiving.slow, inputs.commanded, judging.flag, judging.since_ns, now,
+            judging.tick_s, judging.rotors, judging.reference, judging.passing, judging.at,
+            judging.responses, judging.room,
         )  # fmt: skip
-        check_values(
-            taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
-            receiving.slow, now, filtering.chords, filtering.filters, told, filtering.motion,
-            filtering.check, filtering.check_limits,
+        common = _opinion(judging)
+        answered = conclude(
+            judging.lost, judging.known, common, now, judging.tick_s, judging.own, judging.at,
+            judging.responses, judging.train, judging.part, judging.spreads, judging.rules,
+            judging.common_mode, judging.trust, judging.room,
         )  # fmt: skip
-        merge_motion(
-            inputs, filtering.sensors, filtering.check.until_ns, now, told,
-            filtering.motion, filtering.limits,
-        )  # fmt: skip
-        _detect_loss(
-            judging.adhesion, told.estimates.ctypes.data, receiving.input_status, judging.drives,
-            saying.status.drives.ctypes.data, now,
-        )  # fmt: skip
+        due = now >= learn_ns
+        if answered or due:
+            if due:
+                learn_ns = now + judging.every_ns
+            teach(
+                answered, due, now, judging.tick_s, common, judging.flag, receiving.slow.operating,
+                judging.reference, judging.own, judging.at, judging.responses, judging.settled_ns,
+                judging.probably, judging.trust, judging.room,
+            )  # fmt: skip
         if seen:
             hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
         advance(
@@ -138,9 +179,10 @@ def several(
             warming.warmth,
         )  # fmt: skip
         report(now, warming.limit_ns, warming.warmth, saying.findings)
+        lost, known = judging.room.lost, judging.room.known
         fill_inputs(
-            inputs, filtering.motion.wrong, judging.uncertain, told, judging.lost, judging.known,
-            judging.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
+            inputs, filtering.implausible, judging.train.uncertain, told, lost, known,
+            judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
         saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
         changed = update_flags(
@@ -163,4 +205,6 @@ def several(
         now += period
         if changed:
             break
-    return done, stage, first, seen, changed, out, busy
+    return (
+        done, stage, first, samples, seen, motions, changed, out, busy, common, learn_ns,
+    )  # fmt: skip

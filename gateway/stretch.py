@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import Columns, Records
-from gateway import motion, plausibility, sources, tracks
+from dbc.records import Records
+from gateway import loads, sources, tracks, train
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
@@ -24,6 +24,7 @@ from gateway.warmth import Warmth
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
 
 
 class Receiving(NamedTuple):
@@ -54,34 +55,47 @@ class Receiving(NamedTuple):
 
 
 class Filtering(NamedTuple):
-    """As `Bank.run` and `MotionSide`. estimator: address of `struct estimator`."""
+    """As `Bank.advance` and `MotionMonitor`. motion: address of its record; implausible (N,)."""
 
     inputs: Inputs
-    estimator: int
-    filters: Columns
-    chords: Columns
-    sensors: Columns
-    told: tracks.Told
-    motion: motion.Memory
-    limits: motion.Limits
-    check: plausibility.Plausibility
-    check_limits: plausibility.PlausibilityLimits
+    believed: tracks.Believed
+    constants: tracks.Constants
+    room: tracks.Room
+    motion: int
+    implausible: Bytes
 
 
 class Judging(NamedTuple):
-    """As `AdhesionMonitor.detect` with the detector in the core, which fills lost, known (N,).
+    """As `AdhesionSide.judge` with `VariationalDetector`, whose opinion fills lost, known (N,).
 
-    adhesion, drives: addresses of `struct adhesion` and of `struct drive_input` (N,).
+    rough (4, N): its workspace; learn_ns: when drives are learnt from next; every_ns: how often.
     """
 
-    adhesion: int
-    drives: int
-    lost: Array
-    known: Bools
-    severe: NDArray[np.uint8]
-    uncertain: NDArray[np.uint8]
+    flag: Ints
+    since_ns: Ints
+    tick_s: float
+    rotors: loads.Rotors
+    train: train.Train
+    reference: loads.LoadReference
+    own: loads.LoadReference
+    passing: float
+    part: float
+    spreads: float
+    at: loads.Instant
+    responses: Records
+    trust: loads.Trust
+    room: loads.Room
     rules: Records
     common_mode: Records
+    priors: Array
+    sweeps: int
+    lost: Array
+    known: Bools
+    rough: Array
+    learn_ns: int
+    every_ns: int
+    settled_ns: int
+    probably: float
 
 
 class Warming(NamedTuple):
@@ -137,17 +151,23 @@ class Left(NamedTuple):
     """How a call was left.
 
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
-    first frame that is not in, or that behind the last; seen: `temperatures` of `struct received`;
-    changed: whether the last whole tick changed a flag; frames: in `Went`; busy_s.
+    first frame that is not in, or that behind the last; samples, seen, motions: of the last frames
+    (samples, temperatures, motions of `struct received`); changed: whether the last whole tick
+    changed a flag; frames: in `Went`; busy_s; common: load in the last tick, per unit; learn_ns:
+    when drives are learnt from next.
     """
 
     done: int
     stage: int
     first: int
+    samples: int
     seen: int
+    motions: int
     changed: bool
     frames: int
     busy_s: float
+    common: float
+    learn_ns: int
 
 
 def went(rows: int, most: int, n: int) -> Went:

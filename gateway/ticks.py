@@ -16,9 +16,19 @@ from numpy.typing import NDArray
 
 from dbc.block import Block, blank, block_of
 from dbc.frame import Frame, Nanos
+from estimators.detect import Opinion
+from estimators.detect.variational import VariationalDetector
 from gateway import stretch
 from gateway._direct import Direct
-from gateway._ticks_kernels import HEARD, several
+from gateway._ticks_kernels import FILTERED, HEARD, several
+from gateway.adhesion import (
+    LEARN_NS,
+    PASSING,
+    PROBABLY_GOOD,
+    SETTLED_NS,
+    SEVERE,
+    SEVERE_SPREADS,
+)
 from gateway.core import Gateway
 from gateway.health import REJECTED, Flag, Reason
 from gateway.receiving import NAMES
@@ -38,13 +48,17 @@ class Ticks:
 
     def __init__(self, gateway: Gateway) -> None:
         self.gateway = gateway
+        detector, n = gateway.adhesion.detector, len(gateway.nodes)
+        self._detector = detector if isinstance(detector, VariationalDetector) else None
         self._possible = (
-            gateway.adhesion.in_core
+            self._detector is not None
             and gateway.translator is None
             and gateway.outbox.authenticator is None
         )
         self._period_ns = gateway.config.loop.period_ns
-        self._went = stretch.went(FRAMES, len(gateway.outbox.heads), len(gateway.nodes))
+        self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        self._rough = np.zeros((4, n))
+        self._went = stretch.went(FRAMES, len(gateway.outbox.heads), n)
         # By number of message: a frame of it, which costs what they all cost.
         heads = [
             Frame(0, can_id, bytes(size), flags) for can_id, size, flags in gateway.outbox.heads
@@ -97,7 +111,7 @@ class Ticks:
     def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
         """As `run`, for ticks before `until`; none if the first wants a step of its own."""
         gateway, went = self.gateway, self._went
-        inbox, outbox = gateway.inbox, gateway.outbox
+        inbox, outbox, adhesion = gateway.inbox, gateway.outbox, gateway.adhesion
         inbox.begin()
         counted = gateway.counted(now)
         outbox.note_counts(counted)
@@ -107,6 +121,7 @@ class Ticks:
             self._warming(), self._saying(counted), went,
         ))  # fmt: skip
         gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
+        adhesion.learn_ns = left.learn_ns
         inbox.counts["received"] += went.tally.item(0)
         # No count of none: single steps leave none either.
         if decoded := went.tally.item(1):
@@ -117,7 +132,8 @@ class Ticks:
         if done:
             outbox.note_sent(at - self._period_ns)
             gateway.doubt.tick(at - self._period_ns, 0)
-            gateway.note(gateway.adhesion.opinion, at - self._period_ns)
+            room = adhesion.room
+            gateway.note(Opinion(room.lost, room.known, left.common), at - self._period_ns)
             gateway.changed = left.changed
         own = inbox.counts["own"]
         inbox.count()
@@ -126,6 +142,12 @@ class Ticks:
             inbox.note(part)
             last = gateway.heard(part, inbox.counts["own"] - own, at)
             return done + 1, [*out, block_of(last)]
+        if left.stage == FILTERED:
+            gateway.doubt.tick(at, 0)
+            inbox.motions, inbox.samples = left.motions, inbox.room.first(left.samples)
+            inputs = gateway.inputs.columns
+            gateway.bank.begin(inputs.cause, inputs.fresh)
+            return done + 1, [*out, block_of(gateway.estimated(at))]
         return done, out
 
     def _frames(self, rows: int, now: Nanos) -> Block:
@@ -150,18 +172,20 @@ class Ticks:
 
     def _filtering(self) -> Filtering:
         bank, motion = self.gateway.bank, self.gateway.motion
-        bank.make_room(len(self.gateway.inbox.room.drive))
         return Filtering(
-            self.gateway.inputs.columns, bank.address, bank.filters, bank.chords, bank.sensors,
-            bank.told, motion.memory, motion.limits, self.gateway.plausibility,
-            self.gateway.plausibility_limits,
+            self.gateway.inputs.columns, bank.believed, bank.constants, bank.room, motion.address,
+            motion.implausible,
         )  # fmt: skip
 
     def _judging(self) -> Judging:
-        side = self.gateway.adhesion
+        assert self._detector is not None
+        side, flags = self.gateway.adhesion, self.gateway.flags
         return Judging(
-            side.address, self.gateway.inbox.receiver.drives.ctypes.data, side.loss_probability,
-            side.loss_known, side.severe, side.uncertain, side.rules, side.common_mode,
+            flags.adhesion["state"], flags.adhesion["since_ns"], side.tick_s, side.rotors,
+            side.train, side.reference, side.own, PASSING, SEVERE, SEVERE_SPREADS, side.at,
+            side.responses, side.trust, side.room, side.rules, side.common_mode,
+            self._detector.table, self._detector.sweeps, self._lost, self._known, self._rough,
+            side.learn_ns, LEARN_NS, SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
 
     def _warming(self) -> Warming:

@@ -314,7 +314,8 @@ static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
     return rejected == REASON_RANGE || rejected == REASON_NOT_AVAILABLE ? rejected : REASON_NONE;
 }
 
-void check_timeouts(struct receiver *receiver, int64_t now_ns)
+/* End of a tick: note why each channel is unknown. */
+static void notice_silence(struct receiver *receiver, int64_t now_ns)
 {
     for (int64_t c = 0; c < receiver->channel_count; c++) {
         struct channel *channel = &receiver->channels[c];

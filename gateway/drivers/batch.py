@@ -37,7 +37,7 @@ class Batch:
         self.filled = 0
         self._counts: Any = ffi.new("struct socket_counts *")
         self._clock: Any = ffi.new("struct socket_clock *")
-        self._rows: Any = ffi.new("struct frame_rows *")
+        self._rows: Any = ffi.new("struct frame_columns *")
         self.data = np.zeros((room, FD_SIZE), dtype=np.uint8)
         self.control = np.zeros((room, CONTROL_SIZE), dtype=np.uint8)
         steps = np.arange(room, dtype=np.uint64)

@@ -101,9 +101,10 @@ def state(gateway):
     tables = (
         gateway.findings, gateway.inputs.columns, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.responses, gateway.adhesion.ratios,
-        gateway.adhesion.response_ratios, gateway.adhesion.rotors, gateway.adhesion.loads,
-        gateway.adhesion.record[["response_spread", "spread", "flagged_ns", "common_smoothed"]],
+        [gateway.motion.motions, gateway.motion.checks, gateway.motion.others],
+        gateway.adhesion.reference, gateway.adhesion.own,
+        [gateway.adhesion.responses],
+        gateway.adhesion.trust, gateway.adhesion.rotors,
         gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
         *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
     )  # fmt: skip
@@ -115,8 +116,7 @@ def state(gateway):
     if heat is not None:
         parts = vars(heat.monitor).values()
         numbers += [part.tolist() for part in parts if hasattr(part, "tolist")]
-    one = [gateway.load.busy_s, gateway.load.last, gateway.changed]
-    one += gateway.adhesion.record[["learn_ns", "common", "comparable"]].tolist()
+    one = [gateway.load.busy_s, gateway.load.last, gateway.adhesion.learn_ns, gateway.changed]
     return {
         "arrays": repr(numbers),
         "numbers": one,
