@@ -64,6 +64,11 @@ def test_run_loads_nothing_for_logs_plots_pages_and_tables(tmp_path: Path) -> No
     assert said == "[] True 0"
 
 
+def test_logs_and_the_simulator_need_no_numba(tmp_path: Path) -> None:
+    text = "import dbc.candump, sim.simulation, sim.labelled, sys; print('numba' in sys.modules)"
+    assert program(tmp_path, text) == "False"
+
+
 def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path: Path) -> None:
     text = """
 from pathlib import Path
