@@ -56,6 +56,7 @@ HEADERS = (
     "estimators/thermal/trend.h",
     "gateway/core/thermal_evidence.h",
     "gateway/core/thermal.h",
+    "gateway/core/integrity.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -101,6 +102,7 @@ SOURCES = (
     "estimators/thermal/trend.c",
     "gateway/core/thermal_evidence.c",
     "gateway/core/thermal.c",
+    "gateway/core/integrity.c",
 )
 DEPENDS = (
     *HEADERS,

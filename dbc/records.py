@@ -121,6 +121,7 @@ TREND: Final = dtype_of(ffi.typeof("struct trend"))
 THERMAL_MONITOR: Final = dtype_of(ffi.typeof("struct thermal_monitor"))
 MOTOR_TEMPERATURES: Final = dtype_of(ffi.typeof("struct motor_temperatures"))
 TEMPERATURE_MONITOR: Final = dtype_of(ffi.typeof("struct temperature_monitor"))
+INTEGRITY: Final = dtype_of(ffi.typeof("struct integrity"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

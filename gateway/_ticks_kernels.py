@@ -20,8 +20,8 @@ from gateway._inputs_kernels import look
 from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import (
-    any_node_lost,
     bus_load_receive,
+    find_lost_nodes,
     receive_frames,
 )
 from gateway._sweep_kernels import run_filters
@@ -40,6 +40,7 @@ WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
 _vb_detect = symbol("vb_detect")
 _update_counts, _transmit = symbol("update_counts"), symbol("transmit")
+_check_integrity, _fill_train_inputs = symbol("check_integrity"), symbol("fill_train_inputs")
 _monitor_temperatures = symbol("monitor_temperatures")
 _bus_load_transmit = symbol("bus_load_transmit")
 
@@ -74,7 +75,8 @@ def _opinion(judging: Judging) -> float:
 def _send(now: int, receiving: Receiving, saying: Saying, frames: Records, first: int) -> int:
     """`transmit` in gateway/core/transmit.c: fills frames from `first` on, gives their number."""
     tx, out = saying.transmitter, frames.ctypes.data + int(first) * frames.strides[0]
-    _update_counts(tx, receiving.receiver, receiving.load, now)
+    integrity = receiving.integrity.ctypes.data
+    _update_counts(tx, receiving.receiver, integrity, receiving.load, now)
     count = _transmit(
         tx, saying.status.drives.ctypes.data, saying.status.train.ctypes.data, now, out
     )
@@ -121,10 +123,7 @@ def several(
         samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
         odd = tick["only_decoded"] == 0
         others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
-        if (
-            others or samples > filtering.room.samples.shape[0]
-            or any_node_lost(receiving.supervision, now)
-        ):  # fmt: skip
+        if others or samples > filtering.room.samples.shape[0]:
             stage = HEARD
             break
         went.tally[0] += last - first
@@ -134,9 +133,12 @@ def several(
             receiving.load, receiving.receiver, first, last, can_id, flags, length, now
         )
         first = last
+        _check_integrity(receiving.integrity.ctypes.data, tick["own"], now)
+        find_lost_nodes(receiving.supervision, now, receiving.lost)
         inputs, told = filtering.inputs, filtering.believed.told
+        intruder = receiving.integrity[0]["intruder"] != 0
         look(
-            now, receiving.lost, False, receiving.places, receiving.state, receiving.pairs,
+            now, receiving.lost, intruder, receiving.places, receiving.state, receiving.pairs,
             receiving.slow, inputs,
         )  # fmt: skip
         taken = Samples(
@@ -195,12 +197,16 @@ def several(
             inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
             judging.room.severe, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
-        saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
+        _fill_train_inputs(
+            receiving.integrity.ctypes.data, judging.common_mode[0]["state"],
+            saying.train_inputs.ctypes.data,
+        )  # fmt: skip
         changed = update_flags(
             now, judging.rules, saying.train_inputs, saying.inputs, saying.evidence, saying.status
         )
         _raise(went.peak, saying.status.drives)
-        out += _send(now, receiving, saying, went.frames, out)
+        if receiving.integrity[0]["mute"] == 0:
+            out += _send(now, receiving, saying, went.frames, out)
         done = k + 1
         now += period
         if changed:

@@ -16,8 +16,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
@@ -39,7 +37,7 @@ from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
 from gateway.outbox import Outbox
 from gateway.slow import RPM
-from gateway.supervision import Life, Supervision
+from gateway.supervision import Supervision
 from gateway.thermal import ThermalSide
 from gateway.translate import Translator
 from gateway.view import Counted, GatewayView, drives_of, view_of
@@ -125,17 +123,11 @@ class Gateway:
         told_apart = config.on_intruder == "tell" and authenticator is not None
         for_good = config.on_intruder in ("stop", "go_on")
         self.doubt = Doubt(
-            config.loop.period_ns, told_apart=told_apart,
+            config.loop.period_ns, told_apart=told_apart, stops=config.on_intruder == "stop",
             intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
         )  # fmt: skip
-        self.lost = np.zeros(len(nodes), dtype=np.bool_)
-        """(N,) drives that are supervised by their heartbeat, and it has stopped."""
-        self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
-        self.stops = config.on_intruder == "stop"
-        self.silent = False
-        """Nothing is sent any more."""
         self.start_ns = start_ns
         self._now: Nanos = start_ns
         self._opinion: Opinion | None = None
@@ -163,13 +155,9 @@ class Gateway:
         self.doubt.tick(now, own)
         # Our own frames are counted as they go out; in a log they stand a second time.
         self.load.add_block(heard, inbox.receiver, now)
-        if self._any_lost or self.supervision.any_lost(now):
-            lives = [self.supervision.life(node, now) for node in self.nodes]
-            self.lost[:] = [life is Life.LOST for life in lives]
-            self._any_lost = Life.LOST in lives
-        inputs = self.inputs
+        lost, inputs = self.supervision.find_lost(now), self.inputs
         self._look(
-            now, self.lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
+            now, lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
             inputs,
         )  # fmt: skip
         self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
@@ -195,23 +183,21 @@ class Gateway:
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
         """The rest of a step once adhesion has been judged."""
         inbox, inputs, told = self.inbox, self.inputs, self.bank.told
-        intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
+        wrong = self.motion.memory.wrong
         self.thermal.hear(inbox, now, self.flags.inputs)
-        silent, self.silent = self.silent, self.stops and intruder
         flags = self.flags
         self._fill_inputs(
             inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
             self.adhesion.severe, inbox.pairs.sample_ns, flags.inputs,
         )  # fmt: skip
         common_mode = self.adhesion.common_mode["state"].item()
-        flags.note_train(self.doubt.reason, common_mode, self.silent, self.doubt.overrun)
+        flags.note_train(self.doubt.pointer, common_mode)
         flags.collect_evidence()
         self.changed = flags.debounce(now) or self._opinion is None
         flags.publish(now)
         self.note(opinion, now)
         self.outbox.note_counts(self.counted(now))
-        # The tick that finds an intruder still says so.
-        out = [] if silent else self.outbox.due(self.status, now)
+        out = [] if self.doubt.mute else self.outbox.due(self.status, now)
         self.load.add(out)
         return out
 
@@ -220,9 +206,9 @@ class Gateway:
         self._now, self._opinion, self._view = now, opinion, None
 
     @property
-    def calm(self) -> bool:
-        """Whether all drives' heartbeats are heard that ever were, and we may send."""
-        return not (self._any_lost or self.silent)
+    def silent(self) -> bool:
+        """Whether nothing is sent any more."""
+        return self.doubt.silent
 
     @property
     def begun(self) -> bool:

@@ -27,8 +27,8 @@ Bools = NDArray[np.bool_]
 class Receiving(NamedTuple):
     """Frames in, as `Inbox.take` and `BusLoad.add_block`; which inputs are believed.
 
-    receiver, supervision, load: addresses of the records; tick: part of the receiver's; lost
-    (N,): drives whose heartbeat has stopped.
+    receiver, supervision, load: addresses of the records; tick: part of the receiver's;
+    integrity (1,); lost (N,): drives whose heartbeat has stopped.
     """
 
     period_ns: int
@@ -43,6 +43,7 @@ class Receiving(NamedTuple):
     out: Samples
     supervision: int
     load: int
+    integrity: Records
     lost: Bools
     places: Places
 

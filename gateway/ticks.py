@@ -1,6 +1,6 @@
 """Many ticks of a gateway in few calls: what a replay is made of.
 
-Most ticks hold nothing that only `Gateway.step` can do: no emergency, no heartbeat that is overdue,
+Most ticks hold nothing that only `Gateway.step` can do: no emergency, no pause,
 no detector but the default. Those are done by one
 compiled loop over them, others one by one; a tick that turns out to need more in its midst is
 finished by the gateway from there. The same frames go out as of single steps, and the same state is
@@ -30,7 +30,6 @@ from gateway.adhesion import (
     SEVERE_SPREADS,
 )
 from gateway.core import Gateway
-from gateway.health import Flag, Reason
 from gateway.stretch import Filtering, Judging, Left, Receiving, Saying
 
 FRAMES: Final = 512
@@ -75,7 +74,7 @@ class Ticks:
         while done < len(ends) and not (done and gateway.changed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self._period_ns
             whole = 0
-            if self._compiled(at):
+            if self._compiled:
                 rest = block.part(first, int(ends[-1]))
                 whole, frames = self._few(rest, ends[done:] - first, at)
                 out += frames
@@ -92,10 +91,11 @@ class Ticks:
         """(N,) largest probability of loss that the last `run` said of each drive; NaN: none."""
         return self._went.peak
 
-    def _compiled(self, now: Nanos) -> bool:
-        """Whether the compiled loop may try the tick at `now`."""
+    @property
+    def _compiled(self) -> bool:
+        """Whether the compiled loop may try the next tick."""
         gateway = self.gateway
-        return self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)
+        return self._possible and gateway.begun
 
     def _few(self, block: Block, ends: Ints, now: Nanos) -> tuple[int, list[Block]]:
         """As `run`; none if the first tick wants a step of its own."""
@@ -117,19 +117,16 @@ class Ticks:
         done, out = left.done, [self._frames(left.frames)]
         at = now + done * self._period_ns
         if done:
-            gateway.doubt.tick(at - self._period_ns, 0)
             room = adhesion.room
             gateway.note(Opinion(room.lost, room.known, left.common), at - self._period_ns)
             gateway.changed = left.changed
-        own = inbox.counts["own"]
         inbox.count()
         if left.stage == HEARD:
             part = block.part(left.first, int(ends[done]))
             inbox.note(part)
-            last = gateway.heard(part, inbox.counts["own"] - own, at)
+            last = gateway.heard(part, inbox.receiver.received().own, at)
             return done + 1, [*out, block_of(last)]
         if left.stage == FILTERED:
-            gateway.doubt.tick(at, 0)
             inbox.motions, inbox.samples = left.motions, inbox.room.first(left.samples)
             gateway.bank.begin(gateway.inputs.cause, gateway.inputs.fresh)
             return done + 1, [*out, block_of(gateway.estimated(at))]
@@ -152,7 +149,7 @@ class Ticks:
             self._period_ns, receiver.address, receiver.tick, receiver.state,
             receiver.wiring, receiver.pairs, receiver.slow, receiver.scratch, receiver.readings,
             receiver.room, gateway.supervision.address, load.record.ctypes.data,
-            gateway.lost, gateway.places,
+            gateway.doubt.record, gateway.supervision.lost, gateway.places,
         )  # fmt: skip
 
     def _filtering(self) -> Filtering:
@@ -175,8 +172,6 @@ class Ticks:
 
     def _saying(self) -> Saying:
         gateway, flags = self.gateway, self.gateway.flags
-        # The loop ends where there is a reason against all flags, an overrun or an intruder.
-        flags.note_train(Reason.NONE, Flag.UNKNOWN, silent=False, overrun=False)
         return Saying(
             gateway.thermal.record.ctypes.data, flags.train_inputs, flags.inputs, flags.evidence,
             flags.status, gateway.outbox.record.ctypes.data,

@@ -48,7 +48,8 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_outbox.py",
        "tests/unit/test_thermal_trend.py",
        "tests/unit/test_temperature_monitor.py",
-       "tests/unit/test_thermal.py")  # fmt: skip
+       "tests/unit/test_thermal.py",
+       "tests/unit/test_integrity.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}
