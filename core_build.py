@@ -69,6 +69,7 @@ HEADERS = (
     "gateway/core/inputs.h",
     "gateway/core/motion.h",
     "gateway/core/plausibility.h",
+    "gateway/core/integrity.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -127,6 +128,7 @@ SOURCES = (
     "gateway/core/motion.c",
     "gateway/core/current_plausibility.c",
     "gateway/core/plausibility.c",
+    "gateway/core/integrity.c",
 )
 DEPENDS = (
     *HEADERS,

@@ -16,7 +16,7 @@ from _traction_core import ffi, lib
 
 _NUMBERS = {
     "double": numba.types.float64, "int": numba.types.int32, "int32_t": numba.types.int32,
-    "int64_t": numba.types.int64, "void": numba.types.void,
+    "int64_t": numba.types.int64, "uint8_t": numba.types.uint8, "void": numba.types.void,
 }  # fmt: skip
 
 

@@ -139,6 +139,7 @@ LOAD_OBSERVER: Final = dtype_of(ffi.typeof("struct load_observer"))
 MOTION: Final = dtype_of(ffi.typeof("struct motion"))
 PLAUSIBILITY: Final = dtype_of(ffi.typeof("struct plausibility"))
 MOTION_MONITOR: Final = dtype_of(ffi.typeof("struct motion_monitor"))
+INTEGRITY: Final = dtype_of(ffi.typeof("struct integrity"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

@@ -13,7 +13,7 @@ Bytes = NDArray[np.uint8]
 
 _receive = symbol("receive_frames")
 _bus_tick, _bus_receive = symbol("bus_load_tick"), symbol("bus_load_receive")
-_any_lost = symbol("any_node_lost")
+_find_lost = symbol("find_lost_nodes")
 
 
 @inlined
@@ -43,6 +43,6 @@ def bus_load_receive(
 
 
 @inlined
-def any_node_lost(supervision: int, now: int) -> bool:
-    """`any_node_lost` in gateway/core/supervision.c."""
-    return bool(_any_lost(supervision, now))
+def find_lost_nodes(supervision: int, now: int, lost: NDArray[np.bool_]) -> None:
+    """`find_lost_nodes` in gateway/core/supervision.c: fills lost (N,)."""
+    _find_lost(supervision, now, lost.ctypes.data)

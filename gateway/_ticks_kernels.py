@@ -16,16 +16,21 @@ from dbc._core_symbols import symbol
 from dbc._lean import inlined, lean, unlocked
 from gateway._adhesion_kernels import compare, conclude, teach
 from gateway._flags_kernels import fill_inputs, update_flags
-from gateway._outbox_kernels import send
-from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
+from gateway._inputs_kernels import look
+from gateway._motion_kernels import merge_motion, observe_motion
+from gateway._plausibility_kernels import check_values
+from gateway._receive_kernels import (
+    bus_load_receive,
+    find_lost_nodes,
+    receive_frames,
+)
 from gateway._sweep_kernels import run_filters
-from gateway._thermal_kernels import advance, hear, report
 from gateway._train_kernels import assess_train
 from gateway.pairing import Samples
 
 if TYPE_CHECKING:
     from dbc.records import Records
-    from gateway.stretch import Filtering, Judging, Receiving, Saying, Warming, Went
+    from gateway.stretch import Filtering, Judging, Receiving, Saying, Went
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,10 +38,11 @@ Bools = NDArray[np.bool_]
 
 WHOLE, HEARD, FILTERED = range(3)
 """What is done of a tick: all, or everything up to here."""
-_T_LOST = 9  # receiving.Tally
-_C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
-_assess_inputs, _observe_load = symbol("assess_inputs"), symbol("observe_load")
 _vb_detect = symbol("vb_detect")
+_update_counts, _transmit = symbol("update_counts"), symbol("transmit")
+_check_integrity, _fill_train_inputs = symbol("check_integrity"), symbol("fill_train_inputs")
+_monitor_temperatures = symbol("monitor_temperatures")
+_bus_load_transmit = symbol("bus_load_transmit")
 
 
 @inlined
@@ -66,14 +72,16 @@ def _opinion(judging: Judging) -> float:
 
 
 @inlined
-def _count(tally: Ints, saying: Saying) -> None:
-    """What is said of the frames so far; those before this call are in `saying`."""
-    rejected = 0
-    for k in range(tally.shape[0]):
-        if saying.rejects[k]:
-            rejected += tally[k]
-    saying.counts[_C_REJECTED] = saying.rejected + rejected
-    saying.counts[_C_LOST] = saying.lost + tally[_T_LOST]
+def _send(now: int, receiving: Receiving, saying: Saying, frames: Records, first: int) -> int:
+    """`transmit` in gateway/core/transmit.c: fills frames from `first` on, gives their number."""
+    tx, out = saying.transmitter, frames.ctypes.data + int(first) * frames.strides[0]
+    integrity = receiving.integrity.ctypes.data
+    _update_counts(tx, receiving.receiver, integrity, receiving.load, now)
+    count = _transmit(
+        tx, saying.status.drives.ctypes.data, saying.status.train.ctypes.data, now, out
+    )
+    _bus_load_transmit(receiving.load, tx, count, out)
+    return count  # type: ignore[no-any-return]
 
 
 @inlined
@@ -89,54 +97,50 @@ def _raise(peak: Array, drives: Records) -> None:
 @unlocked
 def several(
     t_ns: Ints, can_id: NDArray[np.uint32], flags: NDArray[np.uint8], length: NDArray[np.uint8],
-    data: NDArray[np.uint8], ends: Ints, now: int, until: int, receiving: Receiving,
-    filtering: Filtering, judging: Judging, warming: Warming,
-    saying: Saying, went: Went,
+    data: NDArray[np.uint8], ends: Ints, now: int, receiving: Receiving,
+    filtering: Filtering, judging: Judging, saying: Saying, went: Went,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Ticks from `now` on, one for each of ends (K,), before `until`; stops behind a change.
+    """Ticks from `now` on, one for each of ends (K,); stops behind a change.
 
     The first five are columns of a `Block`; tick k takes its rows from ends[k - 1] to ends[k].
     Fills `went`. Gives the fields of `Left`, not one of these: see `Direct`.
     """
     period, rows_of = receiving.period_ns, receiving.scratch.t_ns.shape[0]
-    busy, common, out, first = receiving.busy_s, 0.0, 0, 0
+    common, out, first = 0.0, 0, 0
     done, stage = 0, WHOLE
     samples = seen = motions = 0
     changed = False
     learn_ns = judging.learn_ns
     for k in range(ends.shape[0]):
         last = ends[k]
-        if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
+        if last - first > rows_of or out + went.most > went.frames.shape[0]:
             break
-        samples = seen = motions = 0
-        odd = others = False
-        if last > first:
-            if not receive_frames(
-                receiving.receiver, first, last, t_ns, can_id, flags, length, data, now
-            ):
-                break
-            tick = receiving.tick[0]
-            samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
-            odd = tick["only_decoded"] == 0
-            others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
-        else:
-            check_timeouts(receiving.receiver, now)
-        if (
-            others or samples > filtering.room.samples.shape[0]
-            or any_node_lost(receiving.supervision, now)
-        ):  # fmt: skip
+        if not receive_frames(
+            receiving.receiver, first, last, t_ns, can_id, flags, length, data, now
+        ):
+            break
+        tick = receiving.tick[0]
+        samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
+        odd = tick["only_decoded"] == 0
+        others = tick["emergencies"] + tick["unpaired"] + tick["late"] + tick["restarts"] > 0
+        if others or samples > filtering.room.samples.shape[0]:
             stage = HEARD
             break
         went.tally[0] += last - first
         if not odd:
             went.tally[1] += last - first
-        busy = bus_time(
-            receiving.receiver, first, last, can_id, flags, length, receiving.classic_s,
-            receiving.fd_s, busy,
-        )  # fmt: skip
+        bus_load_receive(
+            receiving.load, receiving.receiver, first, last, can_id, flags, length, now
+        )
         first = last
+        _check_integrity(receiving.integrity.ctypes.data, tick["own"], now)
+        find_lost_nodes(receiving.supervision, now, receiving.lost)
         inputs, told = filtering.inputs, filtering.believed.told
-        _assess_inputs(receiving.receiver, receiving.drive_channels, 0, now, receiving.input_status)
+        intruder = receiving.integrity[0]["intruder"] != 0
+        look(
+            now, receiving.lost, intruder, receiving.places, receiving.state, receiving.pairs,
+            receiving.slow, inputs,
+        )  # fmt: skip
         taken = Samples(
             receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
             receiving.out.steps[:samples], receiving.out.gap[:samples],
@@ -147,7 +151,20 @@ def several(
         ):  # fmt: skip
             stage = FILTERED
             break
-        _observe_load(filtering.motion, now)
+        observe_motion(
+            receiving.readings, motions, filtering.believed.tracks.flux, filtering.motion,
+            filtering.limits,
+        )  # fmt: skip
+        check_values(
+            taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
+            receiving.slow, now, filtering.believed.chords, filtering.believed.filters,
+            filtering.believed.tracks, told, filtering.motion, filtering.check,
+            filtering.check_limits,
+        )  # fmt: skip
+        merge_motion(
+            inputs, filtering.believed.sensors, filtering.check.until_ns, now, told,
+            filtering.motion, filtering.limits,
+        )  # fmt: skip
         assess_train(
             inputs.speed, inputs.commanded, receiving.slow, judging.flag, now, judging.tick_s,
             told, judging.train,
@@ -172,39 +189,28 @@ def several(
                 judging.reference, judging.own, judging.at, judging.responses, judging.settled_ns,
                 judging.probably, judging.trust, judging.room,
             )  # fmt: skip
-        if seen:
-            hear(seen, receiving.scratch, receiving.wiring, warming.warmth)
-        advance(
-            seen > 0, now, warming.summed, receiving.places, receiving.state, receiving.slow,
-            warming.warmth,
-        )  # fmt: skip
-        report(now, warming.limit_ns, warming.warmth, saying.findings)
+        _monitor_temperatures(
+            saying.temperatures, receiving.receiver, now, saying.inputs.ctypes.data
+        )
         lost, known = judging.room.lost, judging.room.known
         fill_inputs(
-            inputs, filtering.implausible, judging.train.uncertain, told, lost, known,
-            judging.room.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
+            inputs, filtering.motion.wrong, judging.train.uncertain, told, lost, known,
+            judging.room.severe, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
-        saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]
+        _fill_train_inputs(
+            receiving.integrity.ctypes.data, judging.common_mode[0]["state"],
+            saying.train_inputs.ctypes.data,
+        )  # fmt: skip
         changed = update_flags(
             now, judging.rules, saying.train_inputs, saying.inputs, saying.evidence, saying.status
         )
         _raise(went.peak, saying.status.drives)
-        _count(receiving.counters, saying)
-        frames = send(
-            now, saying.status, saying.counts, saying.sheet, saying.e2e_config,
-            saying.memory, saying.room,
-        )  # fmt: skip
-        for i in range(frames):
-            message = saying.room.message[i]
-            went.message[out], went.tick[out] = message, k
-            for j in range(went.payload.shape[1]):
-                went.payload[out, j] = saying.room.payload[i, j]
-            busy += saying.cost_s[message]
-            out += 1
+        if receiving.integrity[0]["mute"] == 0:
+            out += _send(now, receiving, saying, went.frames, out)
         done = k + 1
         now += period
         if changed:
             break
     return (
-        done, stage, first, samples, seen, motions, changed, out, busy, common, learn_ns,
+        done, stage, first, samples, seen, motions, changed, out, common, learn_ns,
     )  # fmt: skip

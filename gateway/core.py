@@ -16,15 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
-from gateway import calibration, foreign, inputs, said
+from gateway import calibration, foreign, inputs, plausibility
 from gateway._direct import Direct
 from gateway._flags_kernels import fill_inputs
+from gateway._inputs_kernels import look
+from gateway._plausibility_kernels import check_values
 from gateway.adhesion import AdhesionSide
 from gateway.bank import Bank
 from gateway.busload import BusLoad
@@ -34,10 +34,10 @@ from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.flags import FlagKind, Flags, Timing, rules, unknown_status
 from gateway.health import REJECTED, Flag, GatewayState
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
-from gateway.motion import MotionMonitor, Timebase
+from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
 from gateway.outbox import Outbox
 from gateway.slow import RPM
-from gateway.supervision import Life, Supervision
+from gateway.supervision import Supervision
 from gateway.thermal import ThermalSide
 from gateway.translate import Translator
 from gateway.view import Counted, GatewayView, drives_of, view_of
@@ -79,18 +79,24 @@ class Gateway:
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), config.loop.period_ns)
+        times = _timing(self.inbox.drives)
+        self.motion = MotionSide(motors, config.estimator, times, config.loop.period_ns)
+        self.plausibility_limits = plausibility.limits(
+            motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND,
+            times.period_ns, SETTLED_READINGS,
+        )  # fmt: skip
+        self._check_values = Direct(check_values)
+        self.inputs = inputs.inputs(len(nodes))
         self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
-        self.inputs = inputs.InputMonitor(self.inbox.receiver, self.places.channels)
         cells = calibration.of(config)
         temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
         period = max((c.period_ns for c in temperatures if c), default=100 * MS)
-        limits = [c.limit_ns if c else 0 for c in temperatures]
-        self.temperature_limit_ns = np.array(limits, dtype=np.int64)
         fitted = [d.sensors for d in config.drive]
         self.thermal = ThermalSide(
             len(nodes), period, config.thermal.window_s, cells, nodes, fitted,
             model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
         )  # fmt: skip
+        self.thermal.wire(self.places, [c.limit_ns if c else 0 for c in temperatures])
         a, t = config.adhesion, config.thermal
         adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
         timing = [
@@ -105,31 +111,23 @@ class Gateway:
         tick_ns = config.loop.period_ns
         by = rules(timing, severe, a.raise_probability, a.clear_probability, tick_ns)
         self.adhesion = AdhesionSide(a, motors, by, tick_ns)
-        self.motion = MotionMonitor(
-            motors, config.estimator, _timing(self.inbox.drives), tick_ns, _current_step_a(taken),
-            self.inbox.receiver, self.inputs, self.bank, self.adhesion.train.rotors,
-        )  # fmt: skip
+        self.plausibility = plausibility.start(len(nodes), self.adhesion.train.doubt_ns)
         self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
         self.status = self.flags.status
         self.changed = True
         """Whether a flag of any drive is another than in the tick before."""
-        self.findings = said.findings(len(nodes))
-        self._fill_inputs = Direct(fill_inputs)
+        self._look, self._fill_inputs = Direct(look), Direct(fill_inputs)
         own_hash = calibration.config_hash(config, codec.digest, cells)
         self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         told_apart = config.on_intruder == "tell" and authenticator is not None
         for_good = config.on_intruder in ("stop", "go_on")
         self.doubt = Doubt(
-            config.loop.period_ns, told_apart=told_apart,
+            config.loop.period_ns, told_apart=told_apart, stops=config.on_intruder == "stop",
             intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
         )  # fmt: skip
-        self._any_lost = False
         self.latency_p99_us: float | None = None
         self.lateness_p99_us: float | None = None
-        self.stops = config.on_intruder == "stop"
-        self.silent = False
-        """Nothing is sent any more."""
         self.start_ns = start_ns
         self._now: Nanos = start_ns
         self._opinion: Opinion | None = None
@@ -157,45 +155,49 @@ class Gateway:
         self.doubt.tick(now, own)
         # Our own frames are counted as they go out; in a log they stand a second time.
         self.load.add_block(heard, inbox.receiver, now)
-        if self._any_lost or self.supervision.any_lost(now):
-            lives = [self.supervision.life(node, now) for node in self.nodes]
-            self.inputs.status["heartbeat_lost"] = [life is Life.LOST for life in lives]
-            self._any_lost = Life.LOST in lives
-        self.inputs.assess(self.doubt.intruder, now)
-        inputs = self.inputs.columns
+        lost, inputs = self.supervision.find_lost(now), self.inputs
+        self._look(
+            now, lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
+            inputs,
+        )  # fmt: skip
         self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
         return self.estimated(now)
 
     def estimated(self, now: Nanos) -> list[Frame]:
         """The rest of a step once the filters have been advanced."""
-        inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
-        self.motion.observe(now)
+        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
+        self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
+        believed = self.bank.believed
+        self._check_values(
+            inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
+            inbox.slow, now, believed.chords, believed.filters, believed.tracks, told,
+            self.motion.memory,
+            self.plausibility, self.plausibility_limits,
+        )  # fmt: skip
+        until_ns = self.plausibility.until_ns
+        self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
         flag, since = self.flags.adhesion["state"], self.flags.adhesion["since_ns"]
         opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
         return self.judged(opinion, now)
 
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
         """The rest of a step once adhesion has been judged."""
-        inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
-        intruder, wrong = self.doubt.intruder, self.motion.implausible
-        self.thermal.hear(inbox, self.places, now)
-        self.thermal.tell(now, self.temperature_limit_ns, self.findings)
-        silent, self.silent = self.silent, self.stops and intruder
+        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
+        wrong = self.motion.memory.wrong
+        self.thermal.hear(inbox, now, self.flags.inputs)
         flags = self.flags
         self._fill_inputs(
             inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
-            self.adhesion.severe, self.findings, inbox.pairs.sample_ns, flags.inputs,
+            self.adhesion.severe, inbox.pairs.sample_ns, flags.inputs,
         )  # fmt: skip
         common_mode = self.adhesion.common_mode["state"].item()
-        flags.note_train(self.doubt.reason, common_mode, self.silent, self.doubt.overrun)
+        flags.note_train(self.doubt.pointer, common_mode)
         flags.collect_evidence()
         self.changed = flags.debounce(now) or self._opinion is None
         flags.publish(now)
         self.note(opinion, now)
-        if self.outbox.wants_counts(now):
-            self.outbox.note_counts(self.counted(self._now))
-        # The tick that finds an intruder still says so.
-        out = [] if silent else self.outbox.due(self.status, now)
+        self.outbox.note_counts(self.counted(now))
+        out = [] if self.doubt.mute else self.outbox.due(self.status, now)
         self.load.add(out)
         return out
 
@@ -204,9 +206,9 @@ class Gateway:
         self._now, self._opinion, self._view = now, opinion, None
 
     @property
-    def calm(self) -> bool:
-        """Whether all drives' heartbeats are heard that ever were, and we may send."""
-        return not (self._any_lost or self.silent)
+    def silent(self) -> bool:
+        """Whether nothing is sent any more."""
+        return self.doubt.silent
 
     @property
     def begun(self) -> bool:

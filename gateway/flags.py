@@ -124,11 +124,9 @@ class Flags(Addressed):
         self._drives = _address("struct drive_status *", self.status.drives)
         self._train = _address("struct train_status *", self.status.train)
 
-    def note_train(self, integrity: int, common_mode: int, silent: bool, overrun: bool) -> None:
-        """Fill `train_inputs`: `Reason` why no adhesion flag is valid, `Flag` of common mode."""
-        train = self._train_inputs
-        train.integrity_reason, train.common_mode = integrity, common_mode
-        train.silent, train.overrun = silent, overrun
+    def note_train(self, integrity: Any, common_mode: int) -> None:
+        """Fill `train_inputs`: from a `struct integrity *` and the `Flag` of common mode."""
+        lib.fill_train_inputs(integrity, common_mode, self._train_inputs)
 
     def collect_evidence(self) -> None:
         """Fill `evidence` from the inputs of this tick."""

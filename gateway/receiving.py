@@ -83,6 +83,7 @@ class Received(NamedTuple):
     late: int
     restarts: int
     only_decoded: int
+    own: int
 
 
 class Receiver(Addressed):

@@ -10,34 +10,30 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import Records
-from gateway import loads, sources, tracks, train
+from dbc.records import TX_FRAME, Records
+from gateway import loads, motion, plausibility, tracks, train
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
 from gateway.pairing import PairState, Samples
 from gateway.receiving import Scratch, Wiring
-from gateway.said import Findings
 from gateway.slow import Readings, SlowState
-from gateway.warmth import Warmth
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Bytes = NDArray[np.uint8]
 
 
 class Receiving(NamedTuple):
     """Frames in, as `Inbox.take` and `BusLoad.add_block`; which inputs are believed.
 
-    receiver, supervision, drive_channels, input_status: addresses of the records; tick, counters:
-    parts of the receiver's.
+    receiver, supervision, load: addresses of the records; tick: part of the receiver's;
+    integrity (1,); lost (N,): drives whose heartbeat has stopped.
     """
 
     period_ns: int
     receiver: int
     tick: Records
-    counters: Ints
     state: ChannelState
     wiring: Wiring
     pairs: PairState
@@ -46,23 +42,23 @@ class Receiving(NamedTuple):
     readings: Readings
     out: Samples
     supervision: int
-    busy_s: float
-    classic_s: Array
-    fd_s: Array
-    drive_channels: int
-    input_status: int
+    load: int
+    integrity: Records
+    lost: Bools
     places: Places
 
 
 class Filtering(NamedTuple):
-    """As `Bank.advance` and `MotionMonitor`. motion: address of its record; implausible (N,)."""
+    """As `Bank.advance` and `MotionSide`."""
 
     inputs: Inputs
     believed: tracks.Believed
     constants: tracks.Constants
     room: tracks.Room
-    motion: int
-    implausible: Bytes
+    motion: motion.Memory
+    limits: motion.Limits
+    check: plausibility.Plausibility
+    check_limits: plausibility.PlausibilityLimits
 
 
 class Judging(NamedTuple):
@@ -98,50 +94,25 @@ class Judging(NamedTuple):
     probably: float
 
 
-class Warming(NamedTuple):
-    """As `ThermalSide`, of which the model has no part. limit_ns (N,): how old readings may be.
-
-    summed: seconds are added up, none of them is complete in these ticks.
-    """
-
-    warmth: Warmth
-    summed: bool
-    limit_ns: Ints
-
-
 class Saying(NamedTuple):
-    """Flags and frames out.
+    """Temperatures, flags and frames out. temperatures, transmitter: addresses of the records."""
 
-    cost_s (M,): seconds that each message takes on the wire; rejected, lost: frames so far; rejects
-    (T,): which of the receive loop's tallies are of rejected frames.
-    """
-
-    findings: Findings
+    temperatures: int
     train_inputs: Records
     inputs: Records
     evidence: Records
     status: Status
-    counts: Array
-    sheet: sources.Sheet
-    e2e_config: Records
-    memory: sources.Memory
-    room: sources.Room
-    cost_s: Array
-    rejected: int
-    lost: int
-    rejects: Bools
+    transmitter: int
 
 
 class Went(NamedTuple):
-    """Frames that went out, R at most, `most` of a tick: payload (R, 64), message, tick (R,).
+    """Frames that went out, (R,) of `struct tx_frame`, `most` of a tick at most.
 
     tally (2,): frames that came, and those of them that came in ticks where all were decoded;
     peak (N,): largest probability of loss that was said of each drive, NaN while none was.
     """
 
-    payload: NDArray[np.uint8]
-    message: Ints
-    tick: Ints
+    frames: Records
     tally: Ints
     peak: Array
     most: int
@@ -153,7 +124,7 @@ class Left(NamedTuple):
     done: ticks that are whole; stage: that the next one is left at (`_ticks_kernels`); first: its
     first frame that is not in, or that behind the last; samples, seen, motions: of the last frames
     (samples, temperatures, motions of `struct received`); changed: whether the last whole tick
-    changed a flag; frames: in `Went`; busy_s; common: load in the last tick, per unit; learn_ns:
+    changed a flag; frames: in `Went`; common: load in the last tick, per unit; learn_ns:
     when drives are learnt from next.
     """
 
@@ -165,13 +136,10 @@ class Left(NamedTuple):
     motions: int
     changed: bool
     frames: int
-    busy_s: float
     common: float
     learn_ns: int
 
 
 def went(rows: int, most: int, n: int) -> Went:
     """Room for so many rows, and for N drives."""
-    message, tick = np.zeros((2, rows), dtype=np.int64)
-    payload = np.zeros((rows, 64), dtype=np.uint8)
-    return Went(payload, message, tick, np.zeros(2, dtype=np.int64), np.full(n, np.nan), most)
+    return Went(np.zeros(rows, TX_FRAME), np.zeros(2, dtype=np.int64), np.full(n, np.nan), most)

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
+from numpy.typing import NDArray
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
 from dbc.records import HEARTBEAT, SUPERVISION, Addressed
@@ -105,6 +106,8 @@ class Supervision(Addressed):
         self.record["timeout_ns"], self.record["period_ns"] = timeout_ns, period_ns
         self.record["node_count"], self.record["row"] = len(self.nodes), -1
         self.record["row"][0, list(self.nodes)] = range(len(self.nodes))
+        self.lost = np.zeros(len(self.nodes), dtype=np.bool_)
+        """(N,) what `find_lost` has found last."""
         self.link()
         self._row = {n: k for k, n in enumerate(self.nodes)}
         self._heartbeat_of = {HEARTBEAT_BASE + n: n for n in self.nodes}
@@ -119,6 +122,7 @@ class Supervision(Addressed):
         self.record["nodes"] = self.heartbeats.ctypes.data
         self.address = self.record.ctypes.data
         self.pointer = ffi.from_buffer("struct supervision *", self.record)
+        self._lost = ffi.from_buffer("uint8_t[]", self.lost)
 
     @property
     def boots(self) -> dict[int, int]:
@@ -157,9 +161,14 @@ class Supervision(Addressed):
             self.emcy[node].add(Emergency(frame.t_ns, code, data[2], data[3:]))
         return True
 
+    def find_lost(self, now_ns: Nanos) -> NDArray[np.bool_]:
+        """(N,) nodes that are supervised by their heartbeat, and it has stopped; see `lost`."""
+        lib.find_lost_nodes(self.pointer, now_ns, self._lost)
+        return self.lost
+
     def any_lost(self, now_ns: Nanos) -> bool:
         """Whether `life` says lost of any node."""
-        return bool(lib.any_node_lost(self.pointer, now_ns))
+        return bool(self.find_lost(now_ns).any())
 
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""
@@ -167,8 +176,7 @@ class Supervision(Addressed):
         last = NEVER if row is None else int(self.heartbeats["last_ns"][row])
         if last == NEVER:
             return Life.NEVER_SEEN
-        limit_ns = self.timeout_ns(node)
-        return Life.LOST if 0 < limit_ns < now_ns - last else Life.ALIVE
+        return Life.LOST if self.find_lost(now_ns)[row] else Life.ALIVE
 
     def timeout_ns(self, node: int) -> Nanos:
         """Silence of a supervised node that is longer is a loss, ns; 0: it is not supervised."""

@@ -1,7 +1,7 @@
 """Many ticks of a gateway in few calls: what a replay is made of.
 
-Most ticks hold nothing that only `Gateway.step` can do: no emergency, no heartbeat that is overdue,
-no second that the thermal model waits for, no detector but the default. Those are done by one
+Most ticks hold nothing that only `Gateway.step` can do: no emergency, no pause,
+no detector but the default. Those are done by one
 compiled loop over them, others one by one; a tick that turns out to need more in its midst is
 finished by the gateway from there. The same frames go out as of single steps, and the same state is
 left (`tests/unit/test_ticks.py`).
@@ -30,12 +30,8 @@ from gateway.adhesion import (
     SEVERE_SPREADS,
 )
 from gateway.core import Gateway
-from gateway.health import REJECTED, Flag, Reason
-from gateway.receiving import NAMES
-from gateway.stretch import Filtering, Judging, Left, Receiving, Saying, Warming
-from gateway.view import Counted
+from gateway.stretch import Filtering, Judging, Left, Receiving, Saying
 
-REJECTS: Final = np.array([name in REJECTED for name in NAMES])
 FRAMES: Final = 512
 """Of ours that there is room for in a call."""
 
@@ -59,12 +55,10 @@ class Ticks:
         self._lost, self._known = np.zeros(n), np.zeros(n, dtype=np.bool_)
         self._rough = np.zeros((4, n))
         self._went = stretch.went(FRAMES, len(gateway.outbox.heads), n)
-        # By number of message: a frame of it, which costs what they all cost.
-        heads = [
-            Frame(0, can_id, bytes(size), flags) for can_id, size, flags in gateway.outbox.heads
-        ]
-        self._cost_s = np.array([gateway.load.cost_s(frame) for frame in heads])
-        self._heads = block_of(heads)
+        # By number of message: a frame of it.
+        self._heads = block_of(
+            [Frame(0, can_id, bytes(size), flags) for can_id, size, flags in gateway.outbox.heads]
+        )
         self._several = Direct(several)
 
     def run(self, block: Block, ends: Ints, now: Nanos) -> tuple[int, list[Block]]:
@@ -79,10 +73,10 @@ class Ticks:
         gateway, out, done = self.gateway, [], 0  # type: tuple[Gateway, list[Block], int]
         while done < len(ends) and not (done and gateway.changed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self._period_ns
-            until, whole = self._until(at), 0
-            if until > at:
+            whole = 0
+            if self._compiled:
                 rest = block.part(first, int(ends[-1]))
-                whole, frames = self._few(rest, ends[done:] - first, at, until)
+                whole, frames = self._few(rest, ends[done:] - first, at)
                 out += frames
             if not whole:
                 whole = 1
@@ -97,84 +91,72 @@ class Ticks:
         """(N,) largest probability of loss that the last `run` said of each drive; NaN: none."""
         return self._went.peak
 
-    def _until(self, now: Nanos) -> Nanos:
-        """No tick before it needs more than the compiled loop; `now` or less if this one does.
-
-        Closes the second of the bus load that is over, which else would be such a tick.
-        """
+    @property
+    def _compiled(self) -> bool:
+        """Whether the compiled loop may try the next tick."""
         gateway = self.gateway
-        if not (self._possible and gateway.begun and gateway.calm and gateway.doubt.none(now)):
-            return now
-        gateway.load.close(now)
-        return min(gateway.thermal.alone_ns, gateway.load.window_ns)
+        return self._possible and gateway.begun
 
-    def _few(self, block: Block, ends: Ints, now: Nanos, until: Nanos) -> tuple[int, list[Block]]:
-        """As `run`, for ticks before `until`; none if the first wants a step of its own."""
+    def _few(self, block: Block, ends: Ints, now: Nanos) -> tuple[int, list[Block]]:
+        """As `run`; none if the first tick wants a step of its own."""
         gateway, went = self.gateway, self._went
         inbox, outbox, adhesion = gateway.inbox, gateway.outbox, gateway.adhesion
         inbox.begin()
-        counted = gateway.counted(now)
-        outbox.note_counts(counted)
+        outbox.note_counts(gateway.counted(now))
         left = Left(*self._several(
-            block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now, until,
-            self._receiving(), self._filtering(), self._judging(),
-            self._warming(), self._saying(counted), went,
+            block.t_ns, block.can_id, block.flags, block.length, block.data, ends, now,
+            self._receiving(), self._filtering(), self._judging(), self._saying(), went,
         ))  # fmt: skip
-        gateway.load.busy_s, inbox.seen = left.busy_s, left.seen
+        inbox.seen = left.seen
         adhesion.learn_ns = left.learn_ns
         inbox.counts["received"] += went.tally.item(0)
         # No count of none: single steps leave none either.
         if decoded := went.tally.item(1):
             inbox.counts["decoded"] += decoded
         went.tally[:] = 0
-        done, out = left.done, [self._frames(left.frames, now)]
+        done, out = left.done, [self._frames(left.frames)]
         at = now + done * self._period_ns
         if done:
-            outbox.note_sent(at - self._period_ns)
-            gateway.doubt.tick(at - self._period_ns, 0)
             room = adhesion.room
             gateway.note(Opinion(room.lost, room.known, left.common), at - self._period_ns)
             gateway.changed = left.changed
-        own = inbox.counts["own"]
         inbox.count()
         if left.stage == HEARD:
             part = block.part(left.first, int(ends[done]))
             inbox.note(part)
-            last = gateway.heard(part, inbox.counts["own"] - own, at)
+            last = gateway.heard(part, inbox.receiver.received().own, at)
             return done + 1, [*out, block_of(last)]
         if left.stage == FILTERED:
-            gateway.doubt.tick(at, 0)
             inbox.motions, inbox.samples = left.motions, inbox.room.first(left.samples)
-            inputs = gateway.inputs.columns
-            gateway.bank.begin(inputs.cause, inputs.fresh)
+            gateway.bank.begin(gateway.inputs.cause, gateway.inputs.fresh)
             return done + 1, [*out, block_of(gateway.estimated(at))]
         return done, out
 
-    def _frames(self, rows: int, now: Nanos) -> Block:
+    def _frames(self, rows: int) -> Block:
         """What has gone out, tick by tick."""
-        went, heads = self._went, self._heads
-        message = went.message[:rows]
+        sent, heads = self._went.frames[:rows], self._heads
+        message = sent["message"]
         out = blank(rows, heads.names)
-        out.t_ns[:] = now + went.tick[:rows] * self._period_ns
+        out.t_ns[:], out.data[:] = sent["t_ns"], sent["data"]
         out.can_id[:], out.flags[:] = heads.can_id[message], heads.flags[message]
-        out.length[:], out.data[:] = heads.length[message], went.payload[:rows]
+        out.length[:] = heads.length[message]
         return out
 
     def _receiving(self) -> Receiving:
         gateway = self.gateway
         receiver, load = gateway.inbox.receiver, gateway.load
         return Receiving(
-            self._period_ns, receiver.address, receiver.tick, receiver.counters, receiver.state,
+            self._period_ns, receiver.address, receiver.tick, receiver.state,
             receiver.wiring, receiver.pairs, receiver.slow, receiver.scratch, receiver.readings,
-            receiver.room, gateway.supervision.address, load.busy_s, load.classic_s, load.fd_s,
-            gateway.inputs.channels.ctypes.data, gateway.inputs.status.ctypes.data, gateway.places,
+            receiver.room, gateway.supervision.address, load.record.ctypes.data,
+            gateway.doubt.record, gateway.supervision.lost, gateway.places,
         )  # fmt: skip
 
     def _filtering(self) -> Filtering:
         bank, motion = self.gateway.bank, self.gateway.motion
         return Filtering(
-            self.gateway.inputs.columns, bank.believed, bank.constants, bank.room, motion.address,
-            motion.implausible,
+            self.gateway.inputs, bank.believed, bank.constants, bank.room, motion.memory,
+            motion.limits, self.gateway.plausibility, self.gateway.plausibility_limits,
         )  # fmt: skip
 
     def _judging(self) -> Judging:
@@ -188,17 +170,9 @@ class Ticks:
             side.learn_ns, LEARN_NS, SETTLED_NS, PROBABLY_GOOD,
         )  # fmt: skip
 
-    def _warming(self) -> Warming:
-        gateway, thermal = self.gateway, self.gateway.thermal
-        summed = thermal.learning or thermal.heat is not None
-        return Warming(thermal.warmth, summed, gateway.temperature_limit_ns)
-
-    def _saying(self, counted: Counted) -> Saying:
-        gateway, outbox, flags = self.gateway, self.gateway.outbox, self.gateway.flags
-        # The loop ends where there is a reason against all flags, an overrun or an intruder.
-        flags.note_train(Reason.NONE, Flag.UNKNOWN, silent=False, overrun=False)
+    def _saying(self) -> Saying:
+        gateway, flags = self.gateway, self.gateway.flags
         return Saying(
-            gateway.findings, flags.train_inputs, flags.inputs, flags.evidence, flags.status,
-            outbox.counts, outbox.sheet, outbox.e2e_config, outbox.memory, outbox.room,
-            self._cost_s, counted.rejected, counted.lost, REJECTS,
+            gateway.thermal.record.ctypes.data, flags.train_inputs, flags.inputs, flags.evidence,
+            flags.status, gateway.outbox.record.ctypes.data,
         )  # fmt: skip

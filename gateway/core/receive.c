@@ -254,6 +254,7 @@ static void receive_frame(struct receiver *receiver, int64_t k, uint32_t can_id,
     const int64_t owner = lookup_id(receiver, can_id, flags);
     if (owner == ID_OWN) {
         receiver->counters[RX_OWN]++;
+        receiver->tick.own++;
         return;
     }
     /* A heartbeat from the future would keep its node alive until then; below 0 there is no time. */

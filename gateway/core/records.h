@@ -953,6 +953,7 @@ struct received {
     int64_t late;         /* samples that came too late */
     int64_t restarts;     /* drives whose filter starts anew */
     int64_t only_decoded; /* 1: every frame counted as decoded, and the counters are 0 again */
+    int64_t own;          /* frames with the gateway's own identifiers */
 };
 
 /* Everything that receives. Room in all arrays for as many frames as a tick may have. */
@@ -1528,6 +1529,33 @@ struct socket_counts {
     int64_t errors;     /* error frames among the rows */
     int64_t dropped;    /* frames that the kernel has dropped since the last call */
     int64_t drops_seen; /* its counter of them, 32 bits, which wraps */
+};
+
+/* ---- what speaks against all drives at once (gateway/core/integrity.c) */
+
+/* Missed ticks, frames lost unread, a second gateway. Times are NO_TIME before any. */
+struct integrity {
+    /* constants */
+    int64_t overrun_hold_ns;  /* an overrun is reported for so long */
+    int64_t lost_hold_ns;     /* lost frames count against adhesion for so long */
+    int64_t intruder_hold_ns; /* flags are unknown for so long after an intruder's last frame;
+                                 INT64_MAX: until a restart */
+    uint8_t authenticated;    /* 1: receivers can tell the gateway's frames from an intruder's */
+    uint8_t stop_on_intruder; /* 1: the gateway falls silent then */
+    /* notes of the driver for the next tick */
+    int64_t missed_ticks; /* skipped before it */
+    int64_t lost_frames;  /* dropped unread since the last one */
+    uint8_t watching;     /* 1: frames with the gateway's identifiers can only be somebody else's */
+    /* state */
+    int64_t now_ns;          /* of the last tick */
+    int64_t deadline_misses; /* ticks that were skipped, all together */
+    int64_t late_in_a_row;   /* ticks in a row before which others were skipped */
+    int64_t overrun_ns;      /* last of them */
+    int64_t lost_ns;         /* last tick before which frames were lost */
+    int64_t intruder_ns;     /* last tick with an intruder's frames */
+    uint8_t intruder; /* 1: there was one. Latched: receivers cannot tell two senders apart */
+    uint8_t silent;   /* 1: nothing is sent any more */
+    uint8_t mute;     /* 1: this tick's frames are not sent: it was silent before */
 };
 
 #endif

@@ -89,12 +89,10 @@ void on_node_guard(struct supervision *all, uint32_t can_id)
         all->nodes[node].asked = 1;
 }
 
-int any_node_lost(const struct supervision *all, int64_t now_ns)
+void find_lost_nodes(const struct supervision *all, int64_t now_ns, uint8_t *lost)
 {
     for (int32_t k = 0; k < all->node_count; k++) {
         const struct heartbeat *node = &all->nodes[k];
-        if (node->limit_ns > 0 && now_ns - node->last_ns > node->limit_ns)
-            return 1;
+        lost[k] = node->limit_ns > 0 && now_ns - node->last_ns > node->limit_ns;
     }
-    return 0;
 }

@@ -198,7 +198,7 @@ void transmit_restart(struct transmitter *tx, int64_t now_ns)
 /* ---- one tick */
 
 void update_counts(struct transmitter *tx, const struct receiver *receiver,
-                   const struct bus_load *load, int64_t now_ns)
+                   const struct integrity *integrity, const struct bus_load *load, int64_t now_ns)
 {
     static const uint8_t REJECTED[] = {RX_ERROR,        RX_REPEATED,      RX_WRONG_SEQUENCE,
                                        RX_WRONG_LENGTH, RX_NOT_YET_VALID, RX_NOT_AVAILABLE,
@@ -207,6 +207,7 @@ void update_counts(struct transmitter *tx, const struct receiver *receiver,
     int64_t rejected = counts->rejected_before;
     for (unsigned k = 0; k < sizeof REJECTED; k++)
         rejected += receiver->counters[REJECTED[k]];
+    counts->deadline_misses = (double)integrity->deadline_misses;
     counts->rejected = (double)rejected;
     counts->lost = (double)(counts->lost_before + receiver->counters[RX_LOST]);
     counts->bus_load_percent = bus_load_percent(load, now_ns);

@@ -7,9 +7,9 @@
 /* Everything is due at now_ns; the cycles count from there. */
 void transmit_restart(struct transmitter *tx, int64_t now_ns);
 
-/* Fill what of `tx->counts` the receiver and the load of the bus tell. */
+/* Fill what of `tx->counts` the receiver, the missed ticks and the load of the bus tell. */
 void update_counts(struct transmitter *tx, const struct receiver *receiver,
-                   const struct bus_load *load, int64_t now_ns);
+                   const struct integrity *integrity, const struct bus_load *load, int64_t now_ns);
 
 /* Frames of a tick in the order of their identifiers: their number, at most tx->message_count, for
  * which there is room in `frame`. Messages go out in their cycles; one with `on_change` also in the

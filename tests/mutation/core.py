@@ -79,6 +79,7 @@ TESTS = {
         "gateway/core/supervision.c",
     ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/integrity.c": ("tests/unit/test_integrity.py",),
     "estimators/thermal/trend.c": ("tests/unit/test_thermal_trend.py",),
     **dict.fromkeys(("gateway/core/thermal.c", "gateway/core/thermal_evidence.c"), (
         "tests/unit/test_temperature_monitor.py", "tests/unit/test_thermal.py",

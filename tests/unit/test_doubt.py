@@ -1,12 +1,11 @@
-"""What is known against all flags at once: how long it is held, and which reason goes first."""
+"""What speaks against all flags at once, in a whole gateway: lost frames, a second gateway."""
 
 from __future__ import annotations
 
 import pytest
 
-from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame
+from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
 from gateway.commands.run import active_errors
-from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.drivers.canopen_node import GatewayError
 from gateway.drivers.pythoncan import PythonCan
 from gateway.health import Flag, GatewayState, Reason
@@ -16,106 +15,6 @@ from tests.unit.test_core import TICK, Bench, drives, gateway, named
 OWN = codec_for().by_name["Gateway_Adhesion"].can_id
 
 
-def told(*notes, ticks=1):
-    doubt = Doubt(TICK)
-    for k in range(ticks):
-        for note in notes:
-            note(doubt)
-        doubt.tick(k * TICK, 0)
-    return doubt
-
-
-def test_nothing_is_known_at_the_start():
-    assert told().reason is Reason.NONE
-    assert not told().overrun
-
-
-def test_late_ticks_count_when_they_come_in_a_row():
-    late = lambda doubt: doubt.note_overrun(2)  # noqa: E731
-    assert told(late, ticks=3).reason is Reason.NONE
-    assert told(late, ticks=4).reason is Reason.OVERRUN
-    assert told(late, ticks=4).deadline_misses == 8
-    doubt = told(late, ticks=4)
-    doubt.tick(4 * TICK, 0)
-    assert doubt.reason is Reason.NONE
-    assert doubt.overrun
-    doubt.tick(3 * TICK + SECOND, 0)
-    assert doubt.overrun
-    doubt.tick(4 * TICK + SECOND, 0)
-    assert not doubt.overrun
-
-
-def test_a_tick_in_time_ends_the_row():
-    doubt = told()
-    for k, wanted in enumerate([Reason.NONE] * 3 + [Reason.OVERRUN] * 2, start=1):
-        doubt.note_overrun(1)
-        doubt.tick(k * TICK, 0)
-        assert doubt.reason is wanted
-
-
-@pytest.mark.parametrize("begin", [0, 7 * TICK, 12_345_678_901])
-def test_how_long_lost_frames_count_depends_on_no_clock(begin):
-    doubt = Doubt(TICK)
-    doubt.note_lost(3)
-    said = []
-    for k in range(8):
-        doubt.tick(begin + k * TICK, 0)
-        said.append(doubt.reason)
-    assert said == [Reason.SEQUENCE] * 5 + [Reason.NONE] * 3
-
-
-def test_lost_frames_are_held_against_every_flag_for_five_ticks():
-    doubt = told(lambda doubt: doubt.note_lost(1))
-    for k in range(1, 5):
-        doubt.tick(k * TICK, 0)
-        assert doubt.reason is Reason.SEQUENCE
-    doubt.tick(5 * TICK, 0)
-    assert doubt.reason is Reason.NONE
-
-
-@pytest.mark.parametrize("at", [TICK, 7 * SECOND])
-def test_there_is_no_doubt_once_what_was_noted_is_long_past(at):
-    fresh = told()
-    assert fresh.none(0)
-    for note, held in (
-        (lambda doubt: doubt.note_overrun(1), SECOND),
-        (lambda doubt: doubt.note_lost(1), 5 * TICK),
-    ):
-        doubt = Doubt(TICK)
-        note(doubt)
-        doubt.tick(at, 0)
-        assert doubt.none(at + held + 1) == (held != SECOND), "a late tick, and none behind it yet"
-        doubt.tick(at + TICK, 0)
-        assert not any(doubt.none(at + since) for since in (TICK, held - 1, held))
-        assert doubt.none(at + held + 1)
-        note(doubt)
-        assert not doubt.none(at + held + 1), "not looked at yet"
-
-
-def test_who_watches_or_has_seen_an_intruder_is_never_without_doubt():
-    watching, seen = told(), told()
-    watching.watching = seen.watching = True
-    assert not watching.none(0)
-    seen.tick(TICK, 1)
-    seen.watching = False
-    assert not seen.none(9 * SECOND)
-
-
-def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
-    doubt = Doubt(TICK)
-    doubt.tick(0, 3)
-    assert not doubt.intruder
-    doubt.watching = True
-    doubt.tick(TICK, 0)
-    assert not doubt.intruder
-    doubt.tick(2 * TICK, 1)
-    doubt.note_lost(1)
-    for k in range(3, 1000):
-        doubt.note_overrun(1)
-        doubt.tick(k * TICK, 0)
-    assert doubt.reason is Reason.INTRUDER
-
-
 @pytest.mark.parametrize(("options", "echo"), [
     ({"interface": "virtual"}, False),
     ({"interface": "virtual", "receive_own_messages": True}, True),
@@ -123,21 +22,6 @@ def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
 ])  # fmt: skip
 def test_a_bus_that_gives_back_what_is_sent_says_so(options, echo):
     assert PythonCan(options).status.hears_itself is echo
-
-
-def test_unknown_lasts_as_long_as_the_intruder_and_ten_seconds_more():
-    doubt = Doubt(TICK, intruder_hold_ns=INTRUDER_HOLD_NS)
-    doubt.watching = True
-    for k in range(300):
-        doubt.tick(k * TICK, int(k % 100 == 0))
-        assert doubt.reason is Reason.INTRUDER
-    doubt.tick(200 * TICK + 10 * SECOND, 0)
-    assert doubt.reason is Reason.INTRUDER
-    doubt.tick(201 * TICK + 10 * SECOND, 0)
-    assert doubt.reason is Reason.NONE
-    assert doubt.intruder, "it was there, all the same"
-    doubt.tick(60 * SECOND, 1)
-    assert doubt.reason is Reason.INTRUDER, "it is back"
 
 
 def with_own(frames, now):

@@ -290,7 +290,7 @@ def test_a_bus_that_takes_nothing_restarts_nobody(rig: Rig, result: SendResult) 
 
 def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig: Rig) -> None:
     def intrude() -> None:
-        rig.core.doubt.intruder = True
+        rig.core.doubt.record["intruder"] = 1
 
     rig.at[100] = intrude
     rig.run(300)

@@ -218,7 +218,9 @@ def filled(made, told, found, come, world):
         made.inputs[name] = found[name]
     fill_inputs(come, world.wrong, world.uncertain, told, world.lost, world.known, world.severe,
                 world.sample_ns, made.inputs)  # fmt: skip
-    made.note_train(world.doubt, world.mode, world.silent, world.overrun)
+    train = made.train_inputs
+    train["integrity_reason"], train["common_mode"] = world.doubt, world.mode
+    train["silent"], train["overrun"] = world.silent, world.overrun
 
 
 @pytest.mark.parametrize("seed", range(4))

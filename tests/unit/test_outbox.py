@@ -10,6 +10,7 @@ from dbc.block import block_of
 from dbc.frame import EXTENDED, FD, SECOND, Frame
 from dbc.records import BUS_LOAD, TX_FRAME, pointer
 from gateway.busload import BusLoad
+from gateway.doubt import Doubt
 from gateway.flags import FlagKind, unknown_status
 from gateway.health import NEVER, REJECTED
 from gateway.heatside import Wear
@@ -204,12 +205,14 @@ def test_counts_are_those_taken_over_and_those_in_the_receiver():
     codec = codec_for(NODES)
     box, load = Outbox(codec, NODES, 7, TICK), BusLoad(500_000, 2_000_000, 0)
     inbox = Inbox(codec, NODES, TICK, Supervision(NODES, 300 * MS))
-    counters = inbox.receiver.counters
+    counters, doubt = inbox.receiver.counters, Doubt(TICK)
+    doubt.note_overrun(3)
+    doubt.tick(0, 0)
     box.note_counts(COUNTED)
     counters[:] = 10 ** np.arange(len(Tally)) % 1_000_007
     load.record["percent"] = 17.0
     for now, percent in ((0, 17.0), (2 * SECOND, 17.0), (2 * SECOND + 1, math.nan)):
-        lib.update_counts(box.pointer, inbox.receiver.pointer, load.pointer, now)
+        lib.update_counts(box.pointer, inbox.receiver.pointer, doubt.pointer, load.pointer, now)
         counts = box.record["counts"][0]
         rejected = sum(int(counters[Tally[name.upper()]]) for name in REJECTED)
         assert counts["rejected"] == COUNTED.rejected + rejected

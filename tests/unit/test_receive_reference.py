@@ -19,7 +19,7 @@ from gateway.channel import SHORTEST_STEP, USED, Kind, sequence_guards
 from gateway.health import Reason
 from gateway.inbox import MAX_GAP_NS, Inbox
 from gateway.receiving import Tally
-from gateway.supervision import Supervision
+from gateway.supervision import Life, Supervision
 from tests.reference import receive as reference
 from tests.sender import CLASSIC, FD_FILE, Sender, codec_for
 
@@ -508,7 +508,9 @@ def test_heartbeats_equal_the_reference(period_ns):
                 seen.add(int(np.sign(record["gaps"])) + 10 * (record["limit_ns"] > 0))
             for later in (0, 1, 150 * MS, TIMEOUT, TIMEOUT + 1, 10 * SECOND):
                 lost = plain.any_lost(t + later)
-                assert ours.any_lost(t + later) == lost
+                assert ours.find_lost(t + later).any() == lost
+                for k, node in enumerate(ours.nodes):
+                    assert (ours.life(node, t + later) is Life.LOST) == ours.lost[k]
         assert ours.malformed == plain.malformed
     assert seen == {-1, 0, 11}
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbc.block import EMPTY, join
-from dbc.frame import MS, SECOND
+from dbc.block import EMPTY, block_of, join
+from dbc.frame import MS, SECOND, Frame
 from gateway import ticks as ticks_module
 from gateway.config import parse
 from gateway.core import Gateway
@@ -99,24 +99,25 @@ def stops(told, most):
 def state(gateway):
     """Numbers of everything that goes on to the next tick."""
     tables = (
-        gateway.findings, gateway.inputs.columns, gateway.bank.filters,
+        [gateway.flags.inputs], gateway.inputs, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        [gateway.motion.motions, gateway.motion.checks, gateway.motion.others],
-        gateway.adhesion.reference, gateway.adhesion.own,
+        gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
         [gateway.adhesion.responses],
         gateway.adhesion.trust, gateway.adhesion.rotors,
-        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,
-        *gateway.thermal.warmth[:5], gateway.supervision.heartbeats,
+        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives,
+        [gateway.outbox.messages[name] for name in ("next_ns", "counter")],
+        [gateway.thermal.motors], gateway.thermal.window, gateway.supervision.heartbeats,
     )  # fmt: skip
     numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
     records = (*gateway.status, gateway.adhesion.common_mode)
     numbers += [table.tolist() for table in records]
-    warmth, heat = gateway.thermal.warmth, gateway.thermal.heat
-    numbers += [warmth.kept_ns.tolist(), warmth.fresh.tolist(), warmth.beat.tolist()]
-    if heat is not None:
-        parts = vars(heat.monitor).values()
-        numbers += [part.tolist() for part in parts if hasattr(part, "tolist")]
-    one = [gateway.load.busy_s, gateway.load.last, gateway.adhesion.learn_ns, gateway.changed]
+    numbers += [gateway.doubt.record.tolist(), gateway.supervision.lost.tolist()]
+    thermal = gateway.thermal
+    numbers += [thermal.record[name].tolist() for name in ("next_ns", "cycles", "cycle", "dirty")]
+    if thermal.model is not None:
+        numbers += [thermal.model.motors.tolist(), thermal.model.position, thermal.model.waiting]
+    load = gateway.load.record
+    one = [repr(load["busy_s"]), repr(load["percent"]), gateway.adhesion.learn_ns, gateway.changed]
     return {
         "arrays": repr(numbers),
         "numbers": one,
@@ -161,7 +162,7 @@ def test_other_detectors_step_one_by_one(detector):
 @pytest.mark.parametrize(("seed", "between"), [(4, 120.0), (11, 60.0), (1, 1e9)])
 def test_the_thermal_model_is_the_same_either_way(seed, between):
     gateway = same(config_of(method="model"), train(), seed, 3000, between)
-    assert gateway.thermal.heat.monitor.motors["judged"].all()
+    assert gateway.thermal.model.motors["judged"].all()
 
 
 @pytest.mark.parametrize("learning", [False, True])
@@ -218,6 +219,35 @@ def test_doubt_of_the_driver_is_kept():
         note(one.doubt), note(many.doubt)
     assert out == wanted
     assert state(many) == state(one)
+
+
+@pytest.mark.parametrize("on_intruder", ["unknown", "go_on", "stop"])
+def test_an_intruder_and_a_heartbeat_that_stops_need_no_single_steps(on_intruder, monkeypatch):
+    honest, done = train(), []
+    blocks, _, _ = stormy(honest, 1, 900, 1e9)
+    own = honest.codec.by_name["Gateway_Adhesion"].can_id
+    for k in (500, 501, 640):
+        blocks[k] = join(blocks[k], block_of([Frame((k + FIRST) * TICK, own, bytes(8))])).ordered()
+    for k in range(300, 900 - FIRST):
+        blocks[k] = blocks[k].pick(blocks[k].can_id != 0x700 + NODES[1])
+    whole = EMPTY
+    for block in blocks:
+        whole = join(whole, block)
+    ends = np.cumsum([block.size for block in blocks])
+    config = config_of()
+    config = config.model_copy(
+        update={"bus": config.bus.model_copy(update={"on_intruder": on_intruder})}
+    )
+    one, many = (Gateway(config, honest.codec, 0) for _ in range(2))
+    one.doubt.watching = many.doubt.watching = True
+    real = Ticks._few
+    monkeypatch.setattr(Ticks, "_few", lambda *words: done.append(real(*words)) or done[-1])
+    assert together(many, whole, ends) == singly(one, blocks)
+    assert state(many) == state(one)
+    assert one.doubt.intruder
+    assert one.silent == (on_intruder == "stop")
+    assert one.supervision.lost.tolist() == [False, True, *[False] * (len(NODES) - 2)]
+    assert sum(ticks for ticks, _ in done) > 0.97 * len(ends)
 
 
 def test_a_replay_that_wants_no_view_says_the_same(tmp_path):
