@@ -70,6 +70,7 @@ HEADERS = (
     "gateway/core/motion.h",
     "gateway/core/plausibility.h",
     "gateway/core/integrity.h",
+    "gateway/core/tick.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -129,6 +130,7 @@ SOURCES = (
     "gateway/core/current_plausibility.c",
     "gateway/core/plausibility.c",
     "gateway/core/integrity.c",
+    "gateway/core/tick.c",
 )
 DEPENDS = (
     *HEADERS,

@@ -140,6 +140,7 @@ MOTION: Final = dtype_of(ffi.typeof("struct motion"))
 PLAUSIBILITY: Final = dtype_of(ffi.typeof("struct plausibility"))
 MOTION_MONITOR: Final = dtype_of(ffi.typeof("struct motion_monitor"))
 INTEGRITY: Final = dtype_of(ffi.typeof("struct integrity"))
+GATEWAY: Final = dtype_of(ffi.typeof("struct gateway"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

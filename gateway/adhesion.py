@@ -99,13 +99,13 @@ class AdhesionMonitor(Addressed):
             lib.detect_loss(mine, estimates, valid, received, flags, now)
         else:
             lib.adhesion_prepare(mine, estimates, valid, received, flags, now)
-            self._ask_detector(told)
+            self.ask_detector(told.estimates)
             lib.adhesion_fuse(mine, received, flags, now)
         return self.opinion
 
-    def _ask_detector(self, told: Told) -> None:
-        """As `adhesion_detect`, by a detector that is not in the core."""
-        speeds = None if self.config.observe == "torque" else np.abs(told.speed)
+    def ask_detector(self, estimates: Records) -> None:
+        """As `adhesion_detect`, by a detector that is not in the core. estimates: (N,)."""
+        speeds = None if self.config.observe == "torque" else np.abs(estimates["speed_rad_s"])
         lost, known, common = self.detector(
             Evidence(self.normalised, self.sigma, self.known, speeds)
         )  # fmt: skip

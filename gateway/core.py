@@ -1,5 +1,9 @@
 """The core: `Gateway.step(frames, now) -> frames`.
 
+What happens in a tick, and in which order, stands in `gateway/core/tick.c`; the fields of the records
+in `gateway/core/records.h`. This module makes the records, and does what needs Python: frames of
+other makers' drives, emergency messages, a detector that is not in the core, authentication.
+
 Five laws:
 1. One `now` per tick, an integer of nanoseconds, passed in. Nobody below `drivers/` reads a
    clock, a socket, an environment variable or a global random generator.
@@ -14,18 +18,18 @@ Five laws:
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
 
 from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
-from estimators.detect import Opinion
-from gateway import calibration, foreign, inputs, plausibility
-from gateway._direct import Direct
-from gateway._flags_kernels import fill_inputs
-from gateway._inputs_kernels import look
-from gateway._plausibility_kernels import check_values
-from gateway.adhesion import AdhesionSide
+from dbc.records import GATEWAY, TX_FRAME, Addressed, Records, pointer
+from gateway import calibration, foreign, inputs
+from gateway.adhesion import AdhesionMonitor
 from gateway.bank import Bank
 from gateway.busload import BusLoad
 from gateway.channel import SAMPLE_NS
@@ -34,7 +38,7 @@ from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.flags import FlagKind, Flags, Timing, rules, unknown_status
 from gateway.health import REJECTED, Flag, GatewayState
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
-from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
+from gateway.motion import MotionMonitor, Timebase
 from gateway.outbox import Outbox
 from gateway.slow import RPM
 from gateway.supervision import Supervision
@@ -50,10 +54,17 @@ HEARTBEAT_LIMIT_NS: Final = 300 * MS
 COMM_CLEAR_NS: Final = 100 * MS
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
+SENT: Final = 512
+"""Frames of ours that there is room for in a `run`; never less than those of a tick."""
 
 
-class Gateway:
-    """All state of the gateway. One object per bus; `step` is called once per tick."""
+class Gateway(Addressed):
+    """All state of the gateway. One object per bus; `step` is called once per tick.
+
+    record: `struct gateway`, which `tick.c` works on.
+    """
+
+    pointer: Any
 
     def __init__(
         self,
@@ -66,144 +77,151 @@ class Gateway:
 
         authenticator: made by the driver, who has the key; None sends no `Gateway_Auth`.
         """
-        nodes = config.nodes
+        nodes, tick_ns = config.nodes, config.loop.period_ns
         motors = [config.motors[d.motor] for d in config.drive]
-        self.config = config
-        self.nodes = nodes
+        self.config, self.nodes, self.start_ns = config, nodes, start_ns
         self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS, config.canopen.heartbeat_ns)
         planned = foreign.plans(config)
         taken = foreign.fitted(codec, planned)
         self.translator = Translator(planned, taken) if planned else None
-        self.inbox = Inbox(taken, nodes, config.loop.period_ns, self.supervision)
-        missing = [d.node for d in self.inbox.drives if not d.channels]
+        self.inbox = Inbox(taken, nodes, tick_ns, self.supervision)
+        drives = self.inbox.drives
+        missing = [d.node for d in drives if not d.channels]
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
-        self.bank = Bank(motors, config.estimator, _current_step_a(taken), config.loop.period_ns)
-        times = _timing(self.inbox.drives)
-        self.motion = MotionSide(motors, config.estimator, times, config.loop.period_ns)
-        self.plausibility_limits = plausibility.limits(
-            motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND,
-            times.period_ns, SETTLED_READINGS,
-        )  # fmt: skip
-        self._check_values = Direct(check_values)
-        self.inputs = inputs.inputs(len(nodes))
-        self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
+        self.bank = Bank(motors, config.estimator, _current_step_a(taken), tick_ns)
+        places = self.inbox.places([0.1 * m.I_rated for m in motors])
+        self.inputs = inputs.InputMonitor(self.inbox.receiver, places.channels)
         cells = calibration.of(config)
-        temperatures = [d.channels.get("Temperatures") for d in self.inbox.drives]
-        period = max((c.period_ns for c in temperatures if c), default=100 * MS)
-        fitted = [d.sensors for d in config.drive]
-        self.thermal = ThermalSide(
-            len(nodes), period, config.thermal.window_s, cells, nodes, fitted,
-            model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
+        self.thermal = _thermal(config, drives, cells)
+        self.thermal.wire(places, [_limit_ns(d, "Temperatures") for d in drives])
+        by = _rules(config, _slowest(drives))
+        self.adhesion = AdhesionMonitor(config.adhesion, motors, by, tick_ns)
+        self.motion = MotionMonitor(
+            motors, config.estimator, _timing(drives), tick_ns, _current_step_a(taken),
+            self.inbox.receiver, self.inputs, self.bank, self.adhesion.rotors,
         )  # fmt: skip
-        self.thermal.wire(self.places, [c.limit_ns if c else 0 for c in temperatures])
-        a, t = config.adhesion, config.thermal
-        adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
-        timing = [
-            adhesion,
-            Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
-            # Good no sooner than the slowest message can have been heard for the first time.
-            Timing(_slowest(self.inbox.drives), 0, COMM_CLEAR_NS),
-            ESTIMATOR,
-            SENSOR,
-        ]
-        severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
-        tick_ns = config.loop.period_ns
-        by = rules(timing, severe, a.raise_probability, a.clear_probability, tick_ns)
-        self.adhesion = AdhesionSide(a, motors, by, tick_ns)
-        self.plausibility = plausibility.start(len(nodes), self.adhesion.train.doubt_ns)
         self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
         self.status = self.flags.status
-        self.changed = True
-        """Whether a flag of any drive is another than in the tick before."""
-        self._look, self._fill_inputs = Direct(look), Direct(fill_inputs)
         own_hash = calibration.config_hash(config, codec.digest, cells)
-        self.outbox = Outbox(codec, nodes, own_hash, config.loop.period_ns, authenticator)
+        self.outbox = Outbox(codec, nodes, own_hash, tick_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         told_apart = config.on_intruder == "tell" and authenticator is not None
         for_good = config.on_intruder in ("stop", "go_on")
         self.doubt = Doubt(
-            config.loop.period_ns, told_apart=told_apart, stops=config.on_intruder == "stop",
+            tick_ns, told_apart=told_apart, stops=config.on_intruder == "stop",
             intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
         )  # fmt: skip
-        self.latency_p99_us: float | None = None
-        self.lateness_p99_us: float | None = None
-        self.start_ns = start_ns
+        self.peak: NDArray[np.float64] = np.full(len(nodes), np.nan)
+        """(N,) largest probability of loss in the last `run`, of each drive; NaN: none."""
+        self.sent = np.zeros(max(SENT, len(self.outbox.heads)), TX_FRAME)
+        self.record = np.zeros(1, GATEWAY)
+        self.record["period_ns"], self.record["drive_count"] = tick_ns, len(nodes)
+        self.record["sent_room"], self.record["changed"] = len(self.sent), 1
+        self.record["is_translated"] = self.translator is not None
+        self.record["detects"] = self.adhesion.in_core
         self._now: Nanos = start_ns
-        self._opinion: Opinion | None = None
         self._view: GatewayView | None = None
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        records: dict[str, Records] = {
+            "receiver": self.inbox.receiver.record, "load": self.load.record,
+            "integrity": self.doubt.record, "channels": self.inputs.channels,
+            "inputs": self.inputs.status, "estimator": self.bank.record,
+            "estimates": self.bank.estimates, "motion": self.motion.record,
+            "adhesion": self.adhesion.record, "temperatures": self.thermal.record,
+            "rules": self.flags.rules, "train_inputs": self.flags.train_inputs,
+            "flag_inputs": self.flags.inputs, "evidence": self.flags.evidence,
+            "status": self.status.drives, "train": self.status.train,
+            "transmitter": self.outbox.record, "sent": self.sent, "peak": self.peak,
+        }  # fmt: skip
+        for name, array in records.items():
+            self.record[name] = array.ctypes.data
+        self.pointer = ffi.from_buffer("struct gateway *", self.record)
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
         """The driver's own measurements, for `Gateway_Info`."""
-        self.latency_p99_us = latency_p99_us
-        self.lateness_p99_us = lateness_p99_us
+        self.outbox.note_timing(latency_p99_us, lateness_p99_us)
 
     def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
         """Take the frames of one tick, give the frames to send. Never raises on wire data."""
-        inbox = self.inbox
-        own = inbox.counts["own"]
-        if self.translator is None:
-            heard = inbox.take(frames, now)
-        else:
-            heard = (frames if isinstance(frames, Block) else block_of(frames)).ordered()
-            inbox.take(self.translator.take(heard, now, inbox.counts), now)
-        return self.heard(heard, inbox.counts["own"] - own, now)
+        block = frames if isinstance(frames, Block) else block_of(frames)
+        if self.translator is not None:
+            block = self._translated(self.translator, block, now)
+        self._run(block, np.array([block.size]), now)
+        return self.outbox.frames_of(self.sent[: self.pointer.sent_count])
 
-    def heard(self, heard: Block, own: int, now: Nanos) -> list[Frame]:
-        """The rest of a step once its frames are in, `own` of them ours; see `step`."""
-        inbox = self.inbox
-        self.doubt.tick(now, own)
+    def run(
+        self, block: Block, ends: NDArray[np.int64], now: Nanos
+    ) -> tuple[int, list[Block]]:
+        """Ticks at `now`, a period later and so on, one for each of ends (K,).
+
+        Gives their number, and what goes out. Tick k takes the frames from ends[k - 1] (0 for the
+        first) to ends[k]. Ends behind the first tick in which a flag changed: those that are left
+        are the caller's to ask for again. `peak` is of the ticks that were done.
+        """
+        out: list[Block] = []
+        done, peak = 0, np.full(len(self.nodes), np.nan)
+        while done < len(ends) and not (done and self.changed):
+            first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
+            if self.translator is None and self.outbox.authenticator is None:
+                done += self._run(block.part(first, int(ends[-1])), ends[done:] - first, at)
+                out.append(self.outbox.block_of(self.sent[: self.pointer.sent_count]))
+            else:
+                out.append(block_of(self.step(block.part(first, int(ends[done])), at)))
+                done += 1
+            np.fmax(peak, self.peak, out=peak)
+        self.peak[:] = peak
+        return done, out
+
+    def _run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> int:
+        """`run` in `tick.c`, and what of its last tick needs Python; at least one tick."""
+        self._make_room(ends)
+        columns, each = block.columns(), pointer("int64_t", ends)
+        done: int = lib.run(self.pointer, columns, each, len(ends), now)
+        if not done:
+            block = block.part(0, int(ends[0])).ordered()
+            done = lib.run(self.pointer, block.columns(), each, 1, now)
+        last = now + (done - 1) * self.config.loop.period_ns
+        if self.pointer.stage == lib.STAGE_DETECT:
+            self.adhesion.ask_detector(self.bank.estimates)
+            lib.finish_tick(self.pointer, last)
+        self.inbox.read_emergencies(block, int(ends[done - 2]) if done > 1 else 0)
+        self._now, self._view = last, None
+        return done
+
+    def _make_room(self, ends: NDArray[np.int64]) -> None:
+        """In the receiver, and for samples, for as many frames as any of these ticks has."""
+        most = int(np.diff(ends, prepend=0).max())
+        receiver = self.inbox.receiver
+        if most > receiver.rows:
+            receiver.make_room(2 * most)
+        self.bank.make_room(len(receiver.room.drive))
+
+    def leave_out(self, frames: int) -> None:
+        """So many of a log were left out for the time of their stamps."""
+        self.inbox.added["received"] += frames
+        self.inbox.added["time_back"] += frames
+        self._note_rejected()
+
+    def _note_rejected(self) -> None:
+        self.outbox.note_rejected(sum(self.inbox.added[cause] for cause in REJECTED))
+
+    def _translated(self, translator: Translator, block: Block, now: Nanos) -> Block:
+        """Frames of one tick as the core knows them; the load of the bus is that of the others."""
+        heard = block.ordered()
         # Our own frames are counted as they go out; in a log they stand a second time.
-        self.load.add_block(heard, inbox.receiver, now)
-        lost, inputs = self.supervision.find_lost(now), self.inputs
-        self._look(
-            now, lost, self.doubt.intruder, self.places, inbox.state, inbox.pairs, inbox.slow,
-            inputs,
-        )  # fmt: skip
-        self.bank.advance(inbox.samples, inbox.restart, inputs.cause, inputs.fresh, now)
-        return self.estimated(now)
+        self.load.add_block(heard, self.inbox.receiver, now)
+        taken = translator.take(heard, now, self.inbox.added)
+        self._note_rejected()
+        return taken.ordered()
 
-    def estimated(self, now: Nanos) -> list[Frame]:
-        """The rest of a step once the filters have been advanced."""
-        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
-        self.motion.take(inbox.readings, inbox.motions, self.bank.tracks.flux)
-        believed = self.bank.believed
-        self._check_values(
-            inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
-            inbox.slow, now, believed.chords, believed.filters, believed.tracks, told,
-            self.motion.memory,
-            self.plausibility, self.plausibility_limits,
-        )  # fmt: skip
-        until_ns = self.plausibility.until_ns
-        self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
-        flag, since = self.flags.adhesion["state"], self.flags.adhesion["since_ns"]
-        opinion = self.adhesion.judge(told, inbox.slow, inputs, flag, since, now)
-        return self.judged(opinion, now)
-
-    def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
-        """The rest of a step once adhesion has been judged."""
-        inbox, inputs, told = self.inbox, self.inputs, self.bank.told
-        wrong = self.motion.memory.wrong
-        self.thermal.hear(inbox, now, self.flags.inputs)
-        flags = self.flags
-        self._fill_inputs(
-            inputs, wrong, self.adhesion.train.uncertain, told, opinion.lost, opinion.known,
-            self.adhesion.severe, inbox.pairs.sample_ns, flags.inputs,
-        )  # fmt: skip
-        common_mode = self.adhesion.common_mode["state"].item()
-        flags.note_train(self.doubt.pointer, common_mode)
-        flags.collect_evidence()
-        self.changed = flags.debounce(now) or self._opinion is None
-        flags.publish(now)
-        self.note(opinion, now)
-        self.outbox.note_counts(self.counted(now))
-        out = [] if self.doubt.mute else self.outbox.due(self.status, now)
-        self.load.add(out)
-        return out
-
-    def note(self, opinion: Opinion, now: Nanos) -> None:
-        """What the tick at `now` was about; nothing has been put into words yet."""
-        self._now, self._opinion, self._view = now, opinion, None
+    @property
+    def changed(self) -> bool:
+        """Whether a flag of any drive is another than in the tick before; so it is at first."""
+        return bool(self.pointer.changed)
 
     @property
     def silent(self) -> bool:
@@ -211,15 +229,10 @@ class Gateway:
         return self.doubt.silent
 
     @property
-    def begun(self) -> bool:
-        """Whether there was a step."""
-        return self._opinion is not None
-
-    @property
     def view(self) -> GatewayView | None:
         """What the last step says; None before the first. Made when it is asked for."""
-        if self._view is None and self._opinion is not None:
-            opinion = self._opinion
+        if self._view is None and self.pointer.begun:
+            opinion = self.adhesion.opinion
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
             drives = drives_of(self.status, self.nodes, self.thermal.wear)
             self._view = view_of(self._now, self.status, drives, common, self.counted(self._now))
@@ -236,7 +249,7 @@ class Gateway:
     @property
     def decided_ns(self) -> Nanos | None:
         """Stamp of the newest sample that the last step's flags rest on; None before any."""
-        newest = int(self.inbox.pairs.sample_ns.max())
+        newest = int(self.inbox.receiver.drives["sample_ns"].max())
         return newest if newest >= 0 else None
 
     def unknown_frames(self, now: Nanos) -> list[Frame]:
@@ -247,7 +260,6 @@ class Gateway:
         unknown.train["state"] = GatewayState.SILENT
         unknown.train["overrun"] = Flag.BAD if self.doubt.overrun else Flag.GOOD
         self.outbox.restart(now)
-        self.outbox.note_counts(self.counted(self._now))
         names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
         wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
         return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
@@ -257,8 +269,42 @@ class Gateway:
         counts = self.inbox.counts
         return Counted(
             self.doubt.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
-            self.load.percent(now), self.latency_p99_us, self.lateness_p99_us,
+            self.load.percent(now), *self.outbox.timing,
         )  # fmt: skip
+
+
+def _thermal(
+    config: Config, drives: Sequence[DriveInput], cells: calibration.Calibration | None
+) -> ThermalSide:
+    """What judges the motors' temperatures."""
+    cycles = [d.channels["Temperatures"].period_ns for d in drives if "Temperatures" in d.channels]
+    return ThermalSide(
+        len(drives), max(cycles, default=100 * MS), config.thermal.window_s, cells, config.nodes,
+        [d.sensors for d in config.drive],
+        model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
+    )  # fmt: skip
+
+
+def _limit_ns(drive: DriveInput, kind: str) -> Nanos:
+    """Age limit of a message; 0 where the drive sends none."""
+    channel = drive.channels.get(kind)
+    return channel.limit_ns if channel else 0
+
+
+def _rules(config: Config, slowest_ns: Nanos) -> Records:
+    """From evidence to flags; slowest_ns: cycle of the slowest message."""
+    a, t = config.adhesion, config.thermal
+    adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
+    timing = [
+        adhesion,
+        Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
+        # Good no sooner than the slowest message can have been heard for the first time.
+        Timing(slowest_ns, 0, COMM_CLEAR_NS),
+        ESTIMATOR,
+        SENSOR,
+    ]
+    severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
+    return rules(timing, severe, a.raise_probability, a.clear_probability, config.loop.period_ns)
 
 
 def _current_step_a(codec: Codec) -> float:

@@ -17,12 +17,11 @@ import numpy as np
 from dbc.block import Block, block_of
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
-from gateway import channel, inputs, pairing, receiving
-from gateway.channel import Channel, ChannelState
+from gateway import channel, inputs, receiving
+from gateway.channel import Channel
 from gateway.inputs import NONE
-from gateway.pairing import PairState, Samples
-from gateway.receiving import NAMES, Receiver, Scratch, Wiring
-from gateway.slow import Readings, SlowState
+from gateway.pairing import Samples
+from gateway.receiving import NAMES, Receiver
 from gateway.supervision import Supervision
 
 ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
@@ -98,12 +97,8 @@ class Inbox:
         self.codec = codec
         self.supervision = supervision
         self.drives = [DriveInput(row, node) for row, node in enumerate(nodes)]
-        self.counts: Counter[str] = Counter()
-        self.samples = pairing.room(0)
-        self.seen = 0
-        """Rows of `scratch` with temperatures that came in this tick."""
-        self.motions = 0
-        """Rows of `readings` that came in this tick."""
+        self.added: Counter[str] = Counter()
+        """Frames that the receiver has not counted: emergencies, and those left out before it."""
         own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
         self.channels: list[Channel] = []
         keys: dict[int, int] = {}
@@ -124,41 +119,6 @@ class Inbox:
         for drive in self.drives:
             drive.seat(self.receiver)
 
-    @property
-    def state(self) -> ChannelState:
-        """Of the channels."""
-        return self.receiver.state
-
-    @property
-    def pairs(self) -> PairState:
-        """Of the drives: samples."""
-        return self.receiver.pairs
-
-    @property
-    def slow(self) -> SlowState:
-        """Of the drives: what they send slowly."""
-        return self.receiver.slow
-
-    @property
-    def wiring(self) -> Wiring:
-        """Constants of the channels."""
-        return self.receiver.wiring
-
-    @property
-    def scratch(self) -> Scratch:
-        """Accepted frames of the tick."""
-        return self.receiver.scratch
-
-    @property
-    def room(self) -> Samples:
-        """Where samples are put."""
-        return self.receiver.room
-
-    @property
-    def readings(self) -> Readings:
-        """Where readings are put."""
-        return self.receiver.readings
-
     def places(self, sum_limit_a: Sequence[float]) -> inputs.Places:
         """Which channels are whose. sum_limit_a: what a drive's phases may sum to, A."""
         rows = []
@@ -174,64 +134,55 @@ class Inbox:
         """Drives whose filter starts anew in this tick."""
         return set(np.flatnonzero(self.receiver.drives["restart"]).tolist())
 
-    def begin(self) -> None:
-        """Nothing has come in this tick yet."""
-        self.seen = self.motions = 0
-
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
         """Accept the frames of one tick, in the order of their time stamps, then ids.
 
         Returns them as a block, in that order.
         """
-        self.begin()
         block = frames if isinstance(frames, Block) else block_of(frames)
-        if not block.size:
-            self.samples = self.room.first(0)
-            self.receiver.receive(block, now)
-            return block
         if block.size > self.receiver.rows:
             self.receiver.make_room(2 * block.size)
         if not self.receiver.receive(block, now):
             block = block.ordered()
             self.receiver.receive(block, now)
-        self.note(block)
+        self.read_emergencies(block, 0)
         return block
 
-    def note(self, block: Block) -> None:
-        """Take over what the receiver has found in a tick's frames."""
-        if not block.size:
-            self.samples = self.room.first(0)
-            return
-        found = self.receiver.received()
-        self.samples, self.seen = self.room.first(found.samples), found.temperatures
-        self.motions = found.motions
-        self.counts["received"] += block.size
-        if found.only_decoded:
-            self.counts["decoded"] += block.size
-        else:
-            self.count()
-        for k in self.scratch.foreign[: found.emergencies].tolist():
-            known = self.supervision.observe(block.frame(k))
-            self.counts["canopen" if known else "unknown_id"] += 1
-        if found.unpaired or found.late:
-            self.counts["unpaired"] += found.unpaired
-            self.counts["late"] += found.late
+    def read_emergencies(self, block: Block, first: int) -> None:
+        """Those of the last tick, whose frames begin at `first`."""
+        tick = self.receiver.pointer.tick
+        for k in self.receiver.scratch.foreign[: tick.emergencies].tolist():
+            known = self.supervision.observe(block.frame(first + k))
+            self.added["canopen" if known else "unknown_id"] += 1
+            self.added["received"] += 1
 
-    def count(self) -> None:
-        """Take over the receiver's counters."""
-        counters = self.receiver.counters
-        for name, count in zip(NAMES, counters.tolist(), strict=False):
+    @property
+    def counts(self) -> Counter[str]:
+        """Frames since the start: received ones, what became of them, and those that are missing."""
+        pointer = self.receiver.pointer
+        found = Counter(self.added)
+        for name, count in zip(NAMES, self.receiver.counters.tolist(), strict=False):
             if count:
-                self.counts[name] += count
-        counters[:] = 0
+                found[name] += count
+                found["received"] += count if name != "lost" else 0
+        for name, count in (("unpaired", pointer.unpaired), ("late", pointer.late)):
+            if count:
+                found[name] += count
+        return found
+
+    @property
+    def samples(self) -> Samples:
+        """Of the last tick."""
+        return self.receiver.room.first(self.receiver.pointer.tick.samples)
 
     @property
     def temperatures(self) -> list[Temperatures]:
         """Readings of the tick, for whoever wants to show them."""
-        return [self._temperature(row) for row in self.scratch.seen[: self.seen].tolist()]
+        seen = self.receiver.scratch.seen[: self.receiver.pointer.tick.temperatures]
+        return [self._temperature(row) for row in seen.tolist()]
 
     def _temperature(self, row: int) -> Temperatures:
-        scratch = self.scratch
+        scratch = self.receiver.scratch
         one = self.channels[scratch.channel.item(row)]
         value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
         usable = one.quality < 0 or value[one.quality] in USABLE

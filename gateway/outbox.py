@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from _traction_core import ffi, lib
 
+from dbc.block import Block, blank, block_of
 from dbc.codec import Codec, MessageSpec
 from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
-from dbc.records import TRANSMITTER, TX_FRAME, TX_MESSAGE, TX_SIGNAL, Addressed
+from dbc.records import TRANSMITTER, TX_FRAME, TX_MESSAGE, TX_SIGNAL, Addressed, Records
 from gateway.flags import Status
 from gateway.sources import OF_A_DRIVE, OF_THE_SET
 from gateway.view import Counted
@@ -78,6 +79,9 @@ class Outbox(Addressed):
             (spec.can_id, spec.length, (FD | (BRS if spec.brs else 0)) if spec.is_fd else 0)
             for spec in specs
         ]
+        self._heads = block_of(
+            [Frame(0, can_id, bytes(size), flags) for can_id, size, flags in self.heads]
+        )
         self._begun = False
         self.authenticator = authenticator
         self.auth = codec.by_name["Gateway_Auth"]
@@ -114,12 +118,26 @@ class Outbox(Addressed):
         """What `Gateway_Info` and `Gateway_Status` say from now on."""
         counts = self.pointer.counts
         counts.deadline_misses = counted.deadline_misses
-        counts.rejected = counts.rejected_before = counted.rejected
-        counts.lost = counts.lost_before = counted.lost
+        counts.rejected, counts.lost = counted.rejected, counted.lost
         counts.bus_load_percent = _number(counted.bus_load_percent)
         counts.latency_p99_us = _number(counted.latency_p99_us)
         counts.lateness_p99_us = _number(counted.lateness_p99_us)
         counts.config_hash = self.config_hash
+
+    def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
+        """The driver's own measurements, for `Gateway_Info`."""
+        counts = self.pointer.counts
+        counts.latency_p99_us, counts.lateness_p99_us = latency_p99_us, lateness_p99_us
+
+    @property
+    def timing(self) -> tuple[float | None, float | None]:
+        """Latency and lateness as noted last, us."""
+        counts = self.pointer.counts
+        return _known(counts.latency_p99_us), _known(counts.lateness_p99_us)
+
+    def note_rejected(self, frames: int) -> None:
+        """So many were rejected before they came to the receiver."""
+        self.pointer.counts.rejected_before = frames
 
     def due(self, status: Status, now: Nanos) -> list[Frame]:
         """Frames of this tick, in the order of their ids; after each flag frame its `Auth`."""
@@ -128,13 +146,24 @@ class Outbox(Addressed):
             self.pointer, ffi.from_buffer("struct drive_status[]", status.drives),
             ffi.from_buffer("struct train_status *", status.train), now, self._frames,
         )  # fmt: skip
-        frames = [self._frame(self._frames[k]) for k in range(count)]
+        return self.frames_of(self.frames[:count])
+
+    def frames_of(self, sent: Records) -> list[Frame]:
+        """From `tx_frame` (K,); behind each flag frame its `Auth`."""
+        frames = []
+        rows = zip(sent["t_ns"].tolist(), sent["message"].tolist(), sent["data"], strict=True)
+        for t_ns, message, data in rows:
+            can_id, length, flags = self.heads[message]
+            frames.append(Frame(t_ns, can_id, data[:length].tobytes(), flags))
         return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
 
-    def _frame(self, sent: Any) -> Frame:
-        """Of one `struct tx_frame`."""
-        can_id, length, flags = self.heads[sent.message]
-        return Frame(sent.t_ns, can_id, ffi.buffer(sent.data)[:length], flags)
+    def block_of(self, sent: Records) -> Block:
+        """The same without any `Auth`."""
+        out, message, heads = blank(len(sent), self._heads.names), sent["message"], self._heads
+        out.t_ns[:] = sent["t_ns"]
+        out.can_id[:], out.flags[:] = heads.can_id[message], heads.flags[message]
+        out.length[:], out.data[:] = heads.length[message], sent["data"]
+        return out
 
     def _vouch(self, authenticator: Authenticator, frames: list[Frame]) -> list[Frame]:
         out = []
@@ -149,6 +178,10 @@ class Outbox(Addressed):
                 flags = (FD | (BRS if self.auth.brs else 0)) if self.auth.is_fd else 0
                 out.append(Frame(frame.t_ns, self.auth.can_id, bytes(payload), flags))
         return out
+
+
+def _known(number: float) -> float | None:
+    return None if math.isnan(number) else number
 
 
 def _number(x: float | None) -> float:

@@ -79,10 +79,7 @@ class Received(NamedTuple):
     motions: int
     temperatures: int
     emergencies: int
-    unpaired: int
-    late: int
     restarts: int
-    only_decoded: int
     own: int
 
 
@@ -162,17 +159,19 @@ class Receiver(Addressed):
         ))  # fmt: skip
 
     def receive(self, block: Block, now: Nanos) -> bool:
-        """`receive_frames`; False, and nothing is done, for frames in another order."""
-        return bool(lib.receive_frames(
+        """`receive_frames`, then `check_timeouts`.
+
+        False, and nothing is done, for frames in another order.
+        """
+        done = bool(lib.receive_frames(
             self.pointer, block.size, ffi.from_buffer("int64_t[]", block.t_ns),
             ffi.from_buffer("uint32_t[]", block.can_id), ffi.from_buffer("uint8_t[]", block.flags),
             ffi.from_buffer("uint8_t[]", block.length), ffi.from_buffer("uint8_t[]", block.data),
             now,
         ))  # fmt: skip
-
-    def check_timeouts(self, now: Nanos) -> None:
-        """`check_timeouts`."""
-        lib.check_timeouts(self.pointer, now)
+        if done:
+            lib.check_timeouts(self.pointer, now)
+        return done
 
     def received(self) -> Received:
         """What the last frames left behind."""

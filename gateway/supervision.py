@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
-from numpy.typing import NDArray
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame, Nanos
 from dbc.records import HEARTBEAT, SUPERVISION, Addressed
@@ -106,8 +105,6 @@ class Supervision(Addressed):
         self.record["timeout_ns"], self.record["period_ns"] = timeout_ns, period_ns
         self.record["node_count"], self.record["row"] = len(self.nodes), -1
         self.record["row"][0, list(self.nodes)] = range(len(self.nodes))
-        self.lost = np.zeros(len(self.nodes), dtype=np.bool_)
-        """(N,) what `find_lost` has found last."""
         self.link()
         self._row = {n: k for k, n in enumerate(self.nodes)}
         self._heartbeat_of = {HEARTBEAT_BASE + n: n for n in self.nodes}
@@ -122,7 +119,6 @@ class Supervision(Addressed):
         self.record["nodes"] = self.heartbeats.ctypes.data
         self.address = self.record.ctypes.data
         self.pointer = ffi.from_buffer("struct supervision *", self.record)
-        self._lost = ffi.from_buffer("uint8_t[]", self.lost)
 
     @property
     def boots(self) -> dict[int, int]:
@@ -161,14 +157,12 @@ class Supervision(Addressed):
             self.emcy[node].add(Emergency(frame.t_ns, code, data[2], data[3:]))
         return True
 
-    def find_lost(self, now_ns: Nanos) -> NDArray[np.bool_]:
-        """(N,) nodes that are supervised by their heartbeat, and it has stopped; see `lost`."""
-        lib.find_lost_nodes(self.pointer, now_ns, self._lost)
-        return self.lost
-
     def any_lost(self, now_ns: Nanos) -> bool:
         """Whether `life` says lost of any node."""
-        return bool(self.find_lost(now_ns).any())
+        return any(self._is_lost(row, now_ns) for row in range(len(self.nodes)))
+
+    def _is_lost(self, row: int, now_ns: Nanos) -> bool:
+        return bool(lib.is_node_lost(self.pointer, row, now_ns))
 
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""
@@ -176,7 +170,7 @@ class Supervision(Addressed):
         last = NEVER if row is None else int(self.heartbeats["last_ns"][row])
         if last == NEVER:
             return Life.NEVER_SEEN
-        return Life.LOST if self.find_lost(now_ns)[row] else Life.ALIVE
+        return Life.LOST if self._is_lost(row, now_ns) else Life.ALIVE
 
     def timeout_ns(self, node: int) -> Nanos:
         """Silence of a supervised node that is longer is a loss, ns; 0: it is not supervised."""

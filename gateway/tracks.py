@@ -51,25 +51,6 @@ def told_of(records: Records) -> Told:
     )  # fmt: skip
 
 
-def estimates(n: int) -> Records:
-    """`drive_estimate` of N drives of which nothing is known."""
-    made = np.zeros(n, DRIVE_ESTIMATE)
-    for name in ("speed_rad_s", "load_nm", "load_sigma_nm", "nis", "flux_ratio"):
-        made[name] = np.nan
-    made["health_reason"] = Reason.STARTING
-    return made
-
-
-def told_of(records: Records) -> Told:
-    """Fields of these records."""
-    n = len(records)
-    return Told(
-        records["health"], records["health_reason"], np.zeros(n, dtype=np.int64),
-        np.zeros(n, dtype=np.bool_), records["speed_rad_s"], records["load_nm"],
-        records["load_sigma_nm"], records["nis"],
-    )  # fmt: skip
-
-
 def told(n: int) -> Told:
     """Of N drives of which nothing is known."""
     return told_of(estimates(n))

@@ -38,7 +38,7 @@ static int64_t next_sample(struct receiver *receiver, struct drive_input *drive,
 {
     int64_t missing = missing_cycles(receiver, drive, counter, values, t_ns, period_ns);
     if (missing == TOO_LATE) {
-        receiver->tick.late++;
+        receiver->late++;
         return TOO_LATE;
     }
     if (missing == START_ANEW) {
@@ -98,7 +98,7 @@ static void pair_halves(struct receiver *receiver, const struct channel *channel
         /* The older half belongs to an earlier turn of the counter. */
         struct half_sample *older = other->t_ns < t_ns ? other : mine;
         older->t_ns = -1;
-        receiver->tick.unpaired++;
+        receiver->unpaired++;
         return;
     }
     const int64_t newer_ns = other->t_ns > t_ns ? other->t_ns : t_ns;

@@ -276,17 +276,6 @@ static int in_order(int64_t frames, const int64_t *t_ns, const uint32_t *can_id)
     return 1;
 }
 
-/* If every frame counted as decoded, the counters are 0 again. */
-static void close_counters(struct receiver *receiver, int64_t frames)
-{
-    int64_t others = 0;
-    for (int k = RX_DECODED + 1; k < RX_COUNTERS; k++)
-        others |= receiver->counters[k];
-    receiver->tick.only_decoded = others == 0 && receiver->counters[RX_DECODED] == frames;
-    if (receiver->tick.only_decoded)
-        receiver->counters[RX_DECODED] = 0;
-}
-
 static void start_tick(struct receiver *receiver)
 {
     receiver->tick = (struct received){0};
@@ -315,8 +304,7 @@ static uint8_t unknown_reason(const struct channel *channel, int64_t now_ns)
     return rejected == REASON_RANGE || rejected == REASON_NOT_AVAILABLE ? rejected : REASON_NONE;
 }
 
-/* End of a tick: note why each channel is unknown. */
-static void notice_silence(struct receiver *receiver, int64_t now_ns)
+void check_timeouts(struct receiver *receiver, int64_t now_ns)
 {
     for (int64_t c = 0; c < receiver->channel_count; c++) {
         struct channel *channel = &receiver->channels[c];
@@ -341,6 +329,5 @@ int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_n
                   receiver->value, receiver->validity);
     for (int64_t row = 0; row < receiver->tick.accepted; row++)
         note_row(receiver, row);
-    close_counters(receiver, frames);
     return 1;
 }

@@ -949,10 +949,7 @@ struct received {
     int64_t motions;      /* readings of Motion */
     int64_t temperatures; /* rows of temperatures */
     int64_t emergencies;  /* emergencies of the drives' nodes */
-    int64_t unpaired;     /* halves of samples that found no other */
-    int64_t late;         /* samples that came too late */
     int64_t restarts;     /* drives whose filter starts anew */
-    int64_t only_decoded; /* 1: every frame counted as decoded, and the counters are 0 again */
     int64_t own;          /* frames with the gateway's own identifiers */
 };
 
@@ -990,7 +987,9 @@ struct receiver {
     /* rows that Python looks at */
     int64_t *temperature_rows;     /* accepted frames with temperatures */
     int64_t *emergency_rows;       /* received frames that are emergencies */
-    int64_t counters[RX_COUNTERS]; /* since Python last took them over */
+    int64_t counters[RX_COUNTERS]; /* since the start */
+    int64_t unpaired;              /* halves of samples that found no other, since the start */
+    int64_t late;                  /* samples that came too late, since the start */
     struct received tick;
 };
 
@@ -1072,8 +1071,7 @@ struct gateway_counts {
     double latency_p99_us;   /* measured by the driver */
     double lateness_p99_us;  /* likewise */
     double config_hash;      /* of the configuration; constant */
-    int64_t rejected_before; /* without those that are still in the receiver's counters */
-    int64_t lost_before;     /* likewise */
+    int64_t rejected_before; /* of `rejected`: before frames are received, by a translator */
 };
 
 /* Everything that sends; messages in the order of their identifiers. */
@@ -1556,6 +1554,49 @@ struct integrity {
     uint8_t intruder; /* 1: there was one. Latched: receivers cannot tell two senders apart */
     uint8_t silent;   /* 1: nothing is sent any more */
     uint8_t mute;     /* 1: this tick's frames are not sent: it was silent before */
+};
+
+/* ---- the gateway (gateway/core/tick.c) ---- */
+
+/* What comes next in a tick. */
+enum tick_stage {
+    STAGE_RECEIVE = 0, /* a new tick */
+    STAGE_DETECT = 1,  /* a detector that is not in the core, then `finish_tick` */
+};
+
+/* All records of a gateway, by station, and how its ticks go. */
+struct gateway {
+    struct receiver *receiver;
+    struct bus_load *load;
+    struct integrity *integrity;
+    const struct drive_channels *channels;
+    struct input_status *inputs;
+    struct estimator *estimator;
+    struct drive_estimate *estimates;
+    struct motion_monitor *motion;
+    struct adhesion *adhesion;
+    struct temperature_monitor *temperatures;
+    const struct flag_rules *rules;
+    struct train_inputs *train_inputs;
+    struct flag_inputs *flag_inputs;
+    struct drive_evidence *evidence;
+    struct drive_status *status;
+    struct train_status *train;
+    struct transmitter *transmitter;
+    /* constants */
+    int64_t period_ns;
+    int32_t drive_count;
+    uint8_t is_translated; /* 1: frames come from a translator; it counts the load of the bus */
+    uint8_t detects;       /* 1: the detector is the core's own */
+    /* result of a run */
+    struct tx_frame *sent; /* frames of its ticks */
+    int64_t sent_room;     /* how many there is room for: at least those of a tick */
+    int64_t sent_count;
+    double *peak; /* (drive_count) largest probability of loss; NaN: none */
+    /* state */
+    uint8_t stage;   /* enum tick_stage */
+    uint8_t begun;   /* 1: there was a tick */
+    uint8_t changed; /* 1: the last tick changed a flag */
 };
 
 #endif

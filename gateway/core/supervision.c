@@ -89,10 +89,8 @@ void on_node_guard(struct supervision *all, uint32_t can_id)
         all->nodes[node].asked = 1;
 }
 
-void find_lost_nodes(const struct supervision *all, int64_t now_ns, uint8_t *lost)
+int is_node_lost(const struct supervision *all, int32_t node, int64_t now_ns)
 {
-    for (int32_t k = 0; k < all->node_count; k++) {
-        const struct heartbeat *node = &all->nodes[k];
-        lost[k] = node->limit_ns > 0 && now_ns - node->last_ns > node->limit_ns;
-    }
+    const struct heartbeat *one = &all->nodes[node];
+    return one->limit_ns > 0 && now_ns - one->last_ns > one->limit_ns;
 }

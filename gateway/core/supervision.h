@@ -13,7 +13,7 @@ void on_heartbeat(struct supervision *all, int32_t node, int64_t t_ns, int32_t l
 /* A remote frame: with a node's heartbeat identifier it is a node-guard request to it. */
 void on_node_guard(struct supervision *all, uint32_t can_id);
 
-/* Fill lost (node_count): 1 where a supervised node has been silent for longer than its time-out. */
-void find_lost_nodes(const struct supervision *all, int64_t now_ns, uint8_t *lost);
+/* 1 if a node, an index into `nodes`, is supervised and silent for longer than its time-out. */
+int is_node_lost(const struct supervision *all, int32_t node, int64_t now_ns);
 
 #endif

@@ -209,7 +209,7 @@ void update_counts(struct transmitter *tx, const struct receiver *receiver,
         rejected += receiver->counters[REJECTED[k]];
     counts->deadline_misses = (double)integrity->deadline_misses;
     counts->rejected = (double)rejected;
-    counts->lost = (double)(counts->lost_before + receiver->counters[RX_LOST]);
+    counts->lost = (double)receiver->counters[RX_LOST];
     counts->bus_load_percent = bus_load_percent(load, now_ns);
 }
 

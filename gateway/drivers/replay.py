@@ -21,7 +21,6 @@ from dbc.frame import Frame, Nanos
 from gateway.core import Gateway
 from gateway.drivers import leanstart
 from gateway.drivers.logtime import HOLE_NS, LogTime
-from gateway.ticks import Ticks
 
 MOST_TICKS = 4096
 """Asked for at once."""
@@ -166,10 +165,7 @@ def replay(
             sink.samples.took(last_ns, gateway, peak)
 
     def drop(count: int) -> None:
-        gateway.inbox.counts["received"] += count
-        gateway.inbox.counts["time_back"] += count
-
-    several = Ticks(gateway)
+        gateway.leave_out(count)
 
     def many(block: Block, sink: Briefly) -> int:
         """All ticks that end within the block; the first frame that is not in any."""
@@ -181,8 +177,8 @@ def replay(
                 count = min(count, 1 + max(0, -((now - sink.samples.next_ns) // period_ns)))
             nows = now + period_ns * np.arange(count)
             ends = np.searchsorted(block.t_ns[done:], nows, "right")
-            stepped, out = several.run(block.part(done, block.size), ends, now)
-            tell(sink, out, now + (stepped - 1) * period_ns, several.peak)
+            stepped, out = gateway.run(block.part(done, block.size), ends, now)
+            tell(sink, out, now + (stepped - 1) * period_ns, gateway.peak)
             now += stepped * period_ns
             ticks += stepped
             done += ends.item(stepped - 1)
