@@ -12,7 +12,7 @@ from dbc.frame import MS, SECOND, Nanos
 from dbc.records import Columns
 from gateway.pairing import Samples
 from gateway.slow import Readings, SlowState
-from gateway.tracks import Told, Tracks
+from gateway.tracks import Told
 from tests.reference.motion import Memory
 
 HISTORY: Final = 8
@@ -72,7 +72,6 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_reset, _FILTER = symbol("filter_reset"), FILTER.itemsize
 _TRACKING = 2  # Health
 _W_E, _THETA = 2, 3  # pmsm
 _OBSERVED_LOAD = 1  # LoadState

@@ -71,17 +71,16 @@ class Plain:
         self.estimates, self.status = drives.estimates.copy(), drives.status.copy()
         self.filters, self.sensors = drives.bank.filters.copy(), drives.bank.sensors.copy()
         told, given = tracks.told_of(self.estimates), columns(self.status)
-        own = tracks.tracks(len(self.status))._replace(flux=self.estimates["flux_ratio"])
         came, readings = drives.came, drives.came.readings
 
         def open_phase(k, w_e):
             record = pointer("struct current_calibration", self.sensors) + k
             return bool(lib.is_single_axis_current(record, w_e))
 
-        reference.observe_motion(readings, count, own.flux, self.memory, self.limits)
+        reference.observe_motion(readings, count, told.flux, self.memory, self.limits)
         plausibility.check_values(
             came.samples.first(samples), came.drives["sample_ns"], readings, count, given.speed,
-            slow.state_of(came.drives), now, drives.bank.chords, self.filters, own, told,
+            slow.state_of(came.drives), now, drives.bank.chords, self.filters, told,
             self.memory, self.check, self.check_limits,
         )  # fmt: skip
         reference.merge_motion(
