@@ -45,6 +45,7 @@ HEADERS = (
     "estimators/current_calibration.h",
     "estimators/adaptation.h",
     "estimators/filter.h",
+    "estimators/load_observer.h",
     "gateway/core/flags.h",
     "gateway/core/train.h",
     "gateway/core/adhesion.h",
@@ -55,6 +56,8 @@ HEADERS = (
     "gateway/core/pairing.h",
     "gateway/core/receive.h",
     "gateway/core/inputs.h",
+    "gateway/core/motion.h",
+    "gateway/core/plausibility.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -85,6 +88,7 @@ SOURCES = (
     "estimators/current_calibration.c",
     "estimators/adaptation.c",
     "estimators/filter.c",
+    "estimators/load_observer.c",
     "estimators/filter_simd.c",
     "estimators/filter_simd_avx2.c",
     "estimators/filter_simd_avx512.c",
@@ -100,6 +104,9 @@ SOURCES = (
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
     "gateway/core/inputs.c",
+    "gateway/core/motion.c",
+    "gateway/core/current_plausibility.c",
+    "gateway/core/plausibility.c",
 )
 DEPENDS = (
     *HEADERS,
@@ -115,6 +122,8 @@ DEPENDS = (
     "gateway/core/rotors.h",
     "gateway/core/loads.h",
     "gateway/core/times.h",
+    "gateway/core/current_plausibility.h",
+    "gateway/core/misfits.h",
 )
 """All that sources include."""
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno")

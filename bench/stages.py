@@ -28,7 +28,7 @@ STAGES: Final[tuple[tuple[str, type | ModuleType, str], ...]] = (
     ("frames in: verify, decode, pair", core.Inbox, "take"),
     ("  verify, decode, pair, compiled", Receiver, "receive"),
     ("filters", core.Bank, "run"),
-    ("measured motion", core.MotionSide, "settle"),
+    ("measured motion", core.MotionMonitor, "observe"),
     ("detector and commands", core.AdhesionMonitor, "detect"),
     ("thermal readings", core.ThermalSide, "hear"),
     ("thermal reports", core.ThermalSide, "tell"),

@@ -123,6 +123,11 @@ RECEIVED: Final = dtype_of(ffi.typeof("struct received"))
 RECEIVER: Final = dtype_of(ffi.typeof("struct receiver"))
 DRIVE_CHANNELS: Final = dtype_of(ffi.typeof("struct drive_channels"))
 INPUT_STATUS: Final = dtype_of(ffi.typeof("struct input_status"))
+MECHANICS: Final = dtype_of(ffi.typeof("struct mechanics"))
+LOAD_OBSERVER: Final = dtype_of(ffi.typeof("struct load_observer"))
+MOTION: Final = dtype_of(ffi.typeof("struct motion"))
+PLAUSIBILITY: Final = dtype_of(ffi.typeof("struct plausibility"))
+MOTION_MONITOR: Final = dtype_of(ffi.typeof("struct motion_monitor"))
 LAYOUT: Final = " ".join(
     f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
 )

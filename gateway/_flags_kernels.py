@@ -28,7 +28,7 @@ _publish = symbol("publish")
 
 @lean
 def fill_inputs(
-    inputs: Inputs, wrong: Bools, uncertain: Bytes, told: Told, lost: Array, known: Bools,
+    inputs: Inputs, wrong: Bytes, uncertain: Bytes, told: Told, lost: Array, known: Bools,
     severe: Bytes, findings: Findings, sample_ns: Ints, out: Records,
 ) -> None:  # fmt: skip
     """`flag_inputs` of N drives from the columns of the stations before.

@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 from dbc._core_symbols import symbol
 from dbc._lean import inlined, unlocked
 from gateway._flags_kernels import fill_inputs, update_flags
-from gateway._motion_kernels import merge_motion, observe_motion
 from gateway._outbox_kernels import send
-from gateway._plausibility_kernels import check_values
 from gateway._receive_kernels import any_node_lost, bus_time, check_timeouts, receive_frames
 from gateway._thermal_kernels import advance, hear, report
-from gateway.pairing import Samples
 
 if TYPE_CHECKING:
     from dbc.records import Records
@@ -35,7 +32,7 @@ WHOLE, HEARD = range(2)
 _T_LOST = 9  # receiving.Tally
 _C_REJECTED, _C_LOST = 1, 2  # sources.COUNTED
 _assess_inputs, _run_filters = symbol("assess_inputs"), symbol("run_filters")
-_detect_loss = symbol("detect_loss")
+_observe_load, _detect_loss = symbol("observe_load"), symbol("detect_loss")
 
 
 @inlined
@@ -80,7 +77,7 @@ def several(
         last = ends[k]
         if now >= until or last - first > rows_of or out + went.most > went.message.shape[0]:
             break
-        samples = seen = motions = 0
+        seen = 0
         odd = others = False
         if last > first:
             if not receive_frames(
@@ -88,8 +85,7 @@ def several(
             ):
                 break
             tick = receiving.tick[0]
-            samples, seen, motions = tick["samples"], tick["temperatures"], tick["motions"]
-            odd = tick["only_decoded"] == 0
+            seen, odd = tick["temperatures"], tick["only_decoded"] == 0
             others = tick["emergencies"] + tick["unpaired"] + tick["late"] > 0
         else:
             check_timeouts(receiving.receiver, now)
@@ -106,27 +102,11 @@ def several(
         first = last
         inputs, told = filtering.inputs, filtering.told
         _assess_inputs(receiving.receiver, receiving.drive_channels, 0, now, receiving.input_status)
-        taken = Samples(
-            receiving.out.drive[:samples], receiving.out.u[:samples], receiving.out.y[:samples],
-            receiving.out.steps[:samples], receiving.out.gap[:samples],
-        )  # fmt: skip
         _run_filters(
             filtering.estimator, receiving.receiver, receiving.input_status,
             told.estimates.ctypes.data, now,
         )  # fmt: skip
-        observe_motion(
-            receiving.readings, motions, told.flux, filtering.motion,
-            filtering.limits,
-        )  # fmt: skip
-        check_values(
-            taken, receiving.pairs.sample_ns, receiving.readings, motions, inputs.speed,
-            receiving.slow, now, filtering.chords, filtering.filters, told, filtering.motion,
-            filtering.check, filtering.check_limits,
-        )  # fmt: skip
-        merge_motion(
-            inputs, filtering.sensors, filtering.check.until_ns, now, told,
-            filtering.motion, filtering.limits,
-        )  # fmt: skip
+        _observe_load(filtering.motion, now)
         _detect_loss(
             judging.adhesion, told.estimates.ctypes.data, receiving.input_status, judging.drives,
             saying.status.drives.ctypes.data, now,
@@ -139,7 +119,7 @@ def several(
         )  # fmt: skip
         report(now, warming.limit_ns, warming.warmth, saying.findings)
         fill_inputs(
-            inputs, filtering.motion.wrong, judging.uncertain, told, judging.lost, judging.known,
+            inputs, filtering.implausible, judging.uncertain, told, judging.lost, judging.known,
             judging.severe, saying.findings, receiving.pairs.sample_ns, saying.inputs,
         )  # fmt: skip
         saying.train_inputs[0]["common_mode"] = judging.common_mode[0]["state"]

@@ -22,10 +22,9 @@ from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from estimators.detect import Opinion
-from gateway import calibration, foreign, inputs, plausibility, said
+from gateway import calibration, foreign, inputs, said
 from gateway._direct import Direct
 from gateway._flags_kernels import fill_inputs
-from gateway._plausibility_kernels import check_values
 from gateway.adhesion import AdhesionMonitor
 from gateway.bank import Bank
 from gateway.busload import BusLoad
@@ -35,7 +34,7 @@ from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.flags import FlagKind, Flags, Timing, rules, unknown_status
 from gateway.health import REJECTED, Flag, GatewayState
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
-from gateway.motion import SETTLED_READINGS, MotionSide, Timebase
+from gateway.motion import MotionMonitor, Timebase
 from gateway.outbox import Outbox
 from gateway.slow import RPM
 from gateway.supervision import Life, Supervision
@@ -80,13 +79,6 @@ class Gateway:
         if missing:
             raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
         self.bank = Bank(motors, config.estimator, _current_step_a(taken), config.loop.period_ns)
-        times = _timing(self.inbox.drives)
-        self.motion = MotionSide(motors, config.estimator, times, config.loop.period_ns)
-        self.plausibility_limits = plausibility.limits(
-            motors, _current_step_a(taken), times.sample_s, SAMPLE_NS / SECOND,
-            times.period_ns, SETTLED_READINGS,
-        )  # fmt: skip
-        self._check_values = Direct(check_values)
         self.places = self.inbox.places([0.1 * m.I_rated for m in motors])
         self.inputs = inputs.InputMonitor(self.inbox.receiver, self.places.channels)
         cells = calibration.of(config)
@@ -113,7 +105,10 @@ class Gateway:
         tick_ns = config.loop.period_ns
         by = rules(timing, severe, a.raise_probability, a.clear_probability, tick_ns)
         self.adhesion = AdhesionMonitor(a, motors, by, tick_ns)
-        self.plausibility = plausibility.start(len(nodes), self.adhesion.doubt_until_ns)
+        self.motion = MotionMonitor(
+            motors, config.estimator, _timing(self.inbox.drives), tick_ns, _current_step_a(taken),
+            self.inbox.receiver, self.inputs, self.bank, self.adhesion.rotors,
+        )  # fmt: skip
         self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
         self.status = self.flags.status
         self.changed = True
@@ -167,26 +162,17 @@ class Gateway:
             self.inputs.status["heartbeat_lost"] = [life is Life.LOST for life in lives]
             self._any_lost = Life.LOST in lives
         self.inputs.assess(self.doubt.intruder, now)
-        inputs, bank, told = self.inputs.columns, self.bank, self.bank.told
+        bank, told, drives = self.bank, self.bank.told, self.flags.status.drives
         bank.make_room(len(inbox.room.drive))
         bank.run(inbox.receiver.pointer, self.inputs.status, now)
-        self.motion.take(inbox.readings, inbox.motions, told.flux)
-        self._check_values(
-            inbox.samples, inbox.pairs.sample_ns, inbox.readings, inbox.motions, inputs.speed,
-            inbox.slow, now, bank.chords, bank.filters, told,
-            self.motion.memory,
-            self.plausibility, self.plausibility_limits,
-        )  # fmt: skip
-        until_ns = self.plausibility.until_ns
-        self.motion.settle(inputs, self.bank.sensors, until_ns, now, told)
-        drives = self.flags.status.drives
+        self.motion.observe(now)
         opinion = self.adhesion.detect(told, self.inputs.status, inbox.receiver.drives, drives, now)
         return self.judged(opinion, now)
 
     def judged(self, opinion: Opinion, now: Nanos) -> list[Frame]:
         """The rest of a step once adhesion has been judged."""
         inbox, inputs, told = self.inbox, self.inputs.columns, self.bank.told
-        intruder, wrong = self.doubt.intruder, self.motion.memory.wrong
+        intruder, wrong = self.doubt.intruder, self.motion.implausible
         self.thermal.hear(inbox, self.places, now)
         self.thermal.tell(now, self.temperature_limit_ns, self.findings)
         silent, self.silent = self.silent, self.stops and intruder

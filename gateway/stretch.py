@@ -10,20 +10,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import Columns, Records
-from gateway import motion, plausibility, sources, tracks
+from dbc.records import Records
+from gateway import sources, tracks
 from gateway.channel import ChannelState
 from gateway.flags import Status
 from gateway.inputs import Inputs, Places
-from gateway.pairing import PairState, Samples
+from gateway.pairing import PairState
 from gateway.receiving import Scratch, Wiring
 from gateway.said import Findings
-from gateway.slow import Readings, SlowState
+from gateway.slow import SlowState
 from gateway.warmth import Warmth
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Bytes = NDArray[np.uint8]
 
 
 class Receiving(NamedTuple):
@@ -42,8 +43,6 @@ class Receiving(NamedTuple):
     pairs: PairState
     slow: SlowState
     scratch: Scratch
-    readings: Readings
-    out: Samples
     supervision: int
     busy_s: float
     classic_s: Array
@@ -54,18 +53,13 @@ class Receiving(NamedTuple):
 
 
 class Filtering(NamedTuple):
-    """As `Bank.run` and `MotionSide`. estimator: address of `struct estimator`."""
+    """As `Bank.run` and `MotionMonitor`. estimator, motion: addresses; implausible (N,)."""
 
     inputs: Inputs
     estimator: int
-    filters: Columns
-    chords: Columns
-    sensors: Columns
     told: tracks.Told
-    motion: motion.Memory
-    limits: motion.Limits
-    check: plausibility.Plausibility
-    check_limits: plausibility.PlausibilityLimits
+    motion: int
+    implausible: Bytes
 
 
 class Judging(NamedTuple):

@@ -143,8 +143,8 @@ class Ticks:
         receiver, load = gateway.inbox.receiver, gateway.load
         return Receiving(
             self._period_ns, receiver.address, receiver.tick, receiver.counters, receiver.state,
-            receiver.wiring, receiver.pairs, receiver.slow, receiver.scratch, receiver.readings,
-            receiver.room, gateway.supervision.address, load.busy_s, load.classic_s, load.fd_s,
+            receiver.wiring, receiver.pairs, receiver.slow, receiver.scratch,
+            gateway.supervision.address, load.busy_s, load.classic_s, load.fd_s,
             gateway.inputs.channels.ctypes.data, gateway.inputs.status.ctypes.data, gateway.places,
         )  # fmt: skip
 
@@ -152,9 +152,8 @@ class Ticks:
         bank, motion = self.gateway.bank, self.gateway.motion
         bank.make_room(len(self.gateway.inbox.room.drive))
         return Filtering(
-            self.gateway.inputs.columns, bank.address, bank.filters, bank.chords, bank.sensors,
-            bank.told, motion.memory, motion.limits, self.gateway.plausibility,
-            self.gateway.plausibility_limits,
+            self.gateway.inputs.columns, bank.address, bank.told, motion.address,
+            motion.implausible,
         )  # fmt: skip
 
     def _judging(self) -> Judging:

@@ -48,7 +48,10 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_temperature.py",
        "tests/unit/test_est_filter.py",
        "tests/unit/test_receive_reference.py",
-       "tests/unit/test_inputs.py")  # fmt: skip
+       "tests/unit/test_inputs.py",
+       "tests/unit/test_est_load_observer.py",
+       "tests/unit/test_motion.py",
+       "tests/unit/test_motion_reference.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

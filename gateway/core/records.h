@@ -1017,8 +1017,10 @@ struct input_status {
     uint8_t comm;              /* enum flag_state: evidence of the messages */
 };
 
-/* ---- Adhesion (gateway/core/loads.c, adhesion.c). Loads and torques are per unit of rated torque;
- * NaN: not known. ---- */
+/* ---- estimates, and what the drives measure themselves (gateway/core/motion.c, plausibility.c).
+ * Speeds are those of rotors unless they are called electrical. ---- */
+
+#define CURRENT_HISTORY 8 /* samples of current that are remembered: those of a CAN FD frame */
 
 /* What is estimated of one drive in this tick; NaN: not known. */
 struct drive_estimate {
@@ -1030,6 +1032,102 @@ struct drive_estimate {
     uint8_t health;        /* enum filter_health */
     uint8_t health_reason; /* enum reason why it does not track */
 };
+
+/* Rotor of one drive, and the noise of its load observer; constant. */
+struct mechanics {
+    double J;         /* inertia, kg m^2, above 0 */
+    double B;         /* friction, Nm s */
+    double speed_var; /* variance of a measured speed, (rad/s)^2, above 0 */
+    double load_rate; /* variance that the load gains per second, Nm^2/s */
+};
+
+/* Kalman filter with the states speed and load (estimators/load_observer.c). */
+struct load_observer {
+    double w;      /* speed, rad/s */
+    double T_L;    /* load, Nm */
+    double P_ww;   /* covariance, (rad/s)^2 */
+    double P_wL;   /* rad/s Nm */
+    double P_LL;   /* Nm^2 */
+    double torque; /* of the last reading, Nm */
+    double nis;    /* normalised innovation squared of the last reading */
+};
+
+/* Measured speed and torque of one drive beside its estimate. */
+struct motion {
+    struct mechanics mechanics;    /* constant */
+    double pole_pairs;             /* constant, above 0 */
+    struct load_observer observer; /* of the last reading */
+    double load_nm;                /* load that was used in the tick before; NaN: none */
+    double offset_nm;              /* what is left of the last difference between two sources */
+    int64_t reading_ns;            /* stamp of the last reading */
+    int64_t readings;              /* since the observer started */
+    int64_t unlocked_ns;    /* for how long the rotor has turned and the filter not found it */
+    int64_t disagree_ticks; /* in a row that measured and estimated speed have disagreed */
+    uint8_t started;        /* 1: there was a reading */
+    uint8_t aliasing;       /* 1: too few samples of current per revolution for the filter */
+    uint8_t by_observer;    /* 1: `load_nm` came from the observer */
+    uint8_t implausible;    /* 1: the input cannot be what it seems */
+};
+
+/* Currents of one drive beside its Motion. */
+struct plausibility {
+    /* constants */
+    double torque_per_a;   /* Nm per A along q, at the flux of the data sheet */
+    double rated_a;        /* rated current */
+    double rated_nm;       /* rated torque */
+    double least_change_a; /* a current that should have changed by more is repeated */
+    /* repeated currents */
+    double current[CURRENT_HISTORY][2]; /* alpha, beta of the last samples, A, a ring */
+    uint64_t samples;                   /* how many there were */
+    int64_t repeats;                    /* samples in a row that equal the one before */
+    int64_t block_repeats;              /* that equal the one CURRENT_HISTORY before */
+    double repeated_s;                  /* time in `repeats` */
+    /* angle of the current against the measured one */
+    double _Complex base;    /* mean unit vector of the current in the frame of the rotor */
+    double deviation;        /* of late from `base`, rad */
+    int64_t learnt;          /* readings in `base`, up to LEARN */
+    int64_t angle_ns;        /* stamp of the last reading that was compared */
+    int64_t angle_fitted_ns; /* stamp of the last one that fitted */
+    /* readings in a row that do not fit */
+    int64_t angle_misfits;
+    int64_t torque_misfits;
+    int64_t load_misfits;
+    int64_t motion_misfits; /* Motion stood still */
+    /* Motion as it last changed */
+    double speed;       /* as sent */
+    double torque;      /* as sent, Nm */
+    double own_speed;   /* estimated then; NaN: not known */
+    double command;     /* torque command then, Nm */
+    int64_t changed_ns; /* stamp of it */
+    /* result */
+    int64_t implausible_until_ns;
+    uint8_t restart; /* 1: the filter has to start anew at the end of it */
+};
+
+/* What motion.c and plausibility.c work on: records of n drives, and constants of all. */
+struct motion_monitor {
+    const struct receiver *receiver;
+    struct input_status *inputs;
+    struct drive_estimate *estimates;
+    struct filter *filters;
+    const struct acquisition *chords;
+    struct current_calibration *sensors;
+    struct rotor *rotors;
+    struct motion *motions;
+    struct plausibility *checks;
+    double *others;          /* (n, n) measured speeds of all when Motion of a drive changed */
+    double max_w_e;          /* electrical speed beyond which samples are too few, rad/s */
+    double turning_w_e;      /* electrical speed beyond which a filter finds its rotor, rad/s */
+    double fade;             /* share of `offset_nm` that is left after a tick */
+    double period_s;         /* between two samples of current */
+    double dt;               /* sub-step of samples, s */
+    int64_t motion_cycle_ns; /* between two Motion, at least 1 */
+    int64_t tick_ns;         /* period of the loop */
+    int64_t n;
+};
+
+/* ---- Adhesion (gateway/core/loads.c, adhesion.c). Loads and torques are per unit of rated torque;
+ * NaN: not known. ---- */
 
 /* What is found and remembered of the load of one drive. */
 struct drive_load {

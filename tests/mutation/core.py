@@ -42,6 +42,7 @@ ACQUISITION = tuple(f"tests/unit/test_est_acquisition.py::{name}" for name in (
     "test_no_chord_has_no_direction_and_is_never_ready",
     "test_constants_beyond_any_motor_overflow_a_mean_and_it_starts_anew",
 ))  # fmt: skip
+MOTION = ("tests/unit/test_motion_reference.py",)
 TESTS = {
     "dbc/crc.c": E2E, "dbc/e2e.c": E2E,
     "dbc/decode.c": CODEC, "dbc/encode.c": CODEC,
@@ -83,6 +84,10 @@ TESTS = {
     "gateway/core/estimate.c": ("tests/unit/test_estimate_reference.py",),
     "gateway/core/adhesion.c": ("tests/unit/test_adhesion_reference.py",),
     "gateway/core/inputs.c": ("tests/unit/test_inputs.py",),
+    "estimators/load_observer.c": ("tests/unit/test_est_load_observer.py",),
+    "gateway/core/motion.c": MOTION,
+    "gateway/core/plausibility.c": MOTION,
+    "gateway/core/current_plausibility.c": MOTION,
 }  # fmt: skip
 """Those that answer for a source."""
 NOT_YET = tuple(source for source in TESTS if source not in ("dbc/crc.c", "dbc/e2e.c"))

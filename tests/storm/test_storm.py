@@ -237,14 +237,14 @@ def health_is_ignored(monkeypatch):
 
 def wrong_speed(monkeypatch):
     """Told after the measured speed has been asked."""
-    real = core.MotionSide.settle
+    real = core.MotionMonitor.observe
 
-    def settle(self, *given):
-        wrong, told = real(self, *given), given[-1]
-        told.speed[told.speed != 0.0] += 30.0
-        return wrong
+    def observe(self, now):
+        real(self, now)
+        speed = self.bank.estimates["speed_rad_s"]
+        speed[speed != 0.0] += 30.0
 
-    monkeypatch.setattr(core.MotionSide, "settle", settle)
+    monkeypatch.setattr(core.MotionMonitor, "observe", observe)
 
 
 def counter_stands_still(monkeypatch):

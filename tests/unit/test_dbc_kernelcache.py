@@ -254,7 +254,7 @@ def test_a_real_kernel_is_stamped_by_all_that_it_imports_and_nothing_else(
     assert before is not None
     others = {
         "dbc._candump_kernels",
-        "estimators.observer",
+        "estimators.maisd",
         "gateway._ticks_kernels",
         "sim.plant",
     } - mine

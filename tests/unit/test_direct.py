@@ -10,8 +10,7 @@ from tests.soak.real import run
 from tests.storm.campaign import FD_SEEDS, weather
 
 CORE = {
-    "observe_motion", "merge_motion", "hear", "advance", "report", "fill_inputs", "send",
-    "check_values",
+    "hear", "advance", "report", "fill_inputs", "send",
 }  # fmt: skip
 
 

@@ -3,18 +3,15 @@
 import itertools
 import math
 
-import numpy as np
 import pytest
+from _traction_core import lib
 
-from estimators import current_calibration
-from gateway._motion_kernels import merge_motion, observe_motion
-from gateway.config import BENCH_MOTOR, Estimator
+from gateway.config import BENCH_MOTOR
 from gateway.health import Flag, Health, Reason
-from gateway.inputs import inputs
-from gateway.motion import MotionSide, Timebase
-from gateway.slow import RPM, readings
-from gateway.tracks import told
+from gateway.slow import RPM
+from gateway.tracks import told_of
 from tests.estimates import DriveEstimate, estimates_of
+from tests.motions import Drives
 from tests.sender import MS, Sender, SteadyDrive, codec_for
 from tests.unit.test_core import Bench, gateway
 
@@ -62,34 +59,30 @@ def test_motion_that_stops_makes_unknown_within_its_age_limit():
 
 
 def side(drives=1):
-    times = Timebase(2e-3, 10 * MS, 0.5 * RPM)
-    return MotionSide([BENCH_MOTOR] * drives, Estimator(), times, 10 * MS)
+    return Drives(drives)
 
 
 def tick(motion, *rows, flux=1.0):
     """Readings: drive, stamp, speed, torque."""
-    given = readings(8)
-    for k, row in enumerate(rows):
-        for column, value in zip(given, (*row, math.nan), strict=True):
-            column[k] = value
-    motion.take(given, len(rows), np.full(len(motion.memory.load), flux))
+    motion.came.tick(rows)
+    motion.estimates["flux_ratio"] = flux
+    lib.follow_readings(motion.pointer)
 
 
 def merged(motion, estimates, speeds, sampled=True):
-    """What the bank told, and what becomes of it."""
-    n = len(estimates)
-    said = told(n)
+    """What the filters estimate, and what becomes of it."""
+    made = motion.estimates
     for k, e in enumerate(estimates):
         numbers = (e.speed_rad_s, e.load_nm, e.load_sigma_nm, e.nis)
-        said.health[k] = e.health
-        said.speed[k], said.load[k], said.sigma[k], said.nis[k] = (
-            math.nan if x is None else x for x in numbers
-        )
-    given = inputs(n)
-    given.speed[:] = [math.nan if w is None else w for w in speeds]
-    given.fresh[:] = sampled
-    motion.settle(given, current_calibration.start(n), np.zeros(n, dtype=np.int64), 0, said)
-    return estimates_of(said)
+        made["health"][k] = e.health
+        for name, x in zip(
+            ("speed_rad_s", "load_nm", "load_sigma_nm", "nis"), numbers, strict=True
+        ):
+            made[name][k] = math.nan if x is None else x
+    motion.status["speed_rad_s"] = [math.nan if w is None else w for w in speeds]
+    motion.status["sample_fresh"] = sampled
+    lib.select_sources(motion.pointer, 0)
+    return estimates_of(told_of(made))
 
 
 def test_the_change_of_source_is_no_bump_and_fades():
@@ -101,7 +94,7 @@ def test_the_change_of_source_is_no_bump_and_fades():
         tick(motion, (0, k * 10 * MS, LIMIT_W_E / 4.0, 20.0))
         filtered = DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0)
         (estimate,) = merged(motion, [filtered], [w_m])
-        assert motion.memory.beyond[0] == (k >= 100)
+        assert motion.motions["aliasing"][0] == (k >= 100)
         given.append(estimate.load_nm)
     steps = [abs(b - a) for a, b in itertools.pairwise(given)]
     assert given[99] == 19.0
@@ -115,7 +108,7 @@ def test_hysteresis_at_the_limit():
     for share in (0.99, 1.01, 0.97, 0.94, 0.99, 1.01):
         w_m = share * LIMIT_W_E / 4.0
         merged(motion, [DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0)], [w_m])
-        seen.append(motion.memory.beyond.item(0))
+        seen.append(motion.motions["aliasing"].item(0))
     assert seen == [False, True, True, False, False, True]
 
 
@@ -158,8 +151,8 @@ def test_where_one_drive_needs_the_observer_all_use_it_that_can():
         now = k * 10 * MS
         tick(motion, (0, now, fast, 20.0), (1, now, slow, 20.0))
         given = merged(motion, filtered, [fast, slow, None])
-    assert motion.memory.beyond.item(0)
-    assert not motion.memory.beyond.item(1)
+    assert motion.motions["aliasing"].item(0)
+    assert not motion.motions["aliasing"].item(1)
     friction = BENCH_MOTOR.B * fast
     assert given[0].load_nm == pytest.approx(20.0 - friction, abs=0.1)
     assert given[1].load_sigma_nm == given[0].load_sigma_nm != filtered[1].load_sigma_nm
@@ -174,31 +167,84 @@ def test_the_torque_sent_is_the_data_sheets_and_the_load_the_magnets():
     assert estimate.load_nm == pytest.approx(1.15 * 20.0 - BENCH_MOTOR.B * w_m, abs=0.1)
 
 
-def test_compiled_equals_uncompiled(monkeypatch):
-    """Any readings, any estimates, holes in both."""
-    quick = walk(side(3))
-    monkeypatch.setattr("gateway.motion.observe_motion", observe_motion.py_func)
-    monkeypatch.setattr("gateway.motion.merge_motion", merge_motion.py_func)
-    assert walk(side(3)) == quick
-    healths = {estimate.health for tick in quick for estimate in tick}
-    assert healths == set(Health) - {Health.PREDICTING, Health.DIVERGED}
+def test_a_rotor_that_turns_and_is_not_found_is_implausible():
+    motion, w_m = side(), 0.5 * LIMIT_W_E / 4.0
+    seen = []
+    for _ in range(110):
+        (state,) = merged(motion, [DriveEstimate(Health.CONVERGING)], [w_m])
+        seen.append(state.health)
+    assert seen == [Health.CONVERGING] * 100 + [Health.INPUT_INVALID] * 10
 
 
-def walk(motion):
-    rng = np.random.default_rng(5)
-    given = []
-    for k in range(600):
-        # Slow, fast, and what the currents say of it: mostly the same.
-        w = (0.5 + 0.8 * (k // 100 % 2)) * LIMIT_W_E / 4.0
-        rows = [(d, k * 10 * MS, w + rng.normal(), 20.0) for d in range(3) if rng.random() < 0.9]
-        tick(motion, *(() if k % 150 < 20 else rows), flux=(math.nan, 1.1)[k % 2])
-        health = rng.choice([Health.TRACKING] * 8 + [Health.CONVERGING, Health.INPUT_INVALID])
-        off = 50.0 if 300 < k < 320 else 0.0
-        given.append(
-            merged(
-                motion,
-                [DriveEstimate(Health(health), w + off, 19.0, 0.5, 2.0)] * 3,
-                [w if rng.random() < 0.95 else None for _ in range(3)],
-            )
-        )
-    return given
+def test_without_a_reading_a_fast_drive_is_unknown():
+    motion, w_m = side(), 2.0 * LIMIT_W_E / 4.0
+    (state,) = merged(motion, [DriveEstimate(Health.TRACKING, w_m, 19.0, 0.5, 2.0)], [w_m])
+    assert state == DriveEstimate(Health.UNKNOWN, reason=Reason.NOT_AVAILABLE)
+
+
+def held(motion, ticks, speeds, sent=(5.0, 20.0), known=True):
+    """Ticks of `Motion` that is always the same of drive 0; how many make it unknown."""
+    for k in range(1, ticks + 1):
+        now = k * 10 * MS
+        torque = sent[1] + (k if sent[1] < 0.0 else 0)
+        motion.came.tick([(0, now, sent[0], torque, math.nan)])
+        measured = [sent[0], *(w[min(k, len(w) - 1)] for w in speeds)]
+        motion.status["speed_rad_s"] = measured
+        motion.estimates["health"] = Health.TRACKING if known else Health.CONVERGING
+        motion.estimates["load_nm"] = 20.0
+        lib.check_plausibility(motion.pointer, now)
+        if math.isnan(motion.status["speed_rad_s"][0]):
+            return k
+    return None
+
+
+def test_motion_that_stands_still_beside_a_moving_rotor_is_not_known():
+    """From 100 ms on, after three readings; a torque that changes is a Motion that lives."""
+    for speed, torque, known, wanted in (
+        (5.0, 20.0, True, None), (30.0, 20.0, True, 14), (30.0, -90.0, True, None),
+        (30.0, 20.0, False, None),
+    ):  # fmt: skip
+        motion = side()
+        motion.bank.filters["x"][:, 2] = 4.0 * speed
+        assert held(motion, 40, [], (5.0, torque), known) == wanted
+
+
+def test_motion_stands_still_while_all_others_move():
+    nan = math.nan
+    moving, steady, unknown = list(range(40)), [7.0] * 40, [nan, nan, *range(38)]
+    gone = [7.0, 7.0, 7.0, nan]
+    for others, wanted in (([moving], 14), ([moving, moving], 14), ([moving, steady], None),
+                           ([moving, unknown], 14), ([unknown], None),
+                           ([moving, gone], 14), ([gone], None)):  # fmt: skip
+        motion = side(1 + len(others))
+        assert held(motion, 40, others, known=False) == wanted
+
+
+def test_a_current_of_which_one_half_stays_is_no_repeat():
+    motion = side()
+    motion.status["speed_rad_s"] = 20.0
+    for k in range(1, 30):
+        rows = [(0, (0.0, 0.0), (5.0, j), 16, 0) for j in (k, -k)]
+        motion.came.tick(samples=rows)
+        lib.check_plausibility(motion.pointer, k * 10 * MS)
+        assert motion.checks["repeats"].item() == motion.checks["block_repeats"].item() == 0
+    assert motion.checks["implausible_until_ns"].item() == 0
+
+
+def test_an_angle_that_is_off_for_a_minute_is_the_new_one():
+    """A rotor that stands, with torque: the current is along q at angle 0, and then it is not."""
+    motion = side()
+    current = 20.0 / motion.checks["torque_per_a"].item()
+    motion.estimates["health"], motion.estimates["load_nm"] = Health.TRACKING, 20.0
+    now, implausible = 0, []
+    for angle, ticks, step in ((0.0, 30, 10), (0.7, 10, 10), (0.7, 40, 1000), (0.7, 50, 1000)):
+        for _ in range(ticks):
+            now += step * MS
+            motion.came.drives["sample_ns"] = now
+            sample = (0, (0.0, 0.0), (0.0, current), 16, 0)
+            motion.came.tick([(0, now, 0.0, 20.0, angle)], [sample])
+            motion.status["speed_rad_s"] = 0.0
+            lib.check_plausibility(motion.pointer, now)
+        implausible.append(now < motion.checks["implausible_until_ns"].item())
+    assert implausible == [False, True, True, False]
+    assert motion.checks["learnt"].item() == 20

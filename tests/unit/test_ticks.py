@@ -101,7 +101,8 @@ def state(gateway):
     tables = (
         gateway.findings, gateway.inputs.columns, gateway.bank.filters,
         gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.responses, gateway.adhesion.ratios,
+        [gateway.motion.motions, gateway.motion.checks, gateway.motion.others],
+        gateway.adhesion.responses, gateway.adhesion.ratios,
         gateway.adhesion.response_ratios, gateway.adhesion.rotors, gateway.adhesion.loads,
         gateway.adhesion.record[["response_spread", "spread", "flagged_ns", "common_smoothed"]],
         gateway.inbox.receiver.channels, gateway.inbox.receiver.drives, gateway.outbox.memory,

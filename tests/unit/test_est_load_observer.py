@@ -2,11 +2,32 @@
 
 import numpy as np
 import pytest
+from _traction_core import ffi, lib
 
-from estimators.observer import Mechanics, first, observe
+from tests.reference import load_observer as reference
+from tests.reference.load_observer import LoadState, Mechanics
 
 BENCH = Mechanics(J=0.04, B=0.002, speed_var=3e-4, load_rate=800.0)
 DT = 0.01
+
+
+def values(state):
+    """All fields of a `struct load_observer`."""
+    return LoadState(*(getattr(state, name) for name in LoadState._fields))
+
+
+def first(w, torque, mechanics):
+    """`load_observer_init`."""
+    state = ffi.new("struct load_observer *")
+    lib.load_observer_init(state, w, torque, ffi.new("struct mechanics *", mechanics))
+    return values(state)
+
+
+def observe(state, w, torque, dt, mechanics):
+    """`load_observer_update`."""
+    made = ffi.new("struct load_observer *", state)
+    lib.load_observer_update(made, w, torque, dt, ffi.new("struct mechanics *", mechanics))
+    return values(made)
 
 
 def run(load, seconds=2.0, noise=0.0, mechanics=BENCH, seed=0):
@@ -66,3 +87,16 @@ def test_it_equals_filterpy():
         last = torque
         assert [state.w, state.T_L] == pytest.approx(kf.x.ravel().tolist(), abs=1e-9)
         assert [[state.P_ww, state.P_wL], [state.P_wL, state.P_LL]] == pytest.approx(kf.P, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_equals_the_reference(seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(100):
+        m = Mechanics(*10.0 ** rng.uniform(-4, 4, 4))
+        mine, plain = first(5.0, 20.0, m), reference.first(5.0, 20.0, m)
+        for k in range(20):
+            assert mine == pytest.approx(plain, rel=1e-12, abs=1e-300)
+            given = rng.normal(0.0, 30.0), rng.normal(0.0, 30.0), DT * (1 + k % 5), m
+            mine, plain = observe(plain, *given), reference.observe(plain, *given)
+            assert mine == plain

@@ -1,4 +1,4 @@
-"""Load observer from measured speed and torque: T_L = Torque - B w - J dw/dt, filtered.
+"""The load observer in Python, which `estimators/load_observer.c` is compared with.
 
 For drives whose currents come too slowly for the flux-based filters, and for standstill. A
 linear Kalman filter with the states speed and load,

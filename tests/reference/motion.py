@@ -1,59 +1,108 @@
-"""Compiled side of `motion`: the observers, and where measured speeds contradict the currents.
-
-Scalar by nature, a loop over drives, so the twin is the same function uncompiled (`.py_func`).
-"""
+"""Measured speeds beside estimates in Python, which `gateway/core/motion.c` is compared with."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._core_symbols import symbol
-from dbc._lean import inlined, lean
-from dbc.records import CURRENT_CALIBRATION
-from estimators import observer
-from estimators.observer import LoadState, Mechanics
+from dbc.frame import SECOND
+from gateway.inputs import Inputs
+from gateway.slow import Readings
+from gateway.tracks import Told
+from tests.reference import load_observer
+from tests.reference.load_observer import LoadState, Mechanics
 
-if TYPE_CHECKING:
-    from dbc.records import Columns
-    from gateway.inputs import Inputs
-    from gateway.motion import Limits, Memory
-    from gateway.slow import Readings
-    from gateway.tracks import Told
+HYSTERESIS: Final = 0.05
+SETTLED_READINGS: Final = 5
+MOST_MISSING: Final = 5
+"""Periods without a reading after which the observer starts anew."""
+FADED_NM: Final = 1e-3
+SPEED_TOLERANCE: Final = 0.15
+SPEED_TOLERANCE_RAD_S: Final = 5.0
+"""At the rotor. The flux may be off by a tenth, and Motion is up to 10 ms old in a slip."""
+TICKS: Final = 5
+"""In a row that the two speeds must be apart."""
+LOCKED_NS: Final = SECOND
+"""A rotor that turns is locked to within this, or its currents and voltages are not what they seem:
+an open phase, a wrong motor."""
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 _UNKNOWN, _CONVERGING, _TRACKING, _PREDICTING, _DIVERGED, _INPUT_INVALID = range(6)  # Health
 _STARTING, _NOT_AVAILABLE = 1, 6  # Reason
 _SECOND = 1_000_000_000
-_SENSORS = CURRENT_CALIBRATION.itemsize
-_is_single_axis_current = symbol("is_single_axis_current")
-_first, _observe = lean(observer.first), lean(observer.observe)
 
 
-@inlined
-def _single_axis(k: int, w_e: float, sensors: Columns) -> bool:
-    """Drive k turns, and its current swings on one line."""
-    return bool(_is_single_axis_current(sensors.ctypes.data + k * _SENSORS, w_e))
+class Memory(NamedTuple):
+    """What is remembered of every drive, (N,).
+
+    observer (N, 7): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
+    readings: since it began; beyond: the drive turns too fast for its current samples; load: what
+    was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
+    the difference where that changed; apart: ticks in a row that the two speeds have been;
+    unlocked_ns: how long it has turned, by its own word, with no lock to it; wrong: its input
+    cannot be what it seems.
+    """
+
+    observer: Array
+    begun: Flags
+    last_ns: Ints
+    readings: Ints
+    beyond: Flags
+    load: Array
+    observed: Flags
+    offset: Array
+    apart: Ints
+    unlocked_ns: Ints
+    wrong: Flags
 
 
-@inlined
+class Limits(NamedTuple):
+    """When what is believed: the constants above; mechanics (N, 4) as `observer.Mechanics`."""
+
+    mechanics: Array
+    pole_pairs: Array
+    period_ns: int
+    tick_ns: int
+    limit_w_e: float
+    hysteresis: float
+    most_missing: int
+    settled_readings: int
+    fade: float
+    faded_nm: float
+    turning_rad_s: float
+    locked_ns: int
+    tolerance: float
+    tolerance_rad_s: float
+    ticks: int
+
+
+def memory(n: int) -> Memory:
+    """Nothing remembered."""
+    zeros = [np.zeros(n, dtype=np.int64) for _ in range(4)]
+    flags = [np.zeros(n, dtype=np.bool_) for _ in range(4)]
+    return Memory(
+        np.zeros((n, len(LoadState._fields))), flags[0], zeros[0], zeros[1], flags[1],
+        np.full(n, np.nan), flags[2], np.zeros(n), zeros[2], zeros[3], flags[3],
+    )  # fmt: skip
+
+
 def _keep(k: int, load: LoadState, memory: Memory) -> None:
     for j in range(7):
         memory.observer[k, j] = load[j]
 
 
-@inlined
 def _kept(k: int, memory: Memory) -> LoadState:
     row = memory.observer
     return LoadState(row[k, 0], row[k, 1], row[k, 2], row[k, 3], row[k, 4], row[k, 5], row[k, 6])
 
 
-@lean
 def observe_motion(
     readings: Readings, count: int, flux: Array, memory: Memory, limits: Limits
 ) -> None:
@@ -71,23 +120,22 @@ def observe_motion(
         cycles = round((t_ns - memory.last_ns[k]) / limits.period_ns)
         memory.last_ns[k] = t_ns
         if not memory.begun[k] or cycles > limits.most_missing:
-            _keep(k, _first(readings.speed[r], torque, mechanics), memory)
+            _keep(k, load_observer.first(readings.speed[r], torque, mechanics), memory)
             memory.begun[k] = True
             memory.readings[k] = 0
         elif cycles > 0:
             dt = cycles * limits.period_ns / _SECOND
-            _keep(k, _observe(_kept(k, memory), readings.speed[r], torque, dt, mechanics), memory)
+            before, speed = _kept(k, memory), readings.speed[r]
+            _keep(k, load_observer.observe(before, speed, torque, dt, mechanics), memory)
             memory.readings[k] += 1
 
 
-@inlined
 def _nothing(k: int, health: int, told: Told) -> None:
     """No numbers of drive k."""
     told.health[k] = health
     told.speed[k] = told.load[k] = told.sigma[k] = told.nis[k] = math.nan
 
 
-@inlined
 def _contradicts(k: int, measured: float, told: Told, memory: Memory, limits: Limits) -> bool:
     """True once drive k's speeds have contradicted one another for long enough."""
     known = not math.isnan(measured)
@@ -105,7 +153,6 @@ def _contradicts(k: int, measured: float, told: Told, memory: Memory, limits: Li
     return bool(memory.apart[k] >= limits.ticks)
 
 
-@inlined
 def _by_observer(k: int, fresh: bool, told: Told, memory: Memory, limits: Limits) -> None:
     """What the observer says of drive k."""
     if not memory.begun[k] or not fresh:
@@ -120,7 +167,6 @@ def _by_observer(k: int, fresh: bool, told: Told, memory: Memory, limits: Limits
         told.sigma[k], told.nis[k] = math.sqrt(load.P_LL), load.nis
 
 
-@inlined
 def _fade(k: int, observed: bool, told: Told, memory: Memory, limits: Limits) -> None:
     """No bump where the source changes: the difference fades."""
     load = told.load[k]
@@ -135,7 +181,6 @@ def _fade(k: int, observed: bool, told: Told, memory: Memory, limits: Limits) ->
         told.load[k] = memory.load[k]
 
 
-@inlined
 def _merge(
     k: int, fresh: bool, sampled: bool, any_beyond: bool, told: Told, memory: Memory, limits: Limits
 ) -> None:
@@ -158,16 +203,15 @@ def _merge(
         _fade(k, observed, told, memory, limits)
 
 
-@lean
 def merge_motion(
-    inputs: Inputs, sensors: Columns, until_ns: Ints, now: int, told: Told, memory: Memory,
-    limits: Limits,
+    inputs: Inputs, open_phase: Callable[[int, float], bool], until_ns: Ints, now: int, told: Told,
+    memory: Memory, limits: Limits,
 ) -> None:  # fmt: skip
     """What each drive is told to be, measured speeds considered; changes `told`.
 
     inputs: speeds of fresh `Motion`, and whose currents are fresh; until_ns (N,): until when a
-    drive's values are implausible (`plausibility`). A drive whose input cannot be what it seems is
-    marked in `memory.wrong`.
+    drive's values are implausible; open_phase: by drive and electrical speed. A drive whose input
+    cannot be what it seems is marked in `memory.wrong`.
     """
     measured = inputs.speed
     any_beyond = False
@@ -181,7 +225,7 @@ def merge_motion(
     for k in range(measured.shape[0]):
         told.reason[k] = _STARTING
         fresh = not math.isnan(measured[k])
-        straight = fresh and _single_axis(k, limits.pole_pairs[k] * measured[k], sensors)
+        straight = fresh and open_phase(k, limits.pole_pairs[k] * measured[k])
         apart = not memory.beyond[k] and _contradicts(k, measured[k], told, memory, limits)
         implausible = now < until_ns[k]
         if straight or implausible:

@@ -1,81 +1,197 @@
-"""Compiled side of `plausibility`: loops over samples, readings and drives; its own twin."""
+"""Currents against Motion in Python, which `gateway/core/plausibility.c` is compared with."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc._core_symbols import symbol
-from dbc._lean import inlined, lean
-from dbc.records import FILTER
-from gateway import plausibility as p
+from dbc.frame import MS, SECOND, Nanos
+from dbc.records import Columns
+from gateway.pairing import Samples
+from gateway.slow import Readings, SlowState
+from gateway.tracks import Told
+from tests.reference.motion import Memory
 
-if TYPE_CHECKING:
-    from dbc.records import Columns
-    from gateway.motion import Memory
-    from gateway.pairing import Samples
-    from gateway.plausibility import Plausibility, PlausibilityLimits
-    from gateway.slow import Readings, SlowState
-    from gateway.tracks import Told
+HISTORY: Final = 8
+"""Samples of a CAN FD frame."""
+REPEATS: Final = 2
+"""Repeated vectors in a row that are no single late sample."""
+HELD_NS: Final[Nanos] = 200 * MS
+LATE_NS: Final[Nanos] = SECOND
+"""How long an input stays implausible after the last sign."""
+RESTART_NS: Final[Nanos] = 20 * MS
+"""So long before the end of that the filter begins anew."""
+DOUBT_NS: Final[Nanos] = 15 * MS
+"""After a single reading that does not fit: no loss is raised before the next one."""
+IN_A_ROW: Final = 3
+"""Readings in a row that do not fit, and the input is implausible for `HELD_NS`."""
+LEAST_CURRENT: Final = 0.15
+LEAST_TORQUE: Final = 0.1
+MOST_CURRENT_A: Final = 1e5
+"""Per unit of rated; with less, torque and angle say nothing."""
+TORQUE_OFF: Final = 0.15
+TORQUE_OFF_RELATIVE: Final = 0.3
+"""Largest difference of two torques, per unit of rated, and of the reported one: magnets may be a
+fifth off the data sheet."""
+TORQUE_DOUBT: Final = 0.06
+TORQUE_DOUBT_RELATIVE: Final = 0.15
+"""From here on currents are no evidence of a loss."""
+LOAD_OFF: Final = 0.25
+LOAD_OFF_RELATIVE: Final = 0.3
+LOADS_IN_A_ROW: Final = 4
+"""The same of two loads; filter and observer follow a loss unlike for up to three readings."""
+ANGLE_OFF: Final = 0.06
+ANGLE_OFF_SAMPLES: Final = 0.3
+"""Largest step of the angle, rad, and in turns of a sample period, at least of 0.5 ms: stamps
+jitter, and more by as much as a frame of `Motion` is off the grid of its cycle."""
+MOST_TURN: Final = 0.63
+"""Turn between two samples, rad, beyond which nobody rests on the currents: ten a revolution."""
+LEAST_PERIOD_S: Final = 0.5e-3
+LEARN: Final = 20
+"""Readings before the constant part of the angle is known."""
+KEEP: Final = 0.98
+"""Of what is learnt, per reading of 10 ms: half a second."""
+COHERENT: Final = 0.95
+"""Length of the mean of unit vectors, below which angle and current have nothing to do with one
+another: another frame, another direction."""
+LEARN_ANEW_NS: Final[Nanos] = 60 * SECOND
+"""An angle that has been off for so long is the drive's new one."""
+ANGLE_GAP_NS: Final[Nanos] = 100 * MS
+"""After so long without a reading the angle of late is that of the next one."""
+MOTION_HELD_NS: Final[Nanos] = 100 * MS
+SPEED_MOVED: Final = 0.03
+SPEED_MOVED_RAD_S: Final = 1.0
+COMMAND_MOVED: Final = 0.15
+"""What others must have changed by: a rotor's speed, or the command per unit of rated torque."""
+
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_reset, _FILTER = symbol("filter_reset"), FILTER.itemsize
 _TRACKING = 2  # Health
 _W_E, _THETA = 2, 3  # pmsm
-_OBSERVED_LOAD = 1  # observer.LoadState
-_HISTORY, _REPEATS, _IN_A_ROW, _LEARN = p.HISTORY, p.REPEATS, p.IN_A_ROW, p.LEARN
-_HELD_NS, _LATE_NS, _DOUBT_NS, _RESTART_NS = p.HELD_NS, p.LATE_NS, p.DOUBT_NS, p.RESTART_NS
-_LEAST_CURRENT, _LEAST_TORQUE = p.LEAST_CURRENT, p.LEAST_TORQUE
-_LOAD_OFF, _LOAD_OFF_RELATIVE, _LOADS_IN_A_ROW = p.LOAD_OFF, p.LOAD_OFF_RELATIVE, p.LOADS_IN_A_ROW
-_TORQUE_OFF, _TORQUE_OFF_RELATIVE = p.TORQUE_OFF, p.TORQUE_OFF_RELATIVE
-_TORQUE_DOUBT, _TORQUE_DOUBT_RELATIVE = p.TORQUE_DOUBT, p.TORQUE_DOUBT_RELATIVE
-_ANGLE_OFF, _ANGLE_OFF_SAMPLES, _LEAST_PERIOD_S = p.ANGLE_OFF, p.ANGLE_OFF_SAMPLES, p.LEAST_PERIOD_S
-_MOST_TURN = p.MOST_TURN
-_KEEP, _COHERENT = p.KEEP, p.COHERENT
-_LEARN_ANEW_NS, _ANGLE_GAP_NS = p.LEARN_ANEW_NS, p.ANGLE_GAP_NS
-_MOTION_HELD_NS, _COMMAND_MOVED = p.MOTION_HELD_NS, p.COMMAND_MOVED
-_SPEED_MOVED, _SPEED_MOVED_RAD_S = p.SPEED_MOVED, p.SPEED_MOVED_RAD_S
+_OBSERVED_LOAD = 1  # LoadState
 
 
-@inlined
+class Plausibility(NamedTuple):
+    """Memory of N drives.
+
+    vector (N, 8, 2): the last currents, A, a ring; samples (N,): how many there were; equal,
+    equal_s (N,): repeated vectors in a row, and for how long; block (N,): samples in a row that are
+    those of eight before; until_ns (N,): implausible until then; restart (N,): the filter has to
+    begin anew after it; doubt_ns (N,): until then nobody is accused by the currents; base (N,):
+    learnt angle as a mean unit vector, from learnt (N,) readings; deviation (N,) rad: of late, at
+    angle_ns (N,); off, torque_off, load_off, motion_held (N,): readings in a row that do not fit;
+    off_ns (N,): since when the angle does not.
+
+    Of `Motion`: speed, torque (N,) as last sent, changed_ns (N,) when they last changed, and what
+    was so then: own, command (N,), others (N, N) speeds.
+    """
+
+    vector: Array
+    samples: Ints
+    equal: Ints
+    equal_s: Array
+    block: Ints
+    until_ns: Ints
+    restart: Flags
+    doubt_ns: Ints
+    base: NDArray[np.complex128]
+    learnt: Ints
+    deviation: Array
+    off: Ints
+    torque_off: Ints
+    load_off: Ints
+    motion_held: Ints
+    off_ns: Ints
+    angle_ns: Ints
+    speed: Array
+    torque: Array
+    changed_ns: Ints
+    own: Array
+    command: Array
+    others: Array
+
+
+class PlausibilityLimits(NamedTuple):
+    """Constants of N drives, (N,), and dt_s: the sub-step.
+
+    k_torque: Nm per A at the data sheet's flux; least_moved_a: see `LEAST_STEPS`; period_s: between
+    two current samples; motion_ns: between two `Motion`.
+    """
+
+    pole_pairs: Array
+    k_torque: Array
+    rated_a: Array
+    rated_nm: Array
+    least_moved_a: Array
+    period_s: float
+    dt_s: float
+    motion_ns: int
+    settled_readings: int
+
+
+def start(n: int, doubt_ns: Ints) -> Plausibility:
+    """Nothing received. doubt_ns (N,): where doubts are noted, for who judges."""
+
+    def none() -> Array:
+        return np.full(n, np.nan)
+
+    def zero() -> Ints:
+        return np.zeros(n, dtype=np.int64)
+
+    return Plausibility(
+        vector=np.zeros((n, HISTORY, 2)), samples=zero(), equal=zero(), equal_s=np.zeros(n),
+        block=zero(), until_ns=zero(), restart=np.zeros(n, dtype=np.bool_),
+        doubt_ns=doubt_ns,
+        base=np.zeros(n, dtype=np.complex128), learnt=zero(),
+        deviation=np.zeros(n), off=zero(), torque_off=zero(), load_off=zero(),
+        motion_held=zero(), off_ns=zero(), angle_ns=zero(), speed=none(),
+        torque=none(), changed_ns=zero(), own=none(), command=none(),
+        others=np.full((n, n), np.nan),
+    )  # fmt: skip
+
+
+def forget(k: int, filters: Columns) -> None:
+    """No filter of drive k."""
+    filters.active[k], filters.steps[k] = False, 0
+    filters.x[k], filters.P[k] = 0.0, np.eye(5)
+
+
 def _until(k: int, now: int, hold_ns: int, check: Plausibility) -> None:
     check.until_ns[k] = max(check.until_ns[k], now + hold_ns)
-    check.restart[k] = check.restart[k] or hold_ns >= _HELD_NS
+    check.restart[k] = check.restart[k] or hold_ns >= HELD_NS
 
 
-@inlined
 def _same(k: int, place: int, a: float, b: float, check: Plausibility) -> bool:
     return bool(a == check.vector[k, place, 0] and b == check.vector[k, place, 1])
 
 
-@inlined
 def _add_sample(
     k: int, a: float, b: float, passed: float, w_e: float, now: int, check: Plausibility,
     least: float,
 ) -> None:  # fmt: skip
     """One more current vector of drive k, `passed` s after the one before; w_e rad/s."""
     n, size = check.samples[k], math.hypot(a, b)
-    newest, oldest = (n + _HISTORY - 1) % _HISTORY, n % _HISTORY
+    newest, oldest = (n + HISTORY - 1) % HISTORY, n % HISTORY
     if n > 0 and _same(k, newest, a, b, check):
         check.equal[k] += 1
         check.equal_s[k] += passed
         turned = min(abs(w_e) * check.equal_s[k], math.pi)
         if 2.0 * size * math.sin(0.5 * turned) > least:
-            _until(k, now, _HELD_NS if check.equal[k] >= _REPEATS else _LATE_NS, check)
+            _until(k, now, HELD_NS if check.equal[k] >= REPEATS else LATE_NS, check)
     else:
         check.equal[k] = 0
         check.equal_s[k] = 0.0
-    if n >= _HISTORY and _same(k, oldest, a, b, check):
+    if n >= HISTORY and _same(k, oldest, a, b, check):
         check.block[k] += 1
-        turned = abs(w_e) * passed * _HISTORY
-        if check.block[k] >= _HISTORY and 2.0 * size * abs(math.sin(0.5 * turned)) > least:
-            _until(k, now, _LATE_NS, check)
+        turned = abs(w_e) * passed * HISTORY
+        if check.block[k] >= HISTORY and 2.0 * size * abs(math.sin(0.5 * turned)) > least:
+            _until(k, now, LATE_NS, check)
     else:
         check.block[k] = 0
     check.vector[k, oldest, 0] = a
@@ -83,7 +199,6 @@ def _add_sample(
     check.samples[k] = n + 1 if n < 1 << 40 else n + 1 - (1 << 39)
 
 
-@inlined
 def _nearest(k: int, t_ns: int, newest_ns: int, samples: Samples, dt_s: float) -> tuple[int, float]:
     """Row of drive k's sample nearest to a stamp, and how much later it is, s; -1 without any."""
     found, apart, t = -1, math.inf, (newest_ns - t_ns) * 1e-9
@@ -97,7 +212,6 @@ def _nearest(k: int, t_ns: int, newest_ns: int, samples: Samples, dt_s: float) -
     return found, apart
 
 
-@inlined
 def _torque_apart(
     k: int, reported: float, theta: float, w_e: float, k_torque: float, samples: Samples,
     dt_s: float,
@@ -118,17 +232,15 @@ def _torque_apart(
     return least
 
 
-@inlined
 def _torque_off(
     k: int, apart: float, reported: float, rated: float, now: int, check: Plausibility
 ) -> bool:
     """Whether two torques are further apart than motor data explain; notes a lesser doubt."""
-    if apart > _TORQUE_DOUBT * rated + _TORQUE_DOUBT_RELATIVE * abs(reported):
-        check.doubt_ns[k] = now + _DOUBT_NS
-    return bool(apart > _TORQUE_OFF * rated + _TORQUE_OFF_RELATIVE * abs(reported))
+    if apart > TORQUE_DOUBT * rated + TORQUE_DOUBT_RELATIVE * abs(reported):
+        check.doubt_ns[k] = now + DOUBT_NS
+    return bool(apart > TORQUE_OFF * rated + TORQUE_OFF_RELATIVE * abs(reported))
 
 
-@inlined
 def _angle_off(
     k: int, turned: complex, w_e: float, t_ns: int, right: bool, check: Plausibility,
     limits: PlausibilityLimits,
@@ -138,59 +250,57 @@ def _angle_off(
     turned: unit vector of the current in the rotor's frame, in the torque's direction; right:
     nothing speaks against it, so that it may be learnt from.
     """
-    if check.learnt[k] < _LEARN:
+    if check.learnt[k] < LEARN:
         if right:
             check.learnt[k] += 1
             check.base[k] += (turned - check.base[k]) / check.learnt[k]
         return False
-    if abs(check.base[k]) < _COHERENT:
+    if abs(check.base[k]) < COHERENT:
         check.learnt[k] = 0
         check.base[k] = 0.0
         return False
     apart = turned * check.base[k].conjugate()
     passed = t_ns - check.angle_ns[k]
-    follows = 0.5 if passed <= _ANGLE_GAP_NS else 1.0
+    follows = 0.5 if passed <= ANGLE_GAP_NS else 1.0
     check.angle_ns[k] = t_ns
     # A frame that waited for the bus is stamped when it came, and so is off the grid of its cycle.
     cycle = limits.motion_ns
     waited_s = abs(passed - (passed + cycle // 2) // cycle * cycle) * 1e-9
     angle = math.atan2(apart.imag, apart.real)
     angle -= min(max(angle, -abs(w_e) * waited_s), abs(w_e) * waited_s)
-    check.deviation[k] += follows * (angle - check.deviation[k])
-    most = _ANGLE_OFF + _ANGLE_OFF_SAMPLES * abs(w_e) * max(limits.period_s, _LEAST_PERIOD_S)
+    before = check.deviation[k]
+    check.deviation[k] = before + 0.5 * (angle - before) if follows < 1.0 else angle
+    most = ANGLE_OFF + ANGLE_OFF_SAMPLES * abs(w_e) * max(limits.period_s, LEAST_PERIOD_S)
     if abs(check.deviation[k]) <= most:
         check.off_ns[k] = t_ns
         if right:
-            check.base[k] += (1.0 - _KEEP) * (turned - check.base[k])
+            check.base[k] += (1.0 - KEEP) * (turned - check.base[k])
         return False
-    if t_ns - check.off_ns[k] > _LEARN_ANEW_NS:
+    if t_ns - check.off_ns[k] > LEARN_ANEW_NS:
         check.learnt[k] = 0
         check.base[k] = 0.0
     return True
 
 
-@inlined
 def _count(
     off: bool, first_ns: int, most: int, counts: Ints, k: int, now: int, check: Plausibility
 ) -> None:
     """first_ns: for how long a reading before `most` in a row keeps the currents from accusing."""
     counts[k] = counts[k] + 1 if off else 0
     if counts[k] >= most:
-        _until(k, now, _HELD_NS, check)
+        _until(k, now, HELD_NS, check)
     elif off:
         check.doubt_ns[k] = max(check.doubt_ns[k], now + first_ns)
 
 
-@inlined
 def _load_off(k: int, load: float, motion: Memory, settled: int, rated: float) -> bool:
     """Whether the load by the currents is another than that by `Motion`. NaN is not."""
     if not motion.begun[k] or motion.readings[k] < settled:
         return False
     observed = motion.observer[k, _OBSERVED_LOAD]
-    return bool(abs(load - observed) > _LOAD_OFF * rated + _LOAD_OFF_RELATIVE * abs(observed))
+    return bool(abs(load - observed) > LOAD_OFF * rated + LOAD_OFF_RELATIVE * abs(observed))
 
 
-@inlined
 def _check_reading(
     r: int, now: int, samples: Samples, newest_ns: int, readings: Readings, health: int,
     filters: Columns, flux: float, check: Plausibility, limits: PlausibilityLimits,
@@ -199,12 +309,12 @@ def _check_reading(
     k, torque, angle = readings.drive[r], readings.torque[r], readings.angle[r]
     row, later = _nearest(k, readings.t_ns[r], newest_ns, samples, limits.dt_s)
     w_e = limits.pole_pairs[k] * readings.speed[r]
-    if row < 0 or abs(later) > 1.5 * limits.period_s or abs(w_e) * limits.period_s > _MOST_TURN:
+    if row < 0 or abs(later) > 1.5 * limits.period_s or abs(w_e) * limits.period_s > MOST_TURN:
         return
     current = complex(samples.y[row, 0], samples.y[row, 1])
     size = abs(current)
-    if not (size >= _LEAST_CURRENT * limits.rated_a[k]) and not (
-        abs(torque) >= _LEAST_TORQUE * limits.rated_nm[k]
+    if not (size >= LEAST_CURRENT * limits.rated_a[k]) and not (
+        abs(torque) >= LEAST_TORQUE * limits.rated_nm[k]
     ):
         return
     off, tracking = False, health == _TRACKING
@@ -215,42 +325,40 @@ def _check_reading(
             k, torque, filters.x[k, _THETA], w_e, k_torque, samples, limits.dt_s
         )  # fmt: skip
         off = _torque_off(k, far, torque, limits.rated_nm[k], now, check)
-    if not math.isnan(angle) and size > 0.0 and abs(torque) >= _LEAST_TORQUE * limits.rated_nm[k]:
+    if not math.isnan(angle) and size > 0.0 and abs(torque) >= LEAST_TORQUE * limits.rated_nm[k]:
         theta = angle + w_e * later
         turned = current * complex(math.cos(theta), -math.sin(theta))
         # Along q in the torque's direction is 1.
         unit = turned * complex(0.0, -sign) / size
-        if check.learnt[k] >= _LEARN:
+        if check.learnt[k] >= LEARN:
             newest = angle + w_e * (newest_ns - readings.t_ns[r]) * 1e-9
             newest += math.atan2(check.base[k].imag, check.base[k].real)
             far = _torque_apart(k, torque, newest, w_e, k_torque, samples, limits.dt_s)
             off = _torque_off(k, far, torque, limits.rated_nm[k], now, check) or off
         # What is implausible is not learnt; a small current may have turned over since the torque.
-        if size >= _LEAST_CURRENT * limits.rated_a[k]:
+        if LEAST_CURRENT * limits.rated_a[k] <= size < MOST_CURRENT_A:
             right = tracking and not off and now >= check.until_ns[k]
             apart = _angle_off(k, unit, w_e, readings.t_ns[r], right, check, limits)
-            _count(apart, _DOUBT_NS, _IN_A_ROW, check.off, k, now, check)
-    _count(off, _DOUBT_NS, _IN_A_ROW, check.torque_off, k, now, check)
+            _count(apart, DOUBT_NS, IN_A_ROW, check.off, k, now, check)
+    _count(off, DOUBT_NS, IN_A_ROW, check.torque_off, k, now, check)
 
 
-@inlined
 def _moved(now: float, before: float) -> bool:
     """False where one of two speeds is not known."""
-    return bool(abs(now - before) > max(_SPEED_MOVED * abs(now), _SPEED_MOVED_RAD_S))
+    return bool(abs(now - before) > max(SPEED_MOVED * abs(now), SPEED_MOVED_RAD_S))
 
 
-@inlined
 def _motion_held(
     k: int, now: int, measured: Array, slow: SlowState, own: float, check: Plausibility,
     rated_nm: float,
 ) -> bool:  # fmt: skip
     """Whether `Motion` of drive k stands still while something that it must follow has changed."""
-    if now - check.changed_ns[k] <= _MOTION_HELD_NS or math.isnan(measured[k]):
+    if now - check.changed_ns[k] <= MOTION_HELD_NS or math.isnan(measured[k]):
         return False
     if _moved(own, check.own[k]) or _moved(own, measured[k]):
         return True
-    if abs(slow.command[k] - check.command[k]) > _COMMAND_MOVED * rated_nm and (
-        now - slow.command_ns[k] > _MOTION_HELD_NS
+    if abs(slow.command[k] - check.command[k]) > COMMAND_MOVED * rated_nm and (
+        now - slow.command_ns[k] > MOTION_HELD_NS
     ):
         return True
     if not math.isnan(own):
@@ -264,7 +372,6 @@ def _motion_held(
     return moved == others and others > 0
 
 
-@inlined
 def _note_motion(
     r: int, readings: Readings, measured: Array, slow: SlowState, own: float, check: Plausibility
 ) -> None:
@@ -279,7 +386,6 @@ def _note_motion(
         check.others[k, j] = measured[j]
 
 
-@inlined
 def _own_speed(k: int, filters: Columns, told: Told, limits: PlausibilityLimits) -> float:
     """Rotor speed by the currents, rad/s; NaN where it is not known."""
     if told.health[k] != _TRACKING:
@@ -287,7 +393,6 @@ def _own_speed(k: int, filters: Columns, told: Told, limits: PlausibilityLimits)
     return float(filters.x[k, _W_E] / limits.pole_pairs[k])
 
 
-@inlined
 def _electrical_speed(k: int, measured: Array, chords: Columns, pole_pairs: Array) -> float:
     """By `Motion`, else by the flux chords; 0 where neither knows."""
     if not math.isnan(measured[k]):
@@ -295,7 +400,6 @@ def _electrical_speed(k: int, measured: Array, chords: Columns, pole_pairs: Arra
     return float(chords.w[k]) if chords.ready[k] else 0.0
 
 
-@lean
 def check_values(
     samples: Samples, sample_ns: Ints, readings: Readings, count: int, measured: Array,
     slow: SlowState, now: int, chords: Columns, filters: Columns, told: Told,
@@ -324,16 +428,16 @@ def check_values(
         own = _own_speed(k, filters, told, limits)
         _note_motion(r, readings, measured, slow, own, check)
         held = _motion_held(k, now, measured, slow, own, check, limits.rated_nm[k])
-        _count(held, 0, _IN_A_ROW, check.motion_held, k, now, check)
+        _count(held, 0, IN_A_ROW, check.motion_held, k, now, check)
         load = told.load[k] if told.health[k] == _TRACKING else math.nan
         off = _load_off(k, load, motion, limits.settled_readings, limits.rated_nm[k])
-        _count(off, 0, _LOADS_IN_A_ROW, check.load_off, k, now, check)
+        _count(off, 0, LOADS_IN_A_ROW, check.load_off, k, now, check)
     for k in range(measured.shape[0]):
-        if check.motion_held[k] >= _IN_A_ROW:
+        if check.motion_held[k] >= IN_A_ROW:
             measured[k] = math.nan
-        if check.restart[k] and now + _RESTART_NS >= check.until_ns[k]:
+        if check.restart[k] and now + RESTART_NS >= check.until_ns[k]:
             # What the filter has learnt meanwhile is of no use.
-            _reset(filters.ctypes.data + int(k) * _FILTER)
+            forget(k, filters)
             filters.v_q_bias[k] = 0.0
             told.flux[k] = math.nan
             check.restart[k] = now < check.until_ns[k]

@@ -1,0 +1,16 @@
+/* Load of a drive by its measured speed and torque. */
+#ifndef TRACTION_LOAD_OBSERVER_H
+#define TRACTION_LOAD_OBSERVER_H
+
+#include "gateway/core/records.h"
+
+/* Start at a reading: speed w, rad/s, and torque, Nm. A train is heavy: until its acceleration is
+ * known the load is the torque, give or take half of it. */
+void load_observer_init(struct load_observer *state, double w, double torque,
+                        const struct mechanics *m);
+
+/* Add a reading, dt s (above 0) after the last one. Finite numbers in, finite numbers out. */
+void load_observer_update(struct load_observer *state, double w, double torque, double dt,
+                          const struct mechanics *m);
+
+#endif

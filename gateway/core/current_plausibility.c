@@ -1,0 +1,295 @@
+/* Currents that are well protected and wrong, by three witnesses, none of which needs the load.
+ *
+ * - Repeats: equal current vectors while the rotor turns; one is a late sample, more are held. On
+ *   CAN FD also eight samples that are those of the frame before.
+ * - Torque: what the currents make at the angle of the rotor, against the torque that the drive
+ *   sends.
+ * - Angle of the current against ElectricalAngle, where it is sent. Their constant difference is
+ *   learnt, so no convention is assumed; a step is a current that is late, or another's.
+ *
+ * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
+ * condition is written so that false, which every comparison with NaN is, is the safe answer.
+ * Divisors are the cycle of Motion, at least 1 ns, a count from 1 on, and the length of a current
+ * that is above 0. Stamps are between 0 and now; a place in the ring is a count modulo its size. */
+#include "gateway/core/current_plausibility.h"
+
+#include "estimators/numbers.h"
+#include "estimators/vectors.h"
+#include "gateway/core/misfits.h"
+
+#define HALF_TURN 3.14159265358979323846     /* rad */
+static const int64_t LATE_NS = 1000 * MS_NS; /* as HELD_NS, after one late sample */
+static const int64_t REPEATS = 2;            /* in a row: more than one late sample */
+#define LEAST_CURRENT 0.15                   /* per unit of rated; with less current */
+#define LEAST_TORQUE  0.1 /* and torque, neither torque nor angle says anything */
+/* Largest difference of two torques, per unit of rated torque and of the sent one: magnets may be a
+ * fifth off the data sheet. From the doubt on the currents are no evidence of a loss. */
+#define TORQUE_OFF            0.15
+#define TORQUE_OFF_RELATIVE   0.3
+#define TORQUE_DOUBT          0.06
+#define TORQUE_DOUBT_RELATIVE 0.15
+#define DOUBT_NS              (15 * MS_NS)
+static const struct misfit_rule OF_CURRENT = {3, DOUBT_NS};
+/* Largest deviation of the angle: rad, and in turns of a sample period, which is at least 0.5 ms:
+ * stamps jitter. */
+#define ANGLE_OFF         0.06
+#define ANGLE_OFF_PERIODS 0.3
+#define LEAST_PERIOD_S    0.5e-3
+#define MOST_TURN 0.63 /* rad between two samples, beyond which nothing rests on the currents */
+static const int64_t LEARN = 20; /* readings before the constant part of the angle is known */
+#define KEPT 0.98                /* of `base` with each reading after that: half a second */
+/* Length of the mean of unit vectors below which angle and current have nothing to do with one
+ * another: another frame, another direction. */
+#define COHERENT 0.95
+/* An angle that has been off for so long is the new one of the drive. */
+static const int64_t LEARN_ANEW_NS = 60000 * MS_NS;
+/* After so long without a reading the deviation of the angle is that of the next one. */
+static const int64_t ANGLE_GAP_NS = 100 * MS_NS;
+
+/* ---- Repeated currents ---- */
+
+static int equals(const double *one, const double *other)
+{
+    return one[0] == other[0] && one[1] == other[1];
+}
+
+/* How far a current of this length moves while the rotor turns by `turned`, rad. */
+static double chord(double length, double turned)
+{
+    return 2.0 * length * fabs(sine(0.5 * turned));
+}
+
+/* One more sample of current, `passed` s after the one before; w_e: electrical speed, rad/s. */
+static void add_current(struct plausibility *p, const double *current, double passed, double w_e,
+                        int64_t now_ns)
+{
+    const double length = sqrt(square(current[0]) + square(current[1]));
+    const double *newest = p->current[(p->samples - 1) % CURRENT_HISTORY];
+    double *oldest = p->current[p->samples % CURRENT_HISTORY];
+    if (p->samples > 0 && equals(current, newest)) {
+        p->repeats++;
+        p->repeated_s += passed;
+        const double turned = smaller(fabs(w_e) * p->repeated_s, HALF_TURN);
+        if (chord(length, turned) > p->least_change_a)
+            set_implausible(p, now_ns + (p->repeats >= REPEATS ? HELD_NS : LATE_NS));
+    } else {
+        p->repeats = 0;
+        p->repeated_s = 0.0;
+    }
+    if (p->samples >= CURRENT_HISTORY && equals(current, oldest)) {
+        p->block_repeats++;
+        const double turned = fabs(w_e) * passed * CURRENT_HISTORY;
+        if (p->block_repeats >= CURRENT_HISTORY && chord(length, turned) > p->least_change_a)
+            set_implausible(p, now_ns + LATE_NS);
+    } else {
+        p->block_repeats = 0;
+    }
+    oldest[0] = current[0];
+    oldest[1] = current[1];
+    p->samples++;
+}
+
+/* By Motion, else by the flux chords, rad/s; 0 where neither is known. */
+static double electrical_speed(const struct motion_monitor *m, int64_t k)
+{
+    const double measured = m->inputs[k].speed_rad_s;
+    if (!isnan(measured))
+        return m->motions[k].pole_pairs * measured;
+    return m->chords[k].ready ? m->chords[k].w : 0.0;
+}
+
+/* Time from the sample before to sample i of this tick, s. */
+static double time_before(const struct motion_monitor *m, int64_t i)
+{
+    return (double)(m->receiver->sample_steps[i] + m->receiver->sample_gap[i]) * m->dt;
+}
+
+void check_samples(struct motion_monitor *m, int64_t now_ns)
+{
+    for (int64_t i = 0; i < m->receiver->tick.samples; i++) {
+        const int64_t k = m->receiver->sample_drive[i];
+        add_current(&m->checks[k], &m->receiver->sample_y[2 * i], time_before(m, i),
+                    electrical_speed(m, k), now_ns);
+    }
+}
+
+/* ---- Torque and angle of the current ---- */
+
+/* A reading of Motion beside the current of the same instant. */
+struct reading {
+    int64_t k;               /* drive */
+    int64_t t_ns;            /* its stamp */
+    double torque;           /* Nm, as sent */
+    double angle;            /* electrical angle, rad; NaN: not sent */
+    double w_e;              /* electrical speed, rad/s */
+    double torque_per_a;     /* Nm per A along q */
+    double _Complex current; /* of the nearest sample, A */
+    double later_s;          /* by which that sample is later */
+};
+
+/* Fill in the sample of this tick that is nearest to the reading. Returns 0 without any. */
+static int find_current(const struct motion_monitor *m, struct reading *reading)
+{
+    const int64_t newest_ns = m->receiver->drives[reading->k].sample_ns;
+    double later = (double)(newest_ns - reading->t_ns) * 1e-9;
+    reading->later_s = INFINITY;
+    for (int64_t i = m->receiver->tick.samples - 1; i >= 0; i--) {
+        if (m->receiver->sample_drive[i] != reading->k)
+            continue;
+        const double *y = &m->receiver->sample_y[2 * i];
+        if (fabs(later) < fabs(reading->later_s)) {
+            reading->later_s = later;
+            reading->current = y[0] + y[1] * I;
+        }
+        later -= time_before(m, i);
+    }
+    return fabs(reading->later_s) <= 1.5 * m->period_s;
+}
+
+/* Least difference of the torques that the currents of this tick make from the sent one, which may
+ * be as old as any of them. theta: angle of the rotor at the newest sample, rad. */
+static double torque_difference(const struct motion_monitor *m, const struct reading *reading,
+                                double theta)
+{
+    double least = INFINITY, t = 0.0;
+    for (int64_t i = m->receiver->tick.samples - 1; i >= 0; i--) {
+        if (m->receiver->sample_drive[i] != reading->k)
+            continue;
+        const double *y = &m->receiver->sample_y[2 * i];
+        const double then = theta - reading->w_e * t;
+        const double i_q = y[1] * cosine(then) - y[0] * sine(then);
+        least = smaller(fabs(reading->torque_per_a * i_q - reading->torque), least);
+        t += time_before(m, i);
+    }
+    return least;
+}
+
+/* 1 if the currents make another torque than the drive sends, by more than motor data explain; notes
+ * a lesser doubt. */
+static int is_torque_off(struct motion_monitor *m, const struct reading *reading, double theta,
+                         int64_t now_ns)
+{
+    const double off = torque_difference(m, reading, theta);
+    const double rated = m->checks[reading->k].rated_nm, sent = fabs(reading->torque);
+    if (off > TORQUE_DOUBT * rated + TORQUE_DOUBT_RELATIVE * sent)
+        set_doubt(&m->rotors[reading->k], now_ns + DOUBT_NS);
+    return off > TORQUE_OFF * rated + TORQUE_OFF_RELATIVE * sent;
+}
+
+static void forget_angle(struct plausibility *p)
+{
+    p->learnt = 0;
+    p->base = 0.0;
+}
+
+/* Angle that a reading may be off because it waited for the bus, rad: it is stamped when it comes,
+ * and so is off the grid of its cycle. passed_ns: since the reading before. */
+static double turned_meanwhile(const struct motion_monitor *m, double w_e, int64_t passed_ns)
+{
+    const int64_t cycle = m->motion_cycle_ns;
+    const int64_t off_ns = passed_ns - (passed_ns + cycle / 2) / cycle * cycle;
+    return fabs(w_e) * fabs((double)off_ns * 1e-9);
+}
+
+/* Follow the deviation of the angle of the current; 1 if it is too large. unit: see is_angle_off. */
+static int deviates(const struct motion_monitor *m, struct plausibility *p,
+                    const struct reading *reading, double _Complex unit)
+{
+    const int64_t passed_ns = reading->t_ns - p->angle_ns;
+    const double turned = turned_meanwhile(m, reading->w_e, passed_ns);
+    const double angle = angle_of(unit * conj(p->base));
+    const double off = angle - clamp(angle, -turned, turned);
+    if (passed_ns <= ANGLE_GAP_NS)
+        p->deviation += 0.5 * (off - p->deviation);
+    else
+        p->deviation = off;
+    p->angle_ns = reading->t_ns;
+    const double period_s = larger(m->period_s, LEAST_PERIOD_S);
+    const double limit = ANGLE_OFF + ANGLE_OFF_PERIODS * fabs(reading->w_e) * period_s;
+    return !(fabs(p->deviation) <= limit);
+}
+
+/* 1 if the current has left its angle. unit: unit vector of the current in the frame of the measured
+ * angle, in the direction of the torque; may_learn: nothing speaks against it. */
+static int is_angle_off(const struct motion_monitor *m, struct plausibility *p,
+                        const struct reading *reading, double _Complex unit, int may_learn)
+{
+    if (p->learnt < LEARN) {
+        if (may_learn) {
+            p->learnt++;
+            p->base += (unit - p->base) / (double)p->learnt;
+        }
+        return 0;
+    }
+    if (length_of(p->base) < COHERENT) {
+        forget_angle(p);
+        return 0;
+    }
+    if (deviates(m, p, reading, unit)) {
+        if (reading->t_ns - p->angle_fitted_ns > LEARN_ANEW_NS)
+            forget_angle(p);
+        return 1;
+    }
+    p->angle_fitted_ns = reading->t_ns;
+    if (may_learn)
+        p->base += (1.0 - KEPT) * (unit - p->base);
+    return 0;
+}
+
+/* The measured angle beside the current; 1 if the torque at it is off. torque_off: at the angle of
+ * the filter, if that tracks. What is implausible is not learnt; a small current may have turned over
+ * since the torque was measured. */
+static int check_angle(struct motion_monitor *m, const struct reading *reading, int tracking,
+                       int torque_off, int64_t now_ns)
+{
+    struct plausibility *p = &m->checks[reading->k];
+    const double length = length_of(reading->current);
+    int off = torque_off;
+    if (p->learnt >= LEARN) {
+        const int64_t newest_ns = m->receiver->drives[reading->k].sample_ns;
+        const double later = (double)(newest_ns - reading->t_ns) * 1e-9;
+        const double theta = reading->angle + reading->w_e * later + angle_of(p->base);
+        off = is_torque_off(m, reading, theta, now_ns) || off;
+    }
+    if (length >= LEAST_CURRENT * p->rated_a && length < IMPLAUSIBLE) {
+        /* Along q in the direction of the torque is 1. */
+        const double theta = reading->angle + reading->w_e * reading->later_s;
+        const double _Complex turned = reading->current * conj(unit_vector(theta));
+        const double sign = reading->torque >= 0.0 ? 1.0 : -1.0;
+        const double _Complex unit = sign * (cimag(turned) - creal(turned) * I) / length;
+        const int may_learn = tracking && !off && now_ns >= p->implausible_until_ns;
+        const int angle_off = is_angle_off(m, p, reading, unit, may_learn);
+        count_misfit(m, reading->k, &p->angle_misfits, angle_off, &OF_CURRENT, now_ns);
+    }
+    return off;
+}
+
+/* Currents against torque and angle as measured at the same instant. */
+void check_current(struct motion_monitor *m, int64_t r, int64_t now_ns)
+{
+    const struct receiver *from = m->receiver;
+    const int64_t k = from->motion_drive[r];
+    struct plausibility *p = &m->checks[k];
+    const double flux = m->estimates[k].flux_ratio;
+    struct reading reading = {
+        .k = k,
+        .t_ns = from->motion_t_ns[r],
+        .torque = from->motion_torque[r],
+        .angle = from->motion_angle[r],
+        .w_e = m->motions[k].pole_pairs * from->motion_speed[r],
+        .torque_per_a = p->torque_per_a * (isnan(flux) ? 1.0 : flux),
+    };
+    if (!find_current(m, &reading) || fabs(reading.w_e) * m->period_s > MOST_TURN)
+        return;
+    const double length = length_of(reading.current);
+    const int strong_current = length >= LEAST_CURRENT * p->rated_a;
+    const int strong_torque = fabs(reading.torque) >= LEAST_TORQUE * p->rated_nm;
+    if (!strong_current && !strong_torque)
+        return;
+    const int tracking = m->estimates[k].health == HEALTH_TRACKING;
+    const double theta_e = m->filters[k].x[3];
+    int off = tracking && is_torque_off(m, &reading, theta_e, now_ns);
+    if (!isnan(reading.angle) && length > 0.0 && strong_torque)
+        off = check_angle(m, &reading, tracking, off, now_ns);
+    count_misfit(m, k, &p->torque_misfits, off, &OF_CURRENT, now_ns);
+}

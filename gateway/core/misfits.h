@@ -1,0 +1,43 @@
+/* What follows from input that does not fit. Not for cffi. */
+#ifndef TRACTION_MISFITS_H
+#define TRACTION_MISFITS_H
+
+#include "gateway/core/records.h"
+
+#define MS_NS 1000000LL
+
+/* How long an input stays implausible after the last sign of a fault. */
+static const int64_t HELD_NS = 200 * MS_NS;
+
+/* How many readings in a row must not fit before the input is implausible; and for how long after
+ * one before that the currents accuse no drive: no loss is raised before the next reading. */
+struct misfit_rule {
+    int64_t limit;
+    int64_t doubt_ns;
+};
+
+static inline void set_implausible(struct plausibility *p, int64_t until_ns)
+{
+    if (until_ns > p->implausible_until_ns)
+        p->implausible_until_ns = until_ns;
+    p->restart = 1;
+}
+
+static inline void set_doubt(struct rotor *rotor, int64_t until_ns)
+{
+    if (until_ns > rotor->doubt_until_ns)
+        rotor->doubt_until_ns = until_ns;
+}
+
+/* Count a reading of drive k that does not fit (off), or does, in `misfits`: those in a row. */
+static inline void count_misfit(struct motion_monitor *m, int64_t k, int64_t *misfits, int off,
+                                const struct misfit_rule *rule, int64_t now_ns)
+{
+    *misfits = off ? *misfits + 1 : 0;
+    if (*misfits >= rule->limit)
+        set_implausible(&m->checks[k], now_ns + HELD_NS);
+    else if (off)
+        set_doubt(&m->rotors[k], now_ns + rule->doubt_ns);
+}
+
+#endif

@@ -1,0 +1,148 @@
+/* Currents and Motion that are well protected and wrong: held, late, turned, of another scale.
+ *
+ * A converter that hangs behind a live CAN layer sends good counters and checksums with old values.
+ * The currents are checked in current_plausibility.c; here stand two more witnesses:
+ *
+ * - Load: that of the filter against that of the observer.
+ * - Motion that stands still: Speed and Torque the same for 100 ms while others change.
+ *
+ * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
+ * condition is written so that false, which every comparison with NaN is, is the safe answer. The
+ * divisor is a number of pole pairs; stamps are between 0 and now. */
+#include "gateway/core/plausibility.h"
+
+#include <math.h>
+
+#include "estimators/filter.h"
+#include "estimators/numbers.h"
+#include "gateway/core/current_plausibility.h"
+#include "gateway/core/misfits.h"
+#include "gateway/core/motion.h"
+
+/* From so long before the end of an implausible input on, the filter starts anew. */
+static const int64_t RESTART_NS = 20 * MS_NS;
+static const struct misfit_rule OF_MOTION = {3, 0};
+/* Filter and observer follow a loss unlike for up to three readings. */
+static const struct misfit_rule OF_LOAD = {4, 0};
+/* Largest difference of two loads, per unit of rated torque and of the observed one. */
+#define LOAD_OFF          0.25
+#define LOAD_OFF_RELATIVE 0.3
+static const int64_t MOTION_HELD_NS = 100 * MS_NS;
+/* What others must have changed by: a speed, as a share and in rad/s, or the torque command, per
+ * unit of rated torque. */
+#define SPEED_MOVED       0.03
+#define SPEED_MOVED_RAD_S 1.0
+#define COMMAND_MOVED     0.15
+
+/* ---- Motion that stands still ---- */
+
+/* 1 if a speed has changed; 0 where one of the two is not known. */
+static int has_moved(double now, double before)
+{
+    return fabs(now - before) > larger(SPEED_MOVED * fabs(now), SPEED_MOVED_RAD_S);
+}
+
+/* Rotor speed by the currents, rad/s; NaN: not known. */
+static double own_speed(const struct motion_monitor *m, int64_t k)
+{
+    const double w_e = m->filters[k].x[2];
+    return m->estimates[k].health == HEALTH_TRACKING ? w_e / m->motions[k].pole_pairs : NAN;
+}
+
+/* 1 if the measured speeds of all other drives, at least one, have changed. */
+static int all_others_moved(const struct motion_monitor *m, int64_t k)
+{
+    int64_t others = 0, moved = 0;
+    for (int64_t j = 0; j < m->n; j++) {
+        const double now = m->inputs[j].speed_rad_s, before = m->others[k * m->n + j];
+        if (j != k && !isnan(now) && !isnan(before)) {
+            others++;
+            moved += has_moved(now, before);
+        }
+    }
+    return others > 0 && moved == others;
+}
+
+/* 1 if Motion of drive k stands still while something that it must follow has changed. */
+static int is_motion_held(const struct motion_monitor *m, int64_t k, double own, int64_t now_ns)
+{
+    const struct plausibility *p = &m->checks[k];
+    const struct drive_input *in = &m->receiver->drives[k];
+    const double measured = m->inputs[k].speed_rad_s;
+    if (now_ns - p->changed_ns <= MOTION_HELD_NS || isnan(measured))
+        return 0;
+    if (has_moved(own, p->own_speed) || has_moved(own, measured))
+        return 1;
+    const int commanded = fabs(in->command - p->command) > COMMAND_MOVED * p->rated_nm;
+    if (commanded && now_ns - in->command_ns > MOTION_HELD_NS)
+        return 1;
+    /* With a speed of its own it turns as steadily as it sends. */
+    return isnan(own) && all_others_moved(m, k);
+}
+
+/* If Motion has changed, note what was so when it did. */
+static void note_motion(struct motion_monitor *m, int64_t r, double own)
+{
+    const struct receiver *from = m->receiver;
+    const int64_t k = from->motion_drive[r];
+    struct plausibility *p = &m->checks[k];
+    if (from->motion_speed[r] == p->speed && from->motion_torque[r] == p->torque)
+        return;
+    p->speed = from->motion_speed[r];
+    p->torque = from->motion_torque[r];
+    p->changed_ns = from->motion_t_ns[r];
+    p->own_speed = own;
+    p->command = from->drives[k].command;
+    for (int64_t j = 0; j < m->n; j++)
+        m->others[k * m->n + j] = m->inputs[j].speed_rad_s;
+}
+
+/* ---- A tick ---- */
+
+/* 1 if the load of the filter is another than that of the observer. */
+static int is_load_off(const struct motion_monitor *m, int64_t k)
+{
+    const struct drive_estimate *estimate = &m->estimates[k];
+    if (estimate->health != HEALTH_TRACKING || !is_observer_settled(&m->motions[k]))
+        return 0;
+    const double observed = m->motions[k].observer.T_L;
+    const double limit = LOAD_OFF * m->checks[k].rated_nm + LOAD_OFF_RELATIVE * fabs(observed);
+    return fabs(estimate->load_nm - observed) > limit;
+}
+
+static void check_reading(struct motion_monitor *m, int64_t r, int64_t now_ns)
+{
+    const int64_t k = m->receiver->motion_drive[r];
+    struct plausibility *p = &m->checks[k];
+    check_current(m, r, now_ns);
+    const double own = own_speed(m, k);
+    note_motion(m, r, own);
+    const int held = is_motion_held(m, k, own, now_ns);
+    count_misfit(m, k, &p->motion_misfits, held, &OF_MOTION, now_ns);
+    const int load_off = is_load_off(m, k);
+    count_misfit(m, k, &p->load_misfits, load_off, &OF_LOAD, now_ns);
+}
+
+/* A filter that was given implausible input starts anew: what it has learnt meanwhile is of no use. */
+static void restart_filter(struct motion_monitor *m, int64_t k, int64_t now_ns)
+{
+    struct plausibility *p = &m->checks[k];
+    if (!p->restart || now_ns + RESTART_NS < p->implausible_until_ns)
+        return;
+    filter_reset(&m->filters[k]);
+    m->filters[k].v_q_bias = 0.0;
+    m->estimates[k].flux_ratio = NAN;
+    p->restart = now_ns < p->implausible_until_ns;
+}
+
+void check_plausibility(struct motion_monitor *m, int64_t now_ns)
+{
+    check_samples(m, now_ns);
+    for (int64_t r = 0; r < m->receiver->tick.motions; r++)
+        check_reading(m, r, now_ns);
+    for (int64_t k = 0; k < m->n; k++) {
+        if (m->checks[k].motion_misfits >= OF_MOTION.limit)
+            m->inputs[k].speed_rad_s = NAN;
+        restart_filter(m, k, now_ns);
+    }
+}

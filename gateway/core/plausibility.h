@@ -1,0 +1,13 @@
+/* Currents and Motion that are well protected and wrong: held, late, turned, of another scale. */
+#ifndef TRACTION_PLAUSIBILITY_H
+#define TRACTION_PLAUSIBILITY_H
+
+#include "gateway/core/records.h"
+
+/* Check the samples and readings of a tick, after `follow_readings` and before `select_sources`: sets
+ * `implausible_until_ns` of `checks`, and `doubt_until_ns` of `rotors`, until which the currents
+ * accuse no drive. The speed of a Motion that stands still is not known any more (`inputs`). A filter
+ * whose input was implausible starts anew. */
+void check_plausibility(struct motion_monitor *m, int64_t now_ns);
+
+#endif

@@ -1,0 +1,37 @@
+"""A `MotionMonitor` in tests: of drives whose filters, samples and readings are given."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from dbc.records import ROTOR, zeros
+from estimators import acquisition, adaptation, current_calibration
+from gateway import inputs, tracks
+from gateway.config import BENCH_MOTOR, Estimator
+from gateway.health import NEVER
+from gateway.motion import MotionMonitor, Timebase
+from gateway.slow import RPM
+from tests.receivers import Received
+from tests.sender import MS
+
+TIMES = Timebase(2e-3, 10 * MS, 0.5 * RPM)
+
+
+class Drives(MotionMonitor):
+    """The monitor of N drives, and all that it works on."""
+
+    def __init__(self, n, times=TIMES, motor=BENCH_MOTOR, step_a=0.1):
+        self.came = Received(n)
+        self.status = inputs.statuses(n)
+        estimates = tracks.estimates(n)
+        bank = SimpleNamespace(
+            estimates=estimates, filters=adaptation.filters(n), chords=acquisition.start(n),
+            sensors=current_calibration.start(n),
+        )  # fmt: skip
+        rotors = zeros(n, ROTOR)
+        rotors["doubt_until_ns"] = NEVER
+        super().__init__(
+            [motor] * n, Estimator(), times, 10 * MS, step_a, self.came,
+            SimpleNamespace(status=self.status), bank, rotors,
+        )  # fmt: skip
+        self.estimates = estimates
