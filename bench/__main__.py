@@ -61,7 +61,7 @@ def machine() -> str:
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         cpu = next((line.split(":")[1].strip() for line in lines if "model name" in line), cpu)
-    names = ", ".join(f"{n} {version(n)}" for n in ("numpy", "numba", "python-can", "cantools"))
+    names = ", ".join(f"{n} {version(n)}" for n in ("numpy", "python-can", "cantools"))
     return (
         f"{cpu}, {os.cpu_count()} processors, {platform.system()} {platform.release()}; "
         f"Python {platform.python_version()}, {names}."

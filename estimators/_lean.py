@@ -1,9 +1,9 @@
-"""How loops over many arrays are compiled; `dbc._lean` says why."""
+"""How loops over many arrays are compiled, until they are C."""
 
 from __future__ import annotations
 
-from dbc._core_symbols import symbol
-from dbc._kernelcache import njit
-from dbc._lean import inlined, lean
+from numba import njit
 
-__all__ = ["inlined", "lean", "njit", "symbol"]
+from dbc._core_symbols import symbol
+
+__all__ = ["njit", "symbol"]

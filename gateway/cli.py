@@ -31,7 +31,7 @@ VERBS = {
     "verify": "whether this configuration is the one that was signed",
     "calibrate": "thermal limits from fault-free logs",
     "reproduce": "a paper's experiment: its tables and figures beside ours, and a report",
-    "warm": "compile ahead of time, for a service that must not",
+    "warm": "nothing any more: the core is compiled before it is delivered",
     "fleet": "many logs in many processes, or on a Dask cluster, into Parquet",
     "fleet-thresholds": "thresholds from a healthy fleet's results",
     "completion": "a script that completes this program's words in a shell",

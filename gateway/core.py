@@ -1,8 +1,9 @@
 """The core: `Gateway.step(frames, now) -> frames`.
 
-What happens in a tick, and in which order, stands in `gateway/core/tick.c`; the fields of the records
-in `gateway/core/records.h`. This module makes the records, and does what needs Python: frames of
-other makers' drives, emergency messages, a detector that is not in the core, authentication.
+What happens in a tick, and in which order, stands in `gateway/core/tick.c`; the fields of the
+records in `gateway/core/records.h`. This module makes the records, and does what needs Python:
+frames of other makers' drives, emergency messages, a detector that is not in the core,
+authentication.
 
 Five laws:
 1. One `now` per tick, an integer of nanoseconds, passed in. Nobody below `drivers/` reads a
@@ -126,7 +127,7 @@ class Gateway(Addressed):
 
     def link(self) -> None:
         """See `Addressed`."""
-        records: dict[str, Records] = {
+        records: dict[str, NDArray[Any]] = {
             "receiver": self.inbox.receiver.record, "load": self.load.record,
             "integrity": self.doubt.record, "channels": self.inputs.channels,
             "inputs": self.inputs.status, "estimator": self.bank.record,
@@ -153,9 +154,7 @@ class Gateway(Addressed):
         self._run(block, np.array([block.size]), now)
         return self.outbox.frames_of(self.sent[: self.pointer.sent_count])
 
-    def run(
-        self, block: Block, ends: NDArray[np.int64], now: Nanos
-    ) -> tuple[int, list[Block]]:
+    def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
         """Ticks at `now`, a period later and so on, one for each of ends (K,).
 
         Gives their number, and what goes out. Tick k takes the frames from ends[k - 1] (0 for the

@@ -158,7 +158,7 @@ class Inbox:
 
     @property
     def counts(self) -> Counter[str]:
-        """Frames since the start: received ones, what became of them, and those that are missing."""
+        """Frames since the start: received ones, what became of them, and those that are lost."""
         pointer = self.receiver.pointer
         found = Counter(self.added)
         for name, count in zip(NAMES, self.receiver.counters.tolist(), strict=False):

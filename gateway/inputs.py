@@ -28,7 +28,7 @@ NONE: Final = -1
 
 
 class Places(NamedTuple):
-    """`drive_channels` of N drives, (N,); motion, status: fields of it, for loops of numba's."""
+    """`drive_channels` of N drives, (N,); motion, status: fields of it."""
 
     channels: Records
     motion: NDArray[np.int32]
@@ -36,7 +36,7 @@ class Places(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Fields of `input_status` of N drives, (N,), for loops that are still numba's.
+    """Fields of `input_status` of N drives, (N,), by short names.
 
     cause: `reason`; fresh: `sample_fresh`; commanded: `command_valid`; speed: `speed_rad_s`;
     suspect: `current_sum_fault`; comm.

@@ -167,8 +167,7 @@ class Supervision(Addressed):
     def life(self, node: int, now_ns: Nanos) -> Life:
         """Verdict on one node."""
         row = self._row.get(node)
-        last = NEVER if row is None else int(self.heartbeats["last_ns"][row])
-        if last == NEVER:
+        if row is None or int(self.heartbeats["last_ns"][row]) == NEVER:
             return Life.NEVER_SEEN
         return Life.LOST if self._is_lost(row, now_ns) else Life.ALIVE
 

@@ -18,7 +18,7 @@ Bytes = NDArray[np.uint8]
 
 
 class Told(NamedTuple):
-    """`drive_estimate` of N drives, (N,), and its fields for loops that are still numba's.
+    """`drive_estimate` of N drives, (N,), and its fields.
 
     reason: `health_reason`; speed, load, sigma, flux: `speed_rad_s`, `load_nm`, `load_sigma_nm`,
     `flux_ratio`.

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dbc.codec import bind
 from gateway import foreign
-from gateway.commands.common import patience
-from gateway.config import shipped_dbc
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -19,13 +16,8 @@ def tell(config: Config, codec: Codec) -> list[str]:
 
     Raises ConfigError as `Gateway` does.
     """
-    with patience():
-        from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS, losses, never
-        from gateway.drivers.warm import warm_up
+    from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS, losses, never
 
-        ours = config.unmapped()
-        own = codec if ours is config else bind(shipped_dbc("traction.dbc"), config.nodes)
-        warm_up(ours, own)
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
     for node, why in blind.items():
         if node not in _mapped(config):  # of those it is said above

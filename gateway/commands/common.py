@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import threading
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
 PATIENCE_S: Final = 3.0
-COMPILING: Final = "compiling for this machine, which happens once: up to two minutes"
 
 
 def positive_seconds(text: str) -> float:
@@ -169,18 +166,6 @@ def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
     if text:
         console().print(f"warning: {text}", markup=False, soft_wrap=True)
     return FAILED if text else GOOD
-
-
-@contextmanager
-def patience() -> Iterator[None]:
-    """Around whatever loads kernels: who waits longer than a warm cache takes is told why."""
-    timer = threading.Timer(PATIENCE_S, lambda: print(COMPILING, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def track_file(log: Log, path: Path, what: str) -> Iterable[Block]:

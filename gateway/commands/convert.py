@@ -14,7 +14,6 @@ from gateway.commands.common import (
     add_config,
     console,
     faults,
-    patience,
     prepare,
     shown,
     track_file,
@@ -68,8 +67,7 @@ def run(options: argparse.Namespace) -> int:
         raise BadLogError(f"{options.output}: is the log itself; name another file")
     decoder: Decoder | None = None
     if kind in convert.SIGNALS and not options.frames:
-        with patience():
-            decoder = Decoder(_codec(options))
+        decoder = Decoder(_codec(options))
 
     def blocks(log: Log, what: str) -> Iterable[Any]:
         return convert.of_channel(track_file(log, options.log, what), options.log_channel)

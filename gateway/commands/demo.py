@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, console, patience, positive_seconds, prepare
+from gateway.commands.common import GOOD, console, positive_seconds, prepare
 
 HELP = "the whole system on an embedded bus"
 CHANNEL = "traction-gateway-demo"
@@ -60,8 +60,7 @@ def run(options: argparse.Namespace) -> int:
 
             live.update(render(view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s"))
 
-    with patience():
-        rehearse(scenario, config, codec)
+    rehearse(scenario, config, codec)
     with live or nullcontext():
         done = run_demo(scenario, config, codec, CHANNEL, seconds, watch, options.began_s)
     truth = done.truth

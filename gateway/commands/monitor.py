@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.commands import monitor_web
-from gateway.commands.common import GOOD, add_bus, add_config, patience, positive_seconds, prepare
+from gateway.commands.common import GOOD, add_bus, add_config, positive_seconds, prepare
 
 if TYPE_CHECKING:
     from gateway.monitor.sources import Source
@@ -91,7 +91,6 @@ def open_source(options: argparse.Namespace) -> Source:
     """
     from gateway.config import ConfigError
     from gateway.drivers.bus import bus_options as named
-    from gateway.drivers.warm import warm_up
     from gateway.monitor.observer import Observer
 
     if options.log is not None and named(options):
@@ -99,19 +98,17 @@ def open_source(options: argparse.Namespace) -> Source:
     if options.log is None and (options.at or options.speed != 1 or options.log_channel):
         raise ConfigError("monitor", ["--at, --speed and --log-channel are for a log; name one"])
     config, codec = prepare(options.config)
-    with patience():
-        warm_up(config, codec)
 
-        def make() -> Observer:
-            return Observer(codec, config, show_shadow=options.shadow)
+    def make() -> Observer:
+        return Observer(codec, config, show_shadow=options.shadow)
 
-        if options.log is not None:
-            from gateway.monitor.log_source import LogSource
+    if options.log is not None:
+        from gateway.monitor.log_source import LogSource
 
-            source = LogSource(options.log, make, options.log_channel)
-            source.speed = options.speed
-            source.seek(options.at, 0.0)
-            return source
+        source = LogSource(options.log, make, options.log_channel)
+        source.speed = options.speed
+        source.seek(options.at, 0.0)
+        return source
     return _live(options, config, codec, make())
 
 

@@ -16,7 +16,6 @@ from gateway.commands.common import (
     add_config,
     add_signature,
     console,
-    patience,
     positive_seconds,
     prepare,
 )
@@ -52,10 +51,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--realtime", type=int, metavar="PRIORITY",
         help="SCHED_FIFO with this priority (1 to 99) and locked memory; needs the right to it",
     )  # fmt: skip
-    parser.add_argument(
-        "--kernels", type=Path, metavar="DIR",
-        help="compiled code made by `warm`: only read; whoever may write there may run code here",
-    )  # fmt: skip
+    parser.add_argument("--kernels", type=Path, metavar="DIR",
+                        help="without effect since nothing is compiled at run time")  # fmt: skip
     add_bus(parser)
 
 
@@ -70,18 +67,12 @@ class Started(NamedTuple):
 
 def _start(options: argparse.Namespace) -> Started:
     """Load and make everything. Raises ConfigError or DbcMismatch with every problem."""
-    leanstart.numba()
-    from gateway.drivers import kernelcache
-
-    if options.kernels:
-        kernelcache.use(options.kernels)
     from gateway.core import Gateway
     from gateway.drivers.bus import open_transport
     from gateway.drivers.credentials import flag_authenticator
     from gateway.drivers.permission import Mode, allowed
     from gateway.drivers.realtime import Ticker
     from gateway.drivers.scheduling import be_realtime, described, use_given
-    from gateway.drivers.warm import warm_up
 
     config, codec = prepare(options.config, signature=options)
     mode = Mode.LISTEN if options.listen_only else Mode.RUN
@@ -90,8 +81,6 @@ def _start(options: argparse.Namespace) -> Started:
     if options.results:
         # Where nothing can be left is said now, not after the run.
         options.results.mkdir(parents=True, exist_ok=True)
-    with patience():
-        warm_up(config, codec)
     if options.realtime is not None:
         be_realtime(options.realtime)
     else:
@@ -99,7 +88,7 @@ def _start(options: argparse.Namespace) -> Started:
     log.info("user %d, %s", os.geteuid(), described())
     transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
     if options.kernels:
-        kernelcache.tell()  # the transport has some as well
+        log.warning("--kernels %s: nothing is compiled at run time; leave it out", options.kernels)
     ticker = Ticker(config.loop.period_ns)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)

@@ -17,7 +17,6 @@ from gateway.commands.common import (
     GOOD,
     add_bus,
     console,
-    patience,
     positive_seconds,
 )
 from gateway.config import ConfigError
@@ -69,9 +68,8 @@ def run(options: argparse.Namespace) -> int:
     codec = bind(path, nodes)
     on_bus = hasattr(options, "interface") or hasattr(options, "channel")
     if on_bus:
-        # Compile before the clock starts: real time does not wait for the first step.
-        with patience():
-            Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
+        # Import all before the clock starts: real time does not wait for the first step.
+        Simulation(scenario, codec, nodes=nodes).step((), 250_000_000)
     simulation = Simulation(
         scenario, codec, nodes=nodes, self_start=not options.wait_for_start,
         verifier=_verifier(options),

@@ -18,7 +18,6 @@ from gateway.core import Gateway
 from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.pythoncan import PythonCan
 from gateway.drivers.transport import Allow, Guarded
-from gateway.drivers.warm import warm_up
 from gateway.view import GatewayView
 from sim.scenario import Scenario
 from sim.simulation import Simulation
@@ -35,8 +34,7 @@ class Done(NamedTuple):
 
 
 def rehearse(scenario: Scenario, config: Config, codec: Codec) -> None:
-    """Load the kernels of both sides, so that none is compiled while the clock runs."""
-    warm_up(config, codec)
+    """Import what both sides need, so that nothing is imported while the clock runs."""
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
     for tick in range(3):
         simulation.step([], tick * config.loop.period_ns)

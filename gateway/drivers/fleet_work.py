@@ -12,7 +12,6 @@ from gateway.config import ConfigError
 from gateway.core import Gateway
 from gateway.drivers.fleet_logs import FOLDER, Job, Settings, fingerprint, shown
 from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
-from gateway.drivers.warm import warm_up
 from gateway.results.fleet_log import Estimates
 from gateway.results.fleet_table import Row, per_drive
 from gateway.results.record import Recorder
@@ -24,7 +23,7 @@ def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
 
 
 def prepare(settings: Settings) -> str:
-    """Load and compile whatever a replay needs; says what is wrong, or nothing.
+    """Load whatever a replay needs; says what is wrong, or nothing.
 
     A text, because an error would have to survive its journey to another process.
     """
@@ -32,7 +31,7 @@ def prepare(settings: Settings) -> str:
     if settings.version != here:
         return f"a worker has traction-gateway {here}, not {settings.version}"
     try:
-        warm_up(config, _codec(config.dbc_path, config.nodes))
+        Gateway(config, _codec(config.dbc_path, config.nodes), 0)
     except (ConfigError, DbcMismatch, OSError) as error:
         return " ".join(str(error).split())
     return ""

@@ -18,7 +18,6 @@ from gateway.drivers.credentials import flag_authenticator, private_file
 from gateway.drivers.live import LiveSnapshot, Stop, run_live
 from gateway.drivers.permission import Mode, allowed
 from gateway.drivers.realtime import Ticker
-from gateway.drivers.warm import warm_up
 from gateway.results.expect import FlagTrack, judge
 from sim.scenario import Scenario
 
@@ -63,7 +62,6 @@ def run_on_real_bus(
     that the drives' process writes into its folder, on their clock.
     """
     ticker = Ticker(config.loop.period_ns)
-    warm_up(config, codec)
     authenticator = flag_authenticator(config)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     transport = open_transport(options, allowed(Mode.HIL, config, codec))

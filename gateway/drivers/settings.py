@@ -62,7 +62,7 @@ def priority() -> Finding:
 
 
 def memory_lock() -> Finding:
-    """Whether memory can be locked for good: the program and its kernels take half a gigabyte."""
+    """Whether memory can be locked for good: the program takes 60 MB."""
     most, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if os.geteuid() == 0 or most == resource.RLIM_INFINITY:
         return Finding("locked memory", "no limit")

@@ -32,7 +32,7 @@ FIGURES: Final = {
     "figure9": "Figure 9. Histograms of the differences.",
 }
 FULL_S: Final = 2.5
-PACKAGES: Final = ("traction-gateway", "numpy", "scipy", "numba", "matplotlib")
+PACKAGES: Final = ("traction-gateway", "numpy", "scipy", "matplotlib")
 
 
 class StandingStart(NamedTuple):

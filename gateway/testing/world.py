@@ -17,7 +17,6 @@ from gateway.drivers.canopen_node import CanopenNode, meant
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.simbus import newest
 from gateway.drivers.transport import Allow
-from gateway.drivers.warm import warm_up
 from sim.simulation import Simulation
 
 
@@ -89,7 +88,6 @@ class BusWorld:
         self._gateway_ids = {spec.can_id for spec in codec.messages if spec.is_gateway}
         self._core: Gateway | None = None
         if own_gateway:
-            warm_up(config, codec)
             self._core = Gateway(config, codec, self._ticker.clock())
             allow = Allow.from_codec(codec, config.nodes, nmt_master=True)
             self._theirs = open_transport(bus, allow)

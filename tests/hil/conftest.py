@@ -21,7 +21,6 @@ from typing import Any
 
 import pytest
 
-from tests.hil.kernelcopy import compile_kernels
 from tests.hil.stable import Stable
 
 SILENCE_S = 450.0
@@ -114,7 +113,6 @@ class Outside:
         except FileExistsError:
             first = False
         if first:
-            compile_kernels()
             log = str(self._directory / "warm.log")
             simulate = ("sim", "healthy", "--duration", "0.05", "-o", log)
             subprocess.run([sys.executable, "-m", "gateway", *simulate], check=True)

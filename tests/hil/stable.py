@@ -106,18 +106,18 @@ def _set_trap(path: str) -> None:
 
 
 def _warm() -> None:
-    """Import what `run` and `sim` import and load what they compile, by the commands themselves."""
+    """Import what `run` and `sim` import and make what they make, by the commands themselves."""
     import can.interfaces.socketcan  # noqa: F401
 
     from dbc.codec import bind
     from gateway.cli import main
     from gateway.commands import run, sim  # noqa: F401
     from gateway.config import load
+    from gateway.core import Gateway
     from gateway.drivers import bus, canopen_node, live, realtime, scheduling  # noqa: F401
-    from gateway.drivers.warm import warm_up
 
     config = load(None)
-    warm_up(config, bind(config.dbc_path, config.nodes))
+    Gateway(config, bind(config.dbc_path, config.nodes), 0)
     words = ("sim", "healthy", "--duration", "0.05", "-o", os.devnull)
     assert main(words) == 0
 

@@ -19,7 +19,6 @@ import _traction_core
 import pytest
 
 import gateway
-from tests.hil.kernelcopy import PACKAGES, compile_kernels, copy_kernels
 from tests.hil.vcan import Job, guest, way
 
 ROOT = Path(gateway.__path__[0]).parent
@@ -29,6 +28,7 @@ SYSTEMD = Path("/lib/systemd/systemd")
 LIMIT_S = 360.0
 FIFO_RESET_ON_FORK = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 BUS = "vcan0"
+PACKAGES = ("dbc", "estimators", "gateway", "sim")
 
 Story = dict[str, Any]
 
@@ -60,7 +60,6 @@ def _lay_out(job: Path) -> None:
     (opt / "pyvenv.cfg").write_text(f"home = {own}/bin\n", encoding="utf-8")
     script = (ROOT / "gateway/service/links.sh").read_text(encoding="utf-8")
     _program(opt / "libexec/links.sh", script)
-    copy_kernels(ROOT, opt / "kernels")
     (opt / "src").mkdir()
     shutil.copy(_traction_core.__file__, opt / "src")
     binds = [(ROOT / package, f"src/{package}") for package in PACKAGES]
@@ -89,7 +88,6 @@ def story(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     obliged = request.config.getoption("--require-vcan") and not way().prefix
     if why:
         (pytest.fail if obliged else pytest.skip)(why)
-    compile_kernels()
     folder = tmp_path_factory.mktemp("systemd")
     _lay_out(folder)
     command = [sys.executable, str(HIL / "systemd_story.py"), str(folder / "story.json")]

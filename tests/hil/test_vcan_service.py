@@ -24,7 +24,6 @@ from dbc.e2e import crc_ok
 from dbc.frame import Frame
 from gateway.config import shipped_dbc
 from gateway.drivers.socketcan import SocketCan
-from tests.hil.kernelcopy import copy_kernels
 
 if TYPE_CHECKING:
     from conftest import Vcan
@@ -44,14 +43,6 @@ def shared() -> Iterator[Path]:
     folder.chmod(0o755)
     yield folder
     shutil.rmtree(folder)
-
-
-@pytest.fixture
-def kernels(shared: Path) -> Path:
-    """What `traction-gateway warm` leaves, made of kernels that are compiled already."""
-    folder = shared / "kernels"
-    copy_kernels(ROOT, folder)
-    return folder
 
 
 class Manager:
@@ -130,14 +121,14 @@ def flags(bus: SocketCan, count: int) -> list[Frame]:
     return found
 
 
-def test_nobody_without_rights_sends_flags(vcan: Vcan, manager: Manager, kernels: Path) -> None:
+def test_nobody_without_rights_sends_flags(vcan: Vcan, manager: Manager) -> None:
     mapped = Path("/proc/self/uid_map").read_text(encoding="ascii").split()
     if int(mapped[2]) <= NOBODY:
         pytest.skip("only one user exists in this user namespace: run the tests as root")
     before = set(Path("/dev/shm").iterdir())
     bus = SocketCan(vcan.name)
     bus.open()
-    process = nobodys(vcan, manager, "--kernels", str(kernels))
+    process = nobodys(vcan, manager)
     manager.until("READY=1", process)
     manager.until("WATCHDOG=1", process)
     spec = bind(shipped_dbc("traction.dbc"), (1, 2, 3)).by_id[ADHESION]
@@ -159,8 +150,6 @@ def test_nobody_without_rights_sends_flags(vcan: Vcan, manager: Manager, kernels
     assert process.returncode == 0, errors.decode()
     text = errors.decode()
     assert f"user {NOBODY}, SCHED_OTHER 0" in text
-    assert "kernels were ready" in text
-    assert "compil" not in text
     # What it copied for itself is gone.
     assert set(Path("/dev/shm").iterdir()) == before
     bus.close()

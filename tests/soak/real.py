@@ -26,7 +26,6 @@ from gateway.drivers.canopen_node import CanopenNode
 from gateway.drivers.live import LiveSnapshot, Stop, run_live
 from gateway.drivers.realtime import Ticker
 from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.warm import warm_up
 from gateway.drivers.wire import pack
 from tests.simrun import CLASSIC
 from tests.soak.books import Books, unaccounted
@@ -105,7 +104,6 @@ def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, obje
         "drive": [{"node": node} for node in DRIVES],
         "thermal": {"calibration": str(CALIBRATION)},
     })  # fmt: skip
-    warm_up(config, codec)
     kernel, told, stop = Pair(), folder / "told.json", Stop()
     told.unlink(missing_ok=True)
     bus = SocketCan("pair", kernel=kernel)

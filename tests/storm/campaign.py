@@ -21,7 +21,6 @@ from gateway.config import Config, parse
 from gateway.core import Gateway
 from gateway.flags import Status
 from gateway.health import REJECTED
-from gateway.ticks import Ticks
 from sim.hostile import BUS_KINDS, KINDS, NOTHING, Arrived, Fault, HostileBus, plan
 from sim.value_faults import Error, ValueFaults
 from tests.provenance import code_of, commit_of
@@ -147,7 +146,6 @@ class Watched:
         """tick: the first; lengths: of calls of several ticks, None for single steps."""
         self._core = Gateway(config, honest.codec, (tick - 1) * TICK)
         self._oracle = Oracle(honest.codec, config, tick)
-        self._ticks = Ticks(self._core)
         self._honest, self._lengths, self._length = honest, lengths, 1
         self._waiting: list[Tick] = []
 
@@ -193,7 +191,7 @@ class Watched:
         while done < len(ends):
             rest = block.part(first, block.size)
             at = waiting[done].tick * TICK
-            more, went = self._ticks.run(rest, ends[done:] - first, at)
+            more, went = self._core.run(rest, ends[done:] - first, at)
             for frame in chain.from_iterable(sent.frames() for sent in went):
                 out.setdefault(frame.t_ns, []).append(frame)
             done += more

@@ -19,7 +19,6 @@ from gateway.health import REJECTED, FaultClass, FaultSensor, Health, Reason
 from gateway.results.fleet_log import EVERY_NS
 from gateway.results.fleet_table import per_drive
 from gateway.results.record import ADHESION, FAULT, Recorder, camel
-from gateway.ticks import Ticks
 from tests.storm.campaign import CALIBRATION
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -122,14 +121,14 @@ def stamp(line):
 
 def test_losses_are_the_same_in_few_calls(logs, tmp_path, monkeypatch):
     calls = []
-    real = Ticks.run
+    real = Gateway.run
 
     def run(self, block, ends, now):
         out = real(self, block, ends, now)
         calls.append(out[0])
         return out
 
-    monkeypatch.setattr(Ticks, "run", run)
+    monkeypatch.setattr(Gateway, "run", run)
     table, row = same(logs / "demo.log", tmp_path)
     assert row.total("adhesion_losses") > 0
     peaks = [r for r in table if (r["loss_probability_peak"] or 0) > (r["loss_probability"] or 0)]

@@ -64,11 +64,6 @@ def test_run_loads_nothing_for_logs_plots_pages_and_tables(tmp_path: Path) -> No
     assert said == "[] True 0"
 
 
-def test_logs_and_the_simulator_need_no_numba(tmp_path: Path) -> None:
-    text = "import dbc.candump, sim.simulation, sim.labelled, sys; print('numba' in sys.modules)"
-    assert program(tmp_path, text) == "False"
-
-
 def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path: Path) -> None:
     text = """
 from pathlib import Path
@@ -86,22 +81,6 @@ frames = [Frame(10**18 + k * 10**6, 0x100 + k, bytes([k] * 8)) for k in range(5)
     )
     for order in (write + read, read):  # the file is there for the second
         assert program(tmp_path, RUN + text.format(order=order)) == "True"
-
-
-def test_matrices_are_multiplied_after_a_lean_start(tmp_path: Path) -> None:
-    """scipy.linalg, which numba was told is there, is loaded by whoever needs it."""
-    text = """
-import sys
-from gateway.drivers import leanstart
-leanstart.numba()
-import numba
-import numpy as np
-before = "scipy.linalg" in sys.modules, "scipy.linalg.cython_blas" in sys.modules
-product = numba.njit(lambda a, b: np.linalg.inv(a @ b))
-a = np.array([[2.0, 1.0], [0.0, 4.0]])
-print(before, np.allclose(product(a, a), np.linalg.inv(a @ a)))
-"""
-    assert program(tmp_path, text) == "(False, False) True"
 
 
 def test_what_is_absent_for_a_while_is_there_again() -> None:

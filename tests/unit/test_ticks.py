@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.keptypes import kept_types
 
 from dbc.block import EMPTY, block_of, join
 from dbc.frame import MS, SECOND, Frame
@@ -13,7 +14,6 @@ from gateway.core import Gateway
 from gateway.drivers.replay import Briefly, replay
 from gateway.ticks import Ticks
 from sim.hostile import HostileBus, plan
-from tests.keptypes import kept_types
 from tests.simrun import FD_FILE
 from tests.storm.campaign import CALIBRATION, NODES
 from tests.storm.train import TICK, train
