@@ -49,9 +49,9 @@ def test_what_warm_made_is_used_and_what_is_missing_or_damaged_is_said(tmp_path:
     assert code == 0, errors
     assert f"{number} kernels were ready" in errors
     assert "compiled" not in errors
-    (one,) = kernels.rglob("*.check_values.*.nbc")
+    (one,) = kernels.rglob("*.fill_inputs.*.nbc")
     one.write_bytes(one.read_bytes()[:1000])
-    (two,) = kernels.rglob("*.merge_motion.*.nbc")
+    (two,) = kernels.rglob("*.send.*.nbc")
     two.unlink()
     before = {path: path.stat().st_mtime_ns for path in kernels.rglob("*")}
     code, _, errors = program(*run)

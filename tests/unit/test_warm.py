@@ -42,7 +42,7 @@ def gateway(*given):
 demo.rehearse(find("demo"), config, codec)
 demo.Gateway = gateway
 demo.run_demo(find("demo"), config, codec, "test-warm", 3.0, lambda *_: None, time.monotonic())
-assert len(before) > 10
+assert before
 print(sorted(compiled() - before))
 """
 CORE = """
