@@ -72,7 +72,7 @@ mutation: $(VENV)/.ready
 		$(MUTANTS)/own/bin/pip install -q cosmic-ray==8.7.0; }
 	for part in $(PARTS); do \
 		$(MUTANTS)/own/bin/python tests/mutation/mutants.py $$part >$(MUTANTS)/$$part.mutants && \
-		NUMBA_DISABLE_JIT=1 nice -n 10 $(BIN)/python -W ignore::SyntaxWarning -m tests.mutation.judge \
+		nice -n 10 $(BIN)/python -W ignore::SyntaxWarning -m tests.mutation.judge \
 			$$part $(MUTANTS)/$$part.mutants $(MUTANTS)/$$part.jsonl || exit 1; done
 	$(BIN)/python -m tests.mutation.survivors -o tests/mutation/outcomes.json $(MUTANTS)/*.jsonl
 	$(BIN)/python -m tests.mutation.core

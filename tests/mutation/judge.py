@@ -1,6 +1,6 @@
 """Runs the tests of a part against each of its mutants, one at a time.
 
-    NUMBA_DISABLE_JIT=1 python -m tests.mutation.judge doubt doubt.mutants doubt.jsonl
+    python -m tests.mutation.judge doubt doubt.mutants doubt.jsonl
 
 Everything is imported once. Each mutant is a fork that forgets the mutated module and whatever
 imports it, reads the mutant in its place, and runs the tests until one fails: those first that have
