@@ -60,13 +60,11 @@ def aarch64() -> int:
     debian()
     wheels()
     core()
-    python, paths = (
-        ROOT / "debian/usr/bin/python3.11",
-        (str(ROOT / "core"), str(ROOT / "site"), "."),
-    )
+    # Before the checkout, where the core of this machine lies.
+    paths = ["-o", f"pythonpath={ROOT}/core {ROOT}/site ."]
     return subprocess.run(
-        [emulator, "-L", str(ROOT / "debian"), str(python), *TESTS],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)}, check=False,
+        [emulator, "-L", f"{ROOT}/debian", f"{ROOT}/debian/usr/bin/python3.11", *TESTS, *paths],
+        env={**os.environ, "PYTHONPATH": f"{ROOT}/core:{ROOT}/site"}, check=False,
     ).returncode  # fmt: skip
 
 
