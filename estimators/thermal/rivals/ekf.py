@@ -156,16 +156,16 @@ def innovations(record: Record, model: Lumped, step: float, doubt: float) -> Arr
     step: variance of the logarithms of gain and loss per sample; doubt: their sigma at the start.
     A missing reading is left out: the filter's own prediction is its value.
     """
-    points = 3 * record.motors
-    reading = record.temperature.reshape(-1, points).T.astype(np.float64, order="C")
+    motors = record.temperature.shape[1]
+    reading = record.temperature.reshape(-1, 3 * motors).T.astype(np.float64, order="C")
     out = np.zeros(reading.shape)
     at = np.ascontiguousarray(record.at, dtype=np.int64)
-    inputs = np.empty((record.motors, len(record.speed)), records.THERMAL_INPUT)
+    inputs = np.empty((motors, len(record.speed)), records.THERMAL_INPUT)
     inputs["current_square"] = record.current_square.T
     inputs["speed"], inputs["ambient"] = np.abs(record.speed), record.ambient
     models = pointer("struct lumped_model", np.stack(model, axis=1))
     tuning = ffi.new("struct lumped_tuning *", (record.step_s, step, doubt))
-    for n in range(points):
+    for n in range(3 * motors):
         lib.lumped_innovations(
             models + n, tuning, pointer("struct thermal_input", inputs[n // 3]),
             pointer("double", reading[n]), pointer("int64_t", at), len(at),
