@@ -79,7 +79,8 @@ static void update_flags(struct gateway *g, int64_t now_ns)
     fill_train_inputs(g->integrity, g->adhesion->common_mode.state, g->train_inputs);
     gather(g);
     collect_evidence(g->rules, g->train_inputs, g->flag_inputs, n, g->evidence);
-    g->changed = (uint8_t)(debounce_flags(g->rules, g->evidence, n, now_ns, g->status) | !g->begun);
+    const int changed = debounce_flags(g->rules, g->evidence, n, now_ns, g->status);
+    g->changed = changed || !g->begun;
     publish(g->train_inputs, g->flag_inputs, g->evidence, n, now_ns, g->status, g->train);
     for (int32_t k = 0; k < n; k++)
         g->peak[k] = fmax(g->peak[k], g->status[k].loss_probability); /* passes over NaN */
@@ -131,8 +132,8 @@ static int tick(struct gateway *g, const struct frame_columns *frames, struct fr
     return 1;
 }
 
-int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends, int64_t ticks,
-            int64_t now_ns)
+int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends,
+            int64_t ticks, int64_t now_ns)
 {
     int64_t done = 0, first = 0;
     g->sent_count = 0;

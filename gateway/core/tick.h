@@ -12,8 +12,8 @@
  * receiver); and before a tick whose frames are not in order of stamp and identifier, or for whose
  * own frames there is no room. With a detector that is not in the core a tick stops at STAGE_DETECT:
  * `g->stage` says so, nothing of `frames` counts, and `finish_tick` does the rest. */
-int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends, int64_t ticks,
-            int64_t now_ns);
+int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends,
+            int64_t ticks, int64_t now_ns);
 
 /* The rest of a tick that was left at STAGE_DETECT, once the detector has filled `loss_probability`,
  * `loss_known` and `common` of `g->adhesion`. */
