@@ -2,20 +2,17 @@
 
     python -m tests.mutation.coverage_gate
 
-Modules and tests are those of `parts.toml`. Nothing is compiled, so that the loops which
-otherwise are can be measured.
+Modules and tests are those of `parts.toml`; the C has `python -m tests.core_variants coverage`.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 import tomllib
 from pathlib import Path
 
 import coverage
 
-os.environ["NUMBA_DISABLE_JIT"] = "1"
 PARTS = Path(__file__).with_name("parts.toml")
 
 
