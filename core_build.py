@@ -71,6 +71,9 @@ HEADERS = (
     "gateway/core/plausibility.h",
     "gateway/core/integrity.h",
     "gateway/core/tick.h",
+    "estimators/detect/paper_vb.h",
+    "estimators/detect/message_passing.h",
+    "estimators/thermal/rivals/ekf.h",
 )
 """In the order in which they build on one another."""
 SOURCES = (
@@ -131,6 +134,10 @@ SOURCES = (
     "gateway/core/plausibility.c",
     "gateway/core/integrity.c",
     "gateway/core/tick.c",
+    "estimators/detect/paper.c",
+    "estimators/detect/paper_vb.c",
+    "estimators/detect/message_passing.c",
+    "estimators/thermal/rivals/ekf.c",
 )
 DEPENDS = (
     *HEADERS,
@@ -149,6 +156,7 @@ DEPENDS = (
     "gateway/core/times.h",
     "gateway/core/current_plausibility.h",
     "gateway/core/misfits.h",
+    "estimators/detect/paper.h",
 )
 """All that sources include."""
 FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dbc import records
-from dbc._core_symbols import symbol
 from dbc.records import Addressed, Records, pointer
 
-__all__ = ["Addressed", "Records", "pointer", "records", "symbol"]
+__all__ = ["Addressed", "Records", "pointer", "records"]

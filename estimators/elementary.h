@@ -1,4 +1,4 @@
-/* exp, log and erfc by polynomials: the same bits on every machine. */
+/* exp, log, erfc and log Gamma by polynomials: the same bits on every machine. */
 #ifndef TRACTION_ELEMENTARY_H
 #define TRACTION_ELEMENTARY_H
 
@@ -12,5 +12,9 @@ double elementary_log(double x);
 /* Complementary error function, relative error below 2e-14 where the result is above 1e-30; NaN of
  * NaN. */
 double elementary_erfc(double x);
+
+/* Logarithm of Gamma(x), error below 1e-14 of the larger of the result and 1; NaN unless x is above
+ * 0, infinite above 2.5e305. */
+double elementary_log_gamma(double x);
 
 #endif

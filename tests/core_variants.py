@@ -59,7 +59,9 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_est_load_observer.py",
        "tests/unit/test_motion.py",
        "tests/unit/test_motion_reference.py",
-       "tests/unit/test_integrity.py")  # fmt: skip
+       "tests/unit/test_integrity.py",
+       "tests/unit/test_detect_paper.py",
+       "tests/unit/test_thermal_rivals.py")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}

@@ -21,10 +21,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
+from estimators._core import pointer
 from estimators.detect import paper
-from estimators.detect._paper_kernels import vmp
 from estimators.detect.paper import Array, Arrays, Mask
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
@@ -41,8 +42,10 @@ PRINTED_ORDER: Final[Order] = ("mu", "Lambda", "I", "pi")
 """Steps (i)-(vi) as printed, the missing messages after them."""
 
 
-NODES: Final[Order] = ("I", "pi", "mu", "Lambda")
-"""The nodes as the compiled twin numbers them."""
+NODES: Final = {
+    "I": lib.NODE_I, "pi": lib.NODE_PI, "mu": lib.NODE_MU, "Lambda": lib.NODE_LAMBDA,
+}  # fmt: skip
+"""The nodes as `message_passing.c` numbers them."""
 
 
 class Priors(NamedTuple):
@@ -249,15 +252,19 @@ def infer_tick(
     sweeps: int = paper.SWEEPS,
     tolerance: float | None = None,
 ) -> tuple[Array, Array, int]:
-    """`infer` for a single tick, x (N,), compiled: r1 (N,), m (2,), sweeps made."""
+    """`infer` for a single tick, x (N,), by `message_passing.c`: r1 (N,), m (2,), sweeps made."""
     check(order)
     if sweeps < 1:
         raise ValueError("at least one sweep is needed")
-    table = np.array([np.ravel(a) for a in priors])
-    q = table.copy()
-    r1 = np.full(x.shape, 0.5)
-    limit = -1.0 if tolerance is None else tolerance
-    made = vmp(x, table, q, np.array([NODES.index(v) for v in order]), sweeps, limit, r1)
+    table = np.array([np.ravel(a) for a in priors], dtype=np.float64)
+    load = np.ascontiguousarray(x, dtype=np.float64)
+    q = np.empty_like(table)
+    r1 = np.empty(len(load))
+    made = lib.message_passing_infer(
+        pointer("struct message_passing_factors", table), bytes(NODES[node] for node in order),
+        sweeps, -1.0 if tolerance is None else tolerance, pointer("double", load), len(load),
+        pointer("struct message_passing_factors", q), pointer("double", r1),
+    )  # fmt: skip
     return r1, q[0], made
 
 

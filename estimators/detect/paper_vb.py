@@ -24,10 +24,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from _traction_core import lib
 from numpy.typing import NDArray
 
+from estimators._core import pointer
 from estimators.detect import paper
-from estimators.detect._paper_kernels import vb
 from estimators.detect.paper import Array, Arrays, Mask, Observe
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
@@ -243,17 +244,21 @@ def infer_tick(
     sweeps: int = paper.SWEEPS,
     tolerance: float | None = None,
 ) -> Posterior:
-    """`infer` for a single tick, x (1, N, D): compiled where D = 1."""
+    """`infer` for a single tick, x (1, N, D): `paper_vb.c` where D = 1."""
     if x.shape[-1] != 1:
         return infer(x, prior, sweeps=sweeps, tolerance=tolerance)
     if sweeps < 1:
         raise ValueError("at least one sweep is needed")
-    table = np.array([np.ravel(a) for a in prior])
-    q = table.copy()
-    r1 = np.empty(x.shape[1])
+    table = np.array([np.ravel(a) for a in prior], dtype=np.float64)
+    load = np.ascontiguousarray(x[0, :, 0], dtype=np.float64)
+    q = np.empty_like(table)
+    r1 = np.empty(len(load))
     bound = np.empty((sweeps, 2))
-    limit = -1.0 if tolerance is None else tolerance
-    made = vb(np.ascontiguousarray(x[0, :, 0]), table, q, sweeps, limit, r1, bound)
+    made = lib.paper_vb_infer(
+        pointer("struct paper_vb_factors", table), sweeps, -1.0 if tolerance is None else tolerance,
+        pointer("double", load), len(load), pointer("struct paper_vb_factors", q),
+        pointer("double", r1), pointer("struct paper_vb_bound", bound),
+    )  # fmt: skip
     m, beta, W_inv, nu, alpha = q[:, None]
     found = Params(m[..., None], beta, W_inv[..., None, None], nu, alpha)
     return Posterior(r1[None], found, bound[None], np.array([made]))

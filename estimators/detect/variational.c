@@ -11,12 +11,12 @@
  *
  * Nothing here can fail. Divisors and arguments of logarithms are sums of a positive prior and of
  * numbers that are not negative; were one of them zero or NaN, it would come to NaN, a bound that
- * is NaN never wins, and NaN is no probability for the flags. log, exp and lgamma are those of the
- * C library and may differ in their last bit between libraries: a probability then differs by some
- * 1e-15, which decides a flag only within that distance of its threshold. */
+ * is NaN never wins, and NaN is no probability for the flags. */
 #include "estimators/detect/variational.h"
 
 #include <math.h>
+
+#include "estimators/elementary.h"
 
 #define LOG_2PI 1.8378770664093453 /* log(2 pi) */
 
@@ -66,12 +66,12 @@ double digamma(double x)
     series = 1.0 / 252.0 - y * series;
     series = 1.0 / 120.0 - y * series;
     series = y * (1.0 / 12.0 - y * series);
-    return shift + log(x) - 0.5 / x - series;
+    return shift + elementary_log(x) - 0.5 / x - series;
 }
 
 static double log_beta(double a, double b)
 {
-    return lgamma(a) + lgamma(b) - lgamma(a + b);
+    return elementary_log_gamma(a) + elementary_log_gamma(b) - elementary_log_gamma(a + b);
 }
 
 static double square(double x)
@@ -93,7 +93,7 @@ static struct constants constants_of(const struct vb_priors *priors, int n)
     const double psi_both = digamma(alpha_0 + alpha_1);
     return (struct constants){
         .psi_total = digamma(alpha_0 + alpha_1 + n),
-        .log_gamma = lgamma(0.5 * priors->nu),
+        .log_gamma = elementary_log_gamma(0.5 * priors->nu),
         .log_beta = log_beta(alpha_0, alpha_1),
         .log_pi = {digamma(alpha_0) - psi_both, digamma(alpha_1) - psi_both},
     };
@@ -125,7 +125,7 @@ static void priors_at(const struct vb_priors *given, double anchor, double varia
 /* (32), (33): expected log density of a load under component k, but for its distance from m_k. */
 static double log_rho_base(const struct component *q)
 {
-    const double log_lambda = digamma(q->a) - log(q->b); /* (46) */
+    const double log_lambda = digamma(q->a) - elementary_log(q->b); /* (46) */
     return q->log_pi + 0.5 * log_lambda - 0.5 * q->beta_inv;
 }
 
@@ -141,7 +141,7 @@ static void expect_lost(const struct component q[2], const double *x, int n, dou
         const double d_0 = x[i] - q[0].m;
         const double d_1 = x[i] - q[1].m;
         const double z = base - 0.5 * (lambda_1 * d_1 * d_1 - lambda_0 * d_0 * d_0); /* (47) */
-        r1[i] = 1.0 / (1.0 + exp(-clamp(z, 700.0))); /* exp(700) is finite */
+        r1[i] = 1.0 / (1.0 + elementary_exp(-clamp(z, 700.0))); /* exp(700) is finite */
         sum[0] += (1.0 - r1[i]) * x[i];
         sum[1] += r1[i] * x[i];
     }
@@ -183,7 +183,7 @@ static double entropy(const double *r1, int n)
     for (int i = 0; i < n; i++) {
         const double p = r1[i];
         const double q = 1.0 - p;
-        sum -= p * log(fmax(p, 1e-300)) + q * log(fmax(q, 1e-300));
+        sum -= p * elementary_log(fmax(p, 1e-300)) + q * elementary_log(fmax(q, 1e-300));
     }
     return sum;
 }
@@ -194,9 +194,9 @@ static double lower_bound(const struct component q[2], const struct prior p[2],
 {
     double bound = entropy(r1, n);
     for (int k = 0; k < 2; k++) {
-        bound = bound + lgamma(q[k].a) - c->log_gamma;
-        bound = bound + p[k].a * log(p[k].b) - q[k].a * log(q[k].b);
-        bound = bound + 0.5 * log(p[k].beta * q[k].beta_inv);
+        bound = bound + elementary_log_gamma(q[k].a) - c->log_gamma;
+        bound = bound + p[k].a * elementary_log(p[k].b) - q[k].a * elementary_log(q[k].b);
+        bound = bound + 0.5 * elementary_log(p[k].beta * q[k].beta_inv);
     }
     bound = bound + log_beta(p[0].alpha + q[0].n, p[1].alpha + q[1].n) - c->log_beta;
     return bound - 0.5 * n * LOG_2PI;

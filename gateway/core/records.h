@@ -1599,4 +1599,54 @@ struct gateway {
     uint8_t changed; /* 1: the last tick changed a flag */
 };
 
+/* ---- the paper's detectors, beside the product's own ---------------------------------------- */
+
+/* Factors q(mu, Lambda) q(pi) of variational Bayes, or their prior, in one dimension. Component 0
+ * adheres, component 1 is lost. Unit: that of the loads. */
+struct paper_vb_factors {
+    double m[2];     /* mean of mu_k */
+    double beta[2];  /* weight of m_k, in drives */
+    double W_inv[2]; /* square of the unit; inverse of the scale W_k of Lambda_k */
+    double nu[2];    /* degrees of freedom of Lambda_k */
+    double alpha[2]; /* weight of the component, in drives */
+};
+
+/* Lower bound of one iteration of variational Bayes. */
+struct paper_vb_bound {
+    double indicated; /* after the update of q(I) */
+    double updated;   /* after the update of q(pi, mu, Lambda) */
+};
+
+/* Factors of variational message passing, or their prior; components and unit the same. */
+struct message_passing_factors {
+    double m[2];     /* mean of mu_k */
+    double tau[2];   /* precision of mu_k */
+    double a[2];     /* shape of Lambda_k */
+    double b[2];     /* square of the unit; rate of Lambda_k */
+    double alpha[2]; /* weight of the component, in drives */
+};
+
+/* Nodes of message passing: indicators, share of lost drives, means, precisions. */
+enum message_passing_node { NODE_I = 0, NODE_PI = 1, NODE_MU = 2, NODE_LAMBDA = 3 };
+
+/* ---- a rival of the thermal monitor: an extended Kalman filter ------------------------------ */
+
+/* Thermal model of one point: one lump, dT/dt = c (I^2 + g w^2) - xi (T - T_out). */
+struct lumped_model {
+    double gain;        /* K/(A^2 s), c */
+    double loss;        /* 1/s, xi */
+    double speed_share; /* A^2 s^2, g */
+    double offset;      /* K, of the sensor */
+    double unrest;      /* K^2, variance of what the model leaves out */
+    double noise;       /* K^2, variance of a reading */
+    double usual;       /* degC, mean reading */
+};
+
+/* How the filter is run. */
+struct lumped_tuning {
+    double step_s; /* s, length of a step of the inputs */
+    double walk;   /* variance by which the logarithms of gain and loss walk per sample */
+    double doubt;  /* standard deviation of these logarithms at the start */
+};
+
 #endif

@@ -26,7 +26,7 @@ UML_MODULES = Path("/usr/lib/uml/modules")
 UML_MEMORY_MB = 2048
 UML_REGISTERS = Path(__file__).parent / "uml" / "whole_registers.c"
 """What user-mode-linux needs on a processor with AMX; compiled when a job starts."""
-_PASSED_ON = ("LANG", "LC_ALL", "NUMBA_CACHE_DIR", "PYTHONPATH", "PYTHONWARNINGS", "TZ")
+_PASSED_ON = ("LANG", "LC_ALL", "PYTHONPATH", "PYTHONWARNINGS", "TZ")
 _PROBE = (
     "ip link add vcan0 type vcan && "
     f"{shlex.quote(sys.executable)} -c "

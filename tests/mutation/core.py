@@ -108,6 +108,11 @@ TESTS = {
     "gateway/core/motion.c": MOTION,
     "gateway/core/plausibility.c": MOTION,
     "gateway/core/current_plausibility.c": MOTION,
+    **dict.fromkeys((
+        "estimators/detect/paper.c", "estimators/detect/paper_vb.c",
+        "estimators/detect/message_passing.c",
+    ), ("tests/unit/test_detect_paper.py",)),
+    "estimators/thermal/rivals/ekf.c": ("tests/unit/test_thermal_rivals.py",),
 }  # fmt: skip
 """Those that answer for a source."""
 NOT_YET = tuple(source for source in TESTS if source not in ("dbc/crc.c", "dbc/e2e.c"))

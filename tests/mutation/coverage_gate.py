@@ -2,7 +2,7 @@
 
     python -m tests.mutation.coverage_gate
 
-Modules and tests are those of `parts.toml`; the C has `python -m tests.core_variants coverage`.
+Modules and tests are those of `parts.toml`; of the C, `python -m tests.core_variants coverage`.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ import sys
 
 import numpy as np
 import pytest
+from _traction_core import ffi, lib
 from scipy.cluster.vq import kmeans2
 from scipy.special import betaln, digamma, gammaln, multigammaln
 from scipy.stats import beta as beta_distribution
@@ -294,7 +295,7 @@ def test_reuse_is_not_poisoned_by_numbers_that_overflow():
 
 
 @pytest.mark.parametrize("tolerance", [None, 1e-3, 1e-6])
-def test_vb_compiled_tick_equals_its_numpy_twin(tolerance):
+def test_vb_of_a_tick_equals_that_of_a_record(tolerance):
     for seed in range(20):
         x = some_observations(seed, 2 + seed % 15, 1)[None]
         m = np.stack([x[0, 0], 0.3 * x[0, 0]])[None]
@@ -306,6 +307,48 @@ def test_vb_compiled_tick_equals_its_numpy_twin(tolerance):
             assert b.bound == pytest.approx(a.bound, rel=1e-10)
             for left, right in zip(a.q, b.q, strict=True):
                 assert right == pytest.approx(left, rel=1e-10, abs=1e-10)
+
+
+def test_priors_are_in_the_order_of_the_records():
+    for name, priors in (
+        ("paper_vb", paper_vb.Params),
+        ("message_passing", message_passing.Priors),
+    ):
+        fields = ffi.typeof(f"struct {name}_factors").fields
+        assert tuple(field for field, _ in fields) == priors._fields
+
+
+ODD = [0.0, 1.0, -3.0, 1e-320, 1e160, 1e308, -1e308, np.nan, np.inf, -np.inf]
+
+
+def test_vb_of_any_numbers_is_a_probability_or_nan():
+    rng = np.random.default_rng(6)
+    for _ in range(2000):
+        n = int(rng.integers(0, 12))
+        x = rng.choice(ODD, (1, n, 1))
+        prior = paper_vb.Params(*(rng.choice([1.0, 3.0, *ODD], (1, 2, 1)) for _ in range(5)))
+        found = paper_vb.infer_tick(x, prior, sweeps=4, tolerance=rng.choice([0.0, 1e-3, np.nan]))
+        assert (np.isnan(found.r1) | ((found.r1 >= 0.0) & (found.r1 <= 1.0))).all()
+        assert 1 <= found.sweeps[0] <= 4
+
+
+@pytest.mark.parametrize(("far", "lost"), [(100.0, 1.0), (0.0, 0.0)])
+def test_vb_of_drives_that_are_certain(far, lost):
+    """E[I] of exactly 0 or 1: no entropy, and no part of the component that it rules out."""
+    x = np.full((1, 3, 1), far)
+    prior = paper_vb.paper_prior(np.array([[[0.0], [100.0]]]))
+    whole, tick = (f(x, prior, sweeps=3) for f in (paper_vb.infer, paper_vb.infer_tick))
+    assert tick.r1[0].tolist() == [lost] * 3
+    assert np.isfinite(tick.bound).all()
+    assert tick.bound == pytest.approx(whole.bound, rel=1e-10)
+
+
+def test_a_tick_needs_at_least_one_sweep():
+    x, m = paper.observations(np.array([[20.0, 3.0]]), None, Observe.TORQUE)
+    with pytest.raises(ValueError, match="one sweep"):
+        paper_vb.infer_tick(x, paper_vb.paper_prior(m), sweeps=0)
+    with pytest.raises(ValueError, match="one sweep"):
+        message_passing.infer_tick(x[0, :, 0], message_passing.paper_priors(m[..., 0]), sweeps=0)
 
 
 # ---- message passing ---------------------------------------------------------------------------
@@ -388,7 +431,7 @@ def test_vmp_equals_the_plain_reference_in_every_order(order):
 
 @pytest.mark.parametrize("order", list(itertools.permutations(message_passing.ORDER)))
 @pytest.mark.parametrize("tolerance", [None, 1e-3])
-def test_vmp_compiled_tick_equals_its_numpy_twin(order, tolerance):
+def test_vmp_of_a_tick_equals_that_of_a_record(order, tolerance):
     for seed in range(6):
         x = some_loads(seed, 2 + seed)
         priors = message_passing.paper_priors(paper.preset_means(x[None])[0])
@@ -399,6 +442,35 @@ def test_vmp_compiled_tick_equals_its_numpy_twin(order, tolerance):
         assert made == a.sweeps[0]
         assert r1 == pytest.approx(a.r1[0], abs=1e-10)
         assert m == pytest.approx(a.m[0], rel=1e-10, abs=1e-10)
+
+
+def raw_vmp(x, table, order, sweeps, tolerance):
+    """The C function itself: E[I], factors and iterations of a table (5, 2) of priors."""
+    q, r1 = np.full((5, 2), 7.0), np.full(len(x), 7.0)
+    made = lib.message_passing_infer(
+        ffi.from_buffer("struct message_passing_factors *", table), bytes(order), sweeps, tolerance,
+        ffi.from_buffer("double[]", x), len(x),
+        ffi.from_buffer("struct message_passing_factors *", q), ffi.from_buffer("double[]", r1),
+    )  # fmt: skip
+    return r1, q, made
+
+
+def test_vmp_of_any_numbers_is_a_probability_or_nan():
+    rng = np.random.default_rng(7)
+    for _ in range(2000):
+        x = rng.choice(ODD, int(rng.integers(0, 12)))
+        table = rng.choice([1.0, 3.0, *ODD], (5, 2))
+        r1, _, made = raw_vmp(x, table, rng.permutation(4), 4, rng.choice([0.0, -1.0, np.nan]))
+        assert (np.isnan(r1) | ((r1 >= 0.0) & (r1 <= 1.0))).all()
+        assert 1 <= made <= 4
+
+
+def test_vmp_of_a_number_that_is_no_node_changes_nothing():
+    x, table = np.array([20.0, 19.0, 3.0]), np.array([[20.0, 0.0], *[[1.0, 2.0]] * 4])
+    r1, q, made = raw_vmp(x, table, [4, 255, 77, 5], 3, -1.0)
+    assert r1.tolist() == [0.5] * 3
+    assert q.tolist() == table.tolist()
+    assert made == 3
 
 
 def test_vmp_order_decides_after_five_sweeps_and_must_be_complete():

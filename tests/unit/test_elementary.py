@@ -1,9 +1,10 @@
-"""exp, log and erfc of the core: exact values, error bounds of the header, limits."""
+"""exp, log, erfc and log Gamma of the core: exact values, error bounds of the header, limits."""
 
 from __future__ import annotations
 
 import math
 from decimal import Decimal, getcontext
+from fractions import Fraction
 
 import numpy as np
 from _traction_core import lib
@@ -34,6 +35,39 @@ def test_erfc_is_right_to_the_bound_of_its_header():
     np.testing.assert_allclose(got, special.erfc(x), rtol=2e-14, atol=0.0)
 
 
+def exact_log_gamma(x):
+    """By Stirling's series at 60 and above, where its terms fall below 1e-50."""
+    x, product = Decimal(float(x)), Decimal(1)
+    while x < 60:
+        product *= x
+        x += 1
+    bernoulli = [Fraction(1)]
+    for n in range(1, 61):
+        bernoulli.append(-sum(math.comb(n + 1, k) * b for k, b in enumerate(bernoulli)) / (n + 1))
+    half_log_2pi = Decimal("0.91893853320467274178032973640561763986139747363778")
+    total = (x - Decimal("0.5")) * x.ln() - x + half_log_2pi - product.ln()
+    for k in range(1, 31):
+        term = bernoulli[2 * k] / (2 * k * (2 * k - 1))
+        total += Decimal(term.numerator) / Decimal(term.denominator) / x ** (2 * k - 1)
+    return total
+
+
+def test_log_gamma_is_right_to_the_bound_of_its_header():
+    for x in [*np.exp(RNG.uniform(-700.0, 700.0, 300)), *RNG.uniform(0.0, 30.0, 1000),
+              *(1.0 + RNG.normal(0.0, 1e-3, 100)), *(2.0 + RNG.normal(0.0, 1e-3, 100)),
+              5e-324, 0.1, 0.5, 1.0, 1.5, 2.0, np.nextafter(10, 0), 10.0, 2.5e305]:  # fmt: skip
+        want = exact_log_gamma(x)
+        error = abs(Decimal(lib.elementary_log_gamma(x)) - want)
+        assert error < Decimal("1e-14") * max(abs(want), 1), x
+
+
+def test_gamma_of_whole_numbers_is_a_factorial():
+    for n in range(1, 100):
+        want = Decimal(math.factorial(n - 1)).ln()
+        got = Decimal(lib.elementary_log_gamma(float(n)))
+        assert abs(got - want) < Decimal("1e-14") * max(want, 1), n
+
+
 def test_what_has_no_value_or_none_that_is_finite():
     assert math.isnan(lib.elementary_exp(math.nan))
     assert lib.elementary_exp(-708.5) == lib.elementary_exp(-math.inf) == 0.0
@@ -44,3 +78,6 @@ def test_what_has_no_value_or_none_that_is_finite():
     assert math.isnan(lib.elementary_erfc(math.nan))
     assert lib.elementary_erfc(math.inf) == 0.0
     assert lib.elementary_erfc(-math.inf) == 2.0
+    assert lib.elementary_log_gamma(math.inf) == lib.elementary_log_gamma(3e305) == math.inf
+    for x in (math.nan, 0.0, -0.0, -1.5, -math.inf):
+        assert math.isnan(lib.elementary_log_gamma(x)), x

@@ -19,7 +19,6 @@ from gateway.health import Flag, Reason
 from gateway.translate import Translator
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
-from tests.keptypes import kept_types
 from tests.simrun import TICK, codec, run, scenario
 
 ROOT = Path(__file__).parents[2]
@@ -30,13 +29,6 @@ FORMS = {
     "stator": (("Ialpha", "Ibeta"), ("Ualpha", "Ubeta")),
     "rotor": (("Id", "Iq", "ElectricalAngle"), ("Ud", "Uq")),
 }
-
-
-@pytest.fixture(autouse=True)
-def _types_are_kept():
-    """Blocks that the translator makes are like any others."""
-    with kept_types():
-        yield
 
 
 def signed(name: str, at: int, scale: float = 0.1) -> str:

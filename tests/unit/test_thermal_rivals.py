@@ -6,15 +6,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from _traction_core import ffi
 
 from estimators.thermal.record import Record
 from estimators.thermal.rivals import RIVALS
-from estimators.thermal.rivals._ekf_kernels import _gap, sweep
 from estimators.thermal.rivals.dpca import filled, moving
 from estimators.thermal.rivals.dsfa import Slow
-from estimators.thermal.rivals.ekf import Lumped
+from estimators.thermal.rivals.ekf import Lumped, innovations
 from estimators.thermal.rivals.lstm import Lstm
 from sim.labelled import BASES, BENCH, DAYS, train
+from tests.reference import rival_ekf
 
 EARLY = 40
 """Samples by which every rival has its lags or its sequence."""
@@ -166,72 +167,132 @@ def test_the_slowest_feature_comes_first():
     assert np.allclose(out.std(axis=0), 1.0, atol=1e-3)
 
 
-def test_a_gap_is_integrated_exactly():
-    """Against ten thousand Euler steps per step."""
-    rng = np.random.default_rng(1)
-    heat, speed, air = rng.random(30), rng.random(30), 20.0 * rng.random(30)
-    h = 20.0 / 10_000
-    for loss, start in ((2e-3, 50.0), (5e-4, 60.0)):
-        decay, warmed, aired = _gap(loss, heat, 0.3, speed, air, 20.0)
-        T = start
-        for k in range(30):
-            end = (heat[k] + 0.3 * speed[k]) / loss + air[k]
-            T = end + (T - end) * (1.0 - h * loss) ** 10_000
-        assert decay * start + warmed + aired == pytest.approx(T, abs=1e-3)
-
-
 def lumped(rng, points):
-    return np.stack([
+    return Lumped(
         rng.uniform(1e-7, 4e-7, points), rng.uniform(2e-4, 2e-3, points),
         rng.uniform(0.0, 0.2, points), rng.normal(0.0, 1.0, points),
         rng.uniform(0.1, 2.0, points), rng.uniform(0.05, 0.5, points), np.full(points, 50.0),
-    ])  # fmt: skip
+    )  # fmt: skip
+
+
+def recorded(rng, at, steps, step_s, motors=1, missing=0.2):
+    """A record with readings about 50 degC."""
+    reading = 50.0 + 5.0 * rng.standard_normal((len(at), motors, 3))
+    reading[rng.random(reading.shape) < missing] = np.nan
+    return Record(
+        reading, at, rng.uniform(0.0, 9e4, (steps, motors)), rng.uniform(-300.0, 300.0, steps),
+        rng.uniform(10.0, 30.0, steps), step_s,
+    )  # fmt: skip
+
+
+def by_the_reference(record, model, step, doubt):
+    reading = record.temperature.reshape(len(record.at), -1)
+    out = np.empty_like(reading)
+    rival_ekf.innovations(
+        reading, record.at, record.current_square, record.speed**2, record.ambient,
+        record.step_s, np.stack(model), step, doubt, out,
+    )  # fmt: skip
+    return out
+
+
+def test_a_model_is_in_the_order_of_its_record():
+    fields = ffi.typeof("struct lumped_model").fields
+    assert tuple(name for name, _ in fields) == Lumped._fields
+
+
+def test_a_gap_is_integrated_exactly():
+    """Against ten thousand Euler steps per step; sigma of the innovations is 10 K."""
+    rng = np.random.default_rng(1)
+    heat, speed, air = rng.random(31), rng.random(31), 20.0 * rng.random(31)
+    h = 20.0 / 10_000
+    for loss, start in ((2e-3, 50.0), (5e-4, 60.0)):
+        reading = np.full((2, 1, 3), np.nan)
+        reading[1] = 40.0
+        record = Record(reading, np.array([0, 30]), heat[:, None], speed, air, 20.0)
+        model = Lumped(*(np.full(3, v) for v in (1.0, loss, 0.3, 0.0, 100.0, 0.0, start)))
+        T = start
+        for k in range(1, 31):
+            end = (heat[k] + 0.3 * speed[k] ** 2) / loss + air[k]
+            T = end + (T - end) * (1.0 - h * loss) ** 10_000
+        out = innovations(record, model, 0.0, 0.0)
+        assert out[0].tolist() == [0.0] * 3
+        assert 40.0 - 10.0 * out[1] == pytest.approx(T, abs=1e-3)
 
 
 def test_with_known_coefficients_the_filter_is_the_kalman_filter():
     from filterpy.kalman import KalmanFilter
 
     rng = np.random.default_rng(4)
-    steps, step_s, model = 400, 5.0, lumped(rng, 3)
-    at = np.arange(3, steps, 4)
-    square, fast = rng.uniform(0.0, 9e4, (steps, 1)), rng.uniform(0.0, 9e4, steps)
-    air = 20.0 + rng.standard_normal(steps)
-    reading = 50.0 + rng.standard_normal((len(at), 3))
-    reading[rng.random(reading.shape) < 0.2] = np.nan
-    out = np.empty_like(reading)
-    sweep(reading, at, square, fast, air, step_s, model, 0.0, 0.0, out)
+    model, at = lumped(rng, 3), np.arange(3, 400, 4)
+    record = recorded(rng, at, 400, 5.0)
+    out = innovations(record, model, 0.0, 0.0)
     for n in range(3):
-        gain, loss, share, offset, unrest, noise, usual = model[:, n]
+        gain, loss, share, offset, unrest, noise, usual = np.stack(model)[:, n]
         kf = KalmanFilter(dim_x=1, dim_z=1, dim_u=1)
         kf.x[:], kf.P[:], kf.R[:], kf.H[:] = usual - offset, 100.0, noise, 1.0
         kf.B = np.eye(1)
         for k, now in enumerate(at.tolist()):
             if k:
                 gone = slice(int(at[k - 1]) + 1, now + 1)
-                decay, warmed, aired = _gap(
-                    loss, square[gone, 0], share, fast[gone], air[gone], step_s
-                )
+                decay, warmed, aired = rival_ekf.gap(
+                    loss, record.current_square[gone, 0], share, record.speed[gone] ** 2,
+                    record.ambient[gone], 5.0,
+                )  # fmt: skip
                 kf.predict(
                     u=np.array([[gain * warmed + aired]]),
                     F=np.array([[decay]]),
                     Q=np.array([[unrest * (1.0 - decay**2)]]),
                 )
-            want = 0.0
-            if np.isfinite(reading[k, n]):
-                kf.update(np.array([[reading[k, n] - offset]]))
+            want, reading = 0.0, record.temperature[k, 0, n]
+            if np.isfinite(reading):
+                kf.update(np.array([[reading - offset]]))
                 want = kf.y[0, 0] / np.sqrt(kf.S[0, 0])
             assert out[k, n] == pytest.approx(want, abs=1e-9), (k, n)
 
 
-def test_the_compiled_filter_is_its_plain_twin():
-    rng = np.random.default_rng(5)
-    model, at = lumped(rng, 3), np.arange(1, 60, 3)
-    square, fast = rng.uniform(0.0, 9e4, (60, 1)), rng.uniform(0.0, 9e4, 60)
-    air, reading = rng.uniform(10.0, 30.0, 60), 50.0 + 5.0 * rng.standard_normal((len(at), 3))
-    one, two = np.empty_like(reading), np.empty_like(reading)
-    sweep(reading, at, square, fast, air, 30.0, model, 1e-4, 0.05, one)
-    sweep.py_func(reading, at, square, fast, air, 30.0, model, 1e-4, 0.05, two)
-    np.testing.assert_allclose(one, two, rtol=1e-12)
+@pytest.mark.parametrize(
+    ("step", "doubt", "samples"),
+    [(0.0, 0.0, 200), (1e-6, 1e-3, 200), (1e-4, 0.05, 200), (0.5, 3.0, 10)],
+)
+def test_the_filter_equals_its_reference(step, doubt, samples):
+    """Several motors, gaps of any length, none at all, and coefficients up to their limits.
+
+    The last bits of exp go into a derivative by differences, which large variances multiply from
+    sample to sample: ten of them are compared.
+    """
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        at = np.cumsum(rng.integers(0, 6, samples))
+        record = recorded(rng, at, int(at[-1]) + 1, 30.0, motors=2)
+        model = lumped(rng, 6)
+        got, want = (f(record, model, step, doubt) for f in (innovations, by_the_reference))
+        np.testing.assert_allclose(got, want, rtol=1e-7, atol=1e-7)
+
+
+def test_the_filter_of_a_real_run_equals_its_reference():
+    record = changed(run("days", 1), lambda t: t.__setitem__((slice(60, 80), 1, 2), np.nan))
+    model = Lumped.of(run("days", 0))
+    got, want = (f(record, model, 1e-5, 0.05) for f in (innovations, by_the_reference))
+    np.testing.assert_allclose(got, want, rtol=1e-8, atol=1e-8)
+
+
+def test_a_run_without_samples_has_no_innovations():
+    rng = np.random.default_rng(3)
+    record = recorded(rng, np.array([], dtype=np.int64), 5, 30.0)
+    assert innovations(record, lumped(rng, 3), 1e-4, 0.05).shape == (0, 3)
+
+
+def test_numbers_that_are_none_do_no_harm():
+    rng = np.random.default_rng(8)
+    odd = [0.0, -1.0, 1e-320, 1e308, -1e308, np.nan, np.inf, -np.inf]
+    for _ in range(300):
+        at = np.cumsum(rng.integers(0, 4, 12))
+        record = recorded(rng, at, int(at[-1]) + 1, 30.0)
+        for array in record[:1] + record[2:5]:
+            array[rng.random(array.shape) < 0.2] = rng.choice(odd)
+        model = Lumped(*(rng.choice([1e-3, *odd], 3) for _ in Lumped._fields))
+        out = innovations(record, model, rng.choice(odd), rng.choice(odd))
+        assert (out[~np.isfinite(record.temperature.reshape(out.shape))] == 0.0).all()
 
 
 def test_the_lumped_model_is_found_again():

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.keptypes import kept_types
 
 from dbc.block import EMPTY, block_of, join
 from dbc.frame import MS, SECOND, Frame
-from gateway import ticks as ticks_module
+from gateway import core
 from gateway.config import parse
 from gateway.core import Gateway
 from gateway.drivers.replay import Briefly, replay
-from gateway.ticks import Ticks
 from sim.hostile import HostileBus, plan
 from tests.simrun import FD_FILE
 from tests.storm.campaign import CALIBRATION, NODES
@@ -69,16 +67,16 @@ def singly(gateway, blocks, told=None):
 
 def together(gateway, whole, ends, most=200, told=None):
     """Asked for `most` at a time. told: of every call, how many ticks it did and their peak."""
-    several, out, first, done = Ticks(gateway), [], 0, 0
+    out, first, done = [], 0, 0
     while done < len(ends):
         wanted = ends[done : done + most]
         part = whole.part(first, int(wanted[-1]))
-        ticks, frames = several.run(part, wanted - first, (done + FIRST) * TICK)
+        ticks, frames = gateway.run(part, wanted - first, (done + FIRST) * TICK)
         out += [frame for block in frames for frame in block.frames()]
         done += ticks
         first = int(ends[done - 1])
         if told is not None:
-            told.append((ticks, several.peak.copy()))
+            told.append((ticks, gateway.peak.copy()))
     return out
 
 
@@ -98,26 +96,29 @@ def stops(told, most):
 
 def state(gateway):
     """Numbers of everything that goes on to the next tick."""
-    tables = (
-        [gateway.flags.inputs], gateway.inputs, gateway.bank.filters,
-        gateway.bank.tracks, gateway.bank.chords, gateway.bank.sensors, gateway.bank.told,
-        gateway.motion.memory, gateway.adhesion.reference, gateway.adhesion.own,
-        [gateway.adhesion.responses],
-        gateway.adhesion.trust, gateway.adhesion.rotors,
-        gateway.inbox.receiver.channels, gateway.inbox.receiver.drives,
-        [gateway.outbox.messages[name] for name in ("next_ns", "counter")],
-        [gateway.thermal.motors], gateway.thermal.window, gateway.supervision.heartbeats,
+    bank, motion, adhesion, receiver = (
+        gateway.bank, gateway.motion, gateway.adhesion, gateway.inbox.receiver,
     )  # fmt: skip
-    numbers = [np.ravel(np.asarray(part)).tolist() for table in tables for part in table]
-    records = (*gateway.status, gateway.adhesion.common_mode)
-    numbers += [table.tolist() for table in records]
-    numbers += [gateway.doubt.record.tolist(), gateway.supervision.lost.tolist()]
+    tables = (
+        gateway.flags.inputs, gateway.inputs.status, bank.filters, bank.tracks, bank.chords,
+        bank.sensors, bank.estimates, motion.motions, motion.checks, motion.others,
+        adhesion.responses, adhesion.ratios, adhesion.response_ratios, adhesion.rotors,
+        adhesion.loads, adhesion.common_mode, receiver.channels, receiver.drives,
+        receiver.counters, gateway.supervision.heartbeats, gateway.thermal.motors,
+        *gateway.thermal.window, *gateway.status, gateway.doubt.record,
+        *(gateway.outbox.messages[name] for name in ("next_ns", "counter")),
+        *(adhesion.record[name] for name in (
+            "response_spread", "spread", "learn_ns", "flagged_ns", "common", "common_smoothed",
+            "comparable",
+        )),
+    )  # fmt: skip
+    numbers = [np.asarray(table).tolist() for table in tables]
     thermal = gateway.thermal
     numbers += [thermal.record[name].tolist() for name in ("next_ns", "cycles", "cycle", "dirty")]
     if thermal.model is not None:
         numbers += [thermal.model.motors.tolist(), thermal.model.position, thermal.model.waiting]
     load = gateway.load.record
-    one = [repr(load["busy_s"]), repr(load["percent"]), gateway.adhesion.learn_ns, gateway.changed]
+    one = [repr(load["busy_s"]), repr(load["percent"]), gateway.changed]
     return {
         "arrays": repr(numbers),
         "numbers": one,
@@ -171,27 +172,8 @@ def test_without_a_calibration_it_is_the_same_and_where_one_is_learnt(learning):
     assert gateway.thermal.cycles > 90
 
 
-@pytest.mark.parametrize("method", ["maisd", "model"])
-def test_most_ticks_of_a_calm_bus_are_done_by_the_compiled_loop(method, monkeypatch):
-    done = []
-    real = Ticks._few
-
-    def few(self, *words):
-        out = real(self, *words)
-        done.append(out[0])
-        return out
-
-    monkeypatch.setattr(Ticks, "_few", few)
-    _, whole, ends = stormy(train(), 1, 2000, 1e9)
-    with kept_types() as called:
-        together(Gateway(config_of(method=method), train().codec, 0), whole, ends)
-    assert "several" in called
-    assert sum(done) > 0.9 * len(ends)
-    assert len(done) < 0.1 * len(ends)
-
-
 def test_little_room_for_frames_ends_a_call_sooner(monkeypatch):
-    monkeypatch.setattr(ticks_module, "FRAMES", 30)
+    monkeypatch.setattr(core, "SENT", 30)
     same(config_of(), train(), 2, 400, 1e9)
 
 
@@ -202,7 +184,6 @@ def test_doubt_of_the_driver_is_kept():
     for gateway in (one, many):
         gateway.doubt.watching = True
     out, wanted, done = [], [], 0
-    several = Ticks(many)
     for first, last, note in (
         (0, 300, lambda d: d.note_lost(3)),
         (300, 600, lambda d: d.note_overrun(2)),
@@ -211,7 +192,7 @@ def test_doubt_of_the_driver_is_kept():
         while done < last:
             at = int(ends[done - 1]) if done else 0
             part = whole.part(at, int(ends[last - 1]))
-            ticks, frames = several.run(part, ends[done:last] - at, (done + FIRST) * TICK)
+            ticks, frames = many.run(part, ends[done:last] - at, (done + FIRST) * TICK)
             out += [frame for block in frames for frame in block.frames()]
             done += ticks
         for k in range(first, last):
@@ -222,8 +203,8 @@ def test_doubt_of_the_driver_is_kept():
 
 
 @pytest.mark.parametrize("on_intruder", ["unknown", "go_on", "stop"])
-def test_an_intruder_and_a_heartbeat_that_stops_need_no_single_steps(on_intruder, monkeypatch):
-    honest, done = train(), []
+def test_an_intruder_and_a_heartbeat_that_stops_are_the_same_either_way(on_intruder):
+    honest = train()
     blocks, _, _ = stormy(honest, 1, 900, 1e9)
     own = honest.codec.by_name["Gateway_Adhesion"].can_id
     for k in (500, 501, 640):
@@ -240,14 +221,11 @@ def test_an_intruder_and_a_heartbeat_that_stops_need_no_single_steps(on_intruder
     )
     one, many = (Gateway(config, honest.codec, 0) for _ in range(2))
     one.doubt.watching = many.doubt.watching = True
-    real = Ticks._few
-    monkeypatch.setattr(Ticks, "_few", lambda *words: done.append(real(*words)) or done[-1])
     assert together(many, whole, ends) == singly(one, blocks)
     assert state(many) == state(one)
     assert one.doubt.intruder
     assert one.silent == (on_intruder == "stop")
-    assert one.supervision.lost.tolist() == [False, True, *[False] * (len(NODES) - 2)]
-    assert sum(ticks for ticks, _ in done) > 0.97 * len(ends)
+    assert one.inputs.status["heartbeat_lost"].tolist() == [0, 1, *[0] * (len(NODES) - 2)]
 
 
 def test_a_replay_that_wants_no_view_says_the_same(tmp_path):

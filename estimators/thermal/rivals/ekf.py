@@ -23,9 +23,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from _traction_core import ffi, lib
 
+from estimators._core import pointer, records
 from estimators.thermal.record import Array, Record
-from estimators.thermal.rivals._ekf_kernels import sweep
 from estimators.thermal.rivals.dpca import TINY, Scorer, moving, span
 
 LOSSES = np.geomspace(1.0 / 14_400.0, 1.0 / 120.0, 24)
@@ -76,7 +77,7 @@ FOLLOWING = EkfResidual(walk=0.1, doubt=0.05, joint=False, window=0.02, name="ek
 
 
 class Lumped(NamedTuple):
-    """Eq. (1) of N = 3 M points, each field (N,).
+    """Eq. (1) of N = 3 M points, each field (N,); `struct lumped_model` is one point.
 
     gain: K/(A^2 s); loss: 1/s; speed_share: g, A^2 s^2; offset: K; unrest, noise: K^2, variances
     of what the model leaves out and of a reading; usual: degC.
@@ -155,11 +156,19 @@ def innovations(record: Record, model: Lumped, step: float, doubt: float) -> Arr
     step: variance of the logarithms of gain and loss per sample; doubt: their sigma at the start.
     A missing reading is left out: the filter's own prediction is its value.
     """
-    reading = np.ascontiguousarray(record.temperature.reshape(len(record.at), -1), np.float64)
+    motors = record.temperature.shape[1]
+    reading = record.temperature.reshape(-1, 3 * motors).T.astype(np.float64, order="C")
     out = np.zeros(reading.shape)
-    if len(reading):
-        sweep(
-            reading, record.at, record.current_square, record.speed**2, record.ambient,
-            record.step_s, np.stack(model), step, doubt, out,
+    at = np.ascontiguousarray(record.at, dtype=np.int64)
+    inputs = np.empty((motors, len(record.speed)), records.THERMAL_INPUT)
+    inputs["current_square"] = record.current_square.T
+    inputs["speed"], inputs["ambient"] = np.abs(record.speed), record.ambient
+    models = pointer("struct lumped_model", np.stack(model, axis=1))
+    tuning = ffi.new("struct lumped_tuning *", (record.step_s, step, doubt))
+    for n in range(3 * motors):
+        lib.lumped_innovations(
+            models + n, tuning, pointer("struct thermal_input", inputs[n // 3]),
+            pointer("double", reading[n]), pointer("int64_t", at), len(at),
+            pointer("double", out[n]),
         )  # fmt: skip
-    return out
+    return np.ascontiguousarray(out.T)

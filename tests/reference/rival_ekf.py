@@ -1,4 +1,4 @@
-"""Compiled loop of `ekf`: every point is a filter of its own. `sweep.py_func` is its plain twin."""
+"""An extended Kalman filter of every point, with 3 x 3 matrices: oracle of `rivals/ekf.c`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
-from estimators._lean import njit
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -18,8 +16,7 @@ _FACTOR = 2.0
 """Logarithm of the factor within which the coefficients of a machine stay."""
 
 
-@njit(cache=True, error_model="numpy")
-def _gap(
+def gap(
     loss: float, heat: Array, share: float, speed_square: Array, air: Array, step_s: float
 ) -> tuple[float, float, float]:
     """Decay, heat's and air's part over steps of constant heat (n,) A^2 and air (n,) degC.
@@ -35,8 +32,7 @@ def _gap(
     return decay, warmed * (1.0 - keep) / loss, aired * (1.0 - keep)
 
 
-@njit(cache=True, error_model="numpy")
-def sweep(
+def innovations(
     reading: Array, at: Ints, square: Array, speed_square: Array, air: Array, step_s: float,
     model: Array, step: float, doubt: float, out: Array,
 ) -> None:  # fmt: skip
@@ -60,9 +56,9 @@ def sweep(
                 first, end = last + 1, at[k] + 1
                 heat, fast = square[first:end, n // 3], speed_square[first:end]
                 gain, loss = math.exp(x[1]), math.exp(x[2])
-                decay, warmed, aired = _gap(loss, heat, share, fast, air[first:end], step_s)
+                decay, warmed, aired = gap(loss, heat, share, fast, air[first:end], step_s)
                 T = decay * x[0] + gain * warmed + aired
-                more, hotter, fresher = _gap(
+                more, hotter, fresher = gap(
                     loss * (1.0 + _NUDGE), heat, share, fast, air[first:end], step_s
                 )
                 A[0, 0], A[0, 1] = decay, gain * warmed
