@@ -151,6 +151,7 @@ class Gateway(Addressed):
         block = frames if isinstance(frames, Block) else block_of(frames)
         if self.translator is not None:
             block = self._translated(self.translator, block, now)
+        self._make_room(block.size)
         self._run(block, np.array([block.size]), now)
         return self.outbox.frames_of(self.sent[: self.pointer.sent_count])
 
@@ -166,6 +167,7 @@ class Gateway(Addressed):
         while done < len(ends) and not (done and self.changed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
             if self.translator is None and self.outbox.authenticator is None:
+                self._make_room(int(np.diff(ends[done:], prepend=first).max()))
                 done += self._run(block.part(first, int(ends[-1])), ends[done:] - first, at)
                 out.append(self.outbox.block_of(self.sent[: self.pointer.sent_count]))
             else:
@@ -177,9 +179,8 @@ class Gateway(Addressed):
 
     def _run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> int:
         """`run` in `tick.c`, and what of its last tick needs Python; at least one tick."""
-        self._make_room(ends)
-        columns, each = block.columns(), pointer("int64_t", ends)
-        done: int = lib.run(self.pointer, columns, each, len(ends), now)
+        each = pointer("int64_t", ends)
+        done: int = lib.run(self.pointer, block.columns(), each, len(ends), now)
         if not done:
             block = block.part(0, int(ends[0])).ordered()
             done = lib.run(self.pointer, block.columns(), each, 1, now)
@@ -191,12 +192,11 @@ class Gateway(Addressed):
         self._now, self._view = last, None
         return done
 
-    def _make_room(self, ends: NDArray[np.int64]) -> None:
-        """In the receiver, and for samples, for as many frames as any of these ticks has."""
-        most = int(np.diff(ends, prepend=0).max())
+    def _make_room(self, frames: int) -> None:
+        """In the receiver, and for samples, for so many frames in a tick."""
         receiver = self.inbox.receiver
-        if most > receiver.rows:
-            receiver.make_room(2 * most)
+        if frames > receiver.rows:
+            receiver.make_room(2 * frames)
         self.bank.make_room(len(receiver.room.drive))
 
     def leave_out(self, frames: int) -> None:
