@@ -9,7 +9,7 @@ CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c 
 CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h)
 WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
 
-.PHONY: demo test test-all fuzz fuzz-deep soak campaign coverage sanitize mutation lint format docs bench calibration changelog dist lock clean-kernels clean
+.PHONY: demo test test-all fuzz fuzz-deep soak campaign coverage sanitize mutation lint format docs bench calibration changelog dist lock clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -52,7 +52,7 @@ campaign: $(VENV)/.ready
 	$(BIN)/pytest tests/hil/test_vcan_campaign.py tests/hil/test_vcan_faults.py --require-vcan \
 		--counts full --campaign-seed $(SEED) -o timeout=7200 -rP $(ARGS)
 
-# Every line and branch of what decides a flag is run by its own tests, uncompiled; a gate in CI.
+# Every line and branch of what decides a flag is run by its own tests; a gate in CI.
 coverage: $(VENV)/.ready
 	$(BIN)/python -m tests.core_variants coverage
 	$(BIN)/python -m tests.mutation.coverage_gate
@@ -146,10 +146,6 @@ $(VENV)/.dependencies: requirements.lock requirements-compiler.lock
 $(VENV)/.ready: $(VENV)/.dependencies pyproject.toml setup.py core_build.py $(CORE_C) $(CORE_H)
 	$(PIP) --no-deps --no-build-isolation -e .
 	touch $@
-
-# Nothing needs this: what is stale is compiled anew by itself.
-clean-kernels:
-	find dbc estimators gateway -name '*.nb[ic]' -delete
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info _traction_core*.so

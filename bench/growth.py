@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from bench.filters import BLOCK, FLEETS, compiled
 from bench.judges import variational
-from bench.kernels import BLOCK, FLEETS, compiled
 from bench.speed import best, quiet
 from bench.thermal import cost
 from bench.wire import log_of

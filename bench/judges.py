@@ -1,4 +1,4 @@
-"""What the detectors' kernels cost: one drive to 1,024, against what a user would write.
+"""What the detectors cost: one drive to 1,024, against what a user would write.
 
 VB: one verdict over all drives; against scikit-learn's Bayesian mixture of two, and the NumPy twin.
 Sigma-mixed UKF: one sample of every motor; against filterpy's UKF and scikit-learn's mixture.
@@ -16,7 +16,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from sklearn.mixture import BayesianGaussianMixture, GaussianMixture
 
-from bench.kernels import best
+from bench.filters import best
 from estimators import maisd
 from estimators.detect import Evidence, VariationalDetector
 from estimators.detect.variational import DEFAULT_PRIORS
@@ -24,7 +24,7 @@ from estimators.thermal.sigma_mixed import Lumps, SigmaMixedFilter, estimate
 from tests.reference import maisd as reference
 from tests.reference.variational import infer, starts
 
-HEADER = ("kernel", "drives", "per call", "per drive", "reference in the same run")
+HEADER = ("detector", "drives", "per call", "per drive", "reference in the same run")
 FLEETS: Final = (1, 3, 16, 64, 256, 1024)
 LIBRARY: Final = (3, 16)
 """Sizes that the libraries are asked for."""
@@ -137,7 +137,7 @@ def plain_spread(n: int) -> float:
 
 
 def rows() -> list[tuple[str, ...]]:
-    """One row per kernel and size of fleet."""
+    """One row per detector and size of fleet."""
     one_mixed = library_mixed()
     out = []
     for n in FLEETS[1:]:

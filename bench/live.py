@@ -20,8 +20,8 @@ import cantools
 import numpy as np
 from can.interfaces.socketcan.socketcan import capture_message
 
+from bench.filters import call_of
 from bench.judges import verdict_of
-from bench.kernels import call_of
 from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
@@ -34,7 +34,6 @@ from gateway.drivers.realtime import Ticker
 from gateway.drivers.scheduling import be_ordinary, be_realtime
 from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.transport import SendResult
-from gateway.drivers.warm import warm_up
 from gateway.drivers.wire import pack
 from gateway.inbox import Inbox
 from gateway.supervision import Supervision
@@ -106,8 +105,6 @@ def as_node(frame: Frame, codec: Codec, further: int) -> Frame:
 
 def per_frame(ticks: Sequence[Sequence[Frame]], codec: Codec, drives: int) -> list[tuple[str, ...]]:
     """From socket to decoded sample: of the processor, whoever else wants it meanwhile."""
-    rows: list[dict[str, Any]] = [{"node": k} for k in range(1, drives + 1)]
-    warm_up(Config.model_validate({"drive": rows}), codec)
     kernel = Pair()
     # As in service: it asks in each tick whether frames of ours still wait.
     bus = SocketCan("pair", newest=True, kernel=kernel)
@@ -175,7 +172,6 @@ def whole_tick(
     """Drain, decode, estimate, decide, encode, send."""
     rows: list[dict[str, Any]] = [{"node": k} for k in range(1, drives + 1)]
     config = Config.model_validate({"drive": rows, "loop": {"rate_hz": rate_hz}})
-    warm_up(config, codec)
     kernel = Pair()
     bus = SocketCan("pair", kernel=kernel)
     bus.open()

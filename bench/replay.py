@@ -1,27 +1,20 @@
-"""Replay, log in to flags out, against what a user would write with the libraries.
+"""Replay, log in to flags out, against what a user would write with the libraries (`chain`).
 
-The chain: python-can's `LogReader`, cantools, one filterpy EKF a drive. It predicts in the same
-steps of 125 us as ours: in the 2 ms between two samples the rotor turns by up to a radian, which
-one Euler step cannot follow. It checks no checksum and no counter, knows no loss and no drive that
-starts, runs no detector and sends nothing.
+In this process; whole ones are in `whole`.
 """
 
 from __future__ import annotations
 
-import itertools
-import math
 import tempfile
 import time
 from functools import partial
 from pathlib import Path
 from typing import Final
 
-import can
-import cantools
 import numpy as np
 
 import gateway
-from bench.kernels import Motor
+from bench.chain import chain
 from bench.speed import best, quiet
 from bench.wire import log_of, numbers
 from dbc.candump import Reader
@@ -46,37 +39,6 @@ node = 3
 """
 """Calibrated, so that the thermal detector has something to do."""
 CALIBRATION: Final = Path(gateway.__file__).with_name("bench_calibration.toml")
-SUB_STEPS: Final = 16
-"""Predictions a sample: 2 ms."""
-_SQRT3: Final = math.sqrt(3.0)
-
-
-def chain(log: Path, dbc: Path, frames: int) -> float:
-    """s for the first `frames` frames."""
-    database = cantools.database.load_file(dbc)
-    drives = {node: (Motor(), {}) for node in (1, 2, 3)}  # type: ignore[var-annotated]
-    began = time.perf_counter()
-    for frame in itertools.islice(can.LogReader(log), frames):
-        try:
-            message = database.get_message_by_frame_id(frame.arbitration_id)
-        except KeyError:
-            continue
-        drive, _, kind = message.name.partition("_")
-        if kind not in ("PhaseCurrents", "StatorVoltages"):
-            continue
-        motor, halves = drives[int(drive.removeprefix("Drive"))]
-        values = message.decode(frame.data)
-        other = halves.pop(values["Counter"], None)
-        if other is None:
-            halves[values["Counter"]] = values
-            continue
-        currents, voltages = (values, other) if "Ia" in values else (other, values)
-        a, b, c = (float(currents[name]) for name in ("Ia", "Ib", "Ic"))
-        motor.u = float(voltages["Ualpha"]), float(voltages["Ubeta"])
-        for _ in range(SUB_STEPS):
-            motor.advance()
-        motor.correct(np.array([(2.0 * a - b - c) / 3.0, (b - c) / _SQRT3]))
-    return time.perf_counter() - began
 
 
 def hilspy(log: Path, dbc: Path) -> float | str:
@@ -126,7 +88,7 @@ def rows() -> list[tuple[str, ...]]:
                         f"{seconds / ours:.0f} x"))  # fmt: skip
             ours_k = frames / ours / 1e3
             if dbc == "traction.dbc":
-                theirs_k = FEW / chain(log, path, FEW) / 1e3
+                theirs_k = FEW / chain(log, path, FEW)[0] / 1e3
                 out.append((
                     f"  against LogReader + cantools + filterpy ({FEW} frames)",
                     f"{ours_k:.0f} k frames/s", f"{theirs_k:.1f} k frames/s",

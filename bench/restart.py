@@ -123,5 +123,5 @@ def row(environment: dict[str, str]) -> tuple[str, str, str, str]:
     """For the table of starts."""
     spent = restarts(environment)
     told = f"{median(spent):.2f} s, at most {max(spent):.2f} s" if spent else "no multicast here"
-    what = "a stopped service (SIGSTOP), until its flags are back; the unit's times, kernels cached"
+    what = "a stopped service (SIGSTOP), until its flags are back; the unit's times"
     return what, told, "2 s promised (R27)", f"{2.0 / median(spent):.2f} x" if spent else ""

@@ -113,7 +113,7 @@ def rows() -> list[tuple[str, ...]]:
     # python-can would load it for its file formats.
     peer = "; asammdf is installed" if find_spec("asammdf") else ""
     flag_row = (
-        f"`run`, from its start to its first flag, kernels and bytecode cached{peer}",
+        f"`run`, from its start to its first flag, bytecode cached{peer}",
         f"{min(flags):.2f} s" if flags else "no multicast here",
         f"bare Python {bare * 1e3:.0f} ms",
         f"{min(flags) / bare:.0f}" if flags else "",

@@ -1,6 +1,7 @@
-"""Pages of the site that are made of the code: commands, keys, messages, the API.
+"""Pages of the site that are made of the code: commands, keys, messages, the API, sources.
 
-mkdocs calls `on_files`. Nothing of it is committed, so nothing of it can be out of date.
+mkdocs calls `on_files` and `on_page_markdown`. Nothing of it is committed, so nothing of it can be
+out of date.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from cantools.database import Signal
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -37,13 +39,37 @@ BOUNDS = {Gt: "gt", Ge: "ge", Lt: "lt", Le: "le"}
 NUMBERED = "Drive1_"
 _NUMBERED = re.compile("(Adhesion|Thermal)([2-9]|1[0-6])")
 """Of sixteen alike drives and flags the first stands for all."""
+LINE = re.compile(r"\[`(\w+)`\]\(\.\./([\w./]+\.(c|py))#L(\d+)\)")
+"""A link of a page in docs/ to a line of the code."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is generated."""
     for name, text in pages().items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
+    for path in sorted({found[1] for found in LINE.findall(_all_pages())}):
+        files.append(File.generated(config, f"source/{path}.md", content=source(path)))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Links to lines of the code lead to pages of the site; in the repository, to the files."""
+    if "/" in page.file.src_uri:
+        return markdown
+    anchor = r'<a href="source/\2.html#__codelineno-0-\4"><code>\1</code></a>'
+    return LINE.sub(anchor, markdown)
+
+
+def _all_pages() -> str:
+    return "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md"))
+
+
+def source(path: str) -> str:
+    """A file of the code, its lines numbered."""
+    language = "python" if path.endswith(".py") else "c"
+    text = (ROOT / path).read_text(encoding="utf-8").rstrip()
+    head = f"---\nsearch:\n  exclude: true\n---\n\n# {path}\n"
+    return f'{head}\n````{language} linenums="1"\n{text}\n````\n'
 
 
 def pages() -> dict[str, str]:

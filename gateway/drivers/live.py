@@ -136,7 +136,7 @@ def run_live(
 ) -> LiveSnapshot:
     """Run until `stop` is requested (also by SIGTERM and SIGINT when in the main thread).
 
-    `transport` is open; compiled code is warm. `errors` tells which `GatewayError` are active.
+    `transport` is open. `errors` tells which `GatewayError` are active.
     `on_tick` is called after the frames are sent and must return quickly; `on_end` when the loop is
     left. Ends with three ticks of unknown flags and closes the transport, also when the core
     raises (a programming error, which goes on to the caller).

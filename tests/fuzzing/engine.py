@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import pkgutil
 import random
 import shutil
 import sys
@@ -24,19 +23,8 @@ PACKAGES = {
     "config": ["gateway", "tomllib"],
     "scenario": ["sim", "tomllib"],
 }
-"""Whose code is looked at for coverage, by target; never what numba compiles."""
+"""Whose code is looked at for coverage, by target."""
 PART = 1 << 10
-
-
-def _compiled() -> list[str]:
-    """Modules that numba compiles: it does not know instrumented bytecode."""
-    found = []
-    for package in ("dbc", "gateway", "sim"):
-        for module in pkgutil.walk_packages([package], package + "."):
-            path = Path(*module.name.split(".")).with_suffix(".py")
-            if path.is_file() and any(w in path.read_text() for w in ("njit", "lean", "numba")):
-                found.append(module.name)
-    return found
 
 
 def _dictionary(tokens: tuple[bytes, ...], report: str) -> str:
@@ -53,14 +41,12 @@ def main() -> None:
     name, seconds, runs, seed, longest, out, report = sys.argv[1:]
     import atheris  # in a folder of its own, see the Makefile
 
-    with atheris.instrument_imports(PACKAGES[name], _compiled()):
+    with atheris.instrument_imports(PACKAGES[name]):
         from tests.fuzzing.mutate import mutate
         from tests.fuzzing.targets import CORPUS, TARGETS
         from tests.fuzzing.texts import FOLDER
     target = TARGETS[name]
     kept = target.corpus()
-    for data in kept:
-        target.warm(data)
     state = {"executions": 0, "items": 0, "found": 0}
     began = time.monotonic()
     end, most = began + float(seconds), int(runs)

@@ -23,8 +23,8 @@ class Target(NamedTuple):
     items: str
     longest: int
     tokens: tuple[bytes, ...]
-    warm: Callable[[bytes], int]
-    """As `run`, on every path at once: what is compiled on the way is compiled then."""
+    run_all: Callable[[bytes], int]
+    """As `run`, with every check that `run` makes of some inputs only."""
     is_slow: bool = True
     """Slow enough for a mutator in Python that knows words and numbers; else libFuzzer's own."""
 

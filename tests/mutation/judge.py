@@ -117,7 +117,7 @@ class Order:
 def run(tests: list[str], took: dict[str, float]) -> tuple[int, Order]:
     """Exit code of the tests (and options of pytest), and what was seen of each."""
     order = Order(took)
-    # A warning of an overflow finds nothing: compiled code has none.
+    # A warning of an overflow finds nothing.
     options = ["-x", "-q", "--assert=plain", "-W", "ignore::RuntimeWarning", "-o", "timeout=0"]
     options += ["-p", "no:cacheprovider", "-p", "no:xdist"]
     code = pytest.main([*options, *tests], plugins=[order])
@@ -181,15 +181,11 @@ def bare(code: str) -> str:
 def equivalent(mutant: dict[str, Any], source: str) -> bool:
     """Whether a mutant cannot behave otherwise.
 
-    An annotation; `is` for `==` between members of an enumeration, in a loop that is to be compiled
-    between any numbers (what that would be there is numba's affair); such a loop that is not.
+    An annotation; `is` for `==` between members of an enumeration.
     """
-    loop = mutant["module"].endswith("_kernels.py")
-    if loop and mutant["operator"] == "RemoveDecorator":
-        return True
     turned = SAME.search(mutant["operator"])
     if turned and ("Not" in turned[1]) == ("Not" in turned[2]):
-        return loop or bool(WORDS.search(mutant["before"]))
+        return bool(WORDS.search(mutant["before"]))
     try:
         return bare(mutant["code"]) == bare(source)
     except SyntaxError:

@@ -9,7 +9,6 @@ from _traction_core import ffi, lib
 
 from dbc.records import DRIVE_STATUS, FLAG_INPUTS
 from gateway import flags, inputs, tracks
-from gateway._flags_kernels import fill_inputs
 from gateway.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
 from gateway.health import (
     NEVER,
@@ -216,8 +215,15 @@ def filled(made, told, found, come, world):
     """Every input that a tick gives."""
     for name in TEMPERATURES:
         made.inputs[name] = found[name]
-    fill_inputs(come, world.wrong, world.uncertain, told, world.lost, world.known, world.severe,
-                world.sample_ns, made.inputs)  # fmt: skip
+    of_stations = {
+        "input_reason": come.cause, "comm": come.comm, "current_sum_fault": come.suspect,
+        "input_implausible": world.wrong, "sample_ns": world.sample_ns, "health": told.health,
+        "health_reason": told.reason, "speed_rad_s": told.speed, "nis": told.nis,
+        "load_nm": told.load, "load_sigma_nm": told.sigma, "loss_probability": world.lost,
+        "loss_known": world.known, "may_spin_up": world.uncertain, "severe_loss": world.severe,
+    }  # fmt: skip
+    for name, column in of_stations.items():
+        made.inputs[name] = column
     train = made.train_inputs
     train["integrity_reason"], train["common_mode"] = world.doubt, world.mode
     train["silent"], train["overrun"] = world.silent, world.overrun

@@ -7,19 +7,18 @@ the paper's block-diagonal matrices of 5N x 5N taken literally.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from _traction_core import lib
-from filterpy.kalman import ExtendedKalmanFilter
 
+from bench.chain import Motor, motors_of, state_of
 from dbc.records import pointer
 from estimators import adaptation, filters
 from estimators.models import pmsm
-from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+from estimators.models.pmsm import SUB_STEP_S
 from tests.reference import ekf
 
 HEADER = ("filter", "drives", "per call", "per drive and step", "reference in the same run")
@@ -42,21 +41,11 @@ def best(task: Callable[[], object]) -> float:
     return least
 
 
-def _motors(n: int) -> tuple[Pmsm, Noise]:
-    par = pmsm.repeat(pmsm.BENCH_MOTOR, n)
-    return par, pmsm.default_noise(par, pmsm.Rated(np.full(n, 25.0), np.full(n, 30.0)))
-
-
-def _state(n: int) -> tuple[np.ndarray, np.ndarray]:
-    x = np.tile([1.0, -1.0, 100.0, 0.5, 1.0], (n, 1))
-    return x, np.tile(np.diag([1.0, 1.0, 25.0, 0.04, 400.0]), (n, 1, 1))
-
-
 def call_of(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> Callable[[], None]:
     """One call with `steps` samples of each of n drives; kind: "ekf" or "ukf"."""
-    par, noise = _motors(n)
+    par, noise = motors_of(n)
     drives = adaptation.filters(n)
-    drives.x, drives.P = _state(n)
+    drives.x, drives.P = state_of(n)
     rng, rows = np.random.default_rng(0), n * steps
     drive = np.tile(np.arange(n, dtype=np.int32), steps)
     u, y = rng.normal(0.0, 10.0, (rows, 2)), rng.normal(0.0, 1.0, (rows, 2))
@@ -83,8 +72,8 @@ def compiled(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> float:
 
 def stacked(n: int) -> float:
     """NumPy, all drives at once."""
-    par, noise = _motors(n)
-    x, P = _state(n)
+    par, noise = motors_of(n)
+    x, P = state_of(n)
     u, y = np.full((n, 2), 10.0), np.zeros((n, 2))
 
     def call() -> None:
@@ -95,8 +84,8 @@ def stacked(n: int) -> float:
 
 def dense(n: int) -> float:
     """Paper `adhesion`, eq. (16)-(17), as written: one filter of 5N states."""
-    par, noise = _motors(n)
-    x, P = _state(n)
+    par, noise = motors_of(n)
+    x, P = state_of(n)
     u, y = np.full((n, 2), 10.0), np.zeros(2 * n)
     H = np.kron(np.eye(n), np.eye(2, 5))
     Q, R = np.diag(noise.Q.ravel()), np.diag(noise.R.ravel())
@@ -118,61 +107,6 @@ def dense(n: int) -> float:
         prior + gain @ (y - H @ prior), rest @ cov @ rest.T + gain @ R @ gain.T
 
     return best(call)
-
-
-class Motor(ExtendedKalmanFilter):  # type: ignore[misc]
-    """The motor in filterpy as a user would write it: floats, and one array at the end."""
-
-    def __init__(self) -> None:
-        """The bench motor, in motion."""
-        super().__init__(5, 2)
-        _, noise = _motors(1)
-        x, P = _state(1)
-        self.x, self.P = x[0], P[0]
-        self.Q, self.R = np.diag(noise.Q[0]), np.diag(noise.R[0])
-        self.H = np.eye(2, 5)
-        self.u = (10.0, 10.0)
-        R_s, L_s, psi, p, J, B, k_p = (float(value[0]) for value in pmsm.BENCH_MOTOR)
-        dt = SUB_STEP_S
-        self.factors = (
-            1 - R_s / L_s * dt, psi / L_s * dt, 1 - B / J * dt, k_p * p * p * psi / J * dt,
-            p * dt / J, dt / L_s, dt,
-        )  # fmt: skip
-
-    def predict_x(self, _u: object = 0) -> None:
-        i_a, i_b, w, theta, load = self.x.tolist()
-        a, b, f, e, g, c, dt = self.factors
-        sin, cos = math.sin(theta), math.cos(theta)
-        self.x = np.array([
-            a * i_a + b * w * sin + c * self.u[0],
-            a * i_b - b * w * cos + c * self.u[1],
-            f * w + e * (i_b * cos - i_a * sin) - g * load,
-            theta + w * dt,
-            load,
-        ])  # fmt: skip
-
-    def advance(self) -> None:
-        """One prediction, over `SUB_STEP_S`."""
-        i_a, i_b, w, theta, _ = self.x.tolist()
-        a, b, f, e, g, _c, dt = self.factors
-        sin, cos = math.sin(theta), math.cos(theta)
-        self.F = np.array([
-            [a, 0.0, b * sin, b * w * cos, 0.0],
-            [0.0, a, -b * cos, b * w * sin, 0.0],
-            [-e * sin, e * cos, f, -e * (i_b * sin + i_a * cos), -g],
-            [0.0, 0.0, dt, 1.0, 0.0],
-            [0.0, 0.0, 0.0, 0.0, 1.0],
-        ])  # fmt: skip
-        self.predict()
-
-    def step(self, y: np.ndarray) -> None:
-        """One prediction and one update."""
-        self.advance()
-        self.correct(y)
-
-    def correct(self, y: np.ndarray) -> None:
-        """One update by two currents."""
-        self.update(y, lambda _: self.H, lambda state: state[:2])
 
 
 def library() -> float:
