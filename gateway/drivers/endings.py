@@ -1,9 +1,8 @@
 """How a program is ended from outside: Ctrl-C, SIGTERM, a reader that has left its pipe.
 
 A signal is noted and raised between two steps of Python; a compiled call is finished first. Where
-Python can raise nothing (callbacks of libraries, finalisers) it is raised a moment later; also
-inside of llvmlite, where LLVM calls back for a kernel's code and has a null pointer if that raises.
-The note decides the exit code, so that an exception which something has swallowed counts as well.
+Python can raise nothing (callbacks of libraries, finalisers) it is raised a moment later. The note
+decides the exit code, so that an exception which something has swallowed counts as well.
 """
 
 from __future__ import annotations
@@ -66,18 +65,9 @@ def raised() -> Iterator[Note]:
 
     timers: list[threading.Timer] = []
 
-    def later(number: int) -> None:
-        again = (threading.main_thread().ident, number)
-        timers[:] = [threading.Timer(AGAIN_S, signal.pthread_kill, again)]
-        timers[0].daemon = True
-        timers[0].start()
-
-    def handle(number: int, frame: FrameType | None) -> None:
+    def handle(number: int, _frame: FrameType | None) -> None:
         error = Ended(number)
         note.ended = note.ended or error
-        if _in_llvm(frame):
-            later(number)
-            return
         raise error
 
     usual = sys.unraisablehook
@@ -86,7 +76,10 @@ def raised() -> Iterator[Note]:
         if not isinstance(lost.exc_value, Ended):
             usual(lost)
             return
-        later(lost.exc_value.number)
+        again = (threading.main_thread().ident, lost.exc_value.number)
+        timers[:] = [threading.Timer(AGAIN_S, signal.pthread_kill, again)]
+        timers[0].daemon = True
+        timers[0].start()
 
     before = {kind: signal.getsignal(kind) for kind in _KINDS}
     mine = [kind for kind in _KINDS if before[kind] is not signal.SIG_IGN]
@@ -101,15 +94,6 @@ def raised() -> Iterator[Note]:
             timer.cancel()
         for kind in mine:
             signal.signal(kind, before[kind])
-
-
-def _in_llvm(frame: FrameType | None) -> bool:
-    """Whether LLVM waits for what this frame does."""
-    while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith("llvmlite."):
-            return True
-        frame = frame.f_back
-    return False
 
 
 def flush() -> None:

@@ -106,6 +106,7 @@ TESTS = {
     "gateway/core/inputs.c": ("tests/unit/test_inputs.py",),
     "estimators/load_observer.c": ("tests/unit/test_est_load_observer.py",),
     "gateway/core/motion.c": MOTION,
+    "gateway/core/tick.c": ("tests/unit/test_ticks.py", "tests/golden/test_golden.py"),
     "gateway/core/plausibility.c": MOTION,
     "gateway/core/current_plausibility.c": MOTION,
     **dict.fromkeys((
@@ -199,7 +200,7 @@ class Bench:
         self._compile(glue, self.objects[""], f"-I{include}", "-DPy_LIMITED_API=0x030b0000")
         for source in SOURCES:
             # Under the name of a mutant, so that the same code is the same object.
-            copy = folder / Path(source).stem / "mutant.c"
+            copy = folder / source.replace("/", "_") / "mutant.c"
             copy.parent.mkdir()
             shutil.copy(ROOT / source, copy)
             self.objects[source] = copy.with_suffix(".o")

@@ -9,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import llvmlite.binding as llvm
 import pyarrow.parquet as pq
 import pytest
 
@@ -222,26 +221,6 @@ def test_the_note_outlives_who_swallows_the_signal():
             send_self(signal.SIGINT)
     assert note.ended.number == signal.SIGTERM, "the first one counts"
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_what_llvm_waits_for_is_done_first():
-    called = []
-
-    def when_compiled(_module, _code):
-        send_self(signal.SIGTERM)
-        called.append("to its end")
-
-    def finish():
-        engine.finalize_object()
-        time.sleep(1.0)
-
-    machine = llvm.Target.from_default_triple().create_target_machine()
-    module = llvm.parse_assembly("define void @f() { ret void }")
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.set_object_cache(when_compiled)
-    with raised(), pytest.raises(Ended, match="SIGTERM"):
-        finish()
-    assert called == ["to its end"]
 
 
 class Swallows:
