@@ -8,6 +8,7 @@ import sys
 import tomllib
 
 import numpy as np
+import psutil
 import pyarrow.parquet as pq
 import pytest
 
@@ -402,8 +403,6 @@ def is_worker(process):
 def test_workers_that_are_killed_at_any_moment_cost_nothing(logs, ran, tmp_path, seed):
     import random
     import threading
-
-    import psutil
 
     folder = tmp_path / "logs"
     folder.mkdir()
