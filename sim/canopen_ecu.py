@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -174,7 +175,13 @@ class CanopenNode:
 
 def _local_node(number: int) -> Any:
     """The library's node; Any because its methods carry no types."""
-    return canopen.LocalNode(number, str(EDS))
+    return canopen.LocalNode(number, _dictionary(number))
+
+
+@lru_cache(maxsize=128)
+def _dictionary(number: int) -> Any:
+    """Objects of a node, as the EDS has them; a node keeps its values itself."""
+    return canopen.import_od(str(EDS), number)
 
 
 def _cob(index: int, number: int) -> int:

@@ -22,6 +22,7 @@ from gateway.commands.common import (
 from gateway.drivers import leanstart
 
 if TYPE_CHECKING:
+    from dbc.codec import Codec
     from gateway.config import Config
     from gateway.core import Gateway
     from gateway.drivers.live import LiveSnapshot
@@ -33,6 +34,8 @@ log = logging.getLogger(__name__)
 HELP = "the gateway on a bus"
 DISPLAY_EVERY = 20
 """Ticks between two pictures of the table: the display must never disturb the loop."""
+REHEARSED = 100
+"""Ticks of a throw-away gateway before the loop."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,9 +93,19 @@ def _start(options: argparse.Namespace) -> Started:
     if options.kernels:
         log.warning("--kernels %s: nothing is compiled at run time; leave it out", options.kernels)
     ticker = Ticker(config.loop.period_ns)
+    _rehearse(config, codec)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)
     log.info("configuration %06x", gateway.outbox.config_hash)
     return Started(config, transport, ticker, gateway)
+
+
+def _rehearse(config: Config, codec: Codec) -> None:
+    """Use the pages that a tick uses before the clock counts: they are locked from then on."""
+    from gateway.core import Gateway
+
+    gateway = Gateway(config.unmapped(), codec, 0)
+    for tick in range(REHEARSED):
+        gateway.step([], tick * config.loop.period_ns)
 
 
 def run(options: argparse.Namespace) -> int:
