@@ -50,7 +50,7 @@ class Bus:
         if rng.random() < 0.05:
             for what in (self.off, self.lost, self.held, self.gone):
                 what[:] = 0
-        slow, state = self.inbox.slow, self.inbox.state
+        slow, state = self.inbox.receiver.slow, self.inbox.receiver.state
         for column in (slow.speed, slow.irms, slow.command):
             column[:] = np.where(rng.random(3) < 0.03, np.nan, rng.normal(0.0, 20.0, 3))
         # It is sent with the command.
@@ -60,20 +60,20 @@ class Bus:
 
     def go_on(self):
         """The next tick's rows."""
-        rng, inbox, scratch = self.rng, self.inbox, self.inbox.scratch
+        rng, inbox, scratch = self.rng, self.inbox, self.inbox.receiver.scratch
+        self.seen = 0
         self._change()
         self.tick += 1
         hole = self.tick % 700 == 0
         self.now += 12_000 * MS if hole else int(rng.choice([10] * 20 + [7, 40])) * MS
         self.level[:, :3] += rng.normal(0.02, 0.01, (3, 3)) * (self.tick < 400)
-        inbox.seen = 0
         for j, drive in enumerate(inbox.drives):
             if self.gone[j] or (self.tick + 3 * j) % 10:
                 continue
             channel = drive.channels["Temperatures"]
             row = 2 * j + 1
-            scratch.seen[inbox.seen] = row
-            inbox.seen += 1
+            scratch.seen[self.seen] = row
+            self.seen += 1
             scratch.channel[row], scratch.t_ns[row] = channel.row, self.now - MS
             picked = list(channel.picked)
             shaky = np.where(self.held[j], 0.0, rng.normal(0.0, 0.15, 4))
@@ -81,7 +81,7 @@ class Bus:
             scratch.value[row, picked] = celsius
             scratch.validity[row, picked] = np.where(self.lost[j], rng.integers(1, 4, 4), 0)
             scratch.value[row, channel.quality] = rng.choice([1.0] * 40 + [0.0, 2.0, 3.0])
-        inbox.receiver.tick["temperatures"] = inbox.seen
+        inbox.receiver.tick["temperatures"] = self.seen
 
 
 def cells():
@@ -131,7 +131,7 @@ def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, se
         for reading in bus.inbox.temperatures:
             celsius, valid = reading.celsius[3], reading.valid[3]
             plain.ambient[reading.drive] = celsius if valid else np.nan
-        plain.tick(bus.inbox.seen > 0, bus.now, loads_of(bus))
+        plain.tick(bus.seen > 0, bus.now, loads_of(bus))
         other.take(bus.inbox.temperatures, bus.now, bus.inbox.receiver)
         other.tell(bus.now, again)
         assert repr(inputs.tolist()) == repr(again.tolist())
@@ -232,10 +232,10 @@ def test_a_step_of_a_sensor_is_a_jump_and_blocks_are_observed():
 def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
     """From a DBC of any range: neither its tenths nor its mean fail."""
     side, bus, _ = made("maisd", 3)
-    inputs, scratch = np.zeros(3, FLAG_INPUTS), bus.inbox.scratch
+    inputs, scratch = np.zeros(3, FLAG_INPUTS), bus.inbox.receiver.scratch
     for tick in range(400):
         bus.go_on()
-        seen = bus.inbox.seen
+        seen = bus.seen
         for row in scratch.seen[:seen]:
             picked = list(bus.inbox.channels[scratch.channel[row]].picked)
             scratch.value[row, picked] = (1e300, -1e300, 9e14, np.inf)[tick % 4]
