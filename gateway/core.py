@@ -153,15 +153,22 @@ class Gateway(Addressed):
             block = self._translated(self.translator, block, now)
         self._make_room(block.size)
         self._run(block, np.array([block.size]), now)
-        return self.outbox.frames_of(self.sent[: self.pointer.sent_count])
+        out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
+        if self.outbox.authenticator is not None:
+            self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
+        return out
 
     def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
         """Ticks at `now`, a period later and so on, one for each of ends (K,).
 
         Gives their number, and what goes out. Tick k takes the frames from ends[k - 1] (0 for the
         first) to ends[k]. Ends behind the first tick in which a flag changed: those that are left
-        are the caller's to ask for again. `peak` is of the ticks that were done.
+        are the caller's to ask for again. `peak` is of the ticks that were done. Raises ValueError
+        for ends that are none of this block.
         """
+        ends = np.ascontiguousarray(ends, dtype=np.int64)
+        if (np.diff(ends, prepend=0, append=block.size) < 0).any():
+            raise ValueError(f"ends {ends} of ticks in a block of {block.size} frames")
         out: list[Block] = []
         done, peak = 0, np.full(len(self.nodes), np.nan)
         while done < len(ends) and not (done and self.changed):
