@@ -2,7 +2,8 @@
 
 Rotor-frame equations (the estimators use the stationary frame), RK4 at 31 us with the voltage
 held for 125 us as an inverter does, so that the mean voltage over any interval is exact.
-Speed PI over a current controller that knows the true state.
+Speed PI over a current controller that knows the true state. numba, which no product of ours needs,
+makes a minute of what takes half an hour without.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.integrate import solve_ivp
 
 R_S, L_S, PSI, POLES, INERTIA, K_P = 0.28, 3.465e-3, 0.1989, 4.0, 0.04, 1.5
@@ -56,6 +58,7 @@ class Rows(NamedTuple):
     tick: np.ndarray
 
 
+@njit
 def _rates(m, i_d, i_q, w, u_d, u_q, load):
     d_d = (u_d - m.R_s * i_d) / m.L_s + w * i_q
     d_q = (u_q - m.R_s * i_q - w * m.psi) / m.L_s - w * i_d
@@ -63,21 +66,26 @@ def _rates(m, i_d, i_q, w, u_d, u_q, load):
     return d_d, d_q, d_w
 
 
+@njit
 def _rotor_step(m, i_d, i_q, w, theta, u_a, u_b, load, dt):
     """RK4 with the stationary-frame voltage constant."""
-    d_d = d_q = d_w = d_t = 0.0
-    total = (0.0, 0.0, 0.0, 0.0)
-    for h, weight in ((0.0, 1.0), (0.5 * dt, 2.0), (0.5 * dt, 2.0), (dt, 1.0)):
-        angle = theta + h * d_t
-        cos, sin = math.cos(angle), math.sin(angle)
-        at, d_t = (i_d + h * d_d, i_q + h * d_q, w + h * d_w), w + h * d_w
-        d_d, d_q, d_w = _rates(m, *at, u_a * cos + u_b * sin, u_b * cos - u_a * sin, load)
-        now = (d_d, d_q, d_w, d_t)
-        total = tuple(t + weight * k for t, k in zip(total, now, strict=True))
-    moved = [k * (dt / 6.0) for k in total]
-    return i_d + moved[0], i_q + moved[1], w + moved[2], theta + moved[3]
+    k = np.zeros((4, 4))
+    for s in range(4):
+        h = 0.0 if s == 0 else (dt if s == 3 else 0.5 * dt)
+        r = max(s - 1, 0)
+        angle = theta + h * k[r, 3]
+        u_d = u_a * math.cos(angle) + u_b * math.sin(angle)
+        u_q = u_b * math.cos(angle) - u_a * math.sin(angle)
+        speed = w + h * k[r, 2]
+        k[s, 0], k[s, 1], k[s, 2] = _rates(
+            m, i_d + h * k[r, 0], i_q + h * k[r, 1], speed, u_d, u_q, load
+        )
+        k[s, 3] = speed
+    out = (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3]) * (dt / 6.0)
+    return i_d + out[0], i_q + out[1], w + out[2], theta + out[3]
 
 
+@njit
 def _run(m, w_0, theta_0, w_ref, load, u_out, i_out, w_out, theta_out):
     ticks, drives = w_ref.shape
     for n in range(drives):
