@@ -6,6 +6,7 @@ import gzip
 import io
 import random
 import threading
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -522,3 +523,14 @@ def test_writer_and_reader_are_inverse(tmp_path: Path) -> None:
     with Writer(stream, "vcan3") as writer:
         writer.write(Frame(0, 1))
     assert stream.getvalue() == b"(0000000000.000000) vcan3 001#\n"
+
+
+def test_gaps_between_parts_are_blanks_up_to_a_names_length() -> None:
+    stamp, rest = b"(0000000001.000000)", b"can0 123#11\n"
+    lines = [stamp + b" " * wide + rest for wide in (0, 1, 21, 22, 500)] + [
+        stamp + b" " * 40 + b"\n"
+    ]
+    found, reader = read(b"".join(lines))
+    wanted = [parse_line(line) for line in lines]
+    assert found == [frame for _, frame in wanted if frame is not None]
+    assert reader.counts == Counter(verdict for verdict, _ in wanted)

@@ -19,7 +19,7 @@ from gateway.channel import SHORTEST_STEP, USED, Kind, sequence_guards
 from gateway.health import Reason
 from gateway.inbox import MAX_GAP_NS, Inbox
 from gateway.receiving import Tally
-from gateway.supervision import Life, Supervision
+from gateway.supervision import Supervision
 from tests.reference import receive as reference
 from tests.sender import CLASSIC, FD_FILE, Sender, codec_for
 

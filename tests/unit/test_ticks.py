@@ -256,3 +256,22 @@ def test_a_replay_that_wants_no_view_says_the_same(tmp_path):
         return out, changes, done[:5], state(done.gateway)
 
     assert run(briefly=True) == run(briefly=False)
+
+
+def test_frames_out_of_order_are_put_in_order():
+    """In one tick of many: that one is done singly."""
+    blocks, _, ends = stormy(train(), 1, 300, 1e9)
+    turned = [b.pick(np.arange(b.size)[::-1]) if k % 50 == 20 else b for k, b in enumerate(blocks)]
+    whole = EMPTY
+    for block in turned:
+        whole = join(whole, block)
+    right, wrong = (Gateway(config_of(), train().codec, 0) for _ in range(2))
+    assert together(wrong, whole, ends) == singly(right, blocks)
+    assert state(wrong) == state(right)
+
+
+def test_ends_beyond_the_block_are_refused():
+    _, whole, ends = stormy(train(), 1, 20, 1e9)
+    for bad in (ends + 1, ends[::-1], -ends):
+        with pytest.raises(ValueError, match="frames"):
+            Gateway(config_of(), train().codec, 0).run(whole, bad, FIRST * TICK)
