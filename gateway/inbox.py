@@ -154,18 +154,15 @@ class Inbox:
         for k in self.receiver.scratch.foreign[: tick.emergencies].tolist():
             known = self.supervision.observe(block.frame(first + k))
             self.added["canopen" if known else "unknown_id"] += 1
-            self.added["received"] += 1
 
     @property
     def counts(self) -> Counter[str]:
         """Frames since the start: received ones, what became of them, and those that are lost."""
         pointer = self.receiver.pointer
         found = Counter(self.added)
-        for name, count in zip(NAMES, self.receiver.counters.tolist(), strict=False):
-            if count:
-                found[name] += count
-                found["received"] += count if name != "lost" else 0
-        for name, count in (("unpaired", pointer.unpaired), ("late", pointer.late)):
+        counters = zip(NAMES, self.receiver.counters.tolist(), strict=True)
+        others = {name: getattr(pointer, name) for name in ("received", "unpaired", "late")}
+        for name, count in (*counters, *others.items()):
             if count:
                 found[name] += count
         return found

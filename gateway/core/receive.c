@@ -321,6 +321,7 @@ int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_n
     if (!in_order(frames, t_ns, can_id))
         return 0;
     start_tick(receiver);
+    receiver->received += frames;
     for (int64_t k = 0; k < frames; k++) {
         receive_frame(receiver, k, can_id[k], flags[k], length[k], data + k * PAYLOAD_BYTES,
                       t_ns[k], now_ns);

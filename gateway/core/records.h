@@ -987,7 +987,8 @@ struct receiver {
     /* rows that Python looks at */
     int64_t *temperature_rows;     /* accepted frames with temperatures */
     int64_t *emergency_rows;       /* received frames that are emergencies */
-    int64_t counters[RX_COUNTERS]; /* since the start */
+    int64_t received;              /* frames, since the start */
+    int64_t counters[RX_COUNTERS]; /* what became of them, since the start */
     int64_t unpaired;              /* halves of samples that found no other, since the start */
     int64_t late;                  /* samples that came too late, since the start */
     struct received tick;

@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 
 from gateway import core
-from gateway.adhesion import AdhesionMonitor
-from gateway.flags import FlagKind, Flags
+from gateway.flags import FlagKind
 from gateway.health import Flag, Health, Reason
-from gateway.inputs import InputMonitor
-from gateway.outbox import Outbox
 from gateway.receiving import NAMES
 from sim.hostile import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
 from sim.value_faults import ValueFaults
+from tests.stepped import Stepped
 from tests.storm import campaign
 from tests.storm.campaign import FD_SEEDS, QUEUE, Result, weather
 from tests.storm.oracle import Oracle, Violation
@@ -175,13 +173,10 @@ def test_a_whole_copy_stands_for_a_frame_that_was_spoilt():
 
 
 def stale_is_believed(monkeypatch):
-    real = InputMonitor.assess
+    def believe(made):
+        made.inputs.status["reason"], made.inputs.status["sample_fresh"] = Reason.NONE, True
 
-    def assess(self, intruder, now):
-        real(self, intruder, now)
-        self.status["reason"], self.status["sample_fresh"] = Reason.NONE, True
-
-    monkeypatch.setattr(InputMonitor, "assess", assess)
+    built(monkeypatch, lambda made: made.after("inputs", believe))
 
 
 def clear(flags):
@@ -191,31 +186,20 @@ def clear(flags):
 
 
 def unknown_clears(monkeypatch):
-    debounce, detect = Flags.debounce, AdhesionMonitor.detect
+    def change(made):
+        made.after("debounced", lambda made: clear(made.status.drives["flag"]))
+        made.after("adhesion", lambda made: clear(made.adhesion.common_mode))
 
-    def flags_of_drives(self, now):
-        changed = debounce(self, now)
-        clear(self.status.drives["flag"])
-        return changed
-
-    def flag_of_all(self, *given):
-        opinion = detect(self, *given)
-        clear(self.common_mode)
-        return opinion
-
-    monkeypatch.setattr(Flags, "debounce", flags_of_drives)
-    monkeypatch.setattr(AdhesionMonitor, "detect", flag_of_all)
+    built(monkeypatch, change)
 
 
 def evidence(monkeypatch, change):
     """Changed once it is collected."""
-    real = Flags.collect_evidence
 
-    def collect_evidence(self):
-        real(self)
-        change(self, self.evidence["of"])
+    def seen(made):
+        change(made.flags, made.flags.evidence["of"])
 
-    monkeypatch.setattr(Flags, "collect_evidence", collect_evidence)
+    built(monkeypatch, lambda made: made.after("evidence", seen))
 
 
 def health_is_ignored(monkeypatch):
@@ -237,24 +221,19 @@ def health_is_ignored(monkeypatch):
 
 def wrong_speed(monkeypatch):
     """Told after the measured speed has been asked."""
-    real = core.MotionMonitor.observe
 
-    def observe(self, now):
-        real(self, now)
-        speed = self.bank.estimates["speed_rad_s"]
+    def change(made):
+        speed = made.bank.estimates["speed_rad_s"]
         speed[speed != 0.0] += 30.0
 
-    monkeypatch.setattr(core.MotionMonitor, "observe", observe)
+    built(monkeypatch, lambda made: made.after("estimates", change))
 
 
 def counter_stands_still(monkeypatch):
-    real = Outbox.due
+    def change(made):
+        made.outbox.messages["counter"] = 0
 
-    def due(self, status, now):
-        self.memory.counter[:] = 0
-        return real(self, status, now)
-
-    monkeypatch.setattr(Outbox, "due", due)
+    built(monkeypatch, lambda made: made.after("published", change))
 
 
 def frames_are_forgotten(monkeypatch):
@@ -262,10 +241,11 @@ def frames_are_forgotten(monkeypatch):
 
 
 def built(monkeypatch, change):
-    """Every gateway of a storm is changed once it is made."""
+    """Every gateway of a storm is changed once it is made, by this as well."""
+    before = campaign.Gateway if campaign.Gateway is not core.Gateway else Stepped
 
     def make(*given):
-        made = core.Gateway(*given)
+        made = before(*given)
         change(made)
         return made
 
@@ -328,14 +308,20 @@ def sent_health(value):
     """On the wire only: the gateway itself knows better."""
 
     def broken(monkeypatch):
-        real = Outbox.due
+        known = []
 
-        def due(self, status, now):
-            drives = status.drives.copy()
-            drives["health"] = value
-            return real(self, status._replace(drives=drives), now)
+        def hide(made):
+            known[:] = [made.status.drives["health"].copy()]
+            made.status.drives["health"] = value
 
-        monkeypatch.setattr(Outbox, "due", due)
+        def show(made):
+            made.status.drives["health"] = known[0]
+
+        def change(made):
+            made.after("published", hide)
+            made.after("sent", show)
+
+        built(monkeypatch, change)
 
     return broken
 

@@ -13,6 +13,7 @@ from gateway.core import Gateway
 from gateway.drivers.replay import Briefly, replay
 from sim.hostile import HostileBus, plan
 from tests.simrun import FD_FILE
+from tests.stepped import Stepped
 from tests.storm.campaign import CALIBRATION, NODES
 from tests.storm.train import TICK, train
 
@@ -275,3 +276,13 @@ def test_ends_beyond_the_block_are_refused():
     for bad in (ends + 1, ends[::-1], -ends):
         with pytest.raises(ValueError, match="frames"):
             Gateway(config_of(), train().codec, 0).run(whole, bad, FIRST * TICK)
+
+
+@pytest.mark.parametrize(("kind", "detector"), [("ekf", "vb"), ("ukf", "vb"), ("ekf", "median")])
+def test_a_tick_is_its_stations_in_their_order(kind, detector):
+    """As `tests/stepped.py` calls them one by one."""
+    blocks, _, _ = stormy(train(), 5, 1000, 60.0)
+    config = config_of(kind, detector)
+    whole, stepped = (made(config, train().codec, 0) for made in (Gateway, Stepped))
+    assert singly(stepped, blocks) == singly(whole, blocks)
+    assert state(stepped) == state(whole)
