@@ -29,9 +29,11 @@ class Stepped(Gateway):
     """
 
     hooks: dict[str, list[Hook]]
+    now: Nanos
+    """Of the tick."""
 
     def __init__(self, *given: Any) -> None:
-        self.hooks = {}
+        self.hooks, self.now = {}, 0
         super().__init__(*given)
 
     def after(self, station: str, hook: Hook) -> None:
@@ -44,6 +46,7 @@ class Stepped(Gateway):
 
     def _run(self, block: Block, ends: np.ndarray, now: Nanos) -> int:
         """One tick."""
+        self.now = now
         part = block.part(0, int(ends[0])).ordered()
         self._receive(part, now)
         self._judge(now)

@@ -13,9 +13,9 @@ import pytest
 from gateway.config import parse
 from gateway.flags import FlagKind
 from gateway.health import Flag
-from gateway.outbox import Outbox
 from sim.hostile import BUS_KINDS, KINDS, Fault, plan
 from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
+from tests.stepped import Stepped
 from tests.storm import campaign
 from tests.storm.campaign import FD_SEEDS, VALUE_SEEDS, config_of, faults_of, first_of, weather
 from tests.storm.oracle import Oracle
@@ -200,17 +200,25 @@ WRONG = [Fault("swapped", 2050, 2200, 1, 1.0)]
 
 def says(monkeypatch, flags, tick):
     """A gateway that sends these flags from a tick on; None: what it thinks."""
-    real = Outbox.due
+    known = []
 
-    def due(self, status, now):
-        drives = status.drives.copy()
-        mine = drives["flag"]["state"][:, FlagKind.ADHESION]
+    def hide(made):
+        mine = made.status.drives["flag"]["state"][:, FlagKind.ADHESION]
+        known[:] = [mine.copy()]
         for d, flag in enumerate(flags):
-            if flag is not None and now >= tick * campaign.TICK:
+            if flag is not None and made.now >= tick * campaign.TICK:
                 mine[d] = flag
-        return real(self, status._replace(drives=drives), now)
 
-    monkeypatch.setattr(Outbox, "due", due)
+    def show(made):
+        made.status.drives["flag"]["state"][:, FlagKind.ADHESION] = known[0]
+
+    def make(*given):
+        made = Stepped(*given)
+        made.after("published", hide)
+        made.after("sent", show)
+        return made
+
+    monkeypatch.setattr(campaign, "Gateway", make)
 
 
 class Found(Exception):
