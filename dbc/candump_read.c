@@ -70,7 +70,9 @@ static const uint8_t *read_gap(const uint8_t *at, const uint8_t *end)
     const uint8_t *first = at;
     while (at < end && *at == ' ')
         at++;
-    return at > first && at - first <= MAX_GAP ? at : NULL;
+    if (at == first || at - first > MAX_GAP)
+        return NULL;
+    return at;
 }
 
 static const uint8_t *read_name(const uint8_t *at, const uint8_t *end)

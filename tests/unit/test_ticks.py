@@ -286,3 +286,11 @@ def test_a_tick_is_its_stations_in_their_order(kind, detector):
     whole, stepped = (made(config, train().codec, 0) for made in (Gateway, Stepped))
     assert singly(stepped, blocks) == singly(whole, blocks)
     assert state(stepped) == state(whole)
+
+
+def test_the_load_of_translated_frames_is_counted_where_they_are_translated():
+    blocks, _, _ = stormy(train(), 1, 60, 1e9)
+    plain, translated = (Gateway(config_of(), train().codec, 0) for _ in range(2))
+    translated.record["is_translated"] = 1
+    assert singly(translated, blocks) == singly(plain, blocks)
+    assert 0.0 < translated.load.record["busy_s"][0] < 0.2 * plain.load.record["busy_s"][0]
