@@ -530,6 +530,7 @@ def test_gaps_between_parts_are_blanks_up_to_a_names_length() -> None:
     lines = [stamp + b" " * wide + rest for wide in (0, 1, 21, 22, 500)] + [
         stamp + b" " * 40 + b"\n"
     ]
+    lines += [stamp + b" can0" + b" " * wide + b"123#11\n" for wide in (0, 1, 21, 22, 500)]
     found, reader = read(b"".join(lines))
     wanted = [parse_line(line) for line in lines]
     assert found == [frame for _, frame in wanted if frame is not None]
