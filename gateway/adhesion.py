@@ -29,14 +29,13 @@ from dbc.records import (
 from estimators.detect import Evidence, Opinion, make
 from estimators.detect.variational import VariationalDetector
 from gateway.config import Adhesion, Motor
-from gateway.tracks import Told
 
 BASE_NM: Final = 30.0
 """Rated torque of the motor that `spread_nm` is stated for."""
 
 
 class AdhesionMonitor(Addressed):
-    """A `struct adhesion` with everything that it points to; `detect` per tick changes it."""
+    """A `struct adhesion` with everything that it points to; a tick changes it."""
 
     def __init__(
         self, config: Adhesion, motors: Sequence[Motor], rules: Records, tick_ns: Nanos
@@ -82,26 +81,6 @@ class AdhesionMonitor(Addressed):
         """(N,) drives whose rotor may run away."""
         self.doubt_until_ns: NDArray[np.int64] = self.rotors["doubt_until_ns"]
         """(N,) until then the currents of a drive accuse nobody."""
-
-    def detect(
-        self, told: Told, inputs: Records, drives: Records, status: Records, now: Nanos
-    ) -> Opinion:
-        """Probabilities of lost adhesion.
-
-        inputs: `input_status` (N,); drives: `drive_input` (N,); status: `drive_status` (N,), of
-        which the adhesion flags so far are read.
-        """
-        mine, received = self._pointer, pointer("struct drive_input", drives)
-        estimates = pointer("struct drive_estimate", told.estimates)
-        valid = pointer("struct input_status", inputs)
-        flags = pointer("struct drive_status", status)
-        if self.in_core:
-            lib.detect_loss(mine, estimates, valid, received, flags, now)
-        else:
-            lib.adhesion_prepare(mine, estimates, valid, received, flags, now)
-            self.ask_detector(told.estimates)
-            lib.adhesion_fuse(mine, received, flags, now)
-        return self.opinion
 
     def ask_detector(self, estimates: Records) -> None:
         """As `adhesion_detect`, by a detector that is not in the core. estimates: (N,)."""

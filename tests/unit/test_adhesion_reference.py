@@ -14,6 +14,7 @@ from gateway.adhesion import BASE_NM, AdhesionMonitor
 from gateway.config import BENCH_MOTOR, Adhesion
 from gateway.flags import FlagKind, Timing
 from gateway.health import NEVER, Flag, Health
+from tests.judged_loads import detect
 from tests.reference import adhesion as reference
 from tests.same import same_numbers
 
@@ -96,7 +97,7 @@ class Both:
         come = validity(fresh, speed * measured)
         flag = self.status["flag"][:, FlagKind.ADHESION]
         again = copied(told)
-        opinion = self.core.detect(told, come, self.drives, self.status, now)
+        opinion = detect(self.core, told.estimates, come, self.drives, self.status, now)
         if self.plain is None:
             return opinion
         kept = flag["state"].astype(np.int64), flag["since_ns"].copy()
@@ -209,7 +210,7 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
             told = tracks.told(N)
             told.health[:], told.load[:], told.speed[:] = health, load, speed
             come = validity(fresh, speed)
-            opinion = side.detect(told, come, drives, status, tick * TICK)
+            opinion = detect(side, told.estimates, come, drives, status, tick * TICK)
             said.append((opinion.lost.tolist(), opinion.known.tolist(), opinion.common))
         assert said[0] == said[1] or name != "vb"
         met |= {p > 0.7 for p in said[1][0]}
@@ -219,7 +220,7 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
 def test_what_nothing_is_known_of_is_not_judged():
     both = Both([BENCH_MOTOR] * N)
     told = tracks.told(N)
-    opinion = both.core.detect(told, inputs.statuses(N), both.drives, both.status, 0)
+    opinion = detect(both.core, told.estimates, inputs.statuses(N), both.drives, both.status, 0)
     assert not opinion.known.any()
     assert opinion.common == 0.0
     assert (both.core.doubt_until_ns == NEVER).all()

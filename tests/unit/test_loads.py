@@ -9,6 +9,7 @@ from gateway.adhesion import AdhesionMonitor
 from gateway.config import BENCH_MOTOR, Adhesion
 from gateway.flags import FlagKind, Timing
 from gateway.health import Flag, Health
+from tests.judged_loads import detect
 from tests.reference.adhesion import DERATING_NS, RATIO_FLOOR
 
 N = 3
@@ -45,7 +46,7 @@ def prepared(drives, *, follows=(False,) * N, fresh=(True,) * N, core=None):
     flag["since_ns"] = -DERATING_NS
     come = inputs.statuses(N)
     come["command_valid"], come["speed_rad_s"] = fresh, drives.told.speed
-    core.detect(drives.told, come, drives.records, status, 10 * MS)
+    detect(core, drives.told.estimates, come, drives.records, status, 10 * MS)
     return core
 
 
