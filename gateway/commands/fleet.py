@@ -68,27 +68,31 @@ def run(options: argparse.Namespace) -> int:
     settings = settings_for(config, options.log_channel, options.output)
     planned = fleet.plan(paths, settings, force=options.force)
     rows = dict(planned.before)
-    ended: KeyboardInterrupt | OSError | None = None
-    with _progress(planned.jobs, planned.before) as shown:
 
-        def after(one: Job, row: Row) -> None:
-            rows[one] = row
-            shown(one, row)
+    def finish() -> list[Row]:
+        table = [rows[one] for one in planned.jobs if one in rows]
+        said = {"settings": settings.key, "version": settings.version}
+        files = write(settings.folder, table, {**said, "config": config.model_dump_json()})
+        _summary(table, len(planned.before), len(planned.jobs), files)
+        return table
 
-        try:
+    try:
+        with _progress(planned.jobs, planned.before) as shown:
+
+            def after(one: Job, row: Row) -> None:
+                rows[one] = row
+                shown(one, row)
+
             fleet.run(planned, settings, options.jobs, options.scheduler, after)
-        except (KeyboardInterrupt, OSError) as error:
-            if isinstance(error, OSError) and len(rows) == len(planned.before):
-                raise
-            ended = error
-    table = [rows[one] for one in planned.jobs if one in rows]
-    said = {"settings": settings.key, "version": settings.version}
-    files = write(settings.folder, table, {**said, "config": config.model_dump_json()})
-    _summary(table, len(planned.before), len(planned.jobs), files)
-    if isinstance(ended, KeyboardInterrupt):
+    except KeyboardInterrupt:
+        finish()
         console().print("stopped; the same command goes on where this ended")
-    if ended is not None:
-        raise ended
+        raise
+    except OSError:
+        if len(rows) > len(planned.before):
+            finish()
+        raise
+    table = finish()
     return FAILED if any(row.status == BAD or row.dropped for row in table) else GOOD
 
 

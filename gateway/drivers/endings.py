@@ -1,8 +1,9 @@
 """How a program is ended from outside: Ctrl-C, SIGTERM, a reader that has left its pipe.
 
-A signal is noted and raised between two steps of Python; a compiled call is finished first. Where
-Python can raise nothing (callbacks of libraries, finalisers) it is raised a moment later. The note
-decides the exit code, so that an exception which something has swallowed counts as well.
+A signal is noted and raised between two steps of Python; a compiled call is finished first. Some
+places swallow the exception: finalisers, callbacks of libraries, a bare `except`. A thread notices
+that the main thread works on without handling it, and sends the signal again. The note decides the
+exit code.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ OF_A_SIGNAL: Final = 128
 """Exit code of a program that signal n has ended, less n, as shells have it."""
 BROKEN_PIPE: Final = OF_A_SIGNAL + 13
 """As SIGPIPE, which Python ignores; systems without it have no number for it."""
-AGAIN_S: Final = 0.02
-"""After so long a signal comes once more that was swallowed."""
+LOOK_S: Final = 0.05
+"""Time between two looks at whether the main thread handles the exception."""
+LOOKS: Final = 5
+"""After so many looks in a row at which it does not, the exception was swallowed."""
 _KINDS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -63,11 +66,16 @@ def raised() -> Iterator[Note]:
         yield note
         return
 
-    timers: list[threading.Timer] = []
+    closed = threading.Event()
+    main = threading.get_ident()
+    before_it = _handled_by(main)
 
     def handle(number: int, _frame: FrameType | None) -> None:
         error = Ended(number)
-        note.ended = note.ended or error
+        if note.ended is None:
+            note.ended = error
+            insist = (main, number, closed, before_it)
+            threading.Thread(target=_insist, args=insist, daemon=True).start()
         raise error
 
     usual = sys.unraisablehook
@@ -75,11 +83,6 @@ def raised() -> Iterator[Note]:
     def swallowed(lost: sys.UnraisableHookArgs) -> None:
         if not isinstance(lost.exc_value, Ended):
             usual(lost)
-            return
-        again = (threading.main_thread().ident, lost.exc_value.number)
-        timers[:] = [threading.Timer(AGAIN_S, signal.pthread_kill, again)]
-        timers[0].daemon = True
-        timers[0].start()
 
     before = {kind: signal.getsignal(kind) for kind in _KINDS}
     mine = [kind for kind in _KINDS if before[kind] is not signal.SIG_IGN]
@@ -89,11 +92,33 @@ def raised() -> Iterator[Note]:
     try:
         yield note
     finally:
+        closed.set()
         sys.unraisablehook = usual
-        for timer in timers:
-            timer.cancel()
         for kind in mine:
             signal.signal(kind, before[kind])
+
+
+def _insist(
+    thread: int, number: int, closed: threading.Event, before: BaseException | None
+) -> None:
+    """Send the signal again whenever `thread` has handled no exception for `LOOKS` looks.
+
+    before: what it was handling before the signal.
+    """
+    idle = 0
+    while not closed.wait(LOOK_S):
+        # What tidies up after the exception (`finally`, `with`, `except`) is handling it.
+        idle = idle + 1 if _handled_by(thread) is before else 0
+        if idle == LOOKS:
+            signal.pthread_kill(thread, number)
+            idle = 0
+
+
+def _handled_by(thread: int) -> BaseException | None:
+    """The exception whose `except`, `finally` or `with` the thread is in."""
+    found = sys._current_exceptions().get(thread)  # noqa: SLF001 nothing public tells it
+    # Python 3.11 has a tuple as of `sys.exc_info`, later ones the exception.
+    return found[1] if isinstance(found, tuple) else found
 
 
 def flush() -> None:

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
 from gateway.cli import main
-from gateway.drivers.endings import Ended, raised
+from gateway.drivers.endings import LOOK_S, LOOKS, Ended, raised
 from gateway.results.whole import PART, whole, write_text
 from tests.unit.test_cli import SCENARIO
 
@@ -241,6 +242,33 @@ def test_a_signal_that_python_cannot_raise_comes_again(capfd):
     with raised() as note, pytest.raises(Ended):
         swallowing(note)
     assert "ignored" not in capfd.readouterr().err
+
+
+def swallowed_by_an_except():
+    with suppress(BaseException):
+        send_self(signal.SIGTERM)
+    time.sleep(PATIENCE_S)
+
+
+def test_a_signal_that_an_except_swallows_comes_again():
+    with raised() as note, pytest.raises(Ended):
+        swallowed_by_an_except()
+    assert note.ended.number == signal.SIGTERM
+
+
+def tidying(done):
+    try:
+        send_self(signal.SIGTERM)
+    finally:
+        time.sleep(3 * LOOK_S * LOOKS)
+        done.append("tidied")
+
+
+def test_what_tidies_up_after_a_signal_is_left_in_peace():
+    done = []
+    with raised(), pytest.raises(Ended):
+        tidying(done)
+    assert done == ["tidied"]
 
 
 def test_what_was_ignored_stays_ignored():
