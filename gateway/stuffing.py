@@ -1,4 +1,4 @@
-"""How long a frame really is on the wire: every stuff bit of its own content counted.
+"""How long frames really are on the wire: every stuff bit of their own content counted.
 
 Classic CAN: ISO 11898-1, 11-bit and 29-bit identifiers, CRC-15. CAN FD: dynamic stuff bits up to
 the end of the data, then the stuff count and a CRC of 17 or 21 bits with fixed stuff bits. Bits
@@ -7,7 +7,12 @@ after the stuffed part (delimiters, acknowledge, end of frame, intermission) are
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dbc.frame import BRS, EXTENDED, FD, Frame
 
@@ -18,83 +23,96 @@ CLASSIC_TAIL: Final = 1 + 2 + 7 + 3
 FD_TAIL: Final = 2 + 7 + 3
 """The same after the CRC delimiter, which is still at the data rate."""
 
-
-class Bits(NamedTuple):
-    """Bits of one frame at the nominal and at the data bit rate."""
-
-    nominal: int
-    data: int
-
-    def seconds(self, bitrate: int, data_bitrate: int) -> float:
-        """Time on the wire; rates in bit/s."""
-        return self.nominal / bitrate + self.data / data_bitrate
+Bits = NDArray[np.uint8]
+"""(B, n): a row for each bit on the wire, a column for each frame."""
+Counts = NDArray[np.int64]
 
 
-def bits_of(frame: Frame) -> Bits:
-    """Bits of a data frame, stuff bits included. Raises ValueError for a length that is none."""
-    return _fd(frame) if frame.flags & FD else Bits(_classic(frame), 0)
+def bits_of(frames: Sequence[Frame]) -> tuple[Counts, Counts]:
+    """Bits of n data frames, each (n,), at the nominal and the data bit rate, stuff bits included.
+
+    Raises ValueError for a length that is none.
+    """
+    nominal, data = np.zeros((2, len(frames)), np.int64)
+    alike = defaultdict(list)
+    for k, frame in enumerate(frames):
+        alike[len(frame.data), frame.flags & (FD | BRS | EXTENDED)].append(k)
+    for (length, flags), places in alike.items():
+        some = [frames[k] for k in places]
+        head = _start(some, extended=bool(flags & EXTENDED))
+        payload = np.frombuffer(b"".join(f.data for f in some), np.uint8).reshape(len(some), length)
+        body = np.unpackbits(payload, axis=1).T
+        if flags & FD:
+            nominal[places], data[places] = _fd(head, body, length, flags)
+        else:
+            nominal[places] = _classic(head, body, length)
+    return nominal, data
 
 
-def _classic(frame: Frame) -> int:
-    bits = [0, *_identifier(frame)]  # start of frame
+def _classic(head: Bits, body: Bits, length: int) -> Counts:
     # Remote request, then (with 29 bits: two reserved ones; with 11: extension, reserved) all 0.
-    bits += [0, 0, 0, *_number(len(frame.data), 4), *_payload(frame.data)]
-    bits += _number(_crc15(bits), 15)
+    bits = np.vstack([head, _same(f"000{length:04b}", head), body])
+    bits = np.vstack([bits, _columns(_crc15(bits), 15)])
     return len(bits) + _stuffed(bits)[0] + CLASSIC_TAIL
 
 
-def _fd(frame: Frame) -> Bits:
-    if len(frame.data) not in FD_LENGTHS:
-        raise ValueError(f"{len(frame.data)} bytes: CAN FD has no such length")
-    code = FD_LENGTHS.index(len(frame.data))
-    switch = int(bool(frame.flags & BRS))
+def _fd(head: Bits, body: Bits, length: int, flags: int) -> tuple[Counts, Counts]:
+    if length not in FD_LENGTHS:
+        raise ValueError(f"{length} bytes: CAN FD has no such length")
+    switch = int(bool(flags & BRS))
     # 11 bits: RRS, IDE, FDF, res, BRS; 29 bits: RRS, FDF, res, BRS.
-    extended = bool(frame.flags & EXTENDED)
-    control = [0, 1, 0, switch] if extended else [0, 0, 1, 0, switch]
-    head = [0, *_identifier(frame), *control]
-    body = [0, *_number(code, 4), *_payload(frame.data)]  # error state, length, data
+    control = f"010{switch}" if flags & EXTENDED else f"0010{switch}"
+    head = np.vstack([head, _same(control, head)])
+    # Error state, length, data.
+    body = np.vstack([_same(f"0{FD_LENGTHS.index(length):04b}", head), body])
     # At the end of the data a fixed stuff bit takes the place of a dynamic one.
-    stuffed, in_head = _stuffed((head + body)[:-1], len(head))
-    crc = 21 if len(frame.data) > 16 else 17
+    stuffed, in_head = _stuffed(np.vstack([head, body])[:-1], len(head))
+    crc = 21 if length > 16 else 17
     # Stuff count and parity (4), CRC, a fixed stuff bit before each four of them; CRC delimiter.
     after = 4 + crc + (4 + crc + 3) // 4 + 1
     nominal = len(head) + in_head + FD_TAIL
     data = len(body) + stuffed - in_head + after
-    return Bits(nominal, data) if switch else Bits(nominal + data, 0)
+    return (nominal, data) if switch else (nominal + data, np.zeros_like(data))
 
 
-def _identifier(frame: Frame) -> list[int]:
-    if frame.flags & EXTENDED:
-        # SRR and IDE, both recessive, between the two parts.
-        return [*_number(frame.can_id >> 18, 11), 1, 1, *_number(frame.can_id & 0x3FFFF, 18)]
-    return _number(frame.can_id, 11)
+def _start(frames: Sequence[Frame], *, extended: bool) -> Bits:
+    """Start of frame and identifier."""
+    number = np.array([frame.can_id for frame in frames])
+    if not extended:
+        return _columns(number, 12)  # its first bit is the start of frame: 0
+    # SRR and IDE, both recessive, between the two parts.
+    return _columns((number >> 18) << 20 | 0b11 << 18 | number & 0x3FFFF, 32)
 
 
-def _number(value: int, width: int) -> list[int]:
-    return [value >> k & 1 for k in range(width - 1, -1, -1)]
+def _columns(values: Counts, width: int) -> Bits:
+    """(width, n): the bits of n numbers, the highest first."""
+    return (values >> np.arange(width - 1, -1, -1)[:, None] & 1).astype(np.uint8)
 
 
-def _payload(data: bytes) -> list[int]:
-    return [byte >> k & 1 for byte in data for k in range(7, -1, -1)]
+def _same(bits: str, like: Bits) -> Bits:
+    """The same bits for every frame."""
+    return np.repeat(np.array([[int(b)] for b in bits], np.uint8), like.shape[1], axis=1)
 
 
-def _stuffed(bits: list[int], head: int = 0) -> tuple[int, int]:
-    """Stuff bits of a sequence, and how many of them lie in its first `head` bits."""
-    count = in_head = 0
-    run, last = 0, -1
+def _stuffed(bits: Bits, head: int = 0) -> tuple[Counts, Counts]:
+    """(n,): stuff bits of each frame, and how many of them lie in its first `head` bits."""
+    n = bits.shape[1]
+    count, in_head = np.zeros((2, n), np.int64)
+    run, last = np.zeros(n, np.uint8), np.full(n, 2, np.uint8)
     for k, bit in enumerate(bits):
-        run = run + 1 if bit == last else 1
-        last = bit
-        if run == 5:
-            count += 1
-            in_head += k < head
-            run, last = 1, 1 - bit
+        run = run * (bit == last) + 1
+        full = run == 5
+        count += full
+        if k < head:
+            in_head += full
+        # A stuff bit is the other one, and the first of its run.
+        run[full] = 1
+        last = bit ^ full
     return count, in_head
 
 
-def _crc15(bits: list[int]) -> int:
-    crc = 0
+def _crc15(bits: Bits) -> Counts:
+    crc = np.zeros(bits.shape[1], np.int64)
     for bit in bits:
-        crc = (crc << 1) ^ (CRC15 if (crc >> 14 & 1) ^ bit else 0)
-        crc &= 0x7FFF
+        crc = (crc << 1 & 0x7FFF) ^ CRC15 * ((crc >> 14 & 1) ^ bit)
     return crc

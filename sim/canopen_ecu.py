@@ -1,90 +1,33 @@
-"""The CANopen side of a simulated inverter: NMT slave, heartbeat, EMCY, SDO server.
+"""The CANopen side of a simulated inverter: NMT slave, heartbeat, EMCY; SDO in `sim.canopen_sdo`.
 
-Library `canopen`, LocalNode, on a bus object of ours that collects what is sent and runs periodic
-tasks on virtual time, so the same node runs on the virtual clock and, fed by a driver, on a real
-bus. No threads, no sockets, no clock.
-
-Of the library's ways this file mends: after an NMT reset it stays in INITIALISING for ever (we
-boot it again), it answers SDO in STOPPED, and malformed requests raise inside its callbacks.
+On virtual time, so the same node runs on the virtual clock and, fed by a driver, on a real bus. No
+threads, no sockets, no clock. CiA 301 for states, commands and formats.
 
 May know: CANopen. May not know: the plant.
 """
 
 from __future__ import annotations
 
-import math
+import struct
 from collections.abc import Callable, Mapping
-from functools import lru_cache
-from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
-import can
-import canopen
-
-from dbc.frame import Nanos
+from dbc.frame import MS, Nanos
 from dbc.spec import MessageSpec
 
-EDS: Final = Path(__file__).with_name("inverter.eds")
-OBJECTS: Final = {
-    0x2001: "PhaseCurrents", 0x2002: "StatorVoltages", 0x2003: "Motion",
-    0x2004: "Temperatures", 0x2005: "Status",
+if TYPE_CHECKING:
+    from sim.canopen_sdo import SdoServer
+
+INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+STATE_OF: Final = {
+    1: OPERATIONAL, 2: STOPPED, 80: 80, 96: 96, 128: PRE_OPERATIONAL,
+    129: INITIALISING, 130: INITIALISING,
 }  # fmt: skip
-"""Manufacturer objects: one record per message, sub-index k = its k-th signal in bit order."""
-TPDO: Final = {0x1800 + k: kind for k, kind in enumerate(OBJECTS.values())}
-NOT_VALID: Final = 1 << 31
+"""NMT command -> state; 80 and 96: sleep and standby of CiA 320."""
+HEARTBEAT_MS: Final = 100
+"""Object 0x1017 of the EDS, until it is written."""
+EMCY: Final = struct.Struct("<HB5s")
 Read = Callable[[str], tuple[MessageSpec, bytes] | None]
-
-
-class PeriodicTask:
-    """A periodic message on virtual time, with the interface of python-can's tasks."""
-
-    def __init__(self, bus: VirtualTimeBus, message: can.Message, period_s: float) -> None:
-        """First sent one period from now."""
-        self.message, self._bus = message, bus
-        self.period_ns: Nanos = round(period_s * 1e9)
-        self.next_ns: Nanos = bus.now_ns + self.period_ns
-
-    def modify_data(self, message: can.Message) -> None:
-        """Send this from the next time on; the phase stays."""
-        self.message = message
-
-    def stop(self) -> None:
-        """No more of it."""
-        self._bus.tasks.remove(self)
-
-
-class VirtualTimeBus(can.BusABC):
-    """Collects what is sent in `sent` as (ns, id, data); `run_until` drives the periodic tasks."""
-
-    def __init__(self) -> None:
-        """At time 0, empty."""
-        super().__init__(channel="virtual time")
-        self.channel_info = "virtual time"
-        self._is_shutdown = True  # holds nothing that would have to be closed
-        self.now_ns: Nanos = 0
-        self.tasks: list[PeriodicTask] = []
-        self.sent: list[tuple[Nanos, int, bytes]] = []
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002
-        """Collect a frame, stamped with virtual time."""
-        self.sent.append((self.now_ns, msg.arbitration_id, bytes(msg.data)))
-
-    def send_periodic(self, msgs: Any, period: float, *_: Any, **__: Any) -> Any:
-        """A task on virtual time instead of a thread."""
-        task = PeriodicTask(self, msgs, period)
-        self.tasks.append(task)
-        return task
-
-    def run_until(self, now_ns: Nanos) -> None:
-        """Send what falls due up to and including `now_ns`, then be at that time."""
-        while self.tasks:
-            task = min(self.tasks, key=lambda t: t.next_ns)
-            if task.next_ns > now_ns:
-                break
-            self.now_ns = task.next_ns
-            task.next_ns += task.period_ns
-            self.send(task.message)
-        self.now_ns = now_ns
 
 
 class CanopenNode:
@@ -96,95 +39,78 @@ class CanopenNode:
         """Boot at time 0: boot-up frame, Pre-operational, Operational too with `self_start`."""
         self._specs, self._read, self._self_start = specs, read, self_start
         self.number = number
-        self.bus = VirtualTimeBus()
-        self._network = canopen.Network(self.bus)
-        self.node = _local_node(number)
-        self._network[number] = self.node
-        self.node.add_read_callback(self._on_read)
+        self.state = INITIALISING
+        self._now_ns: Nanos = 0
+        self._sent: list[tuple[Nanos, int, bytes]] = []
+        self._heartbeat_ms = HEARTBEAT_MS
+        self._next_ns: Nanos = 0
+        """Of the heartbeat, if it has a period."""
+        self._sdo: SdoServer | None = None
         self._error = 0
         self._boot()
 
     @property
     def operational(self) -> bool:
         """Whether PDOs are sent and heard."""
-        return bool(self.node.nmt.state == "OPERATIONAL")
+        return self.state == OPERATIONAL
 
     def _boot(self) -> None:
-        nmt = self.node.nmt
-        nmt.stop_heartbeat()
-        nmt.state = "RESET"  # sends the boot-up frame
-        nmt.state = "PRE-OPERATIONAL"  # starts the heartbeat
-        if self._self_start:
-            nmt.state = "OPERATIONAL"
+        self._send(0x700, bytes((INITIALISING,)))
+        self._set_heartbeat(self._heartbeat_ms)
+        self.state = OPERATIONAL if self._self_start else PRE_OPERATIONAL
+
+    def _set_heartbeat(self, period_ms: int) -> None:
+        """The first one a period from now; none with 0."""
+        self._heartbeat_ms = period_ms
+        self._next_ns = self._now_ns + period_ms * MS
+
+    def _send(self, base: int, data: bytes) -> None:
+        self._sent.append((self._now_ns, base + self.number, data))
+
+    def _run_until(self, now_ns: Nanos) -> None:
+        """Send the heartbeats due up to and including `now_ns`, then be at that time."""
+        while self._heartbeat_ms and self._next_ns <= now_ns:
+            self._now_ns = self._next_ns
+            self._next_ns += self._heartbeat_ms * MS
+            self._send(0x700, bytes((self.state,)))
+        self._now_ns = now_ns
 
     def deliver(self, can_id: int, data: bytes, now_ns: Nanos) -> None:
         """An NMT command or SDO request; anything else, and anything malformed, is ignored."""
         if can_id == 0:
-            if len(data) != 2:
-                return
-        elif can_id != 0x600 + self.number or len(data) != 8 or self.node.nmt.state == "STOPPED":
+            if len(data) == 2:
+                self._command(*data, now_ns)
+        elif can_id == 0x600 + self.number and len(data) == 8 and self.state != STOPPED:
+            self._now_ns = max(self._now_ns, now_ns)
+            for answer in self._server().answer(data, now_ns * 1e-9):
+                self._send(0x580, answer)
+
+    def _command(self, command: int, number: int, now_ns: Nanos) -> None:
+        self._now_ns = max(self._now_ns, now_ns)
+        if number not in (0, self.number) or command not in STATE_OF:
             return
-        self.bus.now_ns = max(self.bus.now_ns, now_ns)
-        self._network.notify(can_id, bytearray(data), now_ns * 1e-9)
-        if self.node.nmt.state == "INITIALISING":
+        self.state = STATE_OF[command]
+        if self.state == INITIALISING:
             self._boot()
+
+    def _server(self) -> SdoServer:
+        if self._sdo is None:
+            from sim.canopen_sdo import SdoServer
+
+            self._sdo = SdoServer(
+                self.number, self._specs, self._read, lambda: self._error, self._set_heartbeat
+            )
+        return self._sdo
 
     def emergency(self, code: int, register: int, now_ns: Nanos) -> None:
         """EMCY with error code and register, once per change; code 0 is "error reset"."""
         self._error = register
-        self.bus.run_until(now_ns)
-        if self.node.nmt.state == "STOPPED":
-            return
-        if code:
-            self.node.emcy.send(code, register)
-        else:
-            self.node.emcy.reset(register)
+        self._run_until(now_ns)
+        if self.state != STOPPED:
+            self._send(0x080, EMCY.pack(code, register, b""))
 
     def take(self, now_ns: Nanos) -> list[tuple[Nanos, int, bytes]]:
         """Everything sent up to `now_ns`, heartbeats included."""
-        self.bus.run_until(now_ns)
-        out = self.bus.sent
-        self.bus.sent = []
+        self._run_until(now_ns)
+        out, self._sent = self._sent, []
         return out
-
-    def _on_read(self, index: int, subindex: int, **_: object) -> int | None:
-        """Values that live outside the object dictionary; None: the dictionary's own."""
-        if index == 0x1001:
-            return self._error
-        if index in TPDO:
-            spec = self._specs.get(TPDO[index])
-            if subindex == 1 and spec is None:
-                return NOT_VALID | _cob(index, self.number)
-            if subindex == 1 and spec is not None:
-                return spec.can_id
-            if subindex == 5 and spec is not None:
-                return min(math.ceil(spec.cycle_ns / 1e6), 0xFFFF)
-            return None
-        if index in OBJECTS and subindex:
-            last = self._read(OBJECTS[index])
-            if last is None:
-                return None
-            spec, payload = last
-            signal = spec.signals[subindex - 1]
-            raw = int.from_bytes(payload, "little") >> signal.start & ((1 << signal.length) - 1)
-            return (
-                raw - (1 << signal.length) if signal.is_signed and raw >> signal.length - 1 else raw
-            )
-        return None
-
-
-def _local_node(number: int) -> Any:
-    """The library's node; Any because its methods carry no types."""
-    return canopen.LocalNode(number, _dictionary(number))
-
-
-@lru_cache(maxsize=128)
-def _dictionary(number: int) -> Any:
-    """Objects of a node, as the EDS has them; a node keeps its values itself."""
-    return canopen.import_od(str(EDS), number)
-
-
-def _cob(index: int, number: int) -> int:
-    """COB-ID of a TPDO in this message set."""
-    base = (0x180, 0x280, 0x380, 0x480, 0x1C0)[index - 0x1800]
-    return base + number

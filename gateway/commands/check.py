@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -192,24 +193,21 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
 def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
     """A line per kind of message: its share of the bus by the frames' own stuff bits."""
     bus = config.bus
-    kinds: dict[str, list[float]] = {}
-    bits: dict[str, list[int]] = {}
-    for frame in frames:
+    nominal, data = bits_of(frames)
+    kinds = defaultdict(list)
+    for k, frame in enumerate(frames):
         spec = codec.by_id.get(frame.can_id)
-        name = "CANopen" if spec is None else _kind(spec)
-        exact = bits_of(frame)
-        kinds.setdefault(name, []).append(exact.seconds(bus.bitrate, bus.data_bitrate))
-        bits.setdefault(name, []).append(exact.nominal + exact.data)
-    total = 0.0
-    for name in sorted(kinds, key=lambda name: -sum(kinds[name])):
-        share = 100.0 * sum(kinds[name]) / MEASURE_S
-        total += share
-        each = bits[name]
-        rate, mean = len(each) / MEASURE_S, sum(each) / len(each)
+        kinds["CANopen" if spec is None else _kind(spec)].append(k)
+    busy_s = nominal / bus.bitrate + data / bus.data_bitrate
+    shares = {name: 100.0 * sum(busy_s[of].tolist()) / MEASURE_S for name, of in kinds.items()}
+    for name, share in sorted(shares.items(), key=lambda item: -item[1]):
+        each = (nominal + data)[kinds[name]]
+        rate = len(each) / MEASURE_S
         print(
-            f"  {name:<24} {rate:7.0f} frames/s of {mean:5.1f} bits "
-            f"({min(each)} to {max(each)}): {share:5.1f} %"
+            f"  {name:<24} {rate:7.0f} frames/s of {each.mean():5.1f} bits "
+            f"({each.min()} to {each.max()}): {share:5.1f} %"
         )
+    total = sum(shares.values())
     what = f"by every stuff bit of {MEASURE_S:g} s of simulated drives"
     print(f"  {'together':<24} {total:5.1f} % {what}")
 

@@ -6,11 +6,13 @@ import logging
 from itertools import pairwise
 
 import pytest
-from canopen.emcy import EmcyConsumer
+from canopen.emcy import EMCY_STRUCT, EmcyConsumer
+from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES, NmtSlave
 
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
 from gateway.drivers.canopen_node import CanopenNode, GatewayError, error_register
 from gateway.drivers.transport import Allow
+from sim.canopen_ecu import CanopenNode as Drive
 
 T0 = 77 * SECOND + 123
 PRE_OPERATIONAL, OPERATIONAL = b"\x7f", b"\x05"
@@ -148,3 +150,27 @@ def test_error_register_bits() -> None:
     assert error_register([]) == 0
     assert error_register([GatewayError.SENSOR]) == 0x21
     assert error_register(GatewayError) == 0xB1
+
+
+def test_what_is_sent_is_what_the_library_reads() -> None:
+    node = CanopenNode((4,), nmt_master=True)
+    node.set_errors([GatewayError.SENSOR])
+    out = run(node, 1.0, {0: [Frame(T0, 0x704, b"\x7f")]})
+    assert [NMT_STATES[f.data[0]] for f in out if f.can_id == 0x720][:2] == [
+        "INITIALISING", "OPERATIONAL",
+    ]  # fmt: skip
+    assert [tuple(f.data) for f in out if f.can_id == 0] == [(NMT_COMMANDS["OPERATIONAL"], 4)]
+    [emergency] = [f for f in out if f.can_id == 0x0A0]
+    assert EMCY_STRUCT.unpack(emergency.data) == (GatewayError.SENSOR, 0x21, bytes(5))
+
+
+def test_a_simulated_drive_obeys_the_library_s_commands() -> None:
+    for command, state in COMMAND_TO_STATE.items():
+        library = NmtSlave(3, None)
+        library._state = 5
+        library.on_command(0, bytes((command, 3)), 0.0)
+        drive = Drive(3, {}, lambda _kind: None, self_start=True)
+        drive.deliver(0, bytes((command, 3)), 0)
+        assert library._state == state
+        # The library's stays in INITIALISING, a drive boots again.
+        assert drive.state == (state or 5)

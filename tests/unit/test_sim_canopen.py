@@ -7,7 +7,7 @@ import pytest
 
 from dbc.e2e import protect
 from dbc.frame import Frame
-from sim.canopen_ecu import EDS, OBJECTS, CanopenNode
+from sim.canopen_sdo import EDS, OBJECTS, SdoServer
 from sim.simulation import Simulation
 from tests.simrun import FD_FILE, TICK, codec, run, scenario
 
@@ -154,6 +154,10 @@ def test_heartbeat_time_can_be_written():
     out = simulation.step([], 1_110_000_000)
     assert len(states(out, 1)) == 20
     assert len(states(out, 2)) == 10
+    (answer,) = ask(simulation, sdo(1, 0x2B, 0x17, 0x10, 0, 0, 0), 1_120_000_000)
+    assert answer.data[0] == 0x60
+    assert states(simulation.step([], 2_120_000_000), 1) == []
+    assert states(simulation.step([nmt(0, 129, 1)], 3_120_000_000), 1) == [BOOT]
 
 
 def test_emcy_on_a_known_fault_and_its_reset():
@@ -208,7 +212,7 @@ def _mapped(maps, number):
 
 def _node(number=2):
     specs = {kind: codec().by_name[f"Drive{number}_{kind}"] for kind in OBJECTS.values()}
-    node = CanopenNode(number, specs, lambda _kind: None, self_start=False).node
+    node = SdoServer(number, specs, lambda _kind: None, lambda: 0, lambda _ms: None).node
     node.tpdo.read(from_od=True)
     node.rpdo.read(from_od=True)
     return node, specs

@@ -7,17 +7,46 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.frame import BRS, EXTENDED, FD, Frame
-from gateway import stuffing
+from gateway import stuffing as ours
 from gateway.commands.check import frame_seconds
-from gateway.stuffing import bits_of
 from tests.fuzz import examples
+from tests.reference import stuffing
 from tests.sender import FD_FILE, codec_for
 
 
 def test_the_checksum_is_can_s():
     """CRC-15/CAN of "123456789" is 0x059E in every catalogue."""
     bits = [byte >> k & 1 for byte in b"123456789" for k in range(7, -1, -1)]
-    assert stuffing._crc15(bits) == 0x059E
+    assert stuffing.crc15(bits) == 0x059E
+
+
+def bits_of(frame: Frame) -> stuffing.Bits:
+    """Of one frame, by both: the whole and the reference agree."""
+    [nominal], [data] = ours.bits_of([frame])
+    assert (nominal, data) == stuffing.bits_of(frame)
+    return stuffing.Bits(int(nominal), int(data))
+
+
+frames = st.builds(
+    lambda can_id, extended, data: Frame(
+        0, can_id if extended else can_id & 0x7FF, data, EXTENDED if extended else 0
+    ),
+    st.integers(0, 0x1FFFFFFF), st.booleans(), st.binary(max_size=8),
+)  # fmt: skip
+fd_frames = st.builds(
+    lambda frame, length, fill, switch: frame._replace(
+        data=(frame.data + bytes([fill]) * 64)[:length], flags=frame.flags | FD | BRS * switch
+    ),
+    frames, st.sampled_from(stuffing.FD_LENGTHS), st.sampled_from([0, 0xFF, 0x1F, 0x55]),
+    st.booleans(),
+)  # fmt: skip
+
+
+@settings(max_examples=examples(100))
+@given(st.lists(frames | fd_frames, max_size=20))
+def test_many_frames_at_once_have_the_bits_of_each(many):
+    nominal, data = ours.bits_of(many)
+    assert list(zip(nominal, data, strict=True)) == [stuffing.bits_of(f) for f in many]
 
 
 @pytest.mark.parametrize(
@@ -33,7 +62,7 @@ def test_the_checksum_is_can_s():
 )
 def test_a_stuff_bit_counts_for_the_next_run(bits, count):
     """0 0 0 0 0 (1) 1 1 1 1 (0): the stuff bit is the first of the four."""
-    assert stuffing._stuffed(bits)[0] == count
+    assert stuffing.stuff_bits(bits)[0] == count
 
 
 def test_lengths_without_stuffing():
