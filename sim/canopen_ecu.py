@@ -79,7 +79,7 @@ class CanopenNode:
         """An NMT command or SDO request; anything else, and anything malformed, is ignored."""
         if can_id == 0:
             if len(data) == 2:
-                self._command(*data, now_ns)
+                self._command(data[0], data[1], now_ns)
         elif can_id == 0x600 + self.number and len(data) == 8 and self.state != STOPPED:
             self._now_ns = max(self._now_ns, now_ns)
             for answer in self._server().answer(data, now_ns * 1e-9):

@@ -66,8 +66,10 @@ class SdoServer:
         self._specs, self._read = specs, read
         self._error, self._heartbeat = error, heartbeat
         self._bus = _Bus()
-        self._network = canopen.Network(self._bus)
-        self.node: Any = canopen.LocalNode(number, _dictionary(number))
+        # Any: the library's types ask for a bus of python-can, and its methods carry none.
+        library: Any = canopen
+        self._network = library.Network(self._bus)
+        self.node = library.LocalNode(number, _dictionary(number))
         self._network[number] = self.node
         self.node.add_read_callback(self._on_read)
         self.node.add_write_callback(self._on_write)

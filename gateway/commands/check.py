@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import time
-from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
 from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, console, prepare
 from gateway.config import ConfigError
-from gateway.stuffing import bits_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dbc.codec import Codec, MessageSpec
-    from dbc.frame import Frame
+    from gateway.commands.check_loss import Tried
     from gateway.config import Config
     from gateway.foreign import Plan
 
 HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
-MEASURE_S = 2.0
-SETTLE_S = 1.0
-"""Before it: filters start, drives come to life."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,10 +55,9 @@ def run(options: argparse.Namespace) -> int:
     percent = bus_load(codec, config, planned)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")
-    if not options.no_timing:
-        _tell_measured(config, codec)
+    tried = _tried(config, codec, timing=not options.no_timing)
     print(f"heartbeats     {_heartbeats(config)}")
-    unfound = check_loss.tell(config, codec)
+    unfound = check_loss.tell(config, tried)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
@@ -88,18 +81,24 @@ def run(options: argparse.Namespace) -> int:
     return BAD_INPUT if unfound or percent > LOAD_LIMIT_PERCENT else GOOD
 
 
-def _tell_measured(config: Config, codec: Codec) -> None:
-    """Bus load and timing of simulated drives, where the DBC's messages can be simulated."""
+def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
+    """The losses; with them bus load and timing of simulated drives, where those can be simulated."""
+    from gateway.commands import check_loss, check_timing
+    from gateway.drivers.measured import Measured
+
+    if not timing:
+        return check_loss.attempt(config, codec)
     ours = config.unmapped()
-    try:
-        frames, times_us = measure(ours, codec)
-    except ValueError as error:
-        print(f"timing         not measured: these messages cannot be simulated: {error}")
-        return
+    measured = Measured(config)
+    tried = simulated = check_loss.attempt(ours, codec, measured)
     if ours is not config:
-        print("timing         as if all drives spoke our message set: without translation")
-    _tell_loads(codec, config, frames)
-    _tell_timing(times_us, config.loop.period_ns / 1e3)
+        tried = check_loss.attempt(config, codec)
+    if measured.times_us:
+        check_timing.tell(config, codec, measured)
+    else:
+        why = simulated.problem or "no drive can ever be judged"
+        print(f"timing         not measured: {why}")
+    return tried
 
 
 def _tell_machine(options: argparse.Namespace, config: Config) -> None:
@@ -188,66 +187,3 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
     theirs_hz = 1e3 / (config.canopen.heartbeat_ms or 100)
     heartbeats = (47 + 8 + (33 + 8) // 4) / bus.bitrate * (10 + theirs_hz * len(config.nodes))
     return 100.0 * (busy + heartbeats)
-
-
-def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
-    """A line per kind of message: its share of the bus by the frames' own stuff bits."""
-    bus = config.bus
-    nominal, data = bits_of(frames)
-    kinds = defaultdict(list)
-    for k, frame in enumerate(frames):
-        spec = codec.by_id.get(frame.can_id)
-        kinds["CANopen" if spec is None else _kind(spec)].append(k)
-    busy_s = nominal / bus.bitrate + data / bus.data_bitrate
-    shares = {name: 100.0 * sum(busy_s[of].tolist()) / MEASURE_S for name, of in kinds.items()}
-    for name, share in sorted(shares.items(), key=lambda item: -item[1]):
-        each = (nominal + data)[kinds[name]]
-        rate = len(each) / MEASURE_S
-        print(
-            f"  {name:<24} {rate:7.0f} frames/s of {each.mean():5.1f} bits "
-            f"({each.min()} to {each.max()}): {share:5.1f} %"
-        )
-    total = sum(shares.values())
-    what = f"by every stuff bit of {MEASURE_S:g} s of simulated drives"
-    print(f"  {'together':<24} {total:5.1f} % {what}")
-
-
-def _kind(spec: MessageSpec) -> str:
-    return f"Drive{{n}}_{spec.kind}" if spec.node else spec.name
-
-
-def _tell_timing(times_us: list[float], period_us: float) -> None:
-    ordered = sorted(times_us)
-    p50, p99 = (ordered[int(len(ordered) * q)] for q in (0.5, 0.99))
-    print(
-        f"timing         a tick takes {p50:.0f} us of {period_us:.0f} us "
-        f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us, here"
-    )
-
-
-def measure(config: Config, codec: Codec) -> tuple[list[Frame], list[float]]:
-    """Two seconds with simulated drives: all frames of the bus, and each tick's time, us."""
-    from gateway.core import Gateway
-    from gateway.drivers.canopen_node import CanopenNode
-    from sim.scenario import parse
-    from sim.simulation import Simulation
-
-    scenario = parse({"title": "timing", "seed": 1, "duration_s": 3.0,
-                      "drives": len(config.nodes)}, "timing")  # fmt: skip
-    simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=True)
-    gateway, node = Gateway(config, codec, 0), CanopenNode(config.nodes)
-    period = config.loop.period_ns
-    settling = round(SETTLE_S * config.loop.rate_hz)
-    ticks = settling + round(MEASURE_S * config.loop.rate_hz)
-    batches = [simulation.step((), k * period) for k in range(ticks)]
-    frames: list[Frame] = []
-    times = []
-    for k, came in enumerate(batches):
-        began = time.perf_counter_ns()
-        out = gateway.step(came, k * period)
-        took = time.perf_counter_ns() - began
-        out += node.step(came, k * period)
-        if k >= settling:
-            frames += [*came, *out]
-            times.append(took / 1e3)
-    return frames, times

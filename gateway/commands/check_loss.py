@@ -1,41 +1,59 @@
-"""What `check` says of a synthetic loss of adhesion through the configuration."""
+"""What `check` tries: a synthetic loss of adhesion through the configuration."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from gateway import foreign
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
     from gateway.config import Config
+    from gateway.drivers.measured import Measured
+    from gateway.drivers.synthetic_loss import Found
 
 
-def tell(config: Config, codec: Codec) -> list[str]:
-    """Print a line per loss; gives what is wrong: losses that are not found, or cannot be.
+class Tried(NamedTuple):
+    """blind: nodes that can never be judged, and why; problem: why the rest was not tried."""
 
-    Raises ConfigError as `Gateway` does.
-    """
-    from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS, losses, never
+    blind: dict[int, str]
+    found: list[Found]
+    problem: str
+
+
+def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> Tried:
+    """Run the losses; `measured` is filled by the first. Raises ConfigError as `Gateway` does."""
+    from gateway.drivers.synthetic_loss import losses, never
 
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
-    for node, why in blind.items():
+    found: list[Found] = []
+    try:
+        found.extend(losses(config, codec, measured))
+    except ValueError as error:
+        return Tried(blind, found, f"these messages cannot be simulated: {error}")
+    return Tried(blind, found, "")
+
+
+def tell(config: Config, tried: Tried) -> list[str]:
+    """Print a line per loss; gives what is wrong: losses that are not found, or cannot be."""
+    from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS
+
+    for node, why in tried.blind.items():
         if node not in _mapped(config):  # of those it is said above
             _line(f"drive {node} is always Unknown: {why}")
-    if len(blind) == len(config.nodes):
+    if len(tried.blind) == len(config.nodes):
         _line("not tried: no drive can ever be judged")
-        return [f"drive {node}: {why}" for node, why in blind.items()]
+        return [f"drive {node}: {why}" for node, why in tried.blind.items()]
     problems = []
     what = f"A loss of {100 * DEPTH:.0f} % on drive"
-    try:
-        for found in losses(config, codec):
-            if found.after_ms is not None:
-                _line(f"{what} {found.node} is found after {found.after_ms:.0f} ms.")
-                continue
-            _line(f"{what} {found.node} is not found within {WITHIN_NS / 1e9:g} s.")
-            problems.append(f"drive {found.node}: {found.problem}")
-    except ValueError as error:
-        _line(f"not tried: these messages cannot be simulated: {error}")
+    for found in tried.found:
+        if found.after_ms is not None:
+            _line(f"{what} {found.node} is found after {found.after_ms:.0f} ms.")
+            continue
+        _line(f"{what} {found.node} is not found within {WITHIN_NS / 1e9:g} s.")
+        problems.append(f"drive {found.node}: {found.problem}")
+    if tried.problem:
+        _line(f"not tried: {tried.problem}")
     return problems
 
 

@@ -12,6 +12,8 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property, partial
+from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dbc.codec import Codec, bind
@@ -27,6 +29,7 @@ from sim.simulation import PERIOD_NS, Simulation
 
 if TYPE_CHECKING:
     from gateway.config import Motor
+    from gateway.drivers.measured import Measured
     from gateway.foreign import Plan
     from gateway.view import DriveView
 
@@ -83,11 +86,11 @@ def never(config: Config, codec: Codec) -> dict[int, str]:
     return {node: ", ".join(texts) for node, texts in found.items() if texts}
 
 
-def losses(config: Config, codec: Codec) -> Iterator[Found]:
+def losses(config: Config, codec: Codec, measured: Measured | None = None) -> Iterator[Found]:
     """A loss on one drive of every motor and kind of inverter, one after the other.
 
-    codec: of the configuration's DBC. Raises ConfigError as `Gateway` does, ValueError where the
-    DBC's messages cannot be simulated.
+    codec: of the configuration's DBC. measured: takes the time before the first of them. Raises
+    ConfigError as `Gateway` does, ValueError where the DBC's messages cannot be simulated.
     """
     planned = foreign.plans(config)
     judged = [n for n in config.nodes if n not in never(config, foreign.fitted(codec, planned))]
@@ -103,9 +106,13 @@ def losses(config: Config, codec: Codec) -> Iterator[Found]:
     healthy = [_Stream(config, one, speed, begin) for one in alike]
     streams = {n: stream for stream in healthy for n in stream.nodes}
     for one in alike:
-        node = one.nodes[0]
-        lossy = _Stream(config, one._replace(nodes=(node,)), speed, begin, lost=True)
-        yield _judge(config, codec, node, {**streams, node: lossy}, begin)
+        lossy = dict.fromkeys(one.nodes, _Stream(config, one, speed, begin, lost=True))
+        ticks = _ticks(config, codec, {**streams, **lossy}, begin, measured)
+        yield _judge(config, one.nodes[0], ticks, begin)
+        if measured is not None:  # a verdict may come before
+            for _ in takewhile(lambda tick: tick[0] < begin, ticks):
+                pass
+            measured = None
 
 
 def _alike(
@@ -175,7 +182,7 @@ def _speed(config: Config, alike: Sequence[_Alike]) -> float:
 class _Stream:
     """What drives that are alike send, as far as somebody asked.
 
-    With `lost`, half of their load is gone from `begin` on.
+    With `lost`, half of the load of the first of them is gone from `begin` on.
     """
 
     def __init__(
@@ -183,7 +190,7 @@ class _Stream:
     ) -> None:
         motor, share = one.motor, one.motor.I_rated / BENCH_MOTOR.I_rated
         load = LOAD * min(motor.T_rated, motor.torque_nm)
-        loss = {"at_s": begin / SECOND, "kind": "adhesion_loss", "depth": DEPTH}
+        loss = {"at_s": begin / SECOND, "drive": 1, "kind": "adhesion_loss", "depth": DEPTH}
         scenario = parse({
             "title": "synthetic loss", "seed": 2 if lost else 1, "event": [loss] if lost else [],
             "duration_s": (begin + 2 * WITHIN_NS) / SECOND, "drives": len(one.nodes),
@@ -195,12 +202,16 @@ class _Stream:
         })  # fmt: skip
         self.nodes = one.nodes
         self._codec = one.codec
-        self._simulation = Simulation(
-            scenario, one.codec, nodes=one.nodes, motor=_simulated(motor, speed, load)
+        self._make = partial(
+            Simulation, scenario, one.codec, nodes=one.nodes, motor=_simulated(motor, speed, load)
         )
         mapped = [plan for plan in one.plans if plan.node in one.nodes]
         self._inverters = [Inverters([plan], one.codec) for plan in mapped]
         self._chunks: list[dict[int, list[Frame]]] = []
+
+    @cached_property
+    def _simulation(self) -> Simulation:
+        return self._make()
 
     def chunk(self, k: int, node: int) -> list[Frame]:
         """Frames of that drive in the k-th 100 ms."""
@@ -229,13 +240,15 @@ def _simulated(motor: Motor, speed: float, load: float) -> plant.Motor:
     return plant.Motor(**motor.model_dump(), U_dc=link)
 
 
-def _judge(
-    config: Config, codec: Codec, node: int, sent: Mapping[int, _Stream], begin: Nanos
-) -> Found:
-    """The gateway over what was sent; the loss of drive `node` begins at `begin`."""
-    gateway = Gateway(config, codec, 0)
-    place, period = config.nodes.index(node), config.loop.period_ns
-    most = 0.0
+def _ticks(
+    config: Config,
+    codec: Codec,
+    sent: Mapping[int, _Stream],
+    begin: Nanos,
+    measured: Measured | None,
+) -> Iterator[tuple[Nanos, Sequence[DriveView]]]:
+    """The gateway over what was sent: every tick until a loss at `begin` should have been found."""
+    gateway, period = Gateway(config, codec, 0), config.loop.period_ns
     waiting: list[Frame] = []
     for now in range(period, begin + WITHIN_NS + period, period):
         if now % CHUNK_NS == period % CHUNK_NS:
@@ -243,9 +256,24 @@ def _judge(
             waiting += sorted(f for n, stream in sent.items() for f in stream.chunk(k, n))
         due = bisect_right(waiting, now, key=lambda frame: frame.t_ns)
         batch, waiting = waiting[:due], waiting[due:]
-        gateway.step(batch, now)
+        if measured is None:
+            gateway.step(batch, now)
+        else:
+            measured.step(gateway, batch, now, begin)
         assert gateway.view is not None
-        drives = gateway.view.drives
+        yield now, gateway.view.drives
+
+
+def _judge(
+    config: Config,
+    node: int,
+    ticks: Iterator[tuple[Nanos, Sequence[DriveView]]],
+    begin: Nanos,
+) -> Found:
+    """What is said in these ticks of the loss of drive `node`, which begins at `begin`."""
+    place = config.nodes.index(node)
+    most = 0.0
+    for now, drives in ticks:
         wrong = [d.node for d in drives if d.adhesion is Flag.BAD and d.node != node]
         if wrong or (now <= begin and drives[place].adhesion is Flag.BAD):
             return Found(node, None, _false(wrong or [node], (now - begin) / MS, config))

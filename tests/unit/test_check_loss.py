@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from dbc.codec import bind
 from gateway import foreign
 from gateway.cli import main
 from gateway.config import Config, load, parse
+from gateway.drivers.measured import Measured
 from gateway.drivers.synthetic_loss import losses, never
 from gateway.health import Reason
 from tests.unit.test_foreign import mapped
@@ -155,6 +157,22 @@ def test_a_flag_without_a_reason_fails():
     [found] = tried(config.model_copy(update={"motor": {"bench": bench}}))
     assert found.after_ms is None
     assert re.search(r"drive \d is AdhesionLost \d+ ms before the loss", found.problem)
+
+
+def test_bus_load_and_timing_are_of_a_whole_second_whatever_the_verdict():
+    config = load(None)
+    bench = config.motors["bench"].model_copy(update={"J": 40.0})
+    wrong = config.model_copy(update={"motor": {"bench": bench}})
+    rates = []
+    for each in (config, wrong):
+        measured = Measured(each)
+        [found] = losses(each, bind(each.dbc_path, each.nodes), measured)
+        assert (found.after_ms is None) is (each is wrong)
+        assert len(measured.times_us) == each.loop.rate_hz
+        rates.append(Counter(frame.can_id for frame in measured.frames))
+    assert rates[0] == rates[1]
+    assert rates[0][0x181] == 500
+    assert rates[0][0x701] == rates[0][0x720] == 10
 
 
 def test_a_mapped_inverter_is_tried_in_its_own_words(tmp_path):

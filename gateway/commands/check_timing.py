@@ -1,0 +1,57 @@
+"""What `check` measures of simulated drives: bus load by exact stuff bits, time of a tick."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from gateway.drivers.measured import MEASURE_NS
+from gateway.stuffing import bits_of
+
+if TYPE_CHECKING:
+    from dbc.codec import Codec, MessageSpec
+    from dbc.frame import Frame
+    from gateway.config import Config
+    from gateway.drivers.measured import Measured
+
+
+def tell(config: Config, codec: Codec, measured: Measured) -> None:
+    """Print both."""
+    if config.unmapped() is not config:
+        print("timing         as if all drives spoke our message set: without translation")
+    _tell_loads(codec, config, measured.frames)
+    _tell_timing(measured.times_us, config.loop.period_ns / 1e3)
+
+
+def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
+    """A line per kind of message: its share of the bus by the frames' own stuff bits."""
+    bus, seconds = config.bus, MEASURE_NS / 1e9
+    nominal, data = bits_of(frames)
+    kinds = defaultdict(list)
+    for k, frame in enumerate(frames):
+        spec = codec.by_id.get(frame.can_id)
+        kinds["CANopen" if spec is None else _kind(spec)].append(k)
+    busy_s = nominal / bus.bitrate + data / bus.data_bitrate
+    shares = {name: 100.0 * sum(busy_s[of].tolist()) / seconds for name, of in kinds.items()}
+    for name, share in sorted(shares.items(), key=lambda item: -item[1]):
+        each = (nominal + data)[kinds[name]]
+        rate = len(each) / seconds
+        print(
+            f"  {name:<24} {rate:7.0f} frames/s of {each.mean():5.1f} bits "
+            f"({each.min()} to {each.max()}): {share:5.1f} %"
+        )
+    what = f"by every stuff bit of {seconds:g} s of simulated drives"
+    print(f"  {'together':<24} {sum(shares.values()):5.1f} % {what}")
+
+
+def _kind(spec: MessageSpec) -> str:
+    return f"Drive{{n}}_{spec.kind}" if spec.node else spec.name
+
+
+def _tell_timing(times_us: list[float], period_us: float) -> None:
+    ordered = sorted(times_us)
+    p50, p99 = (ordered[int(len(ordered) * q)] for q in (0.5, 0.99))
+    print(
+        f"timing         a tick takes {p50:.0f} us of {period_us:.0f} us "
+        f"({100 * p50 / period_us:.0f} %), p99 {p99:.0f} us, longest {ordered[-1]:.0f} us, here"
+    )
