@@ -49,8 +49,12 @@ def _module(verb: str) -> Any:
     return importlib.import_module(f"gateway.commands.{verb.replace('-', '_')}")
 
 
-def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
-    """The parser; only the verb in use is imported, so that `--help` stays quick."""
+def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentParser:
+    """The parser; only the verb in use is imported, so that `--help` stays quick.
+
+    Nor are options made that no word can be: `whole` makes them all.
+    """
+    plain = not whole and len(words) == 2 and not words[1].startswith("-")
     parser = argparse.ArgumentParser(
         prog="traction-gateway",
         description="CAN-bus hardware-in-the-loop gateway for railway traction.",
@@ -63,7 +67,10 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
         sub.add_argument("--log-format", choices=("text", "json"), default="text",
                          help="of the log on stderr")  # fmt: skip
         if verb in words:
-            _module(verb).arguments(sub)
+            module = _module(verb)
+            module.arguments(sub)
+            if not plain and hasattr(module, "more_arguments"):
+                module.more_arguments(sub)
     return parser
 
 
@@ -117,6 +124,7 @@ def _run(words: list[str]) -> int:
     if _DRIVES.intersection(words[:1]):
         leanstart.python_can()
 
+    leanstart.pydantic()
     form = _log_format(words)
     limit = logs.begin(logging.WARNING, form)
     parser = _parser(words)
@@ -136,7 +144,7 @@ def _run(words: list[str]) -> int:
         logs.reshape(form)
     command = _module(options.verb)
     options.began_s = BEGAN_S
-    options.whole = lambda: _parser(tuple(VERBS))
+    options.whole = lambda: _parser(tuple(VERBS), whole=True)
     try:
         return int(command.run(options))
     except BrokenPipeError:

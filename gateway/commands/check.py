@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, console, prepare
+from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, note, prepare
 from gateway.config import ConfigError
 
 if TYPE_CHECKING:
@@ -32,6 +32,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("config", type=Path, help="the configuration to check")
     add_signature(parser)
     parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
+
+
+def more_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of a bus: only they need python-can."""
     add_bus(parser)
 
 
@@ -69,20 +73,17 @@ def run(options: argparse.Namespace) -> int:
     print(f"flags          {_authentication(config)}")
     _tell_machine(options, config)
     if percent > LOAD_LIMIT_PERCENT:
-        console().print(
+        note(
             f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
             "the DBC (GenMsgCycleTime), fewer drives on this bus, or CAN FD",
-            markup=False, soft_wrap=True,
         )  # fmt: skip
     if unfound:
-        console().print(
-            "no loss would be told: " + "; ".join(unfound), markup=False, soft_wrap=True
-        )
+        note("no loss would be told: " + "; ".join(unfound))
     return BAD_INPUT if unfound or percent > LOAD_LIMIT_PERCENT else GOOD
 
 
 def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
-    """The losses; with them bus load and timing of simulated drives, where those can be simulated."""
+    """The losses; with them bus load and timing, where the simulator has such messages."""
     from gateway.commands import check_loss, check_timing
     from gateway.drivers.measured import Measured
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
 PATIENCE_S: Final = 3.0
+_SHOWN_BY_RICH: Final = frozenset({"FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS"})
+"""Variables that change what it does where there is no terminal."""
 
 
 def positive_seconds(text: str) -> float:
@@ -149,6 +152,19 @@ def console() -> Console:
     return Told(stderr=True)
 
 
+def note(text: str, *, wrap: bool = False) -> None:
+    """A line on stderr. Where no terminal is asked to show it, it needs no rich to look the same.
+
+    wrap: at the width of the terminal, or at 80 columns.
+    """
+    fits = not wrap or len(text) < 80
+    plain = text.isascii() and text.isprintable() and text.count(":") < 2  # of emoji
+    if fits and plain and not sys.stderr.isatty() and not _SHOWN_BY_RICH & os.environ.keys():
+        sys.stderr.write(text + "\n")
+    else:
+        console().print(text, markup=False, soft_wrap=not wrap)
+
+
 def faults(reader: Reader | None) -> dict[str, int]:
     """Lines of a log that are none, by cause; of other formats nobody knows."""
     counts = {} if reader is None else reader.counts
@@ -164,7 +180,7 @@ def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
 
     text = warning(dropped, used)
     if text:
-        console().print(f"warning: {text}", markup=False, soft_wrap=True)
+        note(f"warning: {text}")
     return FAILED if text else GOOD
 
 

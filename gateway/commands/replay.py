@@ -14,6 +14,7 @@ from gateway.commands.common import (
     add_signature,
     console,
     faults,
+    note,
     prepare,
     track_file,
     verdict_of_input,
@@ -113,9 +114,9 @@ def run(options: argparse.Namespace) -> int:
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
     _summary(log.reader, done, recorder)
-    console().print(
+    note(
         f"replayed {span:.2f} s of {printable(done.channel) or 'the log'} in {seconds:.2f} s "
-        f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks", markup=False,
+        f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks", wrap=True,
     )  # fmt: skip
     if left is not None:
         print(f"report: {_report(options, left, done, log.reader)}")

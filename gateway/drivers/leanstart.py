@@ -13,6 +13,7 @@ import importlib
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import ModuleType
 
 
 @contextmanager
@@ -31,6 +32,15 @@ def python_can() -> None:
     """Load python-can without MF4; `dbc.otherlogs.mf4_module` makes up for it."""
     with absent("asammdf"):
         importlib.import_module("can")
+
+
+def pydantic() -> None:
+    """Load no plugins of it: to look for some it reads the names of all that is installed."""
+    name = "pydantic.plugin._loader"
+    if name not in sys.modules:
+        none = ModuleType(name)
+        vars(none)["get_plugins"] = tuple
+        sys.modules[name] = none
 
 
 @contextmanager
