@@ -6,6 +6,7 @@ A record is read by name, `state[c]["counter"]`; its fields, units and meanings 
 from __future__ import annotations
 
 from copy import deepcopy
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +23,7 @@ _NAMES: Final = {"_cffi_double_complex_t": "complex128", "size_t": "uintp"}
 """Where cffi's name is not NumPy's."""
 
 
+@cache
 def dtype_of(ctype: Any) -> Any:
     """The NumPy type of a C type: struct, array, integer, floating-point number or address."""
     if ctype.kind == "struct":
@@ -140,10 +142,6 @@ PLAUSIBILITY: Final = dtype_of(ffi.typeof("struct plausibility"))
 MOTION_MONITOR: Final = dtype_of(ffi.typeof("struct motion_monitor"))
 INTEGRITY: Final = dtype_of(ffi.typeof("struct integrity"))
 GATEWAY: Final = dtype_of(ffi.typeof("struct gateway"))
-LAYOUT: Final = " ".join(
-    f"{name} {dtype_of(ffi.typeof(f'struct {name}'))}" for name in ffi.list_types()[1]
-)
-"""What compiled loops depend on that address these records."""
 
 
 class Addressed:

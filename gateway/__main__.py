@@ -1,8 +1,6 @@
 """`python -m gateway` is `traction-gateway`."""
 
-import sys
-
-from gateway.cli import main
+from gateway.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

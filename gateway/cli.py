@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NoReturn
 
 BEGAN_S = time.monotonic()
 """When this program started, for what is measured from there."""
@@ -43,6 +43,10 @@ _DRIVES = {"demo", "sim", "hil"}
 _SERVICES = (["run"], ["monitor"])
 """Verbs that go on until they are told to stop: a signal is how they end, and they say how it was.
 """
+
+
+_BRIEF = {"replay", "check", "convert", "calibrate", "keygen", "sign", "verify"}
+"""Verbs that leave nothing behind that works on."""
 
 
 def _module(verb: str) -> Any:
@@ -127,7 +131,8 @@ def _run(words: list[str]) -> int:
     leanstart.pydantic()
     form = _log_format(words)
     limit = logs.begin(logging.WARNING, form)
-    parser = _parser(words)
+    with leanstart.unsearched():
+        parser = _parser(words)
     options = parser.parse_args(words)
     if options.version:
         from importlib.metadata import version
@@ -176,5 +181,15 @@ def _is_users(error: Exception) -> bool:
     return isinstance(error, ConfigError | OSError) or type(error).__name__ in named
 
 
+def program() -> NoReturn:
+    """The command line as a program of its own."""
+    code = main()
+    if _BRIEF.intersection(sys.argv[1:2]):
+        from gateway.drivers import endings
+
+        endings.leave(code)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

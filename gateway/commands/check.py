@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dbc.text import printable
 from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, note, prepare
 from gateway.config import ConfigError
+from gateway.drivers import leanstart
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,6 +40,7 @@ def more_arguments(parser: argparse.ArgumentParser) -> None:
     add_bus(parser)
 
 
+@leanstart.unsearched()
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work, or would never tell a loss."""
     from gateway import calibration, foreign

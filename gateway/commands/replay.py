@@ -20,6 +20,7 @@ from gateway.commands.common import (
     verdict_of_input,
 )
 from gateway.config import ConfigError
+from gateway.drivers import leanstart
 
 if TYPE_CHECKING:
     from dbc.block import Block
@@ -62,18 +63,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
-    from dbc.ahead import ahead
-    from dbc.block import block_of
-    from dbc.candump import Writer
-    from gateway.core import Gateway
-    from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
-    from gateway.results.record import Recorder
-    from gateway.results.whole import whole
+    with leanstart.unsearched():
+        from dbc.ahead import ahead
+        from dbc.block import block_of
+        from dbc.candump import Writer
+        from gateway.core import Gateway
+        from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
+        from gateway.results.record import Recorder
+        from gateway.results.whole import whole
 
-    changes: dict[str, Any] = (
-        {"adhesion": {"detector": options.detector}} if options.detector else {}
-    )
-    config, codec = prepare(options.config, signature=options, **changes)
+        changes: dict[str, Any] = (
+            {"adhesion": {"detector": options.detector}} if options.detector else {}
+        )
+        config, codec = prepare(options.config, signature=options, **changes)
     if options.output and options.output.exists() and options.output.samefile(options.log):
         raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
     log = open_log(options.log, options.strict)

@@ -8,6 +8,7 @@ exit code.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Final, TextIO
+from typing import Final, NoReturn, TextIO
 
 OF_A_SIGNAL: Final = 128
 """Exit code of a program that signal n has ended, less n, as shells have it."""
@@ -126,6 +127,26 @@ def flush() -> None:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:  # where a program was started without
             stream.flush()
+
+
+def leave(code: int) -> NoReturn:
+    """End the program with what was registered for its end, without taking its modules apart.
+
+    Of a short command that takes a sixth of its time, and all it does is to give memory back. Where
+    other threads or processes still work, it ends as usual.
+    """
+    working = threading.active_count() > 1 or _children()
+    if not working:
+        atexit._run_exitfuncs()  # noqa: SLF001 nothing public does it
+        silence()
+        os._exit(code)
+    sys.exit(code)
+
+
+def _children() -> bool:
+    """Whether there are child processes; nobody has any who has not loaded `multiprocessing`."""
+    loaded = sys.modules.get("multiprocessing")
+    return bool(loaded and loaded.active_children())
 
 
 def silence() -> None:

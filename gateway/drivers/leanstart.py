@@ -44,16 +44,23 @@ def pydantic() -> None:
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
-    """No search for garbage meanwhile, nor later among what was made: nearly all of it stays.
-
-    `gc.unfreeze` ends that; see `live.frozen_garbage`.
-    """
+def unsearched() -> Iterator[None]:
+    """No search for garbage meanwhile: what a start makes stays, and is searched repeatedly."""
     before = gc.isenabled()
     gc.disable()
     try:
         yield
-        gc.freeze()
     finally:
         if before:
             gc.enable()
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """The same, nor later among what was made.
+
+    `gc.unfreeze` ends that; see `live.frozen_garbage`.
+    """
+    with unsearched():
+        yield
+        gc.freeze()
