@@ -19,6 +19,8 @@ from dbc.spec import MessageSpec, SignalSpec
 TABLE: Final = Path(__file__).with_name("prepared.json")
 _MESSAGE: Final = tuple(field.name for field in fields(MessageSpec))
 _SIGNAL: Final = tuple(field.name for field in fields(SignalSpec))
+_PROFILE, _DATA_IDS, _SIGNALS = map(_MESSAGE.index, ("profile", "data_ids", "signals"))
+_LABELS, _RANGES = map(_SIGNAL.index, ("labels", "mux_ranges"))
 
 
 def recall(content: bytes, table: Path = TABLE) -> tuple[MessageSpec, ...] | None:
@@ -51,21 +53,19 @@ def table_of(files: Iterable[tuple[bytes, Sequence[MessageSpec]]]) -> str:
 
 def _row(spec: MessageSpec) -> list[Any]:
     row = [getattr(spec, name) for name in _MESSAGE]
-    row[_MESSAGE.index("data_ids")] = spec.data_ids.hex()
-    row[_MESSAGE.index("signals")] = [[getattr(s, name) for name in _SIGNAL] for s in spec.signals]
+    row[_DATA_IDS] = spec.data_ids.hex()
+    row[_SIGNALS] = [[getattr(s, name) for name in _SIGNAL] for s in spec.signals]
     return row
 
 
-def _message(row: Sequence[Any]) -> MessageSpec:
-    given = dict(zip(_MESSAGE, row, strict=True))
-    given["profile"] = Profile(given["profile"])
-    given["data_ids"] = bytes.fromhex(given["data_ids"])
-    given["signals"] = tuple(_signal(signal) for signal in given["signals"])
-    return MessageSpec(**given)
+def _message(row: list[Any]) -> MessageSpec:
+    row[_PROFILE] = Profile(row[_PROFILE])
+    row[_DATA_IDS] = bytes.fromhex(row[_DATA_IDS])
+    row[_SIGNALS] = tuple(_signal(signal) for signal in row[_SIGNALS])
+    return MessageSpec(*row)
 
 
-def _signal(row: Sequence[Any]) -> SignalSpec:
-    given = dict(zip(_SIGNAL, row, strict=True))
-    given["labels"] = {int(raw): label for raw, label in given["labels"].items()}
-    given["mux_ranges"] = tuple((low, high) for low, high in given["mux_ranges"])
-    return SignalSpec(**given)
+def _signal(row: list[Any]) -> SignalSpec:
+    row[_LABELS] = {int(raw): label for raw, label in row[_LABELS].items()}
+    row[_RANGES] = tuple((low, high) for low, high in row[_RANGES])
+    return SignalSpec(*row)

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from dbc.bounds import within
 from dbc.text import read_bytes, read_toml
@@ -36,7 +36,13 @@ Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
 Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
-class MotorHeat(Strict):
+class Deferred(Strict):
+    """Built when a calibration is read: most configurations have none."""
+
+    model_config = ConfigDict(defer_build=True)
+
+
+class MotorHeat(Deferred):
     """One motor's thermal model, see `estimators.thermal.model` and `monitor.Known`.
 
     rates: of its lumps, in the order of `model.NAMES`; offset_k: of the sensors; centre_k: what it
@@ -49,7 +55,7 @@ class MotorHeat(Strict):
     noise_k: tuple[Noise, Noise, Noise]
 
 
-class FleetHeat(Strict):
+class FleetHeat(Deferred):
     """What the motors' models have in common.
 
     scale: of the disturbances that every motor has; duty: mean speed rad/s, mean squared current
@@ -60,7 +66,7 @@ class FleetHeat(Strict):
     duty: tuple[Duty, Duty, Duty, Duty]
 
 
-class MotorCalibration(Strict):
+class MotorCalibration(Deferred):
     """One motor: how it differs from the fleet in health, and how its sensors behave.
 
     A healthy reading is offset + gain x the fleet's mean: the offset is the sensor's and the
@@ -75,7 +81,7 @@ class MotorCalibration(Strict):
     heat: MotorHeat | None = None
 
 
-class Calibration(Strict):
+class Calibration(Deferred):
     """The fleet: MAISD limits per point and every motor's centring.
 
     window_s: averaging window the limits were measured with.

@@ -56,8 +56,9 @@ def _module(verb: str) -> Any:
 def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentParser:
     """The parser; only the verb in use is imported, so that `--help` stays quick.
 
-    Nor are options made that no word can be: `whole` makes them all.
+    Nor are other verbs and options made that no word can be: `whole` makes them all.
     """
+    asked = words[:1] if words and words[0] in VERBS and not whole else VERBS
     plain = not whole and len(words) == 2 and not words[1].startswith("-")
     parser = argparse.ArgumentParser(
         prog="traction-gateway",
@@ -65,7 +66,8 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB")
-    for verb, text in VERBS.items():
+    for verb in asked:
+        text = VERBS[verb]
         sub = verbs.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
         sub.add_argument("-v", "--verbose", action="count", default=0, help="more on stderr")
         sub.add_argument("--log-format", choices=("text", "json"), default="text",

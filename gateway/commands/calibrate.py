@@ -5,18 +5,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dbc.block import Block
-from dbc.codec import Codec
-from dbc.frame import Frame
-from gateway.calibration import to_toml
 from gateway.commands.common import GOOD, add_config, prepare, shown, track_file
-from gateway.config import Config
-from gateway.core import Gateway
-from gateway.drivers.replay import OneChannel, open_log, replay
-from gateway.results.calibrating import Learner
-from gateway.results.whole import write_text
-from gateway.thermal import NO_MODEL
+
+if TYPE_CHECKING:
+    from dbc.block import Block
+    from dbc.codec import Codec
+    from dbc.frame import Frame
+    from gateway.config import Config
+    from gateway.core import Gateway
+    from gateway.results.calibrating import Learner
 
 HELP = "thermal limits from fault-free logs"
 MARGIN = 1.5
@@ -33,6 +32,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read the temperatures through the gateway's own inbox and write the calibration."""
+    from gateway.calibration import to_toml
+    from gateway.drivers.replay import OneChannel, open_log
+    from gateway.results.calibrating import Learner
+    from gateway.results.whole import write_text
+    from gateway.thermal import NO_MODEL
+
     config, codec = prepare(options.config)
     # Whatever was learnt before says nothing now.
     thermal = config.thermal.model_copy(update={"calibration": None})
@@ -55,6 +60,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
     """One log through the gateway, the learner looking on."""
+    from gateway.core import Gateway
+    from gateway.drivers.replay import replay
 
     def make(start: int) -> Gateway:
         gateway = Gateway(config, codec, start)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -14,8 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from gateway.cli import VERBS, main
+from gateway.commands.common import console, note
 from gateway.config import ConfigError
 from gateway.drivers import leanstart
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "train.toml"
 
 RUN = """
 import sys
@@ -125,3 +130,106 @@ code = main(["replay", "x.log", "-o", "y.log"])
 print([m for m in ("asammdf", "pandas", "pyarrow") if m in sys.modules], code)
 """
     assert program(tmp_path, text) == "[] 0"
+
+
+RICH = ("FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS")
+"""Variables by which rich decides, terminal or not."""
+BRIEF = """
+import sys
+from gateway.cli import main
+code = main(sys.argv[1:])
+print([m for m in {names} if m in sys.modules], code)
+"""
+UNUSED = ("scipy", "matplotlib", "cantools", "canopen", "rich", "asyncio", "sklearn", "pywt",
+          "cryptography", "asammdf", "pandas", "pyarrow", "starlette", "textual")  # fmt: skip
+
+
+def brief(folder: Path, names: tuple[str, ...], *words: str) -> str:
+    """What of these a command has loaded, and its exit code."""
+    done = subprocess.run(
+        [sys.executable, "-c", BRIEF.format(names=names), *words],
+        capture_output=True, text=True, check=True, cwd=folder,
+        env={k: v for k, v in os.environ.items() if k not in RICH},
+    )  # fmt: skip
+    return done.stdout.splitlines()[-1]
+
+
+def test_check_loads_what_it_needs(tmp_path: Path) -> None:
+    """The simulator, NumPy and pydantic; python-can for who names a bus."""
+    assert brief(tmp_path, (*UNUSED, "can"), "check", str(EXAMPLE)) == "[] 0"
+    said = brief(tmp_path, ("scipy", "can"), "check", str(EXAMPLE), "-i", "virtual", "-c", "x")
+    assert said == "['can'] 0"
+
+
+def test_replay_loads_what_it_needs(tmp_path: Path) -> None:
+    (tmp_path / "x.log").write_text("(1.000000) can0 123#00\n")
+    words = ("replay", "x.log", "--config", str(EXAMPLE), "-o", "y.log")
+    assert brief(tmp_path, (*UNUSED, "can", "sim"), *words) == "[] 0"
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_loads_no_numpy(verb: str) -> None:
+    """Nor what would load it; where it has options of a bus, these are python-can's."""
+    text = f"""
+import sys
+from gateway.cli import main
+try:
+    main(["{verb}", "--help"])
+except SystemExit as ended:
+    print([m for m in ("numpy", "scipy", "matplotlib") if m in sys.modules], ended.code)
+"""
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[] 0"
+
+
+def test_options_of_a_bus_are_part_of_the_help_and_of_what_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for words in (["check", "--help"], ["check"], ["check", "x.toml", "--bitrate", "much"]):
+        with pytest.raises(SystemExit):
+            main(words)
+        out, err = capsys.readouterr()
+        assert "--data-bitrate" in out + err, words
+
+
+def test_a_line_that_is_piped_is_as_rich_would_print_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in RICH:
+        monkeypatch.delenv(name, raising=False)
+    words = "replayed 21.00 s of can0 in 0.18 s (120 times real time), 2101 ticks"
+    for text in (words, 3 * words, "[red]x[/red]", "a:smile: b: c", "12:30 \u2603", "tab\tx", ""):
+        for wrap in (False, True):
+            note(text, wrap=wrap)
+            ours = capsys.readouterr().err
+            console().print(text, markup=False, soft_wrap=not wrap)
+            assert ours == capsys.readouterr().err, (text, wrap)
+
+
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_what_ends_at_once_has_printed_all_and_done_what_was_registered(
+    verb: str, tmp_path: Path
+) -> None:
+    (tmp_path / "x.log").write_text("(1.000000) can0 123#00\n")
+    text = """
+import atexit, sys
+from gateway.cli import program
+atexit.register(lambda: open("ended", "w").write("yes"))
+atexit.register(print, "the end")
+program()
+"""
+    file = str(EXAMPLE) if verb == "check" else "x.log"
+    done = subprocess.run(
+        [sys.executable, "-c", text, verb, file], capture_output=True, text=True, check=False,
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert done.stdout.endswith("the end\n")
+    assert len(done.stdout.splitlines()) > 3
+    assert (tmp_path / "ended").read_text() == "yes"
+    done = subprocess.run(
+        [sys.executable, "-c", text, verb, "missing"], capture_output=True, text=True, check=False,
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "missing: no such file" in done.stderr
