@@ -6,7 +6,8 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -99,6 +100,15 @@ def prepare(
     codec = bind(config.dbc_path, config.nodes)
     check_digest(config, codec.digest)
     return config, codec
+
+
+def need(modules: Sequence[str], extra: str) -> None:
+    """Raises ConfigError that says what to install where any of them is not there."""
+    missing = [name for name in modules if find_spec(name) is None]
+    if missing:
+        raise ConfigError(
+            f"needs {', '.join(missing)}", [f"pip install 'traction-gateway[{extra}]'"]
+        )  # fmt: skip
 
 
 def scenario_thermal() -> dict[str, str]:

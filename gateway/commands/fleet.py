@@ -7,12 +7,11 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import FAILED, GOOD, add_config, console
+from gateway.commands.common import FAILED, GOOD, add_config, console, need
 
 if TYPE_CHECKING:
     from gateway.drivers.fleet_logs import Job
@@ -42,22 +41,12 @@ def _jobs(text: str) -> int:
     return int(text)
 
 
-def need(*modules: str) -> None:
-    """Raises ConfigError that says what to install where any of them is not there."""
-    from gateway.config import ConfigError
-
-    missing = [name for name in modules if find_spec(name) is None]
-    if missing:
-        cure = "pip install 'traction-gateway[fleet]'"
-        raise ConfigError(f"needs {', '.join(missing)}", [cure])
-
-
 def run(options: argparse.Namespace) -> int:
     """Do the logs, write the tables, say what came out.
 
     Exit 1 if any log is bad, left over, or more than 1 % of it was dropped.
     """
-    need("distributed", "pyarrow")
+    need(("distributed", "pyarrow"), "fleet")
     from gateway.config import load
     from gateway.drivers import fleet
     from gateway.drivers.fleet_logs import find, settings_for

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, console
-from gateway.commands.fleet import need
+from gateway.commands.common import GOOD, console, need
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +18,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
-    need("pyarrow")
+    need(("pyarrow",), "fleet")
     from gateway.results.fleet_thresholds import measure, to_toml
     from gateway.results.whole import write_text
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.commands import monitor_web
-from gateway.commands.common import GOOD, add_bus, add_config, positive_seconds, prepare
+from gateway.commands.common import GOOD, add_bus, add_config, need, positive_seconds, prepare
 
 if TYPE_CHECKING:
     from gateway.monitor.sources import Source
@@ -71,17 +70,6 @@ def run(options: argparse.Namespace) -> int:
     if app.problem is not None:
         raise app.problem
     return GOOD
-
-
-def need(modules: Sequence[str], extra: str) -> None:
-    """Raises ConfigError that says what to install where any of them is not there."""
-    from gateway.config import ConfigError
-
-    missing = [name for name in modules if find_spec(name) is None]
-    if missing:
-        raise ConfigError(
-            f"needs {', '.join(missing)}", [f"pip install 'traction-gateway[{extra}]'"]
-        )  # fmt: skip
 
 
 def open_source(options: argparse.Namespace) -> Source:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import GOOD, console
+from gateway.commands.common import GOOD, console, need
 
 if TYPE_CHECKING:
     from gateway.results.reproduction_report import Outcome
@@ -60,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _thermal(folder: Path) -> int:
+    need(("pywt", "sklearn"), "papers")
     from gateway.commands import reproduce_thermal as thermal
     from gateway.results.thermal_report import table
 
