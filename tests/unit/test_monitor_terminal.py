@@ -334,7 +334,7 @@ def test_what_cannot_be_shown_is_one_line(capsys, log, monkeypatch, tmp_path):
     assert "for a log" in refused(capsys, "-i", "virtual", "-c", "x", "--at", "3")
     assert "name one" in refused(capsys)
     monkeypatch.setitem(sys.modules, "textual", None)
-    monkeypatch.setattr("gateway.commands.monitor.find_spec", lambda name: None)
+    monkeypatch.setattr("gateway.commands.common.find_spec", lambda name: None)
     assert "traction-gateway[monitor]" in refused(capsys, log)
 
 
