@@ -35,8 +35,8 @@ from gateway.drivers.scheduling import be_ordinary, be_realtime
 from gateway.drivers.socketcan import SocketCan
 from gateway.drivers.transport import SendResult
 from gateway.drivers.wire import pack
-from gateway.inbox import Inbox
 from gateway.supervision import Supervision
+from tests.stations import Inbox
 
 HEADER = ("figure", "p50", "p99", "p99.9", "of the period", "reference in the same run")
 SECONDS: Final = 12

@@ -21,10 +21,11 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.calibration import POINTS, Calibration, MotorCalibration
 from gateway.config import Thermal
 from gateway.core import SENSOR
-from gateway.flags import Timing, debounce, flag
+from gateway.flags import Timing
 from gateway.inbox import Temperatures
 from gateway.results.calibrating import Learner
 from gateway.thermal import ThermalSide
+from tests.stations import debounce, flag
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "temperatures"
 TICK_NS: Final = 10 * MS

@@ -22,7 +22,6 @@ from bench.speed import best, quiet
 from bench.wire import log_of, whole
 from dbc.block import Block
 from dbc.codec import Codec, bind
-from dbc.records import pointer
 from gateway.config import Config, shipped_dbc
 from gateway.core import Gateway
 
@@ -72,11 +71,11 @@ def stations(gateway: Gateway) -> dict[str, Callable[..., object]]:
     g: Any = gateway.pointer
     receiver, inputs, status = g.receiver, g.inputs, g.status
 
-    def receive(at: tuple[Any, ...], n: int, now: int) -> None:
-        lib.receive_frames(receiver, n, *at, now)
+    def receive(at: Any, n: int, now: int) -> None:
+        lib.receive_frames(receiver, at, 0, n, now)
         lib.check_integrity(g.integrity, receiver.tick.own, now)
         lib.bus_load_tick(g.load, now)
-        lib.bus_load_receive(g.load, receiver, n, at[1], at[2], at[3])
+        lib.bus_load_receive(g.load, receiver, at, 0, n)
 
     def timeouts(_at: object, _n: int, now: int) -> None:
         lib.check_timeouts(receiver, now)
@@ -112,11 +111,7 @@ def one_by_one(recorded: Recorded, ticks: list[tuple[Block, int]]) -> dict[str, 
     spent: dict[str, list[float]] = {name: [] for name in calls}
     sent: list[bytes] = []
     for block, now in ticks:
-        at = (
-            pointer("int64_t", block.t_ns), pointer("uint32_t", block.can_id),
-            pointer("uint8_t", block.flags), pointer("uint8_t", block.length),
-            pointer("uint8_t", block.data),
-        )  # fmt: skip
+        at = block.columns()
         gateway.pointer.sent_count = 0
         for name, call in calls.items():
             began = time.perf_counter()

@@ -25,8 +25,8 @@ from dbc.codec import Codec, bind
 from dbc.contract import ANY
 from dbc.frame import MS
 from gateway.config import shipped_dbc
-from gateway.inbox import Inbox
 from gateway.supervision import Supervision
+from tests.stations import Inbox
 
 HEADER = ("figure", "measured", "reference in the same run", "ratio")
 SECONDS: Final = 60.0

@@ -71,7 +71,6 @@ class AdhesionMonitor(Addressed):
             "workspace",
         ):  # fmt: skip
             self.record[name] = getattr(self, name).ctypes.data
-        self.address = self.record.ctypes.data
         self._pointer = pointer("struct adhesion", self.record)
         self.common_mode = self.record["common_mode"]
         """One flag: whether all drives have lost adhesion at once."""

@@ -16,6 +16,7 @@ from dbc.frame import MS, SECOND, Nanos
 from dbc.records import (
     ACQUISITION,
     CURRENT_CALIBRATION,
+    DRIVE_ESTIMATE,
     ESTIMATOR,
     FILTER,
     FILTER_SAMPLE,
@@ -27,9 +28,9 @@ from dbc.records import (
 )
 from estimators import acquisition, filters
 from estimators.models import pmsm
-from gateway import tracks
 from gateway.channel import SAMPLE_NS
 from gateway.config import Estimator, Motor
+from gateway.health import Reason
 
 SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS
 """Sub-steps (60 ms) a new filter runs before its load is valid."""
@@ -38,15 +39,12 @@ SAMPLES_AT_FIRST: Final = 512
 
 
 class Bank(Addressed):
-    """A `struct estimator` with everything that it points to; `run` once per tick changes it.
+    """A `struct estimator` with everything that it points to; a tick changes it.
 
-    estimates: `drive_estimate` of every drive; told: its fields.
+    estimates: `drive_estimate` of every drive.
     """
 
-    told: tracks.Told
-    address: int
     _pointer: Any
-    _estimates: Any
 
     def __init__(
         self,
@@ -68,7 +66,7 @@ class Bank(Addressed):
         self.sensors, self.tracks = zeros(n, CURRENT_CALIBRATION), zeros(n, FILTER_TRACK)
         self.samples = zeros(SAMPLES_AT_FIRST, FILTER_SAMPLE)
         """Of the last tick, with their `nis`."""
-        self.estimates = tracks.estimates(n)
+        self.estimates = estimates(n)
         self.record = np.zeros(1, ESTIMATOR)
         self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
         self.record["settings"] = filters.settings(SAMPLE_NS * 1e-9, config.kind)
@@ -85,10 +83,7 @@ class Bank(Addressed):
             "samples",
         ):  # fmt: skip
             self.record[name] = getattr(self, name).ctypes.data
-        self.address = self.record.ctypes.data
         self._pointer = pointer("struct estimator", self.record)
-        self._estimates = pointer("struct drive_estimate", self.estimates)
-        self.told = tracks.told_of(self.estimates)
         self.x, self.P = self.filters.x, self.filters.P
 
     def make_room(self, samples: int) -> None:
@@ -97,13 +92,14 @@ class Bank(Addressed):
             self.samples = zeros(samples, FILTER_SAMPLE)
             self.link()
 
-    def run(self, receiver: Any, inputs: Records, now: Nanos) -> None:
-        """`run_filters`; receiver: `struct receiver *`; inputs: `input_status` (N,).
 
-        There has to be room for its samples.
-        """
-        valid = pointer("struct input_status", inputs)
-        lib.run_filters(self._pointer, receiver, valid, self._estimates, now)
+def estimates(n: int) -> Records:
+    """`drive_estimate` of N drives of which nothing is known."""
+    made = np.zeros(n, DRIVE_ESTIMATE)
+    for name in ("speed_rad_s", "load_nm", "load_sigma_nm", "nis", "flux_ratio"):
+        made[name] = np.nan
+    made["health_reason"] = Reason.STARTING
+    return made
 
 
 def _noise(par: pmsm.Pmsm, rated: pmsm.Rated, config: Estimator, step_a: float) -> pmsm.Noise:

@@ -40,9 +40,8 @@ class BusLoad(Addressed):
         """Count what came in a tick but for the receiver's own; None: there are none."""
         lib.bus_load_tick(self.pointer, now)
         lib.bus_load_receive(
-            self.pointer, ffi.NULL if receiver is None else receiver.pointer, block.size,
-            ffi.from_buffer("uint32_t[]", block.can_id),
-            ffi.from_buffer("uint8_t[]", block.flags), ffi.from_buffer("uint8_t[]", block.length),
+            self.pointer, ffi.NULL if receiver is None else receiver.pointer, block.columns(), 0,
+            block.size,
         )  # fmt: skip
 
     def percent(self, now: Nanos) -> float | None:

@@ -6,24 +6,24 @@ change are in `gateway/core/receive.c`. A `Channel` shows one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Final, NamedTuple, Protocol
+from typing import Final
 
 import numpy as np
 from _traction_core import lib
-from numpy.typing import NDArray
 
 from dbc import e2e
 from dbc.frame import Nanos
-from dbc.records import CHANNEL, SEQUENCE_GUARD, Records, pointer
+from dbc.records import CHANNEL, SEQUENCE_GUARD, Records
 from dbc.spec import MessageSpec
 from gateway.health import Reason
 
-Ints = NDArray[np.int64]
-
 SAMPLE_NS: Final[Nanos] = 125_000
 """Spacing of the eight samples in a FD frame, and the filters' sub-step."""
+RPM: Final = 2.0 * math.pi / 60.0
+"""rad/s in one revolution per minute."""
 SHORTEST_STEP: Final = 0.75
 """Share of its period in which a counter step is a sign of a second sender."""
 
@@ -63,32 +63,11 @@ _KINDS: Final = {
 }
 
 
-class ChannelState(NamedTuple):
-    """Columns of the records that compiled loops read, (C,); stamps are -1 where there is none.
-
-    heard_ns: any frame; good_ns: one whose values could be used; reason: why the channel is unknown
-    now (`Reason`); seen_valid: its receiver was once valid; limit_ns: age limit.
-    """
-
-    heard_ns: Ints
-    good_ns: Ints
-    reason: NDArray[np.uint8]
-    seen_valid: NDArray[np.bool_]
-    limit_ns: Ints
-
-
-class HasState(Protocol):
-    """Whoever holds the records: `receiving.Receiver`."""
-
-    state: ChannelState
-    channels: Records
-
-
 class Channel:
     """Constants of one message, and its record."""
 
     __slots__ = (
-        "_receiver", "drive", "index", "kind", "limit_ns", "period_ns", "picked", "quality", "row",
+        "drive", "index", "kind", "limit_ns", "period_ns", "picked", "quality", "row",
         "spec", "steps",
     )  # fmt: skip
 
@@ -105,29 +84,9 @@ class Channel:
         self.quality = columns.get("Quality", -1)
         self.picked = tuple(columns[name] for name in USED[spec.kind] if name in columns)
 
-    def seat(self, row: int, receiver: HasState) -> None:
+    def seat(self, row: int) -> None:
         """Where its record is kept."""
-        self.row, self._receiver = row, receiver
-
-    @property
-    def good_ns(self) -> Nanos:
-        """Stamp of the last good value; -1 before any."""
-        return self._receiver.state.good_ns.item(self.row)
-
-    @property
-    def state(self) -> Reason:
-        """Why it is unknown; NONE if it is not."""
-        return Reason(self._receiver.state.reason.item(self.row))
-
-    @property
-    def seen_valid(self) -> bool:
-        """Whether it ever was valid."""
-        return self._receiver.state.seen_valid.item(self.row)
-
-    def fresh(self, now: Nanos) -> bool:
-        """True while the last good value is within the age limit and the channel is known."""
-        record = pointer("struct channel", self._receiver.channels) + self.row
-        return bool(lib.is_channel_fresh(record, now))
+        self.row = row
 
 
 def records(channels: Sequence[Channel]) -> Records:
@@ -156,11 +115,3 @@ def sequence_guards(periods_ns: Sequence[Nanos]) -> Records:
     for name in ("counter_ns", "error_ns", "rejected_until_ns"):
         found[name] = -1
     return found
-
-
-def state_of(channels: Records) -> ChannelState:
-    """Columns of these records."""
-    return ChannelState(
-        channels["received_ns"], channels["good_ns"], channels["reason"],
-        channels["was_valid"].view(np.bool_), channels["limit_ns"],
-    )  # fmt: skip

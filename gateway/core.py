@@ -33,7 +33,7 @@ from gateway import calibration, foreign, inputs
 from gateway.adhesion import AdhesionMonitor
 from gateway.bank import Bank
 from gateway.busload import BusLoad
-from gateway.channel import SAMPLE_NS
+from gateway.channel import RPM, SAMPLE_NS
 from gateway.config import Config, ConfigError
 from gateway.doubt import INTRUDER_HOLD_NS, Doubt
 from gateway.flags import FlagKind, Flags, Timing, rules, unknown_status
@@ -41,7 +41,6 @@ from gateway.health import REJECTED, Flag, GatewayState
 from gateway.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.motion import MotionMonitor, Timebase
 from gateway.outbox import Outbox
-from gateway.slow import RPM
 from gateway.supervision import Supervision
 from gateway.thermal import ThermalSide
 from gateway.translate import Translator

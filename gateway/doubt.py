@@ -26,7 +26,7 @@ FOREVER: Final[Nanos] = (1 << 63) - 1
 
 
 class Doubt(Addressed):
-    """Notes of the driver before a step, and what they come to; `tick` once per step.
+    """Notes of the driver before a step, and what they come to in a tick.
 
     record (1,): `struct integrity`.
     """
@@ -67,10 +67,6 @@ class Doubt(Addressed):
         """So many frames were dropped unread since the last step."""
         self.pointer.lost_frames += frames
 
-    def tick(self, now: Nanos, own: int) -> None:
-        """own: frames with our own identifiers received in this tick."""
-        lib.check_integrity(self.pointer, own, now)
-
     @property
     def watching(self) -> bool:
         """Whether frames with our identifiers can only be somebody else's."""
@@ -89,11 +85,6 @@ class Doubt(Addressed):
     def silent(self) -> bool:
         """Whether nothing is sent any more."""
         return bool(self.pointer.silent)
-
-    @property
-    def mute(self) -> bool:
-        """Whether nothing is sent in this tick: not in the one that finds an intruder."""
-        return bool(self.pointer.mute)
 
     @property
     def deadline_misses(self) -> int:

@@ -1,4 +1,4 @@
-"""Flags of N drives: their records, and the three steps of a tick. The rules are in C.
+"""Flags of N drives: their records. The rules are in C.
 
 What a flag follows and how long evidence must hold stands in `gateway/core/flags.c`, the fields of
 the records in `gateway/core/records.h`. May know: flags and reasons. May not know: frames, clocks.
@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from _traction_core import ffi, lib
+from _traction_core import lib
 
 from dbc.records import (
     DRIVE_EVIDENCE,
     DRIVE_STATUS,
-    FLAG,
     FLAG_INPUTS,
     FLAG_RULES,
     TRAIN_INPUTS,
@@ -68,13 +67,6 @@ def rules(
     return made
 
 
-def flag(start_ns: int) -> Records:
-    """One `flag`, unknown since `start_ns`."""
-    made = np.zeros(1, FLAG)
-    made["since_ns"] = start_ns
-    return made
-
-
 def unknown_status(n: int, detector: int, start_ns: int = 0) -> Status:
     """Of N drives of which nothing is known; detector: its number in the DBC."""
     drives, train = np.zeros(n, DRIVE_STATUS), np.zeros(1, TRAIN_STATUS)
@@ -90,19 +82,8 @@ def unknown_status(n: int, detector: int, start_ns: int = 0) -> Status:
     return Status(drives, train)
 
 
-def debounce(flag: Records, evidence: int, timing: Timing, tick_ns: int, now_ns: int) -> bool:
-    """Feed one tick of evidence (`Flag`, or `UNCHANGED`) to one flag; whether it has changed."""
-    by = ffi.new("struct flag_timing *", timing)
-    return bool(lib.debounce(_address("struct flag *", flag), evidence, by, tick_ns, now_ns))
-
-
-def loss_evidence(rules: Records, probability: float) -> int:
-    """Evidence of a probability of lost adhesion; `UNCHANGED` between the two thresholds."""
-    return int(lib.loss_evidence(_address("struct flag_rules *", rules), probability))
-
-
 class Flags(Addressed):
-    """Flags of N drives. A tick: fill `inputs` and `train_inputs`, then the three steps."""
+    """Records of N drives' flags: what a tick fills in, and what it makes of them."""
 
     def __init__(self, rules: Records, n: int, detector: int, start_ns: int) -> None:
         self.rules = rules
@@ -110,40 +91,9 @@ class Flags(Addressed):
         self.train_inputs = np.zeros(1, TRAIN_INPUTS)
         self.evidence = np.zeros(n, DRIVE_EVIDENCE)
         self.status = unknown_status(n, detector, start_ns)
-        self._n = n
         self.link()
 
     def link(self) -> None:
         """See `Addressed`."""
         self.adhesion = self.status.drives["flag"][:, FlagKind.ADHESION]
         """(N,) the adhesion flags, a view."""
-        self._rules = _address("struct flag_rules *", self.rules)
-        self._inputs = _address("struct flag_inputs *", self.inputs)
-        self._train_inputs = _address("struct train_inputs *", self.train_inputs)
-        self._evidence = _address("struct drive_evidence *", self.evidence)
-        self._drives = _address("struct drive_status *", self.status.drives)
-        self._train = _address("struct train_status *", self.status.train)
-
-    def note_train(self, integrity: Any, common_mode: int) -> None:
-        """Fill `train_inputs`: from a `struct integrity *` and the `Flag` of common mode."""
-        lib.fill_train_inputs(integrity, common_mode, self._train_inputs)
-
-    def collect_evidence(self) -> None:
-        """Fill `evidence` from the inputs of this tick."""
-        lib.collect_evidence(self._rules, self._train_inputs, self._inputs, self._n, self._evidence)
-
-    def debounce(self, now_ns: int) -> bool:
-        """Feed `evidence` to every flag; whether one has changed."""
-        return bool(lib.debounce_flags(self._rules, self._evidence, self._n, now_ns, self._drives))
-
-    def publish(self, now_ns: int) -> None:
-        """Fill everything else in `status`."""
-        lib.publish(
-            self._train_inputs, self._inputs, self._evidence, self._n, now_ns, self._drives,
-            self._train,
-        )  # fmt: skip
-
-
-def _address(ctype: str, records: Records) -> Any:
-    """A pointer to records; it keeps them alive."""
-    return ffi.from_buffer(ctype, records)

@@ -9,18 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-import numpy as np
-
-from dbc.block import Block, block_of
+from dbc.block import Block
 from dbc.codec import VALID, Codec
-from dbc.frame import Frame, Nanos
+from dbc.frame import Nanos
 from gateway import channel, inputs, receiving
 from gateway.channel import Channel
 from gateway.inputs import NONE
-from gateway.pairing import Samples
 from gateway.receiving import NAMES, Receiver
 from gateway.supervision import Supervision
 
@@ -49,46 +46,27 @@ class Temperatures(NamedTuple):
 
 
 class DriveInput:
-    """What one drive has sent: its channels, and its row of what is kept of all drives (SI)."""
+    """Channels of one drive."""
 
-    def __init__(self, row: int, node: int) -> None:
-        """row: its place in the records; `seat` says where these are."""
+    def __init__(self, node: int) -> None:
         self.node = node
         self.channels: dict[str, Channel] = {}
         self.electrical: tuple[Channel, ...] = ()
         self.limit_ns: Nanos = 0
         self.motion: Channel | None = None
         self.status: Channel | None = None
-        self._row = row
 
-    def seat(self, receiver: Receiver) -> None:
-        """All channels are there: note which carry what, and where records are kept."""
-        self._receiver = receiver
+    def seat(self) -> None:
+        """All channels are there: note which carry what."""
         self.motion, self.status = self.channels.get("Motion"), self.channels.get("Status")
         kinds = (SAMPLES,) if SAMPLES in self.channels else ELECTRICAL
         if all(kind in self.channels for kind in kinds):
             self.electrical = tuple(self.channels[kind] for kind in kinds)
             self.limit_ns = max(c.limit_ns for c in self.electrical)
 
-    @property
-    def speed(self) -> float | None:
-        """Rotor speed as last sent, rad/s."""
-        return _known(self._receiver.slow.speed.item(self._row))
-
-    @property
-    def irms(self) -> float | None:
-        """Current as last sent with a torque command, A."""
-        slow = self._receiver.slow
-        commanded = not math.isnan(slow.command.item(self._row))
-        return slow.irms.item(self._row) if commanded else None
-
-
-def _known(number: float) -> float | None:
-    return None if math.isnan(number) else number
-
 
 class Inbox:
-    """Per-tick entry of frames. Holds all receive state; `take` is the only mutator."""
+    """Entry of frames: all receive state."""
 
     def __init__(
         self, codec: Codec, nodes: Sequence[int], tick_ns: Nanos, supervision: Supervision
@@ -96,7 +74,7 @@ class Inbox:
         """Raises nothing: `bind` has already compared the DBC with the contract."""
         self.codec = codec
         self.supervision = supervision
-        self.drives = [DriveInput(row, node) for row, node in enumerate(nodes)]
+        self.drives = [DriveInput(node) for node in nodes]
         self.added: Counter[str] = Counter()
         """Frames that the receiver has not counted: emergencies, and those left out before it."""
         own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
@@ -115,9 +93,9 @@ class Inbox:
             receiving.id_table(keys, own, supervision.ids), supervision, MAX_GAP_NS,
         )  # fmt: skip
         for row, each in enumerate(self.channels):
-            each.seat(row, self.receiver)
+            each.seat(row)
         for drive in self.drives:
-            drive.seat(self.receiver)
+            drive.seat()
 
     def places(self, sum_limit_a: Sequence[float]) -> inputs.Places:
         """Which channels are whose. sum_limit_a: what a drive's phases may sum to, A."""
@@ -128,25 +106,6 @@ class Inbox:
             electrical = [c.row for c in drive.electrical]
             rows.append((min(mine), max(mine) + 1, electrical, slowly[0], slowly[1]))
         return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
-
-    @property
-    def restart(self) -> set[int]:
-        """Drives whose filter starts anew in this tick."""
-        return set(np.flatnonzero(self.receiver.drives["restart"]).tolist())
-
-    def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
-        """Accept the frames of one tick, in the order of their time stamps, then ids.
-
-        Returns them as a block, in that order.
-        """
-        block = frames if isinstance(frames, Block) else block_of(frames)
-        if block.size > self.receiver.rows:
-            self.receiver.make_room(2 * block.size)
-        if not self.receiver.receive(block, now):
-            block = block.ordered()
-            self.receiver.receive(block, now)
-        self.read_emergencies(block, 0)
-        return block
 
     def read_emergencies(self, block: Block, first: int) -> None:
         """Those of the last tick, whose frames begin at `first`."""
@@ -166,11 +125,6 @@ class Inbox:
             if count:
                 found[name] += count
         return found
-
-    @property
-    def samples(self) -> Samples:
-        """Of the last tick."""
-        return self.receiver.room.first(self.receiver.pointer.tick.samples)
 
     @property
     def temperatures(self) -> list[Temperatures]:

@@ -8,14 +8,13 @@ estimators.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-from _traction_core import lib
 from numpy.typing import NDArray
 
 from dbc.frame import Nanos
-from dbc.records import DRIVE_CHANNELS, INPUT_STATUS, Addressed, Records, pointer
+from dbc.records import DRIVE_CHANNELS, INPUT_STATUS, Records
 from gateway.health import Flag, Reason
 from gateway.receiving import Receiver
 
@@ -33,21 +32,6 @@ class Places(NamedTuple):
     channels: Records
     motion: NDArray[np.int32]
     status: NDArray[np.int32]
-
-
-class Inputs(NamedTuple):
-    """Fields of `input_status` of N drives, (N,), by short names.
-
-    cause: `reason`; fresh: `sample_fresh`; commanded: `command_valid`; speed: `speed_rad_s`;
-    suspect: `current_sum_fault`; comm.
-    """
-
-    cause: Bytes
-    fresh: Flags
-    commanded: Flags
-    speed: Array
-    suspect: Flags
-    comm: Bytes
 
 
 def places(
@@ -74,39 +58,10 @@ def statuses(n: int) -> Records:
     return made
 
 
-def columns(status: Records) -> Inputs:
-    """Fields of these records."""
-    return Inputs(
-        status["reason"], status["sample_fresh"].view(np.bool_),
-        status["command_valid"].view(np.bool_), status["speed_rad_s"],
-        status["current_sum_fault"].view(np.bool_), status["comm"],
-    )  # fmt: skip
-
-
-def inputs(n: int) -> Inputs:
-    """Of N drives of which nothing is known."""
-    return columns(statuses(n))
-
-
-class InputMonitor(Addressed):
-    """`input_status` of N drives, as `status`; `assess` once per tick fills it."""
-
-    columns: Inputs
-    _channels: Any
-    _status: Any
+class InputMonitor:
+    """`input_status` of N drives, as `status`; a tick fills it."""
 
     def __init__(self, receiver: Receiver, channels: Records) -> None:
         """channels: `drive_channels`."""
         self.receiver, self.channels = receiver, channels
         self.status = statuses(len(channels))
-        self.link()
-
-    def link(self) -> None:
-        """See `Addressed`."""
-        self.columns = columns(self.status)
-        self._channels = pointer("struct drive_channels", self.channels)
-        self._status = pointer("struct input_status", self.status)
-
-    def assess(self, intruder: bool, now: Nanos) -> None:
-        """`assess_inputs`, once the frames of a tick are in; `heartbeat_lost` is the caller's."""
-        lib.assess_inputs(self.receiver.pointer, self._channels, intruder, now, self._status)

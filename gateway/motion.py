@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
-from _traction_core import ffi, lib
+from _traction_core import ffi
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
@@ -73,12 +73,10 @@ class HasEstimates(Protocol):
 class MotionMonitor(Addressed):
     """`motion` and `plausibility` of N drives, (N,), as `motions` and `checks`.
 
-    `observe` once per tick. implausible (N,): drives whose input cannot be what it seems; address:
-    of the `motion_monitor`, for compiled loops. A copy is a monitor of its own.
+    implausible (N,): drives whose input cannot be what it seems. A copy is a monitor of its own.
     """
 
     implausible: Bytes
-    address: int
     pointer: Any
 
     def __init__(
@@ -120,12 +118,7 @@ class MotionMonitor(Addressed):
         for name, array in arrays.items():
             self.record[name] = array.ctypes.data
         self.implausible = self.motions["implausible"]
-        self.address = self.record.ctypes.data
         self.pointer = ffi.from_buffer("struct motion_monitor *", self.record)
-
-    def observe(self, now: Nanos) -> None:
-        """`observe_load`: changes the estimates to what is to be used."""
-        lib.observe_load(self.pointer, now)
 
 
 def _motions(motors: Sequence[Motor], config: Estimator, speed_step: float) -> Records:

@@ -1,4 +1,4 @@
-"""Samples: what `gateway/core/pairing.c` makes of messages with currents and voltages."""
+"""What is kept of a drive, and samples and readings of a tick, as `receive.c` fills them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,6 @@ from dbc.records import DRIVE_INPUT, Records
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-class PairState(NamedTuple):
-    """Columns of `struct drive_input` that compiled loops read, (N,).
-
-    sample_ns: stamp of the last sample, -1 none; sum_error: smoothed |Ia + Ib + Ic|, A.
-    """
-
-    sample_ns: Ints
-    sum_error: Array
 
 
 class Samples(NamedTuple):
@@ -43,6 +33,19 @@ class Samples(NamedTuple):
         )
 
 
+class Readings(NamedTuple):
+    """Measurements of one tick, in order of time, (R,).
+
+    drive, stamp, speed rad/s at the rotor, torque Nm, electrical angle rad, NaN where none is sent.
+    """
+
+    drive: Ints
+    t_ns: Ints
+    speed: Array
+    torque: Array
+    angle: Array
+
+
 def drive_inputs(drives: int) -> Records:
     """Of so many drives, of which nothing has been received: (N,) of `struct drive_input`."""
     found = np.zeros(drives, DRIVE_INPUT)
@@ -52,11 +55,6 @@ def drive_inputs(drives: int) -> Records:
         found[name] = np.nan
     found["operating"] = found["command_steady"] = 1
     return found
-
-
-def state_of(drives: Records) -> PairState:
-    """Columns of these records."""
-    return PairState(drives["sample_ns"], drives["current_sum"])
 
 
 def room(rows: int) -> Samples:
@@ -69,3 +67,9 @@ def room(rows: int) -> Samples:
         np.zeros(m, dtype=np.int64),
         np.zeros(m, dtype=np.int64),
     )
+
+
+def readings(rows: int) -> Readings:
+    """Room for so many."""
+    drive, t_ns = (np.zeros(rows, dtype=np.int64) for _ in range(2))
+    return Readings(drive, t_ns, np.zeros(rows), np.zeros(rows), np.zeros(rows))

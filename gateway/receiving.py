@@ -10,17 +10,15 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from dbc.block import ROOM, Block
+from dbc.block import ROOM
 from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.records import ID_ENTRY, RECEIVER, Addressed, Records
-from gateway import channel, pairing, slow
+from gateway import pairing
 from gateway.supervision import Supervision
 
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
-
-EXTENDED_SHIFT: Final = 31
 
 
 class Tally(IntEnum):
@@ -59,43 +57,11 @@ class Scratch(NamedTuple):
     foreign: Ints
 
 
-class Wiring(NamedTuple):
-    """Constants of channels that compiled loops read, (C,): columns of `struct channel`.
-
-    columns (C, 33): the signals used, the first `points` of them; quality: column of `Quality`, -1.
-    """
-
-    drive: NDArray[np.int32]
-    columns: NDArray[np.int32]
-    points: NDArray[np.int32]
-    quality: NDArray[np.int32]
-
-
-class Received(NamedTuple):
-    """`struct received`: what the frames of a tick left behind."""
-
-    accepted: int
-    samples: int
-    motions: int
-    temperatures: int
-    emergencies: int
-    restarts: int
-    own: int
-
-
 class Receiver(Addressed):
-    """A `struct receiver` with everything that it points to; columns of its records for others.
+    """A `struct receiver` with everything that it points to. A copy is a receiver of its own."""
 
-    address: of the record, for compiled loops. A copy is a receiver of its own.
-    """
-
-    state: channel.ChannelState
-    pairs: pairing.PairState
-    slow: slow.SlowState
-    wiring: Wiring
     tick: Records
     counters: Ints
-    address: int
     pointer: Any
 
     def __init__(
@@ -118,7 +84,7 @@ class Receiver(Addressed):
 
     def make_room(self, rows: int) -> None:
         """For so many frames of a tick."""
-        self.room, self.readings = pairing.room(rows), slow.readings(rows)
+        self.room, self.readings = pairing.room(rows), pairing.readings(rows)
         self.scratch = Scratch(
             channel=np.zeros(rows, dtype=np.int64),
             message=np.zeros(rows, dtype=np.int32),
@@ -149,33 +115,8 @@ class Receiver(Addressed):
         self.record["supervision"] = self.supervision.address
         for name, held in (("channel", self.channels), ("drive", self.drives), ("id", self.ids)):
             self.record[f"{name}_count"] = len(held)
-        self.address = self.record.ctypes.data
         self.pointer = ffi.from_buffer("struct receiver *", self.record)
         self.tick, self.counters = self.record["tick"], self.record["counters"][0]
-        self.state = channel.state_of(self.channels)
-        self.pairs, self.slow = pairing.state_of(self.drives), slow.state_of(self.drives)
-        self.wiring = Wiring(*(
-            self.channels[name] for name in ("drive", "columns", "column_count", "quality")
-        ))  # fmt: skip
-
-    def receive(self, block: Block, now: Nanos) -> bool:
-        """`receive_frames`, then `check_timeouts`.
-
-        False, and nothing is done, for frames in another order.
-        """
-        done = bool(lib.receive_frames(
-            self.pointer, block.size, ffi.from_buffer("int64_t[]", block.t_ns),
-            ffi.from_buffer("uint32_t[]", block.can_id), ffi.from_buffer("uint8_t[]", block.flags),
-            ffi.from_buffer("uint8_t[]", block.length), ffi.from_buffer("uint8_t[]", block.data),
-            now,
-        ))  # fmt: skip
-        if done:
-            lib.check_timeouts(self.pointer, now)
-        return done
-
-    def received(self) -> Received:
-        """What the last frames left behind."""
-        return Received(*self.tick.item(0))
 
 
 def id_table(

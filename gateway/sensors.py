@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from dbc.frame import SECOND, Nanos
 from dbc.records import TEMPERATURE_DRIVE, pointer
 from gateway.calibration import POINTS, MotorCalibration
-from gateway.health import FaultClass, FaultSensor
 from gateway.inbox import Temperatures
 
 HOLD_MARGIN: Final = 4.0
@@ -96,34 +95,3 @@ class SensorSide:
         return min(
             max(least, round(HOLD_MARGIN * cell.longest_hold_s[k] * SECOND)), LONGEST_HOLD_NS
         )
-
-    def fault(self, drive: int, k: int, now: Nanos) -> FaultClass:
-        """What is wrong with one sensor; UNKNOWN while it has never been heard.
-
-        NONE for a point that is not configured.
-        """
-        return FaultClass(lib.temperature_sensor_fault(self._drive(drive), k, now))
-
-    def valid(self, now: Nanos) -> NDArray[np.bool_]:
-        """(N, P): configured, heard and without fault."""
-        values, valid = np.empty(self.configured.shape), np.empty_like(self.configured)
-        lib.temperature_values(
-            self._drive(0), len(self.drives), now, pointer("double", values),
-            pointer("uint8_t", valid),
-        )  # fmt: skip
-        return valid
-
-    def not_yet_valid(self, drive: int) -> bool:
-        """True while a configured sensor has never given a valid value."""
-        return bool(lib.temperature_not_yet_valid(self._drive(drive)))
-
-    def verdict(self, drive: int, now: Nanos) -> tuple[FaultClass, FaultSensor]:
-        """The drive's first sensor fault and whose it is; (NONE, NONE) if there is none.
-
-        Where all sensors of a drive, at least two, are offset or lost since the same moment,
-        whichever way they went, no sensor is named (FaultSensor.NONE): what they
-        share has failed, the converter or the supply of their acquisition channel.
-        """
-        own = self._drive(drive)
-        kind, whose = lib.temperature_fault(own, now), lib.temperature_fault_sensor(own, now)
-        return FaultClass(kind), FaultSensor(whose)

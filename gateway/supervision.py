@@ -121,11 +121,6 @@ class Supervision(Addressed):
         self.pointer = ffi.from_buffer("struct supervision *", self.record)
 
     @property
-    def boots(self) -> dict[int, int]:
-        """Boot-up messages per node; more than one means that the drive restarted."""
-        return dict(zip(self.nodes, self.heartbeats["boots"].tolist(), strict=True))
-
-    @property
     def malformed(self) -> int:
         """Heartbeats and emergencies of a supervised node with a wrong format."""
         return self._malformed + int(self.record[0]["malformed"])
@@ -156,10 +151,6 @@ class Supervision(Addressed):
             code = data[0] | data[1] << 8
             self.emcy[node].add(Emergency(frame.t_ns, code, data[2], data[3:]))
         return True
-
-    def any_lost(self, now_ns: Nanos) -> bool:
-        """Whether `life` says lost of any node."""
-        return any(self._is_lost(row, now_ns) for row in range(len(self.nodes)))
 
     def _is_lost(self, row: int, now_ns: Nanos) -> bool:
         return bool(lib.is_node_lost(self.pointer, row, now_ns))

@@ -21,7 +21,6 @@ from dbc.records import (
     TEMPERATURE_MONITOR,
     THERMAL_INPUT,
     Addressed,
-    Records,
     pointer,
 )
 from estimators import maisd
@@ -32,7 +31,7 @@ from gateway.calibration import POINTS, Calibration
 from gateway.config import ConfigError
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import SAMPLE_NS, Sample, Wear
-from gateway.inbox import Inbox, Temperatures
+from gateway.inbox import Temperatures
 from gateway.inputs import NONE, Places
 from gateway.receiving import Receiver
 from gateway.sensors import SensorSide
@@ -78,7 +77,7 @@ class Window(NamedTuple):
 
 
 class ThermalSide(Addressed):
-    """All motors' temperatures (`struct temperature_monitor`); `hear` per tick."""
+    """All motors' temperatures (`struct temperature_monitor`)."""
 
     def __init__(
         self,
@@ -160,15 +159,10 @@ class ThermalSide(Addressed):
     def learning(self, wanted: bool) -> None:
         self.record["sum_seconds"] = wanted or self.model is not None
 
-    def hear(self, inbox: Inbox, now: Nanos, out: Records) -> None:
-        """One tick: accept its readings, advance, and report into out (N,) of `flag_inputs`."""
-        inputs = ffi.from_buffer("struct flag_inputs[]", out)
-        lib.monitor_temperatures(self.pointer, inbox.receiver.pointer, now, inputs)
-
     def take(
         self, readings: Sequence[Temperatures], now: Nanos, beside: Receiver | None = None
     ) -> None:
-        """As `hear`, of readings that came in no frame: a recording's; nothing is reported.
+        """One tick of readings that came in no frame: a recording's; nothing is reported.
 
         beside: what else the drives have sent, for the thermal model.
         """
@@ -199,11 +193,6 @@ class ThermalSide(Addressed):
     def spread(self) -> Array:
         """(P,) MAISD, K; NaN where there is none."""
         return np.asarray(self._windows["spread"][0])
-
-    def tell(self, now: Nanos, out: Records) -> None:
-        """Every motor's evidence into out (N,) of `flag_inputs`, where it can have changed."""
-        inputs = ffi.from_buffer("struct flag_inputs[]", out)
-        lib.report_temperatures(self.pointer, now, inputs)
 
     @property
     def wear(self) -> list[Wear]:

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway import inputs
-from gateway.bank import Bank
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
-from gateway.tracks import Told
+from tests.columns import Told
 from tests.receivers import Received
+from tests.stations import Bank
 
 
 class DriveEstimate(NamedTuple):

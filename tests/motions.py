@@ -6,13 +6,15 @@ from types import SimpleNamespace
 
 from dbc.records import ROTOR, zeros
 from estimators import acquisition, adaptation, current_calibration
-from gateway import inputs, tracks
+from gateway import inputs
+from gateway.bank import estimates as fresh_estimates
+from gateway.channel import RPM
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import NEVER
-from gateway.motion import MotionMonitor, Timebase
-from gateway.slow import RPM
+from gateway.motion import Timebase
 from tests.receivers import Received
 from tests.sender import MS
+from tests.stations import MotionMonitor
 
 TIMES = Timebase(2e-3, 10 * MS, 0.5 * RPM)
 
@@ -23,7 +25,7 @@ class Drives(MotionMonitor):
     def __init__(self, n, times=TIMES, motor=BENCH_MOTOR, step_a=0.1):
         self.came = Received(n)
         self.status = inputs.statuses(n)
-        estimates = tracks.estimates(n)
+        estimates = fresh_estimates(n)
         bank = SimpleNamespace(
             estimates=estimates, filters=adaptation.filters(n), chords=acquisition.start(n),
             sensors=current_calibration.start(n),

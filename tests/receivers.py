@@ -8,8 +8,7 @@ import numpy as np
 from _traction_core import ffi
 
 from dbc.records import CHANNEL, RECEIVER
-from gateway.pairing import drive_inputs, room
-from gateway.slow import readings
+from gateway.pairing import drive_inputs, readings, room
 
 
 class Received:

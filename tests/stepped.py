@@ -57,12 +57,11 @@ class Stepped(Gateway):
 
     def _receive(self, part: Block, now: Nanos) -> None:
         p, at = self.pointer, part.columns()
-        columns = (at.can_id, at.flags, at.length)
-        assert lib.receive_frames(p.receiver, part.size, at.t_ns, *columns, at.data, now)
+        assert lib.receive_frames(p.receiver, at, 0, part.size, now)
         lib.check_integrity(p.integrity, p.receiver.tick.own, now)
         if not p.is_translated:
             lib.bus_load_tick(p.load, now)
-            lib.bus_load_receive(p.load, p.receiver, part.size, *columns)
+            lib.bus_load_receive(p.load, p.receiver, at, 0, part.size)
         lib.check_timeouts(p.receiver, now)
         for k in range(p.drive_count):
             p.inputs[k].heartbeat_lost = lib.is_node_lost(p.receiver.supervision, k, now)

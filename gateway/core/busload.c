@@ -30,12 +30,12 @@ void bus_load_tick(struct bus_load *load, int64_t now_ns)
     load->busy_s = 0.0;
 }
 
-void bus_load_receive(struct bus_load *load, const struct receiver *receiver, int64_t frames,
-                      const uint32_t *can_id, const uint8_t *flags, const uint8_t *length)
+void bus_load_receive(struct bus_load *load, const struct receiver *receiver,
+                      const struct frame_columns *block, int64_t first, int64_t count)
 {
-    for (int64_t k = 0; k < frames; k++)
-        if (!receiver || lookup_id(receiver, can_id[k], flags[k]) != ID_OWN)
-            bus_load_send(load, flags[k] & FD, length[k]);
+    for (int64_t i = first; i < first + count; i++)
+        if (!receiver || lookup_id(receiver, block->can_id[i], block->flags[i]) != ID_OWN)
+            bus_load_send(load, block->flags[i] & FD, block->length[i]);
 }
 
 void bus_load_send(struct bus_load *load, int fd, uint8_t length)

@@ -7,10 +7,10 @@
 /* A tick begins: close the window if its second is over. */
 void bus_load_tick(struct bus_load *load, int64_t now_ns);
 
-/* Count received frames, columns of a block as in receive.h. The gateway's own are left out: they are
+/* Count received frames, rows of a block as in receive.h. The gateway's own are left out: they are
  * counted as they are sent. receiver: NULL where no frame is its own. */
-void bus_load_receive(struct bus_load *load, const struct receiver *receiver, int64_t frames,
-                      const uint32_t *can_id, const uint8_t *flags, const uint8_t *length);
+void bus_load_receive(struct bus_load *load, const struct receiver *receiver,
+                      const struct frame_columns *block, int64_t first, int64_t count);
 
 /* Count one sent frame; fd: 1 for CAN FD; length: number of its data bytes. */
 void bus_load_send(struct bus_load *load, int fd, uint8_t length);

@@ -203,55 +203,54 @@ static void note_row(struct receiver *receiver, int64_t row)
 /* ---- one tick */
 
 /* A frame that no channel receives, with a stamp: heartbeat, emergency or nobody's. */
-static void receive_other(struct receiver *receiver, int64_t owner, int64_t k, uint32_t can_id,
-                          uint8_t flags, uint8_t length, const uint8_t *data, int64_t t_ns)
+static void receive_other(struct receiver *receiver, int64_t owner, const struct frame *frame)
 {
     if (owner != ID_SUPERVISED) {
         receiver->counters[RX_UNKNOWN_ID]++;
-    } else if (can_id >= HEARTBEAT_BASE) {
+    } else if (frame->can_id >= HEARTBEAT_BASE) {
         struct supervision *all = receiver->supervision;
-        const int32_t node = all->row[(can_id - HEARTBEAT_BASE) % HEARTBEAT_NODES];
-        on_heartbeat(all, node, t_ns, length, !(flags & FD), data[0]);
+        const int32_t node = all->row[(frame->can_id - HEARTBEAT_BASE) % HEARTBEAT_NODES];
+        on_heartbeat(all, node, frame->t_ns, frame->length, !(frame->flags & FD), frame->data[0]);
         receiver->counters[RX_CANOPEN]++;
     } else {
-        receiver->emergency_rows[receiver->tick.emergencies++] = k;
+        receiver->emergency_rows[receiver->tick.emergencies++] = frame->row;
     }
 }
 
 /* A frame of a channel: kept for decoding if it may be used. */
-static void receive_channel(struct receiver *receiver, int64_t c, uint8_t flags, uint8_t length,
-                            const uint8_t *data, int64_t t_ns)
+static void receive_channel(struct receiver *receiver, int64_t c, const struct frame *frame)
 {
     struct channel *channel = &receiver->channels[c];
-    channel->received_ns = t_ns;
-    if (length != channel->e2e_config.length || (flags & FD) != channel->e2e_config.fd) {
+    const struct e2e_config *config = &channel->e2e_config;
+    channel->received_ns = frame->t_ns;
+    if (frame->length != config->length || (frame->flags & FD) != config->fd) {
         /* One with this identifier that cannot be this message is as bad as a wrong checksum. */
         receiver->counters[RX_WRONG_LENGTH]++;
         e2e_sm_check(&channel->e2e_state, E2E_P_ERROR);
         note_rejected(channel, REASON_CORRUPTED);
         return;
     }
-    if (!verify(receiver, channel, data, t_ns))
+    if (!verify(receiver, channel, frame->data, frame->t_ns))
         return;
     const int64_t row = receiver->tick.accepted++;
     receiver->channel[row] = c;
     receiver->message[row] = channel->message;
-    receiver->t_ns[row] = t_ns;
+    receiver->t_ns[row] = frame->t_ns;
     for (int b = 0; b < PAYLOAD_BYTES; b++)
-        receiver->payload[row * PAYLOAD_BYTES + b] = data[b];
+        receiver->payload[row * PAYLOAD_BYTES + b] = frame->data[b];
 }
 
 /* Any frame. */
-static void receive_frame(struct receiver *receiver, int64_t k, uint32_t can_id, uint8_t flags,
-                          uint8_t length, const uint8_t *data, int64_t t_ns, int64_t now_ns)
+static void receive_frame(struct receiver *receiver, const struct frame *frame, int64_t now_ns)
 {
+    const uint8_t flags = frame->flags;
     if (flags & (ERROR_FRAME | REMOTE)) {
         receiver->counters[flags & ERROR_FRAME ? RX_ERROR_FRAME : RX_REMOTE]++;
         if (!(flags & (ERROR_FRAME | EXTENDED)))
-            on_node_guard(receiver->supervision, can_id);
+            on_node_guard(receiver->supervision, frame->can_id);
         return;
     }
-    const int64_t owner = lookup_id(receiver, can_id, flags);
+    const int64_t owner = lookup_id(receiver, frame->can_id, flags);
     if (owner == ID_OWN) {
         receiver->counters[RX_OWN]++;
         receiver->tick.own++;
@@ -259,12 +258,12 @@ static void receive_frame(struct receiver *receiver, int64_t k, uint32_t can_id,
     }
     /* A heartbeat from the future would keep its node alive until then; below 0 there is no time. */
     const int64_t oldest = owner < 0 ? 0 : receiver->channels[owner].accepted_ns;
-    if (t_ns < 0 || t_ns > now_ns || t_ns < oldest)
+    if (frame->t_ns < 0 || frame->t_ns > now_ns || frame->t_ns < oldest)
         receiver->counters[RX_TIME_BACK]++;
     else if (owner < 0)
-        receive_other(receiver, owner, k, can_id, flags, length, data, t_ns);
+        receive_other(receiver, owner, frame);
     else
-        receive_channel(receiver, owner, flags, length, data, t_ns);
+        receive_channel(receiver, owner, frame);
 }
 
 static int in_order(int64_t frames, const int64_t *t_ns, const uint32_t *can_id)
@@ -314,17 +313,22 @@ void check_timeouts(struct receiver *receiver, int64_t now_ns)
     }
 }
 
-int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_ns,
-                   const uint32_t *can_id, const uint8_t *flags, const uint8_t *length,
-                   const uint8_t *data, int64_t now_ns)
+int receive_frames(struct receiver *receiver, const struct frame_columns *block, int64_t first,
+                   int64_t count, int64_t now_ns)
 {
-    if (!in_order(frames, t_ns, can_id))
+    if (!in_order(count, block->t_ns + first, block->can_id + first))
         return 0;
     start_tick(receiver);
-    receiver->received += frames;
-    for (int64_t k = 0; k < frames; k++) {
-        receive_frame(receiver, k, can_id[k], flags[k], length[k], data + k * PAYLOAD_BYTES,
-                      t_ns[k], now_ns);
+    receiver->received += count;
+    for (int64_t k = 0; k < count; k++) {
+        const int64_t i = first + k;
+        const struct frame frame = {k,
+                                    block->t_ns[i],
+                                    block->can_id[i],
+                                    block->flags[i],
+                                    block->length[i],
+                                    block->data + i * PAYLOAD_BYTES};
+        receive_frame(receiver, &frame, now_ns);
     }
     decode_frames(receiver->codec, receiver->tick.accepted, receiver->message, receiver->payload,
                   receiver->value, receiver->validity);

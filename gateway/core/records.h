@@ -978,7 +978,7 @@ struct receiver {
     double *sample_y; /* A, alpha and beta */
     int64_t *sample_steps;
     int64_t *sample_gap;
-    /* readings of Motion in the tick (gateway/slow.py) */
+    /* readings of Motion in the tick (gateway/pairing.py) */
     int64_t *motion_drive;
     int64_t *motion_t_ns;
     double *motion_speed;  /* rad/s */
@@ -1250,6 +1250,16 @@ struct frame_columns {
     uint8_t *data;     /* PAYLOAD_BYTES per row, 0 behind the length */
     int8_t *dlc;       /* -1: the length; else a raw length, or what a remote frame asks for */
     uint16_t *channel; /* index of its interface name */
+};
+
+/* One of them: a row of the columns. */
+struct frame {
+    int64_t row;
+    int64_t t_ns;
+    uint32_t can_id;
+    uint8_t flags;
+    uint8_t length;
+    uint8_t *data; /* PAYLOAD_BYTES */
 };
 
 /* ---- which inputs are valid (gateway/core/inputs.c) ---- */

@@ -28,15 +28,12 @@ struct frame_range {
 static int receive(struct gateway *g, const struct frame_columns *all, struct frame_range rows,
                    int64_t now_ns)
 {
-    const int64_t i = rows.first;
-    if (!receive_frames(g->receiver, rows.count, all->t_ns + i, all->can_id + i, all->flags + i,
-                        all->length + i, all->data + i * PAYLOAD_BYTES, now_ns))
+    if (!receive_frames(g->receiver, all, rows.first, rows.count, now_ns))
         return 0;
     check_integrity(g->integrity, g->receiver->tick.own, now_ns);
     if (!g->is_translated) {
         bus_load_tick(g->load, now_ns);
-        bus_load_receive(g->load, g->receiver, rows.count, all->can_id + i, all->flags + i,
-                         all->length + i);
+        bus_load_receive(g->load, g->receiver, all, rows.first, rows.count);
     }
     return 1;
 }

@@ -10,10 +10,10 @@ from enum import IntEnum
 from typing import Final, TypeVar
 
 from dbc.frame import MS, Nanos
+from gateway.channel import RPM
 from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.monitor.snapshot import DriveRow, GatewayRow
 from gateway.monitor.tracks import LEAST_LIMIT_NS, NOTHING, Seen, Track
-from gateway.slow import RPM
 from gateway.supervision import Life, NodeState
 from gateway.view import DriveView, GatewayView
 

@@ -25,7 +25,6 @@ from dbc.spec import DbcMismatch
 from gateway import calibration
 from gateway.config import Config, ConfigError, load, parse
 from gateway.core import Gateway
-from gateway.inbox import Inbox
 from gateway.supervision import Life, Supervision
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
@@ -36,6 +35,7 @@ from tests.fuzzing.engine import PACKAGES
 from tests.fuzzing.held import Held
 from tests.fuzzing.mutate import mutate
 from tests.fuzzing.targets import CORPUS, TARGETS
+from tests.stations import Inbox
 
 MUTATIONS = {
     "candump": 600, "readers": 40, "frames": 150, "values": 12, "dbc": 60, "config": 250,

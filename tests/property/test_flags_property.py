@@ -6,10 +6,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from gateway import flags
-from gateway.flags import UNCHANGED, Timing, debounce
+from gateway.flags import UNCHANGED, Timing
 from gateway.health import Flag
 from tests.fuzz import examples
+from tests.stations import debounce, flag
 
 TICK = 10
 GOOD, BAD, UNKNOWN = Flag.GOOD, Flag.BAD, Flag.UNKNOWN
@@ -22,7 +22,7 @@ class FlagTable(RuleBasedStateMachine):
     def start(self, times: tuple[int, int, int]) -> None:
         self.timing = Timing(*times)
         self.now = 0
-        self.flag = flags.flag(0)
+        self.flag = flag(0)
         self.before = self.state = UNKNOWN
         self.seen: list[Flag | None] = []
 

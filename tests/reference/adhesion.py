@@ -31,8 +31,7 @@ from estimators.detect import Evidence
 from estimators.detect.variational import VariationalDetector
 from gateway.config import Motor
 from gateway.health import NEVER, Flag, Health
-from gateway.slow import SlowState
-from gateway.tracks import Told
+from tests.columns import SlowState, Told
 
 DERATING_NS: Final = 2_000_000_000
 COASTING: Final = 0.05

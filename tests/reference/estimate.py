@@ -15,10 +15,9 @@ from _traction_core import lib
 from dbc.records import Columns, Records, pointer
 from estimators import acquisition, adaptation, current_calibration, filters
 from estimators.acquisition import Consistency
-from gateway.bank import Bank
+from gateway.bank import Bank, estimates
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
-from gateway.tracks import estimates
 
 LONGEST_GAP: Final = 64
 DISAGREE_TICKS: Final = 3

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from dbc.records import Columns
-from gateway.pairing import Samples
-from gateway.slow import Readings, SlowState
-from gateway.tracks import Told
+from gateway.pairing import Readings, Samples
+from tests.columns import SlowState, Told
 from tests.reference.motion import Memory
 
 HISTORY: Final = 8

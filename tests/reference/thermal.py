@@ -13,6 +13,7 @@ import numpy as np
 from estimators import maisd
 from estimators.thermal.hypotheses import HEAT, KINDS, side
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from tests.stations import not_yet_valid, sensor_verdict, sensors_valid
 
 NEVER = -(1 << 63)
 POINTS = 3
@@ -79,7 +80,7 @@ class Temperatures:
             return
         self.due += self.period * (1 + (now - self.due) // self.period)
         self.until = [NEVER] * len(self.until)
-        valid = self.side.sensors.valid(now)
+        valid = sensors_valid(self.side.sensors, now)
         values = self.side.sensors.drives["sensor"]["value_c"]
         self._second(valid, values, loads)
         self.ring = [*self.ring, np.where(valid, values, np.nan)][-self.window :]
@@ -127,11 +128,11 @@ class Temperatures:
         if np.isfinite(self.spread).any():
             largest = np.nanmax(self.spread)
         sensors = self.side.sensors
-        kind, whose = sensors.verdict(j, now)
+        kind, whose = sensor_verdict(sensors, j, now)
         if kind is not FaultClass.NONE:
             found = Flag.UNKNOWN, Flag.BAD, Reason.NOT_AVAILABLE, kind, whose
             return *found, mixed, largest
-        sensor = Flag.UNKNOWN if sensors.not_yet_valid(j) else Flag.GOOD
+        sensor = Flag.UNKNOWN if not_yet_valid(sensors, j) else Flag.GOOD
         if self.calibration is None:
             thermal, own, why, *fault = Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
         elif self.side.model is None:

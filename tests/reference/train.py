@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.config import Motor
 from gateway.health import NEVER, Flag, Health, Reason
-from gateway.slow import SlowState
-from gateway.tracks import Told
+from tests.columns import SlowState, Told
 
 ACCELERATION_TAU_S: Final = 0.5
 """Time constant of a rotor's acceleration."""

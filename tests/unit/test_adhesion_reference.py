@@ -9,11 +9,12 @@ from _traction_core import lib
 
 from dbc.records import DRIVE_STATUS
 from estimators.detect import DETECTORS
-from gateway import flags, inputs, pairing, slow, tracks
+from gateway import flags, inputs, pairing
 from gateway.adhesion import BASE_NM, AdhesionMonitor
 from gateway.config import BENCH_MOTOR, Adhesion
 from gateway.flags import FlagKind, Timing
 from gateway.health import NEVER, Flag, Health
+from tests import columns
 from tests.judged_loads import detect
 from tests.reference import adhesion as reference
 from tests.same import same_numbers
@@ -85,7 +86,7 @@ class Both:
         self.plain = reference.Adhesion(motors, RULES, tick_ns, spread)
         self.status = np.zeros(self.n, DRIVE_STATUS)
         self.drives = pairing.drive_inputs(self.n)
-        self.slow = slow.state_of(self.drives)
+        self.slow = columns.slow_of(self.drives)
 
     def tick(self, told, given, now, operating):
         health, load, speed, command, before, (sent, steady), fresh, measured = given
@@ -132,7 +133,7 @@ class Both:
 
 
 def copied(told):
-    made = tracks.told(len(told.health))
+    made = columns.told(len(told.health))
     made.estimates[:] = told.estimates
     return made
 
@@ -142,7 +143,7 @@ def test_a_train_that_drives(seed):
     rng, both, met = np.random.default_rng(seed), Both([BENCH_MOTOR] * N), set()
     first = both.core.record["spread"]["spread"].item()
     for tick, given in enumerate(train_that_drives(rng, N, 800)):
-        opinion = both.tick(tracks.told(N), given, tick * TICK, rng.random() < 0.99)
+        opinion = both.tick(columns.told(N), given, tick * TICK, rng.random() < 0.99)
         met |= {*both.decide(opinion, tick * TICK)}
     assert set(Flag) <= met, "common mode"
     assert (Flag.GOOD, Flag.BAD, Flag.GOOD) in met
@@ -158,7 +159,7 @@ def test_anything(n):
             both.core.doubt_until_ns[:] = both.plain.rotors["doubt_until_ns"] = (
                 tick + rng.integers(0, 20, n)
             ) * TICK
-        opinion = both.tick(tracks.told(n), given, tick * TICK, rng.random(n) < 0.9)
+        opinion = both.tick(columns.told(n), given, tick * TICK, rng.random(n) < 0.9)
         if rng.random() < 0.7:
             both.decide(opinion, tick * TICK)
 
@@ -167,7 +168,7 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
     """Of ticks longer than its time constant."""
     both = Both([BENCH_MOTOR] * N, 500 * MS)
     for tick, given in enumerate(train_that_drives(np.random.default_rng(1), N, 20)):
-        both.tick(tracks.told(N), given, tick * 500 * MS, True)
+        both.tick(columns.told(N), given, tick * 500 * MS, True)
     known = both.core.record["common_smoothed"].item()
     assert known == both.core.record["common"].item()
 
@@ -176,15 +177,15 @@ def test_a_copy_goes_on_alone():
     rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N)
     given = list(train_that_drives(rng, N, 60))
     for tick, one in enumerate(given[:30]):
-        both.tick(tracks.told(N), one, tick * TICK, True)
+        both.tick(columns.told(N), one, tick * TICK, True)
     twin, kept = copy.deepcopy(both.core), both.core.record.copy()
     for tick, one in enumerate(given[30:], 30):
-        both.tick(tracks.told(N), one, tick * TICK, True)
+        both.tick(columns.told(N), one, tick * TICK, True)
     assert twin.record["learn_ns"] == kept["learn_ns"] < both.core.record["learn_ns"]
     both.core, done = twin, both.core
     both.plain = None
     for tick, one in enumerate(given[30:], 30):
-        both.tick(tracks.told(N), one, tick * TICK, True)
+        both.tick(columns.told(N), one, tick * TICK, True)
     for name in ("rotors", "responses", "ratios", "loads", "loss_probability"):
         same_numbers(getattr(twin, name), getattr(done, name))
     twin.uncertain[:] = 7
@@ -200,14 +201,14 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
     outside = AdhesionMonitor(Adhesion(detector=name), motors, RULES, TICK)
     outside.in_core = False
     drives, status = pairing.drive_inputs(N), np.zeros(N, DRIVE_STATUS)
-    mine, met = slow.state_of(drives), set()
+    mine, met = columns.slow_of(drives), set()
     for tick, given in enumerate(train_that_drives(np.random.default_rng(2), N, 300)):
         health, load, speed, command, before, (sent, steady), fresh, _ = given
         mine.command[:], mine.before[:], mine.command_ns[:] = command, before, sent
         mine.steady[:], mine.operating[:] = steady, True
         said = []
         for side in (inside, outside):
-            told = tracks.told(N)
+            told = columns.told(N)
             told.health[:], told.load[:], told.speed[:] = health, load, speed
             come = validity(fresh, speed)
             opinion = detect(side, told.estimates, come, drives, status, tick * TICK)
@@ -219,7 +220,7 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
 
 def test_what_nothing_is_known_of_is_not_judged():
     both = Both([BENCH_MOTOR] * N)
-    told = tracks.told(N)
+    told = columns.told(N)
     opinion = detect(both.core, told.estimates, inputs.statuses(N), both.drives, both.status, 0)
     assert not opinion.known.any()
     assert opinion.common == 0.0

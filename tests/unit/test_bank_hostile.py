@@ -10,11 +10,11 @@ import math
 import numpy as np
 import pytest
 
-from gateway.bank import Bank
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Health
 from gateway.pairing import Samples
 from tests.estimates import step
+from tests.stations import Bank
 from tests.unit.test_bank import TICK, steady
 from tests.unit.test_est_truth import Rows, sampled
 

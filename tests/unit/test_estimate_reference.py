@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from gateway import inputs
-from gateway.bank import Bank
 from gateway.config import BENCH_MOTOR, Estimator
 from gateway.health import Health, Reason
 from gateway.pairing import Samples
 from tests.receivers import Received
 from tests.reference import estimate as reference
 from tests.same import same_numbers
+from tests.stations import Bank
 from tests.unit.test_bank_hostile import MADE, SECOND_TICKS, loop, ticks_of
 
 N = 6

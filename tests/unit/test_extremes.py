@@ -14,6 +14,7 @@ import pytest
 from gateway.core import Gateway
 from tests import extremes
 from tests.extremes import RULES, Setup, Stretch, changed, run, stretches
+from tests.stations import receive
 from tests.value_cases import honest
 
 SETUPS = [
@@ -77,7 +78,7 @@ def test_what_is_changed_is_decoded_and_counts_on(rule, fd):
     made = list(changed(setup, Stretch(rule, "all", (0,)), blocks, 1))
     assert any((a.data != b.data).any() for a, b in zip(made, blocks, strict=True))
     for tick, block in enumerate(made, start=1):
-        core.inbox.take(block, tick * extremes.TICK)
+        receive(core.inbox, block, tick * extremes.TICK)
     counts = core.inbox.counts
     used = counts["decoded"] + counts["not_available"] + counts["range"]
     assert used >= 0.95 * (counts["received"] - counts["canopen"])

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway import flags
-from gateway.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
+from gateway.flags import UNCHANGED, FlagKind, Timing
 from gateway.health import RANKS, Flag, GatewayState, Reason
 from tests.reference.flags import PRIORITY, summary, worst
+from tests.stations import Flags, debounce, flag, loss_evidence
 
 TIMING = Timing(good_ns=50, raise_ns=20, clear_ns=30)
 TICK = 10
@@ -21,7 +22,7 @@ def state(one):
 
 
 def run(evidence, timing=TIMING):
-    one, out = flags.flag(0), []
+    one, out = flag(0), []
     for tick, seen in enumerate(evidence):
         before = state(one)
         assert debounce(one, seen, timing, TICK, tick * TICK) == (state(one) != before)
@@ -44,7 +45,7 @@ def test_times_between_ticks_are_waited_for_and_late_ticks_are_late_enough():
     timing = Timing(good_ns=15, raise_ns=15, clear_ns=15)
     assert run([G] * 4, timing) == [U, U, G, G]
     assert run([B] * 4 + [G] * 4, timing) == [U, U, B, B, B, B, G, G]
-    one = flags.flag(0)
+    one = flag(0)
     debounce(one, G, timing, TICK, 1000)
     debounce(one, G, timing, TICK, 99_000)
     assert state(one) is G
@@ -53,7 +54,7 @@ def test_times_between_ticks_are_waited_for_and_late_ticks_are_late_enough():
 
 
 def test_a_flag_starts_unknown_at_its_time():
-    assert flags.flag(70).tolist() == [(70, U, U)]
+    assert flag(70).tolist() == [(70, U, U)]
 
 
 def test_clearing_needs_uninterrupted_good():
@@ -67,11 +68,11 @@ def test_unknown_takes_good_back_at_once():
 @given(st.lists(st.sampled_from([U, G, B, UNCHANGED]), max_size=60))
 def test_bad_is_only_ever_left_for_good_on_good_evidence(evidence):
     out = run(evidence)
-    for before, flag, seen in zip([U, *out], out, evidence, strict=False):
-        if flag is G:
+    for before, now, seen in zip([U, *out], out, evidence, strict=False):
+        if now is G:
             assert seen != U
-        if before is B and flag is not B:
-            assert flag is G
+        if before is B and now is not B:
+            assert now is G
             assert seen == G
 
 

@@ -8,8 +8,8 @@ import pytest
 from _traction_core import ffi, lib
 
 from dbc.records import DRIVE_STATUS, FLAG_INPUTS
-from gateway import flags, inputs, tracks
-from gateway.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
+from gateway import flags
+from gateway.flags import UNCHANGED, FlagKind, Timing
 from gateway.health import (
     NEVER,
     RANKS,
@@ -20,6 +20,7 @@ from gateway.health import (
     Health,
     Reason,
 )
+from tests import columns
 from tests.reference.flags import (
     PRIORITY,
     FlagState,
@@ -29,6 +30,7 @@ from tests.reference.flags import (
     summary,
     worst,
 )
+from tests.stations import Flags, debounce, flag, loss_evidence
 
 N = 3
 MS = 1_000_000
@@ -105,7 +107,7 @@ def test_flags_of_drives_go_as_single_ones(seed):
 
 def test_a_damaged_flag_is_unknown_and_other_evidence_is_none():
     for state, evidence in itertools.product(range(256), (-1, 0, 1, 2, 4, 77, 1 << 30)):
-        one = flags.flag(5)
+        one = flag(5)
         one["state"], one["evidence"] = state, state
         changed = debounce(one, evidence, Timing(0, 0, 0), TICK, 5)
         start = state if state <= Flag.BAD else Flag.UNKNOWN
@@ -118,7 +120,7 @@ def test_a_damaged_flag_is_unknown_and_other_evidence_is_none():
 
 
 def test_stamps_far_apart_do_not_overflow():
-    one = flags.flag(NEVER)
+    one = flag(NEVER)
     one["evidence"] = Flag.GOOD
     debounce(one, Flag.GOOD, Timing(0, 0, 0), TICK, 2**63 - 1)
     one["since_ns"], one["evidence"] = 2**63 - 1, Flag.BAD
@@ -149,7 +151,11 @@ TEMPERATURES = (
 
 def drawn(rng):
     """Anything that the stations before can have found, whether it can come together or not."""
-    told, found, come = tracks.told(N), np.zeros(N, FLAG_INPUTS).view(np.recarray), inputs.inputs(N)
+    told, found, come = (
+        columns.told(N),
+        np.zeros(N, FLAG_INPUTS).view(np.recarray),
+        columns.inputs(N),
+    )
     told.health[:] = rng.integers(0, len(Health), N)
     if rng.random() < 0.3:
         told.health[:] = rng.integers(0, 3)

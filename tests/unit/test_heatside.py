@@ -14,11 +14,11 @@ from gateway.commands.common import scenario_thermal
 from gateway.config import ConfigError
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.heatside import Sample
-from gateway.inbox import Inbox, Temperatures
+from gateway.inbox import Temperatures
 from gateway.results.calibrating import Learner
 from gateway.supervision import Supervision
-from gateway.thermal import ThermalSide
 from tests.sender import codec_for
+from tests.stations import Inbox, ThermalSide
 
 MS = 1_000_000
 NODES = (1, 2, 3)

@@ -8,9 +8,11 @@ from _traction_core import lib
 
 from gateway import inputs
 from gateway.health import Flag, Reason
-from gateway.inputs import NONE, InputMonitor
+from gateway.inputs import NONE
+from tests import columns
 from tests.receivers import Received
 from tests.reference.flags import worst
+from tests.stations import InputMonitor
 
 N = 3
 NUMBERS = np.array([0.0, -3.5, 0.2, 0.7, 0.69, 1.0, 1.5, np.nan, np.inf])
@@ -77,7 +79,7 @@ def test_which_inputs_are_valid(seed):
         monitor = InputMonitor(came, inputs.places(rows, [25] * N, [1.0] * N).channels)
         monitor.status["heartbeat_lost"] = lost
         monitor.assess(intruder, now)
-        out = monitor.columns
+        out = columns.inputs_of(monitor.status)
         for k, (_, _, electrical, motion, status) in enumerate(rows):
             suspect = drives["current_sum"][k] > 1.0
             reasons = [Reason(int(state["reason"][c])) for c in electrical]
@@ -103,7 +105,7 @@ def test_which_inputs_are_valid(seed):
 
 
 def test_before_anything_nothing_is_known():
-    none = inputs.inputs(2)
+    none = columns.inputs(2)
     assert none.cause.tolist() == [Reason.STARTING] * 2
     assert none.comm.tolist() == [Flag.UNKNOWN] * 2
     assert np.isnan(none.speed).all()
@@ -115,5 +117,5 @@ def test_a_copy_has_records_of_its_own():
     monitor = InputMonitor(Received(N, 5 * N), inputs.places(layout(rng), [25] * N, [1.0] * N)[0])
     twin = copy.deepcopy(monitor, {id(monitor.receiver): monitor.receiver})
     twin.assess(intruder=True, now=7)
-    assert twin.columns.comm.tolist() == [Flag.BAD] * N
-    assert monitor.columns.comm.tolist() == [Flag.UNKNOWN] * N
+    assert twin.status["comm"].tolist() == [Flag.BAD] * N
+    assert monitor.status["comm"].tolist() == [Flag.UNKNOWN] * N

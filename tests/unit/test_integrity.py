@@ -10,9 +10,10 @@ import pytest
 from dbc.frame import MS, SECOND
 from dbc.records import INTEGRITY, TRAIN_INPUTS
 from gateway import doubt as module
-from gateway.doubt import INTRUDER_HOLD_NS, Doubt
+from gateway.doubt import INTRUDER_HOLD_NS
 from gateway.health import Flag, Reason
 from tests.reference import integrity as reference
+from tests.stations import Doubt
 
 TICK = 10 * MS
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from dbc.records import DRIVE_STATUS
-from gateway import flags, inputs, pairing, slow, tracks
+from gateway import flags, inputs, pairing
 from gateway.adhesion import AdhesionMonitor
 from gateway.config import BENCH_MOTOR, Adhesion
 from gateway.flags import FlagKind, Timing
 from gateway.health import Flag, Health
+from tests import columns
 from tests.judged_loads import detect
 from tests.reference.adhesion import DERATING_NS, RATIO_FLOOR
 
@@ -24,8 +25,8 @@ class Drives:
     def __init__(
         self, load=(15.0, 15.0, 15.0), speed=(25.0, 25.0, 25.0), command=(20.0, 20.0, 20.0)
     ):
-        self.told, self.records = tracks.told(N), pairing.drive_inputs(N)
-        self.sent = slow.state_of(self.records)
+        self.told, self.records = columns.told(N), pairing.drive_inputs(N)
+        self.sent = columns.slow_of(self.records)
         self.told.health[:] = Health.TRACKING
         self.told.load[:], self.told.speed[:] = load, speed
         self.sent.command[:] = self.sent.before[:] = command

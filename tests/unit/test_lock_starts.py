@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from gateway.bank import Bank
 from gateway.config import BENCH_MOTOR, TRACTION_350KW, Estimator, Motor
 from gateway.health import Health
 from gateway.pairing import Samples
 from tests.estimates import step
+from tests.stations import Bank
 from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, Truth, motor, sampled
 
 ANGLES = np.linspace(-np.pi, np.pi, 36, endpoint=False)

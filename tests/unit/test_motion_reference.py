@@ -8,15 +8,14 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
-from gateway import slow, tracks
 from gateway.config import BENCH_MOTOR
 from gateway.health import Health
-from gateway.inputs import columns
-from gateway.motion import MotionMonitor
+from tests import columns
 from tests.motions import TIMES, Drives
 from tests.reference import motion as reference
 from tests.reference import plausibility
 from tests.sender import MS
+from tests.stations import MotionMonitor
 
 TICK = 10 * MS
 FIELDS = {
@@ -70,7 +69,7 @@ class Plain:
         drives = self.drives
         self.estimates, self.status = drives.estimates.copy(), drives.status.copy()
         self.filters, self.sensors = drives.bank.filters.copy(), drives.bank.sensors.copy()
-        told, given = tracks.told_of(self.estimates), columns(self.status)
+        told, given = columns.told_of(self.estimates), columns.inputs_of(self.status)
         came, readings = drives.came, drives.came.readings
 
         def open_phase(k, w_e):
@@ -80,7 +79,7 @@ class Plain:
         reference.observe_motion(readings, count, told.flux, self.memory, self.limits)
         plausibility.check_values(
             came.samples.first(samples), came.drives["sample_ns"], readings, count, given.speed,
-            slow.state_of(came.drives), now, drives.bank.chords, self.filters, told,
+            columns.slow_of(came.drives), now, drives.bank.chords, self.filters, told,
             self.memory, self.check, self.check_limits,
         )  # fmt: skip
         reference.merge_motion(
@@ -264,7 +263,7 @@ def test_a_copy_goes_on_by_itself():
     drives.observe(train.now)
     assert numbers(drives) == numbers(twin)
     assert isinstance(twin, MotionMonitor)
-    assert twin.address != drives.address
+    assert twin.pointer != drives.pointer
 
 
 def test_an_open_phase_is_invalid_input():

@@ -10,16 +10,15 @@ from dbc.block import block_of
 from dbc.frame import EXTENDED, FD, SECOND, Frame
 from dbc.records import BUS_LOAD, TX_FRAME, pointer
 from gateway.busload import BusLoad
-from gateway.doubt import Doubt
 from gateway.flags import FlagKind, unknown_status
 from gateway.health import NEVER, REJECTED
 from gateway.heatside import Wear
-from gateway.inbox import Inbox
 from gateway.outbox import Outbox
 from gateway.receiving import Tally
 from gateway.supervision import Supervision
 from gateway.view import Counted, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
+from tests.stations import Doubt, Inbox
 
 NODES = (2, 1, 3)
 N = len(NODES)

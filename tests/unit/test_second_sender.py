@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from gateway.health import Reason
-from gateway.inbox import Inbox
 from gateway.supervision import Supervision
 from tests.sender import FD_FILE, MS, Sender, codec_for
+from tests.stations import Inbox, is_fresh
 
 TICK = 10 * MS
 OFFSETS = {"classic": range(16), "fd": (*range(5), 16, 127, 128, 129, *range(252, 256))}
@@ -77,7 +77,7 @@ class Line:
                 last += 1
             self.box.take(frames[first:last], now)
             first = last
-            out.append(self.channel.state)
+            out.append(Reason(self.box.receiver.channels["reason"][self.channel.row]))
         return out
 
 
@@ -109,7 +109,7 @@ def test_a_second_sender_is_found_within_six_of_its_frames(ahead, phase_us):
     for frame in frames[: ONSET * 5 + 40]:
         line.box.take([frame], frame.t_ns)
         heard += frame.t_ns % line.period_ns != MS % line.period_ns
-        if line.channel.fresh(frame.t_ns):
+        if is_fresh(line.box, line.channel.row, frame.t_ns):
             used = heard
     assert heard > 10
     assert used < 6

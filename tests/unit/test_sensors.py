@@ -8,7 +8,7 @@ from gateway.health import FaultClass, FaultSensor, Flag
 from gateway.inbox import Temperatures
 from gateway.results.calibrating import Learner
 from gateway.sensors import SensorSide
-from gateway.thermal import ThermalSide
+from tests.stations import ThermalSide, not_yet_valid, sensor_verdict, sensors_valid
 
 MS = 1_000_000
 HEALTHY = ((FaultClass.NONE, FaultSensor.NONE),)
@@ -33,7 +33,7 @@ class Rig:
             raw = tuple(round(10 * c) for c in celsius)
             now = self.k * 100 * MS
             self.side.take(Temperatures(0, now, (*celsius, 20.0), good, (*raw, 200)))
-            found = self.side.verdict(0, now)
+            found = sensor_verdict(self.side, 0, now)
             if not said or said[-1] != found:
                 said.append(found)
         return tuple(said)
@@ -88,8 +88,8 @@ def test_an_only_sensor_is_named_itself():
 def test_a_sensor_that_is_not_fitted_takes_part_in_nothing():
     rig = Rig(("stator", "non_drive_end"))
     assert rig.run(50, lost=(1,)) == HEALTHY
-    assert not rig.side.not_yet_valid(0)
-    assert rig.side.valid(rig.k * 100 * MS).tolist() == [[True, False, True]]
+    assert not not_yet_valid(rig.side, 0)
+    assert sensors_valid(rig.side, rig.k * 100 * MS).tolist() == [[True, False, True]]
     assert rig.run(20, (0, 40, 0)) == HEALTHY
     assert rig.side.drives["sensor"]["value_c"][0, 1] == 0.0
     both = rig.run(20, (9, 0, 9))[-1]
@@ -108,7 +108,7 @@ def test_the_same_value_before_and_after_a_silence_is_not_held():
     side = SensorSide(1, 100 * MS)
     for t_s in (0, 300):
         side.take(Temperatures(0, t_s * 1000 * MS, (60.0,) * 4, (True,) * 4, (600,) * 4))
-    assert side.verdict(0, 300_050 * MS) == HEALTHY[0]
+    assert sensor_verdict(side, 0, 300_050 * MS) == HEALTHY[0]
 
 
 def test_silence_does_not_clear_an_offset():
@@ -186,7 +186,7 @@ def test_a_motor_that_warms_beyond_what_a_reading_can_say_is_neither_offset_nor_
         raw = tuple(round(10 * c) for c in celsius)
         now = (k + 1) * 100 * MS
         side.take(Temperatures(0, now, celsius, (True,) * 4, raw))
-        assert side.verdict(0, now) == HEALTHY[0]
+        assert sensor_verdict(side, 0, now) == HEALTHY[0]
 
 
 def test_a_reading_that_jumps_to_the_end_of_its_range_is_an_offset():

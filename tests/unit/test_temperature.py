@@ -11,6 +11,7 @@ from gateway.health import FaultClass, FaultSensor
 from gateway.inbox import Temperatures
 from gateway.sensors import SensorSide
 from tests.reference import temperature as reference
+from tests.stations import not_yet_valid, sensor_fault, sensor_verdict, sensors_valid
 
 MS = 1_000_000
 FITTED = (("stator", "drive_end", "non_drive_end"), ("stator", "non_drive_end"), ("drive_end",), ())
@@ -72,14 +73,14 @@ def compare(side, points, now):
     np.testing.assert_array_equal(side.drives["first_ns"], points.first_ns)
     valid = np.zeros((4, 3), dtype=bool)
     reference.believe(now, points, valid)
-    np.testing.assert_array_equal(side.valid(now), valid)
+    np.testing.assert_array_equal(sensors_valid(side, now), valid)
     met = set()
     for j in range(4):
-        faults = [int(side.fault(j, k, now)) for k in range(3)]
+        faults = [int(sensor_fault(side, j, k, now)) for k in range(3)]
         assert faults == [reference.fault(j, k, now, points) for k in range(3)]
-        found = tuple(map(int, side.verdict(j, now)))
+        found = tuple(map(int, sensor_verdict(side, j, now)))
         assert found == reference.verdict(j, now, points)
-        assert side.not_yet_valid(j) == reference.booting(j, points)
+        assert not_yet_valid(side, j) == reference.booting(j, points)
         met.add(found)
     return met
 
@@ -126,17 +127,19 @@ def test_a_sensor_that_never_gives_a_value_is_lost_after_half_a_second():
         now = 100 * k * MS
         side.take(Temperatures(0, now, (60.0,) * 4, (True, False, True, True), (600,) * 4))
         lost = k > 6
-        assert side.fault(0, 1, now) == (FaultClass.SENSOR_LOST if lost else FaultClass.UNKNOWN)
-        assert side.not_yet_valid(0)
-        assert side.valid(now).tolist() == [[True, False, True]]
-    assert side.verdict(0, now) == (FaultClass.SENSOR_LOST, FaultSensor.DRIVE_END)
+        assert sensor_fault(side, 0, 1, now) == (
+            FaultClass.SENSOR_LOST if lost else FaultClass.UNKNOWN
+        )
+        assert not_yet_valid(side, 0)
+        assert sensors_valid(side, now).tolist() == [[True, False, True]]
+    assert sensor_verdict(side, 0, now) == (FaultClass.SENSOR_LOST, FaultSensor.DRIVE_END)
 
 
 def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor():
     side = SensorSide(1, 100 * MS)
     side.drives["sensor"]["stuck_after_ns"] = 50 * MS
     side.take(Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
-    assert side.fault(0, 0, 50 * MS) is FaultClass.NONE
-    assert side.fault(0, 0, 51 * MS) is FaultClass.SENSOR_STUCK
-    assert side.fault(0, 0, 300 * MS) is FaultClass.SENSOR_STUCK
-    assert side.fault(0, 0, 301 * MS) is FaultClass.NONE
+    assert sensor_fault(side, 0, 0, 50 * MS) is FaultClass.NONE
+    assert sensor_fault(side, 0, 0, 51 * MS) is FaultClass.SENSOR_STUCK
+    assert sensor_fault(side, 0, 0, 300 * MS) is FaultClass.SENSOR_STUCK
+    assert sensor_fault(side, 0, 0, 301 * MS) is FaultClass.NONE

@@ -10,11 +10,19 @@ from dbc.records import FLAG_INPUTS
 from gateway import calibration
 from gateway.commands.common import scenario_thermal
 from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
-from gateway.inbox import Inbox, Temperatures
+from gateway.inbox import Temperatures
 from gateway.supervision import Supervision
-from gateway.thermal import ThermalSide
+from tests.columns import slow_of
 from tests.reference import thermal as reference
 from tests.sender import MS, codec_for
+from tests.stations import (
+    Inbox,
+    ThermalSide,
+    is_fresh,
+    not_yet_valid,
+    sensor_verdict,
+    sensors_valid,
+)
 
 NODES = (1, 2, 3)
 CODEC = codec_for(NODES)
@@ -50,13 +58,13 @@ class Bus:
         if rng.random() < 0.05:
             for what in (self.off, self.lost, self.held, self.gone):
                 what[:] = 0
-        slow, state = self.inbox.receiver.slow, self.inbox.receiver.state
+        slow, state = slow_of(self.inbox.receiver.drives), self.inbox.receiver.channels
         for column in (slow.speed, slow.irms, slow.command):
             column[:] = np.where(rng.random(3) < 0.03, np.nan, rng.normal(0.0, 20.0, 3))
         # It is sent with the command.
         slow.irms[:] = np.where(np.isnan(slow.irms), 5.0, slow.irms)
-        state.good_ns[:] = self.now - rng.choice([0, 10, 5000], len(state.good_ns)) * MS
-        state.reason[:] = rng.choice([Reason.NONE] * 9 + [Reason.STALE], len(state.reason))
+        state["good_ns"] = self.now - rng.choice([0, 10, 5000], len(state)) * MS
+        state["reason"] = rng.choice([Reason.NONE] * 9 + [Reason.STALE], len(state))
 
     def go_on(self):
         """The next tick's rows."""
@@ -104,9 +112,9 @@ def loads_of(bus):
     """(N, 2) current and speed that are known and fresh."""
     inbox, out = bus.inbox, np.full((3, 2), np.nan)
     for drive, row, load in zip(inbox.drives, inbox.receiver.drives, out, strict=True):
-        if not np.isnan(row["command"]) and drive.status.fresh(bus.now):
+        if not np.isnan(row["command"]) and is_fresh(bus.inbox, drive.status.row, bus.now):
             load[0] = row["irms"]
-        if drive.motion.fresh(bus.now):
+        if is_fresh(bus.inbox, drive.motion.row, bus.now):
             load[1] = row["speed"]
     return out
 
@@ -166,7 +174,7 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
     rng = np.random.default_rng(seed)
     side, bus, _ = made("model", 3)
     inputs, met = np.zeros(3, FLAG_INPUTS), set()
-    while side.sensors.valid(bus.now).sum() < 6 or bus.tick < 100:
+    while sensors_valid(side.sensors, bus.now).sum() < 6 or bus.tick < 100:
         bus.go_on()
         bus.lost[:], bus.off[:], bus.gone[:] = False, 0.0, False
         side.hear(bus.inbox, bus.now, inputs)
@@ -191,9 +199,9 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
             side.motors["valid_until_ns"] = NEVER
             told = side.report(k, bus.now, 1 << 60)
             thermal, own, *rest = reference.words(motors[k], kinds[k])
-            if side.sensors.verdict(k, bus.now)[0] is not FaultClass.NONE:
+            if sensor_verdict(side.sensors, k, bus.now)[0] is not FaultClass.NONE:
                 continue
-            sensor = Flag.UNKNOWN if side.sensors.not_yet_valid(k) else Flag.GOOD
+            sensor = Flag.UNKNOWN if not_yet_valid(side.sensors, k) else Flag.GOOD
             wanted = (thermal, sensor if own is None else own, *rest)
             assert tuple(told[:5]) == wanted
             met.add(wanted)

@@ -7,7 +7,7 @@ from dbc.records import FLAG_INPUTS
 from gateway.calibration import Calibration, MotorCalibration
 from gateway.health import FaultClass, FaultSensor, Flag, Reason
 from gateway.inbox import Temperatures
-from gateway.thermal import ThermalSide
+from tests.stations import ThermalSide
 
 MS = 1_000_000
 NODES = (1, 2, 3)

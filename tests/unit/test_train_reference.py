@@ -7,9 +7,9 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import ROTOR, ROTOR_INPUTS, pointer
-from gateway import slow, tracks
 from gateway.config import BENCH_MOTOR
 from gateway.health import Flag, Health
+from tests import columns
 from tests.reference import train as reference
 from tests.same import same_numbers
 
@@ -90,7 +90,7 @@ def course(seed, n, ticks):
         speed = min(max(speed + rate * TICK_S, -10.0), 90.0)
         now.creep += now.drift * TICK_S
         true = speed * diameter * (1.0 + now.creep)
-        told, sent = tracks.told(n), slow.start(n)
+        told, sent = columns.told(n), columns.slow(n)
         told.health[:] = now.health
         told.speed[:] = true * (1.0 + now.off) + rng.normal(0.0, 0.02, n)
         told.load[:] = now.command * now.share + rng.normal(0.0, 0.3, n)
@@ -108,7 +108,7 @@ def course(seed, n, ticks):
 
 def copied(given):
     measured, commanded, sent, flag, told = given
-    again = tracks.told(len(flag))
+    again = columns.told(len(flag))
     again.estimates[:] = told.estimates
     return measured.copy(), commanded.copy(), sent, flag, again
 

@@ -1,0 +1,213 @@
+"""Stations of a tick, each called by itself: what `gateway/core/tick.c` does with them in order.
+
+The product has no such calls. Here they are methods of the product's own objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
+
+import gateway.bank
+import gateway.doubt
+import gateway.flags
+import gateway.inbox
+import gateway.inputs
+import gateway.motion
+import gateway.thermal
+from dbc.block import Block, block_of
+from dbc.frame import Frame, Nanos
+from dbc.records import FLAG, Records, pointer
+from gateway.flags import Timing
+from gateway.health import FaultClass, FaultSensor
+from gateway.pairing import Samples
+from gateway.sensors import SensorSide
+from gateway.supervision import Supervision
+from tests import columns
+
+
+class Inbox(gateway.inbox.Inbox):
+    """Takes the frames of a tick."""
+
+    def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
+        """In the order of their time stamps, then ids; gives them as a block, in that order."""
+        return receive(self, frames, now)
+
+    @property
+    def restart(self) -> set[int]:
+        """Drives whose filter starts anew in this tick."""
+        return set(np.flatnonzero(self.receiver.drives["restart"]).tolist())
+
+    @property
+    def samples(self) -> Samples:
+        """Of the last tick."""
+        return self.receiver.room.first(self.receiver.pointer.tick.samples)
+
+
+def receive(inbox: gateway.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
+    """`receive_frames`, `check_timeouts`, and emergencies."""
+    block = frames if isinstance(frames, Block) else block_of(frames)
+    receiver = inbox.receiver
+    if block.size > receiver.rows:
+        receiver.make_room(2 * block.size)
+    for ordered in (False, True):
+        block = block.ordered() if ordered else block
+        if lib.receive_frames(receiver.pointer, block.columns(), 0, block.size, now):
+            break
+    lib.check_timeouts(receiver.pointer, now)
+    inbox.read_emergencies(block, 0)
+    return block
+
+
+class Bank(gateway.bank.Bank):
+    """Filters what the receiver holds."""
+
+    def link(self) -> None:
+        super().link()
+        self.told = columns.told_of(self.estimates)
+
+    def run(self, receiver: Any, inputs: Records, now: Nanos) -> None:
+        """`run_filters`; receiver: `struct receiver *`; inputs: `input_status` (N,).
+
+        There has to be room for its samples.
+        """
+        valid = pointer("struct input_status", inputs)
+        told = pointer("struct drive_estimate", self.estimates)
+        lib.run_filters(self._pointer, receiver, valid, told, now)
+
+
+class InputMonitor(gateway.inputs.InputMonitor):
+    """Judges what the receiver holds."""
+
+    def assess(self, intruder: bool, now: Nanos) -> None:
+        """`assess_inputs`; `heartbeat_lost` is the caller's."""
+        channels = pointer("struct drive_channels", self.channels)
+        status = pointer("struct input_status", self.status)
+        lib.assess_inputs(self.receiver.pointer, channels, intruder, now, status)
+
+
+class MotionMonitor(gateway.motion.MotionMonitor):
+    """Compares speeds and torques with the estimates."""
+
+    def observe(self, now: Nanos) -> None:
+        """`observe_load`: changes the estimates to what is to be used."""
+        lib.observe_load(self.pointer, now)
+
+
+class ThermalSide(gateway.thermal.ThermalSide):
+    """Judges the temperatures that the receiver holds."""
+
+    def hear(self, inbox: gateway.inbox.Inbox, now: Nanos, out: Records) -> None:
+        """`monitor_temperatures`, into out (N,) of `flag_inputs`."""
+        inputs = ffi.from_buffer("struct flag_inputs[]", out)
+        lib.monitor_temperatures(self.pointer, inbox.receiver.pointer, now, inputs)
+
+    def tell(self, now: Nanos, out: Records) -> None:
+        """`report_temperatures`: evidence where it can have changed, into out (N,)."""
+        lib.report_temperatures(self.pointer, now, ffi.from_buffer("struct flag_inputs[]", out))
+
+
+class Doubt(gateway.doubt.Doubt):
+    """What speaks against all drives."""
+
+    def tick(self, now: Nanos, own: int) -> None:
+        """own: frames with our own identifiers received in this tick."""
+        lib.check_integrity(self.pointer, own, now)
+
+    @property
+    def mute(self) -> bool:
+        """Whether nothing is sent in this tick: not in the one that finds an intruder."""
+        return bool(self.pointer.mute)
+
+
+class Flags(gateway.flags.Flags):
+    """From what is found to flags, in three steps."""
+
+    def link(self) -> None:
+        super().link()
+        self._rules = pointer("struct flag_rules", self.rules)
+        self._inputs = pointer("struct flag_inputs", self.inputs)
+        self._train_inputs = pointer("struct train_inputs", self.train_inputs)
+        self._evidence = pointer("struct drive_evidence", self.evidence)
+        self._drives = pointer("struct drive_status", self.status.drives)
+        self._train = pointer("struct train_status", self.status.train)
+
+    def collect_evidence(self) -> None:
+        """Fill `evidence` from the inputs of this tick."""
+        n = len(self.inputs)
+        lib.collect_evidence(self._rules, self._train_inputs, self._inputs, n, self._evidence)
+
+    def debounce(self, now_ns: int) -> bool:
+        """Feed `evidence` to every flag; whether one has changed."""
+        n = len(self.inputs)
+        return bool(lib.debounce_flags(self._rules, self._evidence, n, now_ns, self._drives))
+
+    def publish(self, now_ns: int) -> None:
+        """Fill everything else in `status`."""
+        lib.publish(
+            self._train_inputs, self._inputs, self._evidence, len(self.inputs), now_ns,
+            self._drives, self._train,
+        )  # fmt: skip
+
+
+def flag(start_ns: int) -> Records:
+    """One `flag`, unknown since `start_ns`."""
+    made = np.zeros(1, FLAG)
+    made["since_ns"] = start_ns
+    return made
+
+
+def debounce(flag: Records, evidence: int, timing: Timing, tick_ns: int, now_ns: int) -> bool:
+    """Feed one tick of evidence (`Flag`, or `UNCHANGED`) to one flag; whether it has changed."""
+    by = ffi.new("struct flag_timing *", timing)
+    return bool(lib.debounce(pointer("struct flag", flag), evidence, by, tick_ns, now_ns))
+
+
+def loss_evidence(rules: Records, probability: float) -> int:
+    """Evidence of a probability of lost adhesion; `UNCHANGED` between the two thresholds."""
+    return int(lib.loss_evidence(pointer("struct flag_rules", rules), probability))
+
+
+def is_fresh(inbox: gateway.inbox.Inbox, row: int, now: Nanos) -> bool:
+    """Whether the last good value of channel `row` is within its age limit and it is known."""
+    return bool(lib.is_channel_fresh(inbox.receiver.pointer.channels + row, now))
+
+
+def any_lost(watch: Supervision, now: Nanos) -> bool:
+    """Whether any supervised node is silent for too long."""
+    return any(lib.is_node_lost(watch.pointer, row, now) for row in range(len(watch.nodes)))
+
+
+def _drive(sensors: SensorSide, drive: int) -> Any:
+    return pointer("struct temperature_drive", sensors.drives) + drive
+
+
+def sensor_fault(sensors: SensorSide, drive: int, k: int, now: Nanos) -> FaultClass:
+    """Of one sensor; UNKNOWN while it has never been heard, NONE for one that is not configured."""
+    return FaultClass(lib.temperature_sensor_fault(_drive(sensors, drive), k, now))
+
+
+def sensors_valid(sensors: SensorSide, now: Nanos) -> NDArray[np.bool_]:
+    """(N, P): configured, heard and without fault."""
+    values, valid = np.empty(sensors.configured.shape), np.empty_like(sensors.configured)
+    lib.temperature_values(
+        _drive(sensors, 0), len(sensors.drives), now, pointer("double", values),
+        pointer("uint8_t", valid),
+    )  # fmt: skip
+    return valid
+
+
+def not_yet_valid(sensors: SensorSide, drive: int) -> bool:
+    """Whether a configured sensor has never given a valid value."""
+    return bool(lib.temperature_not_yet_valid(_drive(sensors, drive)))
+
+
+def sensor_verdict(sensors: SensorSide, drive: int, now: Nanos) -> tuple[FaultClass, FaultSensor]:
+    """The drive's first sensor fault and whose it is."""
+    own = _drive(sensors, drive)
+    kind, whose = lib.temperature_fault(own, now), lib.temperature_fault_sensor(own, now)
+    return FaultClass(kind), FaultSensor(whose)
