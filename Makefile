@@ -115,11 +115,11 @@ calibration: $(VENV)/.ready
 
 # Wheels for two processors (glibc 2.17 or newer, any Python from 3.11 on), and the sdist. What an earlier
 # build left would otherwise be packed as well.
-ZIG = $(abspath $(BIN))/python -m ziglang cc -target $$what-linux-gnu.2.17
+ZIG = $(abspath $(BIN))/python -m ziglang cc -target $$what-linux-gnu.2.17 -I$(abspath out/sizes)
 dist: $(VENV)/.ready
 	rm -rf build dist
 	$(PIP) --require-hashes -r requirements-compiler.lock
-	$(BIN)/python -c "import core_build; core_build.build_sdist('dist')" >/dev/null
+	$(BIN)/python -c "import core_build; core_build.build_sdist('dist'); core_build.leave_sizes('out/sizes')" >/dev/null
 	for what in x86_64 aarch64; do rm -rf build; CC="$(ZIG)" LDSHARED="$(ZIG) -shared" \
 		$(BIN)/python setup.py -q bdist_wheel --plat-name manylinux2014_$$what -d dist || exit 1; done
 	ls dist

@@ -12,6 +12,7 @@ import os
 import re
 import shutil
 import sys
+import sysconfig
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -213,3 +214,17 @@ def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
 def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
     """The same."""
     return _more(build_meta.get_requires_for_build_editable(config_settings))
+
+
+def leave_sizes(folder: str) -> None:
+    """Python's `pyconfig.h` where Debian's dispatcher looks for it: for both processors.
+
+    Debian keeps one in a folder of each processor, and installs that of its own. What the limited
+    API takes of it, the sizes of C types, is the same for both.
+    """
+    general = Path(sysconfig.get_config_h_filename())
+    own = general.parents[1] / str(sysconfig.get_config_var("MULTIARCH")) / general.parent.name
+    for what in ("x86_64", "aarch64"):
+        there = Path(folder) / f"{what}-linux-gnu" / general.parent.name
+        there.mkdir(parents=True, exist_ok=True)
+        shutil.copy(own / general.name if own.exists() else general, there / general.name)

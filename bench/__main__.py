@@ -13,6 +13,7 @@ from pathlib import Path
 from bench import (
     adhesion,
     authentication,
+    drives,
     filters,
     fleet,
     growth,
@@ -37,6 +38,7 @@ PARTS = {
     "fleet": fleet,
     "filters": filters,
     "judges": judges,
+    "drives": drives,
     "growth": growth,
     "adhesion": adhesion,
     "thermal": thermal,
@@ -52,6 +54,7 @@ TITLES = {
     "fleet": "A fleet of logs",
     "filters": "What a step of the filters costs",
     "judges": "What the detectors cost",
+    "drives": "A tick, by the number of drives",
     "growth": "Growth, and what a fleet costs",
     "adhesion": "Detection of random single losses of 20-100 %",
     "thermal": "Thermal watch",

@@ -69,22 +69,7 @@ def installed(built, tmp_path_factory) -> Path:
     (site,) = (venv / "lib").glob("python*/site-packages")
     # A path only: what the environment of these tests adds to its own path stays out.
     (site / "locked.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    _take_kernels(site)
     return venv / "bin"
-
-
-def _take_kernels(site: Path) -> None:
-    """What was compiled here is good there, if the files have the same age: saves a minute."""
-    for package in PACKAGES:
-        for index in (ROOT / package).rglob("*.nb[ic]"):
-            folder = site / index.parent.relative_to(ROOT)
-            folder.mkdir(exist_ok=True)
-            shutil.copy(index, folder)
-        for source in (ROOT / package).rglob("*.py"):
-            stat = source.stat()
-            there = site / source.relative_to(ROOT)
-            assert there.read_bytes() == source.read_bytes()
-            os.utime(there, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
 
 def test_the_wheel_has_everything_that_the_packages_have(built):
@@ -110,7 +95,7 @@ def test_the_sdist_has_what_a_packager_needs(built):
         "examples/train.toml", "tests/unit/test_packaging.py",
         "tests/golden/loss.log.gz",
     } <= names  # fmt: skip
-    assert not [name for name in names if name.endswith((".pyc", ".nbi", ".nbc"))]
+    assert not [name for name in names if name.endswith((".pyc", ".so"))]
 
 
 def test_it_runs_from_an_empty_folder(installed, tmp_path):
@@ -129,6 +114,26 @@ def test_it_runs_from_an_empty_folder(installed, tmp_path):
     assert "commit" not in text, "an installed package does not know one"
     assert "1 of 1 event found" in text
     assert called(program, "hil", "silent", cwd=tmp_path).startswith("ok  ")
+    called(program, "demo", "--headless", "--duration", "5", "-o", "demo.png", cwd=tmp_path)
+    assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_uninstalling_leaves_nothing_behind(built, tmp_path):
+    """Neither files nor folders; the program has run once before."""
+    venv = tmp_path / "venv"
+    called(sys.executable, "-m", "venv", "--without-pip", str(venv), cwd=tmp_path)
+    python = str(venv / "bin" / "python")
+    (site,) = (venv / "lib").glob("python*/site-packages")
+    (site / "locked.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    before = {path for path in venv.rglob("*") if "__pycache__" not in path.parts}
+    pip = (sys.executable, "-m", "pip", "--python", python)
+    called(*pip, "install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check",
+           str(built[1]), cwd=tmp_path)  # fmt: skip
+    called(str(venv / "bin" / "traction-gateway"), "sim", "release", "-o", "a.log",
+           "--duration", "1", cwd=tmp_path)  # fmt: skip
+    called(*pip, "uninstall", "--quiet", "--yes", "traction-gateway", cwd=tmp_path)
+    after = {path for path in venv.rglob("*") if "__pycache__" not in path.parts}
+    assert after == before
 
 
 def test_what_it_asks_for_is_what_is_locked(built):
