@@ -4,9 +4,9 @@
     python -m tests.mutation.core --sample 12 --seed 3   # exit 1 if one is found no more
 
 A mutant changes one operator, one number or one condition, or leaves out one statement. One whose
-machine code is that of the original is none. Of a source with more than SAMPLE of them that many are
-judged, by seed. Outcomes: killed, survived, none; a survivor has a sixth column, by hand: why it may
-survive, beginning with "equivalent: " where nothing that it does tells it from the original.
+machine code is that of the original is none. Of a source with more than SAMPLE of them that many
+are judged, by seed. Outcomes: killed, survived, none. A survivor has a sixth column, by hand: why
+it may survive, beginning with "equivalent: " where nothing that it does tells it from the original.
 Only the mutated source is compiled, and its functions take the place of the core's in a child of a
 pytest that has imported and collected the tests once (forked.py).
 """
