@@ -9,7 +9,7 @@ CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c 
 CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h)
 WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
 
-.PHONY: demo test test-all fuzz fuzz-deep soak campaign coverage sanitize mutation lint format docs bench calibration changelog dist lock clean
+.PHONY: demo test test-all fuzz fuzz-deep fuzz-tick soak campaign coverage sanitize mutation lint clang format docs bench calibration changelog dist lock clean
 demo: $(VENV)/.ready
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -26,21 +26,30 @@ test-all: test
 	$(PIP) --require-hashes -r requirements-compiler.lock
 	$(BIN)/python -m tests.other_processors
 	$(BIN)/python -m tests.core_variants sanitize -n auto --dist worksteal --ignore=tests/hil --ignore=tests/web tests
+	$(MAKE) fuzz-tick
 
 # Random examples, many more of them than the gate looks at: `make fuzz FACTOR=100`.
 FACTOR ?= 20
 fuzz: $(VENV)/.ready
 	$(BIN)/pytest -n auto tests/unit tests/property -m "not slow" --fuzz $(FACTOR) $(ARGS)
 
-# The readers, loaders and the decoder under coverage-guided fuzzing, SECONDS for each of six targets
-# and each seed; tests/fuzzing/README.md. atheris has a folder of its own: it is no dependency.
+# All targets under coverage-guided fuzzing (libFuzzer), SECONDS for each of eight and each seed;
+# tests/fuzzing/README.md. atheris has a folder of its own: it is no dependency.
 SECONDS ?= 120
 SEEDS ?= 1
 ATHERIS := out/fuzz/atheris
-fuzz-deep: $(VENV)/.ready
+$(ATHERIS): $(VENV)/.ready
 	test -d $(ATHERIS) || $(BIN)/pip install -q --no-deps --target $(ATHERIS) atheris==3.0.0
+	$(PIP) --require-hashes -r requirements-compiler.lock
+fuzz-deep: $(ATHERIS)
 	PYTHONPATH=$(ATHERIS) nice -n 10 $(BIN)/python -m tests.fuzzing --seconds $(SECONDS) \
 		--seeds $(SEEDS) -o tests/fuzzing/executions.jsonl $(ARGS)
+
+# Of them the whole tick alone, frames and damaged records, under AddressSanitizer and
+# UndefinedBehaviorSanitizer; nothing is kept of the run.
+fuzz-tick: $(ATHERIS)
+	PYTHONPATH=$(ATHERIS) nice -n 10 $(BIN)/python -m tests.fuzzing --targets tick \
+		--seconds $(SECONDS) --seeds $(SEEDS) $(ARGS)
 
 # Three hours of the bus at its worst for each of 100 seeds; some four hours on two cores. It goes on
 # where it was stopped; what is in the repository is its last result. ARGS=--anew: on today's code.
@@ -94,6 +103,13 @@ lint: $(VENV)/.ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m dbc.build --check
+
+# A second compiler, the clang in ziglang, with the same warnings; a minute.
+clang: $(VENV)/.ready
+	$(PIP) --require-hashes -r requirements-compiler.lock
+	mkdir -p out/clang
+	for source in $(CORE_C); do $(BIN)/python -m ziglang cc $(WARNINGS) -O1 -c $$source -o out/clang/core.o \
+		|| exit 1; done
 
 format: $(VENV)/.ready
 	$(BIN)/clang-format -i $(CORE_C) $(CORE_H)

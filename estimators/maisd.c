@@ -16,7 +16,9 @@
 void maisd_push(double *ring, int window, int cells, int64_t seen, const double *values,
                 const uint8_t *present)
 {
-    double *oldest = ring + (seen % window) * cells; /* a window holds at least one sample */
+    /* A window holds at least one sample; of a count below zero, which only a damaged record holds,
+     * a place in the ring comes out, too. */
+    double *oldest = ring + (int64_t)((uint64_t)seen % (uint64_t)window) * cells;
     for (int c = 0; c < cells; c++)
         oldest[c] = present[c] ? values[c] : NAN;
 }

@@ -5,6 +5,8 @@
 
 `sanitize`: AddressSanitizer and UndefinedBehaviorSanitizer; the first finding ends the run.
 `coverage`: fails unless the core's own tests run every line and branch of it (gcov). Both need gcc.
+`tests.fuzzing` has a third one built: libFuzzer's instruments and the same sanitizers, by the clang
+in ziglang.
 """
 
 from __future__ import annotations
@@ -62,10 +64,16 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_motion_reference.py",
        "tests/unit/test_integrity.py",
        "tests/unit/test_detect_paper.py",
-       "tests/unit/test_thermal_rivals.py")  # fmt: skip
+       "tests/unit/test_thermal_rivals.py",
+       "tests/fuzzing/test_fuzzing.py::test_every_target_holds[tick]")  # fmt: skip
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
-FLAGS = {"sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage"}
+FLAGS = {
+    "sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage",
+    "libfuzzer": "-O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all -fsanitize=address"
+    " -fsanitize=undefined -fsanitize=fuzzer-no-link",
+}  # fmt: skip
+"""Of several names behind one `-fsanitize=` zig takes some, and leaves out AddressSanitizer."""
 
 
 def build(name: str) -> Path:
@@ -77,6 +85,10 @@ def build(name: str) -> Path:
     command = [sys.executable, "setup.py", "-q", "build_ext", "--force", f"--build-lib={place}",
                f"--build-temp={place / 'objects'}"]  # fmt: skip
     environment = {"CC": "gcc", "LDSHARED": f"gcc -shared {FLAGS[name]}", "CFLAGS": FLAGS[name]}
+    if name == "libfuzzer":
+        # What it calls comes with the library that atheris brings along.
+        clang = f"{sys.executable} -m ziglang cc {FLAGS[name]}"
+        environment = {"CC": clang, "LDSHARED": "gcc -shared", "CFLAGS": ""}
     subprocess.run(command, env={**os.environ, **environment}, check=True)
     # Imported before Python looks into the checkout, where the core lies as it is delivered.
     (place / "sitecustomize.py").write_text("import _traction_core  # noqa: F401\n")

@@ -30,8 +30,9 @@ static int64_t received_period(const struct heartbeat *node)
 /* A gap between two heartbeats: it sets the time-out, from the second heartbeat in a row on. */
 static void note_gap(const struct supervision *all, struct heartbeat *node, int64_t gap_ns)
 {
-    /* -1 stands for its remainder, the last place, as after an answer to node guarding. */
-    const int64_t place = (node->gaps + HEARTBEAT_GAPS) % HEARTBEAT_GAPS;
+    /* -1 stands for its remainder, the last place, as after an answer to node guarding. Without a
+     * sign: any count below that, which only a damaged record holds, gives a place, too. */
+    const uint64_t place = ((uint64_t)node->gaps + HEARTBEAT_GAPS) % HEARTBEAT_GAPS;
     node->gap_ns[place] = gap_ns;
     node->gaps++;
     if (node->gaps <= 0)

@@ -1,4 +1,4 @@
-"""Fuzz the six targets with atheris: `make fuzz-deep SECONDS=600`.
+"""Fuzz the eight targets with atheris: `make fuzz-deep SECONDS=600`.
 
     python -m tests.fuzzing --seconds 600 -j 2 -o tests/fuzzing/executions.jsonl
 
@@ -11,25 +11,42 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
 from pathlib import Path
 
+from tests.core_variants import build
 from tests.provenance import commit_of
 
 UNITS = {
     "candump": "lines",
     "readers": "lines",
     "frames": "frames",
+    "tick": "ticks",
     "values": "ticks",
     "dbc": "codecs",
     "config": "configurations",
     "scenario": "scenarios",
 }
 NAMES = tuple(UNITS)
+
+
+def instrumented() -> dict[str, str]:
+    """Environment in which the core is one that libFuzzer and the sanitizers watch."""
+    spec = find_spec("atheris")
+    if spec is None or spec.origin is None:
+        sys.exit("fuzzing: the tick needs atheris, see `make fuzz-deep`")
+    library = Path(spec.origin).parents[1] / "asan_with_fuzzer.so"
+    paths = [str(build("libfuzzer")), *sys.path]
+    return {
+        "LD_PRELOAD": str(library), "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+        "ASAN_OPTIONS": "detect_leaks=0", "UBSAN_OPTIONS": "print_stacktrace=1",
+    }  # fmt: skip
 
 
 def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
@@ -43,7 +60,7 @@ def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
         code = subprocess.run(
             [sys.executable, "-m", "tests.fuzzing.engine", name, str(options.seconds),
              str(options.runs), str(seed), str(options.longest), str(work / "inputs"), str(report)],
-            stdout=out, stderr=out, check=False,
+            stdout=out, stderr=out, check=False, env={**os.environ, **options.environment[name]},
         ).returncode  # fmt: skip
     told = json.loads(report.read_text()) if report.exists() else {"executions": 0, "found": 0}
     if code:
@@ -87,6 +104,9 @@ def main() -> int:
     parser.add_argument("--work", type=Path, default=Path("out/fuzz"), help="inputs and finds")
     parser.add_argument("-o", type=Path, help="a line of JSON per run is added to this file")
     options = parser.parse_args()
+    options.environment = {name: {} for name in NAMES}
+    if "tick" in options.targets:
+        options.environment["tick"] = instrumented()
     first, _, last = options.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)
     lock = threading.Lock()

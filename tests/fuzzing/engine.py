@@ -18,6 +18,7 @@ PACKAGES = {
     "candump": ["dbc"],
     "readers": ["dbc"],
     "frames": ["dbc", "gateway", "tests"],
+    "tick": ["tests.fuzzing.tick"],  # and the core in C, which is built for it
     "values": ["gateway", "sim", "tests"],
     "dbc": ["dbc", "cantools", "textparser"],
     "config": ["gateway", "tomllib"],

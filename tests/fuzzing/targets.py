@@ -1,4 +1,4 @@
-"""The seven targets: what is called with an input, how long inputs are, words of the grammar."""
+"""The eight targets: what is called with an input, how long inputs are, words of the grammar."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 from tests.fuzzing.candump import candump, readers
 from tests.fuzzing.frames import frames
 from tests.fuzzing.texts import config, dbc, scenario
+from tests.fuzzing.tick import tick
 from tests.fuzzing.values import values
 
 CORPUS: Final = Path(__file__).with_name("corpus")
@@ -53,6 +54,12 @@ _FRAMES = tuple(
     )
 )  # fmt: skip
 _VALUES = tuple(bytes((what, 0, 0, 31)) for what in range(12))
+_TICK = (
+    *(bytes((0x90, place, 0, 0, how)) for place in range(0, 256, 16) for how in (0, 6, 10, 18)),
+    bytes((0x40, 0, 3, 0xFF)), bytes((0x41, 1, 7, 0x80)), bytes((0x80, 0)), bytes((0x82, 0, 0)),
+    bytes((0x83, 0, 0)),
+    bytes((0x70, 1, 7, 0, 0, 0, 1, 0, 5)), bytes((0x70, 1, 7, 0, 0, 0, 1, 0, 127)),
+)  # fmt: skip
 _TOML = (
     "[ ] [[ ]] = { } , ' \" ''' \"\"\" # \\u0000 \\u000a \\U0010ffff true false inf nan -inf "
     "1979-05-27T07:32:00Z 07:32:00 0x7fffffffffffffff a.b.c ~=~ ^ [x]^ x~=~1^ \\n é "
@@ -89,6 +96,7 @@ TARGETS: Final = {
         Target("readers", partial(readers, tokens=_LOG), "lines", 4000, _LOG,
                partial(readers, tokens=_LOG)),
         Target("frames", frames, "frames", 160, _FRAMES, partial(frames, every=1), is_slow=False),
+        Target("tick", tick, "ticks", 200, _TICK, partial(tick, every=1), is_slow=False),
         Target("values", values, "ticks", 33, _VALUES, values),
         Target("dbc", dbc, "codecs", 1500, _DBC, dbc),
         Target("config", config, "configurations", 6000, _CONFIG, partial(config, every=1)),

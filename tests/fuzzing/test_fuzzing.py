@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import gzip
 import random
+import subprocess
+import sys
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -29,17 +31,18 @@ from gateway.supervision import Life, Supervision
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
 from tests.dbc_text import write
-from tests.fuzzing import candump, frames, texts, values
+from tests.fuzzing import candump, frames, texts, tick, values
 from tests.fuzzing.__main__ import NAMES, UNITS, summary
 from tests.fuzzing.engine import PACKAGES
 from tests.fuzzing.held import Held
 from tests.fuzzing.mutate import mutate
 from tests.fuzzing.targets import CORPUS, TARGETS
+from tests.mutation import core
 from tests.stations import Inbox
 
 MUTATIONS = {
-    "candump": 600, "readers": 40, "frames": 150, "values": 12, "dbc": 60, "config": 250,
-    "scenario": 250,
+    "candump": 600, "readers": 40, "frames": 150, "tick": 300, "values": 12, "dbc": 60,
+    "config": 250, "scenario": 250,
 }  # fmt: skip
 MOST_BYTES = 100_000
 
@@ -209,6 +212,42 @@ class _Divides(Gateway):
 
 def test_a_gateway_that_divides_by_a_value_is_found() -> None:
     _fails(lambda data: values.values(data, gateway=_Divides), "values")
+
+
+@pytest.mark.parametrize("broken", [_Unprotected])
+def test_a_broken_tick_is_found(broken) -> None:
+    _fails(lambda data: tick.tick(data, broken, every=1), "tick")
+
+
+BROKEN = """
+import sys
+from pathlib import Path
+from tests.fuzzing.test_fuzzing import mutations
+from tests.fuzzing.tick import SETUPS, tick
+from tests.mutation.forked import become
+
+for setup in range(len(SETUPS)):
+    tick(bytes([setup]))
+become(Path(sys.argv[1]))
+print("begun", flush=True)
+for data in mutations("tick", 300):
+    tick(data)
+"""
+
+
+def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path) -> None:
+    """It crashes, or breaks what lies there; with sanitizers a step behind the end is enough."""
+    source, before = "gateway/core/current_plausibility.c", "[p->samples % CURRENT_HISTORY]"
+    lines = (core.ROOT / source).read_text().splitlines()
+    at = next(k for k, line in enumerate(lines) if before in line)
+    changed = lines[at].strip().replace(before, "[p->samples]")
+    mutant = core.Mutant(source, at + 1, lines[at].strip(), changed)
+    (library,) = core.libraries(source, [mutant], tmp_path)
+    assert library is not None
+    command = [sys.executable, "-c", BROKEN, str(library)]
+    done = subprocess.run(command, cwd=core.ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout == "begun\n", done.stderr
+    assert done.returncode != 0
 
 
 def _bare_cantools(path: Path, nodes, contract):

@@ -1,10 +1,14 @@
 """Mutants of the compiled core: each compiled by itself, and judged by the core's own tests.
 
-    python -m tests.mutation.core            # all, into core.json; a few minutes
+    python -m tests.mutation.core            # all that have changed, into core.json; hours
     python -m tests.mutation.core --sample 12 --seed 3   # exit 1 if one is found no more
 
 A mutant changes one operator, one number or one condition, or leaves out one statement. One whose
-machine code is that of the original is none. Outcomes: killed, survived, none.
+machine code is that of the original is none. Of a source with more than SAMPLE of them that many
+are judged, by seed. Outcomes: killed, survived, none. A survivor has a sixth column, by hand: why
+it may survive, beginning with "equivalent: " where nothing that it does tells it from the original.
+Only the mutated source is compiled, and its functions take the place of the core's in a child of a
+pytest that has imported and collected the tests once (forked.py).
 """
 
 from __future__ import annotations
@@ -12,19 +16,18 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
 import random
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from core_build import DEPENDS, FLAGS, SOURCES, builder, compiler
+from core_build import FLAGS, compiler
 
 ROOT = Path(__file__).parents[2]
 KEPT = Path(__file__).with_name("core.json")
@@ -53,6 +56,8 @@ MOTION = ("tests/unit/test_motion_reference.py", *(
         "test_an_angle_that_is_off_for_a_minute_is_the_new_one",
     )
 ))  # fmt: skip
+GOLDEN = "tests/golden/test_golden.py"
+"""Recorded logs through the whole tick: for every source that a tick goes through."""
 TESTS = {
     "dbc/crc.c": E2E, "dbc/e2e.c": E2E,
     "dbc/decode.c": CODEC, "dbc/encode.c": CODEC,
@@ -116,9 +121,14 @@ TESTS = {
     "estimators/thermal/rivals/ekf.c": ("tests/unit/test_thermal_rivals.py",),
 }  # fmt: skip
 """Those that answer for a source."""
-NOT_YET = tuple(source for source in TESTS if source not in ("dbc/crc.c", "dbc/e2e.c"))
+JUDGED = (
+    "dbc/crc.c", "dbc/e2e.c", "gateway/core/flags.c", "gateway/core/inputs.c",
+    "gateway/core/integrity.c", "gateway/core/sequence.c",
+)  # fmt: skip
+NOT_YET = tuple(source for source in TESTS if source not in JUDGED)
 """Sources whose mutants have not been judged since they became C."""
-LIMIT_S = 120
+SAMPLE = 60
+"""At most so many of a source, by seed; the same ones until its text changes."""
 SWAPS = {
     "==": "!=", "!=": "==", "<": "<=", "<=": "<", ">": ">=", ">=": ">", "+": "-", "-": "+",
     "&": "|", "|": "&", "^": "&", "<<": ">>", ">>": "<<", "&&": "||", "||": "&&", "%": "*",
@@ -172,71 +182,68 @@ def changes(line: str) -> Iterator[str]:
         yield ";"
 
 
-def mutants() -> list[Mutant]:
-    """Of all sources of the core."""
+def mutants(source: str) -> list[Mutant]:
+    """All of a source of the core."""
     return [
         Mutant(source, number, line.strip(), after.strip())
-        for source in SOURCES
         for number, line in code_lines((ROOT / source).read_text())
         for after in changes(line)
     ]
 
 
-class Bench:
-    """A folder in which all objects lie; each mutant replaces one."""
+def sample(source: str) -> list[Mutant]:
+    """Those of a source that are judged: all, or SAMPLE of them by seed."""
+    every = mutants(source)
+    if len(every) <= SAMPLE:
+        return every
+    return sorted(random.Random(source).sample(every, SAMPLE))
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.cc = compiler()
-        for header in DEPENDS:
-            (folder / header).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / header, folder / header)
-        glue = folder / "_traction_core.c"
-        builder().emit_c_code(str(glue))
-        import sysconfig
 
-        include = sysconfig.get_path("include")
-        self.objects = {"": folder / "glue.o"}
-        self._compile(glue, self.objects[""], f"-I{include}", "-DPy_LIMITED_API=0x030b0000")
-        for source in SOURCES:
-            # Under the name of a mutant, so that the same code is the same object.
-            copy = folder / source.replace("/", "_") / "mutant.c"
-            copy.parent.mkdir()
-            shutil.copy(ROOT / source, copy)
-            self.objects[source] = copy.with_suffix(".o")
-            self._compile(copy, self.objects[source])
+def _compile(source: Path, to: Path) -> bool:
+    command = [*compiler(), *FLAGS, "-O1", "-fPIC", f"-I{ROOT}", "-c", str(source), "-o", str(to)]
+    return not subprocess.run(command, capture_output=True, check=False).returncode
 
-    def _compile(self, source: Path, to: Path, *more: str) -> bool:
-        command = [*self.cc, *FLAGS, "-fPIC", f"-I{self.folder}", *more, "-c", str(source), "-o",
-                   str(to)]  # fmt: skip
-        return not subprocess.run(command, capture_output=True, check=False).returncode
 
-    def judge(self, mutant: Mutant) -> str:
-        """Its outcome."""
-        with tempfile.TemporaryDirectory(dir=self.folder) as name:
-            place = Path(name)
-            lines = (ROOT / mutant.source).read_text().splitlines()
-            lines[mutant.line - 1] = mutant.after
-            source, changed = place / "mutant.c", place / "mutant.o"
-            source.write_text("\n".join(lines) + "\n")
-            same = self.objects[mutant.source]
-            if not self._compile(source, changed) or changed.read_bytes() == same.read_bytes():
-                return "none"
-            objects = [str(o) for s, o in self.objects.items() if s != mutant.source]
-            subprocess.run([*self.cc, "-shared", *objects, str(changed), "-lm", "-o",
-                            str(place / "_traction_core.abi3.so")], check=True)  # fmt: skip
-            (place / "sitecustomize.py").write_text("import _traction_core\n")
-            paths = os.pathsep.join([str(place), str(ROOT)])
-            command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider",
-                       *TESTS[mutant.source]]  # fmt: skip
-            try:
-                done = subprocess.run(
-                    command, cwd=ROOT, capture_output=True, timeout=LIMIT_S, check=False,
-                    env={**os.environ, "PYTHONPATH": paths},
-                )  # fmt: skip
-            except subprocess.TimeoutExpired:
-                return "killed"
-            return "killed" if done.returncode else "survived"
+def libraries(source: str, chosen: Sequence[Mutant], folder: Path) -> list[Path | None]:
+    """A shared library of each mutant of a source; None: it is none, or cannot be compiled."""
+    lines = (ROOT / source).read_text().splitlines()
+    # All under one name and at one place, so that the same code is the same object.
+    changed, made = folder / "mutant.c", folder / "mutant.o"
+
+    def object_of(text: Sequence[str]) -> bytes:
+        changed.write_text("\n".join(text) + "\n")
+        return made.read_bytes() if _compile(changed, made) else b""
+
+    original = object_of(lines)
+    found: list[Path | None] = []
+    for k, mutant in enumerate(chosen):
+        at = mutant.line - 1
+        if object_of([*lines[:at], mutant.after, *lines[at + 1 :]]) in (original, b""):
+            found.append(None)
+            continue
+        # Its own functions and tables first, then those of the core that is loaded.
+        found.append(folder / f"{k}.so")
+        subprocess.run([*compiler(), "-shared", "-Wl,-Bsymbolic", str(made), "-lm", "-o",
+                        str(found[-1])], check=True)  # fmt: skip
+    return found
+
+
+def judge(source: str, chosen: Sequence[Mutant]) -> list[str]:
+    """Outcomes of mutants of one source, by its tests."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        made = libraries(source, chosen, folder)
+        listed, results = folder / "mutants.json", folder / "results"
+        listed.write_text(json.dumps([str(at) for at in made if at is not None]))
+        command = [sys.executable, "-m", "tests.mutation.forked", str(listed), str(results),
+                   *dict.fromkeys((*TESTS[source], GOLDEN))]  # fmt: skip
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        told = iter(results.read_text().splitlines() if results.exists() else ())
+        try:
+            by = ["none" if at is None else json.loads(next(told)) for at in made]
+        except StopIteration:
+            sys.exit(f"{source}: {done.stdout}{done.stderr}")
+    return [each if each == "none" else "killed" if each else "survived" for each in by]
 
 
 def digest(source: str) -> str:
@@ -256,33 +263,54 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     kept = _kept()
-    digests, rows = kept["digests"], kept["mutants"]
-    sources = options.source or [s for s in TESTS if digests.get(s) != digest(s)]
-    chosen = [mutant for mutant in mutants() if mutant.source in sources]
     if options.sample:
-        killed = [Mutant(*row[:4]) for row in rows if row[4] == "killed"]
+        killed = [Mutant(*row[:4]) for row in kept["mutants"] if row[4] == "killed"]
         chosen = random.Random(options.seed).sample(killed, options.sample)
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
-        bench = Bench(Path(folder))
-        outcomes = list(pool.map(bench.judge, chosen))
-    new: list[list[Any]] = [[*m, outcome] for m, outcome in zip(chosen, outcomes, strict=True)]
-    for row in new:
-        if row[4] == "survived":
-            print(f"{row[0]}:{row[1]}: {row[2]}  ->  {row[3]}")
-    counts = {name: outcomes.count(name) for name in ("killed", "survived", "none")}
-    print(counts)
-    if options.sample:
-        return int(counts["killed"] < len(new))
+        return int(any(row[4] != "killed" for row in _judged(chosen)))
+    for source in options.source or [s for s in TESTS if kept["digests"].get(s) != digest(s)]:
+        _keep(source, _judged(sample(source)))
+    return 0
+
+
+def _judged(chosen: Sequence[Mutant]) -> list[list[Any]]:
+    """Mutants with their outcomes; survivors are printed."""
+    rows: list[list[Any]] = []
+    for source in dict.fromkeys(mutant.source for mutant in chosen):
+        began = time.monotonic()
+        own = [mutant for mutant in chosen if mutant.source == source]
+        new = [[*m, outcome] for m, outcome in zip(own, judge(source, own), strict=True)]
+        counts = Counter(row[4] for row in new)
+        real = counts["killed"] + counts["survived"]
+        print(
+            f"{source}: {len(own)} of {len(mutants(source))} mutants in"
+            f" {time.monotonic() - began:.0f} s, {counts['none']} are none, {counts['killed']} of"
+            f" {real} killed ({100.0 * counts['killed'] / max(real, 1):.1f} %)"
+        )
+        for row in new:
+            if row[4] == "survived":
+                print(f"  {row[1]}: {row[2]}  ->  {row[3]}")
+        sys.stdout.flush()
+        rows += new
+    return rows
+
+
+def _keep(source: str, new: list[list[Any]]) -> None:
+    kept = _kept()
+    rows = kept["mutants"]
     # Why a survivor may survive is written by hand, and stays where its line has moved.
     reasons = {(row[0], row[2], row[3]): row[5] for row in rows if len(row) > 5}
     for row in new:
         if row[4] == "survived" and (row[0], row[2], row[3]) in reasons:
             row.append(reasons[row[0], row[2], row[3]])
-    digests.update({source: digest(source) for source in sources})
-    everything = [row for row in rows if row[0] not in sources] + new
+    digests = {**kept["digests"], source: digest(source)}
+    everything = sorted([row for row in rows if row[0] != source] + new)
     text = ",\n".join(json.dumps(row) for row in everything)
-    KEPT.write_text(f'{{"digests": {json.dumps(digests)},\n"mutants": [\n{text}\n]}}\n')
-    return 0
+    # Written beside and put in its place: a judge that is stopped leaves a whole file.
+    beside = KEPT.with_suffix(".new")
+    beside.write_text(
+        f'{{"digests": {json.dumps(digests, sort_keys=True)},\n"mutants": [\n{text}\n]}}\n'
+    )
+    beside.replace(KEPT)
 
 
 def _kept() -> dict[str, Any]:

@@ -20,16 +20,21 @@ def test_every_source_is_judged_or_named_as_not_yet_judged():
 
 @pytest.mark.parametrize("source", JUDGED)
 def test_what_is_kept_is_of_this_source_and_enough_were_found(source):
-    """94 % and more; of every one that was not, why it need not be."""
+    """94 % and more; of every one that was not, why it need not be.
+
+    One that cannot be told from the original by anything it does, as its reason says, is no mutant.
+    """
     assert KEPT["digests"][source] == core.digest(source), "run `python -m tests.mutation.core`"
     rows = [row for row in KEPT["mutants"] if row[0] == source]
-    assert [tuple(row[:4]) for row in rows] == [
-        tuple(m) for m in core.mutants() if m.source == source
-    ]
+    # Small sources are judged completely, others by a sample that their name is the seed of.
+    judged = sorted(core.Mutant(*row[:4]) for row in rows)
+    assert judged in (sorted(core.mutants(source)), sorted(core.sample(source)))
     counts = Counter(row[4] for row in rows)
     assert set(counts) <= {"killed", "survived", "none"}
-    assert counts["killed"] >= 0.94 * (counts["killed"] + counts["survived"])
-    assert not [row for row in rows if row[4] == "survived" and len(row) < 6]
+    alive = [row for row in rows if row[4] == "survived"]
+    assert all(len(row) == 6 for row in alive), "no reason"
+    other = [row for row in alive if not row[5].startswith("equivalent: ")]
+    assert counts["killed"] >= 0.94 * (counts["killed"] + len(other))
 
 
 @pytest.mark.slow

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from _traction_core import ffi, lib
 
-from dbc.records import DRIVE_STATUS, FLAG_INPUTS
+from dbc.records import (
+    DRIVE_EVIDENCE,
+    DRIVE_STATUS,
+    FLAG_INPUTS,
+    TRAIN_INPUTS,
+    TRAIN_STATUS,
+    pointer,
+)
 from gateway import flags
 from gateway.flags import UNCHANGED, FlagKind, Timing
 from gateway.health import (
@@ -138,9 +145,43 @@ def test_evidence_of_a_probability(lost):
 
 
 def test_ranks_are_the_priorities_and_what_is_no_reason_ranks_as_none():
-    assert [Reason(k) for k in np.argsort(RANKS)] == [*PRIORITY, Reason.NONE]
+    ranks = [lib.reason_rank(reason) for reason in (*PRIORITY, Reason.NONE)]
+    assert ranks == list(range(len(Reason)))
+    assert ranks == [RANKS[reason] for reason in (*PRIORITY, Reason.NONE)]
     for number in (-1, len(Reason), 255, -(1 << 31), (1 << 31) - 1):
         assert lib.reason_rank(number) == lib.reason_rank(Reason.NONE)
+
+
+def test_a_reason_that_is_none_is_the_other_one():
+    for reason in Reason:
+        assert lib.worse_reason(reason, Reason.NONE) == reason
+        assert lib.worse_reason(Reason.NONE, reason) == reason
+
+
+def test_nothing_is_written_behind_the_drives_nor_beside_their_flags():
+    def rows(dtype, count=N + 1):
+        out = np.zeros(count, dtype)
+        out[N:].view(np.uint8)[:] = 0xA5
+        return out
+
+    found, evidence, status = rows(FLAG_INPUTS), rows(DRIVE_EVIDENCE), rows(DRIVE_STATUS)
+    train, whole = np.zeros(1, TRAIN_INPUTS), np.zeros(1, TRAIN_STATUS)
+    evidence[:N]["of"] = evidence[:N]["adhesion_reason"] = Flag.BAD
+    kept, before = status.copy(), [array[N:].view(np.uint8).copy() for array in (evidence, status)]
+    rules = pointer("struct flag_rules", RULES)
+    each, sent = pointer("struct drive_evidence", evidence), pointer("struct drive_status", status)
+    assert lib.debounce_flags(rules, each, N, TICK, sent)
+    for name in DRIVE_STATUS.names:
+        if name != "flag":
+            assert status[name].tobytes() == kept[name].tobytes(), name
+    of_drives, of_train = (
+        pointer("struct flag_inputs", found),
+        pointer("struct train_inputs", train),
+    )
+    lib.collect_evidence(rules, of_train, of_drives, N, each)
+    lib.publish(of_train, of_drives, each, N, TICK, sent, pointer("struct train_status", whole))
+    for array, last in zip((evidence, status), before, strict=True):
+        assert (array[N:].view(np.uint8) == last).all()
 
 
 TEMPERATURES = (

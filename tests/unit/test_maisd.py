@@ -79,3 +79,14 @@ def test_it_equals_the_reference(motors):
         )
         found |= bool(np.isfinite(spread).any())
     assert found == (motors > 1)
+
+
+@pytest.mark.parametrize("seen", [0, 3, 4, -1, -7, -(1 << 63), (1 << 63) - 1])
+def test_any_count_is_a_place_in_the_ring(seen):
+    """Also one below zero, which only a damaged record holds."""
+    room = np.full((12, 2), 7.0)
+    ring = room[4:8]
+    maisd.push(ring, seen, np.ones(2), np.ones(2, bool))
+    assert (room[:4] == 7.0).all()
+    assert (room[8:] == 7.0).all()
+    assert (ring == 1.0).all(axis=1).sum() == 1

@@ -476,6 +476,25 @@ def test_signs_of_a_second_sender_at_the_end_of_time():
     assert guard["shortest_step_ns"] == SHORTEST_STEP * 10 * MS
 
 
+def test_a_step_in_its_shortest_time_is_no_sign_and_signs_a_second_apart_are_of_one_run():
+    def signs(*steps):
+        """Errors after frames at these times (ns), 16 counter steps ahead each."""
+        guard = sequence_guards([10 * MS])
+        guard["shortest_step_ns"] = 1.0
+        for t in steps:
+            lib.guard_sequence(ffi.from_buffer("struct sequence_guard *", guard), t, 16, 0)
+        return guard["errors"].item(), guard["rejected_until_ns"].item()
+
+    assert signs(100 * MS)[0] == 0
+    assert signs(100 * MS, 100 * MS + 16)[0] == 0
+    assert signs(100 * MS, 100 * MS + 15)[0] == 1
+    first = 100 * MS + 15
+    late = first + SECOND - 15
+    assert signs(100 * MS, first, late, late + 15)[0] == 2, "a second after the one before"
+    assert signs(100 * MS, first, late + 1, late + 16)[0] == 1
+    assert signs(100 * MS, first, first + 15, first + 30) == (3, first + 30 + SECOND)
+
+
 @pytest.mark.parametrize("period_ns", [0, 40 * MS])
 def test_heartbeats_equal_the_reference(period_ns):
     """Any bytes at any time, node guarding and boot-ups among them."""
@@ -517,6 +536,23 @@ def test_heartbeats_equal_the_reference(period_ns):
                 assert any_lost(ours, t + later) == lost
         assert ours.malformed == plain.malformed
     assert seen == {-1, 0, 11}
+
+
+@pytest.mark.parametrize("gaps", [-2, -7, -(1 << 40), -(1 << 63), 3, 1 << 62])
+def test_any_count_of_heartbeats_is_a_place_in_their_ring(gaps):
+    """Also one that only a damaged record holds: a gap is written nowhere else."""
+    ours = Supervision(NODES, TIMEOUT, 0)
+    one = ours.heartbeats[0]
+    for t in (MS, 101 * MS):
+        lib.on_heartbeat(ours.pointer, 0, t, 1, 1, 5)
+    one["gap_ns"], one["gaps"] = 7, gaps
+    before, others = one.copy(), ours.heartbeats[1:].tobytes()
+    lib.on_heartbeat(ours.pointer, 0, 301 * MS, 1, 1, 5)
+    assert sorted(one["gap_ns"]) == [7, 7, 7, 7, 200 * MS]
+    assert one["gaps"] == gaps + 1
+    for name in ("boots", "state", "asked"):
+        assert one[name] == before[name]
+    assert ours.heartbeats[1:].tobytes() == others
 
 
 def test_numbers_are_the_headers():
