@@ -19,18 +19,11 @@
 #define SIMD_WIDTH 2 /* doubles in a register of x86-64 and AArch64 */
 #define SIMD_NAME  filter_run_128
 #endif
+#include "estimators/lanes.h"
 
-typedef double vec __attribute__((vector_size(8 * SIMD_WIDTH)));
-typedef int64_t mask __attribute__((vector_size(8 * SIMD_WIDTH))); /* of a lane all bits, or none */
-typedef uint64_t bits __attribute__((vector_size(8 * SIMD_WIDTH)));
+enum { STATES = 5, TRIANGLE = 15 };
 
-enum { LANES = SIMD_WIDTH, STATES = 5, TRIANGLE = 15 };
-
-static const double TWO_OVER_PI = 0x1.45f306dc9c883p-1;
-static const double PI_2_HIGH = 0x1.921fb544p+0; /* 33 bits: products with 20 bits are exact */
-static const double PI_2_LOW = 0x1.0b4611a626331p-34;
 static const double TWO_PI = 0x1.921fb54442d18p+2;
-static const double TO_INTEGER = 0x1.8p52; /* added and subtracted: rounds to the next integer */
 static const double TURN_MAX = 1.4; /* half the turn of a voltage, rad, up to which it is one */
 static const double FLOOR = 1e-12;  /* least variance */
 static const double REPAIR = 1e-6;  /* relative rise of the variances of a P without a factor */
@@ -55,68 +48,6 @@ struct block {
     vec kappa_J, p_J, B_J; /* k_p p^2 psi_f / J, p / J, B / J: of the prediction over a gap */
     mask has_root;         /* every P has had a factor */
 };
-
-/* The same in all lanes. */
-static inline vec broadcast(double value)
-{
-    return (vec){0} + value;
-}
-
-static inline vec select(mask condition, vec yes, vec no)
-{
-    return (vec)(((mask)yes & condition) | ((mask)no & ~condition));
-}
-
-static inline vec larger(vec v, double least)
-{
-    return select(v > least, v, broadcast(least));
-}
-
-static inline vec absolute(vec v)
-{
-    return (vec)((mask)v & INT64_MAX);
-}
-
-static inline vec square_root(vec v)
-{
-    vec root = {0};
-    for (int k = 0; k < LANES; k++)
-        root[k] = sqrt(v[k]);
-    return root;
-}
-
-static inline int any(mask condition)
-{
-    int64_t found = 0;
-    for (int k = 0; k < LANES; k++)
-        found |= condition[k];
-    return found != 0;
-}
-
-/* Of |t| below 1e6 rad to 3e-16; of larger ones numbers without meaning. The polynomials are those
- * of trigonometry.c. */
-static inline void sine_cosine(vec t, vec *sine, vec *cosine)
-{
-    const vec shifted = t * TWO_OVER_PI + TO_INTEGER;
-    const vec q = shifted - TO_INTEGER;
-    const bits quadrant = (bits)shifted; /* its last two bits */
-    const vec r = (t - q * PI_2_HIGH) - q * PI_2_LOW;
-    const vec z = r * r;
-    vec s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10;
-    s = 2.75573137070700676789e-06 + z * s;
-    s = -1.98412698298579493134e-04 + z * s;
-    s = 8.33333333332248946124e-03 + z * s;
-    s = r + r * z * (-1.66666666666666324348e-01 + z * s);
-    vec c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
-    c = -2.75573143513906633035e-07 + z * c;
-    c = 2.48015872894767294178e-05 + z * c;
-    c = -1.38888888888741095749e-03 + z * c;
-    c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c);
-    const mask odd = -(mask)(quadrant & 1);
-    const bits sine_sign = (quadrant & 2) << 62, cosine_sign = ((quadrant + 1) & 2) << 62;
-    *sine = (vec)((bits)select(odd, c, s) ^ sine_sign);
-    *cosine = (vec)((bits)select(odd, s, c) ^ cosine_sign);
-}
 
 static inline vec wrap(vec angle)
 {

@@ -5,43 +5,22 @@
 
 #include <math.h>
 
+#include "estimators/trigonometry_terms.h"
+
 static const double PI = 0x1.921fb54442d18p+1;
-static const double TWO_OVER_PI = 0x1.45f306dc9c883p-1;
 static const double PI_2 = 0x1.921fb54442d18p+0;
 static const double PI_2_REST = 0x1.1a62633145c07p-54; /* pi / 2 less PI_2 */
-/* pi / 2 in two parts: the first has 33 bits, so that its products with 20 bits are exact. */
-static const double PI_2_HIGH = 0x1.921fb544p+0;
-static const double PI_2_LOW = 0x1.0b4611a626331p-34;
-
-/* sin r, |r| <= pi / 4; z = r^2. */
-static double sine_kernel(double r, double z)
-{
-    double s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10;
-    s = 2.75573137070700676789e-06 + z * s;
-    s = -1.98412698298579493134e-04 + z * s;
-    s = 8.33333333332248946124e-03 + z * s;
-    return r + r * z * (-1.66666666666666324348e-01 + z * s);
-}
-
-/* cos r, |r| <= pi / 4; z = r^2. */
-static double cosine_kernel(double z)
-{
-    double c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
-    c = -2.75573143513906633035e-07 + z * c;
-    c = 2.48015872894767294178e-05 + z * c;
-    c = -1.38888888888741095749e-03 + z * c;
-    return 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c);
-}
 
 /* sin(angle + shift pi / 2). */
 static double sine_of_shifted(double angle, double shift)
 {
     const double quarters = floor(angle * TWO_OVER_PI + 0.5);
     const double r = (angle - quarters * PI_2_HIGH) - quarters * PI_2_LOW;
+    const double z = r * r;
     const double turned = quarters + shift;
     const double quadrant = turned - 4.0 * floor(turned * 0.25); /* 0, 1, 2 or 3 */
     const int is_odd = quadrant == 1.0 || quadrant == 3.0;
-    const double size = is_odd ? cosine_kernel(r * r) : sine_kernel(r, r * r);
+    const double size = is_odd ? COSINE_KERNEL(z) : SINE_KERNEL(r, z);
     return quadrant >= 2.0 ? -size : size;
 }
 
