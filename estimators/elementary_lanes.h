@@ -36,7 +36,7 @@ static inline vec log_lanes(vec x)
     const bits magic = (bits)broadcast(0x1p52);
     /* x = 2^k m, m from sqrt(1/2) to sqrt(2). */
     const bits exponent = ((bits)x - root_half + bias) >> MANTISSA_BITS; /* k + EXPONENT_BIAS */
-    const vec k = (vec)(exponent | magic) - (0x1p52 + EXPONENT_BIAS);
+    const vec k = (vec)(exponent | magic) - (0x1p52 + 1023.0);
     const vec m = (vec)((bits)x - (exponent << MANTISSA_BITS) + bias);
     /* log m = 2 artanh s; |s| < 0.172. */
     const vec s = (m - 1.0) / (m + 1.0);
@@ -48,7 +48,7 @@ static inline vec log_lanes(vec x)
     }
     const vec sum = s2 * (even * s4 + ODD[0] + s2 * odd);
     const vec log_x = k * LN2_HIGH + (2.0 * s + (2.0 * s * sum + k * LN2_LOW));
-    const vec none = x - x; /* 0, or NaN */
+    const vec none = x * 0.0; /* NaN of infinity and NaN */
     return select(x < 0x1p-1022, broadcast(-HUGE_VAL), log_x) + none;
 }
 

@@ -6,6 +6,7 @@
 #define TRACTION_LANES_H
 
 #include <math.h>
+#include <stddef.h>
 #include <stdint.h>
 
 #include "estimators/trigonometry_terms.h"
@@ -57,15 +58,15 @@ static inline int any(mask condition)
     return found != 0;
 }
 
-/* Of LANES numbers, one behind the other. */
-static inline vec load_lanes(const double *from)
+/* A row of LANES numbers, of those that lie one behind the other. */
+static inline vec load_row(const double *rows, ptrdiff_t row)
 {
-    return *(const stored *)from;
+    return *(const stored *)(rows + LANES * row);
 }
 
-static inline void store_lanes(double *to, vec v)
+static inline void store_row(double *rows, ptrdiff_t row, vec v)
 {
-    *(stored *)to = v;
+    *(stored *)(rows + LANES * row) = v;
 }
 
 /* Of |t| below 1e6 rad to 3e-16; of larger ones numbers without meaning. */

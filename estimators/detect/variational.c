@@ -16,6 +16,7 @@
 #include "estimators/detect/variational.h"
 
 #include <math.h>
+#include <stddef.h>
 
 #include "estimators/elementary.h"
 
@@ -25,10 +26,10 @@
 
 /* Prior of one component. */
 struct prior {
-    double a, beta;           /* shape of the gamma of Lambda_k; weight of m, in drives */
-    double alpha;             /* weight of the component, in drives */
     vec b;                    /* rate of the gamma of Lambda_k */
     vec m;                    /* mean of mu_k */
+    double a, beta;           /* shape of that gamma; weight of m, in drives */
+    double alpha;             /* weight of the component, in drives */
     int a_steps, alpha_steps; /* `steps_to_ten` of a and alpha, and so of the posterior's */
 };
 
@@ -109,7 +110,7 @@ static inline void expect_lost(struct component q[2], const struct prior p[2], c
         const vec z = base - 0.5 * (lambda_1 * d_1 * d_1 - lambda_0 * d_0 * d_0); /* (47) */
         const vec odds = exp_lanes(-absolute(z));                                 /* 1 at most */
         const vec r = select(z >= 0.0, broadcast(1.0), odds) / (1.0 + odds);
-        store_lanes(&r1[LANES * i], r);
+        store_row(r1, i, r);
         q[1].n += r;
         sum[0] += (1.0 - r) * x[i];
         sum[1] += r * x[i];
@@ -122,7 +123,7 @@ static inline void scatter(const double *x, const double *r1, int n, const vec m
 {
     out[0] = out[1] = broadcast(0.0);
     for (int i = 0; i < n; i++) {
-        const vec r = load_lanes(&r1[LANES * i]);
+        const vec r = load_row(r1, i);
         const vec d_0 = x[i] - mean[0], d_1 = x[i] - mean[1];
         out[0] += (1.0 - r) * (d_0 * d_0);
         out[1] += r * (d_1 * d_1);
@@ -145,7 +146,7 @@ static inline vec entropy(const double *r1, int n)
 {
     vec sum = broadcast(0.0);
     for (int i = 0; i < n; i++) {
-        const vec p = load_lanes(&r1[LANES * i]), q = 1.0 - p;
+        const vec p = load_row(r1, i), q = 1.0 - p;
         sum -= p * log_lanes(larger(p, 1e-300)) + q * log_lanes(larger(q, 1e-300));
     }
     return sum;
@@ -203,13 +204,13 @@ static void sort(double *x, int n)
 static double best_start(const struct vb_priors *priors, int iterations, const double *x, int n,
                          double variance, double *workspace, double *r1)
 {
-    double *trial = workspace, *anchors = workspace + LANES * n;
+    double *trial = workspace, *anchors = workspace + (ptrdiff_t)LANES * n;
     const int starts = n < VB_MAX_STARTS ? n : VB_MAX_STARTS;
     double best = -INFINITY, common = 0.0;
     for (int i = 0; i < n; i++) {
         anchors[i] = x[i];
         r1[i] = 0.0;
-        store_lanes(&trial[LANES * i], broadcast(0.0));
+        store_row(trial, i, broadcast(0.0));
     }
     if (n > VB_MAX_STARTS)
         sort(anchors, n);
@@ -227,7 +228,7 @@ static double best_start(const struct vb_priors *priors, int iterations, const d
             best = found.bound[k];
             common = found.m[k];
             for (int i = 0; i < n; i++)
-                r1[i] = trial[LANES * i + k];
+                r1[i] = load_row(trial, i)[k];
         }
     }
     return common;
