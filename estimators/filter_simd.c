@@ -44,6 +44,7 @@ struct block {
     vec u[2], y[2];             /* voltage and current of the sample */
     vec v[2];                   /* dt / L_s times the voltage of the sub-step */
     vec cos_v, sin_v;           /* its turn from one sub-step to the next */
+    vec sin, cos;               /* of theta_e, before a sub-step of the EKF */
     vec nis;
     vec kappa_J, p_J, B_J; /* k_p p^2 psi_f / J, p / J, B / J: of the prediction over a gap */
     mask has_root;         /* every P has had a factor */
@@ -105,8 +106,9 @@ static inline void propagate(struct block *s, vec sin, vec cos, double dt)
 }
 
 /* EKF, one sub-step: P <- F P F' + Q with F of eq. (13), its entries other than 0 and 1 written out;
- * m is F P. */
-static inline void predict_extended(struct block *s, double dt)
+ * m is F P. The angle after it is known before P is, and so are its sine and cosine, for which P does
+ * not wait then; `last`: nobody asks for them. */
+static inline void predict_extended(struct block *s, double dt, int last)
 {
     const vec a = s->a, b = s->b, e = s->e, f22 = s->d, f24 = s->f, *Q = s->Q;
     const vec i_a = s->now.x[0], i_b = s->now.x[1], w = s->now.x[2];
@@ -115,8 +117,9 @@ static inline void predict_extended(struct block *s, double dt)
     const vec p11 = P[5], p12 = P[6], p13 = P[7], p14 = P[8];
     const vec p22 = P[9], p23 = P[10], p24 = P[11];
     const vec p33 = P[12], p34 = P[13], p44 = P[14];
-    vec sin, cos;
-    sine_cosine(s->now.x[3], &sin, &cos);
+    const vec sin = s->sin, cos = s->cos;
+    if (!last)
+        sine_cosine(s->now.x[3] + w * dt, &s->sin, &s->cos);
     const vec f02 = b * sin, f03 = b * w * cos;
     const vec f12 = -b * cos, f13 = b * w * sin;
     const vec f20 = -e * sin, f21 = e * cos;
@@ -598,11 +601,13 @@ static inline mask run_lanes(struct block *s, const struct round *round,
         predict_gap(s, round->gap, dt);
     turn_voltage(s, round->steps, dt);
     s->has_root = ~(mask){0};
+    if (!settings->unscented)
+        sine_cosine(s->now.x[3], &s->sin, &s->cos);
     for (int64_t j = 0; j < round->steps; j++) {
         if (settings->unscented)
             predict_unscented(s, dt, settings->kappa, repaired);
         else
-            predict_extended(s, dt);
+            predict_extended(s, dt, j + 1 == round->steps);
     }
     return correct(s);
 }
