@@ -100,7 +100,7 @@ static inline void propagate(struct block *s, vec sin, vec cos, double dt)
     const vec i_a = s->now.x[0], i_b = s->now.x[1], w = s->now.x[2];
     s->now.x[0] = s->a * i_a + s->b * sin * w + s->v[0];
     s->now.x[1] = s->a * i_b - s->b * cos * w + s->v[1];
-    s->now.x[2] = s->d * w + s->e * (i_b * cos - i_a * sin) + s->f * s->now.x[4];
+    s->now.x[2] = s->d * w + (s->e * cos * i_b - s->e * sin * i_a) + s->f * s->now.x[4];
     s->now.x[3] = s->now.x[3] + w * dt;
     next_voltage(s);
 }
@@ -120,17 +120,16 @@ static inline void predict_extended(struct block *s, double dt, int last)
     const vec sin = s->sin, cos = s->cos;
     if (!last)
         sine_cosine(s->now.x[3] + w * dt, &s->sin, &s->cos);
-    const vec f02 = b * sin, f03 = b * w * cos;
-    const vec f12 = -b * cos, f13 = b * w * sin;
+    const vec f02 = b * sin, f12 = -b * cos;
+    const vec f03 = b * cos * w, f13 = b * sin * w;
     const vec f20 = -e * sin, f21 = e * cos;
-    const vec f23 = -e * (i_b * sin + i_a * cos);
+    const vec f23 = f20 * i_b - f21 * i_a;
 
     const vec m00 = a * p00 + f02 * p02 + f03 * p03;
     const vec m01 = a * p01 + f02 * p12 + f03 * p13;
     const vec m02 = a * p02 + f02 * p22 + f03 * p23;
     const vec m03 = a * p03 + f02 * p23 + f03 * p33;
     const vec m04 = a * p04 + f02 * p24 + f03 * p34;
-    const vec m10 = a * p01 + f12 * p02 + f13 * p03;
     const vec m11 = a * p11 + f12 * p12 + f13 * p13;
     const vec m12 = a * p12 + f12 * p22 + f13 * p23;
     const vec m13 = a * p13 + f12 * p23 + f13 * p33;
@@ -144,11 +143,11 @@ static inline void predict_extended(struct block *s, double dt, int last)
 
     P[0] = a * m00 + f02 * m02 + f03 * m03 + Q[0];
     P[1] = a * m01 + f12 * m02 + f13 * m03;
-    P[2] = f20 * m00 + f21 * m01 + f22 * m02 + f23 * m03 + f24 * m04;
+    P[2] = a * m20 + f02 * m22 + f03 * m23; /* as P is symmetric */
     P[3] = dt * m02 + m03;
     P[4] = m04;
     P[5] = a * m11 + f12 * m12 + f13 * m13 + Q[1];
-    P[6] = f20 * m10 + f21 * m11 + f22 * m12 + f23 * m13 + f24 * m14;
+    P[6] = a * m21 + f12 * m22 + f13 * m23;
     P[7] = dt * m12 + m13;
     P[8] = m14;
     P[9] = f20 * m20 + f21 * m21 + f22 * m22 + f23 * m23 + f24 * m24 + Q[2];
