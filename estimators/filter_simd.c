@@ -622,6 +622,8 @@ static inline mask filter_round(struct block *s, const struct round *round,
         good = run_lanes(s, round, settings, 1) & s->has_root;
     }
     good &= round->wanted;
+    if (!any(~good))
+        return good;
     for (int i = 0; i < STATES; i++)
         s->now.x[i] = select(good, s->now.x[i], before.x[i]);
     for (int row = 0; row < TRIANGLE; row++)
