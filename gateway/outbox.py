@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.block import Block, blank, block_of
+from dbc.block import ROOM, Block, blank, block_of
 from dbc.codec import Codec, MessageSpec
 from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
@@ -150,11 +150,12 @@ class Outbox(Addressed):
 
     def frames_of(self, sent: Records) -> list[Frame]:
         """From `tx_frame` (K,); behind each flag frame its `Auth`."""
-        frames = []
-        rows = zip(sent["t_ns"].tolist(), sent["message"].tolist(), sent["data"], strict=True)
-        for t_ns, message, data in rows:
+        frames, data = [], sent["data"].tobytes()
+        for k, (t_ns, message) in enumerate(
+            zip(sent["t_ns"].tolist(), sent["message"].tolist(), strict=True)
+        ):
             can_id, length, flags = self.heads[message]
-            frames.append(Frame(t_ns, can_id, data[:length].tobytes(), flags))
+            frames.append(Frame(t_ns, can_id, data[ROOM * k : ROOM * k + length], flags))
         return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
 
     def block_of(self, sent: Records) -> Block:
