@@ -156,10 +156,13 @@ class Gateway(Addressed):
         size = len(block.t_ns)
         if size > self._room:
             self._make_room(size)
-        if not lib.run_one(self.pointer, size, *block.addresses(), now):
+        done = lib.run_one(self.pointer, size, *block.addresses(), now)
+        if not done:
             block = block.ordered()
-            lib.run_one(self.pointer, size, *block.addresses(), now)
-        self._finish(block, 0, now)
+            done = lib.run_one(self.pointer, size, *block.addresses(), now)
+        if done > 1:
+            self._finish(block, 0, now)
+        self._now, self._view = now, None
         out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
         if self.outbox.authenticator is not None:
             self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
@@ -201,7 +204,8 @@ class Gateway(Addressed):
             block = block.part(0, int(ends[0])).ordered()
             done = lib.run(self.pointer, block.columns(), each, 1, now)
         first = int(ends[done - 2]) if done > 1 else 0
-        self._finish(block, first, now + (done - 1) * self.config.loop.period_ns)
+        self._now, self._view = now + (done - 1) * self.config.loop.period_ns, None
+        self._finish(block, first, self._now)
         return done
 
     def _finish(self, block: Block, first: int, now: Nanos) -> None:
@@ -211,7 +215,6 @@ class Gateway(Addressed):
             lib.finish_tick(self.pointer, now)
         if self.pointer.receiver.tick.emergencies:
             self.inbox.read_emergencies(block, first)
-        self._now, self._view = now, None
 
     def _make_room(self, frames: int) -> None:
         """In the receiver, and for samples, for so many frames in a tick."""
