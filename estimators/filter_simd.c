@@ -7,7 +7,10 @@
  *
  * No function here can fail. Divisors are constants of the motor, or 0 and NaN come out and the lane
  * is not committed: a filter whose result is not finite, or has a negative variance, keeps its last
- * good state. Indices are bounded by the lanes, or are links made here. */
+ * good state. Indices are bounded by the lanes, or are links made here.
+ *
+ * Longer than other files, as each build of it is one translation unit: what the filters share is held
+ * inline, so that no lane goes through memory between two functions. */
 #include "estimators/filter_simd.h"
 
 #include <complex.h>

@@ -12,7 +12,7 @@ static const double PI = 0x1.921fb54442d18p+1;
 static const double PI_2 = 0x1.921fb54442d18p+0;
 static const double PI_2_REST = 0x1.1a62633145c07p-54; /* pi / 2 less PI_2 */
 
-void sine_and_cosine(double angle, double *sine, double *cosine)
+void sine_and_cosine(double angle, double *sin, double *cos)
 {
     static const double TO_INTEGER =
         0x1.8p52; /* added and subtracted: rounds to the next integer */
@@ -26,22 +26,22 @@ void sine_and_cosine(double angle, double *sine, double *cosine)
     const double kernel[2] = {SINE_KERNEL(r, z), COSINE_KERNEL(z)};
     static const double SIGN[4] = {1.0, 1.0, -1.0, -1.0};
     const unsigned quadrant = shifted.bits & 3;
-    *sine = SIGN[quadrant] * kernel[quadrant & 1];
-    *cosine = SIGN[(quadrant + 1) & 3] * kernel[~quadrant & 1];
+    *sin = SIGN[quadrant] * kernel[quadrant & 1];
+    *cos = SIGN[(quadrant + 1) & 3] * kernel[~quadrant & 1];
 }
 
 double sine(double angle)
 {
-    double sine, cosine;
-    sine_and_cosine(angle, &sine, &cosine);
-    return sine;
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return sin;
 }
 
 double cosine(double angle)
 {
-    double sine, cosine;
-    sine_and_cosine(angle, &sine, &cosine);
-    return cosine;
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return cos;
 }
 
 /* atan t - t, |t| <= 7/16; even and odd terms of the polynomial side by side. */

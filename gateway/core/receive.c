@@ -42,15 +42,12 @@ int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flag
 /* 1 if a frame is the last one of its channel, byte for byte; the next is compared with it. */
 static int replace_last_frame(struct channel *channel, const uint8_t *data)
 {
-    const int length = channel->e2e_config.length, words = length / 8 * 8;
+    /* In whole words: behind the length are zeros. */
+    const int length = (channel->e2e_config.length + 7) / 8 * 8;
     uint64_t differences = 0;
-    for (int b = 0; b < words; b += 8)
+    for (int b = 0; b < length; b += 8)
         differences |= load_little(data + b) ^ load_little(channel->last_frame + b);
-    for (int b = words; b < length; b++) {
-        differences |= (uint64_t)(data[b] ^ channel->last_frame[b]);
-        channel->last_frame[b] = data[b];
-    }
-    copy_words(channel->last_frame, data, words);
+    copy_words(channel->last_frame, data, length);
     return differences == 0;
 }
 
