@@ -150,6 +150,10 @@ DEPENDS = (
     "estimators/order_statistics.h",
     "estimators/thermal/imm_predict.h",
     "estimators/vectors.h",
+    "estimators/lanes.h",
+    "estimators/elementary_lanes.h",
+    "estimators/elementary_terms.h",
+    "estimators/trigonometry_terms.h",
     "estimators/filter_simd.h",
     "estimators/filter_simd.c",
     "gateway/core/rotors.h",
@@ -160,9 +164,10 @@ DEPENDS = (
     "estimators/detect/paper.h",
 )
 """All that sources include."""
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
-instruction."""
+instruction. Hidden: a function calls ours and not another library's of the same name, and may hold
+it inline."""
 
 
 def declarations() -> str:

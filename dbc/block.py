@@ -17,6 +17,10 @@ ROOM: Final = 64
 """Bytes kept per frame: the most that CAN FD carries."""
 
 
+# A name is looked up each time.
+_INT64, _UINT32, _UINT8 = (ffi.typeof(f"{name}[]") for name in ("int64_t", "uint32_t", "uint8_t"))
+
+
 class Block(NamedTuple):
     """n frames, in the order in which they came.
 
@@ -41,12 +45,16 @@ class Block(NamedTuple):
 
     def columns(self) -> Any:
         """Where the columns lie, a `struct frame_columns`. The block has to outlive its use."""
-        return ffi.new("struct frame_columns *", [
-            pointer("int64_t", self.t_ns), pointer("uint32_t", self.can_id),
-            pointer("uint8_t", self.flags), pointer("uint8_t", self.length),
-            pointer("uint8_t", self.data), pointer("int8_t", self.dlc),
-            pointer("uint16_t", self.channel),
-        ])  # fmt: skip
+        others = pointer("int8_t", self.dlc), pointer("uint16_t", self.channel)
+        return ffi.new("struct frame_columns *", (*self.addresses(), *others))
+
+    def addresses(self) -> tuple[Any, Any, Any, Any, Any]:
+        """Where the first five columns lie: what a tick looks at. As for `columns`."""
+        at = ffi.from_buffer
+        return (
+            at(_INT64, self.t_ns), at(_UINT32, self.can_id), at(_UINT8, self.flags),
+            at(_UINT8, self.length), at(_UINT8, self.data),
+        )  # fmt: skip
 
     def part(self, first: int, last: int) -> Block:
         """Frames first .. last - 1, as views."""

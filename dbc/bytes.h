@@ -45,6 +45,13 @@ static inline void store_big(uint8_t *bytes, uint64_t number)
     bytes[7] = (uint8_t)number;
 }
 
+/* `length` bytes, a multiple of 8; in words, as bytes may be part of anything. */
+static inline void copy_words(uint8_t *to, const uint8_t *from, int length)
+{
+    for (int b = 0; b < length; b += 8)
+        store_little(to + b, load_little(from + b));
+}
+
 static inline double double_of_bits(uint64_t bits)
 {
     const union {

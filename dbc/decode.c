@@ -101,43 +101,58 @@ static double value_if(unsigned present, double value)
     return double_of_bits(bits_of_double(value) | ((uint64_t)present - 1));
 }
 
-/* One frame of a message; returns the number of its signals, which are decoded. */
-static int decode_frame(const struct codec *codec, const struct message *message,
-                        const uint8_t *data, double *value, uint8_t *validity)
+/* One frame of a message without selectors. */
+static void decode_plain(const struct signal *signals, int count, const uint8_t *data,
+                         double *value, uint8_t *validity)
+{
+    for (int k = 0; k < count; k++)
+        validity[k] = decode_signal(&signals[k], data, &value[k]);
+}
+
+/* One frame of any message; of a signal that is not in it the value is NaN. */
+static void decode_multiplexed(const struct codec *codec, const struct message *message,
+                               const uint8_t *data, double *value, uint8_t *validity)
 {
     const struct signal *signals = &codec->signals[message->first_signal];
     const uint64_t listed = message->is_listed ? present_signals(codec, message, data) : 0;
     for (int k = 0; k < message->signal_count; k++) {
         double physical;
         unsigned code = decode_signal(&signals[k], data, &physical);
-        if (message->mux_depth > 0) {
-            unsigned present = (unsigned)(listed >> k % 64) & 1;
-            if (!message->is_listed)
-                present = (unsigned)signal_present(codec, message, &signals[k], data);
-            physical = value_if(present, physical);
-            code += (1 - present) * (SIGNAL_ABSENT - code);
-        }
-        value[k] = physical;
-        validity[k] = (uint8_t)code;
+        unsigned present = (unsigned)(listed >> k % 64) & 1;
+        if (!message->is_listed)
+            present = (unsigned)signal_present(codec, message, &signals[k], data);
+        value[k] = value_if(present, physical);
+        validity[k] = (uint8_t)(code + (1 - present) * (SIGNAL_ABSENT - code));
     }
-    return message->signal_count;
+}
+
+/* Columns from `first` on, which carry nothing. */
+static void leave_blank(int first, int width, double *value, uint8_t *validity)
+{
+    for (int k = first; k < width; k++)
+        value[k] = NAN;
+    for (int k = first; k < width; k++)
+        validity[k] = SIGNAL_ABSENT;
 }
 
 void decode_frames(const struct codec *codec, int64_t frames, const int32_t *message,
                    const uint8_t *data, double *value, uint8_t *validity)
 {
+    const int width = codec->width, messages = codec->message_count;
     for (int64_t i = 0; i < frames; i++) {
-        const int known = message[i] >= 0 && message[i] < codec->message_count;
-        int k = 0;
-        if (known)
-            k = decode_frame(codec, &codec->messages[message[i]], data, value, validity);
-        for (; k < codec->width; k++) {
-            value[k] = NAN;
-            validity[k] = SIGNAL_ABSENT;
+        int count = 0;
+        if (message[i] >= 0 && message[i] < messages) {
+            const struct message *layout = &codec->messages[message[i]];
+            count = layout->signal_count;
+            if (layout->mux_depth > 0)
+                decode_multiplexed(codec, layout, data, value, validity);
+            else
+                decode_plain(&codec->signals[layout->first_signal], count, data, value, validity);
         }
+        leave_blank(count, width, value, validity);
         data += PAYLOAD_BYTES;
-        value += codec->width;
-        validity += codec->width;
+        value += width;
+        validity += width;
     }
 }
 

@@ -134,35 +134,54 @@ static int update_means(struct acquisition *a, double _Complex pair, double ener
     return isfinite(a->S0 + size_of(a->S1) + size_of(a->S2));
 }
 
+/* What a pair of chords says. */
+struct verdict {
+    double lagging, turn;            /* rad per chord, by the means; without their lag */
+    double lagging_chord, new_chord; /* chords of a circle of radius 1 that turns by these */
+    double coherence;                /* |S1| / S0 */
+};
+
 /* 1 if length and turn of the chord, and of the means, are those of a rotor that turns. */
-static int is_plausible(const struct acquisition *a, double psi_f, double coherence, double lagging,
-                        double turn, double dt, double w_off)
+static int is_plausible(const struct acquisition *a, const struct verdict *found, double psi_f,
+                        double dt, double w_off)
 {
     const double length = sqrt(a->S0), last = length_of(a->chord);
-    const double expected = 2.0 * psi_f * fabs(sine(0.5 * lagging));
-    const double sudden = 2.0 * psi_f * fabs(sine(0.5 * turn));
+    const double expected = psi_f * found->lagging_chord;
+    const double sudden = psi_f * found->new_chord;
     const double slowest = psi_f * w_off * a->span;
     /* The means remember, the last chord does not: it must be long enough for a rotor that turns,
      * and fit the speed, or a hard brake or a reversal slips through. */
-    return coherence >= COHERENCE && fabs(length - expected) <= LENGTH_TOL * expected &&
-           fabs(turn) <= TURN_MAX && fabs(a->w) * dt <= STEP_TURN_MAX &&
-           fabs(lagging) >= w_off * a->span && last >= (1.0 - LENGTH_TOL) * slowest &&
+    return found->coherence >= COHERENCE && fabs(length - expected) <= LENGTH_TOL * expected &&
+           fabs(found->turn) <= TURN_MAX && fabs(a->w) * dt <= STEP_TURN_MAX &&
+           fabs(found->lagging) >= w_off * a->span && last >= (1.0 - LENGTH_TOL) * slowest &&
            fabs(last - sudden) <= LENGTH_TOL * sudden + slowest;
 }
 
-/* What the length of the chords says: coherence (given back), spread, flux, largest speed. */
-static double judge_length(struct acquisition *a, double psi_f, double lagging)
+/* What the length of the chords says: spread, flux, largest speed. */
+static void judge_length(struct acquisition *a, const struct verdict *found, double psi_f)
 {
-    const double coherence = a->S0 > 0.0 ? length_of(a->S1) / a->S0 : 0.0;
     /* The logarithm is of 1e-12 to 1, so that the root is of a number from 0 to 56. */
-    a->spread = sqrt(-2.0 * elementary_log(fmin(fmax(coherence, 1e-12), 1.0)));
+    a->spread = sqrt(-2.0 * elementary_log(fmin(fmax(found->coherence, 1e-12), 1.0)));
     const double length = sqrt(a->S0); /* a mean of squares */
-    const double half_sine = fabs(sine(0.5 * lagging));
-    a->psi = half_sine > 0.0 ? length / (2.0 * half_sine) : (double)NAN;
+    a->psi = found->lagging_chord > 0.0 ? length / found->lagging_chord : (double)NAN;
     const double s = length / (2.0 * psi_f * (1.0 - LENGTH_TOL)); /* psi_f is above 0 */
     const double arc_sine = arc_tangent(s, sqrt(fmax((1.0 - s) * (1.0 + s), 0.0)));
     a->w_max = s < 1.0 ? 2.0 / a->span * arc_sine : HUGE_VAL;
-    return coherence;
+}
+
+/* Angle and speed at the end of the last chord. */
+static void follow_angle(struct acquisition *a, struct verdict *found, double _Complex before)
+{
+    const double turn = found->turn;
+    const double _Complex half = unit_vector(0.5 * turn);
+    found->new_chord = 2.0 * fabs(cimag(half));
+    /* After a gap the mean is older than one chord: begin with the chord before this one. */
+    const double _Complex older = a->age < 1.5 * a->span ? a->turned_sum : before;
+    a->turned_sum = FORGET_ANGLE * (older * half * half) + a->chord;
+    const double quarter = turn >= 0.0 ? 0.5 * PI : -0.5 * PI;
+    a->theta = wrap_angle(angle_of(a->turned_sum) - quarter + 0.5 * turn);
+    a->w = turn / a->span;
+    a->age = 0.0;
 }
 
 /* A pair of consecutive chords of equal duration: means, speed, angle, ready. */
@@ -177,24 +196,19 @@ static void add_pair(const struct pmsm *motor, struct acquisition *a, double _Co
         a->ready = 0;
         return;
     }
-    const double lagging = angle_of(a->S1);
-    const double turn = lagging + angle_of(a->S1 * conj(a->S2)) / FORGET;
-    /* After a gap the mean is older than one chord: begin with the chord before this one. */
-    const double _Complex older = a->age < 1.5 * span ? a->turned_sum : before;
-    a->turned_sum = FORGET_ANGLE * (older * unit_vector(turn)) + a->chord;
-    const double quarter = turn >= 0.0 ? 0.5 * PI : -0.5 * PI;
-    a->theta = wrap_angle(angle_of(a->turned_sum) - quarter + 0.5 * turn);
-    a->w = turn / span;
-    a->age = 0.0;
-
-    const double coherence = judge_length(a, motor->psi_f, lagging);
-    if (!is_plausible(a, motor->psi_f, coherence, lagging, turn, dt, limits->w_off)) {
+    struct verdict found = {.lagging = angle_of(a->S1)};
+    found.turn = found.lagging + angle_of(a->S1 * conj(a->S2)) / FORGET;
+    found.coherence = a->S0 > 0.0 ? length_of(a->S1) / a->S0 : 0.0;
+    found.lagging_chord = 2.0 * fabs(sine(0.5 * found.lagging));
+    follow_angle(a, &found, before);
+    judge_length(a, &found, motor->psi_f);
+    if (!is_plausible(a, &found, motor->psi_f, dt, limits->w_off)) {
         a->good = 0;
         a->ready = 0;
         return;
     }
     a->good += 1;
-    if (a->good >= ACQUISITION_PAIRS && fabs(lagging) >= limits->w_on * span)
+    if (a->good >= ACQUISITION_PAIRS && fabs(found.lagging) >= limits->w_on * span)
         a->ready = 1;
 }
 

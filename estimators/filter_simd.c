@@ -7,7 +7,10 @@
  *
  * No function here can fail. Divisors are constants of the motor, or 0 and NaN come out and the lane
  * is not committed: a filter whose result is not finite, or has a negative variance, keeps its last
- * good state. Indices are bounded by the lanes, or are links made here. */
+ * good state. Indices are bounded by the lanes, or are links made here.
+ *
+ * Longer than other files, as each build of it is one translation unit: what the filters share is held
+ * inline, so that no lane goes through memory between two functions. */
 #include "estimators/filter_simd.h"
 
 #include <complex.h>
@@ -19,18 +22,11 @@
 #define SIMD_WIDTH 2 /* doubles in a register of x86-64 and AArch64 */
 #define SIMD_NAME  filter_run_128
 #endif
+#include "estimators/lanes.h"
 
-typedef double vec __attribute__((vector_size(8 * SIMD_WIDTH)));
-typedef int64_t mask __attribute__((vector_size(8 * SIMD_WIDTH))); /* of a lane all bits, or none */
-typedef uint64_t bits __attribute__((vector_size(8 * SIMD_WIDTH)));
+enum { STATES = 5, TRIANGLE = 15 };
 
-enum { LANES = SIMD_WIDTH, STATES = 5, TRIANGLE = 15 };
-
-static const double TWO_OVER_PI = 0x1.45f306dc9c883p-1;
-static const double PI_2_HIGH = 0x1.921fb544p+0; /* 33 bits: products with 20 bits are exact */
-static const double PI_2_LOW = 0x1.0b4611a626331p-34;
 static const double TWO_PI = 0x1.921fb54442d18p+2;
-static const double TO_INTEGER = 0x1.8p52; /* added and subtracted: rounds to the next integer */
 static const double TURN_MAX = 1.4; /* half the turn of a voltage, rad, up to which it is one */
 static const double FLOOR = 1e-12;  /* least variance */
 static const double REPAIR = 1e-6;  /* relative rise of the variances of a P without a factor */
@@ -51,72 +47,11 @@ struct block {
     vec u[2], y[2];             /* voltage and current of the sample */
     vec v[2];                   /* dt / L_s times the voltage of the sub-step */
     vec cos_v, sin_v;           /* its turn from one sub-step to the next */
+    vec sin, cos;               /* of theta_e, before a sub-step of the EKF */
     vec nis;
     vec kappa_J, p_J, B_J; /* k_p p^2 psi_f / J, p / J, B / J: of the prediction over a gap */
     mask has_root;         /* every P has had a factor */
 };
-
-/* The same in all lanes. */
-static inline vec broadcast(double value)
-{
-    return (vec){0} + value;
-}
-
-static inline vec select(mask condition, vec yes, vec no)
-{
-    return (vec)(((mask)yes & condition) | ((mask)no & ~condition));
-}
-
-static inline vec larger(vec v, double least)
-{
-    return select(v > least, v, broadcast(least));
-}
-
-static inline vec absolute(vec v)
-{
-    return (vec)((mask)v & INT64_MAX);
-}
-
-static inline vec square_root(vec v)
-{
-    vec root = {0};
-    for (int k = 0; k < LANES; k++)
-        root[k] = sqrt(v[k]);
-    return root;
-}
-
-static inline int any(mask condition)
-{
-    int64_t found = 0;
-    for (int k = 0; k < LANES; k++)
-        found |= condition[k];
-    return found != 0;
-}
-
-/* Of |t| below 1e6 rad to 3e-16; of larger ones numbers without meaning. The polynomials are those
- * of trigonometry.c. */
-static inline void sine_cosine(vec t, vec *sine, vec *cosine)
-{
-    const vec shifted = t * TWO_OVER_PI + TO_INTEGER;
-    const vec q = shifted - TO_INTEGER;
-    const bits quadrant = (bits)shifted; /* its last two bits */
-    const vec r = (t - q * PI_2_HIGH) - q * PI_2_LOW;
-    const vec z = r * r;
-    vec s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10;
-    s = 2.75573137070700676789e-06 + z * s;
-    s = -1.98412698298579493134e-04 + z * s;
-    s = 8.33333333332248946124e-03 + z * s;
-    s = r + r * z * (-1.66666666666666324348e-01 + z * s);
-    vec c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
-    c = -2.75573143513906633035e-07 + z * c;
-    c = 2.48015872894767294178e-05 + z * c;
-    c = -1.38888888888741095749e-03 + z * c;
-    c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c);
-    const mask odd = -(mask)(quadrant & 1);
-    const bits sine_sign = (quadrant & 2) << 62, cosine_sign = ((quadrant + 1) & 2) << 62;
-    *sine = (vec)((bits)select(odd, c, s) ^ sine_sign);
-    *cosine = (vec)((bits)select(odd, s, c) ^ cosine_sign);
-}
 
 static inline vec wrap(vec angle)
 {
@@ -168,14 +103,15 @@ static inline void propagate(struct block *s, vec sin, vec cos, double dt)
     const vec i_a = s->now.x[0], i_b = s->now.x[1], w = s->now.x[2];
     s->now.x[0] = s->a * i_a + s->b * sin * w + s->v[0];
     s->now.x[1] = s->a * i_b - s->b * cos * w + s->v[1];
-    s->now.x[2] = s->d * w + s->e * (i_b * cos - i_a * sin) + s->f * s->now.x[4];
+    s->now.x[2] = s->d * w + (s->e * cos * i_b - s->e * sin * i_a) + s->f * s->now.x[4];
     s->now.x[3] = s->now.x[3] + w * dt;
     next_voltage(s);
 }
 
 /* EKF, one sub-step: P <- F P F' + Q with F of eq. (13), its entries other than 0 and 1 written out;
- * m is F P. */
-static inline void predict_extended(struct block *s, double dt)
+ * m is F P. The angle after it is known before P is, and so are its sine and cosine, for which P does
+ * not wait then; `last`: nobody asks for them. */
+static inline void predict_extended(struct block *s, double dt, int last)
 {
     const vec a = s->a, b = s->b, e = s->e, f22 = s->d, f24 = s->f, *Q = s->Q;
     const vec i_a = s->now.x[0], i_b = s->now.x[1], w = s->now.x[2];
@@ -184,19 +120,19 @@ static inline void predict_extended(struct block *s, double dt)
     const vec p11 = P[5], p12 = P[6], p13 = P[7], p14 = P[8];
     const vec p22 = P[9], p23 = P[10], p24 = P[11];
     const vec p33 = P[12], p34 = P[13], p44 = P[14];
-    vec sin, cos;
-    sine_cosine(s->now.x[3], &sin, &cos);
-    const vec f02 = b * sin, f03 = b * w * cos;
-    const vec f12 = -b * cos, f13 = b * w * sin;
+    const vec sin = s->sin, cos = s->cos;
+    if (!last)
+        sine_cosine(s->now.x[3] + w * dt, &s->sin, &s->cos);
+    const vec f02 = b * sin, f12 = -b * cos;
+    const vec f03 = b * cos * w, f13 = b * sin * w;
     const vec f20 = -e * sin, f21 = e * cos;
-    const vec f23 = -e * (i_b * sin + i_a * cos);
+    const vec f23 = f20 * i_b - f21 * i_a;
 
     const vec m00 = a * p00 + f02 * p02 + f03 * p03;
     const vec m01 = a * p01 + f02 * p12 + f03 * p13;
     const vec m02 = a * p02 + f02 * p22 + f03 * p23;
     const vec m03 = a * p03 + f02 * p23 + f03 * p33;
     const vec m04 = a * p04 + f02 * p24 + f03 * p34;
-    const vec m10 = a * p01 + f12 * p02 + f13 * p03;
     const vec m11 = a * p11 + f12 * p12 + f13 * p13;
     const vec m12 = a * p12 + f12 * p22 + f13 * p23;
     const vec m13 = a * p13 + f12 * p23 + f13 * p33;
@@ -210,11 +146,11 @@ static inline void predict_extended(struct block *s, double dt)
 
     P[0] = a * m00 + f02 * m02 + f03 * m03 + Q[0];
     P[1] = a * m01 + f12 * m02 + f13 * m03;
-    P[2] = f20 * m00 + f21 * m01 + f22 * m02 + f23 * m03 + f24 * m04;
+    P[2] = a * m20 + f02 * m22 + f03 * m23; /* as P is symmetric */
     P[3] = dt * m02 + m03;
     P[4] = m04;
     P[5] = a * m11 + f12 * m12 + f13 * m13 + Q[1];
-    P[6] = f20 * m10 + f21 * m11 + f22 * m12 + f23 * m13 + f24 * m14;
+    P[6] = a * m21 + f12 * m22 + f13 * m23;
     P[7] = dt * m12 + m13;
     P[8] = m14;
     P[9] = f20 * m20 + f21 * m21 + f22 * m22 + f23 * m23 + f24 * m24 + Q[2];
@@ -667,11 +603,13 @@ static inline mask run_lanes(struct block *s, const struct round *round,
         predict_gap(s, round->gap, dt);
     turn_voltage(s, round->steps, dt);
     s->has_root = ~(mask){0};
+    if (!settings->unscented)
+        sine_cosine(s->now.x[3], &s->sin, &s->cos);
     for (int64_t j = 0; j < round->steps; j++) {
         if (settings->unscented)
             predict_unscented(s, dt, settings->kappa, repaired);
         else
-            predict_extended(s, dt);
+            predict_extended(s, dt, j + 1 == round->steps);
     }
     return correct(s);
 }
@@ -687,6 +625,8 @@ static inline mask filter_round(struct block *s, const struct round *round,
         good = run_lanes(s, round, settings, 1) & s->has_root;
     }
     good &= round->wanted;
+    if (!any(~good))
+        return good;
     for (int i = 0; i < STATES; i++)
         s->now.x[i] = select(good, s->now.x[i], before.x[i]);
     for (int row = 0; row < TRIANGLE; row++)

@@ -4,85 +4,74 @@
 #include "estimators/trigonometry.h"
 
 #include <math.h>
+#include <stdint.h>
+
+#include "estimators/trigonometry_terms.h"
 
 static const double PI = 0x1.921fb54442d18p+1;
-static const double TWO_OVER_PI = 0x1.45f306dc9c883p-1;
 static const double PI_2 = 0x1.921fb54442d18p+0;
 static const double PI_2_REST = 0x1.1a62633145c07p-54; /* pi / 2 less PI_2 */
-/* pi / 2 in two parts: the first has 33 bits, so that its products with 20 bits are exact. */
-static const double PI_2_HIGH = 0x1.921fb544p+0;
-static const double PI_2_LOW = 0x1.0b4611a626331p-34;
 
-/* sin r, |r| <= pi / 4; z = r^2. */
-static double sine_kernel(double r, double z)
+void sine_and_cosine(double angle, double *sin, double *cos)
 {
-    double s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10;
-    s = 2.75573137070700676789e-06 + z * s;
-    s = -1.98412698298579493134e-04 + z * s;
-    s = 8.33333333332248946124e-03 + z * s;
-    return r + r * z * (-1.66666666666666324348e-01 + z * s);
-}
-
-/* cos r, |r| <= pi / 4; z = r^2. */
-static double cosine_kernel(double z)
-{
-    double c = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
-    c = -2.75573143513906633035e-07 + z * c;
-    c = 2.48015872894767294178e-05 + z * c;
-    c = -1.38888888888741095749e-03 + z * c;
-    return 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * c);
-}
-
-/* sin(angle + shift pi / 2). */
-static double sine_of_shifted(double angle, double shift)
-{
-    const double quarters = floor(angle * TWO_OVER_PI + 0.5);
+    static const double TO_INTEGER =
+        0x1.8p52; /* added and subtracted: rounds to the next integer */
+    const union {
+        double number;
+        uint64_t bits; /* the last two are the quadrant */
+    } shifted = {angle * TWO_OVER_PI + TO_INTEGER};
+    const double quarters = shifted.number - TO_INTEGER;
     const double r = (angle - quarters * PI_2_HIGH) - quarters * PI_2_LOW;
-    const double turned = quarters + shift;
-    const double quadrant = turned - 4.0 * floor(turned * 0.25); /* 0, 1, 2 or 3 */
-    const int is_odd = quadrant == 1.0 || quadrant == 3.0;
-    const double size = is_odd ? cosine_kernel(r * r) : sine_kernel(r, r * r);
-    return quadrant >= 2.0 ? -size : size;
+    const double z = r * r;
+    const double kernel[2] = {SINE_KERNEL(r, z), COSINE_KERNEL(z)};
+    static const double SIGN[4] = {1.0, 1.0, -1.0, -1.0};
+    const unsigned quadrant = shifted.bits & 3;
+    *sin = SIGN[quadrant] * kernel[quadrant & 1];
+    *cos = SIGN[(quadrant + 1) & 3] * kernel[~quadrant & 1];
 }
 
 double sine(double angle)
 {
-    return sine_of_shifted(angle, 0.0);
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return sin;
 }
 
 double cosine(double angle)
 {
-    return sine_of_shifted(angle, 1.0);
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return cos;
 }
 
-/* atan t - t, |t| <= 7/16. */
+/* atan t - t, |t| <= 7/16; even and odd terms of the polynomial side by side. */
 static double arc_kernel(double t)
 {
-    static const double TERMS[] = {
-        1.62858201153657823623e-02,  -3.65315727442169155270e-02, 4.97687799461593236017e-02,
-        -5.83357013379057348645e-02, 6.66107313738753120669e-02,  -7.69187620504482999495e-02,
-        9.09088713343650656196e-02,  -1.11111104054623557880e-01, 1.42857142725034663711e-01,
-        -1.99999999998764832476e-01, 3.33333333333329318027e-01,
-    };
-    const double z = t * t;
-    double sum = 0.0;
-    for (unsigned k = 0; k < sizeof TERMS / sizeof TERMS[0]; k++)
-        sum = TERMS[k] + z * sum;
-    return -t * z * sum;
+    static const double EVEN[] = {3.33333333333329318027e-01, 1.42857142725034663711e-01,
+                                  9.09088713343650656196e-02, 6.66107313738753120669e-02,
+                                  4.97687799461593236017e-02, 1.62858201153657823623e-02};
+    static const double ODD[] = {-1.99999999998764832476e-01, -1.11111104054623557880e-01,
+                                 -7.69187620504482999495e-02, -5.83357013379057348645e-02,
+                                 -3.65315727442169155270e-02};
+    const double z = t * t, z2 = z * z;
+    double even = EVEN[5], odd = ODD[4];
+    for (int k = 4; k > 0; k--) {
+        even = even * z2 + EVEN[k];
+        odd = odd * z2 + ODD[k - 1];
+    }
+    return -t * z * (even * z2 + EVEN[0] + z * odd);
 }
 
-/* atan t, 0 <= t <= 1: about 0, 1/2 or 1. The divisors are at least 1. */
-static double arc_of_ratio(double t)
+/* Angle of the vector (a, b), 0 <= b <= a, 0 < a: turned back by an angle of tangent 0, 1/2 or 1, so
+ * that at most 7/16 is left. The divisor is above 0. */
+static double arc_of(double a, double b)
 {
-    static const double HALF = 4.63647609000806093515e-01, HALF_REST = 2.26987774529616870924e-17;
-    if (t < 0.4375)
-        return t + arc_kernel(t);
-    if (t < 0.6875) {
-        const double u = (2.0 * t - 1.0) / (2.0 + t);
-        return HALF + ((HALF_REST + arc_kernel(u)) + u);
-    }
-    const double u = (t - 1.0) / (t + 1.0);
-    return 0.5 * PI_2 + ((0.5 * PI_2_REST + arc_kernel(u)) + u);
+    static const double X[] = {1.0, 2.0, 1.0}, Y[] = {0.0, 1.0, 1.0};
+    static const double ANGLE[] = {0.0, 4.63647609000806093515e-01, 0x1.921fb54442d18p-1};
+    static const double REST[] = {0.0, 2.26987774529616870924e-17, 0x1.1a62633145c07p-55};
+    const int k = (b >= 0.4375 * a) + (b >= 0.6875 * a);
+    const double t = (X[k] * b - Y[k] * a) / (X[k] * a + Y[k] * b);
+    return ANGLE[k] + ((REST[k] + arc_kernel(t)) + t);
 }
 
 double arc_tangent(double y, double x)
@@ -90,11 +79,11 @@ double arc_tangent(double y, double x)
     const double a = fabs(x), b = fabs(y);
     if (a == 0.0 && b == 0.0)
         return 0.0;
-    double angle; /* of (a, b), from 0 to pi / 2; the divisor is the larger one, above 0 */
+    double angle; /* of (a, b), from 0 to pi / 2 */
     if (b <= a)
-        angle = arc_of_ratio(b / a);
+        angle = arc_of(a, b);
     else
-        angle = PI_2 - (arc_of_ratio(a / b) - PI_2_REST);
+        angle = PI_2 - (arc_of(b, a) - PI_2_REST);
     if (x < 0.0)
         angle = PI - (angle - 2.0 * PI_2_REST);
     return y < 0.0 ? -angle : angle;
@@ -102,5 +91,7 @@ double arc_tangent(double y, double x)
 
 double wrap_angle(double angle)
 {
+    if (-PI < angle && angle <= PI)
+        return angle;
     return angle - 2.0 * PI * ceil((angle - PI) / (2.0 * PI));
 }

@@ -42,7 +42,9 @@ static inline double angle_of(double _Complex z)
 /* e^(j angle) */
 static inline double _Complex unit_vector(double angle)
 {
-    return cosine(angle) + sine(angle) * I;
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return vector_of(cos, sin);
 }
 
 /* |alpha| + |beta|; NaN if one is. */

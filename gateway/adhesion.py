@@ -54,7 +54,7 @@ class AdhesionMonitor(Addressed):
         self.observed, self.loads = np.zeros(n, LOAD_OBSERVATION), np.zeros(n, DRIVE_LOAD)
         self.normalised, self.sigma, self.loss_probability = np.zeros((3, n))
         self.known, self.loss_known, self.may_learn = np.zeros((3, n), dtype=np.bool_)
-        self.workspace = np.zeros((4, n))
+        self.workspace = np.zeros((5, n))
         self.record = np.zeros(1, ADHESION)
         self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
         if isinstance(self.detector, VariationalDetector):

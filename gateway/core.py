@@ -120,6 +120,8 @@ class Gateway(Addressed):
         self.record["sent_room"], self.record["changed"] = len(self.sent), 1
         self.record["is_translated"] = self.translator is not None
         self.record["detects"] = self.adhesion.in_core
+        self._room = 0
+        """Frames of a tick that there is room for."""
         self._now: Nanos = start_ns
         self._view: GatewayView | None = None
         self.link()
@@ -150,8 +152,16 @@ class Gateway(Addressed):
         block = frames if isinstance(frames, Block) else block_of(frames)
         if self.translator is not None:
             block = self._translated(self.translator, block, now)
-        self._make_room(block.size)
-        self._run(block, np.array([block.size]), now)
+        size = len(block.t_ns)
+        if size > self._room:
+            self._make_room(size)
+        done = lib.run_one(self.pointer, size, *block.addresses(), now)
+        if not done:
+            block = block.ordered()
+            done = lib.run_one(self.pointer, size, *block.addresses(), now)
+        if done > 1:
+            self._finish(block, 0, now)
+        self._now, self._view = now, None
         out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
         if self.outbox.authenticator is not None:
             self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
@@ -173,7 +183,9 @@ class Gateway(Addressed):
         while done < len(ends) and not (done and self.changed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
             if self.translator is None and self.outbox.authenticator is None:
-                self._make_room(int(np.diff(ends[done:], prepend=first).max()))
+                most = int(np.diff(ends[done:], prepend=first).max())
+                if most > self._room:
+                    self._make_room(most)
                 done += self._run(block.part(first, int(ends[-1])), ends[done:] - first, at)
                 out.append(self.outbox.block_of(self.sent[: self.pointer.sent_count]))
             else:
@@ -190,13 +202,18 @@ class Gateway(Addressed):
         if not done:
             block = block.part(0, int(ends[0])).ordered()
             done = lib.run(self.pointer, block.columns(), each, 1, now)
-        last = now + (done - 1) * self.config.loop.period_ns
+        first = int(ends[done - 2]) if done > 1 else 0
+        self._now, self._view = now + (done - 1) * self.config.loop.period_ns, None
+        self._finish(block, first, self._now)
+        return done
+
+    def _finish(self, block: Block, first: int, now: Nanos) -> None:
+        """What needs Python of the last tick of a call, whose frames begin at `first`."""
         if self.pointer.stage == lib.STAGE_DETECT:
             self.adhesion.ask_detector(self.bank.estimates)
-            lib.finish_tick(self.pointer, last)
-        self.inbox.read_emergencies(block, int(ends[done - 2]) if done > 1 else 0)
-        self._now, self._view = last, None
-        return done
+            lib.finish_tick(self.pointer, now)
+        if self.pointer.receiver.tick.emergencies:
+            self.inbox.read_emergencies(block, first)
 
     def _make_room(self, frames: int) -> None:
         """In the receiver, and for samples, for so many frames in a tick."""
@@ -204,6 +221,7 @@ class Gateway(Addressed):
         if frames > receiver.rows:
             receiver.make_room(2 * frames)
         self.bank.make_room(len(receiver.room.drive))
+        self._room = receiver.rows
 
     def leave_out(self, frames: int) -> None:
         """So many of a log were left out for the time of their stamps."""

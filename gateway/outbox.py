@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
+from struct import Struct, calcsize
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.block import Block, blank, block_of
+from dbc.block import ROOM, Block, blank, block_of
 from dbc.codec import Codec, MessageSpec
 from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 
 VOUCHED: Final = ("Gateway_Adhesion", "Gateway_Faults")
 """What `Gateway_Auth` follows, where flags are authenticated."""
+_SENT: Final = Struct(f"=qi{ROOM}s{TX_FRAME.itemsize - calcsize(f'=qi{ROOM}s')}x")
+"""A `tx_frame`: stamp, message, data."""
+_frame: Final = partial(tuple.__new__, Frame)
 CHANGING: Final = "Gateway_Faults"
 """Goes out in the tick of a change, too."""
 
@@ -151,10 +156,9 @@ class Outbox(Addressed):
     def frames_of(self, sent: Records) -> list[Frame]:
         """From `tx_frame` (K,); behind each flag frame its `Auth`."""
         frames = []
-        rows = zip(sent["t_ns"].tolist(), sent["message"].tolist(), sent["data"], strict=True)
-        for t_ns, message, data in rows:
+        for t_ns, message, data in _SENT.iter_unpack(sent.tobytes()):
             can_id, length, flags = self.heads[message]
-            frames.append(Frame(t_ns, can_id, data[:length].tobytes(), flags))
+            frames.append(_frame((t_ns, can_id, data[:length], flags, "", -1)))
         return frames if self.authenticator is None else self._vouch(self.authenticator, frames)
 
     def block_of(self, sent: Records) -> Block:

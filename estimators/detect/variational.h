@@ -11,7 +11,7 @@ double digamma(double x);
  * share, in the unit of `load`.
  *
  * load, spread (n,): estimate and standard deviation of a healthy drive's, same unit; usable (n,):
- * 1 where the load is known. `workspace` holds 4 n numbers. With fewer than two usable drives, and
+ * 1 where the load is known. `workspace` holds 5 n numbers. With fewer than two usable drives, and
  * for those that are not usable, `lost` is 0; so is then the load. */
 double vb_detect(const struct vb_priors *priors, int iterations, const double *load,
                  const double *spread, const uint8_t *usable, int n, double *workspace,

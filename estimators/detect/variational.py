@@ -60,7 +60,7 @@ class VariationalDetector:
         n = len(evidence.load)
         if np.count_nonzero(evidence.usable) < 2:
             return nobody(n)
-        lost, workspace = np.empty(n), np.empty(4 * n)
+        lost, workspace = np.empty(n), np.empty(5 * n)
         load = np.ascontiguousarray(evidence.load, dtype=np.float64)
         spread = np.ascontiguousarray(evidence.spread, dtype=np.float64)
         usable = np.ascontiguousarray(evidence.usable, dtype=np.bool_)

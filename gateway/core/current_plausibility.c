@@ -156,8 +156,9 @@ static double torque_difference(const struct motion_monitor *m, const struct rea
         if (m->receiver->sample_drive[i] != reading->k)
             continue;
         const double *y = &m->receiver->sample_y[2 * i];
-        const double then = theta - reading->w_e * t;
-        const double i_q = y[1] * cosine(then) - y[0] * sine(then);
+        double sin, cos;
+        sine_and_cosine(theta - reading->w_e * t, &sin, &cos);
+        const double i_q = y[1] * cos - y[0] * sin;
         least = smaller(fabs(reading->torque_per_a * i_q - reading->torque), least);
         t += time_before(m, i);
     }

@@ -7,6 +7,7 @@
 
 #include <math.h>
 
+#include "dbc/bytes.h"
 #include "dbc/decode.h"
 #include "dbc/e2e.h"
 #include "gateway/core/pairing.h"
@@ -41,12 +42,13 @@ int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flag
 /* 1 if a frame is the last one of its channel, byte for byte; the next is compared with it. */
 static int replace_last_frame(struct channel *channel, const uint8_t *data)
 {
-    int same = 1;
-    for (int b = 0; b < channel->e2e_config.length; b++) {
-        same &= data[b] == channel->last_frame[b];
-        channel->last_frame[b] = data[b];
-    }
-    return same;
+    /* In whole words: behind the length are zeros. */
+    const int length = (channel->e2e_config.length + 7) / 8 * 8;
+    uint64_t differences = 0;
+    for (int b = 0; b < length; b += 8)
+        differences |= load_little(data + b) ^ load_little(channel->last_frame + b);
+    copy_words(channel->last_frame, data, length);
+    return differences == 0;
 }
 
 static void note_rejected(struct channel *channel, uint8_t reason)
@@ -236,8 +238,7 @@ static void receive_channel(struct receiver *receiver, int64_t c, const struct f
     receiver->channel[row] = c;
     receiver->message[row] = channel->message;
     receiver->t_ns[row] = frame->t_ns;
-    for (int b = 0; b < PAYLOAD_BYTES; b++)
-        receiver->payload[row * PAYLOAD_BYTES + b] = frame->data[b];
+    copy_words(receiver->payload + row * PAYLOAD_BYTES, frame->data, PAYLOAD_BYTES);
 }
 
 /* Any frame. */

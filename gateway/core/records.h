@@ -1436,7 +1436,7 @@ struct adhesion {
     double *loss_probability;
     uint8_t *loss_known; /* 1: `loss_probability` means something */
     uint8_t *may_learn;  /* 1: the drive certainly adheres */
-    double *workspace;   /* 4 n numbers */
+    double *workspace;   /* 5 n numbers */
     /* state */
     struct load_spread response_spread; /* of loads over commands */
     struct load_spread spread;          /* of loads over the common one */

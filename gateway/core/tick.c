@@ -146,3 +146,13 @@ int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t
     }
     return done;
 }
+
+int run_one(struct gateway *g, int64_t frames, int64_t *t_ns, uint32_t *can_id, uint8_t *flags,
+            uint8_t *length, uint8_t *data, int64_t now_ns)
+{
+    const struct frame_columns columns = {
+        .t_ns = t_ns, .can_id = can_id, .flags = flags, .length = length, .data = data};
+    const int64_t done = run(g, &columns, &frames, 1, now_ns);
+    const int left = g->stage != STAGE_RECEIVE || g->receiver->tick.emergencies > 0;
+    return done ? 1 + left : 0;
+}

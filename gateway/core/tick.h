@@ -15,6 +15,11 @@
 int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends,
             int64_t ticks, int64_t now_ns);
 
+/* `run` with one tick, of all rows; only what a tick looks at has to be given. 0 if nothing is done, for
+ * rows in another order; 2 if something of the tick is left to Python: a detector, emergencies; else 1. */
+int run_one(struct gateway *g, int64_t frames, int64_t *t_ns, uint32_t *can_id, uint8_t *flags,
+            uint8_t *length, uint8_t *data, int64_t now_ns);
+
 /* The rest of a tick that was left at STAGE_DETECT, once the detector has filled `loss_probability`,
  * `loss_known` and `common` of `g->adhesion`. */
 void finish_tick(struct gateway *g, int64_t now_ns);
