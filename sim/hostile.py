@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import EMPTY, Block, blank, join
 from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Nanos
+from dbc.frames import EMPTY, Block, blank, join
 from sim.value_faults import VALUE_KINDS, ValueFaults
 
 Flags = NDArray[np.bool_]

@@ -111,7 +111,7 @@ struct sim_schedule {
     const struct sim_rail *rail; /* (n, N) */
 };
 
-/* A whole record of temperatures: L steps of M motors (sim/labelled.py). */
+/* A whole record of temperatures: L steps of M motors (gateway/study/thermal_dataset.py). */
 struct sim_heat_record {
     int64_t steps;           /* L */
     int64_t motors;          /* M */

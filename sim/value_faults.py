@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import EMPTY, Block
 from dbc.codec import Codec
 from dbc.e2e import protect
+from dbc.frames import EMPTY, Block
 from dbc.spec import MessageSpec, SignalSpec
 
 Raws = list[int]

@@ -10,9 +10,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from gateway.config import parse
-from gateway.flags import FlagKind
-from gateway.health import Flag
+from gateway.core.codes import Flag
+from gateway.core.flags import FlagKind
+from gateway.settings.config import parse
 from sim.hostile import BUS_KINDS, KINDS, Fault, plan
 from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
 from tests.stepped import Stepped

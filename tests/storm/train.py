@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND
+from dbc.frames import Block, block_of
 from sim.adhesion import SPEED_FLOOR_M_S
 from sim.plant import TRAIN
 from sim.scenario import parse

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gateway.config import Config
+from gateway.settings.config import Config
 from sim.hostile import Fault
 from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
 from tests.storm.train import LOOP_TICKS, Train

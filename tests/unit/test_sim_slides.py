@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dbc.codec import bind
+from gateway.study.scenarios_family import draw
 from sim import plant as c
 from sim.adhesion import RAILS, available
-from sim.families import draw
 from sim.plant import BENCH, DT, MOTORS, TRAIN, Plant, rail_array
 from sim.scenario import ScenarioError, builtin, parse
 from sim.simulation import Simulation

@@ -7,10 +7,10 @@ import pytest
 
 from sim import plant as c
 from sim.adhesion import RAILS
+from sim.drive_spread import Variety
 from sim.plant import BENCH, MOTORS, TRACTION_350KW, TRAIN, TRAINS, Plant, parameters
 from sim.scenario import ScenarioError, parse
 from sim.simulation import Simulation
-from sim.variety import Variety
 from tests.simrun import codec, run, scenario, values
 from tests.unit.test_sim_plant import run as advance
 
