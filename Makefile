@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 # The compiled core.
-CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c gateway/core/*.c sim/*.c)
-CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h)
+CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c gateway/core/*.c sim/*/*.c)
+CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h sim/*/*.h)
 WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
 
 .PHONY: demo test test-all fuzz fuzz-deep soak campaign coverage sanitize mutation lint format docs bench calibration changelog dist lock clean

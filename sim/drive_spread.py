@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.plant import SLIP_LIMITERS, Motor, parameters, set_slip_limiter
+from sim.physics.plant import SLIP_LIMITERS, Motor, parameters, set_slip_limiter
+from sim.physics.sensors import PHASES
 from sim.scenario import Scenario
 from sim.scenario_schema import Curve, Factors
-from sim.sensors import PHASES
 
 Array = NDArray[np.float64]
 

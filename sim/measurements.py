@@ -10,12 +10,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import plant as columns
-from sim import sensors, thermal
 from sim.drive_spread import Variety
 from sim.faults import Schedule
+from sim.physics import plant as columns
+from sim.physics import sensors, thermal
+from sim.physics.thermal import ThermalTrain
 from sim.scenario import Scenario
-from sim.thermal import ThermalTrain
 
 Array = NDArray[np.float64]
 Values = dict[str, float | int | None]

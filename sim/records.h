@@ -77,7 +77,7 @@ struct sim_train {
     double demand_nm;       /* torque demand on each drive */
 };
 
-/* Creep force curve of a rail (sim/adhesion.py). */
+/* Creep force curve of a rail (sim/physics/adhesion.py). */
 struct sim_rail {
     double mu_0; /* friction at standstill */
     double A;    /* ratio at infinite sliding speed */

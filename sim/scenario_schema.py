@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from dbc.bounds import Within as Bounds
 from dbc.bounds import within
-from sim.adhesion import rail
-from sim.plant import MOTORS
+from sim.physics.adhesion import rail
+from sim.physics.plant import MOTORS
 
 Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")]
 Span = Annotated[
@@ -39,7 +39,7 @@ class Strict(BaseModel):
 
 
 class MotorChoice(Strict):
-    """`[motor]`: one of `sim.plant.MOTORS`."""
+    """`[motor]`: one of `sim.physics.plant.MOTORS`."""
 
     name: str = "bench"
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gateway.core import inputs
 from gateway.core.codes import Health, Reason
 from gateway.core.estimate import Bank
-from gateway.core import inputs
 from gateway.core.pairing import Samples
 from gateway.core.tracks import Told
 from tests.receivers import Received

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 from dbc.records import ROTOR, zeros
 from estimators import acquisition, adaptation, current_calibration
+from gateway.core import inputs, tracks
 from gateway.core.codes import NEVER
 from gateway.core.drive_status import RPM
-from gateway.core import inputs, tracks
 from gateway.core.motion import MotionMonitor, Timebase
 from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.receivers import Received

@@ -75,7 +75,7 @@ def _families(options: argparse.Namespace) -> tuple[str, ...]:
     """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
     from gateway.settings.config import ConfigError
     from gateway.study.scenarios_family import ALL, FAMILIES, GROUPS
-    from sim.plant import MOTORS
+    from sim.physics.plant import MOTORS
 
     asked = [one for name in options.family or FAMILIES for one in GROUPS.get(name, (name,))]
     names = tuple(dict.fromkeys(asked))

@@ -23,14 +23,14 @@ from gateway.study import reproduction_loads as bench
 from gateway.study.reproduction_loads import Filter, Record
 from gateway.study.reproduction_paths import Course
 from gateway.study.reproduction_report import StandingStart
-from sim import plant as columns
 from sim.drive_spread import Variety
 from sim.faults import Schedule
-from sim.plant import MOTORS, Plant, rail_array
+from sim.physics import plant as columns
+from sim.physics.plant import MOTORS, Plant, rail_array
+from sim.physics.sensors import CurrentSensors
 from sim.profile import Profile
 from sim.scenario import Scenario
 from sim.scenario_schema import Motion
-from sim.sensors import CurrentSensors
 from sim.simulation import ANGLE_STREAM, PERIOD_NS, Simulation
 
 NAME: Final = "paper_section5"

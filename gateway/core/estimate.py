@@ -27,8 +27,8 @@ from dbc.records import (
 )
 from estimators import acquisition, filters
 from estimators.models import pmsm
-from gateway.core.channel import SAMPLE_NS
 from gateway.core import tracks
+from gateway.core.channel import SAMPLE_NS
 from gateway.settings.config import Estimator, Motor
 
 SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS

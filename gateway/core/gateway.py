@@ -29,6 +29,7 @@ from dbc.codec import Codec
 from dbc.frame import MS, SECOND, Frame, Nanos
 from dbc.frames import Block, block_of
 from dbc.records import GATEWAY, TX_FRAME, Addressed, Records, pointer
+from gateway.core import inputs
 from gateway.core.adhesion import AdhesionMonitor
 from gateway.core.busload import BusLoad
 from gateway.core.channel import SAMPLE_NS
@@ -36,7 +37,6 @@ from gateway.core.codes import REJECTED, Flag, GatewayState
 from gateway.core.drive_status import RPM
 from gateway.core.estimate import Bank
 from gateway.core.flags import FlagKind, Flags, Timing, rules, unknown_status
-from gateway.core import inputs
 from gateway.core.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
 from gateway.core.integrity import INTRUDER_HOLD_NS, Doubt
 from gateway.core.motion import MotionMonitor, Timebase

@@ -17,8 +17,8 @@ import numpy as np
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame, Nanos
 from dbc.frames import Block, block_of
-from gateway.core.channel import Channel
 from gateway.core import channel, inputs, receiving
+from gateway.core.channel import Channel
 from gateway.core.inputs import NONE
 from gateway.core.pairing import Samples
 from gateway.core.receiving import NAMES, Receiver

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
 from dbc.records import MOTION, MOTION_MONITOR, Addressed, Columns, Records
-from gateway.core.channel import SAMPLE_NS
 from gateway.core import plausibility
+from gateway.core.channel import SAMPLE_NS
 from gateway.settings.config import Estimator, Motor
 
 FEWEST_SAMPLES: Final = 10.0

@@ -21,7 +21,7 @@ from gateway.core.gateway import Gateway
 from gateway.hil.inverter_sim import Inverters
 from gateway.mapping import plan as foreign
 from gateway.settings.config import BENCH_MOTOR, Config, shipped_dbc
-from sim import plant
+from sim.physics import plant
 from sim.scenario import parse
 from sim.simulation import PERIOD_NS, Simulation
 

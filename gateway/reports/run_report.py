@@ -21,8 +21,8 @@ from gateway.reports.trace import Trace
 from gateway.reports.truth import Judged, Truth, judge
 
 if TYPE_CHECKING:
-    from gateway.reports.expectations import Verdict
     from gateway.io.timing import Stage
+    from gateway.reports.expectations import Verdict
 
 FEW: Final = 30
 """Rows of a table that need not be folded."""

@@ -83,4 +83,4 @@ BENCH_MOTOR: Final = Motor(
 TRACTION_350KW: Final = Motor(
     R_s=0.08, L_s=3.02e-3, psi_pm=1.104, pole_pairs=2, J=11.0, I_rated=240.4, T_rated=796.0
 )
-"""The thermal paper's 350 kW, 1443 V, 170 A, 140 Hz as a magnet machine: see sim/plant.py."""
+"""The thermal paper's 350 kW, 1443 V, 170 A, 140 Hz as a magnet machine: `sim.physics.plant`."""

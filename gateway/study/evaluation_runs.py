@@ -176,7 +176,7 @@ def _workers(jobs: int) -> Iterator[Run]:
 
 
 def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:
-    from sim.plant import MOTORS
+    from sim.physics.plant import MOTORS
 
     rated = MOTORS[ALL[family].motor or plan.motor].T_rated
     return [

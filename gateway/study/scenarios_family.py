@@ -28,7 +28,7 @@ from gateway.study.scenarios_random import (
     sign,
 )
 from gateway.study.scenarios_slide import SLIP_LENGTH_S, braked, slipping
-from sim.plant import BENCH, MOTORS, TRAIN, TRAINS
+from sim.physics.plant import BENCH, MOTORS, TRAIN, TRAINS
 from sim.scenario import Scenario, parse
 
 DEVELOPMENT: Final = range(30)

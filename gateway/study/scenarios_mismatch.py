@@ -1,7 +1,7 @@
 """One motor or its sensors off what the data sheet says, and a loss: mismatch against detection.
 
 All of these draw the same runs from the same seeds: their rows differ by the mismatch alone.
-Drive 1 is off, any drive loses adhesion. A part of `scenarios_family`, by the group's name `mismatch`.
+Drive 1 is off, any drive loses adhesion. `scenarios_family` has them as the group `mismatch`.
 
 May know: scenarios. May not know: any detector.
 """

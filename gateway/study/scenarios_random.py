@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from sim.plant import BENCH, MOTORS
+from sim.physics.plant import BENCH, MOTORS
 from sim.scenario import Scenario, parse
 
 STREAM: Final = 20
@@ -30,7 +30,7 @@ class PerUnit:
     """The bench motor's ranges for another motor: torque by T_rated, current by I_rated."""
 
     def __init__(self, motor: str) -> None:
-        """`motor`: a name of `sim.plant.MOTORS`."""
+        """`motor`: a name of `sim.physics.plant.MOTORS`."""
         self.name = motor
         self._torque = MOTORS[motor].T_rated / BENCH.T_rated
         self._current = MOTORS[motor].I_rated / BENCH.I_rated

@@ -1,6 +1,6 @@
 """Wheels that run away or lock: what a drive's own slip limiter otherwise hides from a detector.
 
-A part of `scenarios_family`, by the group's name `slide`. The 5 % creep of all other families is what a
+`scenarios_family` has them as the group `slide`. The 5 % creep of all other families is what a
 fast slip limiter leaves of a slide.
 
 May know: scenarios. May not know: any detector.

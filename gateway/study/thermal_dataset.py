@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.plant import TRACTION_350KW
+from sim.physics.plant import TRACTION_350KW
 from sim.records import ffi, lib, pointer
 
 Array = NDArray[np.float64]

@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from zlib import crc32
 
+from dbc.candump import reader as module
 from dbc.candump.grammar import Verdict, format_frame, parse_line
 from dbc.candump.reader import LogError, Reader
-from dbc.candump.reader import reader as module
 from dbc.frame import Frame
 from tests.fuzzing.held import Held
 from tests.fuzzing.mutate import mutate

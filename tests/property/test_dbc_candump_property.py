@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from dbc.candump import reader as candump
+from dbc.candump import writer as logwriter
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError, Reader, Writer, format_frame, parse_line
-from dbc.candump.reader import reader as candump
-from dbc.candump.reader import writer as logwriter
 from dbc.frame import BRS, FD, REMOTE, Frame
 from dbc.frames import block_of
 from tests.fuzz import examples

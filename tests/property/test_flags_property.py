@@ -6,9 +6,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from gateway.core import flags
 from gateway.core.codes import Flag
 from gateway.core.flags import UNCHANGED, Timing, debounce
-from gateway.core import flags
 from tests.fuzz import examples
 
 TICK = 10

@@ -1,7 +1,7 @@
 """Candump logs read and written one line after the other: the oracle of the two C files.
 
 Reading is the grammar of `dbc.candump.grammar` on each line, with the rules of `Reader` around it.
-Writing is formatted text. Neither knows the fast ways of dbc/candump_read.c and dbc/candump_write.c.
+Writing is formatted text. Neither knows the fast ways of the C files.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
 from gateway.core.codes import Health
 from gateway.core.flags import Status
 from gateway.settings.config import Config
-from sim.hostile import Arrived, Fault
+from tests.storm.bus_faults import Arrived, Fault
 from tests.storm.train import TICK
 from tests.storm.values import Truth, ValueRules
 

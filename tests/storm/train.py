@@ -16,8 +16,8 @@ import numpy as np
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND
 from dbc.frames import Block, block_of
-from sim.adhesion import SPEED_FLOOR_M_S
-from sim.plant import TRAIN
+from sim.physics.adhesion import SPEED_FLOOR_M_S
+from sim.physics.plant import TRAIN
 from sim.scenario import parse
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, codec

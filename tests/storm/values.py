@@ -21,9 +21,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from gateway.settings.config import Config
-from sim.hostile import Fault
-from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
+from tests.storm.bus_faults import Fault
 from tests.storm.train import LOOP_TICKS, Train
+from tests.storm.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
 
 GOOD, BAD = 1, 2
 REACTION_TICKS: Final = 20

@@ -220,7 +220,9 @@ def test_stderr_is_the_journal_only_where_systemd_says_so(journal: bool) -> None
     read, write = os.pipe()
     there = os.fstat(write)
     inode = there.st_ino if journal else there.st_ino + 1
-    program = "import logging\nfrom gateway.io import log_setup\nlog_setup.begin(20)\nlogging.info('hi')"
+    program = (
+        "import logging\nfrom gateway.io import log_setup as s\ns.begin(20)\nlogging.info('hi')"
+    )
     subprocess.run(
         [sys.executable, "-c", program], stderr=write, check=True,
         env={**os.environ, "JOURNAL_STREAM": f"{there.st_dev}:{inode}"},

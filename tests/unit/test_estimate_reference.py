@@ -5,9 +5,9 @@ import copy
 import numpy as np
 import pytest
 
+from gateway.core import inputs
 from gateway.core.codes import Health, Reason
 from gateway.core.estimate import Bank
-from gateway.core import inputs
 from gateway.core.pairing import Samples
 from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.receivers import Received

@@ -8,6 +8,7 @@ import pytest
 from _traction_core import ffi, lib
 
 from dbc.records import DRIVE_STATUS, FLAG_INPUTS
+from gateway.core import flags, inputs, tracks
 from gateway.core.codes import (
     NEVER,
     RANKS,
@@ -19,7 +20,6 @@ from gateway.core.codes import (
     Reason,
 )
 from gateway.core.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
-from gateway.core import flags, inputs, tracks
 from tests.reference.flags import (
     PRIORITY,
     FlagState,

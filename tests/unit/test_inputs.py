@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
-from gateway.core.codes import Flag, Reason
 from gateway.core import inputs
+from gateway.core.codes import Flag, Reason
 from gateway.core.inputs import NONE, InputMonitor
 from tests.receivers import Received
 from tests.reference.flags import worst

@@ -9,8 +9,8 @@ import pytest
 
 from dbc.frame import MS, SECOND
 from dbc.records import INTEGRITY, TRAIN_INPUTS
-from gateway.core.codes import Flag, Reason
 from gateway.core import integrity as module
+from gateway.core.codes import Flag, Reason
 from gateway.core.integrity import INTRUDER_HOLD_NS, Doubt
 from tests.reference import integrity as reference
 

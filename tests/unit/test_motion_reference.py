@@ -8,9 +8,9 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
-from gateway.core.codes import Health
 from gateway.core import drive_status as slow
 from gateway.core import tracks
+from gateway.core.codes import Health
 from gateway.core.inputs import columns
 from gateway.core.motion import MotionMonitor
 from gateway.settings.config import BENCH_MOTOR

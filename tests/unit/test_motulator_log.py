@@ -12,7 +12,7 @@ from dbc.codec import bind
 from gateway.core.codes import Health
 from gateway.settings.config import parse
 from gateway.study.evaluation import listen
-from sim.plant import BENCH, DT, OUT
+from sim.physics.plant import BENCH, DT, OUT
 from sim.scenario import Scenario
 from tests.simrun import scenario, values
 

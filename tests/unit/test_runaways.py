@@ -8,7 +8,7 @@ import pytest
 from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
-from sim.plant import MOTORS
+from sim.physics.plant import MOTORS
 from sim.simulation import Simulation
 from tests.hil.chain import for_slower_bus
 from tests.simrun import CLASSIC, FD_FILE, TICK, codec, scenario

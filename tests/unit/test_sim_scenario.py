@@ -3,7 +3,7 @@ import pytest
 
 from gateway.study.scenarios_random import random_scenario
 from sim.faults import Schedule
-from sim.plant import BENCH
+from sim.physics.plant import BENCH
 from sim.profile import Profile
 from sim.scenario import ScenarioError, builtin, builtin_names, find, load, parse, parse_text
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from sim import plant as c
-from sim.adhesion import RAILS
 from sim.drive_spread import Variety
-from sim.plant import BENCH, MOTORS, TRACTION_350KW, TRAIN, TRAINS, Plant, parameters
+from sim.physics import plant as c
+from sim.physics.adhesion import RAILS
+from sim.physics.plant import BENCH, MOTORS, TRACTION_350KW, TRAIN, TRAINS, Plant, parameters
 from sim.scenario import ScenarioError, parse
 from sim.simulation import Simulation
 from tests.simrun import codec, run, scenario, values

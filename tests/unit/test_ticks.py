@@ -7,13 +7,13 @@ import pytest
 
 from dbc.frame import MS, SECOND, Frame
 from dbc.frames import EMPTY, block_of, join
-from gateway.core.gateway import Gateway
 from gateway.core import gateway as core
+from gateway.core.gateway import Gateway
 from gateway.io.replay import Briefly, replay
 from gateway.settings.config import parse
-from sim.hostile import HostileBus, plan
 from tests.simrun import FD_FILE
 from tests.stepped import Stepped
+from tests.storm.bus_faults import HostileBus, plan
 from tests.storm.campaign import CALIBRATION, NODES
 from tests.storm.train import TICK, train
 

@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.adhesion import SPEED_FLOOR_M_S, Rail, available, peak_creep
+from sim.physics.adhesion import SPEED_FLOOR_M_S, Rail, available, peak_creep
 from sim.records import DRIVE, MOTOR, Columns, ffi, lib, pointer, zeros
 from sim.records import TRAIN as TRAIN_RECORD
 
@@ -250,7 +250,7 @@ class Plant:
         `w_ref` (n,) rotor speed wanted rad/s, `w_acc` (n,) its slope rad/s2, `load` (n,) healthy
         load per drive Nm (rail: running resistance), `carry` (n, N) share of what is asked of the
         wheel, motor and friction brake together, that the rail can carry (1 = all), `cut` (n, N)
-        limiter commanded down, `rails` (n, N, 6) curves in force. See sim/plant.c.
+        limiter commanded down, `rails` (n, N, 6) curves in force. See sim/physics/plant.c.
         """
         numbers = [np.ascontiguousarray(x, float) for x in (w_ref, w_acc, load, carry, rails)]
         down = np.ascontiguousarray(cut, np.uint8)

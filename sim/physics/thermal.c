@@ -1,7 +1,7 @@
 /* Thermal networks of the simulator: heat flows between the nodes of a motor and to the air.
  *
  * No function here can fail: capacities are constants above 0, and an index is a loop's. */
-#include "sim/thermal.h"
+#include "sim/physics/thermal.h"
 
 enum { WINDING = 0, CORE = 1, FRAME = 2, BEARING_DE = 3, BEARING_NDE = 4, ROTOR = 5 };
 enum { AIR = SIM_NODES, COLUMNS = SIM_NODES + 1 };

@@ -4,7 +4,7 @@
 
 #include "sim/records.h"
 
-/* Torque on the rail, Nm, at sliding speed `slide`, m/s (sim/adhesion.py has the source). */
+/* Torque on the rail, Nm, at sliding speed `slide`, m/s (sim/physics/adhesion.py has the source). */
 double sim_creep_torque(const struct sim_contact *contact, double slide);
 
 /* Move one drive by `steps` steps of `h` s at constant voltage, V. The friction brake opposes the

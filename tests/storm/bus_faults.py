@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Nanos
 from dbc.frames import EMPTY, Block, blank, join
-from sim.value_faults import VALUE_KINDS, ValueFaults
+from tests.storm.value_faults import VALUE_KINDS, ValueFaults
 
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]

@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.plant import BENCH, Motor
+from sim.physics.plant import BENCH, Motor
 from sim.records import lib, pointer
 
 Array = NDArray[np.float64]
@@ -154,7 +154,7 @@ class ThermalTrain:
 def heat_step(
     state: Array, sources: Array, link: Array, capacity: Array, air: Array, dt: float
 ) -> None:
-    """One step of M networks, `sim_heat_step` in sim/thermal.c; `state` (M, 6) degC in place.
+    """One step of M networks (`sim_heat_step` in thermal.c); `state` (M, 6) degC in place.
 
     `sources` (M, 6) W, `link` (M, 6, 7) W/K (column 6: to the air), `capacity` (6,) J/K, `air` (M,)
     degC.

@@ -3,7 +3,7 @@
  * libm's sine, cosine, exponential and arc tangent are used: what is simulated is recorded, and
  * decides no flag. No function here can fail: divisors are constants above 0 of motor and train, or
  * have a floor above 0; nothing is an index that was computed, and no number becomes an integer. */
-#include "sim/plant.h"
+#include "sim/physics/plant.h"
 
 #include <math.h>
 
