@@ -93,7 +93,7 @@ lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m dbc.build --check
+	$(BIN)/python -m dbc.generate --check
 
 format: $(VENV)/.ready
 	$(BIN)/clang-format -i $(CORE_C) $(CORE_H)

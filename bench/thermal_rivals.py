@@ -29,8 +29,8 @@ from gateway.drivers.thermal_trials import (
     runs_of,
     truth_of,
 )  # fmt: skip
-from gateway.results.thermal_scores import score
-from sim.labelled import BASES, KINDS
+from gateway.study.thermal_dataset import BASES, KINDS
+from gateway.study.thermal_scores import score
 
 GRID: dict[str, dict[str, Sequence[object]]] = {
     "dpca": {

@@ -70,7 +70,7 @@ def _parser(words: Sequence[str]) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input or of a signal reach the user."""
     words = list(sys.argv[1:] if argv is None else argv)
-    from gateway.drivers import endings
+    from gateway.io import endings
 
     with endings.raised() as note:
         try:
@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _printed(words: list[str]) -> int:
     """As `_run`, and what it has printed is handed over: none of that may be lost in silence."""
-    from gateway.drivers import endings
+    from gateway.io import endings
 
     try:
         code = _run(words)
@@ -112,7 +112,8 @@ def _printed(words: list[str]) -> int:
 def _run(words: list[str]) -> int:
     """Do what the words say. Raises what ends the program from outside, and faults of ours."""
     from dbc.text import printable
-    from gateway.drivers import leanstart, logs
+    from gateway.io import log_setup as logs
+    from gateway.io import quick_start as leanstart
 
     if _DRIVES.intersection(words[:1]):
         leanstart.python_can()
@@ -162,7 +163,7 @@ def _log_format(words: Sequence[str]) -> str:
 
 def _is_users(error: Exception) -> bool:
     """True for the errors that say something about the input, not about this program."""
-    from gateway.config import ConfigError
+    from gateway.settings.config import ConfigError
 
     named = {"DbcMismatch", "BadLogError", "LogError", "ScenarioError"}
     return isinstance(error, ConfigError | OSError) or type(error).__name__ in named

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway import inputs
-from gateway.bank import Bank
-from gateway.health import Health, Reason
-from gateway.pairing import Samples
-from gateway.tracks import Told
+from gateway.core import inputs
+from gateway.core.codes import Health, Reason
+from gateway.core.estimate import Bank
+from gateway.core.pairing import Samples
+from gateway.core.tracks import Told
 from tests.receivers import Received
 
 

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 
 from dbc.records import ROTOR, zeros
 from estimators import acquisition, adaptation, current_calibration
-from gateway import inputs, tracks
-from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import NEVER
-from gateway.motion import MotionMonitor, Timebase
-from gateway.slow import RPM
+from gateway.core import inputs, tracks
+from gateway.core.codes import NEVER
+from gateway.core.drive_status import RPM
+from gateway.core.motion import MotionMonitor, Timebase
+from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.receivers import Received
 from tests.sender import MS
 

@@ -8,8 +8,8 @@ import numpy as np
 from _traction_core import ffi
 
 from dbc.records import CHANNEL, RECEIVER
-from gateway.pairing import drive_inputs, room
-from gateway.slow import readings
+from gateway.core.drive_status import readings
+from gateway.core.pairing import drive_inputs, room
 
 
 class Received:

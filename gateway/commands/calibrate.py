@@ -6,17 +6,18 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
-from dbc.block import Block
 from dbc.codec import Codec
 from dbc.frame import Frame
-from gateway.calibration import to_toml
-from gateway.commands.common import GOOD, add_config, prepare, shown, track_file
-from gateway.config import Config
-from gateway.core import Gateway
-from gateway.drivers.replay import OneChannel, open_log, replay
-from gateway.results.calibrating import Learner
-from gateway.results.whole import write_text
-from gateway.thermal import NO_MODEL
+from dbc.frames import Block
+from gateway.commands.common import GOOD, add_config, shown, track_file
+from gateway.core.gateway import Gateway
+from gateway.core.thermal import NO_MODEL
+from gateway.io.prepare import prepare
+from gateway.io.replay import OneChannel, open_log, replay
+from gateway.io.whole_file import write_text
+from gateway.settings.calibration import to_toml
+from gateway.settings.config import Config
+from gateway.study.calibrating import Learner
 
 HELP = "thermal limits from fault-free logs"
 MARGIN = 1.5

@@ -8,17 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, console, prepare
-from gateway.config import ConfigError
-from gateway.stuffing import bits_of
+from dbc.wire_time import bits_of
+from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature
+from gateway.io.console import console
+from gateway.io.prepare import prepare
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dbc.codec import Codec, MessageSpec
     from dbc.frame import Frame
-    from gateway.config import Config
-    from gateway.foreign import Plan
+    from gateway.mapping.plan import Plan
+    from gateway.settings.config import Config
 
 HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
@@ -42,9 +44,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work, or would never tell a loss."""
-    from gateway import calibration, foreign
     from gateway.commands import check_loss
     from gateway.commands.check_signals import told
+    from gateway.mapping import plan as foreign
+    from gateway.settings import calibration
 
     config, codec = prepare(options.config, signature=options)
     planned = foreign.plans(config)
@@ -104,7 +107,7 @@ def _tell_measured(config: Config, codec: Codec) -> None:
 def _tell_machine(options: argparse.Namespace, config: Config) -> None:
     """Settings of the kernel and of the link, each with its cure; they refuse nothing."""
     from gateway.commands.run import bus_options
-    from gateway.drivers import settings
+    from gateway.io import interface_settings as settings
 
     bus = bus_options(options, config)
     found = settings.machine()
@@ -121,8 +124,8 @@ def _tell_machine(options: argparse.Namespace, config: Config) -> None:
 
 def _heartbeats(config: Config) -> str:
     """What the gateway expects of the drives' heartbeats."""
-    from gateway.core import HEARTBEAT_LIMIT_NS
-    from gateway.supervision import TIMEOUT_PERIODS
+    from gateway.core.gateway import HEARTBEAT_LIMIT_NS
+    from gateway.core.supervision import TIMEOUT_PERIODS
 
     shortest = HEARTBEAT_LIMIT_NS // 1_000_000
     if (period := config.canopen.heartbeat_ms) is None:
@@ -137,7 +140,7 @@ def _heartbeats(config: Config) -> str:
 def _authentication(config: Config) -> str:
     if config.authentication is None:
         return "not authenticated"
-    from gateway.drivers.credentials import flag_key
+    from gateway.io.credentials import flag_key
 
     try:
         flag_key(config.authentication.key, config.base)
@@ -168,7 +171,7 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
 
     planned: drives of other makers, of which only the messages in use are known.
     """
-    from gateway.outbox import VOUCHED, Outbox
+    from gateway.core.transmit import VOUCHED, Outbox
 
     outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
     ours = set(outbox.specs)
@@ -229,8 +232,8 @@ def _tell_timing(times_us: list[float], period_us: float) -> None:
 
 def measure(config: Config, codec: Codec) -> tuple[list[Frame], list[float]]:
     """Two seconds with simulated drives: all frames of the bus, and each tick's time, us."""
-    from gateway.core import Gateway
-    from gateway.drivers.canopen_node import CanopenNode
+    from gateway.core.gateway import Gateway
+    from gateway.io.canopen_node import CanopenNode
     from sim.scenario import parse
     from sim.simulation import Simulation
 

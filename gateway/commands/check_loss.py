@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gateway import foreign
+from gateway.mapping import plan as foreign
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from gateway.config import Config
+    from gateway.settings.config import Config
 
 
 def tell(config: Config, codec: Codec) -> list[str]:
@@ -16,7 +16,7 @@ def tell(config: Config, codec: Codec) -> list[str]:
 
     Raises ConfigError as `Gateway` does.
     """
-    from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS, losses, never
+    from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS, losses, never
 
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
     for node, why in blind.items():

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dbc.text import printable
-from gateway.config import Config, ConfigError, load
+from gateway.settings.config import Config, ConfigError, load
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from dbc.block import Block
-    from dbc.candump import Reader
+    from dbc.candump.reader import Reader
     from dbc.codec import Codec
-    from gateway.drivers.replay import Log
+    from dbc.frames import Block
+    from gateway.io.replay import Log
     from sim.scenario import Scenario
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
@@ -59,7 +59,7 @@ def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) ->
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
-    from gateway.drivers import leanstart
+    from gateway.io import quick_start as leanstart
 
     leanstart.python_can()
     import can.cli
@@ -86,7 +86,7 @@ def prepare(
             raise ConfigError("--signature", ["says nothing without --public-key"])
         config = load(path, **given)
         return config, bind(config.dbc_path, config.nodes)
-    from gateway.drivers.signing import check_digest, check_files, default_signature, verified
+    from gateway.io.signing import check_digest, check_files, default_signature, verified
 
     if path is None:
         raise ConfigError("--public-key", ["the built-in configuration has no signature"])
@@ -113,7 +113,7 @@ def fitting(
     signature: as of `prepare`. Raises ConfigError or DbcMismatch with every problem.
     """
     from dbc.codec import bind
-    from gateway.config import Drive
+    from gateway.settings.config import Drive
 
     if path is not None:
         config, codec = prepare(path, signature=signature)
@@ -160,7 +160,7 @@ def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
 
     dropped: cause -> lines or frames; used: those that were not.
     """
-    from gateway.results.dropped import warning
+    from gateway.reports.dropped import warning
 
     text = warning(dropped, used)
     if text:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, console
+from gateway.commands.common import GOOD
 from gateway.commands.fleet import need
+from gateway.io.console import console
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,8 +21,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
     need("pyarrow")
-    from gateway.results.fleet_thresholds import measure, to_toml
-    from gateway.results.whole import write_text
+    from gateway.fleet.thresholds import measure, to_toml
+    from gateway.io.whole_file import write_text
 
     measured = measure(options.results, force=options.force)
     if measured.bad:

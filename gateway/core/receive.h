@@ -6,7 +6,7 @@
 
 /* Take in the frames of one tick, none too, in order of stamp and identifier: look up whose each is,
  * verify it, decode it, pair samples, note what Motion and Status say. The columns are those of a
- * block (dbc/block.py): t_ns, can_id, flags, length (frames), data (frames, PAYLOAD_BYTES). Every
+ * block (dbc/frames.py): t_ns, can_id, flags, length (frames), data (frames, PAYLOAD_BYTES). Every
  * frame ends in one of `receiver->counters`. Returns 1; or 0, and nothing is done, for frames in
  * another order. */
 int receive_frames(struct receiver *receiver, int64_t frames, const int64_t *t_ns,

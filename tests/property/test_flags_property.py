@@ -6,9 +6,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from gateway import flags
-from gateway.flags import UNCHANGED, Timing, debounce
-from gateway.health import Flag
+from gateway.core import flags
+from gateway.core.codes import Flag
+from gateway.core.flags import UNCHANGED, Timing, debounce
 from tests.fuzz import examples
 
 TICK = 10

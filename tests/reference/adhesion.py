@@ -29,10 +29,10 @@ from dbc.records import (
 )
 from estimators.detect import Evidence
 from estimators.detect.variational import VariationalDetector
-from gateway.config import Motor
-from gateway.health import NEVER, Flag, Health
-from gateway.slow import SlowState
-from gateway.tracks import Told
+from gateway.core.codes import NEVER, Flag, Health
+from gateway.core.drive_status import SlowState
+from gateway.core.tracks import Told
+from gateway.settings.config import Motor
 
 DERATING_NS: Final = 2_000_000_000
 COASTING: Final = 0.05

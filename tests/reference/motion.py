@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND
-from gateway.inputs import Inputs
-from gateway.slow import Readings
-from gateway.tracks import Told
+from gateway.core.drive_status import Readings
+from gateway.core.inputs import Inputs
+from gateway.core.tracks import Told
 from tests.reference import load_observer
 from tests.reference.load_observer import LoadState, Mechanics
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from dbc.records import Columns
-from gateway.pairing import Samples
-from gateway.slow import Readings, SlowState
-from gateway.tracks import Told
+from gateway.core.drive_status import Readings, SlowState
+from gateway.core.pairing import Samples
+from gateway.core.tracks import Told
 from tests.reference.motion import Memory
 
 HISTORY: Final = 8

@@ -9,10 +9,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import Motor
-from gateway.health import NEVER, Flag, Health, Reason
-from gateway.slow import SlowState
-from gateway.tracks import Told
+from gateway.core.codes import NEVER, Flag, Health, Reason
+from gateway.core.drive_status import SlowState
+from gateway.core.tracks import Told
+from gateway.settings.config import Motor
 
 ACCELERATION_TAU_S: Final = 0.5
 """Time constant of a rotor's acceleration."""

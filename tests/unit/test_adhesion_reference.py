@@ -9,11 +9,12 @@ from _traction_core import lib
 
 from dbc.records import DRIVE_STATUS
 from estimators.detect import DETECTORS
-from gateway import flags, inputs, pairing, slow, tracks
-from gateway.adhesion import BASE_NM, AdhesionMonitor
-from gateway.config import BENCH_MOTOR, Adhesion
-from gateway.flags import FlagKind, Timing
-from gateway.health import NEVER, Flag, Health
+from gateway.core import drive_status as slow
+from gateway.core import flags, inputs, pairing, tracks
+from gateway.core.adhesion import BASE_NM, AdhesionMonitor
+from gateway.core.codes import NEVER, Flag, Health
+from gateway.core.flags import FlagKind, Timing
+from gateway.settings.config import BENCH_MOTOR, Adhesion
 from tests.judged_loads import detect
 from tests.reference import adhesion as reference
 from tests.same import same_numbers

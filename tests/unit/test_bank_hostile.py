@@ -10,10 +10,10 @@ import math
 import numpy as np
 import pytest
 
-from gateway.bank import Bank
-from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import Health
-from gateway.pairing import Samples
+from gateway.core.codes import Health
+from gateway.core.estimate import Bank
+from gateway.core.pairing import Samples
+from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.estimates import step
 from tests.unit.test_bank import TICK, steady
 from tests.unit.test_est_truth import Rows, sampled

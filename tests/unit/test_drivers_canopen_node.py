@@ -9,8 +9,8 @@ import pytest
 from canopen.emcy import EmcyConsumer
 
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
-from gateway.drivers.canopen_node import CanopenNode, GatewayError, error_register
-from gateway.drivers.transport import Allow
+from gateway.io.canopen_node import CanopenNode, GatewayError, error_register
+from gateway.io.transport import Allow
 
 T0 = 77 * SECOND + 123
 PRE_OPERATIONAL, OPERATIONAL = b"\x7f", b"\x05"

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway import flags
-from gateway.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
-from gateway.health import RANKS, Flag, GatewayState, Reason
+from gateway.core import flags
+from gateway.core.codes import RANKS, Flag, GatewayState, Reason
+from gateway.core.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
 from tests.reference.flags import PRIORITY, summary, worst
 
 TIMING = Timing(good_ns=50, raise_ns=20, clear_ns=30)

@@ -8,9 +8,8 @@ import pytest
 from _traction_core import ffi, lib
 
 from dbc.records import DRIVE_STATUS, FLAG_INPUTS
-from gateway import flags, inputs, tracks
-from gateway.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
-from gateway.health import (
+from gateway.core import flags, inputs, tracks
+from gateway.core.codes import (
     NEVER,
     RANKS,
     FaultClass,
@@ -20,6 +19,7 @@ from gateway.health import (
     Health,
     Reason,
 )
+from gateway.core.flags import UNCHANGED, FlagKind, Flags, Timing, debounce, loss_evidence
 from tests.reference.flags import (
     PRIORITY,
     FlagState,

@@ -6,10 +6,10 @@ import math
 import pytest
 from _traction_core import lib
 
-from gateway.config import BENCH_MOTOR
-from gateway.health import Flag, Health, Reason
-from gateway.slow import RPM
-from gateway.tracks import told_of
+from gateway.core.codes import Flag, Health, Reason
+from gateway.core.drive_status import RPM
+from gateway.core.tracks import told_of
+from gateway.settings.config import BENCH_MOTOR
 from tests.estimates import DriveEstimate, estimates_of
 from tests.motions import Drives
 from tests.sender import MS, Sender, SteadyDrive, codec_for

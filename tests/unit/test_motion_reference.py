@@ -8,11 +8,12 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
-from gateway import slow, tracks
-from gateway.config import BENCH_MOTOR
-from gateway.health import Health
-from gateway.inputs import columns
-from gateway.motion import MotionMonitor
+from gateway.core import drive_status as slow
+from gateway.core import tracks
+from gateway.core.codes import Health
+from gateway.core.inputs import columns
+from gateway.core.motion import MotionMonitor
+from gateway.settings.config import BENCH_MOTOR
 from tests.motions import TIMES, Drives
 from tests.reference import motion as reference
 from tests.reference import plausibility

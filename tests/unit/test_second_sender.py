@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gateway.health import Reason
-from gateway.inbox import Inbox
-from gateway.supervision import Supervision
+from gateway.core.codes import Reason
+from gateway.core.inbox import Inbox
+from gateway.core.supervision import Supervision
 from tests.sender import FD_FILE, MS, Sender, codec_for
 
 TICK = 10 * MS

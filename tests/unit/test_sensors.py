@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gateway.calibration import MotorCalibration
-from gateway.health import FaultClass, FaultSensor, Flag
-from gateway.inbox import Temperatures
-from gateway.results.calibrating import Learner
-from gateway.sensors import SensorSide
-from gateway.thermal import ThermalSide
+from gateway.core.codes import FaultClass, FaultSensor, Flag
+from gateway.core.inbox import Temperatures
+from gateway.core.temperature import SensorSide
+from gateway.core.thermal import ThermalSide
+from gateway.settings.calibration import MotorCalibration
+from gateway.study.calibrating import Learner
 
 MS = 1_000_000
 HEALTHY = ((FaultClass.NONE, FaultSensor.NONE),)

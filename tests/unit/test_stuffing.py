@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc import wire_time as stuffing
 from dbc.frame import BRS, EXTENDED, FD, Frame
-from gateway import stuffing
+from dbc.wire_time import bits_of
 from gateway.commands.check import frame_seconds
-from gateway.stuffing import bits_of
 from tests.fuzz import examples
 from tests.sender import FD_FILE, codec_for
 

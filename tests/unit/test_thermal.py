@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from dbc.records import FLAG_INPUTS
-from gateway.calibration import Calibration, MotorCalibration
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
-from gateway.inbox import Temperatures
-from gateway.thermal import ThermalSide
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import Temperatures
+from gateway.core.thermal import ThermalSide
+from gateway.settings.calibration import Calibration, MotorCalibration
 
 MS = 1_000_000
 NODES = (1, 2, 3)

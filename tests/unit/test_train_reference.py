@@ -7,9 +7,10 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import ROTOR, ROTOR_INPUTS, pointer
-from gateway import slow, tracks
-from gateway.config import BENCH_MOTOR
-from gateway.health import Flag, Health
+from gateway.core import drive_status as slow
+from gateway.core import tracks
+from gateway.core.codes import Flag, Health
+from gateway.settings.config import BENCH_MOTOR
 from tests.reference import train as reference
 from tests.same import same_numbers
 
