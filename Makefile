@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 # The compiled core.
-CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c gateway/core/*.c sim/*.c)
-CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h)
+CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c gateway/core/*.c sim/*/*.c)
+CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h sim/*/*.h)
 WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
 
 .PHONY: demo test test-all fuzz fuzz-deep fuzz-tick soak campaign coverage sanitize mutation lint clang format docs bench calibration changelog dist lock clean
@@ -102,7 +102,7 @@ lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m dbc.build --check
+	$(BIN)/python -m dbc.generate --check
 
 # A second compiler, the clang in ziglang, with the same warnings; a minute.
 clang: $(VENV)/.ready

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from gateway.drivers.evaluation import Plan, evaluate, fitted, judge, one_run, record
-from gateway.results.evaluation_report import COLUMNS, cells
-from gateway.results.scoring import Score
-from sim.families import DEVELOPMENT, REPORTING
-from sim.random_runs import random_scenario
+from gateway.reports.scoring import Score
+from gateway.study.evaluation_report import COLUMNS, cells
+from gateway.study.evaluation_runs import Plan, evaluate, fitted, judge, one_run, record
+from gateway.study.scenarios_family import DEVELOPMENT, REPORTING
+from gateway.study.scenarios_random import random_scenario
 
 DETECTORS = ("vb", "median")
 HARD = ("majority", "n2", "braking", "rough", "all_together", "large")

@@ -11,13 +11,13 @@ from cryptography.hazmat.primitives.ciphers.algorithms import AES
 from cryptography.hazmat.primitives.cmac import CMAC
 
 from bench.speed import best
-from dbc.authentication import Authenticator, Macs
 from dbc.codec import bind
 from dbc.frame import MS
-from dbc.verifier import WAITING, Verifier
+from dbc.secoc_receiver import WAITING, Verifier
+from dbc.secoc_sender import Authenticator, Macs
 from gateway.commands.check import bus_load
-from gateway.config import parse, shipped_dbc
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse, shipped_dbc
 from sim.scenario import find
 from sim.simulation import Simulation
 

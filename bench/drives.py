@@ -22,11 +22,11 @@ from bench.wire import log_of
 from dbc.codec import bind
 from dbc.frame import MS, Nanos
 from dbc.records import pointer
-from gateway.adhesion import AdhesionMonitor
-from gateway.config import BENCH_MOTOR, Adhesion, Estimator, shipped_dbc
-from gateway.core import Gateway
-from gateway.inputs import places
-from gateway.motion import Timebase
+from gateway.core.adhesion import AdhesionMonitor
+from gateway.core.gateway import Gateway
+from gateway.core.inputs import places
+from gateway.core.motion import Timebase
+from gateway.settings.config import BENCH_MOTOR, Adhesion, Estimator, shipped_dbc
 from tests.receivers import Received
 from tests.stations import Bank, Flags, InputMonitor, MotionMonitor, ThermalSide
 

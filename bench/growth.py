@@ -20,7 +20,7 @@ from bench.judges import variational
 from bench.speed import best, quiet
 from bench.thermal import cost
 from bench.wire import log_of
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from estimators.models.pmsm import SUB_STEP_S
 
 HEADER = ("what grows", "to", "cost", "per", "memory")

@@ -26,16 +26,16 @@ from bench.wire import log_of, whole
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import MS, SECOND, Frame
-from gateway.config import Config, ConfigError, shipped_dbc
-from gateway.core import Gateway
-from gateway.drivers.kernel import Kernel, Link, RawSocket
-from gateway.drivers.live import frozen_garbage
-from gateway.drivers.realtime import Ticker
-from gateway.drivers.scheduling import be_ordinary, be_realtime
-from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import SendResult
-from gateway.drivers.wire import pack
-from gateway.supervision import Supervision
+from gateway.core.gateway import Gateway
+from gateway.core.supervision import Supervision
+from gateway.io.kernel import Kernel, Link, RawSocket
+from gateway.io.live import frozen_garbage
+from gateway.io.realtime import Ticker
+from gateway.io.scheduling import be_ordinary, be_realtime
+from gateway.io.socketcan import SocketCan
+from gateway.io.transport import SendResult
+from gateway.io.wire import pack
+from gateway.settings.config import Config, ConfigError, shipped_dbc
 from tests.stations import Inbox
 
 HEADER = ("figure", "p50", "p99", "p99.9", "of the period", "reference in the same run")

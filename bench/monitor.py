@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import time
 
-from dbc.block import block_of
 from dbc.frame import MS, SECOND, Frame
-from gateway.commands.common import fitting
-from gateway.drivers.bench import run_virtual
-from gateway.monitor.observer import Observer
+from dbc.frames import block_of
+from gateway.hil.bench import run_virtual
+from gateway.hil.fitting import fitting
+from gateway.monitor.model.observer import Observer
 from sim.scenario import find
 
 SCENARIO = "demo"

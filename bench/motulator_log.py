@@ -15,18 +15,18 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.candump import Writer
+from dbc.candump.reader import Writer
 from dbc.codec import Codec
 from dbc.frame import Frame
-from gateway.config import Config
-from gateway.core import Gateway
-from gateway.drivers.replay import OneChannel, open_log, replay
-from gateway.results.evaluation import EDGE_S, SKIP_S, Measured, Said, listen, measure, nothing
-from gateway.results.scoring import quantile, truth_of
-from sim.plant import MOTORS, Plant
+from gateway.core.gateway import Gateway
+from gateway.io.replay import OneChannel, open_log, replay
+from gateway.reports.scoring import quantile, truth_of
+from gateway.settings.config import Config
+from gateway.study.evaluation import EDGE_S, SKIP_S, Measured, Said, listen, measure, nothing
+from sim.ground_truth import Truth
+from sim.physics.plant import MOTORS, Plant
 from sim.scenario import Scenario
 from sim.simulation import GRID, GRID_NS, Simulation
-from sim.truth import Truth
 
 Array = NDArray[np.float64]
 TICKS_PER_S: Final = 100
@@ -41,7 +41,7 @@ class Played(Plant):
     """A plant under preset load that only plays back what was computed elsewhere."""
 
     def __init__(self, scenario: Scenario, rows: Array) -> None:
-        """`rows` (n, N, 10): columns `sim.plant.OUT` at the end of each period of 125 us."""
+        """`rows` (n, N, 10): columns `plant.OUT` at the end of each period of 125 us."""
         motor = MOTORS[scenario.motor.name]
         still = np.zeros(rows.shape[1])
         super().__init__(motor, still, on_rail=False, w_0=0.0, load_0=0.0)

@@ -37,15 +37,15 @@ from bench.motulator_log import (
     write_log,
 )
 from dbc.codec import bind
-from gateway.config import ConfigError, parse
-from sim import plant as columns
-from sim.families import ALL, draw
+from gateway.settings.config import ConfigError, parse
+from gateway.study.scenarios_family import ALL, draw
+from sim.drive_spread import Variety
 from sim.faults import Schedule
-from sim.plant import DT, MOTORS, OUT, Motor
+from sim.physics import plant as columns
+from sim.physics.plant import DT, MOTORS, OUT, Motor
 from sim.profile import Profile
 from sim.scenario import Scenario
 from sim.simulation import ANGLE_STREAM, Simulation
-from sim.variety import Variety
 
 Array = NDArray[np.float64]
 OVERLOAD: Final = 1.5
@@ -174,7 +174,7 @@ SOLVERS: Final[dict[str, Callable[[Any, float], None]]] = {
 
 
 def waveforms(scenario: Scenario, setup: Setup) -> Array:
-    """(n, N, 10) rows of a whole run, columns `sim.plant.OUT`; start angles are our simulator's.
+    """(n, N, 10) rows of a whole run, columns `plant.OUT`; start angles are our simulator's.
 
     Raises ConfigError for what motulator's drive does not know here: rails, curves, open phases.
     """

@@ -29,9 +29,9 @@ from bench.real_recordings import (
     to_accuracy,
 )
 from dbc.frame import SECOND
-from gateway.calibration import POINTS, Calibration
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
-from gateway.inbox import Temperatures
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import Temperatures
+from gateway.settings.calibration import POINTS, Calibration
 
 FROZEN_S: Final = 60.0
 """When HB2 is made to hold its value, s of F0's judged part: no real sensor of these did."""

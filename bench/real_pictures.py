@@ -25,8 +25,8 @@ from bench.real_recordings import (
     to_accuracy,
 )
 from dbc.frame import SECOND
-from gateway.health import Flag, Reason
-from gateway.results.pictures import BLUE, GREEN, GREY, ORANGE
+from gateway.core.codes import Flag, Reason
+from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE
 
 COLOURS: Final = (BLUE, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Of lines: none of the flags'."""

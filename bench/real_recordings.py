@@ -16,15 +16,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.frame import MS, SECOND, Frame, Nanos
-from gateway.calibration import POINTS, Calibration, MotorCalibration
-from gateway.config import Thermal
-from gateway.core import SENSOR
-from gateway.flags import Timing
-from gateway.inbox import Temperatures
-from gateway.results.calibrating import Learner
-from gateway.thermal import ThermalSide
+from gateway.core.flags import Timing
+from gateway.core.gateway import SENSOR
+from gateway.core.inbox import Temperatures
+from gateway.core.thermal import ThermalSide
+from gateway.settings.calibration import POINTS, Calibration, MotorCalibration
+from gateway.settings.config import Thermal
+from gateway.study.calibrating import Learner
 from tests.stations import debounce, flag
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "temperatures"
@@ -131,7 +131,7 @@ def judge(
     calibration: Calibration | None = None,
     learner: Learner | None = None,
 ) -> Said:
-    """Every tick through the thermal side and the flags' table, as in `gateway/core.py`."""
+    """Every tick through the thermal side and the flags' table, as in `gateway/core/gateway.py`."""
     drives, settings = len(fitted), Thermal()
     nodes = tuple(range(1, drives + 1))
     side = ThermalSide(drives, CYCLE_NS, settings.window_s, calibration, nodes, fitted)

@@ -17,9 +17,9 @@ import gateway
 from bench.chain import chain
 from bench.speed import best, quiet
 from bench.wire import log_of, numbers
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.codec import bind
-from gateway.config import shipped_dbc
+from gateway.settings.config import shipped_dbc
 
 HEADER = ("figure", "measured", "reference in the same run", "ratio")
 SPANS: Final = {"traction.dbc": 300.0, "traction_fd.dbc": 60.0}

@@ -16,7 +16,7 @@ import cantools
 
 from bench import restart
 from gateway.cli import main
-from gateway.config import shipped_dbc
+from gateway.settings.config import shipped_dbc
 
 SECONDS = 60.0
 FLAGS_ID = 0x1A0

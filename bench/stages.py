@@ -22,10 +22,10 @@ from _traction_core import lib
 
 from bench.speed import best, quiet
 from bench.wire import log_of, whole
-from dbc.block import Block
 from dbc.codec import Codec, bind
-from gateway.config import Config, shipped_dbc
-from gateway.core import Gateway
+from dbc.frames import Block
+from gateway.core.gateway import Gateway
+from gateway.settings.config import Config, shipped_dbc
 
 HEADER = ("stage", "per tick", "share of `run`")
 NODES: Final = (1, 2, 3)

@@ -12,8 +12,9 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from gateway.drivers.evaluation import seeds_of
-from gateway.drivers.thermal_trials import (
+from gateway.study.evaluation_runs import seeds_of
+from gateway.study.thermal_dataset import BENCH, train
+from gateway.study.thermal_trials import (
     DEVELOPMENT,
     FIT_RUNS,
     LIMIT,
@@ -22,7 +23,6 @@ from gateway.drivers.thermal_trials import (
     fit,
     record_of,
 )
-from sim.labelled import BENCH, train
 
 RUNS = range(20, 25)
 """Numbers of the runs of a train."""

@@ -17,10 +17,10 @@ from typing import Final, NamedTuple
 
 from bench.speed import as_installed, quiet
 from bench.wire import whole
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
+from dbc.candump.writer import Writer
 from dbc.frame import SECOND
-from dbc.logwriter import Writer
-from gateway.config import shipped_dbc
+from gateway.settings.config import shipped_dbc
 
 HEADER = ("figure", "measured", "reference in the same run", "ratio", "peak memory")
 ROUNDS: Final = 9

@@ -19,13 +19,13 @@ import cantools
 import numpy as np
 
 from bench.speed import best, quiet
-from dbc.block import EMPTY, Block, join
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.codec import Codec, bind
 from dbc.contract import ANY
 from dbc.frame import MS
-from gateway.config import shipped_dbc
-from gateway.supervision import Supervision
+from dbc.frames import EMPTY, Block, join
+from gateway.core.supervision import Supervision
+from gateway.settings.config import shipped_dbc
 from tests.stations import Inbox
 
 HEADER = ("figure", "measured", "reference in the same run", "ratio")

@@ -1,4 +1,4 @@
-/* Candump text to frames: the line of most logs. dbc/logline.py has the grammar of all lines, and
+/* Candump text to frames: the line of most logs. dbc/candump/grammar.py has the grammar of all lines, and
  * decides on those that are left to it here.
  *
  *     line      = stamp gap name gap id "#" (classic | fd) [" R" | " T"] [CR] LF

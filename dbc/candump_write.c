@@ -1,4 +1,4 @@
-/* Frames to candump text, as `candump -L` writes it; dbc/logline.py has the grammar of such lines.
+/* Frames to candump text, as `candump -L` writes it; dbc/candump/grammar.py has the grammar of such lines.
  *
  * Each function that writes a part of a line returns the place behind it. None can fail: only what
  * `fits` is written, and that takes fewer than CANDUMP_MAX_TEXT bytes: 22 of stamp, 22 of name and

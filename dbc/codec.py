@@ -16,10 +16,10 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from dbc.binding import load, specs_of
 from dbc.codec_tables import PAYLOAD, CodecTables
 from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
+from dbc.load import load, specs_of
 from dbc.spec import (
     ABSENT,
     EXTENDED_KEY,

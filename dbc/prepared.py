@@ -1,7 +1,7 @@
 """Specs of the shipped DBC files, read beforehand: cantools takes 0.4 s of a start, this 10 ms.
 
 A file is known by its content, wherever it lies; any other one is read by cantools. The table is
-written by `python -m dbc.build`, and tests compare it with what cantools reads.
+written by `python -m dbc.generate`, and tests compare it with what cantools reads.
 """
 
 from __future__ import annotations

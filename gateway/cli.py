@@ -83,7 +83,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; never lets a traceback of bad input or of a signal reach the user."""
     words = list(sys.argv[1:] if argv is None else argv)
-    from gateway.drivers import endings
+    from gateway.io import endings
 
     with endings.raised() as note:
         try:
@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _printed(words: list[str]) -> int:
     """As `_run`, and what it has printed is handed over: none of that may be lost in silence."""
-    from gateway.drivers import endings
+    from gateway.io import endings
 
     try:
         code = _run(words)
@@ -125,7 +125,8 @@ def _printed(words: list[str]) -> int:
 def _run(words: list[str]) -> int:
     """Do what the words say. Raises what ends the program from outside, and faults of ours."""
     from dbc.text import printable
-    from gateway.drivers import leanstart, logs
+    from gateway.io import log_setup as logs
+    from gateway.io import quick_start as leanstart
 
     if _DRIVES.intersection(words[:1]):
         leanstart.python_can()
@@ -177,7 +178,7 @@ def _log_format(words: Sequence[str]) -> str:
 
 def _is_users(error: Exception) -> bool:
     """True for the errors that say something about the input, not about this program."""
-    from gateway.config import ConfigError
+    from gateway.settings.config import ConfigError
 
     named = {"DbcMismatch", "BadLogError", "LogError", "ScenarioError"}
     return isinstance(error, ConfigError | OSError) or type(error).__name__ in named
@@ -187,7 +188,7 @@ def program() -> NoReturn:
     """The command line as a program of its own."""
     code = main()
     if _BRIEF.intersection(sys.argv[1:2]):
-        from gateway.drivers import endings
+        from gateway.io import endings
 
         endings.leave(code)
     sys.exit(code)

@@ -24,10 +24,10 @@ from dbc.frame import BRS, FD, MS, Frame, Nanos
 from dbc.spec import MessageSpec
 from sim.canopen_ecu import CanopenNode
 from sim.faults import EMERGENCY, WireFaults
-from sim.readings import CURRENTS, SAMPLES, VOLTAGES, Values
+from sim.measurements import CURRENTS, SAMPLES, VOLTAGES, Values
 
 if TYPE_CHECKING:
-    from dbc.verifier import Verifier
+    from dbc.secoc_receiver import Verifier
 
 Array = NDArray[np.float64]
 

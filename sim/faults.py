@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim import sensors, thermal
-from sim.adhesion import Rail, rail
-from sim.plant import DT, Motor
+from sim.physics import sensors, thermal
+from sim.physics.adhesion import Rail, rail
+from sim.physics.plant import DT, Motor
 from sim.scenario import Event, Scenario
 
 Array = NDArray[np.float64]

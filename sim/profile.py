@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.scenario import Scenario
-from sim.tables import Load
+from sim.scenario_schema import Load
 
 Array = NDArray[np.float64]
 

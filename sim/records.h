@@ -77,7 +77,7 @@ struct sim_train {
     double demand_nm;       /* torque demand on each drive */
 };
 
-/* Creep force curve of a rail (sim/adhesion.py). */
+/* Creep force curve of a rail (sim/physics/adhesion.py). */
 struct sim_rail {
     double mu_0; /* friction at standstill */
     double A;    /* ratio at infinite sliding speed */
@@ -111,7 +111,7 @@ struct sim_schedule {
     const struct sim_rail *rail; /* (n, N) */
 };
 
-/* A whole record of temperatures: L steps of M motors (sim/labelled.py). */
+/* A whole record of temperatures: L steps of M motors (gateway/study/thermal_dataset.py). */
 struct sim_heat_record {
     int64_t steps;           /* L */
     int64_t motors;          /* M */

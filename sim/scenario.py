@@ -18,8 +18,8 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from dbc.bounds import within
 from dbc.text import TomlError, printable, read_bytes, read_toml
-from sim.adhesion import rail
-from sim.tables import (
+from sim.physics.adhesion import rail
+from sim.scenario_schema import (
     BusModel,
     Load,
     Mismatch,

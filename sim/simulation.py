@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
-from sim import plant as columns
+from sim.bus_arbiter import Arbiter
+from sim.drive_spread import Variety
 from sim.ecu import FAST, Ecu
 from sim.faults import Schedule, WireFaults
-from sim.plant import MOTORS, TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
+from sim.ground_truth import Truth
+from sim.measurements import SAMPLES_PER_FRAME, VALID, Readings, Values
+from sim.physics import plant as columns
+from sim.physics.plant import MOTORS, TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
+from sim.physics.thermal import ThermalTrain
 from sim.profile import Profile
-from sim.readings import SAMPLES_PER_FRAME, VALID, Readings, Values
 from sim.scenario import NEEDS_RAIL, Event, Scenario
-from sim.thermal import ThermalTrain
-from sim.truth import Truth
-from sim.variety import Variety
-from sim.wire import Arbiter
 
 if TYPE_CHECKING:
-    from dbc.verifier import Verifier
+    from dbc.secoc_receiver import Verifier
 
 Array = NDArray[np.float64]
 PERIOD_NS: Final[Nanos] = 125_000

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.records import Records
-from gateway.bank import estimates
-from gateway.inputs import statuses
-from gateway.pairing import drive_inputs
+from gateway.core.estimate import estimates
+from gateway.core.inputs import statuses
+from gateway.core.pairing import drive_inputs
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

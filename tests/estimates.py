@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway import inputs
-from gateway.health import Health, Reason
-from gateway.pairing import Samples
+from gateway.core import inputs
+from gateway.core.codes import Health, Reason
+from gateway.core.pairing import Samples
 from tests.columns import Told
 from tests.receivers import Received
 from tests.stations import Bank

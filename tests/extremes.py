@@ -17,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 import gateway
-from dbc.block import Block
 from dbc.codec import Codec
 from dbc.e2e import protect
+from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
-from gateway.config import Config, parse
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
+from gateway.settings.config import Config, parse
 from tests.simrun import CLASSIC, FD_FILE, codec
 from tests.value_cases import TICK, honest
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from dbc.frame import Frame
-from gateway.config import Config
-from gateway.drivers.inverter_sim import Inverters
-from gateway.foreign import plans
+from gateway.hil.inverter_sim import Inverters
+from gateway.mapping.plan import plans
+from gateway.settings.config import Config
 from tests.simrun import codec
 
 

@@ -7,7 +7,7 @@ from _traction_core import lib
 from dbc.frame import Nanos
 from dbc.records import Records, pointer
 from estimators.detect import Opinion
-from gateway.adhesion import AdhesionMonitor
+from gateway.core.adhesion import AdhesionMonitor
 
 
 def detect(

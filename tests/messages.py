@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.drivers.batch import NATIVE, Batch
-from gateway.drivers.wire import FD_SIZE
+from gateway.io.batch import NATIVE, Batch
+from gateway.io.wire import FD_SIZE
 
 TRUNCATED = 0x20
 """MSG_TRUNC."""

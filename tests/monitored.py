@@ -5,13 +5,13 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-from dbc.candump import Writer
+from dbc.candump.reader import Writer
 from dbc.frame import Frame
-from gateway.config import Config, parse
-from gateway.core import Gateway
-from gateway.drivers.bench import run_virtual
-from gateway.monitor.observer import Observer
-from gateway.view import GatewayView
+from gateway.core.gateway import Gateway
+from gateway.core.view import GatewayView
+from gateway.hil.bench import run_virtual
+from gateway.monitor.model.observer import Observer
+from gateway.settings.config import Config, parse
 from sim.scenario import parse as scenario
 from tests.simrun import codec
 

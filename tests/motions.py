@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 from dbc.records import ROTOR, zeros
 from estimators import acquisition, adaptation, current_calibration
-from gateway import inputs
-from gateway.bank import estimates as fresh_estimates
-from gateway.channel import RPM
-from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import NEVER
-from gateway.motion import Timebase
+from gateway.core import inputs
+from gateway.core.channel import RPM
+from gateway.core.codes import NEVER
+from gateway.core.estimate import estimates as fresh_estimates
+from gateway.core.motion import Timebase
+from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.receivers import Received
 from tests.sender import MS
 from tests.stations import MotionMonitor

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
-from gateway.drivers.fleet_logs import Job, Settings
-from gateway.drivers.fleet_task import one_log
-from gateway.results.fleet_table import Row
+from gateway.fleet.logs import Job, Settings
+from gateway.fleet.table import Row
+from gateway.fleet.task import one_log
 
 
 def kill_or_work(one: Job, settings: Settings) -> Row:

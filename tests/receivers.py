@@ -8,7 +8,7 @@ import numpy as np
 from _traction_core import ffi
 
 from dbc.records import CHANNEL, RECEIVER
-from gateway.pairing import drive_inputs, readings, room
+from gateway.core.pairing import drive_inputs, readings, room
 
 
 class Received:

@@ -12,21 +12,21 @@ import numpy as np
 from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-import gateway.bank
-import gateway.doubt
-import gateway.flags
-import gateway.inbox
-import gateway.inputs
-import gateway.motion
-import gateway.thermal
-from dbc.block import Block, block_of
+import gateway.core.estimate
+import gateway.core.flags
+import gateway.core.inbox
+import gateway.core.inputs
+import gateway.core.integrity
+import gateway.core.motion
+import gateway.core.thermal
 from dbc.frame import Frame, Nanos
+from dbc.frames import Block, block_of
 from dbc.records import FLAG, Records, pointer
-from gateway.flags import Timing
-from gateway.health import FaultClass, FaultSensor
-from gateway.pairing import Samples
-from gateway.sensors import SensorSide
-from gateway.supervision import Supervision
+from gateway.core.codes import FaultClass, FaultSensor
+from gateway.core.flags import Timing
+from gateway.core.pairing import Samples
+from gateway.core.supervision import Supervision
+from gateway.core.temperature import SensorSide
 from tests import columns
 
 

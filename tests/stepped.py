@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from _traction_core import lib
 
-from dbc.block import Block
 from dbc.frame import Nanos
-from gateway.core import Gateway
+from dbc.frames import Block
+from gateway.core.gateway import Gateway
 
 Hook = Callable[[Gateway], None]
 OF_STATUS = {

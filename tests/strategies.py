@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
+from dbc.candump.grammar import FD_LENGTHS
 from dbc.e2e import Check
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from dbc.logline import FD_LENGTHS
 
 # ---- dbc: frames and log lines -----------------------------------------------------------------
 

@@ -19,16 +19,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbc.block import Block, block_of
 from dbc.frame import MS, SECOND
-from gateway.config import Config, parse
-from gateway.core import Gateway
-from gateway.health import Flag, Health, Reason
-from sim.plant import MOTORS
+from dbc.frames import Block, block_of
+from gateway.core.codes import Flag, Health, Reason
+from gateway.core.gateway import Gateway
+from gateway.settings.config import Config, parse
+from sim.physics.plant import MOTORS
 from sim.scenario import parse as scenario
 from sim.simulation import Simulation
-from sim.value_faults import VALUE_KINDS, ValueFaults
 from tests.simrun import CLASSIC, FD_FILE, codec
+from tests.storm.value_faults import VALUE_KINDS, ValueFaults
 
 TICK = 10 * MS
 BEGIN_TICK = 300

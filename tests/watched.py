@@ -7,9 +7,9 @@ import threading
 import time
 from contextlib import contextmanager
 
-from gateway.health import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
-from gateway.monitor.access import Access, Listen
-from gateway.monitor.snapshot import (
+from gateway.core.codes import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
+from gateway.monitor.model.access import Access, Listen
+from gateway.monitor.model.snapshot import (
     DriveRow,
     Event,
     GatewayRow,

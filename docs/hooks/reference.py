@@ -29,9 +29,10 @@ import dbc
 import estimators
 import gateway
 import sim
-from gateway import cli, config
+from gateway import cli
+from gateway.settings import config
 from sim import scenario, scenarios
-from sim.tables import Strict as SimStrict
+from sim.scenario_schema import Strict as SimStrict
 
 ROOT = Path(__file__).parents[2]
 SIGNS = {Gt: ">", Ge: ">=", Lt: "<", Le: "<="}

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from estimators._core import Records
 from estimators.thermal import hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
-from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.model import inputs_of, predict, simulate
 from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor
 from estimators.thermal.record import Record, spacing, split
+from estimators.thermal.system_identification import first_readings, identify
 
 Array = NDArray[np.float64]
 

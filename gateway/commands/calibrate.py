@@ -7,15 +7,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import GOOD, add_config, prepare, shown, track_file
+from gateway.commands.common import GOOD, add_config, shown, track_file
+from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
-    from dbc.block import Block
     from dbc.codec import Codec
     from dbc.frame import Frame
-    from gateway.config import Config
-    from gateway.core import Gateway
-    from gateway.results.calibrating import Learner
+    from dbc.frames import Block
+    from gateway.core.gateway import Gateway
+    from gateway.settings.config import Config
+    from gateway.study.calibrating import Learner
 
 HELP = "thermal limits from fault-free logs"
 MARGIN = 1.5
@@ -32,11 +33,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read the temperatures through the gateway's own inbox and write the calibration."""
-    from gateway.calibration import to_toml
-    from gateway.drivers.replay import OneChannel, open_log
-    from gateway.results.calibrating import Learner
-    from gateway.results.whole import write_text
-    from gateway.thermal import NO_MODEL
+    from gateway.core.thermal import NO_MODEL
+    from gateway.io.replay import OneChannel, open_log
+    from gateway.io.whole_file import write_text
+    from gateway.settings.calibration import to_toml
+    from gateway.study.calibrating import Learner
 
     config, codec = prepare(options.config)
     # Whatever was learnt before says nothing now.
@@ -60,8 +61,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
     """One log through the gateway, the learner looking on."""
-    from gateway.core import Gateway
-    from gateway.drivers.replay import replay
+    from gateway.core.gateway import Gateway
+    from gateway.io.replay import replay
 
     def make(start: int) -> Gateway:
         gateway = Gateway(config, codec, start)

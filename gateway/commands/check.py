@@ -7,17 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature, note, prepare
-from gateway.config import ConfigError
-from gateway.drivers import leanstart
+from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature
+from gateway.io import quick_start as leanstart
+from gateway.io.console import note
+from gateway.io.prepare import prepare
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dbc.codec import Codec, MessageSpec
     from gateway.commands.check_loss import Tried
-    from gateway.config import Config
-    from gateway.foreign import Plan
+    from gateway.mapping.plan import Plan
+    from gateway.settings.config import Config
 
 HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
@@ -43,9 +45,10 @@ def more_arguments(parser: argparse.ArgumentParser) -> None:
 @leanstart.unsearched()
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work, or would never tell a loss."""
-    from gateway import calibration, foreign
     from gateway.commands import check_loss
     from gateway.commands.check_signals import told
+    from gateway.mapping import plan as foreign
+    from gateway.settings import calibration
 
     config, codec = prepare(options.config, signature=options)
     planned = foreign.plans(config)
@@ -87,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
 def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
     """The losses; with them bus load and timing, where the simulator has such messages."""
     from gateway.commands import check_loss, check_timing
-    from gateway.drivers.measured import Measured
+    from gateway.hil.measured import Measured
 
     if not timing:
         return check_loss.attempt(config, codec)
@@ -107,7 +110,7 @@ def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
 def _tell_machine(options: argparse.Namespace, config: Config) -> None:
     """Settings of the kernel and of the link, each with its cure; they refuse nothing."""
     from gateway.commands.run import bus_options
-    from gateway.drivers import settings
+    from gateway.io import interface_settings as settings
 
     bus = bus_options(options, config)
     found = settings.machine()
@@ -124,8 +127,8 @@ def _tell_machine(options: argparse.Namespace, config: Config) -> None:
 
 def _heartbeats(config: Config) -> str:
     """What the gateway expects of the drives' heartbeats."""
-    from gateway.core import HEARTBEAT_LIMIT_NS
-    from gateway.supervision import TIMEOUT_PERIODS
+    from gateway.core.gateway import HEARTBEAT_LIMIT_NS
+    from gateway.core.supervision import TIMEOUT_PERIODS
 
     shortest = HEARTBEAT_LIMIT_NS // 1_000_000
     if (period := config.canopen.heartbeat_ms) is None:
@@ -140,7 +143,7 @@ def _heartbeats(config: Config) -> str:
 def _authentication(config: Config) -> str:
     if config.authentication is None:
         return "not authenticated"
-    from gateway.drivers.credentials import flag_key
+    from gateway.io.credentials import flag_key
 
     try:
         flag_key(config.authentication.key, config.base)
@@ -171,7 +174,7 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
 
     planned: drives of other makers, of which only the messages in use are known.
     """
-    from gateway.outbox import VOUCHED, Outbox
+    from gateway.core.transmit import VOUCHED, Outbox
 
     outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
     ours = set(outbox.specs)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from gateway import foreign
+from gateway.mapping import plan as foreign
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from gateway.config import Config
-    from gateway.drivers.measured import Measured
-    from gateway.drivers.synthetic_loss import Found
+    from gateway.hil.measured import Measured
+    from gateway.hil.synthetic_loss import Found
+    from gateway.settings.config import Config
 
 
 class Tried(NamedTuple):
@@ -23,7 +23,7 @@ class Tried(NamedTuple):
 
 def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> Tried:
     """Run the losses; `measured` is filled by the first. Raises ConfigError as `Gateway` does."""
-    from gateway.drivers.synthetic_loss import losses, never
+    from gateway.hil.synthetic_loss import losses, never
 
     blind = never(config, foreign.fitted(codec, foreign.plans(config)))
     found: list[Found] = []
@@ -36,7 +36,7 @@ def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> T
 
 def tell(config: Config, tried: Tried) -> list[str]:
     """Print a line per loss; gives what is wrong: losses that are not found, or cannot be."""
-    from gateway.drivers.synthetic_loss import DEPTH, WITHIN_NS
+    from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS
 
     for node, why in tried.blind.items():
         if node not in _mapped(config):  # of those it is said above

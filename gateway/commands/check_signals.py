@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from gateway.foreign import given
+from gateway.mapping.plan import given
 
 if TYPE_CHECKING:
-    from gateway.foreign import Plan
+    from gateway.mapping.plan import Plan
 
 TURN: Final = 8
 """Samples in an electrical revolution that the filters follow by the currents alone."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from gateway.drivers.measured import MEASURE_NS
-from gateway.stuffing import bits_of
+from dbc.wire_time import bits_of
+from gateway.hil.measured import MEASURE_NS
 
 if TYPE_CHECKING:
     from dbc.codec import Codec, MessageSpec
     from dbc.frame import Frame
-    from gateway.config import Config
-    from gateway.drivers.measured import Measured
+    from gateway.hil.measured import Measured
+    from gateway.settings.config import Config
 
 
 def tell(config: Config, codec: Codec, measured: Measured) -> None:

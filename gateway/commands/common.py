@@ -1,33 +1,26 @@
-"""What several verbs share: configuration, binding, progress, words on stderr."""
+"""What several verbs share: options, progress, exit codes."""
 
 from __future__ import annotations
 
 import argparse
 import math
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from dbc.text import printable
-from gateway.config import Config, ConfigError, load
+from gateway.io.console import console, note
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from dbc.block import Block
-    from dbc.candump import Reader
-    from dbc.codec import Codec
-    from gateway.drivers.replay import Log
-    from sim.scenario import Scenario
+    from dbc.candump.reader import Reader
+    from dbc.frames import Block
+    from gateway.io.replay import Log
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
 PATIENCE_S: Final = 3.0
-_SHOWN_BY_RICH: Final = frozenset({"FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS"})
-"""Variables that change what it does where there is no terminal."""
 
 
 def positive_seconds(text: str) -> float:
@@ -63,7 +56,7 @@ def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) ->
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus options: -i, -c, -b, --fd, --data-bitrate, --bus-kwargs .."""
-    from gateway.drivers import leanstart
+    from gateway.io import quick_start as leanstart
 
     leanstart.python_can()
     import can.cli
@@ -71,108 +64,15 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     can.cli.add_bus_arguments(parser)
 
 
-def prepare(
-    path: Path | None, *, signature: argparse.Namespace | None = None, **changes: Any
-) -> tuple[Config, Codec]:
-    """Configuration and codec. Raises ConfigError or DbcMismatch with every problem.
-
-    signature: options of `add_signature`; with a public key nothing unsigned is even parsed.
-    changes: fields of `[section]`s to override, as `section={"key": value}`.
-    """
-    from dbc.codec import bind
-
-    given = {
-        section: {k: v for k, v in values.items() if v is not None}
-        for section, values in changes.items()
-    }
-    if signature is None or signature.public_key is None:
-        if signature is not None and signature.signature is not None:
-            raise ConfigError("--signature", ["says nothing without --public-key"])
-        config = load(path, **given)
-        return config, bind(config.dbc_path, config.nodes)
-    from gateway.drivers.signing import check_digest, check_files, default_signature, verified
-
-    if path is None:
-        raise ConfigError("--public-key", ["the built-in configuration has no signature"])
-    seals = verified(signature.signature or default_signature(path), signature.public_key)
-    config = load(path, seals, **given)
-    check_files(config)
-    codec = bind(config.dbc_path, config.nodes)
-    check_digest(config, codec.digest)
-    return config, codec
-
-
 def need(modules: Sequence[str], extra: str) -> None:
     """Raises ConfigError that says what to install where any of them is not there."""
+    from gateway.settings.config import ConfigError
+
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
         raise ConfigError(
             f"needs {', '.join(missing)}", [f"pip install 'traction-gateway[{extra}]'"]
         )  # fmt: skip
-
-
-def scenario_thermal() -> dict[str, str]:
-    """The calibration of the simulated bench motors that ships with the package."""
-    import gateway
-
-    return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
-
-
-def fitting(
-    path: Path | None, scenario: Scenario, signature: argparse.Namespace | None = None
-) -> tuple[Config, Codec]:
-    """Configuration for the scenario's drives and motors, unless a file says otherwise.
-
-    signature: as of `prepare`. Raises ConfigError or DbcMismatch with every problem.
-    """
-    from dbc.codec import bind
-    from gateway.config import Drive
-
-    if path is not None:
-        config, codec = prepare(path, signature=signature)
-        if config.unmapped() is not config:
-            cure = "leave them out to test the rest, or replay a log of such an inverter"
-            raise ConfigError(
-                str(path), [f"drive.signals: simulated drives speak our message set; {cure}"]
-            )
-        if len(config.nodes) != scenario.drives:
-            console().print(
-                f"note: the scenario has {scenario.drives} drives, the configuration "
-                f"{len(config.nodes)}", markup=False,
-            )  # fmt: skip
-        return config, codec
-    config, _ = prepare(None, signature=signature, thermal=scenario_thermal())
-    name = scenario.motor.name
-    motor = name if name in config.motors else "bench"
-    drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
-    config = config.model_copy(update={"drive": drives})
-    return config, bind(config.dbc_path, config.nodes)
-
-
-def console() -> Console:
-    """Where people are told things; results go to stdout."""
-    from rich.console import Console
-
-    class Told(Console):
-        """Leaves it to the command line what a broken pipe is: rich ends the program with 1."""
-
-        def on_broken_pipe(self) -> None:
-            raise BrokenPipeError
-
-    return Told(stderr=True)
-
-
-def note(text: str, *, wrap: bool = False) -> None:
-    """A line on stderr. Where no terminal is asked to show it, it needs no rich to look the same.
-
-    wrap: at the width of the terminal, or at 80 columns.
-    """
-    fits = not wrap or len(text) < 80
-    plain = text.isascii() and text.isprintable() and text.count(":") < 2  # of emoji
-    if fits and plain and not sys.stderr.isatty() and not _SHOWN_BY_RICH & os.environ.keys():
-        sys.stderr.write(text + "\n")
-    else:
-        console().print(text, markup=False, soft_wrap=not wrap)
 
 
 def faults(reader: Reader | None) -> dict[str, int]:
@@ -186,7 +86,7 @@ def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
 
     dropped: cause -> lines or frames; used: those that were not.
     """
-    from gateway.results.dropped import warning
+    from gateway.reports.dropped import warning
 
     text = warning(dropped, used)
     if text:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gateway.commands.common import GOOD
-from gateway.config import ConfigError
+from gateway.settings.config import ConfigError
 
 HELP = "a script for bash, zsh or tcsh that completes this program's words"
 SHELLS = ("bash", "zsh", "tcsh")

@@ -12,19 +12,19 @@ from dbc.text import printable
 from gateway.commands.common import (
     BAD_INPUT,
     add_config,
-    console,
     faults,
-    prepare,
     shown,
     track_file,
     verdict_of_input,
 )
+from gateway.io.console import console
+from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from gateway.drivers.convert import Done
-    from gateway.drivers.replay import Log
-    from gateway.results.signals import Decoder
+    from gateway.io.replay import Log
+    from gateway.logfiles.convert import Done
+    from gateway.logfiles.signals import Decoder
 
 _EPILOG = """\
 OUT by its ending. Frames: .log and .log.gz (candump -L), .asc, .blf, .trc (python-can).
@@ -57,9 +57,9 @@ def run(options: argparse.Namespace) -> int:
 
     Exit 1 if more than 1 % of its lines are none, or of its frames are left out for their time.
     """
-    from gateway.drivers import convert
-    from gateway.drivers.replay import BadLogError
-    from gateway.results.signals import Decoder
+    from gateway.io.replay import BadLogError
+    from gateway.logfiles import convert
+    from gateway.logfiles.signals import Decoder
 
     kind = convert.out_ending(options.output, options.frames)
     log = convert.open_input(options.log, options.strict)

@@ -8,7 +8,9 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from gateway.commands.common import GOOD, console, positive_seconds, prepare
+from gateway.commands.common import GOOD, positive_seconds
+from gateway.io.console import console
+from gateway.io.prepare import prepare
 
 HELP = "the whole system on an embedded bus"
 CHANNEL = "traction-gateway-demo"
@@ -28,14 +30,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Drives and gateway talk over a real python-can bus; one loop, in real time."""
-    from gateway.commands.common import scenario_thermal
-    from gateway.config import Drive
-    from gateway.drivers.demo import rehearse, run_demo
-    from gateway.results.delays import injected, score, summary_table
-    from gateway.results.pictures import Span, loads
-    from gateway.results.record import Recorder
-    from gateway.results.trace import Trace
-    from gateway.results.truth import Truth
+    from gateway.hil.demo import rehearse, run_demo
+    from gateway.hil.fitting import scenario_thermal
+    from gateway.reports.delays import injected, score, summary_table
+    from gateway.reports.figures import Span, loads
+    from gateway.reports.record import Recorder
+    from gateway.reports.trace import Trace
+    from gateway.reports.truth import Truth
+    from gateway.settings.config import Drive
     from sim.scenario import find
 
     scenario = find(options.scenario)
@@ -56,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         recorder.add(view)
         trace.add(view)
         if live is not None and tick % 10 == 0:
-            from gateway.results.live_table import render
+            from gateway.reports.live_table import render
 
             live.update(render(view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s"))
 

@@ -9,7 +9,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from gateway.commands import evaluate_thermal
-from gateway.commands.common import GOOD, add_config, console
+from gateway.commands.common import GOOD, add_config
+from gateway.io.console import console
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,9 +45,9 @@ def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write the files. Exit 2 where nothing can be evaluated."""
     if options.what == "thermal":
         return evaluate_thermal.run(options)
-    from gateway.config import ConfigError
-    from gateway.drivers.evaluation import Plan, evaluate, known_detectors, seeds_of
-    from gateway.results.evaluation_report import table, write
+    from gateway.settings.config import ConfigError
+    from gateway.study.evaluation_report import table, write
+    from gateway.study.evaluation_runs import Plan, evaluate, known_detectors, seeds_of
 
     say = console()
     seeds = seeds_of(options.seeds)
@@ -72,9 +73,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _families(options: argparse.Namespace) -> tuple[str, ...]:
     """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
-    from gateway.config import ConfigError
-    from sim.families import ALL, FAMILIES, GROUPS
-    from sim.plant import MOTORS
+    from gateway.settings.config import ConfigError
+    from gateway.study.scenarios_family import ALL, FAMILIES, GROUPS
+    from sim.physics.plant import MOTORS
 
     asked = [one for name in options.family or FAMILIES for one in GROUPS.get(name, (name,))]
     names = tuple(dict.fromkeys(asked))

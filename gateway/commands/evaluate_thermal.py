@@ -7,11 +7,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import GOOD, console
-from gateway.results.whole import write_text
+from gateway.commands.common import GOOD
+from gateway.io.console import console
+from gateway.io.whole_file import write_text
 
 if TYPE_CHECKING:
-    from gateway.drivers.thermal_trials import Trial
+    from gateway.study.thermal_trials import Trial
 
 NOTE: Final = """\
 Per sample against the injection interval; graced: without the onset until the true effect passes 2
@@ -34,16 +35,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
-    from gateway.drivers.evaluation import seeds_of
-    from gateway.drivers.thermal_trials import (
+    from gateway.study.evaluation_runs import seeds_of
+    from gateway.study.thermal_dataset import CREEP, KINDS
+    from gateway.study.thermal_scores import cells, table
+    from gateway.study.thermal_trials import (
         DEVELOPMENT,
         HEALTHY,
         NAMES,
         REPORTING,
         evaluate,
     )
-    from gateway.results.thermal_scores import cells, table
-    from sim.labelled import CREEP, KINDS
 
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
     usual = (*KINDS, HEALTHY)
@@ -77,9 +78,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) -> Iterator[str]:
     """What was taken for what, and false alarms a month, as far as the kinds asked for tell."""
-    from gateway.drivers.thermal_trials import HEALTHY, UNDECIDED
-    from gateway.results.thermal_scores import mean, table_of
-    from sim.labelled import KINDS
+    from gateway.study.thermal_dataset import KINDS
+    from gateway.study.thermal_scores import mean, table_of
+    from gateway.study.thermal_trials import HEALTHY, UNDECIDED
 
     told = [kind for kind in kinds if kind != HEALTHY]
     columns = (*KINDS, UNDECIDED)
@@ -103,7 +104,7 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
 
 
 def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:
-    from gateway.config import ConfigError
+    from gateway.settings.config import ConfigError
 
     names = tuple(dict.fromkeys(asked or known))
     unknown = [name for name in names if name not in known]

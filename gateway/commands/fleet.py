@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import FAILED, GOOD, add_config, console, need
+from gateway.commands.common import FAILED, GOOD, add_config, need
+from gateway.io.console import console
 
 if TYPE_CHECKING:
-    from gateway.drivers.fleet_logs import Job
-    from gateway.results.fleet_table import Row
+    from gateway.fleet.logs import Job
+    from gateway.fleet.table import Row
 
 BAD_SHOWN = 20
 
@@ -47,10 +48,10 @@ def run(options: argparse.Namespace) -> int:
     Exit 1 if any log is bad, left over, or more than 1 % of it was dropped.
     """
     need(("distributed", "pyarrow"), "fleet")
-    from gateway.config import load
-    from gateway.drivers import fleet
-    from gateway.drivers.fleet_logs import find, settings_for
-    from gateway.results.fleet_table import BAD, write
+    from gateway.fleet import run as fleet
+    from gateway.fleet.logs import find, settings_for
+    from gateway.fleet.table import BAD, write
+    from gateway.settings.config import load
 
     paths = find(options.log, options.output)
     config = load(options.config)
@@ -87,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _summary(rows: Sequence[Row], before: int, logs: int, files: Sequence[Path]) -> None:
     """What came out, on stdout."""
-    from gateway.results.fleet_table import BAD
+    from gateway.fleet.table import BAD
 
     bad = [row for row in rows if row.status == BAD]
     left = logs - len(rows)
@@ -119,7 +120,7 @@ def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[
     """A bar over the bytes if a person is watching; a line for a bad log in any case."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from gateway.results.fleet_table import BAD
+    from gateway.fleet.table import BAD
 
     sizes = {one: one.path.stat().st_size if one.path.is_file() else 0 for one in jobs}
     count = TextColumn("{task.fields[ended]}/{task.fields[logs]} logs")

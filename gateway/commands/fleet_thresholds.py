@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, console, need
+from gateway.commands.common import GOOD, need
+from gateway.io.console import console
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,8 +20,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
     need(("pyarrow",), "fleet")
-    from gateway.results.fleet_thresholds import measure, to_toml
-    from gateway.results.whole import write_text
+    from gateway.fleet.thresholds import measure, to_toml
+    from gateway.io.whole_file import write_text
 
     measured = measure(options.results, force=options.force)
     if measured.bad:

@@ -11,22 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
-from gateway.commands.common import (
-    FAILED,
-    GOOD,
-    add_bus,
-    add_config,
-    add_signature,
-    console,
-    fitting,
-)
+from gateway.commands.common import FAILED, GOOD, add_bus, add_config, add_signature
+from gateway.hil.fitting import fitting
+from gateway.io.console import console
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from gateway.config import Config
-    from gateway.drivers.bench import Outcome
-    from gateway.drivers.reporting import Reporting
-    from gateway.results.run_report import Run
+    from gateway.hil.bench import Outcome
+    from gateway.reports.reporting import Reporting
+    from gateway.reports.run_report import Run
+    from gateway.settings.config import Config
 
 HELP = "run scenarios against the gateway and judge their expectations"
 
@@ -65,12 +59,12 @@ def run(options: argparse.Namespace) -> int:
             print(f"     {'ok  ' if v.passed else 'FAIL'} {v.text}: {v.detail}")
         _suite(suites, scenario.title, verdicts, seconds, word)
     if options.junit:
-        from gateway.results.whole import whole
+        from gateway.io.whole_file import whole
 
         with whole(options.junit) as part:
             ET.ElementTree(suites).write(part, encoding="utf-8", xml_declaration=True)
     if runs:
-        from gateway.drivers.reporting import leave
+        from gateway.reports.reporting import leave
 
         title = runs[0].title if len(runs) == 1 else f"HIL: {len(runs)} scenarios"
         print(f"report: {leave(options.results, title, runs, single=len(runs) == 1)}")
@@ -99,7 +93,7 @@ def _one(
     if folder is None:
         outcome = _outcome(options, name, scenario, config, codec)
     else:
-        from gateway.drivers.reporting import Reporting
+        from gateway.reports.reporting import Reporting
 
         with Reporting(folder, config, codec) as left:
             outcome = _outcome(options, name, scenario, config, codec, left)
@@ -112,7 +106,7 @@ def _kept(
 ) -> Run:
     """What the report says of a scenario."""
     from gateway.commands.run import options_name
-    from gateway.drivers.reporting import file_facts, span_facts
+    from gateway.reports.reporting import file_facts, span_facts
     from sim.scenario import path_of
 
     facts = [
@@ -138,14 +132,14 @@ def _outcome(
     left: Reporting | None = None,
 ) -> Outcome:
     if _on_bus(options):
-        from gateway.drivers.hilbus import run_on_real_bus
+        from gateway.hil.buses import run_on_real_bus
 
         return run_on_real_bus(options, name, scenario, config, codec, left)
-    from gateway.drivers.bench import run_virtual
+    from gateway.hil.bench import run_virtual
 
     key = None
     if config.authentication is not None:
-        from gateway.drivers.credentials import flag_key
+        from gateway.io.credentials import flag_key
 
         key = flag_key(config.authentication.key, config.base)
     with ExitStack() as stack:
@@ -163,8 +157,8 @@ def _outcome(
 @contextmanager
 def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
     """Writes all frames. paired: each Auth frame stays behind its flag frame."""
-    from dbc.candump import Writer
-    from gateway.results.whole import whole
+    from dbc.candump.reader import Writer
+    from gateway.io.whole_file import whole
 
     def record(_now: int, received: list[Any], sent: list[Any], _view: Any) -> None:
         ours = sent if paired else sorted(sent)

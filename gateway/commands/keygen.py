@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the keys. Raises OSError where a file of that name exists."""
-    from gateway.drivers.signing import make_keys, write_private
+    from gateway.io.signing import make_keys, write_private
 
     private = options.output
     private.parent.mkdir(parents=True, exist_ok=True)

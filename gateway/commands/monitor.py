@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.commands import monitor_web
-from gateway.commands.common import GOOD, add_bus, add_config, need, positive_seconds, prepare
+from gateway.commands.common import GOOD, add_bus, add_config, need, positive_seconds
+from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
     from gateway.monitor.sources import Source
@@ -53,12 +54,12 @@ def run(options: argparse.Namespace) -> int:
     if options.web is not None or options.metrics is not None:
         return monitor_web.run(options, open_source)
     if options.token_file is not None:
-        from gateway.config import ConfigError
+        from gateway.settings.config import ConfigError
 
         raise ConfigError("--token-file", ["says nothing without --web or --metrics"])
     need(("textual",), "monitor")
     if not sys.stdout.isatty():
-        from gateway.config import ConfigError
+        from gateway.settings.config import ConfigError
 
         raise ConfigError("monitor", ["the output is no terminal, and the view needs one"])
     source = open_source(options)
@@ -77,9 +78,9 @@ def open_source(options: argparse.Namespace) -> Source:
 
     Raises ConfigError, DbcMismatch, BadLogError or LogError for what cannot be used.
     """
-    from gateway.config import ConfigError
-    from gateway.drivers.bus import bus_options as named
-    from gateway.monitor.observer import Observer
+    from gateway.io.bus import bus_options as named
+    from gateway.monitor.model.observer import Observer
+    from gateway.settings.config import ConfigError
 
     if options.log is not None and named(options):
         raise ConfigError("monitor", ["a log and a bus were named; leave one of them out"])
@@ -102,8 +103,8 @@ def open_source(options: argparse.Namespace) -> Source:
 
 def _live(options: argparse.Namespace, config: Any, codec: Any, observer: Any) -> Source:
     from gateway.commands.run import bus_options, options_name
-    from gateway.drivers.bus import open_transport
-    from gateway.drivers.permission import Mode, allowed
+    from gateway.io.bus import open_transport
+    from gateway.io.permission import Mode, allowed
     from gateway.monitor.sources import LiveSource, silently
 
     chosen = silently(bus_options(options, config))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from gateway.commands.common import GOOD
 
 if TYPE_CHECKING:
-    from gateway.monitor.access import Listen
+    from gateway.monitor.model.access import Listen
     from gateway.monitor.sources import Source
 
 WEB, METRICS = "127.0.0.1:8090", "127.0.0.1:8091"
@@ -40,8 +40,8 @@ def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Sour
 
     source: opens the bus or log that the options name. Raises ConfigError.
     """
-    from gateway.monitor.access import Access
     from gateway.monitor.feed import Feed
+    from gateway.monitor.model.access import Access
     from gateway.monitor.web import bind, serve
 
     asked = {"web": _where(options.web, WEB), "metrics": _where(options.metrics, METRICS)}
@@ -74,8 +74,8 @@ def run(options: argparse.Namespace, source: Callable[[argparse.Namespace], Sour
 
 
 def _where(text: str | None, default: str) -> Listen | None:
-    from gateway.config import ConfigError
-    from gateway.monitor.access import Listen, listen
+    from gateway.monitor.model.access import Listen, listen
+    from gateway.settings.config import ConfigError
 
     if text is None:
         return None
@@ -91,10 +91,10 @@ def _where(text: str | None, default: str) -> Listen | None:
 
 def _token(name: str | None, wanted: Mapping[str, Listen]) -> bytes | None:
     """Read, if a file is named. Raises ConfigError for an address that needs one and has none."""
-    from gateway.config import ConfigError
-    from gateway.drivers.credentials import private_file
-    from gateway.monitor.access import token_of
+    from gateway.io.credentials import private_file
+    from gateway.monitor.model.access import token_of
     from gateway.monitor.web import is_loopback
+    from gateway.settings.config import ConfigError
 
     open_to_others = {str(where) for where in wanted.values() if not is_loopback(where)}
     if name is not None:

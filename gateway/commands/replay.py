@@ -12,25 +12,25 @@ from dbc.text import printable
 from gateway.commands.common import (
     add_config,
     add_signature,
-    console,
     faults,
     note,
-    prepare,
     track_file,
     verdict_of_input,
 )
-from gateway.config import ConfigError
-from gateway.drivers import leanstart
+from gateway.io import quick_start as leanstart
+from gateway.io.console import console
+from gateway.io.prepare import prepare
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
-    from dbc.block import Block
-    from dbc.candump import Reader
+    from dbc.candump.reader import Reader
     from dbc.codec import Codec
     from dbc.frame import Frame
-    from gateway.config import Config
-    from gateway.drivers.replay import Replayed
-    from gateway.drivers.reporting import Reporting
-    from gateway.results.record import Recorder
+    from dbc.frames import Block
+    from gateway.io.replay import Replayed
+    from gateway.reports.record import Recorder
+    from gateway.reports.reporting import Reporting
+    from gateway.settings.config import Config
 
 HELP = "run the gateway over a recorded log, as fast as the machine can"
 SHOWN = 5
@@ -64,13 +64,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
     with leanstart.unsearched():
-        from dbc.ahead import ahead
-        from dbc.block import block_of
-        from dbc.candump import Writer
-        from gateway.core import Gateway
-        from gateway.drivers.replay import BadLogError, Briefly, OneChannel, open_log, replay
-        from gateway.results.record import Recorder
-        from gateway.results.whole import whole
+        from dbc.candump.reader import Writer
+        from dbc.frames import block_of
+        from dbc.prefetch import ahead
+        from gateway.core.gateway import Gateway
+        from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
+        from gateway.io.whole_file import whole
+        from gateway.reports.record import Recorder
 
         changes: dict[str, Any] = (
             {"adhesion": {"detector": options.detector}} if options.detector else {}
@@ -133,8 +133,8 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
         if options.truth is not None:
             raise ConfigError("--truth", ["is for the report; say where to with --results"])
         return None
-    from gateway.drivers.reporting import Reporting
-    from gateway.results.truth import check
+    from gateway.reports.reporting import Reporting
+    from gateway.reports.truth import check
 
     if options.truth is not None:
         check(options.truth)
@@ -145,9 +145,9 @@ def _report(
     options: argparse.Namespace, left: Reporting, done: Replayed, reader: Reader | None
 ) -> Path:
     """Write it; its path."""
-    from gateway.drivers.reporting import leave, replay_facts
-    from gateway.results.page import literal
-    from gateway.results.truth import read
+    from gateway.reports.page import literal
+    from gateway.reports.reporting import leave, replay_facts
+    from gateway.reports.truth import read
 
     facts = replay_facts(options.log, done, left.trace)
     notes = []

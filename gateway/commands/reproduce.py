@@ -13,10 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import GOOD, console, need
+from gateway.commands.common import GOOD, need
+from gateway.io.console import console
 
 if TYPE_CHECKING:
-    from gateway.results.reproduction_report import Outcome
+    from gateway.study.reproduction_report import Outcome
     from sim.scenario import Scenario
 
 HELP = "the two papers' tables and figures"
@@ -43,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     if options.paper == "thermal":
         return _thermal(options.output)
     from gateway.commands import section5
-    from gateway.results.reproduction_text import table_text
+    from gateway.study.reproduction_text import table_text
     from sim.scenario import builtin
 
     began = time.perf_counter()
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
 def _thermal(folder: Path) -> int:
     need(("pywt", "sklearn"), "papers")
     from gateway.commands import reproduce_thermal as thermal
-    from gateway.results.thermal_report import table
+    from gateway.study.thermal_report import table
 
     began = time.perf_counter()
     with _progress(2 * thermal.TRAINS + thermal.STEPS) as step:
@@ -82,12 +83,12 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
     import numpy as np
 
     from gateway.commands import section5
-    from gateway.results import reproduction as table_1
-    from gateway.results import reproduction_figures as figures
-    from gateway.results import reproduction_loads as bench
-    from gateway.results import reproduction_network as network
-    from gateway.results import reproduction_paths as paths
-    from gateway.results import reproduction_report as report
+    from gateway.study import reproduction as table_1
+    from gateway.study import reproduction_figures as figures
+    from gateway.study import reproduction_loads as bench
+    from gateway.study import reproduction_network as network
+    from gateway.study import reproduction_paths as paths
+    from gateway.study import reproduction_report as report
 
     folder.mkdir(parents=True, exist_ok=True)
     with _progress(6 + len(section5.BUSES) + len(table_1.METHODS)) as step:

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.results.thermal_figures import Train
-from gateway.results.thermal_report import Outcome
-from gateway.results.thermal_scores import Score
+from gateway.study.thermal_figures import Train
+from gateway.study.thermal_report import Outcome
+from gateway.study.thermal_scores import Score
 
 TRAINS: Final = 20
 FIRST_SEED: Final = 2000
@@ -31,9 +31,9 @@ def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -
 
     Raises OSError where `folder` cannot be written.
     """
-    from gateway.drivers.thermal_trials import NAMES, evaluate
-    from gateway.results import thermal_figures as figures
-    from gateway.results import thermal_report as report
+    from gateway.study import thermal_figures as figures
+    from gateway.study import thermal_report as report
+    from gateway.study.thermal_trials import NAMES, evaluate
 
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(FIRST_SEED, FIRST_SEED + trains)
@@ -67,8 +67,8 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
     from estimators.thermal.maisd_method import LIMIT as QUANTILE
     from estimators.thermal.maisd_method import maisd, moving_average
     from estimators.thermal.sigma_mixed import SigmaMixedFilter, lumps
-    from gateway.drivers.thermal_trials import LIMIT, METHODS, fit, record_of, runs_of
-    from sim.labelled import BASES
+    from gateway.study.thermal_dataset import BASES
+    from gateway.study.thermal_trials import LIMIT, METHODS, fit, record_of, runs_of
 
     base = BASES[BASE]
     healthy, limiting, judged = runs_of(seed, base, (KIND,))

@@ -10,24 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dbc.frame import SECOND
-from gateway.commands.common import (
-    GOOD,
-    add_bus,
-    add_config,
-    add_signature,
-    console,
-    positive_seconds,
-    prepare,
-)
-from gateway.drivers import leanstart
+from gateway.commands.common import GOOD, add_bus, add_config, add_signature, positive_seconds
+from gateway.io import quick_start as leanstart
+from gateway.io.console import console
+from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from gateway.config import Config
-    from gateway.core import Gateway
-    from gateway.drivers.live import LiveSnapshot
-    from gateway.drivers.realtime import Ticker
-    from gateway.drivers.transport import Transport
+    from gateway.core.gateway import Gateway
+    from gateway.io.live import LiveSnapshot
+    from gateway.io.realtime import Ticker
+    from gateway.io.transport import Transport
+    from gateway.settings.config import Config
 
 log = logging.getLogger(__name__)
 
@@ -70,12 +64,12 @@ class Started(NamedTuple):
 
 def _start(options: argparse.Namespace) -> Started:
     """Load and make everything. Raises ConfigError or DbcMismatch with every problem."""
-    from gateway.core import Gateway
-    from gateway.drivers.bus import open_transport
-    from gateway.drivers.credentials import flag_authenticator
-    from gateway.drivers.permission import Mode, allowed
-    from gateway.drivers.realtime import Ticker
-    from gateway.drivers.scheduling import be_realtime, described, use_given
+    from gateway.core.gateway import Gateway
+    from gateway.io.bus import open_transport
+    from gateway.io.credentials import flag_authenticator
+    from gateway.io.permission import Mode, allowed
+    from gateway.io.realtime import Ticker
+    from gateway.io.scheduling import be_realtime, described, use_given
 
     config, codec = prepare(options.config, signature=options)
     mode = Mode.LISTEN if options.listen_only else Mode.RUN
@@ -101,7 +95,7 @@ def _start(options: argparse.Namespace) -> Started:
 
 def _rehearse(config: Config, codec: Codec) -> None:
     """Use the pages that a tick uses before the clock counts: they are locked from then on."""
-    from gateway.core import Gateway
+    from gateway.core.gateway import Gateway
 
     gateway = Gateway(config.unmapped(), codec, 0)
     for tick in range(REHEARSED):
@@ -116,10 +110,10 @@ def run(options: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             log.info("stopped before it began")
             return GOOD
-        from gateway.drivers.canopen_node import CanopenNode
-        from gateway.drivers.live import Stop, leave_timing, run_live
-        from gateway.drivers.outputs import Outputs
-        from gateway.drivers.service import Manager, Overseer
+        from gateway.io.canopen_node import CanopenNode
+        from gateway.io.live import Stop, run_live
+        from gateway.io.outputs import Outputs
+        from gateway.io.service import Manager, Overseer
 
     node = CanopenNode(config.nodes, nmt_master=config.canopen.nmt_master)
     outputs = Outputs(
@@ -137,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
         if limit is not None and seen.tick >= limit:
             stop()
         if display is not None and seen.tick % DISPLAY_EVERY == 0 and gateway.view is not None:
-            from gateway.results.live_table import render
+            from gateway.reports.live_table import render
 
             display.update(render(gateway.view, f"traction-gateway on {options_name(options)}"))
 
@@ -152,8 +146,13 @@ def run(options: argparse.Namespace) -> int:
                             on_end=overseer.stopping)  # fmt: skip
     summary(gateway, seen)
     if options.results:
+        from gateway.reports.timing import leave
+
         title = f"Timing on {options_name(options)}, configuration {gateway.outbox.config_hash:06x}"
-        leave_timing(options.results, seen, title, config.loop.period_ns)
+        leave(
+            options.results, seen.timing.table(), title, config.loop.period_ns, seen.tick + 1,
+            seen.missed,
+        )  # fmt: skip
         print(f"report: {options.results / 'report.html'}")
     return GOOD
 
@@ -179,8 +178,8 @@ def options_name(options: argparse.Namespace) -> str:
 
 def active_errors(gateway: Any) -> tuple[int, ...]:
     """What the gateway's own emergency messages should report."""
-    from gateway.drivers.canopen_node import GatewayError
-    from gateway.health import Flag
+    from gateway.core.codes import Flag
+    from gateway.io.canopen_node import GatewayError
 
     view = gateway.view
     if view is None:

@@ -14,24 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.codec import Codec, bind
-from gateway.config import load, shipped_dbc
-from gateway.health import Health
-from gateway.results import reproduction as table_1
-from gateway.results import reproduction_loads as bench
-from gateway.results.pictures import Span
-from gateway.results.reproduction_loads import Filter, Record
-from gateway.results.reproduction_paths import Course
-from gateway.results.reproduction_report import StandingStart
-from gateway.results.whole import whole
-from sim import plant as columns
+from gateway.core.codes import Health
+from gateway.io.whole_file import whole
+from gateway.reports.figures import Span
+from gateway.settings.config import load, shipped_dbc
+from gateway.study import reproduction as table_1
+from gateway.study import reproduction_loads as bench
+from gateway.study.reproduction_loads import Filter, Record
+from gateway.study.reproduction_paths import Course
+from gateway.study.reproduction_report import StandingStart
+from sim.drive_spread import Variety
 from sim.faults import Schedule
-from sim.plant import MOTORS, Plant, rail_array
+from sim.physics import plant as columns
+from sim.physics.plant import MOTORS, Plant, rail_array
+from sim.physics.sensors import CurrentSensors
 from sim.profile import Profile
 from sim.scenario import Scenario
-from sim.sensors import CurrentSensors
+from sim.scenario_schema import Motion
 from sim.simulation import ANGLE_STREAM, PERIOD_NS, Simulation
-from sim.tables import Motion
-from sim.variety import Variety
 
 NAME: Final = "paper_section5"
 SLOW: Final = 16
@@ -173,7 +173,7 @@ def wire_steps(bus: Bus) -> tuple[float, float]:
 
 def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
     """The drives' frames as a candump log, as `sim` writes it. Raises OSError."""
-    from dbc.candump import Writer
+    from dbc.candump.reader import Writer
 
     simulation = Simulation(scenario, _codec(bus.dbc))
     with whole(path) as part, Writer(part, "vcan0") as writer:
@@ -184,8 +184,8 @@ def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
 
 def replay_log(path: Path, bus: Bus, belief: Filter) -> Course:
     """The gateway over a log: loads of tracked drives at its ticks, NaN where it knows none."""
-    from gateway.core import Gateway
-    from gateway.drivers.replay import OneChannel, open_log, replay
+    from gateway.core.gateway import Gateway
+    from gateway.io.replay import OneChannel, open_log, replay
 
     noise = {"process_noise": belief.Q, "current_noise_var": belief.R}
     config = load(None, dbc={"file": bus.dbc}, loop={"rate_hz": bus.rate_hz}, estimator=noise)

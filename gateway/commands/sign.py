@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, prepare, shown
+from gateway.commands.common import GOOD, shown
+from gateway.io.prepare import prepare
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,9 +20,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check what is signed, then write the signature. Raises ConfigError."""
-    from gateway import calibration
-    from gateway.drivers.signing import check_digest, default_signature, sign
-    from gateway.results.whole import write_text
+    from gateway.io.signing import check_digest, default_signature, sign
+    from gateway.io.whole_file import write_text
+    from gateway.settings import calibration
 
     config, codec = prepare(options.config)
     cells = calibration.of(config)

@@ -13,16 +13,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from gateway.commands.common import (
-    GOOD,
-    add_bus,
-    console,
-    positive_seconds,
-)
-from gateway.config import ConfigError
+from gateway.commands.common import GOOD, add_bus, positive_seconds
+from gateway.io.console import console
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
-    from dbc.verifier import Verifier
+    from dbc.secoc_receiver import Verifier
 
 log = logging.getLogger(__name__)
 HELP = "simulated inverter ECUs: on a bus in real time, or into a candump log"
@@ -56,7 +52,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate. Without a bus and without -o the log goes to stdout."""
     from dbc.codec import bind
-    from gateway.config import BUILTIN_DBC, shipped_dbc
+    from gateway.settings.config import BUILTIN_DBC, shipped_dbc
     from sim.scenario import find
     from sim.simulation import Simulation
 
@@ -88,8 +84,8 @@ def _verifier(options: argparse.Namespace) -> Callable[[], Verifier] | None:
     """What makes a drive's receiver of authenticated flags. Raises ConfigError for the key."""
     if options.auth_key is None:
         return None
-    from dbc.verifier import Verifier
-    from gateway.drivers.credentials import flag_key
+    from dbc.secoc_receiver import Verifier
+    from gateway.io.credentials import flag_key
 
     if not 0 <= options.auth_after < 1 << 64:
         raise ConfigError("--auth-after", ["a freshness has 64 bits"])
@@ -113,7 +109,7 @@ class _Truth:
 @contextmanager
 def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
     """The truth file, whole at the end."""
-    from gateway.results.whole import whole
+    from gateway.io.whole_file import whole
 
     if path is None:
         yield _Truth(None)
@@ -126,8 +122,8 @@ def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
 
 
 def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
-    from dbc.candump import Writer
-    from gateway.results.whole import whole
+    from dbc.candump.reader import Writer
+    from gateway.io.whole_file import whole
 
     step = 10_000_000
     with ExitStack() as stack:
@@ -148,10 +144,10 @@ def _progress(total: int, what: str) -> Iterator[int]:
 
 
 def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
-    from gateway.drivers.bus import open_transport
-    from gateway.drivers.live import Stop
-    from gateway.drivers.permission import drives_only
-    from gateway.drivers.simbus import run_on_bus
+    from gateway.hil.simbus import run_on_bus
+    from gateway.io.bus import open_transport
+    from gateway.io.live import Stop
+    from gateway.io.permission import drives_only
 
     transport = open_transport(options, drives_only(simulation.codec, simulation.nodes))
     console().print(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, add_signature, prepare, shown
+from gateway.commands.common import GOOD, add_signature, shown
+from gateway.io.prepare import prepare
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +17,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Exit 0 if `run` would take it, 2 with what is wrong if not. Raises ConfigError."""
-    from gateway import calibration
+    from gateway.settings import calibration
 
     config, codec = prepare(options.config, signature=options)
     word = calibration.config_hash(config, codec.digest, calibration.of(config))

@@ -5,7 +5,7 @@
  * which turn of the counter it was.
  *
  * No function here can fail: counters are masked or compared with their number of values, a period
- * is at least 1 ns (gateway/channel.py), and every quotient is bounded before it is converted. */
+ * is at least 1 ns (gateway/core/channel.py), and every quotient is bounded before it is converted. */
 #include "gateway/core/pairing.h"
 
 #include "dbc/rounding.h"

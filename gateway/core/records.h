@@ -876,7 +876,7 @@ struct channel {
     int32_t steps;        /* sub-steps of 125 us between two samples */
     int32_t column_count; /* number of used columns */
     int32_t columns
-        [MAX_USED_COLUMNS]; /* signals that the gateway uses, in gateway/channel.py's order */
+        [MAX_USED_COLUMNS]; /* signals that the gateway uses, in gateway/core/channel.py's order */
     uint8_t kind;           /* enum channel_kind */
     struct e2e_config e2e_config;
     /* state */
@@ -972,13 +972,13 @@ struct receiver {
     uint8_t *payload;
     double *value;
     uint8_t *validity;
-    /* samples of the tick, in the order of the filters' rows (gateway/pairing.py) */
+    /* samples of the tick, in the order of the filters' rows (gateway/core/pairing.py) */
     int32_t *sample_drive;
     double *sample_u; /* V, alpha and beta */
     double *sample_y; /* A, alpha and beta */
     int64_t *sample_steps;
     int64_t *sample_gap;
-    /* readings of Motion in the tick (gateway/pairing.py) */
+    /* readings of Motion in the tick (gateway/core/pairing.py) */
     int64_t *motion_drive;
     int64_t *motion_t_ns;
     double *motion_speed;  /* rad/s */
@@ -1229,7 +1229,7 @@ struct temperature_monitor {
 enum candump_line {
     LINE_CLASSIC = 0,
     LINE_FD = 1,
-    LINE_OTHER = 2, /* dbc/logline.py decides */
+    LINE_OTHER = 2, /* dbc/candump/grammar.py decides */
     LINE_BLANK = 3,
     LINE_COMMENT = 4,
     LINE_MALFORMED = 5,
@@ -1241,7 +1241,7 @@ struct interface_name {
     uint8_t length; /* bytes of it; 0: no name, or one that no line can have */
 };
 
-/* Frames as columns (dbc/block.py), one row per frame. */
+/* Frames as columns (dbc/frames.py), one row per frame. */
 struct frame_columns {
     int64_t *t_ns;
     uint32_t *can_id;

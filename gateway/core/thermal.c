@@ -15,7 +15,7 @@
 #include "gateway/core/thermal_evidence.h"
 
 enum { P = THERMAL_POINTS };
-enum { AMBIENT_COLUMN = P }; /* gateway/channel.py: the sensors' columns, then this one */
+enum { AMBIENT_COLUMN = P }; /* gateway/core/channel.py: the sensors' columns, then this one */
 
 static const double MOST_TENTHS = 1e15; /* a value beyond it, tenths of a degree, has no number */
 

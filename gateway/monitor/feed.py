@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
-from gateway.monitor.snapshot import Event, Snapshot, Trace, as_json, word
+from gateway.monitor.model.snapshot import Event, Snapshot, Trace, as_json, word
 from gateway.monitor.sources import Source
 
 log = logging.getLogger(__name__)

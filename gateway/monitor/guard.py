@@ -12,7 +12,7 @@ from urllib.parse import parse_qs
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from gateway.monitor.access import Access, Refusal
+from gateway.monitor.model.access import Access, Refusal
 
 log = logging.getLogger(__name__)
 

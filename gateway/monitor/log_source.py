@@ -10,13 +10,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from dbc.block import EMPTY
 from dbc.frame import MS, SECOND, Nanos
+from dbc.frames import EMPTY
 from dbc.text import printable
-from gateway.drivers.logtime import LogTime, Steady
-from gateway.drivers.replay import BadLogError, OneChannel, open_log
-from gateway.monitor.observer import Observer
-from gateway.monitor.snapshot import Snapshot
+from gateway.io.logtime import LogTime, Steady
+from gateway.io.replay import BadLogError, OneChannel, open_log
+from gateway.monitor.model.observer import Observer
+from gateway.monitor.model.snapshot import Snapshot
 
 PATIENCE_S: Final = 0.1
 """Work of one `advance`."""

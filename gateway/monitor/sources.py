@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from itertools import zip_longest
 from typing import Any, Final, Protocol
 
-from dbc.block import EMPTY, Block, join
 from dbc.frame import MS, Nanos
-from gateway.drivers.transport import LinkState, Transport
-from gateway.monitor.observer import Observer
-from gateway.monitor.snapshot import Snapshot
+from dbc.frames import EMPTY, Block, join
+from gateway.io.transport import LinkState, Transport
+from gateway.monitor.model.observer import Observer
+from gateway.monitor.model.snapshot import Snapshot
 
 LISTEN_ONLY: Final[Mapping[str, Mapping[str, Any]]] = {
     "cantact": {"monitor": True},

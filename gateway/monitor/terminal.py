@@ -17,11 +17,11 @@ from textual.screen import ModalScreen, Screen
 from textual.widget import Widget
 from textual.widgets import Static
 
-from dbc.candump import LogError
-from gateway.drivers.replay import BadLogError
-from gateway.monitor import panels
-from gateway.monitor.plots import GREY, ORANGE, SCALE, SKY, bars, columns, curve, strip
-from gateway.monitor.snapshot import Snapshot, Trace
+from dbc.candump.reader import LogError
+from gateway.io.replay import BadLogError
+from gateway.monitor.model import panels
+from gateway.monitor.model.plots import GREY, ORANGE, SCALE, SKY, bars, columns, curve, strip
+from gateway.monitor.model.snapshot import Snapshot, Trace
 from gateway.monitor.sources import Source
 
 REFRESH_S: Final = 0.1

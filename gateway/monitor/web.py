@@ -26,11 +26,11 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from gateway.config import ConfigError
-from gateway.monitor.access import Access, Listen
 from gateway.monitor.feed import Feed, Picture
 from gateway.monitor.guard import Guard
+from gateway.monitor.model.access import Access, Listen
 from gateway.monitor.request_timeout import REQUEST_S, timed_protocol
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
@@ -214,7 +214,7 @@ def _registry(feed: Feed) -> CollectorRegistry | None:
         from prometheus_client import CollectorRegistry
     except ImportError:
         return None
-    from gateway.monitor.metrics import FeedCollector
+    from gateway.monitor.model.metrics import FeedCollector
 
     registry = CollectorRegistry(auto_describe=False)
     registry.register(FeedCollector(feed))

@@ -10,7 +10,7 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
 from gateway import cli
-from gateway.config import Config
+from gateway.settings.config import Config
 from tests.docs.pages import ROOT
 
 pytestmark = [

@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from zlib import crc32
 
-from dbc import candump as module
-from dbc.candump import LogError, Reader
+from dbc.candump import reader as module
+from dbc.candump.grammar import Verdict, format_frame, parse_line
+from dbc.candump.reader import LogError, Reader
 from dbc.frame import Frame
-from dbc.logline import Verdict, format_frame, parse_line
 from tests.fuzzing.held import Held
 from tests.fuzzing.mutate import mutate
 from tests.reference import candump as reference

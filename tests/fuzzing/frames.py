@@ -24,10 +24,10 @@ from dbc.e2e import (
     protect,
 )
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.inbox import OWN_CANOPEN, Inbox
-from gateway.supervision import Supervision
+from gateway.core.gateway import Gateway
+from gateway.core.inbox import OWN_CANOPEN, Inbox
+from gateway.core.supervision import Supervision
+from gateway.settings.config import parse
 from tests.reference.receive import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 from tests.sender import FD_FILE, codec_for
 

@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc.block import blank
-from dbc.candump import LogError, Reader
+from dbc.candump.grammar import Verdict, parse_line
+from dbc.candump.reader import LogError, Reader
 from dbc.codec import bind
 from dbc.contract import ANY
 from dbc.e2e import protect
 from dbc.frame import BRS, FD, MS, Frame
-from dbc.logline import Verdict, parse_line
+from dbc.frames import blank
 from dbc.spec import DbcMismatch
-from gateway import calibration
-from gateway.config import Config, ConfigError, load, parse
-from gateway.core import Gateway
-from gateway.supervision import Life, Supervision
+from gateway.core.gateway import Gateway
+from gateway.core.supervision import Life, Supervision
+from gateway.settings import calibration
+from gateway.settings.config import Config, ConfigError, load, parse
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
 from tests.dbc_text import write

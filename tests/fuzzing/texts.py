@@ -17,8 +17,8 @@ import numpy as np
 from dbc.codec import Codec, bind
 from dbc.contract import ANY, CLASSIC, FD
 from dbc.spec import DbcMismatch
-from gateway.config import BUILTIN_DBC, Config, ConfigError, load
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
+from gateway.settings.config import BUILTIN_DBC, Config, ConfigError, load
 from sim.scenario import Scenario, ScenarioError
 from sim.scenario import load as load_scenario
 from tests.fuzzing.held import Held

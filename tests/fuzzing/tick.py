@@ -21,12 +21,12 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.e2e import protect
 from dbc.frame import SECOND, Frame
+from dbc.frames import Block, block_of
 from dbc.spec import MessageSpec
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
 from tests.extremes import Setup
 from tests.fuzzing.frames import _any, _Bytes, _well_formed
 from tests.value_cases import TICK, honest

@@ -10,10 +10,10 @@ from functools import cache
 from itertools import islice
 
 from dbc.e2e import Receiver
-from gateway.core import Gateway
-from sim.value_faults import VALUE_KINDS, ValueFaults
+from gateway.core.gateway import Gateway
 from tests.extremes import MESSAGES, RULES, Setup, Stretch, changed
 from tests.fuzzing.frames import _well_formed
+from tests.storm.value_faults import VALUE_KINDS, ValueFaults
 from tests.value_cases import TICK, honest
 
 DRIVES = 2

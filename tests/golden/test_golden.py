@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.codec import bind
-from gateway.config import parse, shipped_dbc
-from gateway.core import Gateway
-from gateway.drivers.replay import replay
+from gateway.core.gateway import Gateway
+from gateway.io.replay import replay
+from gateway.settings.config import parse, shipped_dbc
 
 HERE = Path(__file__).parent
 CASES = {

@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import gateway
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.codec import Codec, bind
 from dbc.e2e import COUNTERS, MAX_DELTA, Check, Receiver, counter_of, crc_ok
 from dbc.frame import Frame
 from dbc.spec import MessageSpec
-from gateway.config import shipped_dbc
-from gateway.drivers.transport import EMCY_ID, HEARTBEAT_ID
-from gateway.health import Flag
-from gateway.results.expect import FlagTrack
+from gateway.core.codes import Flag
+from gateway.io.transport import EMCY_ID, HEARTBEAT_ID
+from gateway.reports.expectations import FlagTrack
+from gateway.settings.config import shipped_dbc
 
 if TYPE_CHECKING:
     from conftest import Vcan

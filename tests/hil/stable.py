@@ -91,7 +91,7 @@ def _child(request: dict[str, Any]) -> None:
 
 def _set_trap(path: str) -> None:
     """See above. Nothing but the moment of the stop is different."""
-    from gateway.core import Gateway
+    from gateway.core.gateway import Gateway
 
     step = Gateway.step
 
@@ -112,9 +112,11 @@ def _warm() -> None:
     from dbc.codec import bind
     from gateway.cli import main
     from gateway.commands import run, sim  # noqa: F401
-    from gateway.config import load
-    from gateway.core import Gateway
-    from gateway.drivers import bus, canopen_node, live, realtime, scheduling  # noqa: F401
+    from gateway.core.gateway import Gateway
+    from gateway.io import (
+        scheduling,  # noqa: F401
+    )
+    from gateway.settings.config import load
 
     config = load(None)
     Gateway(config, bind(config.dbc_path, config.nodes), 0)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import can
 import pytest
 
-from gateway.inbox import ELECTRICAL
+from gateway.core.inbox import ELECTRICAL
 from tests.hil.observer import GOOD, await_stop, end_process
 from tests.hil.site import Site, open_site
 from tests.hil.stable import Stable

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from gateway.cli import main
-from gateway.health import Flag, Reason
-from gateway.results.expect import FlagTrack
+from gateway.core.codes import Flag, Reason
+from gateway.reports.expectations import FlagTrack
 from tests.hil.chain import (
     ATTEMPTS,
     FLAGS_ID,

@@ -17,10 +17,10 @@ import pytest
 
 from dbc.e2e import protect
 from dbc.frame import Frame
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import EMCY_ID, HEARTBEAT_ID, SendResult
+from gateway.core.gateway import Gateway
+from gateway.io.socketcan import SocketCan
+from gateway.io.transport import EMCY_ID, HEARTBEAT_ID, SendResult
+from gateway.settings.config import parse
 from tests.hil.chain import TICK_NS
 from tests.hil.observer import ADHESION, GOOD, Observer, await_stop, end_process
 from tests.hil.site import Site, open_site

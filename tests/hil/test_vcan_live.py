@@ -14,9 +14,9 @@ import pytest
 
 from dbc.codec import bind
 from dbc.frame import MS, Frame
-from gateway.config import shipped_dbc
-from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import LinkState, SendResult
+from gateway.io.socketcan import SocketCan
+from gateway.io.transport import LinkState, SendResult
+from gateway.settings.config import shipped_dbc
 
 if TYPE_CHECKING:
     from conftest import Vcan

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from gateway.commands.common import prepare
-from gateway.drivers.bus import open_transport
-from gateway.drivers.permission import Mode, allowed
-from gateway.health import Flag
-from gateway.monitor.observer import Observer
-from gateway.monitor.snapshot import Snapshot
+from gateway.core.codes import Flag
+from gateway.io.bus import open_transport
+from gateway.io.permission import Mode, allowed
+from gateway.io.prepare import prepare
+from gateway.monitor.model.observer import Observer
+from gateway.monitor.model.snapshot import Snapshot
 from gateway.monitor.sources import LiveSource, silently
 
 if TYPE_CHECKING:

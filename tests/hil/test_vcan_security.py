@@ -14,9 +14,9 @@ import pytest
 
 from dbc.codec import Codec, bind
 from dbc.frame import Frame
-from dbc.verifier import SURE, Genuine, Verifier
-from gateway.config import shipped_dbc
-from gateway.drivers.socketcan import SocketCan
+from dbc.secoc_receiver import SURE, Genuine, Verifier
+from gateway.io.socketcan import SocketCan
+from gateway.settings.config import shipped_dbc
 
 if TYPE_CHECKING:
     from conftest import Vcan

@@ -22,8 +22,8 @@ import gateway
 from dbc.codec import bind
 from dbc.e2e import crc_ok
 from dbc.frame import Frame
-from gateway.config import shipped_dbc
-from gateway.drivers.socketcan import SocketCan
+from gateway.io.socketcan import SocketCan
+from gateway.settings.config import shipped_dbc
 
 if TYPE_CHECKING:
     from conftest import Vcan

@@ -20,13 +20,13 @@ import pytest
 from dbc.codec import bind
 from dbc.e2e import WINDOW, Check, Receiver, SmState, protect
 from dbc.frame import ERROR, SECOND, Frame
-from gateway.config import shipped_dbc
-from gateway.drivers import socketcan
-from gateway.drivers.bus import open_transport
-from gateway.drivers.links import Links
-from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import Allow, LinkState, SendResult
-from gateway.drivers.wire import BusState
+from gateway.io import socketcan
+from gateway.io.bus import open_transport
+from gateway.io.links import Links
+from gateway.io.socketcan import SocketCan
+from gateway.io.transport import Allow, LinkState, SendResult
+from gateway.io.wire import BusState
+from gateway.settings.config import shipped_dbc
 from tests.hil.adapter import Adapter
 
 pytestmark = pytest.mark.vcan

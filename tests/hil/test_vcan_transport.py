@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from gateway.drivers import kernel, settings
-from gateway.drivers.bus import open_transport
-from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.transport import LinkState, SendResult
-from gateway.drivers.wire import BusState
+from gateway.io import interface_settings as settings
+from gateway.io import kernel
+from gateway.io.bus import open_transport
+from gateway.io.socketcan import SocketCan
+from gateway.io.transport import LinkState, SendResult
+from gateway.io.wire import BusState
 
 if TYPE_CHECKING:
     from conftest import Vcan

@@ -15,9 +15,9 @@ from pydantic import AfterValidator, BaseModel
 
 from dbc.bounds import Within
 from dbc.codec import bind
-from gateway.config import Config, ConfigError, parse
-from gateway.core import Gateway
-from gateway.drivers.synthetic_loss import losses
+from gateway.core.gateway import Gateway
+from gateway.hil.synthetic_loss import losses
+from gateway.settings.config import Config, ConfigError, parse
 from tests.fuzz import examples
 from tests.sender import SteadyDrive, codec_for
 

@@ -6,9 +6,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from dbc.authentication import Authenticator
 from dbc.frame import MS, SECOND
-from dbc.verifier import AT_ONCE, QUIET_NS, SURE, SWEEP, TRIPS, TURNS, WINDOW, Verifier
+from dbc.secoc_receiver import AT_ONCE, QUIET_NS, SURE, SWEEP, TRIPS, TURNS, WINDOW, Verifier
+from dbc.secoc_sender import Authenticator
 from tests.fuzz import examples
 
 KEY = bytes(range(16))

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dbc import candump, logwriter
-from dbc.block import block_of
-from dbc.candump import LogError, Reader, Writer, format_frame, parse_line
+from dbc.candump import reader as candump
+from dbc.candump import writer as logwriter
+from dbc.candump.grammar import Verdict
+from dbc.candump.reader import LogError, Reader, Writer, format_frame, parse_line
 from dbc.frame import BRS, FD, REMOTE, Frame
-from dbc.logline import Verdict
+from dbc.frames import block_of
 from tests.fuzz import examples
 from tests.reference import candump as reference
 from tests.strategies import frames, log_lines

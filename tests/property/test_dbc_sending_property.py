@@ -15,7 +15,7 @@ from dbc.codec import Codec, bind
 from dbc.codec_tables import CodecTables
 from dbc.contract import ANY
 from dbc.e2e import configs, protect
-from gateway.config import shipped_dbc
+from gateway.settings.config import shipped_dbc
 from tests.dbc_text import of_layout
 from tests.encode_loop import encode_rows, given_of
 from tests.fuzz import examples

@@ -17,14 +17,14 @@ from estimators.detect import (
     MessagePassingDetector,
     PaperVariationalDetector,
     ReusingVariationalDetector,
-    distributed,
     kmeans,
     message_passing,
     paper,
     paper_vb,
 )
-from estimators.detect.network import graph
 from estimators.detect.paper import Observe
+from gateway.study import distributed
+from gateway.study.network import graph
 from tests.fuzz import examples
 
 # The first example loads scipy.special: no deadline is meaningful.

@@ -6,8 +6,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from gateway.flags import UNCHANGED, Timing
-from gateway.health import Flag
+from gateway.core.codes import Flag
+from gateway.core.flags import UNCHANGED, Timing
 from tests.fuzz import examples
 from tests.stations import debounce, flag
 

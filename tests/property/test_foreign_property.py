@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.core import Gateway
-from gateway.foreign import fitted, plans
-from gateway.health import Flag
-from gateway.translate import Translator
+from gateway.core.codes import Flag
+from gateway.core.gateway import Gateway
+from gateway.mapping.plan import fitted, plans
+from gateway.mapping.translate import Translator
 from sim.simulation import Simulation
 from tests.inverters import spoken
 from tests.simrun import TICK, codec, run, scenario

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from dbc.e2e import protect
 from dbc.frame import Frame
-from gateway.health import Flag
-from gateway.monitor.observer import Observer
-from gateway.monitor.snapshot import as_json
+from gateway.core.codes import Flag
+from gateway.monitor.model.observer import Observer
+from gateway.monitor.model.snapshot import as_json
 from tests.monitored import config_of
 from tests.simrun import codec
 from tests.strategies import frames

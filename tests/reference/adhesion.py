@@ -29,8 +29,8 @@ from dbc.records import (
 )
 from estimators.detect import Evidence
 from estimators.detect.variational import VariationalDetector
-from gateway.config import Motor
-from gateway.health import NEVER, Flag, Health
+from gateway.core.codes import NEVER, Flag, Health
+from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
 
 DERATING_NS: Final = 2_000_000_000

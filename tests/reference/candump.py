@@ -1,7 +1,7 @@
 """Candump logs read and written one line after the other: the oracle of the two C files.
 
-Reading is the grammar of `dbc.logline` on each line, and the rules of `Reader` around it. Writing
-is formatted text. Neither knows the fast ways of dbc/candump_read.c and dbc/candump_write.c.
+Reading is the grammar of `dbc.candump.grammar` on each line, with the rules of `Reader` around it.
+Writing is formatted text. Neither knows the fast ways of the C files.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from dbc.candump import Problem
+from dbc.candump.grammar import DROPS, FD_LENGTHS, Verdict, name_bytes, parse_line, tail_of
+from dbc.candump.reader import Problem
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from dbc.logline import DROPS, FD_LENGTHS, Verdict, name_bytes, parse_line, tail_of
 from dbc.text import printable
 
 NO_LINE_END = frozenset((Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT))

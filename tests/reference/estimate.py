@@ -15,9 +15,9 @@ from _traction_core import lib
 from dbc.records import Columns, Records, pointer
 from estimators import acquisition, adaptation, current_calibration, filters
 from estimators.acquisition import Consistency
-from gateway.bank import Bank, estimates
-from gateway.health import Health, Reason
-from gateway.pairing import Samples
+from gateway.core.codes import Health, Reason
+from gateway.core.estimate import Bank, estimates
+from gateway.core.pairing import Samples
 
 LONGEST_GAP: Final = 64
 DISAGREE_TICKS: Final = 3

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from gateway.flags import Timing
-from gateway.health import Flag, Reason
+from gateway.core.codes import Flag, Reason
+from gateway.core.flags import Timing
 
 # (flag now, evidence) -> (flag next, which hold time must have passed first).
 # A pair that is not listed changes nothing.

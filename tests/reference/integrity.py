@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dbc.frame import SECOND
-from gateway.health import Reason
+from gateway.core.codes import Reason
 
 OVERRUN_HOLD_NS = SECOND
 LATE_IN_A_ROW = 3

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND
-from gateway.pairing import Readings
+from gateway.core.pairing import Readings
 from tests.columns import Inputs, Told
 from tests.reference import load_observer
 from tests.reference.load_observer import LoadState, Mechanics

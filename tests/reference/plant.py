@@ -1,4 +1,4 @@
-"""Drives and train of the simulator, number by number in Python: the oracle of `sim/plant.c`.
+"""Drives and train of the simulator, number by number in Python: the oracle of `plant.c`.
 
 State of one drive, columns of `x` (N, 10):
     0, 1  i_alpha, i_beta   A        4, 5  integrators of the current control, V (d, q)

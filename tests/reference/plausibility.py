@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from dbc.records import Columns
-from gateway.pairing import Readings, Samples
+from gateway.core.pairing import Readings, Samples
 from tests.columns import SlowState, Told
 from tests.reference.motion import Memory
 

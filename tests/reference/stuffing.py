@@ -1,4 +1,4 @@
-"""How long a frame really is on the wire, bit by bit: the oracle of `gateway.stuffing`.
+"""How long a frame really is on the wire, bit by bit: the oracle of `dbc.wire_time`.
 
 Classic CAN: ISO 11898-1, 11-bit and 29-bit identifiers, CRC-15. CAN FD: dynamic stuff bits up to
 the end of the data, then the stuff count and a CRC of 17 or 21 bits with fixed stuff bits. Bits

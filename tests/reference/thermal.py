@@ -12,7 +12,7 @@ import numpy as np
 
 from estimators import maisd
 from estimators.thermal.hypotheses import HEAT, KINDS, side
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from tests.stations import not_yet_valid, sensor_verdict, sensors_valid
 
 NEVER = -(1 << 63)

@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.config import Motor
-from gateway.health import NEVER, Flag, Health, Reason
+from gateway.core.codes import NEVER, Flag, Health, Reason
+from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
 
 ACCELERATION_TAU_S: Final = 0.5

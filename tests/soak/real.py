@@ -20,13 +20,13 @@ from typing import Final
 from bench.live import Pair, as_node
 from dbc.codec import bind
 from dbc.frame import SECOND, Nanos
-from gateway.config import Config, parse
-from gateway.core import Gateway
-from gateway.drivers.canopen_node import CanopenNode
-from gateway.drivers.live import LiveSnapshot, Stop, run_live
-from gateway.drivers.realtime import Ticker
-from gateway.drivers.socketcan import SocketCan
-from gateway.drivers.wire import pack
+from gateway.core.gateway import Gateway
+from gateway.io.canopen_node import CanopenNode
+from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.realtime import Ticker
+from gateway.io.socketcan import SocketCan
+from gateway.io.wire import pack
+from gateway.settings.config import Config, parse
 from tests.simrun import CLASSIC
 from tests.soak.books import Books, unaccounted
 from tests.storm.campaign import CALIBRATION

@@ -12,11 +12,11 @@ from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from dbc.block import Block, block_of
 from dbc.codec import Codec, bind
 from dbc.frame import SECOND
-from gateway.config import parse
-from gateway.core import Gateway, GatewayView
+from dbc.frames import Block, block_of
+from gateway.core.gateway import Gateway, GatewayView
+from gateway.settings.config import parse
 from sim.scenario import parse as parse_scenario
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC

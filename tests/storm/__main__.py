@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from sim.hostile import BUS_KINDS, KINDS
+from tests.storm.bus_faults import BUS_KINDS, KINDS
 from tests.storm.campaign import (
     CODE,
     COMMIT,

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gateway
-from dbc.block import Block, join
 from dbc.frame import Frame
-from gateway.config import Config, parse
-from gateway.core import Gateway
-from gateway.flags import Status
-from gateway.health import REJECTED
-from sim.hostile import BUS_KINDS, KINDS, NOTHING, Arrived, Fault, HostileBus, plan
-from sim.value_faults import Error, ValueFaults
+from dbc.frames import Block, join
+from gateway.core.codes import REJECTED
+from gateway.core.flags import Status
+from gateway.core.gateway import Gateway
+from gateway.settings.config import Config, parse
 from tests.provenance import code_of, commit_of
+from tests.storm.bus_faults import BUS_KINDS, KINDS, NOTHING, Arrived, Fault, HostileBus, plan
 from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, Train, train
+from tests.storm.value_faults import Error, ValueFaults
 from tests.storm.values import truth_at
 
 Ints = NDArray[np.int64]

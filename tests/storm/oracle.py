@@ -38,10 +38,10 @@ from crccheck.crc import Crc8Autosar
 from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
-from gateway.config import Config
-from gateway.flags import Status
-from gateway.health import Health
-from sim.hostile import Arrived, Fault
+from gateway.core.codes import Health
+from gateway.core.flags import Status
+from gateway.settings.config import Config
+from tests.storm.bus_faults import Arrived, Fault
 from tests.storm.train import TICK
 from tests.storm.values import Truth, ValueRules
 

@@ -12,17 +12,17 @@ from itertools import count as count_up
 import numpy as np
 import pytest
 
-from gateway import core
-from gateway.flags import FlagKind
-from gateway.health import Flag, Health, Reason
-from gateway.receiving import NAMES
-from sim.hostile import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
-from sim.value_faults import ValueFaults
+from gateway.core import gateway as core
+from gateway.core.codes import Flag, Health, Reason
+from gateway.core.flags import FlagKind
+from gateway.core.receiving import NAMES
 from tests.stepped import Stepped
 from tests.storm import campaign
+from tests.storm.bus_faults import BUS_KINDS, KINDS, WHOLE_BUS, Fault, HostileBus, plan
 from tests.storm.campaign import FD_SEEDS, QUEUE, Result, weather
 from tests.storm.oracle import Oracle, Violation
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
+from tests.storm.value_faults import ValueFaults
 
 SEEDS, TICKS = range(20), 100_000
 FD, FD_TICKS = (6, 7, 8), 30_000
@@ -237,7 +237,7 @@ def counter_stands_still(monkeypatch):
 
 
 def frames_are_forgotten(monkeypatch):
-    monkeypatch.setattr("gateway.inbox.NAMES", ("decoded",) * len(NAMES))
+    monkeypatch.setattr("gateway.core.inbox.NAMES", ("decoded",) * len(NAMES))
 
 
 def built(monkeypatch, change):
@@ -343,7 +343,7 @@ def overruns_are_hidden(monkeypatch):
 
 
 def overruns_are_never_over(monkeypatch):
-    monkeypatch.setattr("gateway.doubt.OVERRUN_HOLD_NS", 1 << 60)
+    monkeypatch.setattr("gateway.core.integrity.OVERRUN_HOLD_NS", 1 << 60)
 
 
 def lost_frames_are_forgotten(monkeypatch):

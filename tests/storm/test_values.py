@@ -10,16 +10,16 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from gateway.config import parse
-from gateway.flags import FlagKind
-from gateway.health import Flag
-from sim.hostile import BUS_KINDS, KINDS, Fault, plan
-from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
+from gateway.core.codes import Flag
+from gateway.core.flags import FlagKind
+from gateway.settings.config import parse
 from tests.stepped import Stepped
 from tests.storm import campaign
+from tests.storm.bus_faults import BUS_KINDS, KINDS, Fault, plan
 from tests.storm.campaign import FD_SEEDS, VALUE_SEEDS, config_of, faults_of, first_of, weather
 from tests.storm.oracle import Oracle
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, train
+from tests.storm.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
 from tests.storm.values import CREEP, HELD_TICKS, REACTION_TICKS, Truth, ValueRules
 
 TICKS = 3000

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbc.block import Block, block_of
 from dbc.codec import Codec
 from dbc.frame import MS, SECOND
-from sim.adhesion import SPEED_FLOOR_M_S
-from sim.plant import TRAIN
+from dbc.frames import Block, block_of
+from sim.physics.adhesion import SPEED_FLOOR_M_S
+from sim.physics.plant import TRAIN
 from sim.scenario import parse
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, codec

@@ -20,10 +20,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gateway.config import Config
-from sim.hostile import Fault
-from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
+from gateway.settings.config import Config
+from tests.storm.bus_faults import Fault
 from tests.storm.train import LOOP_TICKS, Train
+from tests.storm.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
 
 GOOD, BAD = 1, 2
 REACTION_TICKS: Final = 20

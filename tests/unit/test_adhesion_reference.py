@@ -9,11 +9,11 @@ from _traction_core import lib
 
 from dbc.records import DRIVE_STATUS
 from estimators.detect import DETECTORS
-from gateway import flags, inputs, pairing
-from gateway.adhesion import BASE_NM, AdhesionMonitor
-from gateway.config import BENCH_MOTOR, Adhesion
-from gateway.flags import FlagKind, Timing
-from gateway.health import NEVER, Flag, Health
+from gateway.core import flags, inputs, pairing
+from gateway.core.adhesion import BASE_NM, AdhesionMonitor
+from gateway.core.codes import NEVER, Flag, Health
+from gateway.core.flags import FlagKind, Timing
+from gateway.settings.config import BENCH_MOTOR, Adhesion
 from tests import columns
 from tests.judged_loads import detect
 from tests.reference import adhesion as reference

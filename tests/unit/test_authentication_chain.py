@@ -8,15 +8,15 @@ from itertools import pairwise
 
 import pytest
 
-from dbc.authentication import Authenticator
 from dbc.codec import bind
 from dbc.e2e import crc_ok, protect
 from dbc.frame import EXTENDED, FD, Frame
-from dbc.verifier import Verifier
-from gateway.config import Config, ConfigError, parse, shipped_dbc
-from gateway.core import Gateway
-from gateway.drivers.bench import run_virtual
-from gateway.health import Flag, Reason
+from dbc.secoc_receiver import Verifier
+from dbc.secoc_sender import Authenticator
+from gateway.core.codes import Flag, Reason
+from gateway.core.gateway import Gateway
+from gateway.hil.bench import run_virtual
+from gateway.settings.config import Config, ConfigError, parse, shipped_dbc
 from sim.simulation import Simulation
 from tests.simrun import TICK, Flags, codec, scenario
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import Health
-from gateway.pairing import Samples
+from gateway.core.codes import Health
+from gateway.core.pairing import Samples
+from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.estimates import step
 from tests.stations import Bank
 from tests.unit.test_est_truth import TICK_S, Rows, Truth, motor, sampled

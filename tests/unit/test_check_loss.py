@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from dbc.codec import bind
-from gateway import foreign
 from gateway.cli import main
-from gateway.config import Config, load, parse
-from gateway.drivers.measured import Measured
-from gateway.drivers.synthetic_loss import losses, never
-from gateway.health import Reason
+from gateway.core.codes import Reason
+from gateway.hil.measured import Measured
+from gateway.hil.synthetic_loss import losses, never
+from gateway.mapping import plan as foreign
+from gateway.settings.config import Config, load, parse
 from tests.unit.test_foreign import mapped
 
 ROOT = Path(__file__).parents[2]

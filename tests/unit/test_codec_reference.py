@@ -15,7 +15,7 @@ from dbc.codec_tables import CodecTables
 from dbc.contract import ANY
 from dbc.e2e import Profile, configs
 from dbc.spec import ABSENT, MessageSpec, SignalSpec, Validity
-from gateway.config import shipped_dbc
+from gateway.settings.config import shipped_dbc
 from tests.encode_loop import encode_rows, given_of
 from tests.reference import codec as reference
 from tests.reference import e2e as reference_e2e

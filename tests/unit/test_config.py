@@ -2,9 +2,9 @@
 
 import pytest
 
-from gateway.calibration import Calibration, MotorCalibration, to_toml
-from gateway.calibration import load as load_calibration
-from gateway.config import Config, ConfigError, load, parse
+from gateway.settings.calibration import Calibration, MotorCalibration, to_toml
+from gateway.settings.calibration import load as load_calibration
+from gateway.settings.config import Config, ConfigError, load, parse
 
 
 def problems(raw):

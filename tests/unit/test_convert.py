@@ -15,16 +15,16 @@ import pyarrow.parquet as pq
 import pytest
 from asammdf import MDF
 
-from dbc.binding import load
-from dbc.block import block_of
-from dbc.candump import Reader, Writer
+from dbc.candump.reader import Reader, Writer
 from dbc.codec import bind
 from dbc.contract import ANY
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frames import block_of
+from dbc.load import load
 from gateway import cli
-from gateway.drivers import convert
-from gateway.drivers.replay import open_log
-from gateway.results.signals import Decoder
+from gateway.io.replay import open_log
+from gateway.logfiles import convert
+from gateway.logfiles.signals import Decoder
 
 DBC = Path(__file__).parents[2] / "dbc" / "traction.dbc"
 T0 = 1_700_000_000_123_456_000
@@ -136,7 +136,7 @@ def test_parquet_frames_are_exact_to_the_nanosecond() -> None:
 def _parquet_back(frames: list[Frame]) -> Iterator[Frame]:
     import tempfile
 
-    from gateway.results.frame_files import ParquetFrames, read_parquet
+    from gateway.logfiles.frames import ParquetFrames, read_parquet
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.parquet"
@@ -174,7 +174,7 @@ def expected() -> tuple[list[Frame], dict[str, list[tuple[int, float]]]]:
 @pytest.fixture
 def source(tmp_path: Path, expected: tuple[list[Frame], dict]) -> Path:
     # Nanoseconds, which candump has not: Parquet of frames.
-    from gateway.results.frame_files import ParquetFrames
+    from gateway.logfiles.frames import ParquetFrames
 
     path = tmp_path / "frames.parquet"
     sink = ParquetFrames(path)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dbc.frame import ERROR, EXTENDED, REMOTE, SECOND, Frame
-from gateway.config import Config, Drive
-from gateway.core import Gateway
-from gateway.health import REJECTED, Flag, Health, Reason
+from gateway.core.codes import REJECTED, Flag, Health, Reason
+from gateway.core.gateway import Gateway
+from gateway.settings.config import Config, Drive
 from tests.sender import CLASSIC, MS, Sender, SteadyDrive, codec_for
 
 CODEC = codec_for()

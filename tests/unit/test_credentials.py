@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
-from gateway.config import ConfigError, parse
-from gateway.drivers.credentials import flag_authenticator, flag_key, next_trip, trip_path
+from gateway.io.credentials import flag_authenticator, flag_key, next_trip, trip_path
+from gateway.settings.config import ConfigError, parse
 
 SECRET = "00112233445566778899aabbccddeeff"
 

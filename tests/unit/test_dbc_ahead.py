@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from dbc.ahead import ahead
+from dbc.prefetch import ahead
 
 
 def test_the_items_in_their_order_made_by_another_thread() -> None:

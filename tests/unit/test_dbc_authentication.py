@@ -6,9 +6,8 @@ import random
 
 import pytest
 
-from dbc.authentication import COUNT_BITS, LAST_TRIP, Authenticator, Macs
 from dbc.frame import MS, SECOND
-from dbc.verifier import (
+from dbc.secoc_receiver import (
     AT_ONCE,
     QUIET_NS,
     SURE,
@@ -21,6 +20,7 @@ from dbc.verifier import (
     WINDOW,
     Verifier,
 )
+from dbc.secoc_sender import COUNT_BITS, LAST_TRIP, Authenticator, Macs
 
 KEY = bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c")
 ADHESION, FAULTS = 0x1A0, 0x2A0

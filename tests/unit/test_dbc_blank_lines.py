@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dbc import blank_lines
 from dbc.blank_lines import without_blank_lines
-from dbc.otherlogs import read_any
+from dbc.python_can_logs import read_any
 
 LINES = st.lists(st.sampled_from(["", " ", "x", "é", "a longer line"]), max_size=40)
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.block import EMPTY, block_of, in_blocks, join
 from dbc.frame import Frame
+from dbc.frames import EMPTY, block_of, in_blocks, join
 from tests.fuzz import examples
 from tests.strategies import frames
 

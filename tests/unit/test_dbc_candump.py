@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from dbc.candump import LogError, Reader, Writer, format_frame, parse_line
+from dbc.candump.grammar import MAX_LINE, Verdict
+from dbc.candump.reader import LogError, Reader, Writer, format_frame, parse_line
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from dbc.logline import MAX_LINE, Verdict
 from tests.reference import candump as reference
 
 V = Verdict

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbc import build
+from dbc import generate as build
 from dbc.codec import (
     ABSENT,
     NOT_AVAILABLE,

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from dbc import binding, build, prepared
+from dbc import generate as build
+from dbc import load as binding
+from dbc import prepared
 from dbc.codec import Codec, bind, load
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile

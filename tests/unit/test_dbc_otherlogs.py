@@ -9,9 +9,9 @@ from pathlib import Path
 import can
 import pytest
 
-from dbc.candump import LogError
+from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.otherlogs import from_message, read_any
+from dbc.python_can_logs import from_message, read_any
 
 T0 = 1_700_000_000.0
 MESSAGES = [

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from estimators.detect import distributed, paper, paper_vb, variational
-from estimators.detect.distributed import Exchange
-from estimators.detect.network import Consensus, Tree, Wires, graph, ring, tree
+from estimators.detect import paper, paper_vb, variational
+from gateway.study import distributed
+from gateway.study.distributed import Exchange
+from gateway.study.network import Consensus, Tree, Wires, graph, ring, tree
 from tests.reference import variational as reference
 
 BOTH = pytest.mark.parametrize("exchange", list(Exchange))
@@ -191,7 +192,7 @@ def test_numbers_that_are_not_numbers_do_not_hang_the_network(adder):
 
 
 def test_consensus_that_cannot_agree_says_so(monkeypatch):
-    monkeypatch.setattr("estimators.detect.network.WINDOWS", 1)
+    monkeypatch.setattr("gateway.study.network.WINDOWS", 1)
     got = distributed.infer(loads(1, 8), ring(8), exchange=Exchange.CONSENSUS)
     assert not got.agreed
 

@@ -3,9 +3,9 @@
 import pytest
 
 from bench.adhesion import DEVELOPMENT, REPORTING, pooled
-from gateway.health import Flag
-from gateway.results.delays import Loss
-from gateway.results.scoring import score_run
+from gateway.core.codes import Flag
+from gateway.reports.delays import Loss
+from gateway.reports.scoring import score_run
 
 
 def test_seeds_for_tuning_and_reporting_are_apart():

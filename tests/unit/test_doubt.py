@@ -6,9 +6,9 @@ import pytest
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
 from gateway.commands.run import active_errors
-from gateway.drivers.canopen_node import GatewayError
-from gateway.drivers.pythoncan import PythonCan
-from gateway.health import Flag, GatewayState, Reason
+from gateway.core.codes import Flag, GatewayState, Reason
+from gateway.io.canopen_node import GatewayError
+from gateway.io.pythoncan import PythonCan
 from tests.sender import codec_for
 from tests.unit.test_core import TICK, Bench, drives, gateway, named
 

@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dbc.frame import SECOND
-from gateway.drivers.batch import Batch
-from gateway.drivers.transport import monotonic_stamp
-from gateway.drivers.wire import unpack
+from gateway.io.batch import Batch
+from gateway.io.transport import monotonic_stamp
+from gateway.io.wire import unpack
 from tests.fuzz import examples
 from tests.messages import put
 

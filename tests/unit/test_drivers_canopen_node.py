@@ -10,8 +10,8 @@ from canopen.emcy import EMCY_STRUCT, EmcyConsumer
 from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES, NmtSlave
 
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
-from gateway.drivers.canopen_node import CanopenNode, GatewayError, error_register
-from gateway.drivers.transport import Allow
+from gateway.io.canopen_node import CanopenNode, GatewayError, error_register
+from gateway.io.transport import Allow
 from sim.canopen_ecu import CanopenNode as Drive
 
 T0 = 77 * SECOND + 123

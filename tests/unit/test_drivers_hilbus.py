@@ -11,18 +11,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from dbc.block import Block, block_of
 from dbc.codec import Codec, bind
 from dbc.frame import MS, SECOND, Frame
-from gateway.config import Config, parse
-from gateway.drivers import hilbus
-from gateway.drivers.bench import Outcome
-from gateway.drivers.endings import Ended, raised
-from gateway.drivers.hilbus import bus_arguments, run_on_real_bus
-from gateway.drivers.realtime import Ticker
-from gateway.drivers.reporting import Reporting, leave
-from gateway.drivers.transport import SendResult, Status
-from gateway.results.truth import HEADER
+from dbc.frames import Block, block_of
+from gateway.hil import buses as hilbus
+from gateway.hil.bench import Outcome
+from gateway.hil.buses import bus_arguments, run_on_real_bus
+from gateway.io.endings import Ended, raised
+from gateway.io.realtime import Ticker
+from gateway.io.transport import SendResult, Status
+from gateway.reports.reporting import Reporting, leave
+from gateway.reports.truth import HEADER
+from gateway.settings.config import Config, parse
 from sim.scenario import Scenario, parse_text
 from sim.simulation import Simulation
 

@@ -12,9 +12,9 @@ import time
 import pytest
 from pyroute2.netlink.rtnl.ifinfmsg import ifinfmsg
 
-from gateway.drivers import links
-from gateway.drivers.links import Facts, Links, advice, facts, question
-from gateway.drivers.wire import BusState
+from gateway.io import links
+from gateway.io.links import Facts, Links, advice, facts, question
+from gateway.io.wire import BusState
 
 SET_UP = Facts(3, True, True, "can", BusState.ACTIVE, 100, 1_000_000, 5_000_000, 10)
 
@@ -140,8 +140,8 @@ def test_the_library_is_loaded_at_start_and_not_before() -> None:
     """It takes as long as ten ticks; and who opens no SocketCAN should not wait for it."""
     program = """
 import sys
-from gateway.drivers import links
-from gateway.drivers.bus import open_transport
+from gateway.io import links
+from gateway.io.bus import open_transport
 assert not [name for name in sys.modules if name.startswith("pyroute2")]
 asker = links.Links("nosuchlink")
 assert asker.start()

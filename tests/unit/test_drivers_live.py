@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 import pytest
 
-from dbc.block import Block, block_of
 from dbc.frame import MS, Frame
-from gateway.drivers.canopen_node import CanopenNode, GatewayError
-from gateway.drivers.live import LiveSnapshot, Stop, run_live, stop_on_signals
-from gateway.drivers.pythoncan import PythonCan
-from gateway.drivers.realtime import Ticker
-from gateway.drivers.transport import LinkState, SendResult, Status
+from dbc.frames import Block, block_of
+from gateway.io.canopen_node import CanopenNode, GatewayError
+from gateway.io.live import LiveSnapshot, Stop, run_live, stop_on_signals
+from gateway.io.pythoncan import PythonCan
+from gateway.io.realtime import Ticker
+from gateway.io.transport import LinkState, SendResult, Status
 
 FLAGS = 0x1A0
 

@@ -14,18 +14,18 @@ from pathlib import Path
 
 import pytest
 
-from dbc.block import Block, block_of
 from dbc.codec import bind
 from dbc.frame import MS, SECOND, Frame
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.drivers import logs
-from gateway.drivers.canopen_node import CanopenNode
-from gateway.drivers.live import LiveSnapshot, Stop, run_live
-from gateway.drivers.outputs import Outputs
-from gateway.drivers.realtime import Ticker
-from gateway.drivers.service import Manager, Overseer
-from gateway.drivers.transport import LinkState, SendResult, Status
+from dbc.frames import Block, block_of
+from gateway.core.gateway import Gateway
+from gateway.io import log_setup as logs
+from gateway.io.canopen_node import CanopenNode
+from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.outputs import Outputs
+from gateway.io.realtime import Ticker
+from gateway.io.service import Manager, Overseer
+from gateway.io.transport import LinkState, SendResult, Status
+from gateway.settings.config import parse
 
 
 class Clock:
@@ -220,7 +220,9 @@ def test_stderr_is_the_journal_only_where_systemd_says_so(journal: bool) -> None
     read, write = os.pipe()
     there = os.fstat(write)
     inode = there.st_ino if journal else there.st_ino + 1
-    program = "import logging\nfrom gateway.drivers import logs\nlogs.begin(20)\nlogging.info('hi')"
+    program = (
+        "import logging\nfrom gateway.io import log_setup as s\ns.begin(20)\nlogging.info('hi')"
+    )
     subprocess.run(
         [sys.executable, "-c", program], stderr=write, check=True,
         env={**os.environ, "JOURNAL_STREAM": f"{there.st_dev}:{inode}"},

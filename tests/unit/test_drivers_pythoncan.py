@@ -10,9 +10,9 @@ import can
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from gateway.config import ConfigError
-from gateway.drivers.pythoncan import PythonCan, to_frame, to_message
-from gateway.drivers.transport import LinkState, SendResult
+from gateway.io.pythoncan import PythonCan, to_frame, to_message
+from gateway.io.transport import LinkState, SendResult
+from gateway.settings.config import ConfigError
 
 FRAMES = [
     Frame(0, 0x181, b"\x01\x02\x03", 0, "bus"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dbc.frame import MS
-from gateway.drivers.realtime import Histogram, Ticker
+from gateway.io.realtime import Histogram, Ticker
 
 
 class Clock:

@@ -5,11 +5,11 @@ import io
 import numpy as np
 import pytest
 
-from dbc.block import in_blocks
-from dbc.candump import Reader, format_frame
+from dbc.candump.reader import Reader, format_frame
 from dbc.frame import MS, SECOND, Frame
-from gateway.core import Gateway
-from gateway.drivers.replay import BadLogError, OneChannel, open_log, replay
+from dbc.frames import in_blocks
+from gateway.core.gateway import Gateway
+from gateway.io.replay import BadLogError, OneChannel, open_log, replay
 from tests.sender import SteadyDrive, codec_for
 
 CODEC = codec_for()
@@ -23,7 +23,7 @@ def log(cycles=40, channel="can0"):
 
 
 def run(frames, size, wanted=None):
-    from gateway.config import parse
+    from gateway.settings.config import parse
 
     config = parse({})
     said = []
@@ -103,7 +103,7 @@ def test_a_file_that_is_no_log_is_told_by_its_first_line(tmp_path):
 def test_text_and_frames_give_the_same():
     frames = log()
     text = b"".join(format_frame(f) + b"\n" for f in frames)
-    from gateway.config import parse
+    from gateway.settings.config import parse
 
     config = parse({})
     said = []
@@ -232,10 +232,10 @@ def wild(seed, count=600):
 @pytest.mark.parametrize("seed", range(6))
 def test_a_wild_clock_gives_the_same_however_the_log_is_cut_and_ticked(seed, tmp_path):
     """Blocks of any size, text, gzip, and many ticks at once: the same bytes, the same counts."""
-    from dbc.block import block_of
-    from dbc.candump import Writer
-    from gateway.config import parse
-    from gateway.drivers.replay import Briefly
+    from dbc.candump.reader import Writer
+    from dbc.frames import block_of
+    from gateway.io.replay import Briefly
+    from gateway.settings.config import parse
 
     frames = wild(seed)
     whole, said = run(frames, 10_000)

@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from gateway.config import ConfigError
-from gateway.drivers import scheduling
+from gateway.io import scheduling
+from gateway.settings.config import ConfigError
 
 REAL = """
 import os, threading
-from gateway.config import ConfigError
-from gateway.drivers.scheduling import be_ordinary, be_realtime, is_realtime
+from gateway.settings.config import ConfigError
+from gateway.io.scheduling import be_ordinary, be_realtime, is_realtime
 try:
     be_realtime(10)
 except ConfigError as error:
@@ -32,7 +32,7 @@ else:
 
 GIVEN = """
 import os
-from gateway.drivers import scheduling
+from gateway.io import scheduling
 try:
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(10))
 except OSError as error:

@@ -15,18 +15,18 @@ from pathlib import Path
 
 import pytest
 
-from dbc.block import EMPTY, Block
 from dbc.codec import bind
 from dbc.frame import MS, SECOND, Frame
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.drivers.canopen_node import CanopenNode
-from gateway.drivers.live import LiveSnapshot, Stop, run_live
-from gateway.drivers.outputs import MOST_LATE, Outputs
-from gateway.drivers.realtime import Ticker
-from gateway.drivers.service import FEEDS, Manager, Overseer
-from gateway.drivers.transport import HEARTBEAT_ID, LinkState, SendResult, Status
-from gateway.drivers.wire import BusState
+from dbc.frames import EMPTY, Block
+from gateway.core.gateway import Gateway
+from gateway.io.canopen_node import CanopenNode
+from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.outputs import MOST_LATE, Outputs
+from gateway.io.realtime import Ticker
+from gateway.io.service import FEEDS, Manager, Overseer
+from gateway.io.transport import HEARTBEAT_ID, LinkState, SendResult, Status
+from gateway.io.wire import BusState
+from gateway.settings.config import parse
 
 WATCHDOG_NS = SECOND
 ADHESION, STATUS = 0x1A0, 0x4A0
@@ -387,7 +387,7 @@ def test_the_watchdog_is_for_the_process_that_it_names(
 
 HANGS = """
 import sys, time
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
 step, began = Gateway.step, []
 def hang(self, frames, now):
     began or began.append(now)
@@ -395,7 +395,7 @@ def hang(self, frames, now):
         pass
     return step(self, frames, now)
 from gateway.cli import main
-import gateway.drivers.live as live
+import gateway.io.live as live
 run = live.run_live
 def run_live(*given, **more):
     Gateway.step = hang  # not in the warm-up, whose clock is made up

@@ -7,9 +7,9 @@ import socket
 
 import pytest
 
-from gateway.drivers import settings
-from gateway.drivers.links import Facts
-from gateway.drivers.wire import BusState
+from gateway.io import interface_settings as settings
+from gateway.io.links import Facts
+from gateway.io.wire import BusState
 
 CAN0 = Facts(3, True, True, "can", BusState.ACTIVE, 100, 500_000, 0, 10)
 

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 import pytest
 
-from dbc.block import Block, block_of
 from dbc.frame import FD, MS, Frame
-from gateway.drivers import simbus
-from gateway.drivers.live import Stop
-from gateway.drivers.simbus import NEWEST, NEWEST_FD, newest, run_on_bus
-from gateway.drivers.transport import SendResult, Status
+from dbc.frames import Block, block_of
+from gateway.hil import simbus
+from gateway.hil.simbus import NEWEST, NEWEST_FD, newest, run_on_bus
+from gateway.io.live import Stop
+from gateway.io.transport import SendResult, Status
 
 
 class Bus:

@@ -12,13 +12,13 @@ from unittest.mock import Mock
 import pytest
 
 from dbc.frame import ERROR, FD, MS, SECOND, Frame
-from gateway.config import ConfigError
-from gateway.drivers.batch import Batch
-from gateway.drivers.kernel import Kernel, Link, RawSocket
-from gateway.drivers.links import Facts, Links
-from gateway.drivers.socketcan import BATCH, SocketCan
-from gateway.drivers.transport import LinkState, SendResult
-from gateway.drivers.wire import BusState, pack
+from gateway.io.batch import Batch
+from gateway.io.kernel import Kernel, Link, RawSocket
+from gateway.io.links import Facts, Links
+from gateway.io.socketcan import BATCH, SocketCan
+from gateway.io.transport import LinkState, SendResult
+from gateway.io.wire import BusState, pack
+from gateway.settings.config import ConfigError
 from tests.messages import put
 
 HOUR = 3600 * SECOND

@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, Frame
-from gateway.supervision import Life, NodeState, Supervision
+from gateway.core.supervision import Life, NodeState, Supervision
 from tests.stations import any_lost
 
 TIMEOUT = 300 * MS

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dbc.frame import MS
-from gateway.drivers.realtime import Histogram
-from gateway.drivers.timing import STAGES, Timing
-from gateway.results.timing import leave
+from gateway.io.realtime import Histogram
+from gateway.io.timing import STAGES, Timing
+from gateway.reports.timing import leave
 
 
 def largest(timing: Timing) -> dict[str, int]:

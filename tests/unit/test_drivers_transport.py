@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 from can.cli import add_bus_arguments
 
-from dbc.block import Block, block_of
 from dbc.codec import bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.config import ConfigError, shipped_dbc
-from gateway.drivers.bus import bus_options, open_transport
-from gateway.drivers.pythoncan import PythonCan
-from gateway.drivers.transport import (
+from dbc.frames import Block, block_of
+from gateway.io.bus import bus_options, open_transport
+from gateway.io.pythoncan import PythonCan
+from gateway.io.transport import (
     Allow,
     Guarded,
     LinkState,
@@ -22,6 +21,7 @@ from gateway.drivers.transport import (
     Status,
     monotonic_stamp,
 )
+from gateway.settings.config import ConfigError, shipped_dbc
 
 
 class Recorder:

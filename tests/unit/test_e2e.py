@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from crccheck.crc import Crc8Autosar, Crc16Ibm3740
 
-from dbc import build
+from dbc import generate as build
 from dbc.codec import MessageSpec, bind
 from dbc.dataids import p02_data_ids
 from dbc.e2e import (

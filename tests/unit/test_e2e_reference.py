@@ -13,7 +13,7 @@ from dbc import e2e
 from dbc.codec import bind
 from dbc.e2e import HEADER_BYTES, Check, Profile, SmState, configs, states
 from dbc.records import E2E_CONFIG, E2E_STATE, pointer
-from gateway.config import shipped_dbc
+from gateway.settings.config import shipped_dbc
 from tests.reference import e2e as reference
 
 SPECS = [

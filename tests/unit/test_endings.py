@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from gateway.cli import main
-from gateway.drivers.endings import LOOK_S, LOOKS, Ended, raised
-from gateway.results.whole import PART, whole, write_text
+from gateway.io.endings import LOOK_S, LOOKS, Ended, raised
+from gateway.io.whole_file import PART, whole, write_text
 from tests.unit.test_cli import SCENARIO
 
 PROGRAM = [sys.executable, "-m", "gateway"]

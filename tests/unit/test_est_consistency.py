@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-import gateway.bank
+import gateway.core.estimate
 from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, THETA_E, W_E
-from gateway.config import parse
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 from tests.unit.test_est_ekf import bench
 

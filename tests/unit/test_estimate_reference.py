@@ -5,10 +5,10 @@ import copy
 import numpy as np
 import pytest
 
-from gateway import inputs
-from gateway.config import BENCH_MOTOR, Estimator
-from gateway.health import Health, Reason
-from gateway.pairing import Samples
+from gateway.core import inputs
+from gateway.core.codes import Health, Reason
+from gateway.core.pairing import Samples
+from gateway.settings.config import BENCH_MOTOR, Estimator
 from tests.receivers import Received
 from tests.reference import estimate as reference
 from tests.same import same_numbers

@@ -8,8 +8,12 @@ import pytest
 
 from dbc.frame import Frame
 from gateway.cli import main
-from gateway.config import ConfigError
-from gateway.drivers.evaluation import (
+from gateway.core.codes import Flag
+from gateway.reports.scoring import Score, Truth, everyone, quantile, score_flag
+from gateway.settings.config import ConfigError
+from gateway.study import evaluation
+from gateway.study.evaluation import LEVELS, Estimates, Said, listen, measure, reliability, roc
+from gateway.study.evaluation_runs import (
     Plan,
     evaluate,
     fitted,
@@ -19,11 +23,7 @@ from gateway.drivers.evaluation import (
     record,
     seeds_of,
 )
-from gateway.health import Flag
-from gateway.results import evaluation
-from gateway.results.evaluation import LEVELS, Estimates, Said, listen, measure, reliability, roc
-from gateway.results.scoring import Score, Truth, everyone, quantile, score_flag
-from sim.families import DEVELOPMENT, REPORTING, draw
+from gateway.study.scenarios_family import DEVELOPMENT, REPORTING, draw
 from tests.simrun import Flags, codec
 
 T = np.arange(300) / 100

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from gateway.core import Gateway
+from gateway.core.gateway import Gateway
 from tests import extremes
 from tests.extremes import RULES, Setup, Stretch, changed, run, stretches
 from tests.stations import receive

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway import flags
-from gateway.flags import UNCHANGED, FlagKind, Timing
-from gateway.health import RANKS, Flag, GatewayState, Reason
+from gateway.core import flags
+from gateway.core.codes import RANKS, Flag, GatewayState, Reason
+from gateway.core.flags import UNCHANGED, FlagKind, Timing
 from tests.reference.flags import PRIORITY, summary, worst
 from tests.stations import Flags, debounce, flag, loss_evidence
 

@@ -15,9 +15,8 @@ from dbc.records import (
     TRAIN_STATUS,
     pointer,
 )
-from gateway import flags
-from gateway.flags import UNCHANGED, FlagKind, Timing
-from gateway.health import (
+from gateway.core import flags
+from gateway.core.codes import (
     NEVER,
     RANKS,
     FaultClass,
@@ -27,6 +26,7 @@ from gateway.health import (
     Health,
     Reason,
 )
+from gateway.core.flags import UNCHANGED, FlagKind, Timing
 from tests import columns
 from tests.reference.flags import (
     PRIORITY,

@@ -13,10 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from gateway.cli import main
-from gateway.config import ConfigError, load
-from gateway.drivers import fleet, fleet_task
-from gateway.drivers.fleet_logs import FOLDER, find, job, settings_for
-from gateway.results.fleet_table import BAD, DONE, Row, flat, metadata_of, per_drive, write
+from gateway.fleet import run as fleet
+from gateway.fleet import task as fleet_task
+from gateway.fleet.logs import FOLDER, find, job, settings_for
+from gateway.fleet.table import BAD, DONE, Row, flat, metadata_of, per_drive, write
+from gateway.settings.config import ConfigError, load
 from tests.poison import kill_or_work
 from tests.unit.test_cli import SCENARIO
 
@@ -241,7 +242,7 @@ def test_thresholds_of_a_healthy_fleet_only(logs, ran, tmp_path, capsys):
 
 
 def test_the_spread_is_that_of_noise_not_of_lasting_differences():
-    from gateway.results.fleet_thresholds import _steps
+    from gateway.fleet.thresholds import _steps
 
     random = np.random.default_rng(3)
     load = 10.0 + np.array([0.0, 1.0, -1.0]) + 0.5 * random.standard_normal((4000, 3))
@@ -270,7 +271,7 @@ def test_nothing_of_it_is_imported_elsewhere():
     code = (
         "import sys; sys.modules['asammdf'] = None;"
         "import gateway.commands.fleet, gateway.commands.run, gateway.commands.replay;"
-        "import gateway.drivers.live, gateway.drivers.replay;"
+        "import gateway.io.live, gateway.io.replay;"
         "sys.exit(any(m in sys.modules for m in ('dask', 'distributed', 'pyarrow')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -345,7 +346,7 @@ def test_nobody_else_reaches_the_local_processes():
     """Who does runs code as their user, and loopback is there for every account of the machine."""
     from distributed import Client, Security
 
-    from gateway.drivers.fleet_dask import _client
+    from gateway.fleet.cluster import _client
 
     with _client(1, None) as client:
         workers = client.scheduler_info()["workers"]

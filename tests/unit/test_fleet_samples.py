@@ -10,15 +10,15 @@ import pytest
 
 from dbc.codec import bind
 from gateway.cli import main
-from gateway.config import load
-from gateway.core import Gateway
-from gateway.drivers.fleet_logs import FOLDER, job, settings_for
-from gateway.drivers.fleet_work import prepare, replayed
-from gateway.drivers.replay import OneChannel, open_log, replay
-from gateway.health import REJECTED, FaultClass, FaultSensor, Health, Reason
-from gateway.results.fleet_log import EVERY_NS
-from gateway.results.fleet_table import per_drive
-from gateway.results.record import ADHESION, FAULT, Recorder, camel
+from gateway.core.codes import REJECTED, FaultClass, FaultSensor, Health, Reason
+from gateway.core.gateway import Gateway
+from gateway.fleet.log_result import EVERY_NS
+from gateway.fleet.logs import FOLDER, job, settings_for
+from gateway.fleet.table import per_drive
+from gateway.fleet.work import prepare, replayed
+from gateway.io.replay import OneChannel, open_log, replay
+from gateway.reports.record import ADHESION, FAULT, Recorder, camel
+from gateway.settings.config import load
 from tests.storm.campaign import CALIBRATION
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from dbc.candump import Reader
-from gateway import calibration
+from dbc.candump.reader import Reader
 from gateway.cli import main
-from gateway.config import Config, ConfigError, load, parse
-from gateway.core import Gateway
-from gateway.foreign import fitted, plans
-from gateway.health import Flag, Reason
-from gateway.translate import Translator
+from gateway.core.codes import Flag, Reason
+from gateway.core.gateway import Gateway
+from gateway.mapping.plan import fitted, plans
+from gateway.mapping.translate import Translator
+from gateway.settings import calibration
+from gateway.settings.config import Config, ConfigError, load, parse
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
 from tests.simrun import TICK, codec, run, scenario

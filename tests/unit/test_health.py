@@ -6,8 +6,7 @@ import cantools
 import numpy as np
 import pytest
 
-from gateway.config import shipped_dbc
-from gateway.health import (
+from gateway.core.codes import (
     NEVER,
     RANKS,
     REJECTED,
@@ -18,7 +17,8 @@ from gateway.health import (
     Health,
     Reason,
 )
-from gateway.receiving import NAMES
+from gateway.core.receiving import NAMES
+from gateway.settings.config import shipped_dbc
 
 PLACES = (
     (Reason, "Gateway_Adhesion", "Reason"),

@@ -8,15 +8,22 @@ import pytest
 
 from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
-from gateway import calibration
-from gateway.calibration import POINTS, Calibration, FleetHeat, MotorCalibration, MotorHeat, to_toml
-from gateway.commands.common import scenario_thermal
-from gateway.config import ConfigError
-from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
-from gateway.heatside import Sample
-from gateway.inbox import Temperatures
-from gateway.results.calibrating import Learner
-from gateway.supervision import Supervision
+from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import Temperatures
+from gateway.core.supervision import Supervision
+from gateway.core.thermal_model_monitor import Sample
+from gateway.hil.fitting import scenario_thermal
+from gateway.settings import calibration
+from gateway.settings.calibration import (
+    POINTS,
+    Calibration,
+    FleetHeat,
+    MotorCalibration,
+    MotorHeat,
+    to_toml,
+)
+from gateway.settings.config import ConfigError
+from gateway.study.calibrating import Learner
 from tests.sender import codec_for
 from tests.stations import Inbox, ThermalSide
 

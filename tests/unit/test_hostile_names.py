@@ -15,8 +15,8 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from gateway.cli import main
-from gateway.drivers.logs import begin
-from gateway.results import page
+from gateway.io.log_setup import begin
+from gateway.reports import page
 from sim.scenario import parse
 
 ESCAPE = "\x1b[2J\x1b]0;owned\x07"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gateway.channel import Channel
-from gateway.inbox import MAX_GAP_NS
-from gateway.supervision import Supervision
+from gateway.core.channel import Channel
+from gateway.core.inbox import MAX_GAP_NS
+from gateway.core.supervision import Supervision
 from tests.sender import FD_FILE, MS, Sender, SteadyDrive, codec_for
 from tests.stations import Inbox
 

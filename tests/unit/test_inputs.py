@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
-from gateway import inputs
-from gateway.health import Flag, Reason
-from gateway.inputs import NONE
+from gateway.core import inputs
+from gateway.core.codes import Flag, Reason
+from gateway.core.inputs import NONE
 from tests import columns
 from tests.receivers import Received
 from tests.reference.flags import worst

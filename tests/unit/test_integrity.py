@@ -9,9 +9,9 @@ import pytest
 
 from dbc.frame import MS, SECOND
 from dbc.records import INTEGRITY, TRAIN_INPUTS
-from gateway import doubt as module
-from gateway.doubt import INTRUDER_HOLD_NS
-from gateway.health import Flag, Reason
+from gateway.core import integrity as module
+from gateway.core.codes import Flag, Reason
+from gateway.core.integrity import INTRUDER_HOLD_NS
 from tests.reference import integrity as reference
 from tests.stations import Doubt
 

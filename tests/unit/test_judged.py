@@ -8,9 +8,9 @@ import pytest
 
 from dbc.e2e import protect
 from dbc.frame import Frame
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.health import Flag, Health, Reason
+from gateway.core.codes import Flag, Health, Reason
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse
 from sim.simulation import Simulation
 from tests.simrun import TICK, codec, scenario
 

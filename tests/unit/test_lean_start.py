@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import VERBS, main
-from gateway.commands.common import console, note
-from gateway.config import ConfigError
-from gateway.drivers import leanstart
+from gateway.io import quick_start as leanstart
+from gateway.io.console import console, note
+from gateway.settings.config import ConfigError
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train.toml"
 
@@ -72,10 +72,10 @@ def test_run_loads_nothing_for_logs_plots_pages_and_tables(tmp_path: Path) -> No
 def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path: Path) -> None:
     text = """
 from pathlib import Path
-from dbc.block import block_of
+from dbc.frames import block_of
 from dbc.frame import Frame
-from dbc.otherlogs import read_any
-from gateway.results.mf4_files import Mf4Frames
+from dbc.python_can_logs import read_any
+from gateway.logfiles.mf4 import Mf4Frames
 assert "asammdf" not in sys.modules
 frames = [Frame(10**18 + k * 10**6, 0x100 + k, bytes([k] * 8)) for k in range(5)]
 {order}

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dbc.records import DRIVE_STATUS
-from gateway import flags, inputs, pairing
-from gateway.adhesion import AdhesionMonitor
-from gateway.config import BENCH_MOTOR, Adhesion
-from gateway.flags import FlagKind, Timing
-from gateway.health import Flag, Health
+from gateway.core import flags, inputs, pairing
+from gateway.core.adhesion import AdhesionMonitor
+from gateway.core.codes import Flag, Health
+from gateway.core.flags import FlagKind, Timing
+from gateway.settings.config import BENCH_MOTOR, Adhesion
 from tests import columns
 from tests.judged_loads import detect
 from tests.reference.adhesion import DERATING_NS, RATIO_FLOOR

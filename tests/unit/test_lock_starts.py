@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from gateway.config import BENCH_MOTOR, TRACTION_350KW, Estimator, Motor
-from gateway.health import Health
-from gateway.pairing import Samples
+from gateway.core.codes import Health
+from gateway.core.pairing import Samples
+from gateway.settings.config import BENCH_MOTOR, TRACTION_350KW, Estimator, Motor
 from tests.estimates import step
 from tests.stations import Bank
 from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, Truth, motor, sampled

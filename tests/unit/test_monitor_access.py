@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.config import ConfigError
-from gateway.monitor.access import (
+from gateway.monitor.model.access import (
     ADDRESSES,
     WRONG_MOST,
     WRONG_WINDOW_S,
@@ -15,6 +14,7 @@ from gateway.monitor.access import (
     listen,
     token_of,
 )
+from gateway.settings.config import ConfigError
 
 TOKEN = b"s3cret-Token-of-32-characters-ab"
 DEFAULT = Listen("127.0.0.1", 8090)

@@ -9,7 +9,7 @@ import logging
 import pytest
 
 from gateway.monitor.feed import FASTEST, LONGEST_S, Feed, Picture, added
-from gateway.monitor.snapshot import Event
+from gateway.monitor.model.snapshot import Event
 from tests.watched import FakeSource, snapshot
 
 

@@ -11,10 +11,10 @@ import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
-from gateway.health import Flag, Health
+from gateway.core.codes import Flag, Health
 from gateway.monitor.feed import Feed
-from gateway.monitor.metrics import PREFIX, FeedCollector
-from gateway.monitor.snapshot import DriveRow, GatewayRow, Lateness, LinkRow
+from gateway.monitor.model.metrics import PREFIX, FeedCollector
+from gateway.monitor.model.snapshot import DriveRow, GatewayRow, Lateness, LinkRow
 from tests.watched import EMPTY, FULL, FakeSource, snapshot
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

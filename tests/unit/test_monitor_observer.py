@@ -8,12 +8,13 @@ import pytest
 
 from dbc.e2e import protect
 from dbc.frame import ERROR, Frame
-from gateway.drivers.wire import BusState
-from gateway.health import Flag, Health, Reason
-from gateway.monitor import happenings, traces
-from gateway.monitor.observer import Observer
-from gateway.monitor.schedule import Schedule
-from gateway.monitor.snapshot import as_json
+from gateway.core.codes import Flag, Health, Reason
+from gateway.io.wire import BusState
+from gateway.monitor.model import incidents as happenings
+from gateway.monitor.model import traces
+from gateway.monitor.model.observer import Observer
+from gateway.monitor.model.schedule import Schedule
+from gateway.monitor.model.snapshot import as_json
 from tests.monitored import TICK, config_of, play, recorded, shadow_views
 from tests.simrun import codec
 
@@ -223,7 +224,7 @@ def test_frames_from_the_future_and_before_time_are_counted_and_not_believed():
 
 
 def test_a_flood_with_one_stamp_is_bounded_and_counted(monkeypatch):
-    monkeypatch.setattr("gateway.monitor.observer.MOST_HELD", 50)
+    monkeypatch.setattr("gateway.monitor.model.observer.MOST_HELD", 50)
     run = recorded()
     observer = run.observer()
     play(observer, run.frames, END)

@@ -7,18 +7,18 @@ import time
 
 import pytest
 
-from dbc.block import block_of
 from dbc.frame import Frame
+from dbc.frames import block_of
 from gateway.cli import main
-from gateway.drivers.permission import Mode, allowed
-from gateway.drivers.replay import BadLogError
-from gateway.drivers.transport import Guarded, LinkState, SendResult, Status
-from gateway.drivers.wire import BusState
-from gateway.health import Flag
+from gateway.core.codes import Flag
+from gateway.io.permission import Mode, allowed
+from gateway.io.replay import BadLogError
+from gateway.io.transport import Guarded, LinkState, SendResult, Status
+from gateway.io.wire import BusState
 from gateway.monitor import log_source, sources
 from gateway.monitor.log_source import LogSource
 from gateway.monitor.sources import LiveSource, silently
-from gateway.results.record import ADHESION, FAULT
+from gateway.reports.record import ADHESION, FAULT
 from tests.monitored import TICK, config_of, play, recorded, write
 from tests.simrun import codec
 

@@ -7,10 +7,10 @@ import pytest
 from rich.text import Text
 
 from gateway.cli import main
-from gateway.health import FaultClass, Flag
-from gateway.monitor import panels, plots
+from gateway.core.codes import FaultClass, Flag
 from gateway.monitor.log_source import LogSource
-from gateway.monitor.snapshot import Event, Lateness
+from gateway.monitor.model import panels, plots
+from gateway.monitor.model.snapshot import Event, Lateness
 from gateway.monitor.terminal import MonitorApp
 from tests.monitored import play, recorded, write
 
@@ -114,7 +114,7 @@ def test_a_drive_is_chosen_by_its_number_and_by_arrows(log):
 
 
 def test_numbers_of_two_digits(log):
-    from gateway.monitor.observer import Observer
+    from gateway.monitor.model.observer import Observer
     from tests.monitored import config_of
     from tests.simrun import codec
 

@@ -17,12 +17,12 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
-from gateway.config import ConfigError
 from gateway.monitor import web
-from gateway.monitor.access import WRONG_MOST, Access, Listen, token_of
 from gateway.monitor.feed import Feed
-from gateway.monitor.snapshot import Event
+from gateway.monitor.model.access import WRONG_MOST, Access, Listen, token_of
+from gateway.monitor.model.snapshot import Event
 from gateway.monitor.web import STATIC, bind, is_loopback, make_app
+from gateway.settings.config import ConfigError
 from tests.watched import FakeSource, server_of, until
 
 TOKEN = "s3cret-Token-of-32-characters-ab"
@@ -259,10 +259,10 @@ def test_seek_pause_and_speed_reach_the_log():
 
 
 def test_nothing_that_a_page_sends_reaches_a_bus():
-    from gateway.commands.common import prepare
-    from gateway.drivers.bus import open_transport
-    from gateway.drivers.permission import Mode, allowed
-    from gateway.monitor.observer import Observer
+    from gateway.io.bus import open_transport
+    from gateway.io.permission import Mode, allowed
+    from gateway.io.prepare import prepare
+    from gateway.monitor.model.observer import Observer
     from gateway.monitor.sources import LiveSource
 
     config, codec = prepare(None)

@@ -6,9 +6,9 @@ import math
 import pytest
 from _traction_core import lib
 
-from gateway.channel import RPM
-from gateway.config import BENCH_MOTOR
-from gateway.health import Flag, Health, Reason
+from gateway.core.channel import RPM
+from gateway.core.codes import Flag, Health, Reason
+from gateway.settings.config import BENCH_MOTOR
 from tests.columns import told_of
 from tests.estimates import DriveEstimate, estimates_of
 from tests.motions import Drives

@@ -8,8 +8,8 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
-from gateway.config import BENCH_MOTOR
-from gateway.health import Health
+from gateway.core.codes import Health
+from gateway.settings.config import BENCH_MOTOR
 from tests import columns
 from tests.motions import TIMES, Drives
 from tests.reference import motion as reference

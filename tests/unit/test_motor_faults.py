@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.core import Gateway
-from gateway.drivers.evaluation import Plan, fitted, one_run, record
-from gateway.health import Flag, Health, Reason
-from sim.families import draw
+from gateway.core.codes import Flag, Health, Reason
+from gateway.core.gateway import Gateway
+from gateway.study.evaluation_runs import Plan, fitted, one_run, record
+from gateway.study.scenarios_family import draw
 
 MOTOR = "traction_350kw"
 OPEN_S = 1.0

@@ -7,12 +7,12 @@ import pytest
 
 from bench.motulator_log import HEADER, OtherMachine, cells, judge, periods, replay_log, write_log
 from bench.motulator_plant import main
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.codec import bind
-from gateway.config import parse
-from gateway.health import Health
-from gateway.results.evaluation import listen
-from sim.plant import BENCH, DT, OUT
+from gateway.core.codes import Health
+from gateway.settings.config import parse
+from gateway.study.evaluation import listen
+from sim.physics.plant import BENCH, DT, OUT
 from sim.scenario import Scenario
 from tests.simrun import scenario, values
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
-from dbc.block import block_of
 from dbc.frame import EXTENDED, FD, SECOND, Frame
+from dbc.frames import block_of
 from dbc.records import BUS_LOAD, TX_FRAME, pointer
-from gateway.busload import BusLoad
-from gateway.flags import FlagKind, unknown_status
-from gateway.health import NEVER, REJECTED
-from gateway.heatside import Wear
-from gateway.outbox import Outbox
-from gateway.receiving import Tally
-from gateway.supervision import Supervision
-from gateway.view import Counted, drives_of, view_of
+from gateway.core.busload import BusLoad
+from gateway.core.codes import NEVER, REJECTED
+from gateway.core.flags import FlagKind, unknown_status
+from gateway.core.receiving import Tally
+from gateway.core.supervision import Supervision
+from gateway.core.thermal_model_monitor import Wear
+from gateway.core.transmit import Outbox
+from gateway.core.view import Counted, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
 from tests.stations import Doubt, Inbox
 

@@ -8,13 +8,13 @@ import pytest
 
 from dbc.codec import Codec, bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from gateway.config import Config, ConfigError, parse, shipped_dbc
-from gateway.core import Gateway
-from gateway.drivers.bus import open_transport
-from gateway.drivers.canopen_node import CanopenNode
-from gateway.drivers.outputs import Outputs
-from gateway.drivers.permission import Mode, allowed, drives_only
-from gateway.drivers.transport import Guarded, SendResult, Status
+from gateway.core.gateway import Gateway
+from gateway.io.bus import open_transport
+from gateway.io.canopen_node import CanopenNode
+from gateway.io.outputs import Outputs
+from gateway.io.permission import Mode, allowed, drives_only
+from gateway.io.transport import Guarded, SendResult, Status
+from gateway.settings.config import Config, ConfigError, parse, shipped_dbc
 
 FLAGS = {0x1A0: 8, 0x2A0: 8, 0x3A0: 8, 0x4A0: 8}
 SERVICE = {0x720: 1, 0x0A0: 8}

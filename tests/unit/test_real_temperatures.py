@@ -21,8 +21,8 @@ from bench.real_recordings import (
     to_accuracy,
 )
 from dbc.frame import SECOND
-from gateway.calibration import POINTS
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.settings.calibration import POINTS
 
 ROLL = JOINTS.index("ankle_roll")
 PITCH = JOINTS.index("ankle_pitch")

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from _traction_core import ffi, lib
 
-from dbc.block import block_of
 from dbc.codec import Codec, bind
 from dbc.e2e import Profile
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
+from dbc.frames import block_of
 from dbc.records import SEQUENCE_GUARD
-from gateway.channel import SHORTEST_STEP, USED, Kind, sequence_guards
-from gateway.health import Reason
-from gateway.inbox import MAX_GAP_NS
-from gateway.receiving import Tally
-from gateway.supervision import Supervision
+from gateway.core.channel import SHORTEST_STEP, USED, Kind, sequence_guards
+from gateway.core.codes import Reason
+from gateway.core.inbox import MAX_GAP_NS
+from gateway.core.receiving import Tally
+from gateway.core.supervision import Supervision
 from tests.reference import receive as reference
 from tests.sender import CLASSIC, FD_FILE, Sender, codec_for
 from tests.stations import Inbox, any_lost

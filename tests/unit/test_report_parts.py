@@ -13,18 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from gateway.config import Config, ConfigError, load, parse
-from gateway.health import REJECTED, Flag, GatewayState, Reason
-from gateway.receiving import NAMES
-from gateway.results import words
-from gateway.results.delays import Loss, score
-from gateway.results.intervals import KEPT, Interval, Intervals
-from gateway.results.page import Anchors, code, literal, plain, table
-from gateway.results.pictures import Panel, panels, save, styled
-from gateway.results.toml_text import dump
-from gateway.results.trace import CHUNK, MOST, Envelope, Trace
-from gateway.results.truth import HEADER, Event, judge, read, rows
-from gateway.view import DriveView, GatewayView
+from gateway.core.codes import REJECTED, Flag, GatewayState, Reason
+from gateway.core.receiving import NAMES
+from gateway.core.view import DriveView, GatewayView
+from gateway.reports import words
+from gateway.reports.delays import Loss, score
+from gateway.reports.figures import Panel, panels, save, styled
+from gateway.reports.intervals import KEPT, Interval, Intervals
+from gateway.reports.page import Anchors, code, literal, plain, table
+from gateway.reports.toml_text import dump
+from gateway.reports.trace import CHUNK, MOST, Envelope, Trace
+from gateway.reports.truth import HEADER, Event, judge, read, rows
+from gateway.settings.config import Config, ConfigError, load, parse
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
-from gateway.drivers.provenance import Program, program, sha256
-from gateway.results.run_report import FEW
+from gateway.reports.provenance import Program, program, sha256
+from gateway.reports.run_report import FEW
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 TWO = 'title = "a <b>loss</b> | 1"\nseed = 5\nduration_s = 1.5\ndrives = 2\n'
@@ -235,8 +235,8 @@ LEAN = """
 import sys
 from gateway.cli import main
 code = main(sys.argv[1:])
-heavy = ("matplotlib", "markdown_it", "gateway.drivers.reporting", "gateway.results.trace",
-         "gateway.results.intervals", "gateway.results.run_report", "gateway.results.pictures")
+heavy = ("matplotlib", "markdown_it", "gateway.reports.reporting", "gateway.reports.trace",
+         "gateway.reports.intervals", "gateway.reports.run_report", "gateway.reports.figures")
 print([name for name in heavy if name in sys.modules], code)
 """
 

@@ -6,17 +6,17 @@ import re
 import numpy as np
 import pytest
 
-from dbc.candump import Reader
+from dbc.candump.reader import Reader
 from dbc.codec import bind
 from estimators.models import pmsm
 from gateway.cli import main
 from gateway.commands import reproduce, section5
-from gateway.config import shipped_dbc
-from gateway.results import reproduction as table_1
-from gateway.results import reproduction_loads as bench
-from gateway.results import reproduction_network as network
-from gateway.results import reproduction_paths as paths
-from gateway.results.reproduction_figures import thinned
+from gateway.settings.config import shipped_dbc
+from gateway.study import reproduction as table_1
+from gateway.study import reproduction_loads as bench
+from gateway.study import reproduction_network as network
+from gateway.study import reproduction_paths as paths
+from gateway.study.reproduction_figures import thinned
 from sim.scenario import builtin
 from sim.simulation import Simulation
 from tests.reference import ekf

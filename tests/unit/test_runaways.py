@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.health import Flag
-from sim.plant import MOTORS
+from gateway.core.codes import Flag
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse
+from sim.physics.plant import MOTORS
 from sim.simulation import Simulation
 from tests.hil.chain import for_slower_bus
 from tests.simrun import CLASSIC, FD_FILE, TICK, codec, scenario

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from dbc.frame import MS
-from gateway.commands.common import prepare, scenario_thermal
-from gateway.drivers.bench import run_virtual
-from gateway.health import Flag
-from gateway.results.record import Recorder
+from gateway.core.codes import Flag
+from gateway.hil.bench import run_virtual
+from gateway.hil.fitting import scenario_thermal
+from gateway.io.prepare import prepare
+from gateway.reports.record import Recorder
 from sim.scenario import builtin, builtin_names, parse
 
 NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]

@@ -10,8 +10,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gateway.health import Reason
-from gateway.supervision import Supervision
+from gateway.core.codes import Reason
+from gateway.core.supervision import Supervision
 from tests.sender import FD_FILE, MS, Sender, codec_for
 from tests.stations import Inbox, is_fresh
 

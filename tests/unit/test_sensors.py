@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gateway.calibration import MotorCalibration
-from gateway.health import FaultClass, FaultSensor, Flag
-from gateway.inbox import Temperatures
-from gateway.results.calibrating import Learner
-from gateway.sensors import SensorSide
+from gateway.core.codes import FaultClass, FaultSensor, Flag
+from gateway.core.inbox import Temperatures
+from gateway.core.temperature import SensorSide
+from gateway.settings.calibration import MotorCalibration
+from gateway.study.calibrating import Learner
 from tests.stations import ThermalSide, not_yet_valid, sensor_verdict, sensors_valid
 
 MS = 1_000_000

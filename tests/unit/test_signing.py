@@ -12,12 +12,13 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from dbc.codec import bind
-from gateway import calibration
 from gateway.cli import main
-from gateway.commands.common import prepare, scenario_thermal
-from gateway.config import ConfigError, load, shipped_dbc
-from gateway.core import Gateway
-from gateway.drivers.signing import NONE, ROLES, digests, make_keys, sign, verified
+from gateway.core.gateway import Gateway
+from gateway.hil.fitting import scenario_thermal
+from gateway.io.prepare import prepare
+from gateway.io.signing import NONE, ROLES, digests, make_keys, sign, verified
+from gateway.settings import calibration
+from gateway.settings.config import ConfigError, load, shipped_dbc
 
 CALIBRATION = Path(scenario_thermal()["calibration"])
 MUTATIONS = 500

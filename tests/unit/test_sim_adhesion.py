@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from sim.adhesion import RAILS, SPEED_FLOOR_M_S, available, peak_creep, rail, traction_coefficient
+from sim.physics.adhesion import (
+    RAILS,
+    SPEED_FLOOR_M_S,
+    available,
+    peak_creep,
+    rail,
+    traction_coefficient,
+)
 from sim.records import RAIL, ffi, lib
 from tests.strategies import contacts
 

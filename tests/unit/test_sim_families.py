@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dbc.codec import bind
-from sim.families import DEVELOPMENT, FAMILIES, GROUPS, REPORTING, draw
-from sim.random_runs import random_scenario
+from gateway.study.scenarios_family import DEVELOPMENT, FAMILIES, GROUPS, REPORTING, draw
+from gateway.study.scenarios_random import random_scenario
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, run
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim import plant as c
-from sim.adhesion import RAILS, SPEED_FLOOR_M_S
-from sim.plant import BENCH, DT, MOTORS, TRAIN, Plant, QuasiStatic, rail_array
+from sim.physics import plant as c
+from sim.physics.adhesion import RAILS, SPEED_FLOOR_M_S
+from sim.physics.plant import BENCH, DT, MOTORS, TRAIN, Plant, QuasiStatic, rail_array
 from sim.records import ffi, lib, pointer
 from tests.reference import plant as reference
 

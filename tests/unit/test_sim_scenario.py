@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from gateway.study.scenarios_random import random_scenario
 from sim.faults import Schedule
-from sim.plant import BENCH
+from sim.physics.plant import BENCH
 from sim.profile import Profile
-from sim.random_runs import random_scenario
 from sim.scenario import ScenarioError, builtin, builtin_names, find, load, parse, parse_text
 
 MINIMAL = {"title": "t", "duration_s": 1.0}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim.sensors import BEYOND, CurrentSensors, Hold, TemperatureSensors
+from sim.physics.sensors import BEYOND, CurrentSensors, Hold, TemperatureSensors
 
 
 def test_phases_are_the_projections_of_the_vector():

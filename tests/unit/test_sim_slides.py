@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dbc.codec import bind
-from sim import plant as c
-from sim.adhesion import RAILS, available
-from sim.families import draw
-from sim.plant import BENCH, DT, MOTORS, TRAIN, Plant, rail_array
+from gateway.study.scenarios_family import draw
+from sim.physics import plant as c
+from sim.physics.adhesion import RAILS, available
+from sim.physics.plant import BENCH, DT, MOTORS, TRAIN, Plant, rail_array
 from sim.scenario import ScenarioError, builtin, parse
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, codec, run, scenario, values

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from sim import thermal
-from sim.plant import BENCH, MOTORS
-from sim.records import ffi, lib, pointer
-from sim.thermal import (
+from sim.physics import thermal
+from sim.physics.plant import BENCH, MOTORS
+from sim.physics.thermal import (
     BEARING_DE,
     BEARING_NDE,
     CAPACITY,
@@ -15,6 +14,7 @@ from sim.thermal import (
     WINDING,
     ThermalTrain,
 )
+from sim.records import ffi, lib, pointer
 
 I2 = np.full(3, 15.0**2)
 W = np.full(3, 25.0)

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from sim import plant as c
-from sim.adhesion import RAILS
-from sim.plant import BENCH, MOTORS, TRACTION_350KW, TRAIN, TRAINS, Plant, parameters
+from sim.drive_spread import Variety
+from sim.physics import plant as c
+from sim.physics.adhesion import RAILS
+from sim.physics.plant import BENCH, MOTORS, TRACTION_350KW, TRAIN, TRAINS, Plant, parameters
 from sim.scenario import ScenarioError, parse
 from sim.simulation import Simulation
-from sim.variety import Variety
 from tests.simrun import codec, run, scenario, values
 from tests.unit.test_sim_plant import run as advance
 

@@ -3,7 +3,7 @@ from itertools import pairwise
 import pytest
 
 from dbc.frame import BRS, FD, Frame
-from sim.wire import Arbiter, bits, duration_ns
+from sim.bus_arbiter import Arbiter, bits, duration_ns
 
 MBIT = (1_000_000, 5_000_000)
 

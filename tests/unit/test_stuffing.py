@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dbc import wire_time as ours
 from dbc.frame import BRS, EXTENDED, FD, Frame
-from gateway import stuffing as ours
 from gateway.commands.check import frame_seconds
 from tests.fuzz import examples
 from tests.reference import stuffing

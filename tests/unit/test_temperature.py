@@ -7,9 +7,9 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
-from gateway.health import FaultClass, FaultSensor
-from gateway.inbox import Temperatures
-from gateway.sensors import SensorSide
+from gateway.core.codes import FaultClass, FaultSensor
+from gateway.core.inbox import Temperatures
+from gateway.core.temperature import SensorSide
 from tests.reference import temperature as reference
 from tests.stations import not_yet_valid, sensor_fault, sensor_verdict, sensors_valid
 

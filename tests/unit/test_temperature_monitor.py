@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from dbc.records import FLAG_INPUTS
-from gateway import calibration
-from gateway.commands.common import scenario_thermal
-from gateway.health import NEVER, FaultClass, FaultSensor, Flag, Reason
-from gateway.inbox import Temperatures
-from gateway.supervision import Supervision
+from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import Temperatures
+from gateway.core.supervision import Supervision
+from gateway.hil.fitting import scenario_thermal
+from gateway.settings import calibration
 from tests.columns import slow_of
 from tests.reference import thermal as reference
 from tests.sender import MS, codec_for

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from dbc.frame import MS
-from gateway.health import Flag
-from gateway.testing import picture
+from gateway.core.codes import Flag
+from gateway.hil.pytest import picture
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "regression"
 

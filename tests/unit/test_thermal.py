@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from dbc.records import FLAG_INPUTS
-from gateway.calibration import Calibration, MotorCalibration
-from gateway.health import FaultClass, FaultSensor, Flag, Reason
-from gateway.inbox import Temperatures
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import Temperatures
+from gateway.settings.calibration import Calibration, MotorCalibration
 from tests.stations import ThermalSide
 
 MS = 1_000_000

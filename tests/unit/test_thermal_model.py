@@ -5,10 +5,10 @@ import pytest
 
 from estimators.thermal import hypotheses, model
 from estimators.thermal.hypotheses import APART_HIDDEN_K, KINDS, SIZES_K, Belief, side, side_apart
-from estimators.thermal.identify import first_readings, identify
 from estimators.thermal.model import TYPICAL, Inputs, inputs_of, predict, steady_state
 from estimators.thermal.model_method import ModelMethod
 from estimators.thermal.record import Record, fading, features, join, split
+from estimators.thermal.system_identification import first_readings, identify
 from tests import thermal_core
 
 MOTORS = 4

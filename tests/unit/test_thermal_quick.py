@@ -4,11 +4,11 @@ are well: of three motors two are left to compare each with."""
 import pytest
 
 from dbc.codec import bind
-from gateway.commands.common import scenario_thermal
-from gateway.config import parse
-from gateway.drivers.bench import run_virtual
-from gateway.health import FaultClass
-from gateway.testing.bench import scenario_of
+from gateway.core.codes import FaultClass
+from gateway.hil.bench import run_virtual
+from gateway.hil.fitting import scenario_thermal
+from gateway.hil.pytest.bench import scenario_of
+from gateway.settings.config import parse
 
 CONFIG = parse({"thermal": scenario_thermal()})
 CODEC = bind(CONFIG.dbc_path, CONFIG.nodes)

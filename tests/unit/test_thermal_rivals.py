@@ -14,7 +14,7 @@ from estimators.thermal.rivals.dpca import filled, moving
 from estimators.thermal.rivals.dsfa import Slow
 from estimators.thermal.rivals.ekf import Lumped, innovations
 from estimators.thermal.rivals.lstm import Lstm
-from sim.labelled import BASES, BENCH, DAYS, train
+from gateway.study.thermal_dataset import BASES, BENCH, DAYS, train
 from tests.reference import rival_ekf
 
 EARLY = 40

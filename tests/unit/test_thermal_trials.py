@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gateway.cli import main
-from gateway.drivers.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
-from gateway.results.thermal_scores import Told, Truth, cells, mean, score, spread, table
-from sim.labelled import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
+from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
+from gateway.study.thermal_scores import Told, Truth, cells, mean, score, spread, table
+from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
 
 
 @pytest.mark.parametrize("base", [DAYS, BENCH])
@@ -149,7 +149,7 @@ def test_wrong_words_are_explained(capsys, words, hint):
 def test_the_paper_reproduced(tmp_path):
     """Table and figures of one train; the whole command does twenty."""
     from gateway.commands import reproduce_thermal
-    from gateway.results.thermal_report import FIGURES, markdown, rows
+    from gateway.study.thermal_report import FIGURES, markdown, rows
 
     steps = []
     outcome = reproduce_thermal.reproduce(tmp_path, steps.append, trains=1)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbc.block import EMPTY, block_of, join
 from dbc.frame import MS, SECOND, Frame
-from gateway import core
-from gateway.config import parse
-from gateway.core import Gateway
-from gateway.drivers.replay import Briefly, replay
-from sim.hostile import HostileBus, plan
+from dbc.frames import EMPTY, block_of, join
+from gateway.core import gateway as core
+from gateway.core.gateway import Gateway
+from gateway.io.replay import Briefly, replay
+from gateway.settings.config import parse
 from tests.simrun import FD_FILE
 from tests.stepped import Stepped
+from tests.storm.bus_faults import HostileBus, plan
 from tests.storm.campaign import CALIBRATION, NODES
 from tests.storm.train import TICK, train
 

@@ -7,8 +7,8 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import ROTOR, ROTOR_INPUTS, pointer
-from gateway.config import BENCH_MOTOR
-from gateway.health import Flag, Health
+from gateway.core.codes import Flag, Health
+from gateway.settings.config import BENCH_MOTOR
 from tests import columns
 from tests.reference import train as reference
 from tests.same import same_numbers

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from dbc.e2e import crc_ok
-from gateway.health import Flag
-from sim.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, ValueFaults
+from gateway.core.codes import Flag
 from tests.simrun import CLASSIC, FD_FILE, codec
+from tests.storm.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, ValueFaults
 from tests.value_cases import FILTERS, MOTOR_NAMES, NODES, SPEEDS, Case, honest, run_case
 
 REACTION_MS, AGAIN_MS = 200, 3000

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 
 from gateway.monitor.feed import Feed
 from gateway.monitor.log_source import LogSource
-from gateway.monitor.snapshot import Event, as_json
+from gateway.monitor.model.snapshot import Event, as_json
 from tests.monitored import SECONDS, recorded, write
 from tests.watched import FakeSource, server_of, snapshot, until
 from tests.web.conftest import DESK, PHONE, monitor

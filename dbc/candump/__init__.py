@@ -1,0 +1,1 @@
+"""candump's log format: grammar, reader, writer."""

@@ -1,0 +1,287 @@
+"""Strict reader and writer of candump logs (`candump -l`, `-L`): files <-> frames.
+
+Every line gets one verdict (see `dbc.candump.grammar`), time is integer nanoseconds, and nothing
+here raises on bytes (in strict mode: LogError with the line number).
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Final, NamedTuple
+
+import numpy as np
+
+from dbc.candump.blocks import LineKind, Lines, Scanner
+from dbc.candump.grammar import (
+    DROPS,
+    MAX_LINE,
+    Verdict,
+    format_frame,
+    parse_line,
+    tail_of,
+)
+from dbc.candump.writer import Writer
+from dbc.frame import Frame
+from dbc.frames import Block, block_of
+from dbc.prefetch import ahead
+from dbc.text import printable
+
+PROBLEMS_KEPT: Final = 100
+_CHUNK: Final = 1 << 20
+_PIECE, _SMALL = 1 << 18, 1 << 12
+"""Bytes unpacked at once: each time both threads want the interpreter; and where one is damaged."""
+_IDS_KEPT: Final = 100_000
+_LINE_ENDS: Final = re.compile(rb"\n+")
+_VERDICTS: Final = np.array(
+    [Verdict.OK, Verdict.FD, Verdict.OK, Verdict.BLANK, Verdict.COMMENT, Verdict.MALFORMED],
+    dtype=np.uint8,
+)
+"""Of lines by their `LineKind`; those of kind OTHER are judged one by one."""
+_TOO_LONG: Final = b"(a line of more than %d characters)" % MAX_LINE
+
+
+class LogError(Exception):
+    """A log that cannot be read (on); `line` counts from 1, 0 where there are no lines."""
+
+    def __init__(self, source: str, line: int, why: str) -> None:
+        """`why` in one line, without source and line."""
+        self.line = line
+        super().__init__(f"{source}:{line}: {why}" if line else f"{source}: {why}")
+
+
+class Problem(NamedTuple):
+    """One faulty line."""
+
+    line: int
+    verdict: Verdict
+    text: str
+
+
+class Reader:
+    """Frames of a log, in file order: data, remote and error frames, told apart by flags.
+
+    `source` is a path (gzip is recognised by its first bytes) or a binary stream. After reading:
+    `counts` (Verdict -> lines; their sum is `lines`), `problems` (the first 100 faults), `drops`
+    (frames candump says it lost), `truncated` (why a gzip stream ended early, else ""); during it
+    they are those of all lines up to the end of the block that was last read. Memory does not grow
+    with the file. Each iteration of a path starts anew.
+
+    An unterminated last line may be the start of a longer one: a frame cut inside its data is
+    a perfectly good shorter frame. It is believed only if the last frame of the same id had
+    the same number of characters after the id; else its verdict is CUT. So a log of one frame
+    without a line end gives none, and says so.
+
+    Raises OSError if the file cannot be opened; with `strict`, LogError at the first fault.
+    """
+
+    def __init__(self, source: Path | str | IO[bytes], *, strict: bool = False) -> None:
+        """Nothing is opened before iteration."""
+        self.bytes_read = 0
+        """Of the file as it stands (compressed or not), for a progress bar."""
+        self._source = Path(source) if isinstance(source, str) else source
+        self.name = str(self._source) if isinstance(self._source, Path) else "log"
+        self.strict = strict
+        self._reset()
+
+    def _reset(self) -> None:
+        self.counts: Counter[Verdict] = Counter()
+        self.lines = 0
+        self.drops = 0
+        self.problems: list[Problem] = []
+        self.truncated = ""
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Read from the start."""
+        for block in self.blocks():
+            yield from block.frames()
+
+    def blocks(self) -> Iterator[Block]:
+        """Read from the start, in blocks of lines: the same frames, faster."""
+        self._reset()
+        self.bytes_read = 0
+        with ExitStack() as stack:
+            yield from self._blocks(self._chunks(stack))
+
+    def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
+        scanner = Scanner()
+        tails: dict[bytes, int] = {}
+        rest = b""
+        skipping = False
+        for chunk in chunks:
+            piece = rest + chunk
+            start = 0
+            if skipping:
+                start = piece.find(b"\n") + 1
+                skipping = not start
+                rest = b""
+                if skipping:
+                    continue
+                self._judge(_TOO_LONG, tails)
+            while True:
+                if (run := _LINE_ENDS.match(piece, start)) is not None:
+                    # Gigabytes of them pack into a megabyte.
+                    self.lines += run.end() - start
+                    self.counts[Verdict.BLANK] += run.end() - start
+                    start = run.end()
+                if not (lines := scanner.read(piece, start)).rows.size:
+                    break
+                block, fault = self._accept(scanner, lines, piece, tails)
+                if block.size:
+                    yield block
+                if fault is not None:
+                    raise fault
+                start = lines.end
+            rest = piece[start:]
+            if len(rest) > MAX_LINE:
+                rest = b""
+                skipping = True
+        for k in np.flatnonzero(scanner.tails >= 0).tolist():
+            tails[b"%03X" % k] = tails[b"%03x" % k] = int(scanner.tails[k])
+        frame = self._last(_TOO_LONG if skipping else rest, tails)
+        if frame is not None:
+            yield block_of([frame])
+
+    def _accept(
+        self, scanner: Scanner, lines: Lines, text: bytes, tails: dict[bytes, int]
+    ) -> tuple[Block, LogError | None]:
+        """Judge the lines that are not plain; all frames, or those before the fault."""
+        kind = lines.kind
+        kept = kind <= LineKind.FD
+        by_hand = kind == LineKind.OTHER
+        if self.strict or len(self.problems) < PROBLEMS_KEPT:
+            by_hand |= kind == LineKind.MALFORMED
+        fault = None
+        done, last = 0, kind.size
+        for k in np.flatnonzero(by_hand).tolist():
+            self.lines += k - done
+            done = k + 1
+            line = lines.line(text, k)
+            try:
+                frame = self._judge(line, tails)
+            except LogError as raised:
+                fault = raised
+                kept[k:] = False
+                done = last = k
+                break
+            if frame is not None:
+                kept[k] = True
+                scanner.put(lines, k, frame, line)
+        self.lines += last - done
+        counts = np.bincount(_VERDICTS[kind[:last][~by_hand[:last]]])
+        self.counts.update({Verdict(v): n for v, n in enumerate(counts.tolist()) if n})
+        return scanner.finish(lines, kept), fault
+
+    def _chunks(self, stack: ExitStack) -> Iterator[bytes]:
+        stream = self._source
+        if isinstance(stream, Path):
+            stream = stack.enter_context(stream.open("rb"))
+        chunk = stream.read(_CHUNK)
+        self.bytes_read += len(chunk)
+        if isinstance(self._source, Path) and chunk[:2] == b"\x1f\x8b":
+            yield from ahead(self._unzipped(chunk, stream))
+            return
+        while chunk:
+            yield chunk
+            chunk = stream.read(_CHUNK)
+            self.bytes_read += len(chunk)
+
+    def _unzipped(self, chunk: bytes, stream: IO[bytes]) -> Iterator[bytes]:
+        """Members of a gzip file; what can be unpacked of a cut one is given, then it ends.
+
+        By hand, because gzip.GzipFile loses what it has unpacked when it meets the cut. A damaged
+        piece is lost whole, so it is tried again in small ones.
+        """
+        unpack = zlib.decompressobj(wbits=31)
+        pending = memoryview(chunk)
+        most = _PIECE
+        done: list[bytes] = []
+        size = 0
+        try:
+            while pending:
+                before = unpack.copy() if most > _SMALL else unpack
+                try:
+                    text = unpack.decompress(pending[:most], _CHUNK)
+                except zlib.error:
+                    if most == _SMALL:
+                        raise
+                    unpack, most = before, _SMALL
+                    continue
+                done.append(text)
+                size += len(text)
+                if size >= _CHUNK:
+                    yield b"".join(done)
+                    done, size = [], 0
+                pending = pending[most:]
+                if unpack.unconsumed_tail:
+                    pending = memoryview(unpack.unconsumed_tail + pending)
+                if unpack.eof:
+                    left = (unpack.unused_data + pending).lstrip(b"\0")
+                    pending = memoryview(left or stream.read(_CHUNK).lstrip(b"\0"))
+                    if pending:
+                        unpack = zlib.decompressobj(wbits=31)
+                elif not pending:
+                    pending = memoryview(stream.read(_CHUNK))
+                    self.bytes_read += len(pending)
+            done.append(unpack.flush())
+            if not unpack.eof:
+                self.truncated = "compressed data end early"
+        except zlib.error as error:
+            self.truncated = f"compressed data are damaged ({error})"
+        yield b"".join(done)
+
+    def _last(self, rest: bytes, tails: dict[bytes, int]) -> Frame | None:
+        """What stands behind the last line end."""
+        if rest:
+            return self._judge(rest, tails, last=True)
+        if self.truncated:
+            self._fault(Problem(self.lines, Verdict.CUT, self.truncated))
+        return None
+
+    def _judge(self, line: bytes, tails: dict[bytes, int], *, last: bool = False) -> Frame | None:
+        """Verdict, count and frame of a line that is judged by itself."""
+        verdict, frame = parse_line(line)
+        if last and self.truncated:
+            # Whatever it looks like: more would have come, and strict reading must say so.
+            verdict, frame = Verdict.CUT, None
+        elif last and verdict not in (Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT):
+            verdict, frame = _unterminated(line, verdict, frame, tails)
+        self.lines += 1
+        self.counts[verdict] += 1
+        if frame is not None:
+            digits, tail = tail_of(line)
+            if len(tails) > _IDS_KEPT:
+                tails.clear()
+            tails[digits] = tail
+        elif verdict is Verdict.DROPCOUNT and (match := DROPS.match(line)):
+            self.drops += int(match[1])
+        elif verdict.is_fault:
+            text = printable(line[:120].decode("ascii", "backslashreplace").strip())
+            text = f"{self.truncated}: {text}" if last and self.truncated else text
+            self._fault(Problem(self.lines, verdict, text))
+        return frame
+
+    def _fault(self, problem: Problem) -> None:
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(problem)
+        if self.strict:
+            name = problem.verdict.name.lower().replace("_", " ")
+            raise LogError(self.name, problem.line, f"{name}: {problem.text}")
+
+
+def _unterminated(
+    line: bytes, verdict: Verdict, frame: Frame | None, tails: dict[bytes, int]
+) -> tuple[Verdict, Frame | None]:
+    """Believe an unterminated last line only if its like was seen before, else CUT."""
+    if frame is not None:
+        digits, tail = tail_of(line)
+        if tails.get(digits) == tail:
+            return verdict, frame
+    return Verdict.CUT, None
+
+
+__all__ = ["LogError", "Problem", "Reader", "Verdict", "Writer", "format_frame", "parse_line"]

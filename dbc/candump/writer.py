@@ -1,0 +1,85 @@
+"""Writes candump logs: frames, or blocks of them, to a file or a stream."""
+
+from __future__ import annotations
+
+import gzip
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Final, Self, cast
+
+from _traction_core import ffi, lib
+
+from dbc.candump.grammar import format_frame, name_bytes, not_writable
+from dbc.frame import Frame
+from dbc.frames import ROOM, Block
+
+_LINES: Final = 512
+"""That there is room for at once."""
+
+
+class Writer:
+    """Writes frames to a log (gzip by the suffix `.gz`). Context manager; `close` when done."""
+
+    def __init__(self, target: Path | str | IO[bytes], channel: str = "can0") -> None:
+        """Create or empty the file; `channel` is for frames without one. Raises OSError."""
+        self._channel = channel
+        self._text = ffi.new("char[]", _LINES * lib.CANDUMP_MAX_TEXT)
+        self._stack = ExitStack()
+        self._stream: IO[bytes]
+        if isinstance(target, (Path, str)):
+            path = Path(target)
+            plain = self._stack.enter_context(path.open("wb"))
+            if path.suffix.lower() == ".gz":
+                # No name and time in the header: the same frames give the same bytes.
+                zipped = gzip.GzipFile("", "wb", fileobj=plain, mtime=0)
+                self._stack.callback(zipped.close)
+                self._stream = cast("IO[bytes]", zipped)
+            else:
+                self._stream = plain
+        else:
+            self._stream = target
+
+    def write(self, frame: Frame, channel: str = "") -> None:
+        """Append one frame, `channel` standing in where it has none.
+
+        Raises ValueError (see `format_frame`) or OSError.
+        """
+        self._stream.write(format_frame(frame, channel or self._channel) + b"\n")
+
+    def write_block(self, block: Block, channel: str = "") -> None:
+        """Append the frames of a block, as `write` does one by one; much sooner."""
+        if not block.size:
+            return
+        names = [name_bytes(name or channel or self._channel) for name in block.names]
+        records = ffi.new("struct interface_name[]", [(name, len(name)) for name in names])
+        columns, filled = block.columns(), ffi.new("int64_t *")
+        row = 0
+        while row < block.size:
+            row = lib.candump_write(
+                columns, row, block.size, records, self._text, len(self._text), filled
+            )
+            self._stream.write(ffi.unpack(self._text, filled[0]))
+            if row < block.size and not filled[0]:
+                # A block keeps no more than this of a frame, and what is cut would look whole.
+                if block.length[row] > ROOM:
+                    msg = f"cannot be written as a candump line: more than {ROOM} bytes"
+                    raise ValueError(msg)
+                raise not_writable(block.frame(row))
+
+    def close(self) -> None:
+        """Flush and close what was opened here; a given stream stays open."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()

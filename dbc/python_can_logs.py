@@ -1,0 +1,102 @@
+"""Other log formats (.asc .blf .csv .trc .mf4 ..) through python-can, as our frames."""
+
+from __future__ import annotations
+
+import importlib
+import io
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from dbc.blank_lines import without_blank_lines
+from dbc.candump.reader import LogError
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+
+if TYPE_CHECKING:
+    import can
+    from can.io.generic import TextIOMessageReader
+
+
+def read_any(path: Path) -> Iterator[Frame]:
+    """Frames of a log by its suffix. Error frames are never data.
+
+    python-can's time is a float of seconds: rounded to the nearest nanosecond, exact to about
+    0.2 us at today's dates. Raises LogError for an unknown format, a missing reader or a file
+    that python-can cannot read (its readers stop at the first fault).
+    """
+    import can
+    from can.io.generic import TextIOMessageReader
+
+    if ".mf4" in path.name.lower():
+        mf4_module()
+    count = 0
+    try:
+        with can.LogReader(path) as reader:
+            if isinstance(reader, TextIOMessageReader):
+                _squeeze(reader)
+            for message in reader:
+                count += 1
+                yield from_message(message)
+    except Exception as error:  # its readers raise anything from IndexError to struct.error
+        text = " ".join(str(error).split()) or type(error).__name__
+        where = f" after {count} frames" if count else ""
+        raise LogError(str(path), 0, f"cannot be read{where}: {text}") from error
+
+
+def _squeeze(reader: TextIOMessageReader) -> None:
+    if isinstance(reader.file, io.TextIOWrapper):
+        reader.file = without_blank_lines(reader.file)
+
+
+def mf4_module() -> ModuleType:
+    """`can.io.mf4`, with asammdf: a program that starts on a bus loads python-can without it.
+
+    Loaded again it fills in the same names, which its classes that are known by now look up.
+    """
+    from can.io import mf4
+
+    if getattr(mf4, "asammdf", None) is None and find_spec("asammdf") is not None:
+        importlib.reload(mf4)
+    return mf4
+
+
+def from_message(message: can.Message) -> Frame:
+    """A python-can message as a frame."""
+    flags = 0
+    if message.is_error_frame:
+        flags = ERROR
+    else:
+        flags |= EXTENDED if message.is_extended_id else 0
+        flags |= REMOTE if message.is_remote_frame else 0
+        if message.is_fd:
+            flags |= FD
+            flags |= BRS if message.bitrate_switch else 0
+            flags |= ESI if message.error_state_indicator else 0
+    data = b"" if message.is_remote_frame else bytes(message.data)
+    dlc = message.dlc if message.is_remote_frame and message.dlc else -1
+    channel = "" if message.channel is None else str(message.channel)
+    t_ns = round(message.timestamp * 1_000_000_000)
+    return Frame(t_ns, message.arbitration_id & 0x1FFF_FFFF, data, flags, channel, dlc)
+
+
+def to_message(frame: Frame) -> can.Message:
+    """A frame as a python-can message; a raw DLC of 9..15 becomes the data length."""
+    import can
+
+    flags = frame.flags
+    remote = bool(flags & REMOTE)
+    return can.Message(
+        timestamp=frame.t_ns / 1_000_000_000,
+        arbitration_id=frame.can_id,
+        is_extended_id=bool(flags & EXTENDED),
+        is_remote_frame=remote,
+        is_error_frame=bool(flags & ERROR),
+        is_fd=bool(flags & FD),
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
+        channel=frame.channel or None,
+        dlc=max(frame.dlc, 0) if remote else len(frame.data),
+        data=None if remote else frame.data,
+    )

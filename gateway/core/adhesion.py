@@ -1,0 +1,110 @@
+"""Which drives have lost adhesion: records of `gateway/core/adhesion.c`, and the detector.
+
+The rules are in C, the fields of the records in `gateway/core/records.h`. May know: estimators,
+estimates, commands. May not know: frames, bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from _traction_core import lib
+from numpy.typing import NDArray
+
+from dbc.frame import SECOND, Nanos
+from dbc.records import (
+    ADHESION,
+    COMMAND_RESPONSE,
+    DRIVE_LOAD,
+    LOAD_OBSERVATION,
+    LOAD_RATIO,
+    ROTOR,
+    ROTOR_INPUTS,
+    Addressed,
+    Records,
+    pointer,
+)
+from estimators.detect import Evidence, Opinion, make
+from estimators.detect.variational import VariationalDetector
+from gateway.settings.config import Adhesion, Motor
+
+BASE_NM: Final = 30.0
+"""Rated torque of the motor that `spread_nm` is stated for."""
+
+
+class AdhesionMonitor(Addressed):
+    """A `struct adhesion` with everything that it points to; a tick changes it."""
+
+    def __init__(
+        self, config: Adhesion, motors: Sequence[Motor], rules: Records, tick_ns: Nanos
+    ) -> None:
+        """rules: of the flags; motors: per drive."""
+        self.config, self.rules = config, rules
+        self.rated = tuple(motor.T_rated for motor in motors)
+        self.detector = make(config.detector, config.observe)
+        self.in_core = isinstance(self.detector, VariationalDetector)
+        """Whether the detector is the one in the core."""
+        n = len(motors)
+        self.rotors = _rotors(motors)
+        self.rotor_inputs = np.zeros(n, ROTOR_INPUTS)
+        self.responses = np.zeros(n, COMMAND_RESPONSE)
+        self.response_ratios, self.ratios = np.zeros((2, n), LOAD_RATIO)
+        self.observed, self.loads = np.zeros(n, LOAD_OBSERVATION), np.zeros(n, DRIVE_LOAD)
+        self.normalised, self.sigma, self.loss_probability = np.zeros((3, n))
+        self.known, self.loss_known, self.may_learn = np.zeros((3, n), dtype=np.bool_)
+        self.workspace = np.zeros((5, n))
+        self.record = np.zeros(1, ADHESION)
+        self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
+        if isinstance(self.detector, VariationalDetector):
+            self.record["priors"] = tuple(self.detector.priors)
+            self.record["iterations"] = self.detector.sweeps
+        self.link()
+        lib.adhesion_reset(self._pointer, config.spread_nm / BASE_NM)
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        for name in (
+            "rules", "rotors", "rotor_inputs", "responses", "response_ratios", "ratios", "observed",
+            "loads", "normalised", "sigma", "known", "loss_probability", "loss_known", "may_learn",
+            "workspace",
+        ):  # fmt: skip
+            self.record[name] = getattr(self, name).ctypes.data
+        self._pointer = pointer("struct adhesion", self.record)
+        self.common_mode = self.record["common_mode"]
+        """One flag: whether all drives have lost adhesion at once."""
+        self.severe: NDArray[np.uint8] = self.loads["severe_loss"]
+        """(N,) drives that carry so much less than the others that noise cannot be the cause."""
+        self.uncertain: NDArray[np.uint8] = self.rotors["uncertain"]
+        """(N,) drives whose rotor may run away."""
+        self.doubt_until_ns: NDArray[np.int64] = self.rotors["doubt_until_ns"]
+        """(N,) until then the currents of a drive accuse nobody."""
+
+    def ask_detector(self, estimates: Records) -> None:
+        """As `adhesion_detect`, by a detector that is not in the core. estimates: (N,)."""
+        speeds = None if self.config.observe == "torque" else np.abs(estimates["speed_rad_s"])
+        lost, known, common = self.detector(
+            Evidence(self.normalised, self.sigma, self.known, speeds)
+        )  # fmt: skip
+        self.loss_probability[:], self.loss_known[:] = lost, known
+        self.record["common"] = common
+
+    @property
+    def opinion(self) -> Opinion:
+        """Of the last tick, fused."""
+        return Opinion(self.loss_probability, self.loss_known, self.record["common"].item())
+
+
+def _rotors(motors: Sequence[Motor]) -> Records:
+    """Ratings. Speeds are compared between drives whose motors have the same ratings.
+
+    What was measured on each motor, such as its flux, may differ.
+    """
+    made = np.zeros(len(motors), ROTOR)
+    ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
+    kinds = list(dict.fromkeys(ratings))
+    made["rated_nm"] = [m.T_rated for m in motors]
+    made["inertia_kg_m2"] = [m.J for m in motors]
+    made["motor"] = [kinds.index(rating) for rating in ratings]
+    return made

@@ -1,0 +1,50 @@
+"""Share of the bus in use: the records that `gateway/core/busload.c` keeps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from _traction_core import ffi, lib
+
+from dbc.frame import FD, Frame, Nanos
+from dbc.frames import Block
+from dbc.records import BUS_LOAD, Addressed
+from gateway.core.receiving import Receiver
+
+
+class BusLoad(Addressed):
+    """Counts frames of one bus; nominal and data bit rate in bit/s."""
+
+    def __init__(self, bitrate: int, data_bitrate: int, start_ns: Nanos) -> None:
+        self.record = np.zeros(1, BUS_LOAD)
+        lengths = range(lib.MAX_DATA_BYTES)
+        self.record["classic_s"] = [(47 + 8 * n + (33 + 8 * n) // 4) / bitrate for n in lengths]
+        self.record["fd_s"] = [
+            34 / bitrate + (8 * n + 33 + 8 * n // 4) / data_bitrate for n in lengths
+        ]
+        self.record["since_ns"], self.record["percent"] = start_ns, math.nan
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        self.pointer = ffi.from_buffer("struct bus_load *", self.record)
+
+    def add(self, frames: Iterable[Frame]) -> None:
+        """Count frames that go out in this tick."""
+        for frame in frames:
+            lib.bus_load_send(self.pointer, frame[3] & FD, len(frame[2]))
+
+    def add_block(self, block: Block, receiver: Receiver | None, now: Nanos) -> None:
+        """Count what came in a tick but for the receiver's own; None: there are none."""
+        lib.bus_load_tick(self.pointer, now)
+        lib.bus_load_receive(
+            self.pointer, ffi.NULL if receiver is None else receiver.pointer, block.columns(), 0,
+            block.size,
+        )  # fmt: skip
+
+    def percent(self, now: Nanos) -> float | None:
+        """The last closed window; None before the first, or when it is long past."""
+        percent = lib.bus_load_percent(self.pointer, now)
+        return None if math.isnan(percent) else percent

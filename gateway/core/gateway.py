@@ -1,0 +1,362 @@
+"""The core: `Gateway.step(frames, now) -> frames`.
+
+What happens in a tick, and in which order, stands in `gateway/core/tick.c`; the fields of the
+records in `gateway/core/records.h`. This module makes the records, and does what needs Python:
+frames of other makers' drives, emergency messages, a detector that is not in the core,
+authentication.
+
+Five laws:
+1. One `now` per tick, an integer of nanoseconds, passed in. Nobody below `drivers/` reads a
+   clock, a socket, an environment variable or a global random generator.
+2. Same frames and same nows give the same bytes out.
+3. `step` never raises on wire data or numbers: wire faults are counted, numeric faults reset
+   that drive's filter and set its health. Exceptions mean a programming or configuration error.
+4. Missing is not NaN. Every batch carries freshness and age. NaN anywhere means diverged.
+5. The truth never meets the estimate: `sim/` and `estimators/` do not import one another;
+   parameters are frozen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
+
+from dbc.codec import Codec
+from dbc.frame import MS, SECOND, Frame, Nanos
+from dbc.frames import Block, block_of
+from dbc.records import GATEWAY, TX_FRAME, Addressed, Records, pointer
+from gateway.core import inputs
+from gateway.core.adhesion import AdhesionMonitor
+from gateway.core.busload import BusLoad
+from gateway.core.channel import RPM, SAMPLE_NS
+from gateway.core.codes import REJECTED, Flag, GatewayState
+from gateway.core.estimate import Bank
+from gateway.core.flags import FlagKind, Flags, Timing, rules, unknown_status
+from gateway.core.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
+from gateway.core.integrity import INTRUDER_HOLD_NS, Doubt
+from gateway.core.motion import MotionMonitor, Timebase
+from gateway.core.supervision import Supervision
+from gateway.core.thermal import ThermalSide
+from gateway.core.transmit import Outbox
+from gateway.core.view import Counted, GatewayView, drives_of, view_of
+from gateway.mapping import plan as foreign
+from gateway.mapping.translate import Translator
+from gateway.settings import calibration
+from gateway.settings.config import Config, ConfigError
+
+if TYPE_CHECKING:
+    from dbc.secoc_sender import Authenticator
+
+HEARTBEAT_LIMIT_NS: Final = 300 * MS
+"""Shortest time-out of a drive's heartbeat; three of its periods if that is longer."""
+COMM_CLEAR_NS: Final = 100 * MS
+ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
+SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
+SENT: Final = 512
+"""Frames of ours that there is room for in a `run`; never less than those of a tick."""
+
+
+class Gateway(Addressed):
+    """All state of the gateway. One object per bus; `step` is called once per tick.
+
+    record: `struct gateway`, which `tick.c` works on.
+    """
+
+    pointer: Any
+
+    def __init__(
+        self,
+        config: Config,
+        codec: Codec,
+        start_ns: Nanos,
+        authenticator: Authenticator | None = None,
+    ) -> None:
+        """Raises ConfigError where configuration, calibration and DBC do not fit.
+
+        authenticator: made by the driver, who has the key; None sends no `Gateway_Auth`.
+        """
+        nodes, tick_ns = config.nodes, config.loop.period_ns
+        motors = [config.motors[d.motor] for d in config.drive]
+        self.config, self.nodes, self.start_ns = config, nodes, start_ns
+        self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS, config.canopen.heartbeat_ns)
+        planned = foreign.plans(config)
+        taken = foreign.fitted(codec, planned)
+        self.translator = Translator(planned, taken) if planned else None
+        self.inbox = Inbox(taken, nodes, tick_ns, self.supervision)
+        drives = self.inbox.drives
+        missing = [d.node for d in drives if not d.channels]
+        if missing:
+            raise ConfigError(str(codec.path), [f"no messages of drive {n}" for n in missing])
+        self.bank = Bank(motors, config.estimator, _current_step_a(taken), tick_ns)
+        places = self.inbox.places([0.1 * m.I_rated for m in motors])
+        self.inputs = inputs.InputMonitor(self.inbox.receiver, places.channels)
+        cells = calibration.of(config)
+        self.thermal = _thermal(config, drives, cells)
+        self.thermal.wire(places, [_limit_ns(d, "Temperatures") for d in drives])
+        by = _rules(config, _slowest(drives))
+        self.adhesion = AdhesionMonitor(config.adhesion, motors, by, tick_ns)
+        self.motion = MotionMonitor(
+            motors, config.estimator, _timing(drives), tick_ns, _current_step_a(taken),
+            self.inbox.receiver, self.inputs, self.bank, self.adhesion.rotors,
+        )  # fmt: skip
+        self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
+        self.status = self.flags.status
+        own_hash = calibration.config_hash(config, codec.digest, cells)
+        self.outbox = Outbox(codec, nodes, own_hash, tick_ns, authenticator)
+        self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
+        told_apart = config.on_intruder == "tell" and authenticator is not None
+        for_good = config.on_intruder in ("stop", "go_on")
+        self.doubt = Doubt(
+            tick_ns, told_apart=told_apart, stops=config.on_intruder == "stop",
+            intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
+        )  # fmt: skip
+        self.peak: NDArray[np.float64] = np.full(len(nodes), np.nan)
+        """(N,) largest probability of loss in the last `run`, of each drive; NaN: none."""
+        self.sent = np.zeros(max(SENT, len(self.outbox.heads)), TX_FRAME)
+        self.record = np.zeros(1, GATEWAY)
+        self.record["period_ns"], self.record["drive_count"] = tick_ns, len(nodes)
+        self.record["sent_room"], self.record["changed"] = len(self.sent), 1
+        self.record["is_translated"] = self.translator is not None
+        self.record["detects"] = self.adhesion.in_core
+        self._room = 0
+        """Frames of a tick that there is room for."""
+        self._now: Nanos = start_ns
+        self._view: GatewayView | None = None
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        records: dict[str, NDArray[Any]] = {
+            "receiver": self.inbox.receiver.record, "load": self.load.record,
+            "integrity": self.doubt.record, "channels": self.inputs.channels,
+            "inputs": self.inputs.status, "estimator": self.bank.record,
+            "estimates": self.bank.estimates, "motion": self.motion.record,
+            "adhesion": self.adhesion.record, "temperatures": self.thermal.record,
+            "rules": self.flags.rules, "train_inputs": self.flags.train_inputs,
+            "flag_inputs": self.flags.inputs, "evidence": self.flags.evidence,
+            "status": self.status.drives, "train": self.status.train,
+            "transmitter": self.outbox.record, "sent": self.sent, "peak": self.peak,
+        }  # fmt: skip
+        for name, array in records.items():
+            self.record[name] = array.ctypes.data
+        self.pointer = ffi.from_buffer("struct gateway *", self.record)
+
+    def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
+        """The driver's own measurements, for `Gateway_Info`."""
+        self.outbox.note_timing(latency_p99_us, lateness_p99_us)
+
+    def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
+        """Take the frames of one tick, give the frames to send. Never raises on wire data."""
+        block = frames if isinstance(frames, Block) else block_of(frames)
+        if self.translator is not None:
+            block = self._translated(self.translator, block, now)
+        size = len(block.t_ns)
+        if size > self._room:
+            self._make_room(size)
+        done = lib.run_one(self.pointer, size, *block.addresses(), now)
+        if not done:
+            block = block.ordered()
+            done = lib.run_one(self.pointer, size, *block.addresses(), now)
+        if done > 1:
+            self._finish(block, 0, now)
+        self._now, self._view = now, None
+        out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
+        if self.outbox.authenticator is not None:
+            self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
+        return out
+
+    def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
+        """Ticks at `now`, a period later and so on, one for each of ends (K,).
+
+        Gives their number, and what goes out. Tick k takes the frames from ends[k - 1] (0 for the
+        first) to ends[k]. Ends behind the first tick in which a flag changed: those that are left
+        are the caller's to ask for again. `peak` is of the ticks that were done. Raises ValueError
+        for ends that are none of this block.
+        """
+        ends = np.ascontiguousarray(ends, dtype=np.int64)
+        if (np.diff(ends, prepend=0, append=block.size) < 0).any():
+            raise ValueError(f"ends {ends} of ticks in a block of {block.size} frames")
+        out: list[Block] = []
+        done, peak = 0, np.full(len(self.nodes), np.nan)
+        while done < len(ends) and not (done and self.changed):
+            first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
+            if self.translator is None and self.outbox.authenticator is None:
+                most = int(np.diff(ends[done:], prepend=first).max())
+                if most > self._room:
+                    self._make_room(most)
+                done += self._run(block.part(first, int(ends[-1])), ends[done:] - first, at)
+                out.append(self.outbox.block_of(self.sent[: self.pointer.sent_count]))
+            else:
+                out.append(block_of(self.step(block.part(first, int(ends[done])), at)))
+                done += 1
+            np.fmax(peak, self.peak, out=peak)
+        self.peak[:] = peak
+        return done, out
+
+    def _run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> int:
+        """`run` in `tick.c`, and what of its last tick needs Python; at least one tick."""
+        each = pointer("int64_t", ends)
+        done: int = lib.run(self.pointer, block.columns(), each, len(ends), now)
+        if not done:
+            block = block.part(0, int(ends[0])).ordered()
+            done = lib.run(self.pointer, block.columns(), each, 1, now)
+        first = int(ends[done - 2]) if done > 1 else 0
+        self._now, self._view = now + (done - 1) * self.config.loop.period_ns, None
+        self._finish(block, first, self._now)
+        return done
+
+    def _finish(self, block: Block, first: int, now: Nanos) -> None:
+        """What needs Python of the last tick of a call, whose frames begin at `first`."""
+        if self.pointer.stage == lib.STAGE_DETECT:
+            self.adhesion.ask_detector(self.bank.estimates)
+            lib.finish_tick(self.pointer, now)
+        if self.pointer.receiver.tick.emergencies:
+            self.inbox.read_emergencies(block, first)
+
+    def _make_room(self, frames: int) -> None:
+        """In the receiver, and for samples, for so many frames in a tick."""
+        receiver = self.inbox.receiver
+        if frames > receiver.rows:
+            receiver.make_room(2 * frames)
+        self.bank.make_room(len(receiver.room.drive))
+        self._room = receiver.rows
+
+    def leave_out(self, frames: int) -> None:
+        """So many of a log were left out for the time of their stamps."""
+        self.inbox.added["received"] += frames
+        self.inbox.added["time_back"] += frames
+        self._note_rejected()
+
+    def _note_rejected(self) -> None:
+        self.outbox.note_rejected(sum(self.inbox.added[cause] for cause in REJECTED))
+
+    def _translated(self, translator: Translator, block: Block, now: Nanos) -> Block:
+        """Frames of one tick as the core knows them; the load of the bus is that of the others."""
+        heard = block.ordered()
+        # Our own frames are counted as they go out; in a log they stand a second time.
+        self.load.add_block(heard, self.inbox.receiver, now)
+        taken = translator.take(heard, now, self.inbox.added)
+        self._note_rejected()
+        return taken.ordered()
+
+    @property
+    def changed(self) -> bool:
+        """Whether a flag of any drive is another than in the tick before; so it is at first."""
+        return bool(self.pointer.changed)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is sent any more."""
+        return self.doubt.silent
+
+    @property
+    def view(self) -> GatewayView | None:
+        """What the last step says; None before the first. Made when it is asked for."""
+        if self._view is None and self.pointer.begun:
+            opinion = self.adhesion.opinion
+            common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
+            drives = drives_of(self.status, self.nodes, self.thermal.wear)
+            self._view = view_of(self._now, self.status, drives, common, self.counted(self._now))
+        return self._view
+
+    @property
+    def says_good(self) -> bool:
+        """Whether any flag of the last step says good."""
+        each, train = self.status.drives["flag"]["state"], self.status.train
+        sent = each[:, [FlagKind.ADHESION, FlagKind.THERMAL]]
+        together = [train[name] for name in ("sensor", "comm", "estimator")]
+        return bool((sent == Flag.GOOD).any()) or Flag.GOOD in together
+
+    @property
+    def decided_ns(self) -> Nanos | None:
+        """Stamp of the newest sample that the last step's flags rest on; None before any."""
+        newest = int(self.inbox.receiver.drives["sample_ns"].max())
+        return newest if newest >= 0 else None
+
+    def unknown_frames(self, now: Nanos) -> list[Frame]:
+        """Flag frames that say unknown: sent thrice before an orderly stop."""
+        if self.silent:
+            return []
+        unknown = unknown_status(len(self.nodes), self.adhesion.detector.code)
+        unknown.train["state"] = GatewayState.SILENT
+        unknown.train["overrun"] = Flag.BAD if self.doubt.overrun else Flag.GOOD
+        self.outbox.restart(now)
+        names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
+        wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
+        return [f for f in self.outbox.due(unknown, now) if f.can_id in wanted]
+
+    def counted(self, now: Nanos) -> Counted:
+        """What the frames of a tick at `now` say of the frames so far."""
+        counts = self.inbox.counts
+        return Counted(
+            self.doubt.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
+            self.load.percent(now), *self.outbox.timing,
+        )  # fmt: skip
+
+
+def _thermal(
+    config: Config, drives: Sequence[DriveInput], cells: calibration.Calibration | None
+) -> ThermalSide:
+    """What judges the motors' temperatures."""
+    cycles = [d.channels["Temperatures"].period_ns for d in drives if "Temperatures" in d.channels]
+    return ThermalSide(
+        len(drives), max(cycles, default=100 * MS), config.thermal.window_s, cells, config.nodes,
+        [d.sensors for d in config.drive],
+        model=config.thermal.method == "model", limit_k=config.thermal.limit_k,
+    )  # fmt: skip
+
+
+def _limit_ns(drive: DriveInput, kind: str) -> Nanos:
+    """Age limit of a message; 0 where the drive sends none."""
+    channel = drive.channels.get(kind)
+    return channel.limit_ns if channel else 0
+
+
+def _rules(config: Config, slowest_ns: Nanos) -> Records:
+    """From evidence to flags; slowest_ns: cycle of the slowest message."""
+    a, t = config.adhesion, config.thermal
+    adhesion = Timing(a.good_ms * MS, a.raise_ms * MS, a.clear_ms * MS)
+    timing = [
+        adhesion,
+        Timing(0, round(t.raise_s * SECOND), round(t.clear_s * SECOND)),
+        # Good no sooner than the slowest message can have been heard for the first time.
+        Timing(slowest_ns, 0, COMM_CLEAR_NS),
+        ESTIMATOR,
+        SENSOR,
+    ]
+    severe = adhesion._replace(raise_ns=a.raise_severe_ms * MS)
+    return rules(timing, severe, a.raise_probability, a.clear_probability, config.loop.period_ns)
+
+
+def _current_step_a(codec: Codec) -> float:
+    """Resolution of the currents on the bus, A: its quantisation noise is part of R."""
+    steps = [
+        float(abs(signal.scale))
+        for spec in codec.messages
+        for signal in spec.signals
+        if spec.kind in (ELECTRICAL[0], SAMPLES) and signal.name in ("Ia", "Ia_0")
+    ]
+    return max(steps, default=0.0)
+
+
+def _timing(drives: Sequence[DriveInput]) -> Timebase:
+    """How often currents and `Motion` come, and how finely the latter tells speed."""
+    electrical = [d.electrical[0] for d in drives if d.electrical]
+    motion = [d.motion for d in drives if d.motion is not None]
+    spacing = [SAMPLE_NS if c.kind == SAMPLES else c.period_ns for c in electrical]
+    sample_ns = max(spacing, default=SAMPLE_NS)
+    steps = [c.spec.signals[c.picked[0]].scale for c in motion if c.picked]
+    return Timebase(
+        sample_ns / SECOND,
+        max((c.period_ns for c in motion), default=10 * MS),
+        max((abs(step) * RPM for step in steps), default=0.0),
+    )
+
+
+def _slowest(drives: Sequence[DriveInput]) -> Nanos:
+    """Longest cycle of any message."""
+    return max(c.period_ns for d in drives for c in d.channels.values())

@@ -1,0 +1,148 @@
+"""From frames to samples: route, verify, decode, pair. Every frame ends in one counter.
+
+May know: the message set through the codec, time stamps inside frames. May not know: clocks,
+buses, estimators. Bad input never raises here; it is counted by cause, and the cause is kept
+so that the affected flag can say why it is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from dbc.codec import VALID, Codec
+from dbc.frame import Nanos
+from dbc.frames import Block
+from gateway.core import channel, inputs, receiving
+from gateway.core.channel import Channel
+from gateway.core.inputs import NONE
+from gateway.core.receiving import NAMES, Receiver
+from gateway.core.supervision import Supervision
+
+ELECTRICAL = ("PhaseCurrents", "StatorVoltages")
+SAMPLES = "Samples"
+SLOW = ("Motion", "Status", "Temperatures")
+MAX_GAP_NS: Final[Nanos] = 200_000_000
+"""Longer without a sample: the filter starts anew instead of coasting."""
+USABLE: Final = (1.0, 2.0)
+"""`Quality` Valid and Degraded."""
+OWN_CANOPEN: Final = frozenset({0x720, 0x0A0})
+"""Heartbeat and emergency of node 32, the gateway."""
+
+
+class Temperatures(NamedTuple):
+    """One reading of a drive's points (stator, drive end, non-drive end, ambient), degC.
+
+    NaN where not `valid`: the number is never used there. raw: tenths of a degree, -1 if none.
+    """
+
+    drive: int
+    t_ns: Nanos
+    celsius: tuple[float, ...]
+    valid: tuple[bool, ...]
+    raw: tuple[int, ...]
+
+
+class DriveInput:
+    """Channels of one drive."""
+
+    def __init__(self, node: int) -> None:
+        self.node = node
+        self.channels: dict[str, Channel] = {}
+        self.electrical: tuple[Channel, ...] = ()
+        self.limit_ns: Nanos = 0
+        self.motion: Channel | None = None
+        self.status: Channel | None = None
+
+    def seat(self) -> None:
+        """All channels are there: note which carry what."""
+        self.motion, self.status = self.channels.get("Motion"), self.channels.get("Status")
+        kinds = (SAMPLES,) if SAMPLES in self.channels else ELECTRICAL
+        if all(kind in self.channels for kind in kinds):
+            self.electrical = tuple(self.channels[kind] for kind in kinds)
+            self.limit_ns = max(c.limit_ns for c in self.electrical)
+
+
+class Inbox:
+    """Entry of frames: all receive state."""
+
+    def __init__(
+        self, codec: Codec, nodes: Sequence[int], tick_ns: Nanos, supervision: Supervision
+    ) -> None:
+        """Raises nothing: `bind` has already compared the DBC with the contract."""
+        self.codec = codec
+        self.supervision = supervision
+        self.drives = [DriveInput(node) for node in nodes]
+        self.added: Counter[str] = Counter()
+        """Frames that the receiver has not counted: emergencies, and those left out before it."""
+        own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
+        self.channels: list[Channel] = []
+        keys: dict[int, int] = {}
+        for index, drive in enumerate(self.drives):
+            for kind in (*ELECTRICAL, SAMPLES, *SLOW):
+                spec = codec.by_name.get(f"Drive{drive.node}_{kind}")
+                if spec is not None:
+                    one = Channel(spec, index, tick_ns)
+                    drive.channels[kind] = one
+                    keys[spec.key] = len(self.channels)
+                    self.channels.append(one)
+        self.receiver = Receiver(
+            codec, channel.records(self.channels), len(nodes),
+            receiving.id_table(keys, own, supervision.ids), supervision, MAX_GAP_NS,
+        )  # fmt: skip
+        for row, each in enumerate(self.channels):
+            each.seat(row)
+        for drive in self.drives:
+            drive.seat()
+
+    def places(self, sum_limit_a: Sequence[float]) -> inputs.Places:
+        """Which channels are whose. sum_limit_a: what a drive's phases may sum to, A."""
+        rows = []
+        for drive in self.drives:
+            mine = [c.row for c in drive.channels.values()]
+            slowly = [NONE if c is None else c.row for c in (drive.motion, drive.status)]
+            electrical = [c.row for c in drive.electrical]
+            rows.append((min(mine), max(mine) + 1, electrical, slowly[0], slowly[1]))
+        return inputs.places(rows, [drive.limit_ns for drive in self.drives], sum_limit_a)
+
+    def read_emergencies(self, block: Block, first: int) -> None:
+        """Those of the last tick, whose frames begin at `first`."""
+        tick = self.receiver.pointer.tick
+        for k in self.receiver.scratch.foreign[: tick.emergencies].tolist():
+            known = self.supervision.observe(block.frame(first + k))
+            self.added["canopen" if known else "unknown_id"] += 1
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Frames since the start: received ones, what became of them, and those that are lost."""
+        pointer = self.receiver.pointer
+        found = Counter(self.added)
+        counters = zip(NAMES, self.receiver.counters.tolist(), strict=True)
+        others = {name: getattr(pointer, name) for name in ("received", "unpaired", "late")}
+        for name, count in (*counters, *others.items()):
+            if count:
+                found[name] += count
+        return found
+
+    @property
+    def temperatures(self) -> list[Temperatures]:
+        """Readings of the tick, for whoever wants to show them."""
+        seen = self.receiver.scratch.seen[: self.receiver.pointer.tick.temperatures]
+        return [self._temperature(row) for row in seen.tolist()]
+
+    def _temperature(self, row: int) -> Temperatures:
+        scratch = self.receiver.scratch
+        one = self.channels[scratch.channel.item(row)]
+        value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
+        usable = one.quality < 0 or value[one.quality] in USABLE
+        points = one.picked
+        good = tuple(usable and valid[k] == VALID for k in points)
+        return Temperatures(
+            one.drive,
+            scratch.t_ns.item(row),
+            tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
+            good,
+            tuple(round(value[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)),
+        )

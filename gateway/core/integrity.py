@@ -1,0 +1,102 @@
+"""What speaks against all drives at once: the driver's notes, and what they come to.
+
+Missed ticks, lost frames, a second gateway. The rules are in `gateway/core/integrity.c`. May know:
+reasons and `now`. May not know: frames, clocks. How long an intruder makes flags unknown is the
+configuration's choice (docs/threats.md).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from _traction_core import ffi, lib
+
+from dbc.frame import SECOND, Nanos
+from dbc.records import INTEGRITY, Addressed
+from gateway.core.codes import NEVER, Reason
+
+OVERRUN_HOLD_NS: Final[Nanos] = SECOND
+"""An overrun is reported for so long."""
+INTRUDER_HOLD_NS: Final[Nanos] = 10 * SECOND
+"""With `on_intruder = "unknown"`: after the last frame of an intruder flags are unknown so long."""
+LOST_TICKS: Final = 5
+"""After frames that nobody read in time: what was lost may be of any drive."""
+FOREVER: Final[Nanos] = (1 << 63) - 1
+
+
+class Doubt(Addressed):
+    """Notes of the driver before a step, and what they come to in a tick.
+
+    record (1,): `struct integrity`.
+    """
+
+    def __init__(
+        self,
+        tick_ns: Nanos,
+        *,
+        told_apart: bool = False,
+        intruder_hold_ns: Nanos | None = None,
+        stops: bool = False,
+    ) -> None:
+        """tick_ns: period of the loop.
+
+        told_apart: receivers can tell our frames from an intruder's, so ours are still good.
+        intruder_hold_ns: flags are unknown for so long after its last frame; None: until restart.
+        stops: nothing is sent any more once there was one.
+        """
+        self.record = np.zeros(1, INTEGRITY)
+        self.record["overrun_hold_ns"] = OVERRUN_HOLD_NS
+        self.record["lost_hold_ns"] = LOST_TICKS * tick_ns
+        hold = FOREVER if intruder_hold_ns is None else intruder_hold_ns
+        self.record["intruder_hold_ns"] = hold
+        self.record["authenticated"], self.record["stop_on_intruder"] = told_apart, stops
+        for name in ("overrun_ns", "lost_ns", "intruder_ns"):
+            self.record[name] = NEVER
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        self.pointer = ffi.from_buffer("struct integrity *", self.record)
+
+    def note_overrun(self, missed: int) -> None:
+        """So many ticks were skipped before the one that follows."""
+        self.pointer.missed_ticks = missed
+
+    def note_lost(self, frames: int) -> None:
+        """So many frames were dropped unread since the last step."""
+        self.pointer.lost_frames += frames
+
+    @property
+    def watching(self) -> bool:
+        """Whether frames with our identifiers can only be somebody else's."""
+        return bool(self.pointer.watching)
+
+    @watching.setter
+    def watching(self, watched: bool) -> None:
+        self.pointer.watching = watched
+
+    @property
+    def intruder(self) -> bool:
+        """Whether somebody else has sent with our identifiers. Latched."""
+        return bool(self.pointer.intruder)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is sent any more."""
+        return bool(self.pointer.silent)
+
+    @property
+    def deadline_misses(self) -> int:
+        """Ticks that were skipped."""
+        return int(self.pointer.deadline_misses)
+
+    @property
+    def overrun(self) -> bool:
+        """Whether ticks were missed of late."""
+        return bool(lib.is_overrun(self.pointer))
+
+    @property
+    def reason(self) -> Reason:
+        """Why no adhesion flag is valid in this tick; NONE if nothing is known against them."""
+        return Reason(lib.integrity_reason(self.pointer))

@@ -1,0 +1,135 @@
+"""Measured speed and torque of the drives beside their estimates: records. The rules are in C.
+
+Where currents come too slowly the load comes from an observer of speed and torque; elsewhere the
+measured speed is a witness, and currents and `Motion` are checked against one another. See
+`gateway/core/motion.c`, `plausibility.c`, and the records in `gateway/core/records.h`. May know:
+estimators, readings. May not know: frames, clocks, flags.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from _traction_core import ffi
+from numpy.typing import NDArray
+
+from dbc.frame import SECOND, Nanos
+from dbc.records import MOTION, MOTION_MONITOR, Addressed, Columns, Records
+from gateway.core import plausibility
+from gateway.core.channel import SAMPLE_NS
+from gateway.settings.config import Estimator, Motor
+
+FEWEST_SAMPLES: Final = 10.0
+"""Of current per electrical revolution, about the least that the filters need."""
+FADE_S: Final = 0.5
+"""Time constant with which the difference between two sources fades."""
+SPEED_FLOOR_VAR: Final = 1e-8
+"""(rad/s)^2: a DBC may carry speed as a float."""
+SUB_STEP_S: Final = 125e-6
+"""What the configured process noise is stated for."""
+TURNS: Final = 2.0
+"""Times the least speed that is observable: a rotor that is faster is found."""
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+
+class Timebase(NamedTuple):
+    """When readings come.
+
+    sample_s: spacing of the current samples; period_ns, speed_step: cycle and resolution of
+    `Motion` (rad/s at the rotor).
+    """
+
+    sample_s: float
+    period_ns: Nanos
+    speed_step: float
+
+
+class HasRecord(Protocol):
+    """Whoever receives: `receiving.Receiver`."""
+
+    record: Records
+
+
+class HasStatus(Protocol):
+    """Whose inputs are valid: `inputs.InputMonitor`."""
+
+    status: Records
+
+
+class HasEstimates(Protocol):
+    """Whoever estimates: `bank.Bank`."""
+
+    estimates: Records
+    filters: Columns
+    chords: Columns
+    sensors: Columns
+
+
+class MotionMonitor(Addressed):
+    """`motion` and `plausibility` of N drives, (N,), as `motions` and `checks`.
+
+    implausible (N,): drives whose input cannot be what it seems. A copy is a monitor of its own.
+    """
+
+    implausible: Bytes
+    pointer: Any
+
+    def __init__(
+        self, motors: Sequence[Motor], config: Estimator, times: Timebase, tick_ns: Nanos,
+        current_step_a: float, receiver: HasRecord, inputs: HasStatus, bank: HasEstimates,
+        rotors: Records,
+    ) -> None:  # fmt: skip
+        """Noise is that of the configuration, per unit of each motor's rated torque.
+
+        current_step_a: resolution of the currents on the bus; rotors: `rotor` of every drive, whose
+        `doubt_until_ns` is set here.
+        """
+        n = len(motors)
+        self.receiver, self.inputs, self.bank, self.rotors = receiver, inputs, bank, rotors
+        self.motions = _motions(motors, config, times.speed_step)
+        self.checks = plausibility.checks(motors, current_step_a)
+        self.others: Array = np.full((n, n), np.nan)
+        """Of every drive, what the others measured when its `Motion` last changed, rad/s."""
+        self.record = np.zeros(1, MOTION_MONITOR)
+        constants = {
+            "max_w_e": 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s),
+            "turning_w_e": TURNS * config.min_speed_rad_s,
+            "fade": math.exp(-tick_ns / SECOND / FADE_S), "period_s": times.sample_s,
+            "dt": SAMPLE_NS / SECOND, "motion_cycle_ns": times.period_ns, "tick_ns": tick_ns,
+            "n": n,
+        }  # fmt: skip
+        for name, value in constants.items():
+            self.record[name] = value
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        arrays = {
+            "receiver": self.receiver.record, "inputs": self.inputs.status,
+            "estimates": self.bank.estimates, "filters": self.bank.filters,
+            "chords": self.bank.chords, "sensors": self.bank.sensors, "rotors": self.rotors,
+            "motions": self.motions, "checks": self.checks, "others": self.others,
+        }  # fmt: skip
+        for name, array in arrays.items():
+            self.record[name] = array.ctypes.data
+        self.implausible = self.motions["implausible"]
+        self.pointer = ffi.from_buffer("struct motion_monitor *", self.record)
+
+
+def _motions(motors: Sequence[Motor], config: Estimator, speed_step: float) -> Records:
+    """`motion` of every drive; nothing measured yet."""
+    made = np.zeros(len(motors), MOTION)
+    mechanics = made["mechanics"]
+    mechanics["J"], mechanics["B"] = [m.J for m in motors], [m.B for m in motors]
+    # A real encoder adds about as much again as rounding does.
+    mechanics["speed_var"] = 2.0 * speed_step**2 / 12.0 + SPEED_FLOOR_VAR
+    mechanics["load_rate"] = [
+        config.process_noise[4] * (m.T_rated / 30.0) ** 2 / SUB_STEP_S for m in motors
+    ]
+    made["pole_pairs"], made["load_nm"] = [m.pole_pairs for m in motors], np.nan
+    return made

@@ -1,0 +1,97 @@
+"""Validity of temperature sensors: lost, stuck or off; alone or with all of their drive.
+
+The rules are in `gateway/core/temperature.c`; here are each sensor's limits, and one reading at a
+time.
+
+May know: readings and what the calibration says of each sensor. May not know: what the motors'
+temperatures mean. A point that is not configured takes part in nothing and is never lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
+
+from dbc.frame import SECOND, Nanos
+from dbc.records import TEMPERATURE_DRIVE, pointer
+from gateway.core.inbox import Temperatures
+from gateway.settings.calibration import POINTS, MotorCalibration
+
+HOLD_MARGIN: Final = 4.0
+"""A sensor is stuck when it holds a value this many times longer than ever in health."""
+SHORTEST_HOLD_NS: Final = 10 * SECOND
+LONGEST_HOLD_NS: Final = 1 << 62
+"""What there is room for."""
+UNCALIBRATED_HOLD_NS: Final = 240 * SECOND
+"""Real sensors hold a value for up to a minute (house data); four times that, unmeasured."""
+QUIET_K: Final = 0.25
+"""A sensor that never moved by more than two steps of the wire has no noise to tell a dead one by.
+
+Between two steps it holds for as long as the motor keeps its temperature: real ones, seconds in
+one minute and two minutes in the next. What it held in health is no limit then.
+"""
+STEP_MARGIN: Final = 3.0
+SMALLEST_STEP_K: Final = 2.0
+
+
+class SensorSide:
+    """State of all drives' sensors; `take` per reading, `fault` and `verdict` when asked."""
+
+    def __init__(
+        self,
+        drives: int,
+        period_ns: Nanos,
+        cells: Sequence[MotorCalibration | None] | None = None,
+        sensors: Sequence[Sequence[str]] | None = None,
+    ) -> None:
+        """period_ns: the readings' cycle; cells, sensors: per drive, None: nothing learnt, all.
+
+        sensors: names of `POINTS`.
+        """
+        self.cells = [None] * drives if cells is None else list(cells)
+        fitted = [POINTS] * drives if sensors is None else sensors
+        self.configured: NDArray[np.bool_] = np.array(
+            [[name in names for name in POINTS] for names in fitted], dtype=np.bool_
+        )
+        """(N, P): which drive has which sensor."""
+        self.drives = np.zeros(drives, TEMPERATURE_DRIVE)
+        """(N,) of `struct temperature_drive`."""
+        self.drives["period_ns"] = period_ns
+        sensor = self.drives["sensor"]
+        sensor["configured"] = self.configured
+        for j, k in np.ndindex(*sensor.shape):
+            sensor[j, k]["limit_k"] = self.step_limit(j, k)
+            sensor[j, k]["stuck_after_ns"] = self.stuck_after_ns(j, k)
+        for drive in pointer("struct temperature_drive", self.drives):
+            lib.temperature_reset(ffi.addressof(drive))
+
+    def _drive(self, drive: int) -> Any:
+        return pointer("struct temperature_drive", self.drives) + drive
+
+    def take(self, reading: Temperatures) -> None:
+        """Accept one reading of one drive."""
+        drive, configured = self._drive(reading.drive), self.configured[reading.drive]
+        lib.temperature_add_reading(drive, reading.t_ns)
+        for k in np.flatnonzero(configured & reading.valid[: len(POINTS)]).tolist():
+            celsius = float(reading.celsius[k])
+            lib.temperature_add_value(drive, k, reading.t_ns, celsius, reading.raw[k])
+
+    def step_limit(self, drive: int, k: int) -> float:
+        """A change beyond this, K, that stays is an offset."""
+        cell = self.cells[drive]
+        return max(SMALLEST_STEP_K, STEP_MARGIN * cell.largest_step_k[k] if cell else 0.0)
+
+    def stuck_after_ns(self, drive: int, k: int) -> Nanos:
+        """A value held for longer than this is a stuck sensor's."""
+        cell = self.cells[drive]
+        if cell is None:
+            return UNCALIBRATED_HOLD_NS
+        quiet = cell.largest_step_k[k] <= QUIET_K
+        least = UNCALIBRATED_HOLD_NS if quiet else SHORTEST_HOLD_NS
+        return min(
+            max(least, round(HOLD_MARGIN * cell.longest_hold_s[k] * SECOND)), LONGEST_HOLD_NS
+        )

@@ -1,0 +1,242 @@
+"""The motors' temperatures: their records, and what is known of one motor in words.
+
+The rules are in `gateway/core/thermal.c` (readings, seconds, window averages), `thermal_evidence.c`
+(what they give evidence of), `temperature.c` (validity of sensors) and `estimators/thermal`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
+
+from dbc.frame import SECOND, Nanos
+from dbc.records import (
+    FLAG_INPUTS,
+    MOTOR_TEMPERATURES,
+    TEMPERATURE_MONITOR,
+    THERMAL_INPUT,
+    Addressed,
+    pointer,
+)
+from estimators import maisd
+from estimators.thermal import trend
+from estimators.thermal.hypotheses import NAMED
+from estimators.thermal.monitor import ThermalMonitor
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.inbox import Temperatures
+from gateway.core.inputs import NONE, Places
+from gateway.core.receiving import Receiver
+from gateway.core.temperature import SensorSide
+from gateway.core.thermal_model_monitor import SAMPLE_NS, Sample, Wear
+from gateway.settings.calibration import POINTS, Calibration
+from gateway.settings.config import ConfigError
+
+Array = NDArray[np.float64]
+
+AMBIENT: Final = len(POINTS)
+"""Index of the ambient temperature in a reading."""
+NO_MODEL: Final = (
+    "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
+    'and a changing duty, or set [thermal] method = "maisd"'
+)
+
+
+class Report(NamedTuple):
+    """What is known of one motor: evidence for its two flags and what goes on the bus."""
+
+    thermal: Flag = Flag.UNKNOWN
+    sensor: Flag = Flag.UNKNOWN
+    reason: Reason = Reason.STARTING
+    fault_class: FaultClass = FaultClass.UNKNOWN
+    fault_sensor: FaultSensor = FaultSensor.NONE
+    mixed_c: float | None = None
+    maisd_k: float | None = None
+    wear: Wear = Wear()
+
+
+class Window(NamedTuple):
+    """(N, P) of `struct temperature_window`: last values and window averages, degC; deviation K.
+
+    valid: the last value is so now; known: the average is, too.
+    """
+
+    gain: Array
+    offset_k: Array
+    value: Array
+    valid: NDArray[np.bool_]
+    mean: Array
+    known: NDArray[np.bool_]
+    centred: Array
+    deviation: Array
+    number: NDArray[np.int64]
+
+
+class ThermalSide(Addressed):
+    """All motors' temperatures (`struct temperature_monitor`)."""
+
+    def __init__(
+        self,
+        motors: int,
+        period_ns: Nanos,
+        window_s: float,
+        calibration: Calibration | None,
+        nodes: tuple[int, ...],
+        sensors: Sequence[Sequence[str]] | None = None,
+        *,
+        model: bool = False,
+        limit_k: float = 10.0,
+    ) -> None:
+        """period_ns: the temperatures' cycle; the window is `window_s` of it.
+
+        sensors: names of the points each drive has; None: all have all. model: judge by the thermal
+        model; limit_k: K that a motor may grow warmer than the others. Raises ConfigError where
+        the calibration has no model.
+        """
+        self.limit_k = limit_k
+        by_node = {m.node: m for m in calibration.motor} if calibration else {}
+        cells = [by_node.get(n) for n in nodes]
+        self.sensors = SensorSide(motors, period_ns, cells, sensors)
+        every = max(round(SAMPLE_NS / period_ns), 1)
+        self.dt_s = every * period_ns / SECOND
+        """From one second to the next."""
+        self.model: ThermalMonitor | None = None
+        method = lib.THERMAL_UNCALIBRATED if calibration is None else lib.THERMAL_MAISD
+        if model and calibration is not None:
+            known = calibration.known(nodes)
+            if known is None:
+                raise ConfigError("calibration", [NO_MODEL])
+            self.model = ThermalMonitor(known, self.dt_s)
+            method = lib.THERMAL_MODEL
+        self.motors = np.zeros(motors, MOTOR_TEMPERATURES)
+        """(N,)."""
+        self.motors["status"] = self.motors["motion"] = NONE
+        self.record = np.zeros(1, TEMPERATURE_MONITOR)
+        self.record["period_ns"], self.record["cycles_per_second"] = period_ns, every
+        self.record["drive_count"], self.record["method"] = motors, method
+        self.record["named"], self.record["sum_seconds"] = NAMED, self.model is not None
+        self._ring = maisd.window(max(1, round(window_s * SECOND / period_ns)), motors, len(POINTS))
+        self.window = _window(motors, calibration, nodes)
+        self._windows = self.record["window"]
+        self._windows["samples"], self._windows["spread"] = len(self._ring), np.nan
+        self._windows["limit_k"] = calibration.maisd_limit_k if calibration else np.inf
+        self._windows["apart_k"] = calibration.deviation_limit_k if calibration else np.inf
+        self._ranked = np.zeros(motors)
+        self._reading, self._input = np.zeros((motors, AMBIENT)), np.zeros(motors, THERMAL_INPUT)
+        self.link()
+        lib.temperatures_reset(self.pointer)
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        self.record["sensors"] = self.sensors.drives.ctypes.data
+        self.record["motors"] = self.motors.ctypes.data
+        self.record["model"] = 0 if self.model is None else self.model.record.ctypes.data
+        self.record["reading"] = self._reading.ctypes.data
+        self.record["input"] = self._input.ctypes.data
+        self._windows = self.record["window"]
+        self._windows["ring"], self._windows["ranked"] = (
+            self._ring.ctypes.data, self._ranked.ctypes.data,
+        )  # fmt: skip
+        for name, array in self.window._asdict().items():
+            self._windows[name] = array.ctypes.data
+        self.pointer = ffi.from_buffer("struct temperature_monitor *", self.record)
+
+    def wire(self, places: Places, limit_ns: Sequence[Nanos]) -> None:
+        """Which channels carry what the model needs, and how old each drive's readings may be."""
+        self.motors["status"], self.motors["motion"] = places.status, places.motion
+        self.motors["age_limit_ns"] = limit_ns
+
+    @property
+    def learning(self) -> bool:
+        """Whether seconds are averaged although there is no model: one is to be learnt."""
+        return self.model is None and bool(self.record["sum_seconds"][0])
+
+    @learning.setter
+    def learning(self, wanted: bool) -> None:
+        self.record["sum_seconds"] = wanted or self.model is not None
+
+    def take(
+        self, readings: Sequence[Temperatures], now: Nanos, beside: Receiver | None = None
+    ) -> None:
+        """One tick of readings that came in no frame: a recording's; nothing is reported.
+
+        beside: what else the drives have sent, for the thermal model.
+        """
+        for reading in readings:
+            self.sensors.take(reading)
+            celsius, valid = reading.celsius[AMBIENT], reading.valid[AMBIENT]
+            self.motors["ambient_c"][reading.drive] = celsius if valid else math.nan
+        receiver = ffi.NULL if beside is None else beside.pointer
+        lib.advance_temperatures(self.pointer, receiver, bool(readings), now)
+
+    @property
+    def last(self) -> Sample | None:
+        """The newest second, in the temperature cycle that completed it."""
+        if not self.record["second_complete"][0]:
+            return None
+        mean = self.motors["mean"].copy()
+        square, speed, ambient = (
+            mean[:, k] for k in (lib.THERMAL_CURRENT_SQUARE, lib.THERMAL_SPEED, lib.THERMAL_AMBIENT)
+        )
+        return Sample(mean[:, :AMBIENT], square, speed, ambient)
+
+    @property
+    def cycles(self) -> int:
+        """How often the windows have advanced."""
+        return int(self.record["cycles"][0])
+
+    @property
+    def spread(self) -> Array:
+        """(P,) MAISD, K; NaN where there is none."""
+        return np.asarray(self._windows["spread"][0])
+
+    @property
+    def wear(self) -> list[Wear]:
+        """What is known of each motor's degradation, while its temperatures are fresh."""
+        fresh = self.motors["fresh"].tolist()
+        return [
+            self._wear(k) if self.model is not None and heard else Wear()
+            for k, heard in enumerate(fresh)
+        ]
+
+    def _wear(self, k: int) -> Wear:
+        own = self.motors["trend"][k : k + 1].copy()
+        rate, sigma = trend.rate_of(own) or (None, None)
+        return Wear(rate, sigma, trend.time_to(own, self.limit_k), int(self.motors["jumps"][k]))
+
+    def report(self, drive: int, now: Nanos, limit_ns: Nanos) -> Report:
+        """Evidence for one motor at `now`; `limit_ns` is the age limit of its temperatures."""
+        self.motors["age_limit_ns"][drive] = limit_ns
+        out = np.zeros(1, FLAG_INPUTS)
+        lib.report_motor(self.pointer, drive, now, pointer("struct flag_inputs", out))
+        return self.told(drive, out[0])
+
+    def told(self, drive: int, found: Any) -> Report:
+        """One motor's `flag_inputs` in words."""
+        mixed, largest = (float(found[name]) for name in ("mixed_c", "maisd_k"))
+        return Report(
+            Flag(found["thermal"]), Flag(found["sensor"]), Reason(found["thermal_reason"]),
+            FaultClass(found["fault_class"]), FaultSensor(found["fault_sensor"]),
+            None if math.isnan(mixed) else mixed, None if math.isnan(largest) else largest,
+            self.wear[drive],
+        )  # fmt: skip
+
+
+def _window(motors: int, calibration: Calibration | None, nodes: tuple[int, ...]) -> Window:
+    """An empty one, and how a calibration centres what it holds."""
+    shape = (motors, len(POINTS))
+    gain, offset = np.ones(shape), np.zeros(shape)
+    if calibration is not None:
+        gain, offset = (
+            np.ascontiguousarray(part, dtype=np.float64) for part in calibration.centring(nodes)
+        )
+    value, mean, centred = np.zeros((3, *shape))
+    valid, known = np.zeros((2, *shape), dtype=np.bool_)
+    number = np.zeros(shape, dtype=np.int64)
+    return Window(
+        gain, offset, value, valid, mean, known, centred, np.full(shape, np.nan), number
+    )  # fmt: skip

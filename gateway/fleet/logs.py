@@ -1,0 +1,141 @@
+"""Which logs a fleet has, which are done, and what tells one state of a log from another."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+import re
+from collections.abc import Iterable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gateway.fleet.table import TABLE, TEXT, Row, metadata_of
+from gateway.io.whole_file import PART
+from gateway.settings.config import Config, ConfigError
+
+FOLDER: Final = "estimates"
+"""Of the logs' files, below the one that was named."""
+_EDGE: Final = 1 << 20
+_STEM: Final = 60
+
+
+class Settings(NamedTuple):
+    """What is the same for all logs. key: hash of everything that a result depends on but the log.
+
+    folder: where results go, absolute; everything here is sent to other processes.
+    """
+
+    config: Config
+    log_channel: str | None
+    folder: Path
+    key: str
+    version: str
+
+
+class Job(NamedTuple):
+    """One log to be done: absolute path, and the name of its file."""
+
+    path: Path
+    name: str
+
+
+def settings_for(config: Config, log_channel: str | None, folder: Path) -> Settings:
+    """Files that are not there are found out by who needs them: `gateway.fleet.run.ready`."""
+    digest = hashlib.sha256(config.model_dump_json().encode())
+    for path in (config.dbc_path, config.calibration_path):
+        digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b""))
+    digest.update(b"\0" + (log_channel or "").encode())
+    # The working folder of another process may be another one.
+    absolute = config.model_copy(update={"base": config.base.absolute()})
+    key = digest.hexdigest()[:16]
+    return Settings(absolute, log_channel, folder.absolute(), key, version("traction-gateway"))
+
+
+def find(patterns: Sequence[str], folder: Path) -> list[Path]:
+    """Files that the patterns name, absolute, sorted, each once; a folder is all that is below it.
+
+    `**` goes through folders; hidden files and what a fleet has left in `folder` are passed over.
+    A name without `*?[` that is not there is kept: it will be said so. Raises ConfigError if not
+    one file is found.
+    """
+    found: dict[str, Path] = {}
+    for pattern in patterns:
+        for path in _matches(pattern):
+            if not _ours(path, folder.absolute()):
+                found.setdefault(os.path.realpath(path), path)
+    paths = sorted(found.values())
+    if not any(path.exists() for path in paths):
+        raise ConfigError("fleet", [f"no log matches {pattern!r}" for pattern in patterns])
+    return paths
+
+
+def _matches(pattern: str) -> list[Path]:
+    literal = os.path.lexists(pattern) or not glob.has_magic(pattern)
+    names = [pattern] if literal else _glob(pattern)
+    if Path(pattern).name != "**":
+        folders = [name for name in names if Path(name).is_dir()]
+        names += [name for folder in folders for name in _glob(f"{glob.escape(folder)}/**")]
+    # Not resolved: a person knows the log by the name that was given.
+    return [
+        Path(os.path.abspath(name))  # noqa: PTH100
+        for name in names
+        if not Path(name).is_dir()
+    ]
+
+
+def _glob(pattern: str) -> list[str]:
+    return glob.glob(pattern, recursive=True)  # noqa: PTH207 Path.glob takes no absolute pattern
+
+
+def _ours(path: Path, folder: Path) -> bool:
+    if path.parent == folder:
+        return path.name in (TABLE, TEXT)
+    return path.parent == folder / FOLDER and path.suffix in (".parquet", PART)
+
+
+def job(path: Path) -> Job:
+    """The job of an absolute path. Its file's name is that of no other path."""
+    stem = re.sub(r"[^A-Za-z0-9._-]", "_", path.name.removesuffix(".gz")).rpartition(".")
+    short = hashlib.sha256(os.fsencode(path)).hexdigest()[:10]
+    return Job(path, f"{(stem[0] or stem[2])[:_STEM]}-{short}.parquet")
+
+
+def shown(path: Path) -> str:
+    """The path as text that every table takes, whatever its bytes."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
+
+
+def fingerprint(path: Path, settings: Settings) -> dict[str, str]:
+    """What a result rests on: the log's size, time and ends, and the settings. Raises OSError."""
+    with path.open("rb") as file:
+        state = os.fstat(file.fileno())
+        ends = hashlib.sha256(file.read(_EDGE))
+        file.seek(max(0, state.st_size - _EDGE))
+        ends.update(file.read(_EDGE))
+    return {
+        "size_bytes": str(state.st_size),
+        "mtime_ns": str(state.st_mtime_ns),
+        "sha256_of_ends": ends.hexdigest(),
+        "settings": settings.key,
+        "version": settings.version,
+    }
+
+
+def done_before(one: Job, settings: Settings) -> Row | None:
+    """The row of a log that is done and has not changed since, else None."""
+    said = metadata_of(settings.folder / FOLDER / one.name)
+    try:
+        same = bool(said) and fingerprint(one.path, settings).items() <= said.items()
+        return Row.of_json(said["row"]) if same else None
+    except (OSError, KeyError, ValueError, TypeError):
+        return None
+
+
+def remove_parts(jobs: Iterable[Job], folder: Path) -> None:
+    """Take away what killed workers have left of these logs."""
+    names = {one.name for one in jobs}
+    for part in (folder / FOLDER).glob(f".*{PART}"):
+        if part.name[1:].rsplit(".", 2)[0] in names:
+            part.unlink(missing_ok=True)

@@ -1,0 +1,198 @@
+"""Thresholds of `[adhesion]` from the results of a healthy fleet.
+
+The configuration has thresholds of the loss probability and the spread of healthy loads: those are
+measured. The results' NIS and MAISD have none there (`calibrate` measures MAISD limits, from all
+three sensors), nor has a load's share, and `[thermal] limit_k` is what an owner allows, not what is
+usual: they are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from gateway.core.adhesion import BASE_NM
+from gateway.fleet.log_result import EVERY_NS, PEAK
+from gateway.fleet.table import DONE, TABLE, metadata_of
+from gateway.settings.config import Adhesion, Config, ConfigError
+
+QUANTILE: Final = 0.999
+BINS: Final = 10_000
+"""Of a probability: a table of any length in little memory, right to four digits."""
+HIGHEST: Final = 0.999
+"""Of a threshold, whatever was seen: above it hardly any loss would be found."""
+STEP_CLIP: Final = 4.0
+"""A step counts as at most this many deviations: a passing curve is not a wide spread."""
+SHOWN: Final = 5
+
+Array = NDArray[Any]
+
+
+class Seen(NamedTuple):
+    """Loss probability of healthy drives: quantile of samples, largest at any tick, hours known."""
+
+    quantile: float
+    largest: float
+    hours: float
+
+
+class Measured(NamedTuple):
+    """Of all logs: per node and together; spread_nm: of loads, as `[adhesion]` means it."""
+
+    drives: dict[int, Seen]
+    fleet: Seen
+    spread_nm: float | None
+    logs: int
+    bad: int
+    adhesion: Adhesion
+    settings: str
+
+
+class _Tally:
+    """Probabilities of one drive, as a histogram."""
+
+    def __init__(self) -> None:
+        self.bins = np.zeros(BINS, dtype=np.int64)
+        self.largest = 0.0
+
+    def add(self, samples: Array, peaks: Array) -> None:
+        """Both (n,), NaN where not known."""
+        known = samples[~np.isnan(samples)]
+        self.bins += np.histogram(known, BINS, (0.0, 1.0))[0]
+        self.largest = max(self.largest, np.max(peaks, initial=0.0, where=~np.isnan(peaks)).item())
+
+    def merge(self, other: _Tally) -> None:
+        """Take another drive's."""
+        self.bins += other.bins
+        self.largest = max(self.largest, other.largest)
+
+    def seen(self) -> Seen:
+        """Quantile as the upper edge of its bin."""
+        total = int(self.bins.sum())
+        place = int(np.searchsorted(np.cumsum(self.bins), QUANTILE * total))
+        quantile = min((place + 1) / BINS, 1.0) if total else 0.0
+        return Seen(quantile, self.largest, total * EVERY_NS / 3.6e12)
+
+
+def measure(folder: Path, *, force: bool) -> Measured:
+    """Read a fleet's results. Raises ConfigError where they are none, or not of a healthy fleet.
+
+    force: take them although flags were raised, which says that those were false.
+    """
+    table = folder / TABLE
+    said = metadata_of(table)
+    if "config" not in said:
+        raise ConfigError(str(table), ["no results of a fleet; make them with 'fleet'"])
+    config = Config.model_validate_json(said["config"])
+    rows = pq.read_table(table).to_pylist()
+    done = [row for row in rows if row["status"] == DONE]
+    problems = [
+        f"{row['path']}: {row['adhesion_losses']} adhesion losses, "
+        f"{row['thermal_faults']} thermal faults"
+        for row in done
+        if row["adhesion_losses"] or row["thermal_faults"]
+    ]
+    if problems and not force:
+        more = [f"and {len(problems) - SHOWN} logs more"] if len(problems) > SHOWN else []
+        cure = "take other logs, or --force if these are false"
+        raise ConfigError("the fleet is not healthy", [*problems[:SHOWN], *more, cure])
+    tallies = {node: _Tally() for node in config.nodes}
+    steps = [0.0, 0.0]
+    rated = [config.motors[drive.motor].T_rated for drive in config.drive]
+    for samples in _logs(folder, done):
+        for node, tally in tallies.items():
+            mine = samples["drive"] == node
+            tally.add(samples["loss_probability"][mine], samples[PEAK][mine])
+        total, count = _steps(samples, config.nodes, np.array(rated))
+        steps = [steps[0] + total, steps[1] + count]
+    fleet = _Tally()
+    for tally in tallies.values():
+        fleet.merge(tally)
+    if not fleet.bins.any():
+        raise ConfigError(str(table), ["no drive's loss probability was known in any log"])
+    spread = BASE_NM * math.sqrt(steps[0] / steps[1]) if steps[1] else None
+    drives = {node: tally.seen() for node, tally in tallies.items()}
+    return Measured(
+        drives, fleet.seen(), spread, len(done), len(rows) - len(done), config.adhesion,
+        said.get("settings", ""),
+    )  # fmt: skip
+
+
+def _logs(folder: Path, rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Array]]:
+    """The columns needed of every log; missing numbers are NaN here."""
+    names = ["t_ns", "drive", "load_nm", "loss_probability", PEAK]
+    for row in rows:
+        path = folder / row["file"]
+        if not path.is_file():
+            raise ConfigError(str(path), ["missing; run 'fleet' again"])
+        table = pq.read_table(path, columns=names)
+        yield {name: table[name].to_numpy() for name in names}
+
+
+def _steps(samples: dict[str, Array], nodes: Sequence[int], rated: Array) -> tuple[float, float]:
+    """Sum of squares, and their number, whose mean is the squared spread per unit of rated torque.
+
+    As the detector learns it: of the drives' loads around their mean, what changes from one sample
+    to the next is noise, twice its variance; what stays is a difference for good. rated: (N,).
+    """
+    stamps = np.unique(samples["t_ns"])
+    load = np.full((stamps.size, len(nodes)), np.nan)
+    for k, node in enumerate(nodes):
+        mine = samples["drive"] == node
+        load[np.searchsorted(stamps, samples["t_ns"][mine]), k] = samples["load_nm"][mine]
+    load /= rated
+    # Ticks in which one drive alone has a row are no samples of the set.
+    whole = ~np.isnan(load).any(axis=1)
+    load, stamps = load[whole], stamps[whole]
+    beside = load - load.mean(axis=1, keepdims=True)
+    step = np.diff(beside, axis=0)[np.diff(stamps) == EVERY_NS]
+    if len(nodes) < 2 or not step.size:
+        return 0.0, 0.0
+    most = STEP_CLIP * float(np.median(np.abs(step))) / 0.6745
+    step = np.clip(step, -most, most)
+    return 0.5 * float(np.sum(step * step)), float(step.shape[0] * (len(nodes) - 1))
+
+
+def to_toml(measured: Measured) -> str:
+    """A fragment for the configuration, with what it rests on as comments.
+
+    Nothing is made more sensitive than what is in use: healthy logs show that a threshold or the
+    spread is too low, never that it is too high.
+    """
+    seen, used = measured.fleet, measured.adhesion
+    raised = max(used.raise_probability, min(_up((1.0 + seen.largest) / 2.0), HIGHEST))
+    if seen.largest < used.raise_probability:
+        raised = used.raise_probability
+    cleared = min(max(used.clear_probability, _up(seen.quantile)), raised)
+    lines = [
+        f"# From {measured.logs} logs of a healthy fleet (settings {measured.settings}).",
+        f"# Loss probability: {100 * QUANTILE:g} % quantile, largest at any tick, hours known:",
+        *(_line(f"drive {node}", drive) for node, drive in measured.drives.items()),
+        _line("all", seen),
+        "",
+        "[adhesion]",
+        "# As in use, or half-way from the largest to 1 where that reached it.",
+        f"raise_probability = {raised:g}",
+        "# As in use, or the quantile where that is above it.",
+        f"clear_probability = {cleared:g}",
+    ]
+    if measured.spread_nm is not None:
+        lines += [
+            f"# As in use, or what was measured where that is above: {measured.spread_nm:.3f} Nm.",
+            f"spread_nm = {max(used.spread_nm, _up(measured.spread_nm)):g}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _line(who: str, seen: Seen) -> str:
+    return f"#   {who}: {seen.quantile:.4f}, {seen.largest:.4f}, {seen.hours:.3f} h"
+
+
+def _up(value: float) -> float:
+    return math.ceil(1000.0 * value) / 1000.0

@@ -1,0 +1,78 @@
+"""What a worker of a fleet does: one log through the core of `replay`, its file, its row."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+
+from dbc.codec import Codec, DbcMismatch, bind
+from gateway.core.gateway import Gateway
+from gateway.fleet.log_result import Estimates
+from gateway.fleet.logs import FOLDER, Job, Settings, fingerprint, shown
+from gateway.fleet.table import Row, per_drive
+from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
+from gateway.reports.record import Recorder
+from gateway.settings.config import ConfigError
+
+
+@lru_cache(maxsize=4)
+def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
+    return bind(path, nodes)
+
+
+def prepare(settings: Settings) -> str:
+    """Load whatever a replay needs; says what is wrong, or nothing.
+
+    A text, because an error would have to survive its journey to another process.
+    """
+    config, here = settings.config, version("traction-gateway")
+    if settings.version != here:
+        return f"a worker has traction-gateway {here}, not {settings.version}"
+    try:
+        Gateway(config, _codec(config.dbc_path, config.nodes), 0)
+    except (ConfigError, DbcMismatch, OSError) as error:
+        return " ".join(str(error).split())
+    return ""
+
+
+def replayed(one: Job, settings: Settings, began: float) -> Row:
+    """Replay a log, leave its file, give its row. Raises whatever a log can make it raise.
+
+    began: of `time.perf_counter`, from where the row's time counts.
+    """
+    if one.path.exists() and not one.path.is_file():
+        msg = "not a file"
+        raise BadLogError(msg)
+    config = settings.config
+    log = open_log(one.path, strict=False)
+    # Before it is read: a log that is still being written has changed by the next run.
+    mark = fingerprint(one.path, settings)
+    codec = _codec(config.dbc_path, config.nodes)
+    blocks = OneChannel(log.blocks, settings.log_channel)
+    recorder = Recorder(None)
+    with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
+
+        def changed(gateway: Gateway) -> None:
+            assert gateway.view is not None
+            recorder.add(gateway.view)
+
+        sink = Briefly(lambda _out: None, changed, estimates)
+        done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
+        reader = log.reader
+        faulty = sum(n for v, n in reader.counts.items() if v.is_fault) if reader else 0
+        row = Row(
+            path=shown(one.path), warning=(reader.truncated or None) if reader else None,
+            file=f"{FOLDER}/{one.name}", size_bytes=int(mark["size_bytes"]),
+            channel=done.channel.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
+            first_ns=done.first_ns, last_ns=done.last_ns, frames=done.frames,
+            faulty_lines=faulty,
+            counts=dict(done.gateway.inbox.counts),
+            drives=per_drive(recorder.changes, config.nodes, estimates.last_ns),
+            took_s=round(time.perf_counter() - began, 3),
+        )  # fmt: skip
+        row = row._replace(warning="; ".join(filter(None, (row.warning, row.dropped))) or None)
+        said = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}
+        estimates.finish({**said, **mark})
+    return row

@@ -1,0 +1,1 @@
+"""Gateway and simulator together, with expectations."""

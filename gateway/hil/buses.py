@@ -1,0 +1,108 @@
+"""A scenario on a real bus: the drives in a process of their own, the gateway in this one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from argparse import Namespace
+from typing import TYPE_CHECKING
+
+from dbc.codec import Codec
+from dbc.frame import SECOND, Nanos
+from gateway.core.gateway import Gateway
+from gateway.hil.bench import Outcome, touched_drives
+from gateway.io.bus import open_transport
+from gateway.io.canopen_node import CanopenNode
+from gateway.io.credentials import flag_authenticator, private_file
+from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.permission import Mode, allowed
+from gateway.io.realtime import Ticker
+from gateway.reports.expectations import FlagTrack, judge
+from gateway.settings.config import Config
+from sim.scenario import Scenario
+
+if TYPE_CHECKING:
+    from gateway.reports.reporting import Reporting
+
+TRUTH = "truth.csv"
+"""What is really so, among the results."""
+
+
+def bus_arguments(options: Namespace) -> list[str]:
+    """The bus options of this command line, for a child's."""
+    words: list[str] = []
+    for key, flag in (("interface", "-i"), ("channel", "-c"), ("bitrate", "-b"),
+                      ("data_bitrate", "--data-bitrate")):  # fmt: skip
+        if getattr(options, key, None) is not None:
+            words += [flag, str(getattr(options, key))]
+    return [*words, "--fd"] if getattr(options, "fd", False) else words
+
+
+def _authentication(config: Config, gateway: Gateway) -> list[str]:
+    """What the drives have to know to believe the gateway's flags; the key by its file's name."""
+    sender = gateway.outbox.authenticator
+    if config.authentication is None or sender is None:
+        return []
+    path, _ = private_file(config.authentication.key, config.base)
+    return ["--auth-key", str(path), "--auth-after", str(sender.freshness)]
+
+
+def run_on_real_bus(
+    options: Namespace,
+    name: str,
+    scenario: Scenario,
+    config: Config,
+    codec: Codec,
+    left: Reporting | None = None,
+) -> Outcome:
+    """Run in real time, until the drives have left. Raises `Ended` where a signal came first.
+
+    Scenario time starts with the first frame heard from a drive; what is said after its end, when
+    the drives are leaving, is not judged. left: what keeps the run for a report, and the truth
+    that the drives' process writes into its folder, on their clock.
+    """
+    ticker = Ticker(config.loop.period_ns)
+    authenticator = flag_authenticator(config)
+    gateway = Gateway(config, codec, ticker.clock(), authenticator)
+    transport = open_transport(options, allowed(Mode.HIL, config, codec))
+    track = FlagTrack(codec, config.nodes)
+    stop = Stop()
+    if left is not None:
+        left.begin(gateway)
+        (left.folder / TRUTH).unlink(missing_ok=True)
+    child = subprocess.Popen(
+        [sys.executable, "-m", "gateway", "sim", name, "--wait-for-start",
+         "--dbc", str(codec.path), *bus_arguments(options), *_authentication(config, gateway),
+         *([] if left is None else ["--truth", str(left.folder / TRUTH)])],
+    )  # fmt: skip
+    first: list[Nanos] = []
+    duration = round(scenario.duration_s * SECOND)
+
+    def watch(seen: LiveSnapshot) -> None:
+        if not first and seen.status.received:
+            first.append(seen.now_ns)
+        if not first or seen.now_ns - first[0] <= duration:
+            track.add(seen.sent)
+            if left is not None and first and gateway.view is not None:
+                left.add(gateway.view)
+        if child.poll() is not None:
+            stop()
+
+    try:
+        node = CanopenNode(config.nodes, nmt_master=True)
+        seen = run_live(gateway, transport, node, ticker, stop=stop, on_tick=watch)
+    finally:
+        if child.poll() is None:
+            child.terminate()
+        child.wait(timeout=10)
+    if stop.ended is not None:
+        raise stop.ended  # what was not seen to its end has no verdict
+    if child.returncode:
+        msg = f"the simulated drives' process ended early, with exit code {child.returncode}"
+        raise ChildProcessError(msg)
+    if left is not None:
+        left.take_timing(seen, ticker.period_ns)
+        left.read_truth(left.folder / TRUTH)
+    start = first[0] if first else 0
+    verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
+    return Outcome(scenario, verdicts, gateway)

@@ -1,0 +1,53 @@
+"""The configuration that a scenario needs: its drives and motors."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway.io.console import console
+from gateway.io.prepare import prepare
+from gateway.settings.config import Config, ConfigError
+
+if TYPE_CHECKING:
+    from dbc.codec import Codec
+    from sim.scenario import Scenario
+
+
+def scenario_thermal() -> dict[str, str]:
+    """The calibration of the simulated bench motors that ships with the package."""
+    import gateway
+
+    return {"calibration": str(Path(gateway.__path__[0]) / "bench_calibration.toml")}
+
+
+def fitting(
+    path: Path | None, scenario: Scenario, signature: argparse.Namespace | None = None
+) -> tuple[Config, Codec]:
+    """Configuration for the scenario's drives and motors, unless a file says otherwise.
+
+    signature: as of `prepare`. Raises ConfigError or DbcMismatch with every problem.
+    """
+    from dbc.codec import bind
+    from gateway.settings.config import Drive
+
+    if path is not None:
+        config, codec = prepare(path, signature=signature)
+        if config.unmapped() is not config:
+            cure = "leave them out to test the rest, or replay a log of such an inverter"
+            raise ConfigError(
+                str(path), [f"drive.signals: simulated drives speak our message set; {cure}"]
+            )
+        if len(config.nodes) != scenario.drives:
+            console().print(
+                f"note: the scenario has {scenario.drives} drives, the configuration "
+                f"{len(config.nodes)}", markup=False,
+            )  # fmt: skip
+        return config, codec
+    config, _ = prepare(None, signature=signature, thermal=scenario_thermal())
+    name = scenario.motor.name
+    motor = name if name in config.motors else "bench"
+    drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
+    config = config.model_copy(update={"drive": drives})
+    return config, bind(config.dbc_path, config.nodes)

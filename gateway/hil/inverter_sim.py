@@ -1,0 +1,108 @@
+"""Simulated drives that speak like other makers' inverters: frames of ours into theirs.
+
+The reverse of `gateway.mapping.translate`, for `check` and for tests. May know: mappings, frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Final
+
+from dbc.codec import VALID, Codec
+from dbc.frame import FD, MS, Frame, Nanos
+
+if TYPE_CHECKING:
+    from gateway.mapping.plan import Plan
+
+_SQRT3: Final = math.sqrt(3.0)
+
+
+class Inverter:
+    """One drive of a mapped configuration, fed with what its simulated twin sends."""
+
+    def __init__(self, plan: Plan) -> None:
+        """Nothing known yet."""
+        self.plan = plan
+        self._known: dict[str, float] = {}
+        self._angle: tuple[float, Nanos] = (0.0, 0)
+        self._turn = 1.0, 0.0
+        self._due: dict[int, Nanos] = {}
+        self._sent = 0
+        self._turns = 1 << next(
+            (
+                signal.length
+                for spec in plan.codec.messages
+                for name, column, _ in plan.sources[spec.index]
+                for signal in spec.signals
+                if name == "Counter" and signal.name == column
+            ),
+            4,
+        )
+
+    def take(self, kind: str, values: Mapping[str, float], t_ns: Nanos) -> Iterator[Frame]:
+        """Frames of theirs that are due with this frame of ours of that kind, at t_ns."""
+        k = self._known
+        k.update(values)
+        if kind == "Motion":
+            self._angle = (values["ElectricalAngle"], t_ns)
+        if kind == "PhaseCurrents":
+            self._currents(t_ns)
+        # Currents and voltages of one instant come in this order.
+        if kind != "StatorVoltages":
+            return
+        self._voltages()
+        for spec in self.plan.codec.messages:
+            if t_ns < self._due.get(spec.index, 0):
+                continue
+            wanted = {
+                column: (k[quantity] - source.offset) / source.scale
+                for quantity, column, source in self.plan.sources[spec.index]
+                if quantity in k
+            }
+            if len(wanted) < len(self.plan.sources[spec.index]):
+                continue
+            self._due[spec.index] = t_ns + spec.cycle_ns - min(MS, spec.cycle_ns // 2)
+            data = bytes(self.plan.codec.encode(spec, wanted))
+            yield Frame(t_ns, spec.can_id, data, FD if spec.is_fd else 0)
+
+    def _currents(self, t_ns: Nanos) -> None:
+        k = self._known
+        alpha, beta = k["Ia"], (k["Ib"] - k["Ic"]) / _SQRT3
+        at, begin = self._angle
+        theta = at + 6.0 * k.get("Speed", 0.0) * self.plan.motor.pole_pairs * (t_ns - begin) * 1e-9
+        cos, sin = math.cos(math.radians(theta)), math.sin(math.radians(theta))
+        self._turn = cos, sin
+        k |= {
+            "ElectricalAngle": theta % 360.0, "Ialpha": alpha, "Ibeta": beta,
+            "Id": alpha * cos + beta * sin, "Iq": beta * cos - alpha * sin,
+        }  # fmt: skip
+        self._sent += 1
+        k["Counter"] = float(self._sent % self._turns)
+
+    def _voltages(self) -> None:
+        k, (cos, sin) = self._known, self._turn
+        a, b = k["Ualpha"], k["Ubeta"]
+        k |= {"Ud": a * cos + b * sin, "Uq": b * cos - a * sin}
+
+
+class Inverters:
+    """The mapped drives among simulated ones."""
+
+    def __init__(self, planned: Sequence[Plan], ours: Codec) -> None:
+        """ours: decodes what the simulated drives send."""
+        self._inverters = {plan.node: Inverter(plan) for plan in planned}
+        self._ours = ours
+
+    def take(self, frames: Iterable[Frame]) -> list[Frame]:
+        """Frames of simulated drives as the mapped ones send them, those of others as they are."""
+        out: list[Frame] = []
+        for frame in frames:
+            spec = self._ours.by_id.get(frame.can_id)
+            if spec is None or spec.node not in self._inverters:
+                out.append(frame)
+                continue
+            read = self._ours.decode(spec, frame.data)
+            good = {name: float(r.value) for name, r in read.items() if r.validity == VALID}
+            out += self._inverters[spec.node].take(spec.kind, good, frame.t_ns)
+        return out

@@ -1,0 +1,110 @@
+"""The bench of a test: simulated inverters, a gateway, a bus. Time passes when the test says so."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from dbc.codec import Codec
+from dbc.frame import SECOND, Frame, Nanos
+from gateway.hil.pytest.flags import GatewayFlags
+from gateway.hil.pytest.inverter import Inverter
+from gateway.hil.pytest.world import BusWorld, Tick, VirtualWorld, World
+from gateway.settings.config import Config
+from sim.scenario import Scenario
+from sim.simulation import Simulation
+
+KEPT: Final = 2000
+"""Frames that are kept for a person to look at."""
+SETTLE_S: Final = 5.0
+"""A bench that has not got all its flags good after so long has a problem of its own."""
+
+
+class HilBench:
+    """Inverters and gateway together. `run` is what moves time; everything else looks or acts.
+
+    On a bus the gateway is this process's own, or one that runs elsewhere (`own_gateway=False`).
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        config: Config,
+        codec: Codec,
+        bus: Mapping[str, Any] | None = None,
+        *,
+        own_gateway: bool = True,
+    ) -> None:
+        """bus: python-can's options; None: the virtual clock. Raises ConfigError."""
+        own = own_gateway or bus is None
+        simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=not own)
+        self._world: World
+        if bus is None:
+            self._world = VirtualWorld(simulation, config, codec)
+        else:
+            self._world = BusWorld(simulation, config, codec, bus, own_gateway=own_gateway)
+        self.codec, self.config, self.scenario = codec, config, scenario
+        self.nodes = config.nodes[: scenario.drives]
+        self.frames: deque[Frame] = deque(maxlen=KEPT)
+        """The last frames on the bus, drives' and gateway's, oldest first."""
+        self.lost: dict[int, deque[tuple[Nanos, bool]]] = {
+            node: deque(maxlen=KEPT) for node in self.nodes
+        }
+        """What is true: who has lost adhesion, every 10 ms of late."""
+        self.now_ns: Nanos = 0
+        self.flags = GatewayFlags(self)
+        self.inverter = Inverter(simulation, lambda: self.now_s)
+
+    @property
+    def now_s(self) -> float:
+        """Seconds since the start of the bench."""
+        return self.now_ns / SECOND
+
+    def run(self, seconds: float) -> None:
+        """Let so much time pass."""
+        end = self.now_ns + round(seconds * SECOND)
+        while self.now_ns < end:
+            self._step()
+
+    def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
+        """Let time pass until `met()`, at most so long; whether it was."""
+        end = self.now_ns + round(within_s * SECOND)
+        while not met():
+            if self.now_ns >= end:
+                return False
+            self._step()
+        return True
+
+    def settle(self, within_s: float = SETTLE_S) -> None:
+        """Run until every adhesion flag says good. Raises AssertionError if they do not."""
+        for node in self.nodes:
+            self.flags.expect_adhering(drive=node, within_ms=1000.0 * within_s)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._world.close()
+
+    def _step(self) -> None:
+        tick: Tick = self._world.step()
+        self.now_ns = tick.now_ns
+        self.frames.extend(sorted([*tick.drives, *tick.gateway]))
+        self.flags.track.add(tick.gateway)
+        for row in self._world.simulation.truth_rows():
+            node = self.nodes[row.drive - 1] if row.drive <= len(self.nodes) else row.drive
+            self.lost[node].append((round(row.t_s * SECOND), bool(row.lost)))
+
+
+def scenario_of(tables: Mapping[str, Any], title: str) -> Scenario:
+    """A scenario for a bench: three drives at constant speed on dry rail, unless `tables` say else.
+
+    Raises ValueError with all that is wrong.
+    """
+    from sim.scenario import ScenarioError, parse
+
+    try:
+        return parse({"title": title, "duration_s": 1e6, **tables}, "hil marker")
+    except (ScenarioError, ValidationError) as error:
+        raise ValueError(str(error)) from None

@@ -1,0 +1,155 @@
+"""The gateway's flags as they stand on the wire, and what a test expects of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Protocol
+
+from dbc.codec import Codec
+from dbc.frame import MS, Frame, Nanos
+from gateway.core.codes import Flag
+from gateway.hil.pytest import picture
+from gateway.reports.expectations import WORDS, FlagTrack
+
+SHOWN_NS: Final[Nanos] = 300 * MS
+"""A picture begins so long before the test began to wait."""
+LAST_FRAMES: Final = 12
+OF_THE_SET: Final = ("common_mode", "comm", "sensor")
+"""Flags of the gateway; the others are a drive's."""
+
+
+class Stage(Protocol):
+    """The part of a bench that flags need: what is on it, its time, and that it goes on."""
+
+    codec: Codec
+    nodes: tuple[int, ...]
+    now_ns: Nanos
+
+    @property
+    def frames(self) -> Sequence[Frame]:
+        """The last frames on the bus, oldest first."""
+
+    @property
+    def lost(self) -> Mapping[int, Sequence[tuple[Nanos, bool]]]:
+        """What is true, by node: stamps, and whether adhesion was lost."""
+
+    def run_until(self, met: Callable[[], bool], within_s: float) -> bool:
+        """Let time pass until `met()`, at most so long; whether it was."""
+
+
+class GatewayFlags:
+    """Reads and expects. An `expect_..` lets time pass until it is met, or fails with a picture."""
+
+    def __init__(self, bench: Stage) -> None:
+        """Made by the bench."""
+        self._bench = bench
+        self.track = FlagTrack(bench.codec, bench.nodes)
+
+    def now(self, flag: str, drive: int = 0) -> Flag:
+        """Last state on the wire: `adhesion` or `thermal` of a drive; comm, sensor, common_mode."""
+        seen = self._seen(flag, drive)
+        return seen[-1][1] if seen else Flag.UNKNOWN
+
+    def expect(self, flag: str, state: str, *, drive: int = 0, within_ms: float) -> float:
+        """The flag says "good", "bad" or "unknown" within so long from now; how long it took, ms.
+
+        The time is that from the last tick before the call to the stamp of the first such frame.
+        Raises AssertionError with the last frames and a picture.
+        """
+        __tracebackhide__ = True
+        bench, began = self._bench, self._bench.now_ns
+        wanted = WORDS[state]
+        first: list[Nanos] = []
+
+        def met() -> bool:
+            for t, said in reversed(self._seen(flag, drive)):
+                if t <= began:
+                    break
+                if said is wanted:
+                    first[:] = [t]
+            return bool(first)
+
+        if not bench.run_until(met, within_ms / 1000.0) or first[0] - began > within_ms * MS:
+            who = f" of drive {drive}" if drive else ""
+            last = self.now(flag, drive).name.lower()
+            raise AssertionError(
+                f"{flag}{who} was expected to be {state} within {within_ms:g} ms; it is {last}\n"
+                + self.show(began)
+            )
+        return (first[0] - began) / MS
+
+    def expect_never(self, flag: str, state: str, *, drive: int = 0, for_ms: float) -> None:
+        """The flag does not say so for so long from now on; it must be heard all the while."""
+        __tracebackhide__ = True
+        bench, began = self._bench, self._bench.now_ns
+        wanted = WORDS[state]
+        heard = len(self._seen(flag, drive))
+
+        def broken() -> bool:
+            return any(said is wanted for _, said in self._seen(flag, drive)[heard:])
+
+        who = f" of drive {drive}" if drive else ""
+        if bench.run_until(broken, for_ms / 1000.0):
+            at = (bench.now_ns - began) / MS
+            raise AssertionError(
+                f"{flag}{who} was never to be {state} for {for_ms:g} ms; it was after {at:g} ms\n"
+                + self.show(began)
+            )
+        if len(self._seen(flag, drive)) == heard:
+            raise AssertionError(
+                f"{flag}{who}: no flag frame for {for_ms:g} ms\n{self.show(began)}"
+            )
+
+    def expect_lost(self, *, drive: int, within_ms: float) -> float:
+        """`AdhesionLost` within so long from now; how long it took, ms."""
+        __tracebackhide__ = True
+        return self.expect("adhesion", "bad", drive=drive, within_ms=within_ms)
+
+    def expect_adhering(self, *, drive: int, within_ms: float) -> float:
+        """`Adhering` within so long from now; how long it took, ms."""
+        __tracebackhide__ = True
+        return self.expect("adhesion", "good", drive=drive, within_ms=within_ms)
+
+    def expect_unknown(self, *, drive: int, within_ms: float) -> float:
+        """Adhesion unknown within so long from now; how long it took, ms."""
+        __tracebackhide__ = True
+        return self.expect("adhesion", "unknown", drive=drive, within_ms=within_ms)
+
+    def expect_thermal_fault(self, *, drive: int, within_ms: float) -> float:
+        """A thermal fault of this drive within so long from now; how long it took, ms."""
+        __tracebackhide__ = True
+        return self.expect("thermal", "bad", drive=drive, within_ms=within_ms)
+
+    def expect_never_lost(self, *, drive: int, for_ms: float) -> None:
+        """No `AdhesionLost` of this drive for so long from now on."""
+        __tracebackhide__ = True
+        self.expect_never("adhesion", "bad", drive=drive, for_ms=for_ms)
+
+    def show(self, began: Nanos) -> str:
+        """A picture of the time from shortly before `began` until now, and the last frames."""
+        bench = self._bench
+        first, last = max(began - SHOWN_NS, 0), max(bench.now_ns, began + 10 * MS)
+        rows = []
+        for node in bench.nodes:
+            truth = [(t, Flag.BAD if lost else Flag.GOOD) for t, lost in bench.lost[node]]
+            rows.append((f"drive {node} truly", picture.strip(truth, first, last)))
+            for flag in ("adhesion", "thermal"):
+                seen = self._seen(flag, node)
+                rows.append((f"drive {node} {flag}", picture.strip(seen, first, last)))
+        rows += [(flag, picture.strip(self._seen(flag, 0), first, last)) for flag in OF_THE_SET]
+        lines = [f"  {name:>18} {text}" for name, text in rows]
+        lines.append(f"  {'':>18} {picture.axis(first, last)}")
+        lines.append(f"  {'':>18} - good   # bad   ? unknown")
+        own = {spec.can_id for spec in bench.codec.messages if spec.is_gateway}
+        flags = [f for f in bench.frames if f.can_id in own][-LAST_FRAMES // 2 :]
+        others = [f for f in bench.frames if f.can_id not in own][-LAST_FRAMES // 2 :]
+        told = picture.told(sorted([*flags, *others]), bench.codec)
+        return "\n".join([*lines, "  last frames:", *(f"    {line}" for line in told)])
+
+    def _seen(self, flag: str, drive: int) -> list[tuple[Nanos, Flag]]:
+        if flag in OF_THE_SET:
+            drive = 0
+        elif drive not in self._bench.nodes:
+            msg = f"drive {drive} is none of {self._bench.nodes}: name one of them"
+            raise ValueError(msg)
+        return self.track.seen.get((flag, drive), [])

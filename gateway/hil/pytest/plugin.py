@@ -1,0 +1,106 @@
+"""pytest plugin: `hil_bench`, `inverter`, `gateway_flags`; scenario files as tests.
+
+Loaded by pytest wherever traction-gateway is installed, so nothing heavy is imported here before
+a test asks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from gateway.hil.pytest.options import bus_of
+
+if TYPE_CHECKING:
+    from gateway.hil.pytest.bench import HilBench
+    from gateway.hil.pytest.flags import GatewayFlags
+    from gateway.hil.pytest.inverter import Inverter
+
+MARK = (
+    "hil(scenario=NAME or FILE, config=FILE, settle=True, drives=3, motion={..}, load={..}, ..): "
+    "what the bench of the test is: a scenario, or tables of one; settle: run until all is good"
+)
+GLOBS = ("hil_*.toml",)
+"""Nothing wider: pytest loads this in any project of the environment, which has TOML of its own."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--can-interface` and what belongs to it."""
+    group = parser.getgroup("hil", "traction-gateway: hardware-in-the-loop tests")
+    group.addoption("--can-interface", metavar="NAME",
+                    help="run HIL tests in real time on this python-can interface "
+                         "(default: virtual clock, no bus)")  # fmt: skip
+    group.addoption("--can-channel", metavar="NAME", help="channel, such as vcan0")
+    group.addoption("--can-bitrate", metavar="N", type=int, help="bit rate, where it is needed")
+    group.addoption("--can-fd", action="store_true", help="CAN FD")
+    group.addoption("--hil-gateway", choices=("own", "external"), default="own",
+                    help="external: the gateway under test runs elsewhere on the bus")  # fmt: skip
+    parser.addini("hil_scenarios", "file names of scenarios that are tests", type="args",
+                  default=list(GLOBS))  # fmt: skip
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The marker, and options that go together."""
+    config.addinivalue_line("markers", MARK)
+    bus = bus_of(config)
+    if bus is None and (config.getoption("--can-channel") or config.getoption("--can-fd")):
+        raise pytest.UsageError("--can-channel and --can-fd need --can-interface")
+    if bus is None and config.getoption("--hil-gateway") == "external":
+        raise pytest.UsageError("--hil-gateway external needs a bus: --can-interface")
+
+
+@pytest.fixture
+def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
+    """Simulated inverters and a gateway, all flags good; `@pytest.mark.hil(..)` says which."""
+    from gateway.hil.fitting import fitting
+    from gateway.hil.pytest.bench import HilBench, scenario_of
+    from sim.scenario import ScenarioError, find
+
+    mark = request.node.get_closest_marker("hil")
+    given = dict(mark.kwargs) if mark else {}
+    name, settle = given.pop("scenario", None), given.pop("settle", True)
+    path = given.pop("config", None)
+    try:
+        scenario = find(str(name)) if name else scenario_of(given, request.node.nodeid)
+    except (ScenarioError, ValueError) as error:
+        raise pytest.UsageError(str(error)) from None
+    config, codec = fitting(Path(path) if path else None, scenario)
+    bench = HilBench(
+        scenario, config, codec, bus_of(request.config),
+        own_gateway=request.config.getoption("--hil-gateway") == "own",
+    )  # fmt: skip
+    try:
+        if settle:
+            bench.settle()
+        yield bench
+    finally:
+        bench.close()
+
+
+@pytest.fixture
+def inverter(hil_bench: HilBench) -> Inverter:
+    """The simulated inverters of `hil_bench`."""
+    return hil_bench.inverter
+
+
+@pytest.fixture
+def gateway_flags(hil_bench: HilBench) -> GatewayFlags:
+    """The gateway's flags on the bus of `hil_bench`."""
+    return hil_bench.flags
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    """A scenario that is named on the command line, or whose name `hil_scenarios` has."""
+    if file_path.suffix != ".toml":
+        return None
+    named = parent.session.isinitpath(file_path)
+    if not named and not any(
+        file_path.match(glob) for glob in parent.config.getini("hil_scenarios")
+    ):
+        return None
+    from gateway.hil.pytest.scenarios import ScenarioFile
+
+    return ScenarioFile.from_parent(parent, path=file_path)

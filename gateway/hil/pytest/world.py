@@ -1,0 +1,127 @@
+"""Where the bench of a test runs: on the virtual clock, or on a bus in real time.
+
+Both give, tick by tick, the frames of the drives and those of the gateway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+from dbc.codec import Codec
+from dbc.frame import Frame, Nanos
+from gateway.core.gateway import Gateway
+from gateway.hil.simbus import newest
+from gateway.io.bus import open_transport
+from gateway.io.canopen_node import CanopenNode, meant
+from gateway.io.realtime import Ticker
+from gateway.io.transport import Allow
+from gateway.settings.config import Config
+from sim.simulation import Simulation
+
+
+class Tick(NamedTuple):
+    """What went over the bus in a tick; stamps count from the start of the bench."""
+
+    now_ns: Nanos
+    drives: list[Frame]
+    gateway: list[Frame]
+
+
+class World(Protocol):
+    """Drives, gateway and the bus between them."""
+
+    @property
+    def simulation(self) -> Simulation:
+        """The drives."""
+
+    @property
+    def period_ns(self) -> Nanos:
+        """Of the gateway's loop."""
+
+    def step(self) -> Tick:
+        """One period further."""
+
+    def close(self) -> None:
+        """Leave the bus."""
+
+
+class VirtualWorld:
+    """No clock: as fast as the machine can, the same on every run."""
+
+    def __init__(self, simulation: Simulation, config: Config, codec: Codec) -> None:
+        """Raises ConfigError as `Gateway` does."""
+        self.simulation = simulation
+        self.period_ns = config.loop.period_ns
+        self._core = Gateway(config, codec, 0)
+        self._node = CanopenNode(config.nodes, nmt_master=True)
+        self._now: Nanos = 0
+        self._sent: list[Frame] = []
+
+    def step(self) -> Tick:
+        """See World."""
+        now, self._now = self._now, self._now + self.period_ns
+        came = self.simulation.step(self._sent, now)
+        self._sent = self._core.step(came, now) + self._node.step(came, now)
+        return Tick(now, came, self._sent)
+
+    def close(self) -> None:
+        """Nothing to leave."""
+
+
+class BusWorld:
+    """Real time, on any interface of python-can; the gateway is ours or somebody else's."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        config: Config,
+        codec: Codec,
+        bus: Mapping[str, Any],
+        *,
+        own_gateway: bool = True,
+    ) -> None:
+        """bus: python-can's options. Raises ConfigError for a bus that cannot be opened."""
+        self.simulation = simulation
+        self.period_ns = config.loop.period_ns
+        self._ticker = Ticker(self.period_ns)
+        self._gateway_ids = {spec.can_id for spec in codec.messages if spec.is_gateway}
+        self._core: Gateway | None = None
+        if own_gateway:
+            self._core = Gateway(config, codec, self._ticker.clock())
+            allow = Allow.from_codec(codec, config.nodes, nmt_master=True)
+            self._theirs = open_transport(bus, allow)
+            self._node = CanopenNode(config.nodes, nmt_master=True)
+        self._bus = open_transport(bus)
+        self._start: Nanos | None = None
+
+    def step(self) -> Tick:
+        """See World."""
+        now = self._ticker.wait().now_ns
+        if self._start is None:
+            self._start = now
+        start = self._start
+        heard = self._bus.receive(0.0)
+        frames = newest(self.simulation.step(heard, now - start))
+        for frame in frames:
+            self._bus.send(frame)
+        self._answer()
+        said = [
+            f._replace(t_ns=max(f.t_ns - start, 0)) for f in heard if f.can_id in self._gateway_ids
+        ]
+        return Tick(now - start, frames, said)
+
+    def _answer(self) -> None:
+        """Our own gateway's tick."""
+        if self._core is None:
+            return
+        block = self._theirs.take(0.0)
+        now = self._ticker.clock()
+        for frame in self._core.step(block, now) + self._node.step(meant(block), now):
+            self._theirs.send(frame)
+
+    def close(self) -> None:
+        """See World."""
+        self._bus.close()
+        if self._core is not None:
+            self._theirs.close()

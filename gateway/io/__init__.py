@@ -1,0 +1,1 @@
+"""The only place with sockets, clocks and files of a running gateway."""

@@ -1,0 +1,51 @@
+"""Options to a bus: our own raw socket for SocketCAN, python-can for everything else."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping
+from typing import Any
+
+from gateway.io.links import Links
+from gateway.io.pythoncan import PythonCan, complete
+from gateway.io.socketcan import SocketCan
+from gateway.io.transport import Allow, Guarded, Transport
+from gateway.settings.config import ConfigError
+
+_BUS_KEYS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
+
+
+def bus_options(options: Namespace | Mapping[str, Any]) -> dict[str, Any]:
+    """The bus part of parsed arguments (python-can's `add_bus_arguments`) or of a mapping."""
+    given = dict(vars(options)) if isinstance(options, Namespace) else dict(options)
+    chosen = {key: given[key] for key in _BUS_KEYS if given.get(key) is not None}
+    return {**chosen, **(given.get("bus_kwargs") or {})}
+
+
+def open_transport(options: Namespace | Mapping[str, Any], allow: Allow | None = None) -> Transport:
+    """Make and open the transport that the options name.
+
+    Where interface or channel are missing, python-can's own sources decide (`CAN_INTERFACE`,
+    `can.conf` ..). Without `allow` anything may be sent (simulated drives), late or not.
+    Raises ConfigError if no interface is named or an option cannot be meant.
+    """
+    chosen = bus_options(options)
+    if "interface" not in chosen or "channel" not in chosen:
+        chosen = complete(chosen)
+    inner: Transport
+    if chosen["interface"] == "socketcan":
+        unknown = sorted(set(chosen) - set(_BUS_KEYS))
+        if unknown:
+            raise ConfigError("bus", [f"{key}: not an option of socketcan" for key in unknown])
+        channel, fd = str(chosen["channel"]), bool(chosen.get("fd", False))
+        if allow is None:
+            inner = SocketCan(channel, fd=fd)
+        else:
+            bitrate, data_bitrate = (int(chosen.get(k) or 0) for k in ("bitrate", "data_bitrate"))
+            links = Links(channel, bitrate, data_bitrate)
+            inner = SocketCan(channel, fd=fd, newest=True, links=links)
+    else:
+        inner = PythonCan(chosen)
+    transport = inner if allow is None else Guarded(inner, allow, str(chosen["channel"]))
+    transport.open()
+    return transport

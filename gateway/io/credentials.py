@@ -1,0 +1,135 @@
+"""Where keys and the number of this start come from: files, which only their owner may read.
+
+A credential of the service manager (`LoadCredential=`, in `$CREDENTIALS_DIRECTORY`) comes first,
+else a file beside the configuration. What a key file contains is never said or logged.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from gateway.settings.config import Authentication, Config, ConfigError
+
+if TYPE_CHECKING:
+    from dbc.secoc_sender import Authenticator
+
+_MOST_BYTES: Final = 4096
+_KEY_BYTES: Final = 16
+
+
+def flag_authenticator(config: Config) -> Authenticator | None:
+    """The sender's side as configured, with a start number of its own; None without the section.
+
+    Raises ConfigError for a key or a count of starts that cannot be used.
+    """
+    chosen = config.authentication
+    if chosen is None:
+        return None
+    from dbc.secoc_sender import Authenticator
+
+    key = flag_key(chosen.key, config.base)
+    return Authenticator(key, next_trip(trip_path(chosen, config.base)))
+
+
+def flag_key(name: str, base: Path) -> bytes:
+    """The key of 16 bytes: 32 hexadecimal digits, or the bytes themselves. Raises ConfigError."""
+    path, content = private_file(name, base)
+    text = content.strip()
+    try:
+        key = content if len(content) == _KEY_BYTES else bytes.fromhex(text.decode("ascii"))
+    except ValueError:
+        key = b""
+    if len(key) != _KEY_BYTES or len(set(key)) == 1:
+        problem = "is no key; make one with 'traction-gateway keygen --flags -o FILE'"
+        raise ConfigError(str(path), [problem])
+    return key
+
+
+def private_file(name: str, base: Path) -> tuple[Path, bytes]:
+    """(path, content) of a credential, or of a file only for its owner. Raises ConfigError."""
+    given = os.environ.get("CREDENTIALS_DIRECTORY")
+    if given and Path(name).name == name and (credential := Path(given, name)).is_file():
+        # The service manager guards the directory; modes in it may show access lists instead.
+        return credential, _content(credential, private=False)
+    path = base / name
+    return path, _content(path, private=True)
+
+
+def _content(path: Path, *, private: bool) -> bytes:
+    try:
+        # Opened once: what is looked at is what is read.
+        with open(path, "rb", opener=_opener) as file:
+            about = os.fstat(file.fileno())
+            problems = [] if stat.S_ISREG(about.st_mode) else ["is not a regular file"]
+            if private and about.st_mode & 0o077:
+                problems.append(f"others may read or write it; chmod 600 {path}")
+            if private and about.st_uid not in (0, os.geteuid()):
+                problems.append(f"belongs to user {about.st_uid}, neither to root nor to this one")
+            if problems:
+                raise ConfigError(str(path), problems)
+            return file.read(_MOST_BYTES)
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}; give it as a credential or beside the config"
+        raise ConfigError(str(path), [problem]) from None
+
+
+def _opener(path: str, flags: int) -> int:
+    # Not to hang on a pipe that somebody has put there.
+    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
+
+
+def trip_path(chosen: Authentication, base: Path) -> Path:
+    """Where starts are counted: the service's state directory if there is one."""
+    given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(given, chosen.trip) if given else base / chosen.trip
+
+
+def next_trip(path: Path) -> int:
+    """The number of this start, on disk before it is used. Raises ConfigError.
+
+    A number that came twice would give an eavesdropper MACs of the future, so a file that cannot
+    be read, or that does not hold a number, is no reason to begin again at 1.
+    """
+    try:
+        new = not path.exists()
+        with open(path, "r+b", opener=_counting) as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            number = _after(path, file.read(64), new=new)
+            # In place and of fixed width: a power cut leaves the old digits or the new.
+            os.pwrite(file.fileno(), f"{number:08d}\n".encode("ascii"), 0)
+            os.ftruncate(file.fileno(), 9)
+            os.fsync(file.fileno())
+        if new:
+            _sync_folder(path.parent)
+    except OSError as error:
+        problem = f"the start cannot be counted there: {error.strerror}"
+        raise ConfigError(str(path), [problem]) from None
+    return number
+
+
+def _after(path: Path, content: bytes, *, new: bool) -> int:
+    text = content.decode("ascii", errors="replace").strip()
+    if not (text.isascii() and text.isdigit() and len(text) < 9) and not (new and not content):
+        problem = "holds no number; write one that is higher than that of any start with this key"
+        raise ConfigError(str(path), [problem])
+    number = int(text or "0") + 1
+    if number >= 1 << 24:
+        raise ConfigError(str(path), ["24 bits of starts are used up: a new key, then count anew"])
+    return number
+
+
+def _counting(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+
+
+def _sync_folder(folder: Path) -> None:
+    """The file's name, too, has to outlive a power cut."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,240 @@
+"""The gateway on a bus in real time: drain, step, send, once per tick.
+
+Everything that is sent is sent from this loop and nothing is left to the kernel to repeat, so
+a hung loop stops its flags and its heartbeat within one period.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import signal
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Protocol
+
+from dbc.frame import Frame, Nanos
+from dbc.frames import Block
+from gateway.core.integrity import Doubt
+from gateway.io.canopen_node import CanopenNode, meant
+from gateway.io.endings import Ended
+from gateway.io.realtime import Ticker
+from gateway.io.timing import Timing
+from gateway.io.transport import LinkState, SendResult, Status, Transport
+
+log = logging.getLogger(__name__)
+
+FAREWELL = 3
+"""Ticks with unknown flags before the gateway goes silent on purpose."""
+INTRUDER = (
+    "somebody else sends with the gateway's identifiers (a second gateway, or a log played with "
+    "the frames of one). Flags are unknown until 10 s after the last such frame, unless [bus] "
+    "on_intruder is set or flags are authenticated; CommFault stays Fault until a restart: find "
+    "the other sender, then restart the gateway"
+)
+OLDEST = 2
+"""Ticks after which what a step has decided is not said any more: this process stood still between
+deciding and sending, and the next step knows better. A tick that is merely late still speaks."""
+TIMING_TICKS = 100
+"""Ticks between two reports of timing to the core."""
+
+
+class Core(Protocol):
+    """The part of `gateway.core.gateway.Gateway` that the loop uses."""
+
+    @property
+    def decided_ns(self) -> Nanos | None:
+        """Reception of the newest sample that the last step's flags rest on."""
+
+    def step(self, frames: Block, now_ns: Nanos, /) -> list[Frame]:
+        """One tick."""
+
+    @property
+    def doubt(self) -> Doubt:
+        """Takes notes before a step: ticks that were missed, frames that were lost."""
+
+    def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
+        """Say how long it is from frame to flag, and how late ticks start."""
+
+    def unknown_frames(self, now_ns: Nanos, /) -> list[Frame]:
+        """Flag frames that say unknown for everything."""
+
+
+@dataclass(slots=True)
+class LiveSnapshot:
+    """What a display needs of the loop; one object, updated in place every tick."""
+
+    status: Status
+    timing: Timing
+    now_ns: Nanos = 0
+    tick: int = 0
+    missed: int = 0
+    """Ticks missed so far."""
+    sent: Sequence[Frame] = ()
+    """Frames of the last tick."""
+    results: Sequence[SendResult] = ()
+    """What became of each of them."""
+
+
+class Stop:
+    """A request to end, from a signal or from the program."""
+
+    def __init__(self) -> None:
+        """Not requested yet."""
+        self.requested = False
+        self.ended: Ended | None = None
+        """The signal that requested it."""
+
+    def __call__(self) -> None:
+        """Request the end."""
+        self.requested = True
+
+
+@contextmanager
+def stop_on_signals(stop: Stop) -> Iterator[None]:
+    """SIGTERM and SIGINT request the end; a second one acts as before, should the loop hang."""
+    kinds = (signal.SIGTERM, signal.SIGINT)
+    before = {kind: signal.getsignal(kind) for kind in kinds}
+
+    def restore() -> None:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        stop.ended = Ended(number)
+        stop()
+        restore()
+
+    for kind in kinds:
+        signal.signal(kind, handle)
+    try:
+        yield
+    finally:
+        restore()
+
+
+def run_live(
+    gateway: Core,
+    transport: Transport,
+    node: CanopenNode,
+    ticker: Ticker,
+    *,
+    stop: Stop | None = None,
+    errors: Callable[[], Collection[int]] = tuple,
+    on_tick: Callable[[LiveSnapshot], None] | None = None,
+    on_end: Callable[[], None] | None = None,
+) -> LiveSnapshot:
+    """Run until `stop` is requested (also by SIGTERM and SIGINT when in the main thread).
+
+    `transport` is open. `errors` tells which `GatewayError` are active.
+    `on_tick` is called after the frames are sent and must return quickly; `on_end` when the loop is
+    left. Ends with three ticks of unknown flags and closes the transport, also when the core
+    raises (a programming error, which goes on to the caller).
+    """
+    stop = stop or Stop()
+    with _signals(stop), frozen_garbage():
+        try:
+            return _loop(gateway, transport, node, ticker, stop, errors, on_tick)
+        finally:
+            if on_end is not None:
+                on_end()
+            _farewell(gateway, transport, ticker)
+            transport.close()
+
+
+def _loop(
+    gateway: Core,
+    transport: Transport,
+    node: CanopenNode,
+    ticker: Ticker,
+    stop: Stop,
+    errors: Callable[[], Collection[int]],
+    on_tick: Callable[[LiveSnapshot], None] | None,
+) -> LiveSnapshot:
+    clock, doubt, status = ticker.clock, gateway.doubt, transport.status
+    # Who only listens hears the gateway that it is not.
+    doubt.watching = not (status.hears_itself or status.silent)
+    drops = status.kernel_drops
+    timing = Timing(ticker.lateness)
+    seen = LiveSnapshot(transport.status, timing)
+    state: LinkState | None = None
+    note = ""
+    report = TIMING_TICKS
+    while not stop.requested:
+        tick = ticker.wait()
+        if tick.missed:
+            doubt.note_overrun(tick.missed)
+        if tick.number >= report:
+            report = tick.number + TIMING_TICKS
+            gateway.note_timing(
+                timing.latency.quantile(0.99) // 1000, timing.lateness.quantile(0.99) // 1000
+            )
+        block = transport.take(0.0)
+        if status.kernel_drops != drops:
+            doubt.note_lost(status.kernel_drops - drops)
+            drops = status.kernel_drops
+        now = clock()
+        alone = not doubt.intruder
+        out = gateway.step(block, now)
+        stepped = clock()
+        if alone and doubt.intruder:
+            log.error("%s", INTRUDER)
+        node.set_errors(errors())
+        oldest = now + OLDEST * ticker.period_ns
+        results = [
+            transport.send(frame) if clock() <= oldest else status.count(SendResult.LATE)
+            for frame in out
+        ]
+        events = node.step(meant(block), now)
+        results += [transport.send(frame) for frame in events]
+        out += events
+        timing.add(gateway.decided_ns, tick.now_ns, now, stepped, clock())
+        seen.now_ns = now
+        seen.tick = tick.number
+        seen.missed = ticker.missed
+        seen.sent = out
+        seen.results = results
+        if status.state is not state or (status.note and status.note != note):
+            state = status.state
+            _say_link(status)
+        note = status.note
+        if on_tick is not None:
+            on_tick(seen)
+    return seen
+
+
+def _farewell(gateway: Core, transport: Transport, ticker: Ticker) -> None:
+    """Say unknown three times, a tick apart, so that nobody keeps the last verdict."""
+    for _ in range(FAREWELL):
+        tick = ticker.wait()
+        for frame in gateway.unknown_frames(tick.now_ns):
+            transport.send(frame)
+
+
+def _say_link(status: Status) -> None:
+    level = logging.INFO if status.state is LinkState.UP else logging.WARNING
+    log.log(level, "bus is %s%s", status.state, f": {status.note}" if status.note else "")
+
+
+@contextmanager
+def _signals(stop: Stop) -> Iterator[None]:
+    """Signals belong to the main thread; elsewhere the caller ends the loop by `stop`."""
+    if threading.current_thread() is threading.main_thread():
+        with stop_on_signals(stop):
+            yield
+    else:
+        yield
+
+
+@contextmanager
+def frozen_garbage() -> Iterator[None]:
+    """Set everything built so far aside, so that a full collection does not cost 100 ms."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

@@ -1,0 +1,79 @@
+"""What a tick has sent, looked at as a receiver would: due, protected, and really handed over.
+
+The loop's own word that it is alive is worth little if nothing leaves, so what feeds a watchdog
+looks at the frames: all that were due, with the checksum and the counter that follow, and accepted
+by the kernel or device. A bus that is down or full is no fault of the program: its state says so,
+and no restart cures it. A frame that was decided too late is one, for it has not left: now and then
+that happens to any process, so only a message of which it is the rule is no longer being sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from dbc.e2e import Check, Receiver
+from dbc.frame import MS, Frame, Nanos
+from dbc.spec import MessageSpec
+from gateway.io.canopen_node import HEARTBEAT_NS
+from gateway.io.transport import HEARTBEAT_ID, SendResult
+
+_OUR_FAULT = (SendResult.REFUSED, SendResult.FAILED)
+MOST_LATE = 2
+"""Frames of a message in a row that may come too late to be sent."""
+OFTEN_NS: Nanos = 100 * MS
+"""Longest cycle of a message that is asked whether it comes too late: flags, state, estimates. Of
+what goes out once a second three in a row are no sign that nothing leaves."""
+MOST_NAMED = 3
+"""Problems named of one tick; more of them say no more."""
+
+
+class Outputs:
+    """Judge of what the loop sends, tick by tick."""
+
+    def __init__(
+        self,
+        specs: Iterable[MessageSpec],
+        silent: Callable[[], bool] = lambda: False,
+        *,
+        listening: bool = False,
+    ) -> None:
+        """Take the cyclic messages that the core sends; `silent`: it holds them back on purpose.
+
+        `listening`: the allow-list holds everything back, so a refusal is as it should be.
+        """
+        self._faults = (SendResult.FAILED,) if listening else _OUR_FAULT
+        # Who sends nothing cannot be late with it.
+        self._too_late = None if listening else SendResult.LATE
+        specs = tuple(specs)
+        self._receivers = {spec.can_id: Receiver(spec) for spec in specs}
+        self._cycles = {spec.can_id: spec.cycle_ns for spec in specs} | {HEARTBEAT_ID: HEARTBEAT_NS}
+        self._made_ns: dict[int, Nanos] = {}
+        self._late: dict[int, int] = {}
+        """Frames in a row that came too late, by message; more than `MOST_LATE` before any left."""
+        self.silent = silent
+
+    def judge(self, sent: Sequence[Frame], results: Sequence[SendResult], now_ns: Nanos) -> str:
+        """What is wrong with the frames of a tick, in one line; empty if nothing is.
+
+        `results`: what became of each. `now_ns`: the time that the step got.
+        """
+        found = []
+        for frame, result in zip(sent, results, strict=True):
+            can_id = frame.can_id
+            self._made_ns[can_id] = now_ns
+            late = self._late.get(can_id, MOST_LATE) + 1
+            self._late[can_id] = late if result is self._too_late else 0
+            receiver = self._receivers.get(can_id)
+            if receiver is not None and receiver.check(frame.data) is not Check.OK:
+                found.append(f"{can_id:03X} has a wrong checksum or counter")
+            if result in self._faults:
+                found.append(f"{can_id:03X} was {result.value}")
+        wanted = (HEARTBEAT_ID,) if self.silent() else self._cycles
+        for can_id in wanted:
+            last = self._made_ns.get(can_id)
+            if last is None or now_ns - last >= self._cycles[can_id]:
+                found.append(f"{can_id:03X} is due and was not made")
+            elif self._late[can_id] > MOST_LATE and self._cycles[can_id] <= OFTEN_NS:
+                found.append(f"{can_id:03X} is made, but too late to be sent")
+        more = len(found) - MOST_NAMED
+        return "; ".join(found[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,54 @@
+"""Who may send what: the transmit allow-list of each way to run. Nothing else ever leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+
+from dbc.codec import Codec
+from gateway.io.transport import Allow
+from gateway.settings.config import Config
+
+
+class Mode(StrEnum):
+    """A way to run."""
+
+    RUN = "run"
+    """The gateway in service: its own messages; NMT start only as configured master."""
+    LISTEN = "listen"
+    """The gateway in service, looking only."""
+    REPLAY = "replay"
+    """Any log: it has no bus either."""
+    HIL = "hil"
+    """The gateway on a test bench: it starts the simulated drives."""
+    SIM = "sim"
+    """The simulated drives: never a message of the gateway, never NMT."""
+
+
+def allowed(mode: Mode, config: Config, codec: Codec) -> Allow:
+    """The list for a mode: identifier, length and format, on the channels of `[bus] send_on`."""
+    if mode in (Mode.LISTEN, Mode.REPLAY):
+        return Allow({})
+    channels = config.bus.send_on
+    if mode is Mode.SIM:
+        return drives_only(codec, config.nodes, channels)
+    return Allow.from_codec(
+        codec,
+        config.nodes,
+        nmt_master=mode is Mode.HIL or config.canopen.nmt_master,
+        authenticated=config.authentication is not None,
+        channels=channels,
+    )
+
+
+def drives_only(codec: Codec, nodes: Iterable[int], channels: Iterable[str] | None = None) -> Allow:
+    """What these drives send: their messages, heartbeat, EMCY and answers of their SDO servers."""
+    nodes = frozenset(nodes)
+    lengths = {
+        spec.key: (spec.length, spec.is_fd)
+        for spec in codec.messages
+        if not spec.is_gateway and spec.node in nodes
+    }
+    for node in nodes:
+        lengths |= {0x700 + node: (1, False), 0x080 + node: (8, False), 0x580 + node: (8, False)}
+    return Allow(lengths, channels=channels)

@@ -1,0 +1,193 @@
+"""Every other CAN interface, through python-can: the same Transport, polled, no threads.
+
+`can.Notifier` is never used (its thread dies at the first fault of the link). Reading asks with
+timeout 0 only, because python-can's waiting follows the wall clock.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
+from dbc.frames import Block, block_of
+from gateway.io import quick_start as leanstart
+from gateway.io.transport import (
+    RETRY_NS,
+    LinkState,
+    SendResult,
+    Status,
+    monotonic_stamp,
+)
+from gateway.io.wire import pack
+from gateway.settings.config import ConfigError
+
+with leanstart.absent("asammdf"):
+    import can
+
+BATCH = 4096
+"""Most frames read in one go."""
+_PAUSE_S = 0.001
+_ECHOING = ("udp_multicast",)
+"""Interfaces that give back what they send without being asked."""
+
+
+def complete(chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """Fill in what `can.conf` and `CAN_*` variables say. ConfigError if no interface is named."""
+    try:
+        found = can.util.load_config(config=dict(chosen))
+    except (can.CanError, ValueError) as error:
+        raise ConfigError("bus", [f"{error}; name one with -i and -c"]) from None
+    return {key: value for key, value in dict(found).items() if value is not None}
+
+
+def to_frame(message: can.Message, t_ns: Nanos, channel: str) -> Frame:
+    """python-can's message as a frame."""
+    if message.is_error_frame:
+        return Frame(t_ns, message.arbitration_id, bytes(message.data), ERROR, channel)
+    flags = EXTENDED if message.is_extended_id else 0
+    if message.is_remote_frame:
+        return Frame(t_ns, message.arbitration_id, b"", flags | REMOTE, channel, message.dlc or -1)
+    if message.is_fd:
+        flags |= FD
+        flags |= BRS if message.bitrate_switch else 0
+        flags |= ESI if message.error_state_indicator else 0
+    return Frame(t_ns, message.arbitration_id, bytes(message.data), flags, channel)
+
+
+def to_message(frame: Frame) -> can.Message:
+    """A frame as python-can's message."""
+    remote = bool(frame.flags & REMOTE)
+    return can.Message(
+        arbitration_id=frame.can_id,
+        data=None if remote else frame.data,
+        dlc=max(frame.dlc, 0) if remote else None,
+        is_extended_id=bool(frame.flags & EXTENDED),
+        is_remote_frame=remote,
+        is_fd=frame.is_fd,
+        bitrate_switch=bool(frame.flags & BRS),
+        error_state_indicator=bool(frame.flags & ESI),
+    )
+
+
+class PythonCan:
+    """Transport over a `can.Bus` made from python-can's own options."""
+
+    def __init__(
+        self,
+        options: Mapping[str, Any],
+        monotonic_ns: Callable[[], Nanos] = time.monotonic_ns,
+        real_ns: Callable[[], Nanos] = time.time_ns,
+    ) -> None:
+        """Keep the options of `can.Bus`; the clocks are for tests."""
+        self.channel = str(options.get("channel", ""))
+        echo = options.get("interface") in _ECHOING or bool(options.get("receive_own_messages"))
+        self.status = Status(hears_itself=echo)
+        self._options = dict(options)
+        self._monotonic_ns = monotonic_ns
+        self._real_ns = real_ns
+        self._bus: can.BusABC | None = None
+        self._opened = False
+        self._retry_ns: Nanos = 0
+        self._empty_ns: Nanos = 0
+
+    def open(self) -> None:
+        """See Transport. ConfigError for an interface or option that python-can does not know."""
+        try:
+            self._connect(self._monotonic_ns())
+        except (can.CanInterfaceNotImplementedError, TypeError, ValueError) as error:
+            raise ConfigError("bus", [str(error)]) from None
+
+    def close(self) -> None:
+        """See Transport."""
+        self.status.state = LinkState.ABSENT
+        if self._bus is not None:
+            bus, self._bus = self._bus, None
+            try:
+                bus.shutdown()
+            except (can.CanError, OSError) as error:
+                self.status.note = f"{self.channel}: {error}"
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """See Transport."""
+        now = self._monotonic_ns()
+        deadline = now + int(timeout_s * SECOND)
+        while True:
+            if self._bus is None and now >= self._retry_ns:
+                self._reconnect(now)
+            frames = self._drain()
+            now = self._monotonic_ns()
+            if frames or now >= deadline:
+                return frames
+            time.sleep(_PAUSE_S)
+
+    def take(self, timeout_s: float) -> Block:
+        """See Transport."""
+        return block_of(self.receive(timeout_s))
+
+    def send(self, frame: Frame) -> SendResult:
+        """See Transport."""
+        count = self.status.count
+        if pack(frame) is None or (frame.flags & FD and not self._options.get("fd")):
+            return count(SendResult.FAILED)
+        if self._bus is None:
+            return count(SendResult.DOWN)
+        try:
+            self._bus.send(to_message(frame), timeout=0)
+        except (can.CanError, OSError) as error:
+            self.status.note = f"{self.channel}: {error}"
+            code = getattr(error, "error_code", None) or getattr(error, "errno", None)
+            full = code in (errno.ENOBUFS, errno.EAGAIN)
+            return count(SendResult.FULL if full else SendResult.FAILED)
+        return count(SendResult.SENT)
+
+    def _connect(self, now: Nanos) -> None:
+        self._retry_ns = now + RETRY_NS
+        try:
+            self._bus = can.Bus(**self._options)
+        except can.CanInterfaceNotImplementedError:
+            raise
+        except (can.CanError, OSError) as error:
+            self.status.state = LinkState.ABSENT
+            self.status.note = f"{self.channel} is not there: {error}"
+            return
+        self.status.state = LinkState.UP
+        self.status.reopened += self._opened
+        self.status.note = ""
+        self._opened = True
+        self._empty_ns = now
+
+    def _reconnect(self, now: Nanos) -> None:
+        try:
+            self._connect(now)
+        except (can.CanInterfaceNotImplementedError, TypeError, ValueError) as error:
+            self.status.note = f"{self.channel}: {error}"
+
+    def _drain(self) -> list[Frame]:
+        messages: list[can.Message] = []
+        emptied = False
+        if self._bus is not None:
+            try:
+                for _ in range(BATCH):
+                    message = self._bus.recv(0)
+                    if message is None:
+                        emptied = True
+                        break
+                    messages.append(message)
+            except (can.CanError, OSError) as error:
+                self.close()
+                self.status.note = f"{self.channel}: {error}"
+                self._retry_ns = self._monotonic_ns() + RETRY_NS
+        real, now = self._real_ns(), self._monotonic_ns()
+        bound = now - self._empty_ns
+        if emptied:
+            self._empty_ns = now
+        frames = []
+        for message in messages:
+            stamp = int(message.timestamp * SECOND)
+            frame = to_frame(message, monotonic_stamp(stamp, real, now, bound), self.channel)
+            self.status.saw(frame)
+            frames.append(frame)
+        return frames

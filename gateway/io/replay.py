@@ -1,0 +1,271 @@
+"""Replay: the same core on a recorded log, as fast as the machine goes.
+
+The log's time stamps are the only clock. There is no bus object in this module: a replay
+cannot transmit.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.reader import LogError, Reader
+from dbc.frame import Frame, Nanos
+from dbc.frames import EMPTY, Block, block_of, in_blocks, join
+from gateway.core.gateway import Gateway
+from gateway.io import quick_start as leanstart
+from gateway.io.logtime import HOLE_NS, LogTime
+
+MOST_TICKS = 4096
+"""Asked for at once."""
+TOLD = 60
+"""Characters of a line that is none."""
+
+Array = NDArray[np.float64]
+Sink = Callable[[Nanos, list[Frame], Gateway], None]
+"""Told of every tick: now, what goes out, and who says it; its view is made when asked for.
+
+`now` never goes back; what goes out has the log's own time, as `Briefly.write` gets it.
+"""
+Make = Callable[[Nanos], Gateway]
+
+
+class Samples(Protocol):
+    """Who looks at a tick now and then."""
+
+    @property
+    def next_ns(self) -> Nanos:
+        """The first tick at or after it is the last of those that are told of at once."""
+
+    def took(self, now: Nanos, gateway: Gateway, peak: Array) -> None:
+        """Take one tick or many, of which the last was at `now`.
+
+        Only in that one a flag of a drive can have changed. peak (N,): largest probability of loss
+        that was said of each drive in any of them; NaN: none.
+        """
+
+
+class Briefly(NamedTuple):
+    """In place of a `Sink`, for who can do without a view of ticks that change nothing.
+
+    write: what goes out, of one tick or of many; changed: the gateway, after a tick in which a
+    drive's flag changed; samples: who looks at some of the others, too.
+    """
+
+    write: Callable[[Block], None]
+    changed: Callable[[Gateway], None]
+    samples: Samples | None = None
+
+
+class Replayed(NamedTuple):
+    """What a replay did. last_ns: of the last frame, as ticks have it; clock: of the log."""
+
+    first_ns: Nanos
+    last_ns: Nanos
+    frames: int
+    ticks: int
+    channel: str
+    gateway: Gateway
+    clock: LogTime
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were left out for their time."""
+        return self.gateway.inbox.counts["time_back"]
+
+
+class BadLogError(Exception):
+    """The log cannot be replayed; the text says why and what to do."""
+
+
+class OneChannel:
+    """The frames of one channel of a log; `name` is known once the first was read."""
+
+    def __init__(self, blocks: Iterable[Block], wanted: str | None) -> None:
+        """wanted: None takes the only channel there is."""
+        self.name = wanted
+        self._blocks = blocks
+        self._wanted = wanted
+
+    def __iter__(self) -> Iterator[Block]:
+        """Raises BadLogError for several channels and none named, or none of that name."""
+        others: set[str] = set()
+        found = False
+        for block in self._blocks:
+            if self.name is None:
+                self.name = block.names[block.channel[0]]
+            names = np.array([name == self.name for name in block.names])
+            mine = names[block.channel]
+            found = found or bool(mine.any())
+            if mine.all():
+                yield block
+                continue
+            others.update(block.names)
+            if self._wanted is None:
+                other = block.names[block.channel[np.argmin(mine)]]
+                msg = (
+                    f"the log has several channels ({self.name}, {other}, ..); "
+                    "name one with --log-channel"
+                )
+                raise BadLogError(msg)
+            if mine.any():
+                yield block.pick(mine)
+        if others and not found:
+            msg = f"no channel {self._wanted} in the log; it has {', '.join(sorted(others))}"
+            raise BadLogError(msg)
+
+
+def replay(
+    blocks: Iterable[Block],
+    make: Make,
+    period_ns: Nanos,
+    sink: Sink | Briefly,
+) -> Replayed:
+    """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
+
+    Frames whose time is wrong are dropped and counted, see `LogTime`. The last tick is the first at
+    or after the last frame. Who is told briefly gets many ticks at a time, much sooner. Raises
+    BadLogError for a log without frames.
+    """
+    stream = iter(blocks)
+    block = next(stream, EMPTY)
+    if not block.size:
+        msg = "no frame in the log (or none on this channel)"
+        raise BadLogError(msg)
+    first = block.frame(0)
+    gateway = make(first.t_ns)
+    clock = LogTime(first.t_ns, period_ns)
+    now, ticks = first.t_ns, 0
+
+    def step(frames: Block) -> None:
+        nonlocal ticks
+        out = gateway.step(frames, now)
+        ticks += 1
+        if isinstance(sink, Briefly):
+            tell(sink, [block_of(out)], now, gateway.status.drives["loss_probability"])
+        else:
+            shift = clock.shift_ns(now)
+            if shift:
+                out = [frame._replace(t_ns=frame.t_ns - shift) for frame in out]
+            sink(now, out, gateway)
+
+    def tell(sink: Briefly, out: Iterable[Block], last_ns: Nanos, peak: Array) -> None:
+        shift = clock.shift_ns(last_ns)
+        for frames in out:
+            sink.write(frames._replace(t_ns=frames.t_ns - shift) if shift else frames)
+        if gateway.changed:
+            sink.changed(gateway)
+        if sink.samples is not None:
+            sink.samples.took(last_ns, gateway, peak)
+
+    def drop(count: int) -> None:
+        gateway.leave_out(count)
+
+    def many(block: Block, sink: Briefly) -> int:
+        """All ticks that end within the block; the first frame that is not in any."""
+        nonlocal now, ticks
+        done, last = 0, block.t_ns.item(-1)
+        while now < last:
+            count = min(-((now - last) // period_ns), MOST_TICKS)
+            if sink.samples is not None:
+                count = min(count, 1 + max(0, -((now - sink.samples.next_ns) // period_ns)))
+            nows = now + period_ns * np.arange(count)
+            ends = np.searchsorted(block.t_ns[done:], nows, "right")
+            stepped, out = gateway.run(block.part(done, block.size), ends, now)
+            tell(sink, out, now + (stepped - 1) * period_ns, gateway.peak)
+            now += stepped * period_ns
+            ticks += stepped
+            done += ends.item(stepped - 1)
+        return done
+
+    held = EMPTY
+    for new, without in clock.steady(chain([block], stream)):
+        dropped = without + held.size
+        block = join(held, new)
+        even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())
+        done = many(block, sink) if isinstance(sink, Briefly) and even else 0
+        stamps = block.t_ns.tolist()
+        while (end := bisect_right(stamps, now, done)) < block.size:
+            batch, following = block.part(done, end), stamps[end]
+            done = end
+            if len(dropped):
+                now_dropped = int(np.count_nonzero(dropped <= end))
+                drop(now_dropped)
+                dropped = dropped[now_dropped:]
+            hole = following - stamps[end - 1] > HOLE_NS
+            while following > now:
+                step(batch)
+                batch = EMPTY
+                now += period_ns
+                if hole and following > now and not gateway.says_good:
+                    now += -((now - following) // period_ns) * period_ns
+        # More frames of this tick may stand in the next block.
+        drop(len(dropped))
+        held = block.part(done, block.size)
+    step(held)
+    return Replayed(
+        first.t_ns, clock.last_ns, clock.frames, ticks, first.channel, gateway, clock
+    )  # fmt: skip
+
+
+class Log(NamedTuple):
+    """A log that can be read: its blocks, and what keeps the counts (None: nobody does)."""
+
+    blocks: Iterable[Block]
+    reader: Reader | None
+
+
+def open_log(path: Path, strict: bool) -> Log:
+    """A log: python-can's formats by their suffix, candump's text with any other.
+
+    Raises BadLogError for what is not there or no file: a FIFO or a device may never end.
+    """
+    if not path.exists():
+        msg = f"{path}: no such file"
+        raise BadLogError(msg)
+    if path.is_dir():
+        msg = f"{path}: a folder, not a log"
+        raise BadLogError(msg)
+    if not path.is_file():
+        msg = f"{path}: a FIFO, device or socket, not a log; write a file first"
+        raise BadLogError(msg)
+    # Loggers on Windows like capitals.
+    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
+    if suffix == ".log" or not _other(suffix):
+        reader = Reader(path, strict=strict)
+        return Log(_some(reader, path), reader)
+    from dbc.python_can_logs import read_any
+
+    return Log(in_blocks(read_any(path)), None)
+
+
+def _other(suffix: str) -> bool:
+    """Whether it is a format of python-can, which is loaded for others than candump's only."""
+    leanstart.python_can()
+    from can.io.player import MESSAGE_READERS
+
+    return suffix in MESSAGE_READERS
+
+
+def _some(reader: Reader, path: Path) -> Iterator[Block]:
+    """The log's blocks. Raises BadLogError where it has lines and none is a frame."""
+    found = False
+    for block in reader.blocks():
+        found = found or block.size > 0
+        yield block
+    if not found and reader.problems:
+        line, verdict, text = reader.problems[0]
+        msg = (
+            f"{path}: not one of its {reader.lines} lines is a frame as candump -L writes them; "
+            f"line {line}: {verdict.name.lower()}: {text[:TOLD]}"
+        )
+        raise BadLogError(msg)
+
+
+__all__ = ["BadLogError", "Log", "LogError", "OneChannel", "Replayed", "open_log", "replay"]

@@ -1,0 +1,257 @@
+"""The one way to a bus: a small protocol, what it reports, and the transmit allow-list.
+
+After `open()` no method raises on anything a bus can do: faults are states and counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import TYPE_CHECKING, Protocol, Self
+
+from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
+from dbc.frames import Block
+from dbc.spec import EXTENDED_KEY
+from gateway.io.wire import BusState, bus_state
+from gateway.settings.config import ConfigError
+
+if TYPE_CHECKING:
+    from dbc.codec import Codec
+
+RETRY_NS: Nanos = SECOND // 2
+"""Pause between two attempts to open an interface that is not there."""
+
+GATEWAY_NODE = 32
+HEARTBEAT_ID = 0x700 + GATEWAY_NODE
+EMCY_ID = 0x080 + GATEWAY_NODE
+NMT_ID = 0x000
+
+
+class LinkState(StrEnum):
+    """What is known of the interface."""
+
+    UP = "up"
+    DOWN = "down"
+    ABSENT = "absent"
+
+
+class SendResult(Enum):
+    """What became of a frame handed to `send`. Only SENT was accepted by the kernel or device."""
+
+    SENT = "sent"
+    REFUSED = "refused"
+    """Not on the allow-list: never leaves."""
+    FULL = "full"
+    """Transmit queue full; the frame is dropped, the next one carries newer values."""
+    DOWN = "down"
+    """Interface down, absent or bus-off."""
+    LATE = "late"
+    """Decided too long before it could be sent; never handed over."""
+    FAILED = "failed"
+    """Refused by the kernel or device for another reason (such as FD on a classic link)."""
+
+
+@dataclass(slots=True)
+class Status:
+    """State and counters of a transport since it was made; updated in place."""
+
+    state: LinkState = LinkState.ABSENT
+    bus_state: BusState = BusState.ACTIVE
+    received: int = 0
+    sent: int = 0
+    kernel_drops: int = 0
+    """Frames the kernel dropped because nobody read in time."""
+    malformed: int = 0
+    """Reads that are neither classic CAN nor CAN FD."""
+    error_frames: int = 0
+    bus_offs: int = 0
+    tx_refused: int = 0
+    tx_full: int = 0
+    tx_down: int = 0
+    tx_failed: int = 0
+    tx_late: int = 0
+    reopened: int = 0
+    """Times the interface was opened again after the first success."""
+    hears_itself: bool = False
+    """Whether frames that are sent come back as received ones."""
+    silent: bool = False
+    """Whether nothing at all may be sent."""
+    note: str = ""
+    """The last problem in one line, for a person."""
+
+    def count(self, result: SendResult) -> SendResult:
+        """Count a send and pass its result on."""
+        match result:
+            case SendResult.SENT:
+                self.sent += 1
+            case SendResult.REFUSED:
+                self.tx_refused += 1
+            case SendResult.FULL:
+                self.tx_full += 1
+            case SendResult.DOWN:
+                self.tx_down += 1
+            case SendResult.LATE:
+                self.tx_late += 1
+            case SendResult.FAILED:
+                self.tx_failed += 1
+        return result
+
+    def saw(self, frame: Frame, *, heard: bool = True) -> None:
+        """Count a received frame; error frames move `bus_state`.
+
+        heard: data proves that we are not off, where nothing else would tell.
+        """
+        self.received += 1
+        if frame.flags & ERROR:
+            self.error_frames += 1
+            self.bus_state = bus_state(frame, self.bus_state)
+        elif heard and self.bus_state is BusState.BUS_OFF:
+            self.bus_state = BusState.ACTIVE
+
+
+class Transport(Protocol):
+    """A bus that never raises, never blocks beyond the given time and never retries."""
+
+    status: Status
+
+    def open(self) -> None:
+        """Try to open; an absent interface is tolerated and tried again while receiving.
+
+        Raises ConfigError only for what no waiting cures: an unknown interface or option.
+        """
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """Everything that waits, oldest first; waits up to `timeout_s` if nothing does.
+
+        `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
+        """
+
+    def take(self, timeout_s: float) -> Block:
+        """The same, as arrays: what the core's loop reads."""
+
+    def send(self, frame: Frame) -> SendResult:
+        """Hand one frame over without blocking."""
+
+    def close(self) -> None:
+        """Give the interface back; may be called twice."""
+
+
+def monotonic_stamp(stamp_ns: Nanos, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos) -> Nanos:
+    """Reception time on the monotonic clock from a wall-clock stamp.
+
+    `real_ns` and `now_ns` are both clocks read together; `bound_ns` is the oldest the frame can
+    be (time since the queue was last found empty). A wall clock that steps, or a device with
+    an epoch of its own, can so move a stamp only between the last read and now.
+    """
+    return now_ns - min(max(real_ns - stamp_ns, 0), bound_ns)
+
+
+class Allow:
+    """What may be sent: identifier, length, format, channel; NMT only as node-addressed start."""
+
+    def __init__(
+        self,
+        lengths: Mapping[int, tuple[int, bool]],
+        started: Iterable[int] = (),
+        channels: Iterable[str] | None = None,
+    ) -> None:
+        """Take `lengths` as id (bit 31: extended) -> (data length, is FD).
+
+        `started`: nodes that an NMT start may address; `channels`: where, None for any one.
+        """
+        self.channels = None if channels is None else tuple(channels)
+        self._lengths = dict(lengths)
+        self._starts = frozenset(bytes((1, node)) for node in started)
+        if NMT_ID in self._lengths or bytes((1, 0)) in self._starts:
+            msg = "NMT is allowed by node number only, and never to node 0 (broadcast)"
+            raise ValueError(msg)
+
+    @classmethod
+    def from_codec(
+        cls,
+        codec: Codec,
+        nodes: Iterable[int],
+        *,
+        nmt_master: bool = False,
+        authenticated: bool = False,
+        channels: Iterable[str] | None = None,
+    ) -> Self:
+        """The gateway's own messages for the configured drives, its heartbeat and its EMCY.
+
+        `Gateway_Auth` only where flags are authenticated.
+        """
+        nodes = frozenset(nodes)
+        lengths = {
+            spec.key: (spec.length, spec.is_fd)
+            for spec in codec.messages
+            if spec.is_gateway
+            and (spec.node == 0 or spec.node in nodes)
+            and (authenticated or spec.kind != "Auth")
+        }
+        lengths[HEARTBEAT_ID] = (1, False)
+        lengths[EMCY_ID] = (8, False)
+        return cls(lengths, nodes if nmt_master else (), channels)
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing at all may be sent: then a refusal is no news."""
+        return not self._lengths and not self._starts
+
+    def check_channel(self, channel: str) -> None:
+        """Raises ConfigError where something could be sent on a channel that is not listed."""
+        if not self.silent and self.channels is not None and channel not in self.channels:
+            named = ", ".join(self.channels) or "none"
+            raise ConfigError(
+                f"channel {channel}",
+                [f"[bus] send_on allows {named}; name that one, or run with --listen-only"],
+            )
+
+    def permits(self, frame: Frame) -> bool:
+        """Whether this very frame may leave."""
+        if frame.flags & (REMOTE | ERROR):
+            return False
+        key = frame.can_id | (EXTENDED_KEY if frame.flags & EXTENDED else 0)
+        if key == NMT_ID:
+            return not frame.flags & FD and frame.data in self._starts
+        return self._lengths.get(key) == (len(frame.data), frame.is_fd)
+
+
+class Guarded:
+    """A transport behind an allow-list: anything else is refused and counted, never raised."""
+
+    def __init__(self, inner: Transport, allow: Allow, channel: str = "") -> None:
+        """Wrap `inner`, which is on `channel`; its status is shared.
+
+        Raises ConfigError for a channel on which nothing may be sent.
+        """
+        allow.check_channel(channel)
+        self._channels = ("", channel)
+        self._inner = inner
+        self._allow = allow
+        self.status = inner.status
+        self.status.silent = allow.silent
+
+    def open(self) -> None:
+        """See Transport."""
+        self._inner.open()
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        """See Transport."""
+        return self._inner.receive(timeout_s)
+
+    def take(self, timeout_s: float) -> Block:
+        """See Transport."""
+        return self._inner.take(timeout_s)
+
+    def send(self, frame: Frame) -> SendResult:
+        """Send if allowed, else REFUSED."""
+        if not self._allow.permits(frame) or frame.channel not in self._channels:
+            if not self._allow.silent:
+                self.status.note = f"refused to send {frame.can_id:03X}#{frame.data.hex().upper()}"
+            return self.status.count(SendResult.REFUSED)
+        return self._inner.send(frame)
+
+    def close(self) -> None:
+        """See Transport."""
+        self._inner.close()

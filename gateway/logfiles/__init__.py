@@ -1,0 +1,1 @@
+"""Recordings from one format to another."""

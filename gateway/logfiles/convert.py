@@ -1,0 +1,228 @@
+"""From one file to another: what is at an ending, the frames of it, and a file that is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from importlib.util import find_spec
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from dbc.codec import Codec
+from dbc.frame import MS
+from dbc.frames import Block, in_blocks
+from gateway.io.logtime import LogTime
+from gateway.io.replay import BadLogError, Log, LogError, OneChannel, open_log
+from gateway.io.whole_file import whole
+from gateway.logfiles import frames as frame_files
+from gateway.logfiles.frames import Sink
+from gateway.settings.config import ConfigError
+
+if TYPE_CHECKING:
+    from gateway.logfiles.signals import Decoder
+
+FRAMES: Final = (".log", ".log.gz", ".asc", ".blf", ".trc")
+"""Endings that hold frames and nothing else."""
+SIGNALS: Final = (".parquet", ".mf4", ".csv", ".csv.gz")
+"""Endings that hold decoded signals, or frames where asked for."""
+ASCENDING: Final = (".asc", ".blf", ".trc", ".mf4")
+"""Endings of formats in which time only goes forward."""
+_EXTRA: Final = {".parquet": ("pyarrow", "parquet"), ".mf4": ("asammdf", "mf4")}
+
+
+class Done(NamedTuple):
+    """What became of a log.
+
+    read: frames; cut: why reading ended early, else empty; steps: times that the log's clock was
+    set back, after which all later times are moved forward.
+    """
+
+    read: int
+    sink: Sink
+    cut: str
+    steps: int
+
+    @property
+    def time_faults(self) -> dict[str, int]:
+        """Frames that were not written because of their time, by cause."""
+        return {cause: self.sink.left_out[cause] for cause in ("time_back", "before_the_first")}
+
+
+def ending(path: Path) -> str:
+    """The part of a name that says what is in the file, in small letters, with any `.gz`."""
+    name = path.name.lower()
+    plain = name.removesuffix(".gz")
+    return Path(plain).suffix + name[len(plain) :]
+
+
+def out_ending(path: Path, frames: bool) -> str:
+    """Of a file to be written. Raises ConfigError for one that nobody can write."""
+    kind = ending(path)
+    if kind not in FRAMES + SIGNALS:
+        raise ConfigError(
+            f"{path}: nothing is written with the ending {kind or '(none)'!r}",
+            [f"frames: {' '.join(FRAMES)}", f"signals: {' '.join(SIGNALS)}"],
+        )
+    if frames and kind == ".csv.gz":
+        raise ConfigError(f"{path}: no frames in .csv.gz", ["name it .csv, or leave --frames out"])
+    if path.is_dir():
+        raise ConfigError(f"{path}: is a folder", ["name a file"])
+    need(path)
+    return kind
+
+
+def need(path: Path) -> None:
+    """Raises ConfigError that says what to install for a file with this ending."""
+    module, extra = _EXTRA.get(ending(path).removesuffix(".gz"), ("", ""))
+    if module and find_spec(module) is None:
+        cure = f"pip install 'traction-gateway[{extra}]'"
+        raise ConfigError(f"{path}: needs {module}", [cure])
+
+
+def open_input(path: Path, strict: bool) -> Log:
+    """As `open_log`, and Parquet with a row per frame. Raises ConfigError, BadLogError."""
+    need(path)
+    kind = ending(path)
+    if kind == ".parquet" and path.is_file():
+        return Log(in_blocks(frame_files.read_parquet(path)), None)
+    log = open_log(path, strict)
+    return Log(_all_of_blf(path, log.blocks), None) if kind == ".blf" else log
+
+
+def _all_of_blf(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
+    """The same; raises LogError at the end of a file that was cut: python-can says nothing."""
+    read = 0
+    for block in blocks:
+        read += block.size
+        yield block
+    with path.open("rb") as stream:
+        # Vector's header: its own size of the file at byte 16.
+        promised = int.from_bytes(stream.read(24)[16:], "little")
+    if path.stat().st_size < promised:
+        what = f"ends early after {read} frames: {path.stat().st_size} of {promised} bytes"
+        raise LogError(str(path), 0, what)
+
+
+def of_channel(blocks: Iterable[Block], wanted: str | None) -> Iterator[Block]:
+    """The frames of one channel; None: of all. Raises BadLogError where there is no such one."""
+    return iter(blocks) if wanted is None else iter(OneChannel(blocks, wanted))
+
+
+def frame_sink(path: Path, kind: str) -> Sink:
+    """A writer of frames, for `out_ending`s."""
+    if kind in (".log", ".log.gz"):
+        return frame_files.Candump(path)
+    if kind == ".parquet":
+        return frame_files.ParquetFrames(path)
+    if kind == ".mf4":
+        from gateway.logfiles.mf4 import Mf4Frames
+
+        return Mf4Frames(path)
+    return frame_files.PythonCan(path)
+
+
+def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]) -> Sink:
+    """A writer of signals, for `out_ending`s. blocks: the log, read here for the columns."""
+    if kind == ".mf4":
+        from gateway.logfiles.mf4 import Mf4Signals
+
+        return Mf4Signals(path, decoder, comments_of(decoder.codec))
+    from gateway.logfiles.signal_files import CsvSignals, ParquetSignals
+    from gateway.logfiles.signals import seen
+
+    messages = seen(_readable(blocks), decoder.codec)
+    if kind == ".parquet":
+        return ParquetSignals(path, decoder, messages, comments_of(decoder.codec))
+    return CsvSignals(path, decoder, messages)
+
+
+def _readable(blocks: Iterable[Block]) -> Iterator[Block]:
+    """What can be read; the fault is met again, and said, when the file is converted."""
+    try:
+        yield from blocks
+    except LogError:
+        return
+
+
+def comments_of(codec: Codec) -> dict[str, str]:
+    """`Message` and `Message.Signal` -> comment, of those that have one."""
+    from dbc.load import load
+
+    said = {}
+    for message in load(codec.path).messages:
+        said[message.name] = message.comment or ""
+        for signal in message.signals:
+            said[f"{message.name}.{signal.name}"] = signal.comment or ""
+    return {name: text for name, text in said.items() if text}
+
+
+class _Source:
+    """A log's blocks, counted. forward: so that time goes forward, but for little disorder.
+
+    One wrong stamp then costs itself, and a clock that was set back moves later times forward.
+    """
+
+    def __init__(self, blocks: Iterable[Block], forward: bool) -> None:
+        self._blocks, self._forward = blocks, forward
+        self.read = self.dropped = self.steps = 0
+        self.cut: LogError | None = None
+
+    def __iter__(self) -> Iterator[Block]:
+        """Ends where the log has a fault, which is `cut` then."""
+        blocks = self._counted()
+        first = next(blocks, None)
+        if first is None:
+            return
+        if not self._forward:
+            yield from chain([first], blocks)
+            return
+        time = LogTime(first.t_ns.item(0), MS, disorder=True)
+        for steady in time.steady(chain([first], blocks)):
+            self.dropped += steady.dropped.size
+            self.steps = time.steps
+            if steady.block.size:
+                yield steady.block
+
+    def _counted(self) -> Iterator[Block]:
+        try:
+            for block in self._blocks:
+                self.read += block.size
+                if block.size:
+                    yield block
+        except LogError as error:
+            self.cut = error
+
+
+def convert(
+    blocks: Iterable[Block], path: Path, make: Callable[[Path], Sink], *, strict: bool
+) -> Done:
+    """Write a log to `path`. What was read before a fault in the log is kept, unless `strict`.
+
+    Raises LogError with `strict`, or if nothing was read; BadLogError if there is nothing to
+    write: then no file is left.
+    """
+    source = _Source(blocks, ending(path) in ASCENDING)
+    with whole(path) as part:
+        sink = make(part)
+        try:
+            for block in source:
+                sink.add(block)
+            if source.cut is not None and (strict or not source.read):
+                raise source.cut
+            if not source.read:
+                raise BadLogError("no frame in the log (or none on this channel)")
+        finally:
+            sink.close()
+        sink.left_out["time_back"] += source.dropped
+        if not sink.written:
+            raise NothingWrittenError(source.read, sink)
+    cut = "" if source.cut is None else str(source.cut)
+    return Done(source.read, sink, cut, source.steps)
+
+
+class NothingWrittenError(BadLogError):
+    """Frames were read and none could be written."""
+
+    def __init__(self, read: int, sink: Sink) -> None:
+        self.sink = sink
+        super().__init__(f"none of {read} frames could be written")

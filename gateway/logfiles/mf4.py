@@ -1,0 +1,203 @@
+"""MF4 by asammdf: decoded signals in a channel group per message, or frames as bus logging.
+
+Times count from the first frame's full second, in float seconds: exact to the nanosecond for
+97 days. asammdf keeps what is appended in a temporary file, so memory does not grow.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND
+from dbc.frames import Block
+from dbc.spec import MessageSpec, SignalSpec
+from gateway.logfiles.signal_files import Comments, labels_of
+from gateway.logfiles.signals import Decoder
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_BUS, _CAN = 2, 2
+"""MF4's numbers of a source that is a bus, and of CAN."""
+
+
+class _Mf4:
+    """What both kinds share: the file, its start, groups that grow."""
+
+    def __init__(self, path: Path) -> None:
+        from asammdf import MDF
+
+        self.written = 0
+        self.left_out: Counter[str] = Counter()
+        self._path = path
+        self._mdf = MDF(version="4.10")
+        self._base_ns: int | None = None
+        self._groups: dict[Any, int] = {}
+        self._latest: dict[Any, int] = {}
+
+    def _seconds(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        if self._base_ns is None:
+            seconds = int(t_ns[0]) // SECOND
+            self._base_ns = seconds * SECOND
+            self._mdf.header.start_time = _EPOCH + timedelta(seconds=seconds)
+        return np.asarray((t_ns - self._base_ns) / SECOND, dtype=np.float64)
+
+    def _forward(self, key: Any, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of a group's times do not go back: MF4 has its time ascending."""
+        latest = self._latest.get(key, int(t_ns[0]))
+        highest = np.maximum(np.maximum.accumulate(t_ns), latest)
+        self._latest[key] = int(highest[-1])
+        good = np.asarray(t_ns == highest)
+        if not good.all():
+            self.left_out["time_back"] += int(np.count_nonzero(~good))
+        return good
+
+    def close(self) -> None:
+        """Make the file whole."""
+        with contextlib.closing(self._mdf):
+            self._mdf.save(self._path, overwrite=True, compression=2)
+
+
+class Mf4Signals(_Mf4):
+    """A channel group per message and bus; units and comments as in the DBC.
+
+    What is not valid has its invalidation bit set, and is NaN for who does not look at that.
+    """
+
+    def __init__(self, path: Path, decoder: Decoder, comments: Comments) -> None:
+        """Nothing is at `path` before `close`."""
+        super().__init__(path)
+        self._decoder = decoder
+        self._comments = comments
+
+    def add(self, block: Block) -> None:
+        """Append."""
+        done = self._decoder.decode(block)
+        frames = done.frames
+        if frames.size:
+            self._seconds(frames.t_ns)
+        pairs = frames.channel.astype(np.int64) << 32 | done.message
+        for pair in np.unique(pairs).tolist():
+            message = self._decoder.codec.messages[pair & 0xFFFF_FFFF]
+            channel = frames.names[pair >> 32]
+            key = (channel, message.index)
+            rows = np.flatnonzero(pairs == pair)
+            rows = rows[self._forward(key, frames.t_ns[rows])]
+            if not rows.size or not message.signals:
+                self.left_out["no_signals"] += len(rows)
+                continue
+            times = self._seconds(frames.t_ns[rows])
+            values = done.value[rows, : len(message.signals)]
+            if key not in self._groups:
+                self._groups[key] = self._begin(message, channel, times, values)
+            else:
+                cells = [(np.ascontiguousarray(v), np.isnan(v)) for v in values.T]
+                self._mdf.extend(self._groups[key], [(times, None), *cells])
+            self.written += len(rows)
+
+    def _begin(
+        self, message: MessageSpec, channel: str, times: Any, values: NDArray[np.float64]
+    ) -> int:
+        from asammdf import Signal, Source
+
+        source = Source(name=channel, path=channel, comment="", source_type=_BUS, bus_type=_CAN)
+        signals = []
+        for signal, column in zip(message.signals, values.T, strict=True):
+            name = f"{message.name}.{signal.name}"
+            signals.append(
+                Signal(
+                    samples=np.ascontiguousarray(column),
+                    timestamps=times,
+                    name=name,
+                    unit=signal.unit,
+                    comment=self._comments.get(name, ""),
+                    conversion=_names(signal),
+                    source=source,
+                    invalidation_bits=np.isnan(column),
+                )
+            )
+        comment = self._comments.get(message.name, "")
+        return int(
+            self._mdf.append(signals, acq_name=message.name, acq_source=source, comment=comment)
+        )
+
+
+def _names(signal: SignalSpec) -> dict[str, Any] | None:
+    """Labels of a state as MF4's table of value and text; None for a number.
+
+    A state has a label for every valid value: what the table lacks would be shown as nothing.
+    """
+    labels = labels_of(signal)
+    named = sum(signal.raw_min <= raw <= signal.raw_max for raw in labels)
+    if named <= signal.raw_max - signal.raw_min or (signal.scale, signal.offset) != (1, 0):
+        return None
+    table: dict[str, Any] = {}
+    for k, (raw, text) in enumerate(sorted(labels.items())):
+        table[f"val_{k}"] = float(raw)
+        table[f"text_{k}"] = text
+    return table
+
+
+class Mf4Frames(_Mf4):
+    """Bus logging: what MF4 tools decode with a DBC of their own, and python-can reads."""
+
+    def add(self, block: Block) -> None:
+        """Append."""
+        if block.size:
+            self._seconds(block.t_ns)
+        kind = np.where(block.flags & ERROR, 1, np.where(block.flags & REMOTE, 2, 0))
+        for number, name in enumerate(("CAN_DataFrame", "CAN_ErrorFrame", "CAN_RemoteFrame")):
+            rows = np.flatnonzero(kind == number)
+            if rows.size:
+                rows = rows[self._forward(name, block.t_ns[rows])]
+            if rows.size:
+                self._append(name, block.pick(rows))
+
+    def _append(self, name: str, block: Block) -> None:
+        from asammdf import Signal, Source
+
+        times = self._seconds(block.t_ns)
+        records = _records(name, block)
+        if name in self._groups:
+            self._mdf.extend(self._groups[name], [(times, None), (records, None)])
+        else:
+            source = Source(name="CAN", path="CAN", comment="", source_type=_BUS, bus_type=_CAN)
+            signal = Signal(samples=records, timestamps=times, name=name, source=source)
+            self._groups[name] = int(self._mdf.append(signal, acq_name="CAN", acq_source=source))
+        self.written += block.size
+
+
+def _records(name: str, block: Block) -> NDArray[np.void]:
+    """ASAM's record of a frame; remote frames have no data."""
+    from can.util import channel2int, len2dlc
+
+    from dbc.python_can_logs import mf4_module
+
+    mf4 = mf4_module()
+
+    remote = name == "CAN_RemoteFrame"
+    kinds = {"CAN_DataFrame": mf4.STD_DTYPE, "CAN_ErrorFrame": mf4.ERR_DTYPE}
+    out = np.zeros(block.size, dtype=mf4.RTR_DTYPE if remote else kinds[name])
+    numbers = np.array([channel2int(channel) or 0 for channel in block.names], dtype=np.uint8)
+    codes = np.array([len2dlc(n) for n in range(65)], dtype=np.uint8)
+    fd = block.flags & FD != 0
+    length = block.length.clip(max=64)
+    dlc = np.where(fd, codes[length], length)
+    if remote:
+        dlc = np.where(block.dlc >= 0, block.dlc, dlc)
+    out[f"{name}.BusChannel"] = numbers[block.channel]
+    out[f"{name}.ID"] = block.can_id
+    out[f"{name}.IDE"] = block.flags & EXTENDED != 0
+    out[f"{name}.DLC"] = dlc
+    out[f"{name}.DataLength"] = np.where(remote, 0, length)
+    if not remote:
+        out[f"{name}.DataBytes"] = block.data
+        out[f"{name}.EDL"] = fd
+        out[f"{name}.BRS"] = block.flags & BRS != 0
+        out[f"{name}.ESI"] = block.flags & ESI != 0
+    return out

@@ -1,0 +1,163 @@
+"""Decoded signals as one wide table, a row per frame: Parquet and CSV.
+
+Columns: time, channel, message, then `Message.Signal` of every message that the log holds; in a
+row only those of its own message have a value, and only where it is valid.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+from collections import Counter
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, Final, TextIO, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.frame import SECOND
+from dbc.frames import Block
+from dbc.spec import MessageSpec, SignalSpec
+from gateway.logfiles.signals import Decoded, Decoder, columns
+
+_CELLS: Final = 1 << 22
+"""Of a Parquet row group: what is kept in memory, some 40 MB."""
+Comments = dict[str, str]
+"""`Message` and `Message.Signal` -> what the DBC says of it."""
+
+
+def labels_of(signal: SignalSpec) -> dict[int, str]:
+    """Names of its values, without the not-available code, which is no value."""
+    return {raw: name for raw, name in signal.labels.items() if raw != signal.not_available}
+
+
+class ParquetSignals:
+    """The wide table in Parquet; unit, comment and labels (JSON) in each field's metadata."""
+
+    def __init__(
+        self, path: Path, decoder: Decoder, messages: Collection[MessageSpec], comments: Comments
+    ) -> None:
+        """Creates the file. messages: those that have columns."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self.written = 0
+        self.left_out: Counter[str] = Counter()
+        self._decoder = decoder
+        self._columns = list(columns(messages))
+        self._names = [m.name for m in decoder.codec.messages]
+        word = pa.dictionary(pa.int16(), pa.string())
+        fields = [
+            pa.field("time", pa.timestamp("ns", "UTC")),
+            pa.field("channel", word),
+            pa.field("message", word),
+        ]
+        for name, message, place in self._columns:
+            signal = message.signals[place]
+            said = {"unit": signal.unit, "comment": comments.get(name, "")}
+            if labels := labels_of(signal):
+                said["labels"] = json.dumps(labels)
+            said = {key: text for key, text in said.items() if text}
+            fields.append(pa.field(name, pa.float64(), metadata=said))
+        self._schema = pa.schema(fields)
+        self._held: list[Any] = []
+        self._rows = 0
+        self._group = max(_CELLS // len(fields), 1)
+        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
+
+    def add(self, block: Block) -> None:
+        """Append."""
+        for first in range(0, block.size, self._group):
+            self._add(block.part(first, min(first + self._group, block.size)))
+
+    def _add(self, block: Block) -> None:
+        import pyarrow as pa
+
+        done = self._decoder.decode(block)
+        frames = done.frames
+        channel = pa.array(frames.channel.astype(np.int16))
+        arrays = [
+            pa.array(frames.t_ns, pa.timestamp("ns", "UTC")),
+            pa.DictionaryArray.from_arrays(channel, pa.array(frames.names, pa.string())),
+            pa.DictionaryArray.from_arrays(
+                pa.array(done.message.astype(np.int16)), pa.array(self._names, pa.string())
+            ),
+        ]
+        for _, message, place in self._columns:
+            values = _column(done, message, place)
+            arrays.append(pa.array(values, pa.float64(), mask=np.isnan(values)))
+        self._held.append(pa.record_batch(arrays, schema=self._schema))
+        self._rows += frames.size
+        self.written += frames.size
+        if self._rows >= self._group:
+            self._flush()
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+
+        table = pa.Table.from_batches(self._held, schema=self._schema)
+        self._writer.write_table(table.unify_dictionaries())
+        self._held, self._rows = [], 0
+
+    def close(self) -> None:
+        """Make the file whole."""
+        self._flush()
+        self._writer.close()
+
+
+def _column(done: Decoded, message: MessageSpec, place: int) -> NDArray[np.float64]:
+    return np.where(done.message == message.index, done.value[:, place], np.nan)
+
+
+class CsvSignals:
+    """The wide table as text: `t_s` with all nine decimals, units in the header, empty for none."""
+
+    def __init__(self, path: Path, decoder: Decoder, messages: Collection[MessageSpec]) -> None:
+        """Creates the file, gzip by `.gz`. messages: those that have columns."""
+        self.written = 0
+        self.left_out: Counter[str] = Counter()
+        self._decoder = decoder
+        head = ["t_s", "channel", "message"]
+        self._first: dict[int, int] = {}
+        for name, message, place in columns(messages):
+            self._first.setdefault(message.index, len(head))
+            unit = message.signals[place].unit
+            head.append(f"{name} [{unit}]" if unit else name)
+        self._width = len(head)
+        if path.suffix.lower() == ".gz":
+            stream = gzip.open(path, "wt", encoding="utf-8", newline="")  # noqa: SIM115
+            self._file = cast("TextIO", stream)
+        else:
+            self._file = path.open("w", encoding="utf-8", newline="")
+        self._rows = csv.writer(self._file, lineterminator="\n")
+        self._rows.writerow(head)
+
+    def add(self, block: Block) -> None:
+        """Append."""
+        done = self._decoder.decode(block)
+        frames, messages = done.frames, self._decoder.codec.messages
+        stamps, channels = frames.t_ns.tolist(), frames.channel.tolist()
+        for k, (number, values) in enumerate(
+            zip(done.message.tolist(), done.value.tolist(), strict=True)
+        ):
+            message = messages[number]
+            row = [""] * self._width
+            row[:3] = (_seconds(stamps[k]), frames.names[channels[k]], message.name)
+            first = self._first[number]
+            for place, value in enumerate(values[: len(message.signals)], first):
+                if value == value:  # noqa: PLR0124 - not NaN
+                    row[place] = format(value, ".15g")
+            self._rows.writerow(row)
+        self.written += frames.size
+
+    def close(self) -> None:
+        """Make the file whole."""
+        self._file.close()
+
+
+def _seconds(t_ns: int) -> str:
+    """Exact: a float has lost the last two digits at today's dates."""
+    sign, size = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
+    return f"{sign}{size // SECOND}.{size % SECOND:09d}"

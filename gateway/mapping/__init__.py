@@ -1,0 +1,1 @@
+"""Other makers' inverters: their signals become ours."""

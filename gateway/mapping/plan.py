@@ -1,0 +1,246 @@
+"""Inverters with messages of their own: read their DBC, and plan how ours are made of it.
+
+Only at start. The messages that the core takes from such a drive are made by `translate`: of our
+kinds, with the foreign signals' own resolution and cycle, 32 bits each so that nothing clips. May
+know: DBCs, configuration. May not know: frames, clocks, buses.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from dbc.codec import Codec
+from dbc.dataids import p02_data_ids
+from dbc.e2e import Profile
+from dbc.frame import MS, Nanos
+from dbc.load import read
+from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
+from gateway.settings.config import Config, ConfigError, Drive, Motor
+from gateway.settings.signal_map import Signals, Source
+
+BASES: Final = {
+    "PhaseCurrents": 0x180, "StatorVoltages": 0x280, "Motion": 0x380, "Status": 0x1C0,
+    "Temperatures": 0x480,
+}  # fmt: skip
+"""Identifiers less the node: those of the contract, which no frame of the bus has here."""
+CARRIES: Final = {
+    "PhaseCurrents": ("Ia", "Ib", "Ic"), "StatorVoltages": ("Ualpha", "Ubeta"),
+    "Motion": ("Speed", "Torque"), "Status": ("TorqueCommand", "Irms"),
+    "Temperatures": ("Tstator", "Tde", "Tnde", "Tambient"),
+}  # fmt: skip
+OWN_CANOPEN: Final = {0x720: "the gateway's heartbeat", 0x0A0: "the gateway's emergencies"}
+LEAST_NS: Final[dict[str, Nanos]] = {"Status": 100 * MS, "Motion": 10 * MS}
+"""No oftener than this, as in our message set: all drives' are compared with one another."""
+_LOWEST: Final = -(1 << 31)
+_FD_SIZES: Final = (12, 16, 20, 24)
+
+
+class Plan(NamedTuple):
+    """One drive.
+
+    codec: of the foreign DBC's mapped messages, offset applied; sources: by message number there,
+    (our name, column name, source); spec: ours by kind; trigger: by kind, the quantity with which
+    ours is made.
+    """
+
+    node: int
+    motor: Motor
+    signals: Signals
+    codec: Codec
+    sources: Mapping[int, tuple[tuple[str, str, Source], ...]]
+    spec: Mapping[str, MessageSpec]
+    trigger: Mapping[str, str]
+    sends: Mapping[int, str]
+    """Names of all that the file says such an inverter sends, by identifier, offset applied."""
+
+
+def plans(config: Config) -> list[Plan]:
+    """Of all drives that have signals. Raises ConfigError with every problem of all of them."""
+    mapped = [drive for drive in config.drive if drive.signals is not None]
+    if mapped and config.sealed:
+        cure = "map them into a DBC of ours, which is signed, or leave out --public-key"
+        raise ConfigError("drive.signals", [f"its DBC is not covered by the signature; {cure}"])
+    problems: list[str] = []
+    out = []
+    for position, drive in enumerate(config.drive):
+        if drive.signals is None:
+            continue
+        try:
+            out.append(_plan(config, drive, drive.signals))
+        except ConfigError as error:
+            problems += [f"drive.{position}.signals: {line}" for line in error.problems]
+    if problems:
+        raise ConfigError("configuration", problems)
+    return out
+
+
+def fitted(codec: Codec, planned: list[Plan]) -> Codec:
+    """Our message set as the core takes it in: mapped drives' messages are the planned ones."""
+    if not planned:
+        return codec
+    nodes = {plan.node for plan in planned}
+    _apart(codec, planned)
+    kept = [s for s in codec.messages if s.is_gateway or s.node not in nodes]
+    made = [spec for plan in planned for spec in plan.spec.values()]
+    numbered = [replace(spec, index=k) for k, spec in enumerate([*kept, *made])]
+    return Codec(codec.path, numbered, codec.digest)
+
+
+def _apart(codec: Codec, planned: list[Plan]) -> None:
+    """Raises ConfigError where an inverter sends what is the gateway's, or two send the same."""
+    nodes = {plan.node for plan in planned}
+    own = {s.key: s.name for s in codec.messages if s.is_gateway and s.node in (0, *nodes)}
+    own |= OWN_CANOPEN
+    taken: dict[int, int] = {}
+    problems = []
+    for plan in planned:
+        for key, name in plan.sends.items():
+            where = f"drive {plan.node}: {name} ({key & 0x1FFFFFFF:#x})"
+            if key in own:
+                problems.append(f"{where} has the identifier of {own[key]}; move it by id_offset")
+        for spec in plan.codec.messages:
+            other = taken.setdefault(spec.key, plan.node)
+            if other != plan.node and spec.key not in _shared(planned, other, plan):
+                problems.append(
+                    f"drive {plan.node}: {spec.name} ({spec.can_id:#x}) is drive {other}'s as "
+                    "well; give each its id_offset or its own signals"
+                )
+    if problems:
+        raise ConfigError("drive.signals", problems)
+
+
+def _shared(planned: list[Plan], other: int, plan: Plan) -> set[int]:
+    """Identifiers from which two drives take different signals: one controller of two motors."""
+    (first,) = [p for p in planned if p.node == other]
+    out = set()
+    for spec in plan.codec.messages:
+        mine = {column for _, column, _ in plan.sources[spec.index]}
+        theirs = {
+            column
+            for there in first.codec.messages
+            if there.key == spec.key
+            for _, column, _ in first.sources[there.index]
+        }
+        if not mine & theirs:
+            out.add(spec.key)
+    return out
+
+
+def given(signals: Signals) -> dict[str, tuple[str, ...]]:
+    """By kind of message of ours, what it is made of; kinds that cannot be made are not there."""
+    use = signals.use
+    phases, voltages = signals.phases, signals.voltages
+    torque = next((n for n in ("Torque", "Iq") if n in use), None)
+    command = next((n for n in ("TorqueCommand", "Torque", "Iq") if n in use), None)
+    amount = ("Irms",) if "Irms" in use else phases or (("Id", "Iq") if "Iq" in use else ())
+    out = {
+        "PhaseCurrents": phases,
+        "StatorVoltages": voltages if phases else (),
+        "Motion": ("Speed", torque) if "Speed" in use and torque else (),
+        "Status": (command, *amount) if command and amount else (),
+        "Temperatures": tuple(n for n in CARRIES["Temperatures"] if n in use),
+    }
+    return {kind: parts for kind, parts in out.items() if parts}
+
+
+def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
+    path = config.base / signals.dbc
+    specs, problems, sends = _messages(path, signals)
+    by_name = {spec.name: spec for spec in specs}
+    sources: dict[int, list[tuple[str, str, Source]]] = {}
+    of: dict[str, int] = {}
+    resolution: dict[str, float] = {}
+    for name, source in signals.use.items():
+        spec = by_name.get(source.message)
+        if spec is None:
+            problems.append(f"use.{name}: {path.name} has no message {source.message!r}")
+            continue
+        found = {signal.name: signal for signal in spec.signals}.get(source.name)
+        if found is None:
+            known = ", ".join(signal.name for signal in spec.signals)
+            problems.append(f"use.{name}: {source.message} has no signal {source.name!r}: {known}")
+            continue
+        sources.setdefault(spec.index, []).append((name, source.name, source))
+        of[name] = spec.index
+        resolution[name] = abs(source.scale * (1e-3 if found.is_float else found.scale))
+    unused = set(signals.cycle_ms) - {source.message for source in signals.use.values()}
+    problems += [f"cycle_ms.{name}: no signal of that message is used" for name in sorted(unused)]
+    spec_of, trigger = {}, {}
+    for kind, parts in given(signals).items() if not problems else ():
+        first = of[parts[0]]
+        without = {specs[of[n]].name for n in parts if not specs[of[n]].cycle_ns}
+        if without:
+            problems += [f"{path.name} says no cycle time of {name}: add cycle_ms.{name}"
+                         for name in sorted(without)]  # fmt: skip
+            continue
+        cycle = specs[first].cycle_ns
+        if kind in LEAST_NS:
+            cycle = max(LEAST_NS[kind], *(specs[of[n]].cycle_ns for n in parts))
+        scales = {n: _scale(n, parts, resolution) for n in CARRIES[kind]}
+        spec_of[kind] = _spec(kind, drive.node, cycle, scales)
+        trigger[kind] = parts[0]
+    if problems:
+        raise ConfigError("signals", list(dict.fromkeys(problems)))
+    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Plan(
+        drive.node, config.motors[drive.motor], signals, Codec(path, specs, content),
+        {index: tuple(rows) for index, rows in sources.items()}, spec_of, trigger, sends,
+    )  # fmt: skip
+
+
+def _messages(path: Path, signals: Signals) -> tuple[list[MessageSpec], list[str], dict[int, str]]:
+    """The mapped messages, numbered, with offset and cycles; problems; all messages' names."""
+    try:
+        specs, faults = read(path)
+    except DbcMismatch as error:
+        raise ConfigError("signals", [f"{path.name}: {line}" for line in error.problems]) from None
+    wanted = {source.message for source in signals.use.values()}
+    # Other messages of the file are none of our business, whatever is wrong with them.
+    problems = [f"{path.name}: {f}" for f in faults if f.split(":")[0].split(".")[0] in wanted]
+    out: list[MessageSpec] = []
+    sends = {spec.key + signals.id_offset: spec.name for spec in specs}
+    for spec in specs:
+        if spec.name not in wanted:
+            continue
+        can_id = spec.can_id + signals.id_offset
+        if not 0 <= can_id < (1 << (29 if spec.is_extended else 11)):
+            problems.append(f"id_offset: {spec.name} would have the identifier {can_id:#x}")
+            can_id = spec.can_id
+        cycle = signals.cycle_ms.get(spec.name)
+        out.append(replace(
+            spec, index=len(out), can_id=can_id, profile=Profile.NONE,
+            cycle_ns=spec.cycle_ns if cycle is None else round(cycle * MS),
+        ))  # fmt: skip
+    return out, problems, sends
+
+
+def _scale(name: str, parts: tuple[str, ...], resolution: Mapping[str, float]) -> float:
+    """Resolution that ours has: that of what it is made of; never coarser than a hundredth."""
+    if name in resolution:
+        return resolution[name]
+    known = [resolution[p] for p in parts if p in resolution and p != "ElectricalAngle"]
+    return min([*known, 0.01]) if name in ("Torque", "TorqueCommand", "Irms") else min(known)
+
+
+def _spec(kind: str, node: int, cycle: Nanos, scales: Mapping[str, float]) -> MessageSpec:
+    header = (
+        SignalSpec("Crc", 0, 8, raw_max=255),
+        SignalSpec("Counter", 8, 4, raw_max=15),
+    )
+    values = tuple(
+        SignalSpec(
+            name, 16 + 32 * k, 32, is_signed=True, scale=scales[name], raw_min=_LOWEST + 1,
+            raw_max=-_LOWEST - 1, not_available=_LOWEST,
+        )
+        for k, name in enumerate(CARRIES[kind])
+    )  # fmt: skip
+    can_id = BASES[kind] + node
+    return MessageSpec(
+        name=f"Drive{node}_{kind}", can_id=can_id, is_fd=True, brs=False, cycle_ns=cycle,
+        length=next(n for n in _FD_SIZES if n >= 2 + 4 * len(values)), profile=Profile.P02,
+        data_ids=p02_data_ids(can_id), signals=(*header, *values), index=0, node=node, kind=kind,
+    )  # fmt: skip

@@ -1,0 +1,277 @@
+"""Frames of foreign inverters into frames of our kinds, tick by tick; pure.
+
+What was not sent is not made up: a value that is missing, invalid or too old becomes the
+not-available code, and a kind whose message does not come is not made. Foreign messages mostly
+have no counter; ours then counts the periods between stamps, so that a frame that is missing shows
+as a gap, to half a period.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from typing import Final, NamedTuple
+
+from dbc.codec import Codec
+from dbc.e2e import protect
+from dbc.frame import ERROR, EXTENDED, FD, MS, Frame, Nanos
+from dbc.frames import Block, block_of
+from dbc.spec import EXTENDED_KEY, Match, MessageSpec, Validity
+from gateway.mapping.plan import BASES, CARRIES, LEAST_NS, Plan
+from gateway.settings.signal_map import Source
+
+JOINED_PERIODS: Final = 1.5
+"""A value that joins one of another message is no older than so many periods of its own."""
+SILENT_PERIODS: Final = 3
+"""After so many a message that comes again has just been powered up, perhaps."""
+APART_NS: Final[Nanos] = MS
+"""Currents, angle and voltages may be stamped so far apart, at most half a period, and are taken
+for one instant: frames of one sample leave one after another."""
+MOST_STEPS: Final = 15
+SQUARES: Final = 256
+"""Currents that are remembered for `Irms`."""
+_ELECTRICAL: Final = ("PhaseCurrents", "StatorVoltages")
+_SQRT3: Final = math.sqrt(3.0)
+_CAUSES: Final = {
+    Match.REMOTE: "remote", Match.WRONG_LENGTH: "wrong_length", Match.WRONG_FORMAT: "wrong_length",
+}  # fmt: skip
+
+
+class Held(NamedTuple):
+    """Last value of a quantity; None: the message came and had none."""
+
+    value: float | None
+    t_ns: Nanos
+
+
+class Translator:
+    """All mapped drives of one gateway. `take` is the only mutator."""
+
+    def __init__(self, planned: list[Plan], codec: Codec) -> None:
+        """codec: as the core takes frames in, see `foreign.fitted`."""
+        self._drives = [_Drive(plan, codec) for plan in planned]
+        self._routes: dict[int, list[tuple[_Drive, MessageSpec]]] = {}
+        for drive in self._drives:
+            for spec in drive.plan.codec.messages:
+                self._routes.setdefault(spec.key, []).append((drive, spec))
+        # Else somebody could pass for the translator.
+        self._hidden = {base + plan.node for plan in planned for base in BASES.values()}
+
+    def take(self, frames: Iterable[Frame] | Block, now: Nanos, counts: Counter[str]) -> Block:
+        """Frames of one tick, mapped ones in our words, all others as they are.
+
+        counts: what was not used, by cause, and `translated`.
+        """
+        block = frames if isinstance(frames, Block) else block_of(frames)
+        out: list[Frame] = []
+        for frame in block.ordered().frames():
+            key = frame.can_id | (EXTENDED_KEY if frame.flags & EXTENDED else 0)
+            routes = self._routes.get(key)
+            if frame.flags & ERROR or (routes is None and key not in self._hidden):
+                out.append(frame)
+            elif routes is None:
+                counts["unknown_id"] += 1
+            elif not 0 <= frame.t_ns <= now:
+                counts["time_back"] += 1
+            else:
+                for drive, spec in routes:
+                    out += drive.take(frame, spec, counts)
+        return block_of(out)
+
+
+class _Drive:
+    """One mapped drive: what it sent last, and the counters of what is made of it."""
+
+    def __init__(self, plan: Plan, codec: Codec) -> None:
+        self.plan = plan
+        self._codec = codec
+        self._specs = {kind: codec.by_name[spec.name] for kind, spec in plan.spec.items()}
+        self._held: dict[str, Held] = {}
+        self._heard: dict[int, Nanos] = {}
+        self._begun: dict[int, Nanos] = {}
+        self._counter = dict.fromkeys(self._specs, -1)
+        self._made: dict[str, Nanos] = {}
+        self._theirs: int | None = None
+        self._their = 0
+        self._squares: deque[float] = deque(maxlen=SQUARES)
+        self._news: set[str] = set()
+        """What has come since currents were made."""
+        self._of = {n: k for k, rows in plan.sources.items() for n, _, _ in rows}
+
+    def take(self, frame: Frame, spec: MessageSpec, counts: Counter[str]) -> list[Frame]:
+        """One frame of this drive; what can be made with it, in the order of the contract."""
+        codec = self.plan.codec
+        match, _ = codec.match(frame)
+        if match is not Match.OK:
+            counts[_CAUSES.get(match, "wrong_length")] += 1
+            return []
+        index, t_ns = spec.index, frame.t_ns
+        last = self._heard.get(index)
+        if last is not None and t_ns < last:
+            counts["time_back"] += 1
+            return []
+        counts["translated"] += 1
+        silent = last is None or (spec.cycle_ns and t_ns - last > SILENT_PERIODS * spec.cycle_ns)
+        self._heard[index] = t_ns
+        if silent:
+            self._begun[index] = t_ns
+        readings = codec.decode(spec, frame.data)
+        came = set()
+        for name, column, source in self.plan.sources[index]:
+            reading = readings[column]
+            if reading.validity is Validity.ABSENT:
+                continue
+            good = reading.validity is Validity.VALID and reading.raw not in source.not_available
+            good = good and t_ns - self._begun[index] >= source.settle_ms * MS
+            self._held[name] = Held(_physical(reading.value, source) if good else None, t_ns)
+            came.add(name)
+        self._note_square(came, t_ns)
+        self._news |= came
+        kinds = [kind for kind in self._specs if self._its_turn(kind, came, t_ns)]
+        if "PhaseCurrents" in kinds:
+            self._news.clear()
+        return [self._make(kind, t_ns) for kind in kinds]
+
+    def _its_turn(self, kind: str, came: set[str], t_ns: Nanos) -> bool:
+        """came: the quantities of this frame."""
+        if kind in _ELECTRICAL:
+            return self._one_instant(came, t_ns)
+        trigger = self.plan.trigger[kind]
+        if trigger not in came:
+            return False
+        last = self._made.get(kind)
+        if kind not in LEAST_NS or last is None:
+            return True
+        own = self.plan.codec.messages[self._of[trigger]].cycle_ns
+        return t_ns - last >= self._specs[kind].cycle_ns - own // 2
+
+    def _one_instant(self, came: set[str], t_ns: Nanos) -> bool:
+        """Whether with this frame currents (and voltages, if mapped) of one instant are there."""
+        parts = {*self.plan.signals.phases, *self.plan.signals.voltages}
+        most = min(APART_NS, self._specs["PhaseCurrents"].cycle_ns // 2)
+        return (
+            not parts.isdisjoint(came)
+            and parts <= self._news
+            and all(t_ns - self._held[part].t_ns <= most for part in parts)
+        )
+
+    def _make(self, kind: str, t_ns: Nanos) -> Frame:
+        spec = self._specs[kind]
+        self._counter[kind] += self._steps(kind, t_ns, spec.cycle_ns)
+        self._made[kind] = t_ns
+        payload = self._codec.encode(spec, self._values(kind, t_ns))
+        protect(spec, payload, self._counter[kind])
+        return Frame(t_ns, spec.can_id, bytes(payload), FD)
+
+    def _steps(self, kind: str, t_ns: Nanos, cycle: Nanos) -> int:
+        """How many periods after the last one."""
+        if kind in _ELECTRICAL and "Counter" in self.plan.signals.use:
+            if kind == _ELECTRICAL[0]:
+                self._their = self._their_steps()
+            return self._their
+        last = self._made.get(kind)
+        if last is None:
+            return 1
+        return min(max(1, (t_ns - last + cycle // 2) // cycle), MOST_STEPS)
+
+    def _their_steps(self) -> int:
+        """By the drive's own counter; 0 where it stands still: repeated, and told as that."""
+        held = self._held.get("Counter")
+        if held is None or held.value is None:
+            return 0
+        before, self._theirs = self._theirs, int(held.value)
+        if before is None:
+            return 1
+        turn = self._modulus()
+        return min((self._theirs - before) % turn, MOST_STEPS)
+
+    def _modulus(self) -> int:
+        source = self.plan.signals.use["Counter"]
+        spec = self.plan.codec.by_name[source.message]
+        return 1 << next(s.length for s in spec.signals if s.name == source.name)
+
+    def _values(self, kind: str, t_ns: Nanos) -> Mapping[str, float | None]:
+        if kind == "PhaseCurrents":
+            return dict(zip(CARRIES[kind], self._phases(t_ns), strict=True))
+        if kind == "StatorVoltages":
+            return dict(zip(CARRIES[kind], self._voltages(t_ns), strict=True))
+        if kind == "Motion":
+            return {"Speed": self._get("Speed", t_ns), "Torque": self._torque(t_ns)}
+        if kind == "Status":
+            command = self._get("TorqueCommand", t_ns) if self._has("TorqueCommand") else None
+            if not self._has("TorqueCommand"):
+                command = self._torque(t_ns)
+            return {"TorqueCommand": command, "Irms": self._irms(t_ns)}
+        return {name: self._get(name, t_ns) for name in CARRIES[kind]}
+
+    def _has(self, name: str) -> bool:
+        return name in self.plan.signals.use
+
+    def _get(self, name: str, t_ns: Nanos) -> float | None:
+        held = self._held.get(name)
+        if held is None or held.value is None:
+            return None
+        cycle = self.plan.codec.messages[self._of[name]].cycle_ns
+        return held.value if t_ns - held.t_ns <= JOINED_PERIODS * cycle else None
+
+    def _torque(self, t_ns: Nanos) -> float | None:
+        """Measured, or of the magnets alone: 1.5 p psi Iq (no reluctance torque)."""
+        if self._has("Torque"):
+            return self._get("Torque", t_ns)
+        iq, motor = self._get("Iq", t_ns), self.plan.motor
+        return None if iq is None else 1.5 * motor.pole_pairs * motor.psi_pm * iq
+
+    def _phases(self, t_ns: Nanos) -> tuple[float | None, ...]:
+        signals = self.plan.signals
+        values = [self._get(name, t_ns) for name in signals.phases]
+        if any(value is None for value in values):
+            return None, None, None
+        first, second, *rest = [value for value in values if value is not None]
+        if signals.phases[0] == "Ia":
+            return first, second, rest[0] if rest else -first - second
+        alpha, beta = _turned(first, second, rest[0]) if rest else (first, second)
+        return alpha, -0.5 * alpha + 0.5 * _SQRT3 * beta, -0.5 * alpha - 0.5 * _SQRT3 * beta
+
+    def _voltages(self, t_ns: Nanos) -> tuple[float | None, float | None]:
+        values = [self._get(name, t_ns) for name in self.plan.signals.voltages]
+        if any(value is None for value in values):
+            return None, None
+        first, second, *rest = [value for value in values if value is not None]
+        return _turned(first, second, rest[0]) if rest else (first, second)
+
+    def _note_square(self, came: set[str], t_ns: Nanos) -> None:
+        """Sum up currents for `Irms`, where nobody sends it."""
+        signals = self.plan.signals
+        if self._has("Irms") or "Status" not in self._specs:
+            return
+        names = signals.phases or ("Id", "Iq")
+        if names[0] not in came:
+            return
+        values = [self._get(name, t_ns) for name in names if name != "ElectricalAngle"]
+        if any(value is None for value in values):
+            return
+        a, b, *rest = [value for value in values if value is not None]
+        if names[0] == "Ia":
+            c = rest[0] if rest else -a - b
+            self._squares.append((a * a + b * b + c * c) / 3.0)
+        else:
+            self._squares.append((a * a + b * b) / 2.0)
+
+    def _irms(self, t_ns: Nanos) -> float | None:
+        if self._has("Irms"):
+            return self._get("Irms", t_ns)
+        squares = list(self._squares)
+        self._squares.clear()
+        return math.sqrt(math.fsum(squares) / len(squares)) if squares else None
+
+
+def _turned(d: float, q: float, angle_deg: float) -> tuple[float, float]:
+    """From the rotor's frame into the stator's; the d axis lies on phase a at 0."""
+    cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    return d * cos - q * sin, d * sin + q * cos
+
+
+def _physical(value: float, source: Source) -> float | None:
+    out = value * source.scale + source.offset
+    return out if math.isfinite(out) else None

@@ -1,0 +1,1 @@
+"""What the monitors show, without a screen."""

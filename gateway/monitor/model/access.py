@@ -1,0 +1,230 @@
+"""Who may look at the page and the metrics. Rules only: no socket, no clock of its own.
+
+On loopback everybody on this machine may. Anywhere else only who shows the token. Against pages of
+others in the same browser: names by which nobody reaches this machine by right are refused (DNS
+rebinding), and so is whatever says that it comes from another page.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import secrets
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Final, NamedTuple
+from urllib.parse import urlsplit
+
+from gateway.settings.config import ConfigError
+
+LEAST_TOKEN: Final = 16
+LEAST_KINDS: Final = 6
+"""Different characters that a token has at least: nothing more is known of how it was made."""
+WRONG_MOST: Final = 10
+WRONG_WINDOW_S: Final = 60.0
+ADDRESSES: Final = 1024
+LOOPBACK_NAMES: Final = ("127.0.0.1", "localhost", "::1")
+
+
+class Listen(NamedTuple):
+    """Where to listen; host as `bind` takes it, without brackets."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """As in an address line."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+
+def listen(text: str, default: Listen) -> Listen:
+    """HOST:PORT, HOST or PORT; the default's for what is left out. Raises ValueError."""
+    if text.isascii() and text.isdigit():
+        host, port = default.host, text
+    else:
+        try:
+            ipaddress.IPv6Address(text.strip("[]"))
+            host, port = text.strip("[]"), ""
+        except ValueError:
+            host, _, port = text.rpartition(":") if ":" in text else (text, "", "")
+            host = host.strip("[]")
+    number = int(port) if port.isascii() and port.isdigit() else default.port if not port else -1
+    if not host or not 0 <= number <= 65535 or "/" in host:
+        msg = f"{text!r} is not HOST:PORT"
+        raise ValueError(msg)
+    return Listen(host, number)
+
+
+def token_of(content: bytes, name: str) -> bytes:
+    """The token in a file, without what is white around it. Raises ConfigError."""
+    token = content.strip()
+    problems = []
+    if len(token) < LEAST_TOKEN:
+        problems.append(f"{len(token)} bytes are no token; {LEAST_TOKEN} are the least")
+    elif len(set(token)) < LEAST_KINDS:
+        problems.append("too few different characters for a token")
+    if not all(0x21 <= byte <= 0x7E for byte in token):
+        problems.append("a token is printable ASCII without spaces")
+    if problems:
+        cure = f"make one: traction-gateway keygen --token -o {name}"
+        raise ConfigError(name, ["; ".join([*problems, cure])])
+    return token
+
+
+class Wrong:
+    """Wrong tokens by address: after some of them nothing is compared for a while. Bounded."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self._by: OrderedDict[str, tuple[float, int]] = OrderedDict()
+
+    def waits_s(self, address: str, now_s: float) -> float:
+        """How long this address has to wait; 0 if its token will be looked at."""
+        begin, count = self._by.get(_who(address), (now_s, 0))
+        left = begin + WRONG_WINDOW_S - now_s
+        return left if count >= WRONG_MOST and left > 0 else 0.0
+
+    def note(self, address: str, now_s: float) -> None:
+        """One more wrong token."""
+        who = _who(address)
+        begin, count = self._by.pop(who, (now_s, 0))
+        if now_s - begin >= WRONG_WINDOW_S:
+            begin, count = now_s, 0
+        self._by[who] = begin, count + 1
+        while len(self._by) > ADDRESSES:
+            self._by.popitem(last=False)
+
+
+def _who(address: str) -> str:
+    """Of IPv6 the network: a host has all of its addresses."""
+    try:
+        parsed = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(parsed, ipaddress.IPv6Address) and parsed.ipv4_mapped is None:
+        return str(ipaddress.ip_network((parsed, 64), strict=False))
+    return str(parsed)
+
+
+class Refusal(NamedTuple):
+    """Why not, as HTTP says it. cause: a word to count by."""
+
+    status: int
+    cause: str
+    text: str
+    headers: tuple[tuple[str, str], ...] = ()
+
+
+class Access:
+    """The rules for one server. Keeps the token's digest, not the token."""
+
+    def __init__(self, token: bytes | None = None, names: Iterable[str] = ()) -> None:
+        """token: None lets everybody in who reaches the address. names: of hosts, besides loopback.
+
+        With a token any address in numbers counts as a name of this machine: DNS cannot lie about
+        those, and one bound to all addresses does not know which it is reached by.
+        """
+        self._digest = None if token is None else hashlib.sha256(token).digest()
+        # Not the token: a cookie is sent to every port of this host, and this one ends with us.
+        self._session = (
+            "" if token is None
+            else hmac.new(token, secrets.token_bytes(32), "sha256").hexdigest()
+        )  # fmt: skip
+        self._names = {*LOOPBACK_NAMES, *(name.lower() for name in names)}
+        self._wrong = Wrong()
+
+    @property
+    def wants_token(self) -> bool:
+        """Whether there is one."""
+        return self._digest is not None
+
+    @property
+    def session(self) -> str:
+        """What the cookie of somebody holds who has shown the token."""
+        return self._session
+
+    def page(self, headers: Mapping[str, str]) -> Refusal | None:
+        """None if the names in Host and Origin are ours. headers: names in lower case."""
+        host = headers.get("host", "")
+        if not self._ours(host):
+            cure = "use the address in numbers" if self.wants_token else "use 127.0.0.1"
+            return Refusal(403, "host", f"this is not a name of this machine; {cure}")
+        origin = headers.get("origin")
+        if origin is not None and not _same(origin, host):
+            return Refusal(403, "origin", "asked by a page from elsewhere")
+        return None
+
+    def person(
+        self, headers: Mapping[str, str], given: str | None, cookie: str, address: str, now_s: float
+    ) -> Refusal | None:
+        """None if there is no token, or the right one.
+
+        given: of the address line, if any; else the header's counts. cookie: its name. A session
+        is looked at even when too many wrong tokens came from there: nobody guesses 256 bits.
+        """
+        if self._digest is None:
+            return None
+        if given is None and _is(_cookie(headers.get("cookie", ""), cookie), self._session):
+            return None
+        if given is None:
+            scheme, _, given = headers.get("authorization", "").partition(" ")
+            given = given.strip() if scheme.lower() == "bearer" else ""
+        unknown = (("www-authenticate", 'Bearer realm="traction-gateway"'),)
+        if not given:
+            text = "a token is wanted: 'Authorization: Bearer TOKEN', or once /?token=TOKEN"
+            return Refusal(401, "no_token", text, unknown)
+        if waits := self._wrong.waits_s(address, now_s):
+            again = (("retry-after", str(int(waits) + 1)),)
+            return Refusal(429, "too_many", "too many wrong tokens; wait a minute", again)
+        seen = hashlib.sha256(given.encode("utf-8", "surrogatepass")).digest()
+        if hmac.compare_digest(seen, self._digest):
+            return None
+        self._wrong.note(address, now_s)
+        return Refusal(401, "wrong_token", "wrong token", unknown)
+
+    def _ours(self, host: str) -> bool:
+        name = _name(host)
+        if name is None:
+            return False
+        if name in self._names:
+            return True
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return self.wants_token
+
+
+def _name(host: str) -> str | None:
+    """The name in a Host header; None where there is anything but a name and a port."""
+    if not host or any(c in host for c in "/@?#\\ ,"):
+        return None
+    try:
+        parts = urlsplit(f"//{host}")
+        _ = parts.port
+    except ValueError:
+        return None
+    return parts.hostname
+
+
+def _same(origin: str, host: str) -> bool:
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return False
+    return parts.scheme in ("http", "https") and parts.netloc.lower() == host.lower()
+
+
+def _cookie(text: str, name: str) -> str:
+    try:
+        morsel = SimpleCookie(text).get(name)
+    except CookieError:
+        return ""
+    return "" if morsel is None else morsel.value
+
+
+def _is(given: str, expected: str) -> bool:
+    return bool(expected) and hmac.compare_digest(given.encode(errors="replace"), expected.encode())

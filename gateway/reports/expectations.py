@@ -1,0 +1,131 @@
+"""Expectations of a scenario, judged on the flag frames as they stood on the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, Protocol
+
+from dbc.codec import Codec
+from dbc.frame import Frame
+from gateway.core.codes import Flag
+
+WORDS = {"unknown": Flag.UNKNOWN, "good": Flag.GOOD, "bad": Flag.BAD}
+_SET_FLAGS = {"common_mode": "CommonMode", "comm": "CommFault", "sensor": "SensorFault"}
+_SPARE = 3
+"""`Invalid` on the wire is read as unknown."""
+
+
+class Expectation(Protocol):
+    """The part of `sim.scenario.Expect` that is judged here."""
+
+    @property
+    def flag(self) -> str:
+        """adhesion, thermal, common_mode, comm or sensor."""
+        ...
+
+    @property
+    def is_(self) -> str:
+        """good, bad or unknown."""
+        ...
+
+    @property
+    def drive(self) -> int | str | None:
+        """A node number, `all` or `others` (drives that no event names)."""
+        ...
+
+    @property
+    def after_s(self) -> float:
+        """Seconds from the start of the scenario."""
+        ...
+
+    @property
+    def within_ms(self) -> float | None:
+        """The state must be seen within this time."""
+        ...
+
+    @property
+    def never(self) -> bool:
+        """The state must not be seen from `after_s` on."""
+        ...
+
+
+class Verdict(NamedTuple):
+    """One expectation, judged for one drive (0: the set).
+
+    delay_ms: when the state was first seen, from `after_s`; limit_ms: by when it had to be; None
+    where it was not seen, or no time was set.
+    """
+
+    text: str
+    passed: bool
+    detail: str
+    delay_ms: float | None = None
+    limit_ms: float | None = None
+
+
+class FlagTrack:
+    """Every flag frame decoded: (t_ns, flag) per name and drive."""
+
+    def __init__(self, codec: Codec, nodes: Sequence[int]) -> None:
+        self.codec = codec
+        self.nodes = tuple(nodes)
+        self.seen: dict[tuple[str, int], list[tuple[int, Flag]]] = {}
+
+    def add(self, frames: Iterable[Frame]) -> None:
+        """Note the flags in the gateway's frames; other frames are passed over."""
+        for frame in frames:
+            spec = self.codec.by_id.get(frame.can_id)
+            if spec is None or spec.name not in ("Gateway_Adhesion", "Gateway_Faults"):
+                continue
+            values = self.codec.decode(spec, frame.data)
+            if spec.name == "Gateway_Adhesion":
+                names = [("adhesion", n, f"Adhesion{n}") for n in self.nodes]
+                names.append(("common_mode", 0, "CommonMode"))
+            else:
+                names = [("thermal", n, f"Thermal{n}") for n in self.nodes]
+                names += [("comm", 0, "CommFault"), ("sensor", 0, "SensorFault")]
+            for flag, node, signal in names:
+                raw = int(values[signal].raw)
+                state = Flag.UNKNOWN if raw == _SPARE else Flag(raw)
+                self.seen.setdefault((flag, node), []).append((frame.t_ns, state))
+
+
+def judge(
+    expectations: Iterable[Expectation], track: FlagTrack, touched: set[int], start_ns: int
+) -> list[Verdict]:
+    """Judge every expectation; `touched` are the drives that events name."""
+    verdicts = []
+    for expect in expectations:
+        if expect.flag in _SET_FLAGS:
+            nodes: tuple[int, ...] = (0,)
+        elif expect.drive in (None, "all"):
+            nodes = track.nodes
+        elif expect.drive == "others":
+            nodes = tuple(n for n in track.nodes if n not in touched)
+        else:
+            nodes = (int(expect.drive or 0),)
+        verdicts += [_one(expect, track.seen.get((expect.flag, n), []), n, start_ns) for n in nodes]
+    return verdicts
+
+
+def _one(expect: Expectation, seen: list[tuple[int, Flag]], node: int, start_ns: int) -> Verdict:
+    wanted = WORDS[expect.is_]
+    after = start_ns + round(expect.after_s * 1e9)
+    who = f" of drive {node}" if node else ""
+    text = f"{expect.flag}{who} {'never ' if expect.never else ''}{expect.is_}"
+    text += f" after {expect.after_s:g} s"
+    first = next((t for t, state in seen if t >= after and state is wanted), None)
+    if expect.never:
+        detail = "held" if first is None else f"seen at {(first - start_ns) / 1e9:.3f} s"
+        delay_ms = None if first is None else (first - after) / 1e6
+        held = first is None and bool(seen)
+        return Verdict(text, held, detail if seen else "no flag frame", delay_ms)
+    limit = None if expect.within_ms is None else expect.within_ms
+    if limit is not None:
+        text += f" within {limit:g} ms"
+    if first is None:
+        last = seen[-1][1].name.lower() if seen else "no flag frame"
+        return Verdict(text, False, f"not seen; last: {last}", None, limit)
+    delay_ms = (first - after) / 1e6
+    passed = limit is None or delay_ms <= limit
+    return Verdict(text, passed, f"after {delay_ms:.0f} ms", delay_ms, limit)

@@ -1,0 +1,153 @@
+"""A report as Markdown, and the same as one HTML file with its pictures inside.
+
+The HTML needs no script and nothing from outside; it is readable on a phone and on paper.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from dbc.text import printable
+from gateway.io.whole_file import write_text
+
+_SPECIAL: Final = re.compile(r"([!-/:-@\[-`{-~])")
+_HARMLESS: Final = frozenset(",.:;/'%=?@-+()\"&")
+"""Punctuation that says nothing to Markdown in the middle of a line."""
+
+
+def plain(text: str) -> str:
+    """Somebody else's words as they are: no markup, no HTML, one line."""
+    said = _SPECIAL.sub(
+        lambda m: m[1] if m[1] in _HARMLESS else f"\\{m[1]}", printable(text).replace("&", "&amp;")
+    )
+    # What would begin a list or a heading's rule.
+    return f"\\{said}" if said[:1] in ("-", "+", "=") else said
+
+
+def literal(text: str) -> str:
+    """Somebody else's words as code: names of files, channels."""
+    said = printable(text)
+    return plain(said) if not said or "`" in said or "|" in said else f"`{said}`"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table's lines, cells as they are (Markdown), with empty lines around it.
+
+    A column whose name ends with a colon is aligned to the right.
+    """
+    rule = ("---:" if name.endswith(":") else "---" for name in head)
+    names = (name.removesuffix(":") for name in head)
+    lines = [f"| {' | '.join(names)} |", f"|{'|'.join(rule)}|"]
+    return ["", *lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
+
+
+def folded(summary: str, lines: Iterable[str]) -> list[str]:
+    """Lines that are shown on request, and on paper."""
+    return ["", "<details>", f"<summary>{html.escape(summary)}</summary>", "", *lines, "",
+            "</details>", ""]  # fmt: skip
+
+
+def code(text: str, language: str) -> list[str]:
+    """A block of code, whatever is in it."""
+    longest = max((len(run) for run in re.findall(r"`{3,}", text)), default=2)
+    fence = "`" * (longest + 1)
+    return [f"{fence}{language}", text.rstrip("\n"), fence]
+
+
+def picture(words: str, stem: str) -> list[str]:
+    """A picture, `stem`.svg beside the report; words: what it shows, for who does not see it."""
+    return ["", f"![{plain(words)}]({stem}.svg)", ""]
+
+
+class Anchors:
+    """Names of headings, as those who show Markdown make them."""
+
+    def __init__(self) -> None:
+        """None given yet."""
+        self._given: dict[str, int] = {}
+
+    def of(self, heading: str) -> str:
+        """The name of the next heading of this text."""
+        name = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") or "section"
+        count = self._given.get(name, 0)
+        self._given[name] = count + 1
+        return f"{name}-{count}" if count else name
+
+
+def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
+    """`report.md` and `report.html` in `folder`; `figures`: stems of the SVG files there.
+
+    Raises OSError.
+    """
+    from markdown_it import MarkdownIt
+
+    write_text(folder / "report.md", text)
+    reader = MarkdownIt("commonmark").enable("table")
+    tokens = reader.parse(text)
+    anchors = Anchors()
+    for k, token in enumerate(tokens):
+        if token.type == "heading_open":
+            words = "".join(child.content for child in tokens[k + 1].children or ())
+            token.attrSet("id", anchors.of(words))
+    body = reader.renderer.render(tokens, reader.options, {})
+    for name in figures:
+        inside = base64.b64encode((folder / f"{name}.svg").read_bytes()).decode()
+        body = body.replace(f'src="{name}.svg"', f'src="data:image/svg+xml;base64,{inside}"')
+    page = PAGE.replace("TITLE", html.escape(printable(title)), 1).replace("BODY", body, 1)
+    write_text(folder / "report.html", page)
+
+
+PAGE: Final = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>TITLE</title>
+<style>
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 60rem;
+       margin: 2rem auto; padding: 0 1rem; }
+h1, h2, h3, h4 { line-height: 1.25; overflow-wrap: anywhere; }
+h2 { margin-top: 2.5rem; border-bottom: 1px solid #ccc; padding-bottom: 0.2rem; }
+table { border-collapse: collapse; font-size: 0.85rem; margin: 1rem 0; display: block;
+        overflow-x: auto; font-variant-numeric: tabular-nums; }
+th, td { border-bottom: 1px solid #ddd; padding: 0.25rem 0.6rem; text-align: left;
+         vertical-align: top; }
+th { background: #f4f4f4; white-space: nowrap; }
+th:empty { padding: 0; border: 0; }
+td:last-child { min-width: 8rem; }
+td:first-child { white-space: nowrap; }
+strong { color: #B03A00; }
+blockquote { margin: 1rem 0; padding: 0.4rem 1rem; border-left: 0.4rem solid #0072B2;
+             background: #f2f7fb; }
+blockquote strong { color: inherit; }
+code { background: #f4f4f4; padding: 0 0.2em; overflow-wrap: anywhere; }
+pre { background: #f4f4f4; padding: 0.6rem; overflow-x: auto; font-size: 0.8rem; }
+details { margin: 1rem 0; }
+summary { cursor: pointer; }
+img { max-width: 100%; height: auto; }
+a { color: #005A8E; }
+@media (max-width: 45rem) {
+  body { margin: 1rem auto; padding: 0 0.7rem; }
+  p:has(> img) { overflow-x: auto; }
+  p > img { max-width: none; width: 44rem; }
+}
+@media print {
+  body { max-width: none; margin: 0; font-size: 10pt; }
+  table { display: table; font-size: 8pt; }
+  thead { display: table-header-group; }
+  tr, img, blockquote { break-inside: avoid; }
+  h1, h2, h3, h4 { break-after: avoid; }
+  pre { white-space: pre-wrap; }
+  details::details-content { content-visibility: visible; display: block; }
+}
+</style>
+</head>
+<body>
+BODY</body>
+</html>
+"""

@@ -1,0 +1,195 @@
+"""What `--results` leaves of a run: tables while it goes, pictures and the report at its end.
+
+Imported only where results are asked for: a run without them pays nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from dbc.codec import Codec
+from gateway.core.gateway import Gateway
+from gateway.core.view import GatewayView
+from gateway.io.whole_file import write_text
+from gateway.reports import run_figures, run_report
+from gateway.reports.figures import loads
+from gateway.reports.intervals import Intervals
+from gateway.reports.page import literal
+from gateway.reports.provenance import program, sha256
+from gateway.reports.record import Recorder
+from gateway.reports.run_report import Run, Timed
+from gateway.reports.timing import tables
+from gateway.reports.toml_text import dump
+from gateway.reports.trace import Trace
+from gateway.reports.truth import Truth, rows
+from gateway.settings import calibration
+from gateway.settings.config import Config
+
+if TYPE_CHECKING:
+    from gateway.io.live import LiveSnapshot
+    from gateway.io.replay import Replayed
+    from gateway.reports.expectations import Verdict
+    from gateway.reports.truth import Row
+
+Facts = list[tuple[str, str]]
+
+
+class Reporting:
+    """Everything that is kept of one run: a context manager to `add` each tick in, then `run`."""
+
+    def __init__(self, folder: Path, config: Config, codec: Codec) -> None:
+        """folder: for tables and pictures; made here, so that one that cannot be is told early."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.truth: Truth | None = None
+        self.timed: Timed | None = None
+        self.recorder = Recorder(folder)
+        self.trace = Trace(config.nodes)
+        self.intervals = Intervals()
+        self._config = config
+        self._codec = codec
+        self._gateway: Gateway | None = None
+
+    def begin(self, gateway: Gateway) -> None:
+        """The gateway whose ticks follow."""
+        self._gateway = gateway
+
+    def add(self, view: GatewayView) -> None:
+        """Take one tick of it."""
+        assert self._gateway is not None
+        self.recorder.add(view)
+        self.trace.add(view, self._gateway.inbox.temperatures)
+        self.intervals.add(view)
+
+    def add_truth(self, rows: Iterable[Row]) -> None:
+        """Take rows of truth, whose 0 is the first tick."""
+        if self.truth is None:
+            self.truth = Truth()
+        self.truth.add(rows)
+
+    def take_timing(self, seen: LiveSnapshot, period_ns: int) -> None:
+        """Keep the histograms of a run in real time. Raises OSError."""
+        stages = seen.timing.table()
+        tables(self.folder, stages, period_ns)
+        self.timed = Timed(stages, period_ns, seen.tick + 1, seen.missed, "timing")
+
+    def read_truth(self, path: Path) -> None:
+        """Take the rows that the drives' process has left, if it came to leave any.
+
+        Its 0 is when the drives began to speak, which is the first tick but for a tick or two.
+        """
+        if path.is_file():
+            self.add_truth(rows(path))
+
+    def close(self) -> None:
+        """Finish the tables. Raises OSError."""
+        self.recorder.close()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Finish the tables, or take them away. Raises OSError."""
+        self.recorder.__exit__(kind, error, trace)
+
+    def run(
+        self,
+        title: str,
+        facts: Facts,
+        *,
+        inside: str = "",
+        verdicts: Sequence[Verdict] = (),
+        notes: Sequence[str] = (),
+    ) -> Run:
+        """Draw the pictures; what the report needs. inside: this folder as the report sees it."""
+        gateway, config = self._gateway, self._config
+        assert gateway is not None
+        self.intervals.close()
+        if self.truth is not None:
+            self.truth.close()
+        word = f"ConfigHash {gateway.outbox.config_hash:06x}\n"
+        write_text(self.folder / "configuration.txt", word)
+        names = run_figures.draw(
+            self.folder, self.trace, self.truth, config.adhesion.raise_probability
+        )
+        for suffix in ("png", "svg"):
+            loads(self.folder / f"loads.{suffix}", self.trace, title, self.truth)
+        timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
+        return Run(
+            title, facts, _configuration(config, self._codec, gateway), dump(config), self.trace,
+            self.intervals, gateway.inbox.counts, self.truth, verdicts, timed,
+            [f"{inside}{name}" for name in names], _bus(config), notes,
+        )  # fmt: skip
+
+
+def leave(folder: Path, title: str, runs: Sequence[Run], *, single: bool) -> Path:
+    """Write the report of these runs; the HTML file. Raises OSError."""
+    run_report.leave(folder, title, runs, str(program()), single=single)
+    return folder / "report.html"
+
+
+def file_facts(path: Path, what: str) -> Facts:
+    """Name, size and SHA-256 of a file. Raises OSError."""
+    return [
+        (what, literal(path.name)),
+        ("SHA-256", f"`{sha256(path)}`"),
+        ("size", f"{path.stat().st_size:,} bytes"),
+    ]
+
+
+def span_facts(trace: Trace, received: int) -> Facts:
+    """How much it was."""
+    return [
+        ("time", f"{trace.span_s:,.3f} s, {trace.ticks:,} ticks"),
+        ("frames", f"{received:,}"),
+        ("drives", _numbers(trace.nodes)),
+    ]
+
+
+def _numbers(nodes: tuple[int, ...]) -> str:
+    """Nodes as a person writes them."""
+    if len(nodes) > 3 and nodes == tuple(range(nodes[0], nodes[0] + len(nodes))):
+        return f"{nodes[0]} to {nodes[-1]}"
+    return ", ".join(map(str, nodes))
+
+
+def replay_facts(path: Path, done: Replayed, trace: Trace) -> Facts:
+    """What was replayed."""
+    first, last = (f"{ns // 10**9}.{ns % 10**9:09d}" for ns in (done.first_ns, done.last_ns))
+    return [
+        *file_facts(path, "log"),
+        ("channel", literal(done.channel) if done.channel else "not named"),
+        *span_facts(trace, done.frames),
+        ("first frame, last frame", f"{first} s, {last} s on the log's own clock"),
+    ]
+
+
+def _configuration(config: Config, codec: Codec, gateway: Gateway) -> Facts:
+    a = config.adhesion
+    cells = calibration.of(config)
+    told = "none: thermal flags stay unknown"
+    if cells is not None and config.calibration_path is not None:
+        told = f"{literal(config.calibration_path.name)}, checksum `{cells.checksum()}`"
+    return [
+        ("hash, as on the bus (`ConfigHash`)", f"`{gateway.outbox.config_hash:06x}`"),
+        ("estimator, detector", f"{config.estimator.kind.upper()}, {a.detector}"),
+        ("loop", f"{config.loop.rate_hz} Hz"),
+        ("DBC", literal(codec.path.name)),
+        ("SHA-256 of the DBC", f"`{codec.digest}`"),
+        ("thermal calibration", told),
+    ]
+
+
+def _bus(config: Config) -> str:
+    """Bit rates that the load is a share of."""
+    rate = f"at {config.bus.bitrate / 1e6:g} Mbit/s"
+    return f"{rate} and {config.bus.data_bitrate / 1e6:g} Mbit/s for FD data"

@@ -1,0 +1,360 @@
+"""The report of a run, replayed or on a bench: what it was, what was said, how right that was.
+
+One Markdown text for `report.md` and `report.html`. Nothing in it depends on when or where it was
+written: the same run gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from gateway.core.codes import REJECTED
+from gateway.reports import page, words
+from gateway.reports.intervals import Interval, Intervals
+from gateway.reports.page import Anchors, code, folded, picture, plain, table
+from gateway.reports.record import camel
+from gateway.reports.trace import Trace
+from gateway.reports.truth import Judged, Truth, judge
+
+if TYPE_CHECKING:
+    from gateway.io.timing import Stage
+    from gateway.reports.expectations import Verdict
+
+FEW: Final = 30
+"""Rows of a table that need not be folded."""
+STATES: Final = (
+    ("adhesion", "Adhering"), ("adhesion", "AdhesionLost"), ("adhesion", "Unknown"),
+    ("thermal", "NoFault"), ("thermal", "Fault"), ("thermal", "Unknown"),
+)  # fmt: skip
+NO_TIMING: Final = (
+    "None: this ran on a virtual clock, which is never late. Latency is measured on a bus."
+)
+
+
+class Timed(NamedTuple):
+    """Timing of a run in real time; picture: stem of its histograms."""
+
+    stages: Sequence[Stage]
+    period_ns: int
+    ticks: int
+    missed: int
+    picture: str
+
+
+@dataclass
+class Run:
+    """One run, as far as a report needs it.
+
+    facts, configuration: rows of (what, value), Markdown; toml: all that was configured; figures:
+    stems, relative to the report: `flags`, then one for each drive; counts: the inbox's.
+    """
+
+    title: str
+    facts: Sequence[tuple[str, str]]
+    configuration: Sequence[tuple[str, str]]
+    toml: str
+    trace: Trace
+    intervals: Intervals
+    counts: Mapping[str, int]
+    truth: Truth | None = None
+    verdicts: Sequence[Verdict] = ()
+    timed: Timed | None = None
+    figures: Sequence[str] = ()
+    bus: str = ""
+    notes: Sequence[str] = field(default_factory=tuple)
+    """Sentences about the input, Markdown."""
+
+    def judged(self) -> tuple[list[Judged], set[Interval]]:
+        """Events with delays, and false flags: of the drives of which truth is known."""
+        if self.truth is None:
+            return [], set()
+        known = self.truth.nodes
+        mine = [i for i in self.intervals.kept if i.node in known]
+        nodes = self.trace.nodes
+        events = [event for event in self.truth.events if event.node in nodes]
+        mine = [i for i in mine if i.flag in ("adhesion", "thermal", "sensor")]
+        return judge(events, mine, self.trace.first_ns or 0)
+
+
+def leave(folder: Path, title: str, runs: Sequence[Run], program: str, *, single: bool) -> None:
+    """Write `report.md` and `report.html`. single: the page is about one run only.
+
+    Raises OSError.
+    """
+    lines = [f"# {plain(title)}", ""]
+    lines += [f"> {line}" for line in (_verdict(runs[0]) if single else _all(runs))]
+    lines += ["", f"Written by {plain(program)}.", ""]
+    body: list[str] = []
+    for run in runs:
+        if not single:
+            body += [f"## {plain(run.title)}", "", *(f"> {line}" for line in _verdict(run)), ""]
+        body += _sections(run, "##" if single else "###")
+    lines += _contents([title, *(line for line in body if line.startswith("#"))])
+    text = "\n".join([*lines, *body, *_glossary(runs)])
+    figures = [name for run in runs for name in run.figures]
+    figures += [run.timed.picture for run in runs if run.timed]
+    page.write(folder, title, _tight(text), figures)
+
+
+def _tight(text: str) -> str:
+    """Never more than one empty line."""
+    while "\n\n\n" in text:
+        text = text.replace("\n\n\n", "\n\n")
+    return text.rstrip("\n") + "\n"
+
+
+def _contents(headings: Sequence[str]) -> list[str]:
+    """Links to the page's parts, in the order of their names' numbering."""
+    anchors = Anchors()
+    anchors.of(headings[0])
+    parts: list[list[str]] = []
+    for heading in headings[1:]:
+        level, _, words_ = heading.partition(" ")
+        anchor = anchors.of(re.sub(r"\\(.)", r"\1", words_).replace("&amp;", "&"))
+        link = f"[{words_}](#{anchor})"
+        if level == "##":
+            parts.append([link])
+        elif words_.startswith("Drive "):
+            parts[-1].append(link)
+    if all(len(part) == 1 for part in parts):
+        return [" · ".join(part[0] for part in parts), ""]
+    return [*(f"- {' · '.join(part)}" for part in parts), ""]
+
+
+def _plural(count: int, one: str, many: str = "") -> str:
+    return f"{count:,} {one if count == 1 else many or one + 's'}"
+
+
+def _verdict(run: Run) -> list[str]:
+    """What a person wants to know first."""
+    lines = []
+    if run.verdicts:
+        bad = sum(not v.passed for v in run.verdicts)
+        total = _plural(len(run.verdicts), "expectation")
+        lines.append(f"**{'FAILED' if bad else 'Passed'}: {len(run.verdicts) - bad} of {total} "
+                     "held.**")  # fmt: skip
+    said = _said(run.intervals)
+    lines.append(said if run.verdicts else f"**{said}**")
+    judged, false = run.judged()
+    if run.truth is not None:
+        found = [j for j in judged if j.delay_ms is not None]
+        delays = sorted(j.delay_ms or 0.0 for j in found)
+        text = f"Against the truth: {len(found)} of {_plural(len(judged), 'event')} found"
+        if delays:
+            middle = delays[(len(delays) - 1) // 2]
+            text += f" (delay: median {middle:,.0f} ms, longest {delays[-1]:,.0f} ms)"
+        lines.append(f"{text}, {_plural(len(false), 'false flag')}.")
+    share = _unknown_share(run)
+    lines.append(f"Adhesion flags said Unknown for {share:.1f} % of the time.")
+    return lines
+
+
+def _said(intervals: Intervals) -> str:
+    lost = sum(n for (_, _, state), n in intervals.count.items() if state == "AdhesionLost")
+    fault = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == ("thermal", "Fault"))
+    other = sum(1 for _ in intervals.other_bad())
+    if not lost and not fault:
+        text = "No loss of adhesion and no thermal fault was flagged"
+        return f"{text}, but {_plural(other, 'other fault')}." if other else f"{text}."
+    text = (
+        f"{_plural(lost, 'loss', 'losses')} of adhesion and "
+        f"{_plural(fault, 'thermal fault')} were flagged"
+    )
+    return f"{text}, and {_plural(other, 'other fault')}." if other else f"{text}."
+
+
+def _unknown_share(run: Run) -> float:
+    seconds = run.intervals.seconds
+    all_s = sum(s for (_, flag, _), s in seconds.items() if flag == "adhesion")
+    unknown = sum(
+        s for (_, f, state), s in seconds.items() if (f, state) == ("adhesion", "Unknown")
+    )
+    return 100.0 * unknown / all_s if all_s else 100.0
+
+
+def _all(runs: Sequence[Run]) -> list[str]:
+    """Of several runs."""
+    verdicts = [v for run in runs for v in run.verdicts]
+    bad = sum(not v.passed for v in verdicts)
+    failed = sum(any(not v.passed for v in run.verdicts) for run in runs)
+    word = "FAILED" if bad else "Passed"
+    return [
+        f"**{word}: {len(runs) - failed} of {_plural(len(runs), 'scenario')}, "
+        f"{len(verdicts) - bad} of {_plural(len(verdicts), 'expectation')} held.**"
+    ]
+
+
+def _sections(run: Run, level: str) -> list[str]:
+    lines: list[str] = []
+    if run.verdicts:
+        lines += [f"{level} Expectations", *_expectations(run.verdicts)]
+    lines += [f"{level} What was run", *table(("", ""), run.facts), *run.notes, ""]
+    lines += [f"{level} Configuration", *table(("", ""), run.configuration)]
+    lines += folded("The whole configuration, defaults included", code(run.toml, "toml"))
+    lines += [f"{level} Flags", *_flags(run)]
+    lines += [f"{level} Detections", *_detections(run)]
+    for node, figure in zip(run.trace.nodes, run.figures[1:], strict=False):
+        what = f"Load, loss probability, flags, speed and temperatures of drive {node} over time"
+        lines += [f"{level} Drive {node}", *picture(what, figure)]
+    lines += [f"{level} Latency and lateness", "", *_timing(run.timed)]
+    lines += [f"{level} Frames and bus", *_frames(run)]
+    return lines
+
+
+def _expectations(verdicts: Sequence[Verdict]) -> list[str]:
+    rows = [
+        (
+            "ok" if v.passed else "**FAILED**", plain(v.text),
+            "" if v.delay_ms is None else f"{v.delay_ms:,.0f}",
+            "" if v.limit_ms is None else f"{v.limit_ms:,.0f}",
+            plain(v.detail),
+        )
+        for v in verdicts
+    ]  # fmt: skip
+    return table(("", "expected", "measured / ms:", "limit / ms:", "what was seen"), rows)
+
+
+def _flags(run: Run) -> list[str]:
+    what = "Flags of all drives as strips over time, and the bus load"
+    lines = picture(what, run.figures[0]) if run.figures else []
+    if run.trace.width > 1:
+        lines += [
+            f"Pictures show stretches of {run.trace.width} ticks: smallest and largest value "
+            "of each, and the worst of its flags, so that a single tick is still seen.", ""
+        ]  # fmt: skip
+    count, seconds = run.intervals.count, run.intervals.seconds
+    rows = [
+        (str(node), *(f"{seconds.get((node, *kind), 0.0):,.2f} ({count[node, *kind]:,})"
+                      for kind in STATES))
+        for node in run.trace.nodes
+    ]  # fmt: skip
+    names = (f"{flag} {state}" if state == "Unknown" else state for flag, state in STATES)
+    head = ("drive:", *(f"{name}:" for name in names))
+    return [*lines, "Seconds in each state, and how often:", *table(head, rows)]
+
+
+def _detections(run: Run) -> list[str]:
+    judged, false = run.judged()
+    lines: list[str] = []
+    if run.truth is None:
+        lines += ["", "The truth is not known here, so nothing can be said of what was missed."]
+    elif not judged:
+        lines += ["", "In truth no adhesion was lost, and no motor or sensor had a thermal fault."]
+    else:
+        lines += ["", "What was really so, and what became of it (without a flag of its own kind "
+                  "until its end it counts as missed; the truth does not say how deep a loss "
+                  "was):", *_events(judged)]  # fmt: skip
+    start_ns = run.trace.first_ns or 0
+    known = run.truth is not None
+    mine = list(run.intervals.of_drives())
+    bad = [i for i in mine if i.bad]
+    if bad:
+        lines += ["", "What was flagged:", *_intervals(bad, start_ns, judged, false, known=known)]
+    else:
+        lines += ["", "No loss of adhesion and no thermal fault was flagged."]
+    others = list(run.intervals.other_bad())
+    if others:
+        lines += ["", "What else was bad (sensors, communication, estimators, the train):",
+                  *_intervals(others, start_ns, judged, false, known=known)]  # fmt: skip
+    every = _intervals(mine, start_ns, judged, false, known=known)
+    for (flag, state), n in run.intervals.left_out().items():
+        every += [f"{n:,} more intervals of {flag} {state} are in flags.csv only.", ""]
+    summary = f"All {len(mine):,} intervals of the adhesion and thermal flags"
+    return [*lines, *(folded(summary, every) if len(mine) > FEW else ["", f"{summary}:", *every])]
+
+
+def _events(judged: Sequence[Judged]) -> list[str]:
+    rows = [
+        (
+            str(j.event.node), j.event.flag, j.event.kind,
+            f"{j.event.start_s:,.3f}", f"{j.event.end_s:,.3f}",
+            "**missed**" if j.delay_ms is None else f"{j.delay_ms:,.0f}",
+            ", ".join(j.by.causes) if j.by else "",
+        )
+        for j in judged
+    ]  # fmt: skip
+    return table(
+        ("drive", "flag", "truth", "from / s:", "to / s:", "delay / ms:", "named as"), rows
+    )
+
+
+def _intervals(
+    intervals: Iterable[Interval],
+    start_ns: int,
+    judged: Sequence[Judged],
+    false: set[Interval],
+    *,
+    known: bool,
+) -> list[str]:
+    """known: a column for what the truth says of each."""
+    rows = []
+    for i in intervals:
+        begin, end = (i.start_ns - start_ns) / 1e9, (i.end_ns - start_ns) / 1e9
+        row = [
+            str(i.node) if i.node else "all", i.flag, i.state, f"{begin:,.3f}", f"{end:,.3f}",
+            f"{(i.end_ns - i.start_ns) / 1e9:,.3f}", ", ".join(i.causes),
+        ]  # fmt: skip
+        if known:
+            row.append(_truth_of(i, judged, false))
+        rows.append(row)
+    head = ("drive", "flag", "state", "from / s:", "to / s:", "lasted / s:", "why")
+    return table((*head, "truth") if known else head, rows)
+
+
+def _truth_of(i: Interval, judged: Sequence[Judged], false: set[Interval]) -> str:
+    if i in false:
+        return "**false**"
+    mine = [j for j in judged if j.by == i]
+    return ", ".join(f"{j.event.kind}, {j.delay_ms:,.0f} ms after its begin" for j in mine)
+
+
+def _timing(timed: Timed | None) -> list[str]:
+    if timed is None:
+        return [NO_TIMING, ""]
+    from gateway.reports.timing import section
+
+    return section(timed.stages, timed.period_ns, timed.ticks, timed.missed, timed.picture)
+
+
+def _frames(run: Run) -> list[str]:
+    counts = run.counts
+    used = [name for name in words.COUNTS if name not in words.NOT_USED and counts.get(name)]
+    lines = table(
+        ("frames", "count:", "meaning"),
+        ((name, f"{counts[name]:,}", words.COUNTS[name]) for name in used),
+    )
+    wrong = [name for name in words.NOT_USED if counts.get(name)]
+    if wrong:
+        rejected = sum(counts.get(name, 0) for name in REJECTED)
+        lines += [
+            f"Not used, by cause; {rejected:,} of them are the bus's `RejectedFrames`:",
+            *table(("cause", "count:", "meaning"),
+                   ((name, f"{counts[name]:,}", words.COUNTS[name]) for name in wrong)),
+        ]  # fmt: skip
+    else:
+        lines += ["No frame was rejected, none was lost.", ""]
+    load = run.trace.bus_load
+    if load is None:
+        lines += ["Bus load: not known, the run was shorter than the second it is measured over."]
+    else:
+        least, mean, most = load
+        lines += [
+            f"Bus load {run.bus}, stuffing at its worst, by the second: mean {mean:.0f} %, "
+            f"least {least:.0f} %, most {most:.0f} %. Own frames are counted as they were sent."
+        ]
+    return [*lines, ""]
+
+
+def _glossary(runs: Sequence[Run]) -> list[str]:
+    """The reasons that occurred."""
+    seen = {cause for run in runs for i in run.intervals.kept for cause in i.causes}
+    rows = [(camel(r.name), text) for r, text in words.REASONS.items() if camel(r.name) in seen]
+    said = "Seconds count from the first tick. An interval ends where the flag says something else"
+    lines = ["## How to read this", "", f"{said}, the last one with the run."]
+    if not rows:
+        return lines
+    return [*lines, "A flag that says `Unknown` says why:", *table(("reason", "meaning"), rows)]

@@ -1,0 +1,242 @@
+"""How good a flag is: judged per drive and flag frame, read from the wire.
+
+F1 leaves out `edge_s` around each edge of the truth and the first `skip_s`; unknown counts as
+not raised. Delay runs from the truth's onset to the time stamp of the first `AdhesionLost`.
+
+A loss counts from `SHALLOW` on: where less of the demand is missing for longer than an edge (a
+slow onset, a rail that carries nearly all), frames are neither right nor wrong. A false alarm is
+a stretch of `AdhesionLost` that touches no loss, from an edge before it to an edge after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.core.codes import Flag
+from gateway.reports.delays import TruthRow
+from gateway.reports.expectations import FlagTrack
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+SHALLOW: Final = 0.2 - 1e-9
+"""Share of the demand whose loss need not be found."""
+DEEP: Final = 0.5
+ABRUPT_S: Final = 0.02
+"""A loss that takes half of the demand within this time of its onset is abrupt."""
+
+
+GRACE_S: Final = 5e-7
+"""Stamps and the truth's rows are decimals of one grid."""
+
+
+class Score(NamedTuple):
+    """Counts over drives and flag frames; add scores to pool runs.
+
+    good, unknown: healthy frames that say `Adhering` or nothing; healthy: all healthy frames
+    counted. delays_ms: of the losses found; missed: losses without a flag until they end.
+    abrupt_ms: the delays of abrupt losses. alarms: false ones; train_s: healthy time, a drive's
+    mean.
+    """
+
+    true_positive: int = 0
+    false_positive: int = 0
+    false_negative: int = 0
+    good: int = 0
+    healthy: int = 0
+    delays_ms: tuple[float, ...] = ()
+    missed: int = 0
+    unknown: int = 0
+    abrupt_ms: tuple[float, ...] = ()
+    alarms: int = 0
+    train_s: float = 0.0
+
+    def plus(self, other: Score) -> Score:
+        """Both runs pooled."""
+        pairs: Iterable[tuple[Any, Any]] = zip(self, other, strict=True)
+        return Score(*(mine + its for mine, its in pairs))
+
+    @property
+    def losses(self) -> int:
+        """Losses there were."""
+        return len(self.delays_ms) + self.missed
+
+    @property
+    def f1(self) -> float:
+        """2 TP / (2 TP + FP + FN); 1 where nothing was lost and nothing raised."""
+        bad = self.false_positive + self.false_negative
+        return _share(2 * self.true_positive, 2 * self.true_positive + bad)
+
+    @property
+    def precision(self) -> float:
+        """TP / (TP + FP); 1 where nothing was raised."""
+        return _share(self.true_positive, self.true_positive + self.false_positive)
+
+    @property
+    def recall(self) -> float:
+        """TP / (TP + FN); 1 where nothing was lost."""
+        return _share(self.true_positive, self.true_positive + self.false_negative)
+
+    @property
+    def good_share(self) -> float:
+        """Share of healthy flag frames that say `Adhering`."""
+        return _share(self.good, self.healthy)
+
+    @property
+    def unknown_share(self) -> float:
+        """Share of healthy flag frames that say nothing; 0 where there are none."""
+        return self.unknown / self.healthy if self.healthy else 0.0
+
+    @property
+    def alarms_per_hour(self) -> float:
+        """False alarms per healthy hour of the train; 0 where there is no healthy time."""
+        return 3600.0 * self.alarms / self.train_s if self.train_s else 0.0
+
+    @property
+    def median_delay_ms(self) -> float:
+        """Median over the losses found; infinite if none was."""
+        return quantile(self.delays_ms, 0.5)
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 1.0
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """The value that this share of them does not exceed, upper of two; infinite of none."""
+    ordered = sorted(values)
+    return ordered[min(int(share * len(ordered)), len(ordered) - 1)] if ordered else float("inf")
+
+
+class Truth(NamedTuple):
+    """What is really so of one drive at K instants: t_s (K,), lost (K,), depth (K,) 0..1."""
+
+    t_s: Array
+    lost: Flags
+    depth: Array
+
+    def at(self, t_s: Array) -> NDArray[np.int64]:
+        """(T,) row in force at times (T,): the last one not later; -1 before the first."""
+        return np.searchsorted(self.t_s, t_s + GRACE_S, side="right") - 1
+
+    def edges(self) -> Array:
+        """Times at which adhesion is lost or back."""
+        return self.t_s[_changes(self.lost)]
+
+    def losses(self) -> list[tuple[int, int]]:
+        """Rows (first, last + 1) of each stretch of lost adhesion."""
+        return _stretches(self.lost)
+
+    def counted(self, t_s: Array, edge_s: float, skip_s: float) -> Flags:
+        """(T,) which of these times are judged at all."""
+        edges = self.edges()
+        shallow = self.lost & (self.depth < SHALLOW)
+        for first, last in _stretches(shallow):
+            end_s = self.t_s[last] if last < len(self.t_s) else np.inf
+            if end_s - self.t_s[first] > edge_s + GRACE_S:
+                edges = np.append(edges, [self.t_s[first], end_s])
+            else:
+                shallow[first:last] = False
+        row = self.at(t_s)
+        out: Flags = (t_s >= skip_s) & ~(shallow[row] & (row >= 0))
+        for edge in edges[np.isfinite(edges)]:
+            out &= ~(np.abs(t_s - edge) < edge_s - GRACE_S)
+        return out
+
+
+def truth_of(rows: Iterable[TruthRow], node: int) -> Truth:
+    """One drive's truth; rows without a depth count as deep."""
+    mine = [row for row in rows if row.drive == node]
+    lost = np.array([bool(row.lost) for row in mine], dtype=np.bool_)
+    depth = np.array([getattr(row, "depth", 1.0) for row in mine], dtype=np.float64)
+    return Truth(np.array([row.t_s for row in mine], dtype=np.float64), lost, depth)
+
+
+def everyone(truths: Sequence[Truth]) -> Truth:
+    """Lost while every drive is, as deep as the least of them."""
+    lost = np.logical_and.reduce([truth.lost for truth in truths])
+    return Truth(truths[0].t_s, lost, np.minimum.reduce([truth.depth for truth in truths]))
+
+
+def score_flag(
+    truth: Truth, t_s: Array, flag: NDArray[np.int64], edge_s: float = 0.03, skip_s: float = 0.5
+) -> Score:
+    """Score one flag (T,), values of `Flag`, that stood on the wire at times (T,)."""
+    counted = truth.counted(t_s, edge_s, skip_s)
+    row = truth.at(t_s)
+    lost = truth.lost[row] & (row >= 0)
+    raised = flag == Flag.BAD
+    healthy = counted & ~lost
+    every_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
+    score = Score(
+        true_positive=int(np.count_nonzero(counted & lost & raised)),
+        false_positive=int(np.count_nonzero(healthy & raised)),
+        false_negative=int(np.count_nonzero(counted & lost & ~raised)),
+        good=int(np.count_nonzero(healthy & (flag == Flag.GOOD))),
+        healthy=int(np.count_nonzero(healthy)),
+        unknown=int(np.count_nonzero(healthy & (flag == Flag.UNKNOWN))),
+        alarms=_alarms(truth, t_s, raised, edge_s, skip_s),
+        train_s=every_s * int(np.count_nonzero(healthy)),
+    )
+    return score.plus(_delays(truth, t_s[raised]))
+
+
+def _alarms(truth: Truth, t_s: Array, raised: Flags, edge_s: float, skip_s: float) -> int:
+    """Stretches of raised flags that touch no loss."""
+    near = truth.lost[truth.at(t_s)] & (truth.at(t_s) >= 0)
+    for edge in truth.edges():
+        near = near | (np.abs(t_s - edge) < edge_s - GRACE_S)
+    stretches = _stretches(raised)
+    return sum(not near[a:b].any() and bool(t_s[b - 1] >= skip_s) for a, b in stretches)
+
+
+def _delays(truth: Truth, raised_s: Array) -> Score:
+    found, abrupt, missed = [], [], 0
+    for first, last in truth.losses():
+        start_s = float(truth.t_s[first])
+        end_s = float(truth.t_s[min(last, len(truth.t_s) - 1)])
+        if truth.depth[first:last].max() < SHALLOW:
+            continue
+        inside = raised_s[(raised_s >= start_s - GRACE_S) & (raised_s < end_s - GRACE_S)]
+        if not len(inside):
+            missed += 1
+            continue
+        found.append((float(inside[0]) - start_s) * 1e3)
+        early = truth.t_s[first:last] <= start_s + ABRUPT_S + GRACE_S
+        if truth.depth[first:last][early].max() >= DEEP:
+            abrupt.append(found[-1])
+    return Score(delays_ms=tuple(found), abrupt_ms=tuple(abrupt), missed=missed)
+
+
+def score_run(
+    truth: Iterable[TruthRow],
+    track: FlagTrack,
+    nodes: Sequence[int],
+    start_ns: int = 0,
+    edge_s: float = 0.03,
+    skip_s: float = 0.5,
+) -> Score:
+    """Score one run; `truth` and the flag frames share the time base, from `start_ns`."""
+    rows = list(truth)
+    total = Score()
+    for node in nodes:
+        seen = track.seen.get(("adhesion", node), [])
+        t_s = np.array([(t - start_ns) / 1e9 for t, _ in seen])
+        flag = np.array([int(state) for _, state in seen], dtype=np.int64)
+        total = total.plus(score_flag(truth_of(rows, node), t_s, flag, edge_s, skip_s))
+    return total._replace(train_s=total.train_s / max(len(nodes), 1))
+
+
+def _changes(values: Flags) -> NDArray[np.int64]:
+    """Rows at which a flag differs from the row before; before the first it is down."""
+    return np.flatnonzero(np.diff(values, prepend=False))
+
+
+def _stretches(values: Flags) -> list[tuple[int, int]]:
+    """Rows (first, last + 1) of each stretch of raised flags."""
+    edges = _changes(np.append(values, np.False_)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))

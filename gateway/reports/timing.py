@@ -1,0 +1,103 @@
+"""What a run leaves behind about its timing: table, histograms in powers of two, a picture."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from gateway.io.timing import Stage
+from gateway.io.whole_file import whole
+
+HEADER: Final = ("stage", "from_us", "below_us", "count")
+_COLUMNS: Final = 2
+_SHOWN_NS: Final = 1024
+"""What is shorter shares one bar."""
+
+
+def leave(
+    folder: Path, stages: Sequence[Stage], title: str, period_ns: int, ticks: int, missed: int
+) -> None:
+    """Write timing.csv, timing.svg and report.md, report.html. Raises OSError."""
+    from gateway.reports.page import plain, write
+
+    tables(folder, stages, period_ns)
+    lines = [f"# {plain(title)}", "", *section(stages, period_ns, ticks, missed, "timing")]
+    write(folder, title, "\n".join(lines), ["timing"])
+
+
+def tables(folder: Path, stages: Sequence[Stage], period_ns: int) -> None:
+    """Write timing.csv and timing.svg. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        whole(folder / "timing.csv") as part,
+        part.open("w", newline="", encoding="utf-8") as file,
+    ):
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(HEADER)
+        for stage in stages:
+            for begin, below, count in stage.octaves:
+                rows.writerow((stage.name, f"{begin / 1e3:.3f}", f"{below / 1e3:.3f}", count))
+    _picture(folder / "timing.svg", stages, period_ns)
+
+
+def section(
+    stages: Sequence[Stage], period_ns: int, ticks: int, missed: int, picture: str
+) -> list[str]:
+    """Lines of a report in Markdown; picture: stem of the histograms."""
+    lines = [
+        f"{ticks} ticks of {period_ns / 1e6:g} ms, {missed} missed. Milliseconds; a percentile "
+        "is the upper end of its bucket (at most a quarter more than the value).", "",
+        "| stage | count | p50 | p99 | p99.9 | largest | p99 of the period |",
+        "|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    for s in stages:
+        spans = " | ".join(f"{ns / 1e6:.3f}" for ns in (s.p50, s.p99, s.p999, s.largest))
+        lines.append(f"| {s.name} | {s.values} | {spans} | {100.0 * s.p99 / period_ns:.1f} % |")
+    return [
+        *lines,
+        "", "lateness: of a tick's begin after its deadline. The rest is of the frame that "
+        "completed the newest sample, from the kernel's stamp: waiting for the tick; reading "
+        "the queue; deciding (decode, estimate, judge, encode); sending, until the tick's last "
+        "frame is handed over; and all of it, frame to flag.",
+        "", f"![Histograms of every stage]({picture}.svg)", "",
+    ]  # fmt: skip
+
+
+def _picture(path: Path, stages: Sequence[Stage], period_ns: int) -> None:
+    """A histogram per stage, a bar an octave, on one axis of time."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    from gateway.reports.figures import BLUE, ORANGE, WIDTH_IN, save, styled
+
+    rows = -(-len(stages) // _COLUMNS)
+    most = max([below for stage in stages for _, below, _ in stage.octaves] + [period_ns])
+    with styled():
+        figure = Figure(figsize=(WIDTH_IN, 1.9 * rows), layout="constrained")
+        FigureCanvasSVG(figure)
+        axes = figure.subplots(rows, _COLUMNS, sharex=True, squeeze=False)
+        axes[0, 0].set_xlim(0.9 * _SHOWN_NS / 2e6, 1.5 * most / 1e6)
+        axes[0, 0].set_xscale("log")
+        for axis, stage in zip(axes.flat, stages, strict=False):
+            bars: dict[int, int] = {}
+            for _, below, count in stage.octaves:
+                bars[max(below, _SHOWN_NS)] = bars.get(max(below, _SHOWN_NS), 0) + count
+            below_ms = [below / 1e6 for below in bars]
+            begin_ms = [0.5 * edge for edge in below_ms]
+            axis.bar(
+                begin_ms, list(bars.values()), begin_ms, align="edge", color=BLUE,
+                edgecolor="white", lw=0.5,
+            )  # fmt: skip
+            if stage.values:
+                axis.axvline(stage.p99 / 1e6, color=ORANGE, lw=1.4, label="p99")
+            axis.axvline(period_ns / 1e6, color="#444444", lw=1.0, ls="--", label="period")
+            axis.set_title(stage.name)
+            axis.set_yscale("symlog", linthresh=1.0)
+        for axis in axes[-1]:
+            axis.set_xlabel("time / ms")
+        for row in axes:
+            row[0].set_ylabel("ticks")
+        axes[0, 0].legend()
+        save(figure, path)

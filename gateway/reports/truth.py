@@ -1,0 +1,245 @@
+"""What was really so, where it is known: for pictures, and to judge flags by.
+
+The rows are those that `sim --truth` writes; they are put together as they come, so that an hour of
+them takes no more memory than a second.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
+
+from gateway.core.codes import FaultClass
+from gateway.reports.intervals import Interval
+from gateway.reports.record import camel
+from gateway.reports.trace import Curve, Envelope
+from gateway.settings.config import ConfigError
+
+HEADER: Final = (
+    "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
+)  # fmt: skip
+EDGE_S: Final = 0.03
+"""A flag this soon after what was true is no false one: `scoring` has the same."""
+_CLASSES: Final = {str(ill.value): ill.value for ill in FaultClass}
+_LONGEST: Final = 1000
+"""Bytes, of a row."""
+_SENSORS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST)
+
+
+class Row(Protocol):
+    """The part of the simulator's truth that is needed here."""
+
+    @property
+    def t_s(self) -> float:
+        """Seconds from the start."""
+        ...
+
+    @property
+    def drive(self) -> int:
+        """Node number."""
+        ...
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Of the rotor."""
+        ...
+
+    @property
+    def load_nm(self) -> float:
+        """Torque on the rail, at the rotor."""
+        ...
+
+    @property
+    def lost(self) -> int:
+        """1 while adhesion is lost."""
+        ...
+
+    @property
+    def fault_class(self) -> int:
+        """The contract's number, 1 for none."""
+        ...
+
+
+class Event(NamedTuple):
+    """What was true of a drive from start until end; `flag`: the one that is to tell it."""
+
+    node: int
+    flag: str
+    kind: str
+    start_s: float
+    end_s: float
+
+
+class Judged(NamedTuple):
+    """An event and the interval of its flag that tells it; None if none does."""
+
+    event: Event
+    by: Interval | None
+    delay_ms: float | None
+
+
+class _Drive:
+    """One drive's rows so far."""
+
+    def __init__(self) -> None:
+        self.envelope = Envelope(2)
+        self.last_s = 0.0
+        self.before: tuple[int, int] | None = None
+        """`lost` and `fault_class` of the last row: mostly the same."""
+        self.running: dict[str, tuple[str, float]] = {}
+
+
+class Truth:
+    """Loads, speeds and events of every drive that rows came of."""
+
+    def __init__(self, offset_s: float = 0.0) -> None:
+        """offset_s: what is added to every row's time, to make it the report's."""
+        self.events: list[Event] = []
+        self.offset_s = offset_s
+        self._drives: dict[int, _Drive] = {}
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Take rows, ascending in time for each drive."""
+        for row in rows:
+            drive = self._drives.get(row.drive)
+            if drive is None:
+                drive = self._drives[row.drive] = _Drive()
+            t_s = drive.last_s = row.t_s + self.offset_s
+            drive.envelope.add((t_s, row.load_nm, row.speed_rad_s))
+            if drive.before == (row.lost, row.fault_class):
+                continue
+            drive.before = row.lost, row.fault_class
+            self._follow(row.drive, drive, "adhesion", "loss" if row.lost else "", t_s)
+            ill = row.fault_class > FaultClass.NONE
+            kind = camel(FaultClass(row.fault_class).name) if ill else ""
+            flag = "sensor" if row.fault_class in _SENSORS else "thermal"
+            for name in ("thermal", "sensor"):
+                self._follow(row.drive, drive, name, kind if name == flag else "", t_s)
+
+    def _follow(self, node: int, drive: _Drive, flag: str, kind: str, t_s: float) -> None:
+        before, since = drive.running.get(flag, ("", t_s))
+        if kind != before:
+            if before:
+                self.events.append(Event(node, flag, before, since, t_s))
+            drive.running[flag] = kind, t_s
+
+    def close(self) -> None:
+        """What is still true ends with the last row. In order of begin, drive."""
+        for node, drive in self._drives.items():
+            for flag in list(drive.running):
+                self._follow(node, drive, flag, "", drive.last_s)
+        self.events.sort()
+        self.events.sort(key=lambda event: (event.start_s, event.node))
+
+    @property
+    def nodes(self) -> frozenset[int]:
+        """Drives of which anything is known."""
+        return frozenset(self._drives)
+
+    def load(self, node: int) -> Curve | None:
+        """Load torque, Nm; None for a drive without rows."""
+        return self._curve(node, 0)
+
+    def speed(self, node: int) -> Curve | None:
+        """Rotor speed, rad/s; None for a drive without rows."""
+        return self._curve(node, 1)
+
+    def _curve(self, node: int, column: int) -> Curve | None:
+        drive = self._drives.get(node)
+        return None if drive is None else drive.envelope.curve(column)
+
+
+class _Text(NamedTuple):
+    """One row of the file."""
+
+    t_s: float
+    drive: int
+    speed_rad_s: float
+    load_nm: float
+    lost: int
+    fault_class: int
+
+
+def check(path: Path) -> None:
+    """Whether it is a truth file at all, by its head: early. Raises ConfigError, OSError."""
+    next(rows(path), None)
+
+
+def read(path: Path, first_s: float, last_s: float) -> tuple[Truth, bool]:
+    """A truth file, its times made the report's, and whether it was on the log's clock.
+
+    first_s, last_s: of the log, on its own clock. A file that shares no time with the log was
+    recorded on another clock: its 0 is then taken for the log's first frame. Raises ConfigError
+    with the line that is not a row, OSError.
+    """
+    begin, end = _range(path)
+    same = begin <= last_s and first_s <= end
+    truth = Truth(-first_s if same else 0.0)
+    truth.add(rows(path))
+    truth.close()
+    return truth, same
+
+
+def _range(path: Path) -> tuple[float, float]:
+    """Times of the first row and, as they ascend, of the last."""
+    first = next(rows(path), None)
+    if first is None:
+        raise ConfigError(str(path), ["no row of truth: was it written by `sim --truth`?"])
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - _LONGEST))
+        last = file.read().decode("utf-8", "replace").splitlines()[-1]
+    try:
+        return first.t_s, _row(last.split(",")).t_s
+    except (ValueError, KeyError):
+        raise ConfigError(str(path), ["its last line is no row of truth"]) from None
+
+
+def rows(path: Path) -> Iterator[Row]:
+    """Those of a file, one after the other. Raises ConfigError with the line, OSError."""
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        lines = csv.reader(file)
+        if tuple(next(lines, ())) != HEADER:
+            raise ConfigError(str(path), [f"its first line must be {','.join(HEADER)}"])
+        try:
+            for cells in lines:
+                yield _row(cells)
+        except (ValueError, KeyError, csv.Error):
+            raise ConfigError(str(path), [f"line {lines.line_num} is no row of truth"]) from None
+
+
+def _row(cells: Sequence[str]) -> _Text:
+    text, drive, speed, _, load, lost, ill, _ = cells
+    t_s, speed_rad_s, load_nm = float(text), float(speed), float(load)
+    if not (math.isfinite(t_s) and math.isfinite(speed_rad_s) and math.isfinite(load_nm)):
+        msg = "not finite"
+        raise ValueError(msg)
+    return _Text(t_s, int(drive), speed_rad_s, load_nm, int(lost), _CLASSES[ill])
+
+
+def judge(
+    events: Sequence[Event], intervals: Sequence[Interval], start_ns: int
+) -> tuple[list[Judged], set[Interval]]:
+    """Every event with the delay of its flag, and the bad intervals that no event explains.
+
+    An event is found by the first bad interval of its flag that begins, or already holds, in it.
+    start_ns: the report's 0. Pass intervals only of drives of which the truth is known.
+    """
+    bad = [i for i in intervals if i.bad]
+    false = set(bad)
+    judged = []
+    for event in events:
+        delay: float | None = None
+        by: Interval | None = None
+        for i in bad:
+            if (i.node, i.flag) != (event.node, event.flag):
+                continue
+            begin, end = (i.start_ns - start_ns) / 1e9, (i.end_ns - start_ns) / 1e9
+            if begin <= event.end_s + EDGE_S and end >= event.start_s:
+                false.discard(i)
+            if delay is None and begin <= event.end_s and end > event.start_s:
+                delay, by = max(begin - event.start_s, 0.0) * 1e3, i
+        judged.append(Judged(event, by, delay))
+    return judged, false

@@ -1,0 +1,230 @@
+"""Thermal calibration: what fault-free data says about each motor's sensors.
+
+A TOML file, written by `traction-gateway calibrate`, read at start. Without it the thermal
+flags stay unknown: a limit that was not measured is a guess.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, ValidationError
+
+from dbc.bounds import within
+from dbc.text import read_bytes, read_toml
+from estimators.thermal import model
+from estimators.thermal.monitor import Known
+from gateway.settings.config import Config, ConfigError, Strict, check_seal
+
+POINTS = ("stator", "drive_end", "non_drive_end")
+
+
+Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
+Noise = Annotated[float, within(0, 100, "K", "calibrate anew")]
+Limit = Annotated[
+    float, within(0.01, 100, "K", "beyond that no fault would be told: calibrate anew")
+]
+Gain = Annotated[float, within(0.01, 100, "", "no motor warms like that: calibrate anew")]
+Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate anew")]
+Held = Annotated[float, within(0, 1e7, "s", "calibrate anew")]
+Step = Annotated[float, within(0, 400, "K", "calibrate anew")]
+Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
+Three = tuple[Kelvin, Kelvin, Kelvin]
+
+
+class Deferred(Strict):
+    """Built when a calibration is read: most configurations have none."""
+
+    model_config = ConfigDict(defer_build=True)
+
+
+class MotorHeat(Deferred):
+    """One motor's thermal model, see `estimators.thermal.model` and `monitor.Known`.
+
+    rates: of its lumps, in the order of `model.NAMES`; offset_k: of the sensors; centre_k: what it
+    differs from the others by in health; noise_k: of readings a second long.
+    """
+
+    rates: tuple[Rate, ...] = Field(min_length=model.RATES, max_length=model.RATES)
+    offset_k: Three
+    centre_k: Three
+    noise_k: tuple[Noise, Noise, Noise]
+
+
+class FleetHeat(Deferred):
+    """What the motors' models have in common.
+
+    scale: of the disturbances that every motor has; duty: mean speed rad/s, mean squared current
+    A^2, cooling and heating K/s of the runs that it was learnt from: sizes of faults are for them.
+    """
+
+    scale: Annotated[float, within(1e-6, 1e6, "", "calibrate anew")]
+    duty: tuple[Duty, Duty, Duty, Duty]
+
+
+class MotorCalibration(Deferred):
+    """One motor: how it differs from the fleet in health, and how its sensors behave.
+
+    A healthy reading is offset + gain x the fleet's mean: the offset is the sensor's and the
+    place's, the gain the cooling's (3 % less air is 3 % more rise, whatever the duty).
+    """
+
+    node: Annotated[int, within(1, 16, "", "the n of Drive{n}_Temperatures")]
+    gain: tuple[Gain, Gain, Gain]
+    offset_k: Three
+    longest_hold_s: tuple[Held, Held, Held]
+    largest_step_k: tuple[Step, Step, Step]
+    heat: MotorHeat | None = None
+
+
+class Calibration(Deferred):
+    """The fleet: MAISD limits per point and every motor's centring.
+
+    window_s: averaging window the limits were measured with.
+    maisd_limit_k, deviation_limit_k: (stator, drive end, non-drive end).
+    """
+
+    window_s: Annotated[float, within(0.1, 3600, "s", "that of [thermal] in the configuration")]
+    maisd_limit_k: tuple[Limit, Limit, Limit]
+    deviation_limit_k: tuple[Limit, Limit, Limit]
+    motor: tuple[MotorCalibration, ...]
+    heat: FleetHeat | None = None
+
+    def checksum(self) -> str:
+        """Of everything that was learnt; part of the configuration's hash on the bus."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
+
+    def known(self, nodes: tuple[int, ...]) -> Known | None:
+        """For the thermal model, in the order of `nodes`; None where the logs could not give it."""
+        table = {m.node: m.heat for m in self.motor}
+        cells = [table[n] for n in nodes]
+        own = [cell for cell in cells if cell is not None]
+        if self.heat is None or len(own) < len(cells):
+            return None
+        return Known(
+            parameters=np.array([[*cell.rates, *cell.offset_k] for cell in own]),
+            centre=np.array([cell.centre_k for cell in own]),
+            noise=np.array([cell.noise_k for cell in own]),
+            scale=self.heat.scale,
+            duty=np.array(self.heat.duty),
+        )
+
+    def centring(self, nodes: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Gains and offsets, each (M, 3), in the order of `nodes`. KeyError for an unknown node."""
+        table = {m.node: m for m in self.motor}
+        cells = [table[n] for n in nodes]
+        return np.array([c.gain for c in cells]), np.array([c.offset_k for c in cells])
+
+
+def of(config: Config) -> Calibration | None:
+    """That of a configuration, None without one. Raises ConfigError with every problem."""
+    path = config.calibration_path
+    if path is None:
+        return None
+    return load(path, config.nodes, config.thermal.window_s, config.sealed.get("calibration"))
+
+
+def config_hash(config: Config, dbc: str, cells: Calibration | None) -> int:
+    """24 bits that name configuration, DBC (its digest) and calibration: `ConfigHash`.
+
+    Foreign DBCs that drives' signals are mapped from are a part of it.
+    """
+    mapped = [config.base / d.signals.dbc for d in config.drive if d.signals is not None]
+    theirs = "".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in mapped)
+    return config.hash24(dbc + theirs, cells.checksum() if cells else "")
+
+
+def problems_of(error: ValidationError) -> list[str]:
+    """A line per number that cannot be."""
+    return [
+        f"{'.'.join(map(str, item['loc']))}: {item['msg'].removeprefix('Value error, ')}"
+        for item in error.errors()
+    ]
+
+
+def load(
+    path: Path, nodes: tuple[int, ...], window_s: float, sealed: str | None = None
+) -> Calibration:
+    """Read and compare with the configured drives. Raises ConfigError with every problem.
+
+    sealed: SHA-256 that a signature vouches for; a file with another one is not even parsed.
+    """
+    try:
+        content = read_bytes(path)
+        if sealed is not None:
+            check_seal(path, content, sealed)
+        table = read_toml(content.decode("utf-8"))
+        said = table.pop("checksum", None)
+        calibration = Calibration.model_validate(table)
+    except FileNotFoundError:
+        problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
+        raise ConfigError(str(path), [problem]) from None
+    except ValidationError as error:
+        raise ConfigError(str(path), problems_of(error)) from None
+    except (OSError, ValueError) as error:
+        # ValueError: no UTF-8, no TOML, or a NUL in the name.
+        raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
+    known = {m.node for m in calibration.motor}
+    problems = []
+    if said != calibration.checksum():
+        problem = "checksum: the file is not what 'traction-gateway calibrate' wrote; measure anew"
+        problems.append(problem)
+    problems += [
+        f"motor: node {n} is configured but not calibrated; calibrate with a log that has it"
+        for n in nodes
+        if n not in known
+    ]
+    if abs(calibration.window_s - window_s) > 1e-9:
+        problems.append(
+            f"window_s: measured with {calibration.window_s} s, configured {window_s} s; "
+            "limits hold for one window only"
+        )
+    if problems:
+        raise ConfigError(str(path), problems)
+    return calibration
+
+
+def to_toml(calibration: Calibration) -> str:
+    """Text of the file, with a checksum over the numbers as they stand there."""
+
+    def numbers(values: tuple[float, ...], how: str = ".3f") -> str:
+        return "[" + ", ".join(f"{v:{how}}" for v in values) + "]"
+
+    fleet = calibration.heat
+    lines = [
+        f"window_s = {calibration.window_s}",
+        f"maisd_limit_k = {numbers(calibration.maisd_limit_k)}",
+        f"deviation_limit_k = {numbers(calibration.deviation_limit_k)}",
+    ]
+    if fleet is not None:
+        lines += ["", "[heat]", f"scale = {fleet.scale}", f"duty = {numbers(fleet.duty, '.6g')}"]
+    for motor in calibration.motor:
+        lines += [
+            "",
+            "[[motor]]",
+            f"node = {motor.node}",
+            f"gain = {numbers(motor.gain)}",
+            f"offset_k = {numbers(motor.offset_k)}",
+            f"longest_hold_s = {numbers(motor.longest_hold_s)}",
+            f"largest_step_k = {numbers(motor.largest_step_k)}",
+        ]
+        if motor.heat is not None:
+            lines += [
+                "[motor.heat]",
+                f"rates = {numbers(motor.heat.rates, '.5e')}",
+                f"offset_k = {numbers(motor.heat.offset_k)}",
+                f"centre_k = {numbers(motor.heat.centre_k)}",
+                f"noise_k = {numbers(motor.heat.noise_k)}",
+            ]
+    body = "\n".join(lines) + "\n"
+    # Of the numbers as they will be read: rounded.
+    checksum = Calibration.model_validate(read_toml(body)).checksum()
+    return (
+        "# Thermal calibration from fault-free data; written by 'traction-gateway calibrate'.\n"
+        "# Order of points: stator, drive end, non-drive end.\n"
+        f'checksum = "{checksum}"\n{body}'
+    )

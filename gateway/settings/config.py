@@ -1,0 +1,397 @@
+"""Configuration: TOML read once, validated whole, every problem listed with its path and cure.
+
+May know: file names and numbers. May not know: buses, clocks, the DBC's contents.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from dbc.bounds import within
+from dbc.text import TomlError, printable, read_bytes, read_toml
+from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
+from gateway.settings.signal_map import Signals
+
+__all__ = ["BENCH_MOTOR", "TRACTION_350KW", "Config", "ConfigError", "Motor", "load", "parse"]
+
+BUILTIN_DBC = {"traction.dbc", "traction_fd.dbc"}
+
+
+class ConfigError(Exception):
+    """The configuration cannot be used. `problems` lists all of them, one line each."""
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        """Keep the list; the text is one line per problem."""
+        self.problems = [printable(problem) for problem in problems]
+        super().__init__(f"{source}: " + "; ".join(self.problems))
+
+
+class Strict(BaseModel):
+    """Unknown keys are refused; values are frozen after start."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Milliseconds = Annotated[
+    int, within(0, 500, "ms", "a loss that is told half a second late helps no control")
+]
+Hold = Annotated[int, within(0, 5000, "ms", "good evidence is there in every tick: give it in ms")]
+Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
+Bitrate = Annotated[int, within(10_000, 1_000_000, "bit/s", "CAN has up to 1 Mbit/s: in bit/s")]
+SensorName = Literal["stator", "drive_end", "non_drive_end"]
+_NOISE = "far from 1e-4, 1e-4, 1e-5, 1e-6, 0.1 no filter follows the motor: variance per 125 us"
+Variances = tuple[
+    Annotated[float, within(1e-8, 1, "A2", _NOISE)],
+    Annotated[float, within(1e-8, 1, "A2", _NOISE)],
+    Annotated[float, within(1e-9, 0.1, "(rad/s)2", _NOISE)],
+    Annotated[float, within(1e-10, 0.01, "rad2", _NOISE)],
+    Annotated[float, within(1e-5, 1000, "Nm2", _NOISE)],
+]
+
+
+class Bus(Strict):
+    """`[bus]`: python-can's own options; the command line overrides them."""
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate: Bitrate = 1_000_000
+    fd: bool = False
+    data_bitrate: Annotated[
+        int,
+        within(10_000, 20_000_000, "bit/s", "CAN FD has up to 8 Mbit/s, CAN SIC XL 20: in bit/s"),
+    ] = 5_000_000
+    send_on: tuple[str, ...] | None = Field(
+        None, description="channels on which the gateway may send; None: the one it is given"
+    )
+    on_intruder: Literal["unknown", "stop", "go_on", "tell"] | None = Field(
+        None, description="when somebody else sends with the gateway's identifiers"
+    )
+    """None: "unknown"; "tell" where flags are authenticated."""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those of them that are python-can's and were given."""
+        given = self.model_dump(exclude={"on_intruder", "send_on"})
+        return {key: value for key, value in given.items() if value is not None}
+
+
+class Loop(Strict):
+    """`[loop]`."""
+
+    rate_hz: int = 100
+
+    @field_validator("rate_hz")
+    @classmethod
+    def _divides(cls, rate_hz: int) -> int:
+        if rate_hz not in (100, 200, 500, 1000):
+            msg = "expected 100, 200, 500 or 1000 Hz (a multiple of 100 that divides 1000)"
+            raise ValueError(msg)
+        return rate_hz
+
+    @property
+    def period_ns(self) -> int:
+        """Tick period, ns."""
+        return 1_000_000_000 // self.rate_hz
+
+
+class Dbc(Strict):
+    """`[dbc]`: a shipped file by name, or a path relative to the configuration."""
+
+    file: str = "traction.dbc"
+
+
+class Drive(Strict):
+    """`[[drive]]`: one inverter on the bus."""
+
+    node: Annotated[int, within(1, 16, "", "the n of Drive{n}_PhaseCurrents")]
+    motor: str = "bench"
+    sensors: tuple[SensorName, ...] = get_args(SensorName)
+    """Temperature sensors that the motor has; the others' signals are never looked at."""
+    signals: Signals | None = Field(None, description="of an inverter with messages of its own")
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without signals a configuration has the hash that it had before there were any."""
+        out: dict[str, Any] = handler(self)
+        if self.signals is None:
+            out.pop("signals", None)
+        return out
+
+    @field_validator("sensors")
+    @classmethod
+    def _some_and_each_once(cls, sensors: tuple[SensorName, ...]) -> tuple[SensorName, ...]:
+        if not sensors:
+            msg = f"at least one is needed, of {', '.join(get_args(SensorName))}"
+            raise ValueError(msg)
+        twice = sorted({name for name in sensors if sensors.count(name) > 1})
+        if twice:
+            msg = f"{', '.join(twice)} stands twice; name each sensor once"
+            raise ValueError(msg)
+        return sensors
+
+
+class Estimator(Strict):
+    """`[estimator]`: filter kind and noise, for a motor of 25 A and 30 Nm (scaled to others)."""
+
+    kind: Literal["ekf", "ukf"] = "ekf"
+    current_noise_var: Annotated[
+        float, within(1e-8, 1, "A2", "variance of a sensor's noise for a motor of 25 A")
+    ] = 2e-4
+    """A^2, before quantisation."""
+    process_noise: Variances = (1e-4, 1e-4, 1e-5, 1e-6, 0.1)
+    """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
+    min_speed_rad_s: Annotated[
+        float, within(1, 300, "rad/s", "electrical; below it flags stay unknown")
+    ] = 20.0
+    """Electrical; below: not observable."""
+
+
+class Adhesion(Strict):
+    """`[adhesion]`: detector and the timing of its flag."""
+
+    detector: Literal["vb", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"] = "vb"
+    observe: Literal["torque", "speed", "both"] = Field(
+        "torque", description="what the paper's VB compares; the others compare torque"
+    )
+    spread_nm: Annotated[
+        float,
+        within(0.01, 6, "Nm", "for 30 Nm rated; a wider spread hides the loss of half a load"),
+    ] = 0.7
+    """Load spread of healthy drives, at 30 Nm."""
+    raise_probability: Annotated[
+        float, within(0.71, 0.999, "", "0.7 is said of a drive as long as nobody knows")
+    ] = 0.9
+    clear_probability: Annotated[
+        float, within(0.01, 0.69, "", "0.7 is said of a drive as long as nobody knows")
+    ] = 0.5
+    raise_ms: Milliseconds = 20
+    raise_severe_ms: Milliseconds = 10
+    """Where a third of the load is missing."""
+    clear_ms: Hold = 30
+    good_ms: Hold = 50
+    """Good evidence needed before the first `Adhering`."""
+
+
+class Thermal(Strict):
+    """`[thermal]`: without a calibration the thermal flags stay unknown."""
+
+    calibration: str | None = None
+    method: Literal["model", "maisd"] = Field(
+        "model", description="a thermal model of each motor, or only how they differ"
+    )
+    limit_k: Annotated[float, within(0.1, 300, "K", "that a motor may grow warmer")] = 10.0
+    """That a motor may grow warmer than the others."""
+    window_s: Annotated[float, within(0.1, 3600, "s", "of the moving average, in seconds")] = 5.0
+    """Causal moving average."""
+    raise_s: Seconds = 1.0
+    clear_s: Seconds = 5.0
+
+
+class Canopen(Strict):
+    """`[canopen]`: only with `nmt_master` does the gateway ever send NMT, node-addressed."""
+
+    nmt_master: bool = False
+    heartbeat_ms: int | None = Field(
+        None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as it is heard"
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a period a configuration has the hash that it had before there was the key."""
+        out: dict[str, Any] = handler(self)
+        if self.heartbeat_ms is None:
+            out.pop("heartbeat_ms", None)
+        return out
+
+    @property
+    def heartbeat_ns(self) -> int:
+        """Configured period of the drives' heartbeats, ns; 0: as it is heard."""
+        return 1_000_000 * (self.heartbeat_ms or 0)
+
+
+class Authentication(Strict):
+    """`[authentication]`: flags are authenticated if the section is there. Files, never keys."""
+
+    key: str = Field("auth.key", min_length=1, description="credential, or file beside this one")
+    trip: str = Field("trip", min_length=1, description="file that counts the starts")
+
+
+class Config(Strict):
+    """The whole configuration, immutable."""
+
+    bus: Bus = Bus()
+    loop: Loop = Loop()
+    dbc: Dbc = Dbc()
+    drive: tuple[Drive, ...] = tuple(Drive(node=n) for n in (1, 2, 3))
+    motor: dict[str, Motor] = Field(default_factory=dict)
+    estimator: Estimator = Estimator()
+    adhesion: Adhesion = Adhesion()
+    thermal: Thermal = Thermal()
+    canopen: Canopen = Canopen()
+    authentication: Authentication | None = None
+    base: Path = Field(Path(), exclude=True)
+    sealed: dict[str, str] = Field(default_factory=dict, exclude=True)
+    """SHA-256 of the files that a signature vouches for: dbc, calibration. Empty: unsigned."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        problems = []
+        nodes = [d.node for d in self.drive]
+        if not nodes:
+            problems.append("drive: at least one [[drive]] is needed")
+        problems += [
+            f"drive: node {node} stands twice; give each drive its own node"
+            for node in sorted({n for n in nodes if nodes.count(n) > 1})
+        ]
+        for position, drive in enumerate(self.drive):
+            if drive.motor not in self.motors:
+                problems.append(
+                    f"drive.{position}.motor: no [motor.{drive.motor}]; "
+                    f"known: {', '.join(sorted(self.motors))}"
+                )
+        if self.adhesion.observe != "torque" and "paper_vb" not in self.adhesion.detector:
+            problems.append(
+                f"adhesion.observe: detector {self.adhesion.detector!r} compares torque only; "
+                "'speed' and 'both' need detector = 'paper_vb' or 'paper_vb_reuse'"
+            )
+        if self.bus.on_intruder == "tell" and self.authentication is None:
+            problems.append(
+                "bus.on_intruder: 'tell' needs [authentication]: without it no receiver can tell "
+                "the gateway's flags from an intruder's"
+            )
+        if problems:
+            raise ValueError("\n".join(problems))
+        return self
+
+    @property
+    def on_intruder(self) -> str:
+        """What follows when somebody else sends with our identifiers.
+
+        Where receivers can tell our frames from others', unknown flags would only let one forged
+        frame blind them.
+        """
+        return self.bus.on_intruder or ("tell" if self.authentication else "unknown")
+
+    @property
+    def motors(self) -> dict[str, Motor]:
+        """All motors by name; the built-in ones are always there unless redefined."""
+        return {"bench": BENCH_MOTOR, "traction_350kw": TRACTION_350KW, **self.motor}
+
+    def unmapped(self) -> Config:
+        """The same drives, as if they spoke our message set: those can be simulated."""
+        if all(drive.signals is None for drive in self.drive):
+            return self
+        drives = tuple(drive.model_copy(update={"signals": None}) for drive in self.drive)
+        return self.model_copy(update={"drive": drives})
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """Node numbers of the configured drives, in configuration order."""
+        return tuple(d.node for d in self.drive)
+
+    @property
+    def dbc_path(self) -> Path:
+        """Where the DBC is: beside the configuration, else the shipped file of that name."""
+        beside = self.base / self.dbc.file
+        if self.dbc.file in BUILTIN_DBC and not beside.is_file():
+            return shipped_dbc(self.dbc.file)
+        return beside
+
+    @property
+    def calibration_path(self) -> Path | None:
+        """The thermal calibration, relative to the configuration."""
+        return self.base / self.thermal.calibration if self.thermal.calibration else None
+
+    def hash24(self, dbc: str = "", calibration: str = "") -> int:
+        """24 bits that name this configuration on the bus (`Gateway_Info.ConfigHash`).
+
+        dbc: digest of the DBC file; calibration: checksum of the thermal one, if there is any.
+        """
+        digest = hashlib.sha256((self.model_dump_json() + dbc + calibration).encode()).digest()
+        return int.from_bytes(digest[:3], "little")
+
+
+def shipped_dbc(name: str) -> Path:
+    """Path of a DBC that ships with the package."""
+    import dbc
+
+    return Path(dbc.__path__[0]) / name
+
+
+_KEY: Final = re.compile(r"[A-Za-z]\w*: ")
+
+
+def _lines(error: ValidationError) -> list[str]:
+    """One line per problem: path, what is wrong, what was given."""
+    lines = []
+    for item in error.errors():
+        path = ".".join(str(p) for p in item["loc"])
+        text = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            text = "unknown key; remove it or correct its name"
+        for part in text.split("\n"):
+            # A model names its key, or speaks of itself.
+            joint = "." if _KEY.match(part) else ": "
+            lines.append(f"{path}{joint}{part}" if path else part)
+    return lines
+
+
+def parse(raw: dict[str, Any], source: str = "configuration", base: Path = Path()) -> Config:
+    """Validate a parsed TOML document. Raises ConfigError with every problem."""
+    try:
+        return Config.model_validate({**raw, "base": base})
+    except ValidationError as error:
+        raise ConfigError(source, _lines(error)) from None
+
+
+def check_seal(path: Path, content: bytes, sealed: str) -> None:
+    """Raises ConfigError unless the content is what a signature vouches for (SHA-256)."""
+    if hashlib.sha256(content).hexdigest() != sealed:
+        raise ConfigError(
+            str(path),
+            ["is not the file that was signed; restore that one, or sign anew after a review"],
+        )
+
+
+def load(
+    path: Path | None, sealed: dict[str, str] | None = None, **changes: dict[str, Any]
+) -> Config:
+    """Read and validate a file; None gives the default: three drives on nodes 1-3.
+
+    sealed: SHA-256 of the files that a signature vouches for; this one, `config`, is not even
+    parsed if it is another. changes: keys that override the file's, as `section={"key": value}`.
+    """
+    if path is None:
+        return parse(changes, "command line")
+    try:
+        content = read_bytes(path)
+        if sealed is not None:
+            check_seal(path, content, sealed["config"])
+        raw = read_toml(content.decode("utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(str(path), ["no such file"]) from None
+    except (OSError, UnicodeDecodeError, TomlError) as error:
+        raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
+    inner = [key for key in ("base", "sealed") if key in raw]
+    if inner:
+        problems = [f"{key}: unknown key; remove it or correct its name" for key in inner]
+        raise ConfigError(str(path), problems)
+    for section, keys in changes.items():
+        if isinstance(raw.get(section, {}), dict):
+            raw[section] = {**raw.get(section, {}), **keys}
+    config = parse(raw, str(path), path.parent)
+    return config if sealed is None else config.model_copy(update={"sealed": sealed})

@@ -1,0 +1,208 @@
+"""Learns a thermal calibration from fault-free runs: centring first, then the spread left.
+
+The limits are the largest MAISD and deviation of the averaged, centred fault-free data times
+a margin. The moving average makes neighbouring samples dependent, so a Gaussian quantile of
+the single sample would be wrong; the maximum of what was really seen is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from dbc.frame import Nanos
+from estimators import maisd
+from estimators.thermal import model
+from estimators.thermal.model_method import learn
+from estimators.thermal.monitor import Known
+from estimators.thermal.record import Record, split
+from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
+from gateway.core.thermal import ThermalSide
+from gateway.core.thermal_model_monitor import Sample
+from gateway.settings.calibration import (
+    POINTS,
+    Calibration,
+    FleetHeat,
+    MotorCalibration,
+    MotorHeat,
+    problems_of,
+)
+from gateway.settings.config import ConfigError
+
+FLOOR_K = (0.5, 1.0)
+"""Smallest MAISD and deviation limits, K. A calibration run is never as varied as service:
+a motor that was cut for a second, or sits in another draught, differs by this much."""
+
+
+FIT_SHARE = 0.7
+FEWEST_SECONDS = 300
+"""Of a run: less says nothing of how motors warm."""
+SPAN_K = 5.0
+"""The fleet's mean must move this much over the logs before a gain is learnt."""
+
+
+class Learner:
+    """Collects window averages and sensor behaviour tick by tick."""
+
+    def __init__(self, nodes: tuple[int, ...], window_s: float) -> None:
+        """Remember for which motors and which window."""
+        self.nodes = nodes
+        self.window_s = window_s
+        self.means: list[np.ndarray] = []
+        shape = (len(nodes), len(POINTS))
+        self.hold_ns = np.zeros(shape)
+        self.step_k = np.zeros(shape)
+        self.samples = 0
+        self.fitted = np.ones(shape, dtype=np.bool_)
+        """(N, P): which motor has which sensor, as last seen."""
+        self.seconds: list[list[Sample]] = []
+        """Of every log, second by second."""
+        self.dt_s = 1.0
+        self._count = 0
+        self._last: np.ndarray | None = None
+
+    def begin(self) -> None:
+        """A new log starts: nothing is compared across the cut."""
+        self._last = None
+        self._count = 0
+        self.seconds.append([])
+
+    def take(self, side: ThermalSide, now: Nanos) -> None:
+        """Look at the thermal side once per temperature cycle."""
+        if side.cycles == self._count:
+            return
+        self._count = side.cycles
+        if side.last is not None:
+            self.seconds[-1].append(side.last)
+            self.dt_s = side.dt_s
+        sensors, fitted = side.sensors.drives["sensor"], side.sensors.configured
+        values = sensors["value_c"].copy()
+        if side.window.known[fitted].all():
+            self.fitted = fitted
+            self.means.append(side.window.mean.copy())
+            self.samples += 1
+            for j, k in np.argwhere(fitted).tolist():
+                held = now - sensors["changed_ns"].item(j, k)
+                self.hold_ns[j, k] = max(self.hold_ns[j, k], held)
+            if self._last is not None:
+                self.step_k = np.maximum(self.step_k, np.abs(values - self._last))
+            self._last = values
+
+    def finish(self, margin: float) -> Calibration:
+        """The calibration. Raises ConfigError when the logs cannot give one."""
+        if len(self.nodes) < 2:
+            raise ConfigError("calibrate", ["MAISD compares motors: at least two are needed"])
+        if self.samples < 10:
+            problem = "no stretch with all sensors of all motors; record a longer fault-free run"
+            raise ConfigError("calibrate", [problem])
+        means = np.array(self.means)
+        gain, offset = _against_fleet(means, self.fitted)
+        centred = (means - offset) / gain
+        compared = [maisd.compare(m, self.fitted) for m in centred]
+        spreads, apart = (np.array(part) for part in zip(*compared, strict=True))
+        # NaN: a sensor that is not there, or that no other motor has. The floors stand then.
+        spread = np.nan_to_num(spreads).max(axis=0)
+        limit = np.nan_to_num(np.abs(apart)).max(axis=(0, 1))
+        try:
+            return self._calibration(gain, offset, margin * spread, margin * limit)
+        except ValidationError as error:
+            raise ConfigError("calibrate", problems_of(error)) from None
+
+    def _calibration(
+        self, gain: np.ndarray, offset: np.ndarray, spread: np.ndarray, limit: np.ndarray
+    ) -> Calibration:
+        """Raises ValidationError where what was learnt cannot be."""
+        known = self._known()
+        fleet = known and FleetHeat(scale=known.scale, duty=tuple(known.duty.tolist()))
+        return Calibration(
+            heat=fleet,
+            window_s=self.window_s,
+            maisd_limit_k=_three(np.maximum(spread, FLOOR_K[0])),
+            deviation_limit_k=_three(np.maximum(limit, FLOOR_K[1])),
+            motor=tuple(
+                MotorCalibration(
+                    node=node,
+                    gain=_three(gain[j]),
+                    offset_k=_three(offset[j]),
+                    longest_hold_s=_three(self.hold_ns[j] / 1e9),
+                    largest_step_k=_three(self.step_k[j]),
+                    heat=known and _motor_heat(known, j),
+                )
+                for j, node in enumerate(self.nodes)
+            ),
+        )
+
+    def _known(self) -> Known | None:
+        """The thermal model of every motor; None where the logs do not tell enough.
+
+        Parameters come from all logs but the last (of one log: its first 70 %), the spread from it.
+        """
+        runs = [record for log in self.seconds if (record := self._record(log)) is not None]
+        if len(runs) == 1:
+            runs = list(split(runs[0], round(FIT_SHARE * len(runs[0].at))))
+        if not runs or min(len(run.at) for run in runs) < FEWEST_SECONDS:
+            return None
+        if np.ptp(np.concatenate([run.current_square.mean(axis=1) for run in runs])) <= 0.0:
+            return None
+        return learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
+
+    def _record(self, log: list[Sample]) -> Record | None:
+        """A log's seconds from the first with everything known; None without one.
+
+        A second without current, speed or ambient has those of the second before.
+        """
+        if not log:
+            return None
+        square, speed, ambient = (
+            _held(np.array([getattr(second, name) for second in log]))
+            for name in ("square", "speed", "ambient")
+        )
+        known = np.isfinite(square + speed + ambient).all(axis=1)
+        if not known.any():
+            return None
+        first = int(np.argmax(known))
+        temperature = np.array([second.temperature for second in log])[first:]
+        return Record(
+            temperature, np.arange(len(temperature)), square[first:], speed[first:].mean(axis=1),
+            ambient[first:].mean(axis=1), self.dt_s,
+        )  # fmt: skip
+
+
+def _held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, M) with gaps filled by what was before; NaN before the first number."""
+    rows = np.arange(len(values))[:, None]
+    last = np.maximum.accumulate(np.where(np.isfinite(values), rows, 0), axis=0)
+    return np.take_along_axis(values, last, axis=0)
+
+
+def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Of the points, as the calibration has them."""
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
+def _motor_heat(known: Known, j: int) -> MotorHeat:
+    """Motor j's part of what was learnt."""
+    return MotorHeat(
+        rates=tuple(known.parameters[j, : model.RATES].tolist()),
+        offset_k=_three(known.parameters[j, model.OFFSETS]),
+        centre_k=_three(known.centre[j]),
+        noise_k=_three(known.noise[j]),
+    )
+
+
+def _against_fleet(means: np.ndarray, fitted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares gain and offset (M, P) of every motor's points on the fleet's mean.
+
+    means: (T, M, P) window averages; fitted: (M, P), the sensors there are: one that is not has
+    gain 1 and offset 0 and is in no mean. One duty alone cannot tell gain from offset: gain 1.
+    """
+    fleet = (means * fitted).sum(axis=1, keepdims=True) / np.maximum(fitted.sum(axis=0), 1)
+    centre = fleet.mean(axis=0)
+    moved = fleet - centre
+    apart = means - means.mean(axis=0)
+    power = (moved**2).sum(axis=0)
+    told = fitted & (np.ptp(fleet, axis=0) > SPAN_K)
+    both = (apart * moved).sum(axis=0)
+    gain = np.divide(both, power, out=np.ones(means.shape[1:]), where=told)
+    return gain, np.where(fitted, means.mean(axis=0) - gain * centre, 0.0)

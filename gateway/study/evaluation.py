@@ -1,0 +1,310 @@
+"""Judging detectors: everything that is measured of one run, pooled over runs, as a table.
+
+All of it is read from the frames that the gateway sends: flags from `Gateway_Adhesion`, loss
+probability and load from `Drive{n}_Estimate`. Knows nothing of where the frames came from.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.codec import VALID, Codec
+from dbc.frame import Frame
+from dbc.frames import block_of
+from gateway.core.codes import Flag, Health
+from gateway.reports.delays import TruthRow
+from gateway.reports.scoring import (
+    Score,
+    Truth,
+    everyone,
+    quantile,
+    score_flag,
+    truth_of,
+)
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LEVELS: Final = 201
+"""Values of `LossProbability` on the wire: 0 to 100 % in steps of 0.5 %."""
+BINS: Final = 10
+"""Of the reliability diagram."""
+SPARE: Final = 3
+"""`Invalid` on the wire is read as unknown."""
+EDGE_S: Final = 0.03
+SKIP_S: Final = 0.5
+
+
+class LoadRow(TruthRow, Protocol):
+    """Truth with the load as well."""
+
+    @property
+    def load_nm(self) -> float:
+        """Torque on the rail, Nm."""
+        ...
+
+
+class Estimates(NamedTuple):
+    """One drive's estimates: t_s (M,); probability (M,) 0..1 and load (M,) Nm, NaN if not said."""
+
+    t_s: Array
+    probability: Array
+    load_nm: Array
+
+
+class Said(NamedTuple):
+    """What the gateway said in one run.
+
+    t_s (T,); flags (T, N) and common (T,), values of `Flag`; estimates per drive.
+    """
+
+    t_s: Array
+    flags: Ints
+    common: Ints
+    estimates: tuple[Estimates, ...]
+
+
+class Measured(NamedTuple):
+    """What came out of one run, or of several pooled.
+
+    flags: of the drives; common: of `CommonMode` against all drives lost together. levels
+    (2, LEVELS): judged estimates by truth (0 healthy, 1 lost) and probability; silent (2,): those
+    without one. square_nm2, loads: sum of squared load errors and how many there are.
+    """
+
+    flags: Score
+    common: Score
+    levels: Ints
+    silent: Ints
+    square_nm2: float
+    loads: int
+
+    def plus(self, other: Measured) -> Measured:
+        """Both pooled."""
+        return Measured(
+            self.flags.plus(other.flags),
+            self.common.plus(other.common),
+            self.levels + other.levels,
+            self.silent + other.silent,
+            self.square_nm2 + other.square_nm2,
+            self.loads + other.loads,
+        )
+
+    @property
+    def load_rmse_nm(self) -> float:
+        """Root mean square of estimated minus true load; NaN where nothing was estimated."""
+        return math.sqrt(self.square_nm2 / self.loads) if self.loads else math.nan
+
+
+def nothing() -> Measured:
+    """The pool before the first run."""
+    return Measured(
+        Score(), Score(), np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64), 0.0, 0
+    )
+
+
+def pooled(runs: Iterable[Measured]) -> Measured:
+    """All runs together."""
+    total = nothing()
+    for run in runs:
+        total = total.plus(run)
+    return total
+
+
+def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> Said:
+    """Decode the gateway's frames, in order; stamps count from 0 at the start of the run."""
+    block = block_of(frames)
+
+    def rows(name: str) -> tuple[Array, Array, NDArray[np.uint8]]:
+        spec = codec.by_name[name]
+        mine = np.flatnonzero(block.can_id == spec.can_id)
+        index = np.full(len(mine), spec.index, dtype=np.int32)
+        value, validity = codec.decode_rows(index, block.data[mine])
+        return block.t_ns[mine] / 1e9, value, validity
+
+    spec = codec.by_name["Gateway_Adhesion"]
+    t_s, value, _ = rows(spec.name)
+    states = value[:, [spec.column(f"Adhesion{node}") for node in nodes]]
+    common = value[:, spec.column("CommonMode")]
+    estimates = []
+    for node in nodes:
+        spec = codec.by_name[f"Drive{node}_Estimate"]
+        when, value, validity = rows(spec.name)
+        chance, load = spec.column("LossProbability"), spec.column("LoadTorque")
+        tracked = value[:, spec.column("Health")] == Health.TRACKING
+        estimates.append(
+            Estimates(
+                when,
+                np.where(validity[:, chance] == VALID, value[:, chance] / 100.0, np.nan),
+                np.where((validity[:, load] == VALID) & tracked, value[:, load], np.nan),
+            )
+        )
+    return Said(t_s, _states(states), _states(common), tuple(estimates))
+
+
+def _states(value: Array) -> Ints:
+    raw = np.nan_to_num(value).astype(np.int64)
+    return np.where(raw == SPARE, int(Flag.UNKNOWN), raw)
+
+
+def measure(rows: Sequence[LoadRow], said: Said, nodes: Sequence[int]) -> Measured:
+    """Judge one run against the truth's rows."""
+    truths = [truth_of(rows, node) for node in nodes]
+    flags, common = Score(), Score()
+    levels, silent = np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64)
+    square, loads = 0.0, 0
+    for k, (node, truth) in enumerate(zip(nodes, truths, strict=True)):
+        flags = flags.plus(score_flag(truth, said.t_s, said.flags[:, k], EDGE_S, SKIP_S))
+        estimates = said.estimates[k]
+        counted = truth.counted(estimates.t_s, EDGE_S, SKIP_S)
+        lost = truth.lost[truth.at(estimates.t_s)]
+        for true in (0, 1):
+            judged = estimates.probability[counted & (lost == bool(true))]
+            known = judged[np.isfinite(judged)]
+            raw = np.clip(np.rint(known * (LEVELS - 1)), 0, LEVELS - 1).astype(np.int64)
+            levels[true] += np.bincount(raw, minlength=LEVELS)
+            silent[true] += len(judged) - len(known)
+        true_nm = np.array([row.load_nm for row in rows if row.drive == node])
+        # Load is judged in shallow losses too: only edges and the start are left out.
+        settled = truth._replace(depth=np.ones_like(truth.depth))
+        counted = settled.counted(estimates.t_s, EDGE_S, SKIP_S)
+        error = (estimates.load_nm - true_nm[np.maximum(truth.at(estimates.t_s), 0)])[counted]
+        error = error[np.isfinite(error)]
+        square += float(error @ error)
+        loads += len(error)
+    if len(nodes) > 1:
+        common = score_flag(everyone(truths), said.t_s, said.common, EDGE_S, SKIP_S)
+    flags = flags._replace(train_s=flags.train_s / len(nodes))
+    return Measured(flags, common, levels, silent, square, loads)
+
+
+class Curve(NamedTuple):
+    """Receiver operating characteristic: alarm at a probability of `threshold` or more.
+
+    threshold, true_rate, false_rate (LEVELS + 1,): from nobody accused (threshold above 1) to all.
+    """
+
+    threshold: Array
+    true_rate: Array
+    false_rate: Array
+
+    @property
+    def area(self) -> float:
+        """Area under the curve; NaN without losses or without healthy time."""
+        return float(np.trapezoid(self.true_rate, self.false_rate))
+
+
+def roc(levels: Ints) -> Curve:
+    """The curve of known probabilities, `Measured.levels`; NaN where a class is empty."""
+    falling = np.concatenate([np.zeros((2, 1)), np.cumsum(levels[:, ::-1], axis=1)], axis=1)
+    with np.errstate(invalid="ignore"):
+        rates = falling / levels.sum(axis=1, keepdims=True)
+    threshold = np.arange(LEVELS, -1, -1, dtype=np.float64) / (LEVELS - 1)
+    return Curve(threshold, rates[1], rates[0])
+
+
+class Reliability(NamedTuple):
+    """Said against true, per bin of the probability (BINS,); NaN in empty bins."""
+
+    said: Array
+    true: Array
+    frames: Ints
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error: mean |said - true|, weighted by the bins' frames."""
+        full = self.frames > 0
+        if not full.any():
+            return math.nan
+        gap = np.abs(self.said[full] - self.true[full])
+        return float(gap @ self.frames[full] / self.frames.sum())
+
+
+def reliability(levels: Ints) -> Reliability:
+    """Bins of equal width over `Measured.levels`; 100 % belongs to the last."""
+    level = np.arange(LEVELS) / (LEVELS - 1)
+    place = np.minimum((np.arange(LEVELS) * BINS) // (LEVELS - 1), BINS - 1)
+    both = levels.sum(axis=0)
+    count = np.bincount(place, both, BINS)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        said = np.bincount(place, both * level, BINS) / count
+        true = np.bincount(place, levels[1], BINS) / count
+    return Reliability(said, true, count.astype(np.int64))
+
+
+class Line(NamedTuple):
+    """One family and detector: its runs in the order of their seeds."""
+
+    family: str
+    detector: str
+    seeds: tuple[int, ...]
+    runs: tuple[Measured, ...]
+    common: bool
+    rated_nm: float
+
+    @property
+    def total(self) -> Measured:
+        """All runs pooled."""
+        return pooled(self.runs)
+
+    def spread(self) -> tuple[float, float]:
+        """Mean and standard deviation of F1 over the runs that have a loss; NaN without one."""
+        each = [run.flags.f1 for run in self.runs if run.flags.losses]
+        if not each:
+            return math.nan, math.nan
+        return float(np.mean(each)), float(np.std(each))
+
+
+COLUMNS: Final = (
+    "family", "detector", "runs", "F1", "F1 mean", "F1 sd", "precision", "recall",
+    "false alarms / h", "losses", "missed", "delay ms", "delay 90 % ms", "delay abrupt ms",
+    "adhering %", "unknown %", "load rmse Nm", "load rmse %", "ROC area", "ECE",
+    "common F1", "common delay ms", "common false / h",
+)  # fmt: skip
+"""The numbers of the table; `row` gives them."""
+
+
+def row(line: Line) -> tuple[str | int | float, ...]:
+    """Numbers of one line, NaN where a question makes no sense (F1 without a loss)."""
+    total = line.total
+    flags, common = total.flags, total.common
+    lossy = flags.losses > 0
+    return (
+        line.family,
+        line.detector,
+        len(line.runs),
+        flags.f1 if lossy else math.nan,
+        *line.spread(),
+        flags.precision if lossy else math.nan,
+        flags.recall if lossy else math.nan,
+        flags.alarms_per_hour,
+        flags.losses,
+        flags.missed,
+        _finite(flags.median_delay_ms),
+        _finite(quantile(flags.delays_ms, 0.9)),
+        _finite(quantile(flags.abrupt_ms, 0.5)),
+        100.0 * flags.good_share,
+        100.0 * flags.unknown_share,
+        total.load_rmse_nm,
+        100.0 * total.load_rmse_nm / line.rated_nm,
+        roc(total.levels).area,
+        reliability(total.levels).error,
+        common.f1 if line.common else math.nan,
+        _finite(common.median_delay_ms) if line.common else math.nan,
+        common.alarms_per_hour,
+    )
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else math.nan
+
+
+__all__ = [
+    "BINS", "COLUMNS", "LEVELS", "Curve", "Estimates", "Line", "Measured", "Reliability", "Said",
+    "Truth", "listen", "measure", "nothing", "pooled", "reliability", "roc", "row",
+]  # fmt: skip

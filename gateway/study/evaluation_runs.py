@@ -1,0 +1,185 @@
+"""Evaluating detectors: random runs by seed through the simulator and the core, open loop.
+
+The drives do not hear the gateway, as in a recorded log: every detector then sees the same
+frames, and a run is simulated once for all of them. Virtual clock; the same on every run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from dbc.codec import Codec, bind
+from dbc.frame import Frame
+from dbc.frames import Block, block_of
+from estimators.detect import DETECTORS
+from gateway.core.gateway import Gateway
+from gateway.settings.config import Config, ConfigError, Drive, load
+from gateway.study.evaluation import Line, Measured, listen, measure
+from gateway.study.scenarios_family import ALL, DEVELOPMENT, REPORTING, draw
+from sim.ground_truth import Truth
+from sim.scenario import Scenario
+from sim.simulation import Simulation
+
+
+class Plan(NamedTuple):
+    """What to evaluate: `config` is a file to start from, its drives are the scenario's."""
+
+    families: tuple[str, ...]
+    detectors: tuple[str, ...]
+    seeds: tuple[int, ...]
+    dbc: str | None = None
+    motor: str = "bench"
+    config: Path | None = None
+
+
+class Recording(NamedTuple):
+    """A simulated run: what the drives sent, a block per tick, and what was true."""
+
+    scenario: Scenario
+    blocks: list[Block]
+    truth: list[Truth]
+
+
+def seeds_of(
+    text: str, development: range = DEVELOPMENT, reporting: range = REPORTING
+) -> tuple[int, ...]:
+    """Seeds by name (`development`, `reporting`) or as `A-B` or `A`.
+
+    Raises ConfigError for anything else, and for numbers that are kept for reporting: those
+    have to be asked for by name.
+    """
+    if text in ("development", "reporting"):
+        return tuple(development if text == "development" else reporting)
+    first, dash, last = text.partition("-")
+    digits = first.isdecimal() and (last.isdecimal() or not dash)
+    seeds = range(int(first), int(last if dash else first) + 1) if digits else range(0)
+    if not seeds:
+        raise ConfigError("--seeds", [f"{text!r} is none of development, reporting, A-B"])
+    if set(seeds) & set(reporting):
+        kept = f"{reporting.start}-{reporting.stop - 1}"
+        raise ConfigError("--seeds", [f"{kept} are kept for reporting; say --seeds reporting"])
+    return tuple(seeds)
+
+
+def known_detectors(names: Iterable[str], plan: Plan) -> tuple[list[str], list[str]]:
+    """Detectors that can be configured, and a line for each of the others."""
+    good, bad = [], []
+    for name in names:
+        if name not in DETECTORS:
+            bad.append(f"{name}: no such detector; there are {', '.join(DETECTORS)}")
+            continue
+        try:
+            _base(plan.config, plan.dbc, name)
+        except ConfigError as error:
+            bad.append(f"{name}: {'; '.join(error.problems)}")
+        else:
+            good.append(name)
+    return good, bad
+
+
+@cache
+def _base(path: Path | None, dbc: str | None, detector: str) -> Config:
+    sections = {"adhesion": {"detector": detector}, "dbc": {"file": dbc} if dbc else {}}
+    return load(path, **sections)
+
+
+@cache
+def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
+    return bind(path, nodes)
+
+
+def fitted(plan: Plan, detector: str, scenario: Scenario) -> tuple[Config, Codec]:
+    """Configuration and codec for the scenario's drives, their motors as the data sheet says."""
+    motor = scenario.motor.name
+    drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
+    config = _base(plan.config, plan.dbc, detector).model_copy(update={"drive": drives})
+    if motor not in config.motors:
+        raise ConfigError("motor", [f"no [motor.{motor}]; known: {', '.join(config.motors)}"])
+    return config, _codec(config.dbc_path, config.nodes)
+
+
+def record(scenario: Scenario, config: Config, codec: Codec) -> Recording:
+    """Simulate a whole run."""
+    simulation = Simulation(scenario, codec, self_start=True)
+    blocks = [
+        block_of(simulation.step((), tick * config.loop.period_ns))
+        for tick in range(round(scenario.duration_s * config.loop.rate_hz) + 1)
+    ]
+    return Recording(scenario, blocks, simulation.truth_rows())
+
+
+def judge(recording: Recording, config: Config, codec: Codec) -> Measured:
+    """One detector over a recording."""
+    gateway = Gateway(config, codec, 0)
+    sent: list[Frame] = []
+    for tick, block in enumerate(recording.blocks):
+        sent += gateway.step(block, tick * config.loop.period_ns)
+    return measure(recording.truth, listen(sent, codec, config.nodes), config.nodes)
+
+
+def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
+    """One scenario, simulated once, with every detector of the plan."""
+    scenario = draw(family, seed, plan.motor)
+    config, codec = fitted(plan, plan.detectors[0], scenario)
+    recording = record(scenario, config, codec)
+    return tuple(judge(recording, *fitted(plan, name, scenario)) for name in plan.detectors)
+
+
+def _task(task: tuple[Plan, str, int]) -> tuple[Measured, ...]:
+    return one_run(*task)
+
+
+def evaluate(
+    plan: Plan,
+    jobs: int = 1,
+    after_run: Callable[[], None] = lambda: None,
+    after_family: Callable[[str, float], None] = lambda _family, _seconds: None,
+) -> list[Line]:
+    """All of a plan, in its order, whatever the number of processes.
+
+    `after_run` is called after every scenario, `after_family` with its name and the time taken.
+    Raises ConfigError or DbcMismatch before anything is simulated.
+    """
+    for family in plan.families:
+        fitted(plan, plan.detectors[0], draw(family, plan.seeds[0], plan.motor))
+    lines = []
+    with _workers(jobs) as run:
+        for family in plan.families:
+            began = time.monotonic()
+            results = []
+            for result in run([(plan, family, seed) for seed in plan.seeds]):
+                results.append(result)
+                after_run()
+            lines += _lines(plan, family, results)
+            after_family(family, time.monotonic() - began)
+    return lines
+
+
+Run = Callable[[Sequence[tuple[Plan, str, int]]], Iterator[tuple[Measured, ...]]]
+
+
+@contextmanager
+def _workers(jobs: int) -> Iterator[Run]:
+    """Run tasks here, or in this many processes; results come in the order of the tasks."""
+    if jobs <= 1:
+        yield lambda tasks: map(_task, tasks)
+        return
+    from gateway.io.workers import workers
+
+    with workers(jobs) as pool:
+        yield lambda tasks: pool.map(_task, tasks)
+
+
+def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:
+    from sim.physics.plant import MOTORS
+
+    rated = MOTORS[ALL[family].motor or plan.motor].T_rated
+    return [
+        Line(family, detector, plan.seeds, runs, ALL[family].common, rated)
+        for detector, runs in zip(plan.detectors, zip(*results, strict=True), strict=True)
+    ]

@@ -1,0 +1,376 @@
+"""Families of random runs, each a pure function of the seed: what detectors are evaluated on.
+
+Every family asks another question; ranges are the bench motor's and scale to others per unit.
+Two sets of seeds: thresholds may be tuned on `DEVELOPMENT`; nobody looks at `REPORTING` before
+reporting.
+
+May know: scenarios. May not know: any detector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from gateway.study.scenarios_mismatch import MISMATCHES, Mismatch, tables
+from gateway.study.scenarios_random import (
+    DEPTH,
+    LENGTH_S,
+    LOAD_NM,
+    ONSET_S,
+    RAMP_S,
+    TAIL_S,
+    PerUnit,
+    between,
+    random_scenario,
+    sign,
+)
+from gateway.study.scenarios_slide import SLIP_LENGTH_S, braked, slipping
+from sim.physics.plant import BENCH, MOTORS, TRAIN, TRAINS
+from sim.scenario import Scenario, parse
+
+DEVELOPMENT: Final = range(30)
+"""Seeds that anything may be tuned on."""
+REPORTING: Final = range(1000, 1060)
+"""Seeds that nobody looks at before reporting."""
+
+STREAM: Final = 21
+"""Purpose of the random streams; the family's number follows."""
+GROUP_STREAM: Final = 1000
+ON_IT: Final = {"drive": 1}
+Table = dict[str, Any]
+Rng = np.random.Generator
+
+QUIET_VAR: Final = 2e-4
+"""A^2 on the bench motor: the clean sensor."""
+ROUGH_VAR: Final = 1e-2
+ROUGH_OFFSET_A: Final = 0.1
+ROUGH: Final[Table] = {"R_s_within": 0.2, "L_s_within": 0.05, "psi_pm_within": 0.03}
+ROUGH_SHARE: Final = 0.1
+ROUGH_LOST: Final = 0.01
+ROUGH_ONSET_S: Final = (2.5, 3.5)
+BUS_DRIVES: Final = 4
+"""More do not fit onto 1 Mbit/s: then the bus has no bit rate, as a log or vcan."""
+HARD_S: Final = 20.0
+HARD_NM: Final = 28.0
+"""The driver's limit: dry rail carries 29 Nm at 60 m/s, 39 at 10."""
+BRAKE_AT_S: Final = 0.3
+BRAKE: Final = 6.4
+"""Hardest change of speed, over what rated torque gives the train: an emergency brake of 1.4 m/s^2
+on the train of the 350 kW motor. The bench motor's ranges stay far below it."""
+WET_NM: Final = 20.0
+"""What wet rail (friction 0.3) carries on the bench."""
+
+
+class Family(NamedTuple):
+    """One kind of random runs. `common`: all drives lose adhesion together."""
+
+    title: str
+    make: Callable[[int, Rng, PerUnit], Scenario]
+    common: bool = False
+    healthy: bool = False
+    motor: str | None = None
+    """The motor it is about, whatever is asked for."""
+
+
+def draw(family: str, seed: int, motor: str = "bench") -> Scenario:
+    """The scenario of this family and seed. Raises KeyError for an unknown family or motor."""
+    chosen = ALL[family]
+    # The families of a group share one stream: the same runs but for what the group is about.
+    groups = [name for name, group in GROUPS.items() if family in group]
+    number = GROUP_STREAM if groups else list(FAMILIES).index(family)
+    rng = np.random.default_rng([seed, STREAM, number])
+    return chosen.make(seed, rng, PerUnit(chosen.motor or motor))
+
+
+def _loss(rng: Rng, drive: int, at_s: float, length: tuple[float, float] = LENGTH_S) -> Table:
+    return {
+        "at_s": round(at_s, 4),
+        "for_s": between(rng, length),
+        "drive": drive,
+        "kind": "adhesion_loss",
+        "depth": between(rng, DEPTH),
+        "ramp_s": between(rng, (0.0, RAMP_S)),
+    }
+
+
+def _run(what: str, seed: int, unit: PerUnit, table: Table) -> Scenario:
+    """A scenario with what all families share; ends `TAIL_S` after its last loss."""
+    ends = [e["at_s"] + e["for_s"] for e in table.get("event", ()) if "for_s" in e]
+    whole: Table = {
+        "title": f"{what} {seed}",
+        "seed": seed,
+        "drives": 3,
+        "duration_s": round(max(ends, default=0.0) + TAIL_S, 4),
+        "motor": {"name": unit.name},
+        "sensors": {"current_noise_var": unit.noise(QUIET_VAR)},
+        **table,
+    }
+    if whole["drives"] > BUS_DRIVES:
+        whole["bus"] = {"bitrate": 0}
+    return parse(whole, whole["title"])
+
+
+def _steady(rng: Rng, unit: PerUnit) -> Table:
+    """Constant speed and preset load, each of either sign."""
+    speed = between(rng, unit.speed, 3) * sign(rng)
+    load = unit.nm(between(rng, LOAD_NM) * sign(rng))
+    return {"motion": {"speed": speed}, "load": {"kind": "preset", "torque_nm": load}}
+
+
+def _single(seed: int, _rng: Rng, unit: PerUnit) -> Scenario:
+    return random_scenario(seed, motor=unit.name)
+
+
+def _several(rng: Rng, among: int, count: int, onset: tuple[float, float]) -> list[Table]:
+    """`count` of `among` drives lose adhesion within 50 ms of one another, each its own way."""
+    at = between(rng, onset)
+    who = sorted(rng.choice(among, size=count, replace=False).tolist())
+    return [_loss(rng, int(d) + 1, at + between(rng, (0.0, 0.05))) for d in who]
+
+
+def _majority(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    drives = int(rng.integers(3, 7))
+    count = int(rng.integers(drives // 2 + 1, drives))
+    events = _several(rng, drives, count, ONSET_S)
+    return _run("majority", seed, unit, {"drives": drives, "event": events, **_steady(rng, unit)})
+
+
+def _number(drives: int) -> Callable[[int, Rng, PerUnit], Scenario]:
+    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+        count = int(rng.integers(1, max(drives // 2, 1) + 1))
+        events = _several(rng, drives, count, ONSET_S)
+        table = {"drives": drives, "event": events, **_steady(rng, unit)}
+        return _run(f"{drives} drives", seed, unit, table)
+
+    return make
+
+
+def _tenable(unit: PerUnit, bench_nm: float) -> float:
+    """Electrical rad/s^2 at which the train's mass takes the torque `bench_nm` scaled."""
+    motor = MOTORS[unit.name]
+    return motor.pole_pairs * unit.nm(bench_nm) / TRAINS.get(unit.name, TRAIN).inertia(motor)
+
+
+def _hardest(unit: PerUnit) -> float:
+    """Electrical rad/s^2 of the hardest brake."""
+    return BRAKE * _tenable(unit, BENCH.T_rated)
+
+
+def _braking(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    event = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S))
+    low, high = unit.speed
+    first, last = between(rng, (0.5 * (low + high), high)), between(rng, (low, 0.4 * high))
+    forward = sign(rng)
+    end = event["at_s"] + event["for_s"] + TAIL_S
+    last = max(last, round(first - _hardest(unit) * (end - BRAKE_AT_S), 4))
+    table = {
+        "event": [event],
+        "motion": {"profile": [[BRAKE_AT_S, forward * first], [round(end, 4), forward * last]]},
+        "load": {"kind": "preset", "torque_nm": unit.nm(-forward * between(rng, LOAD_NM))},
+    }
+    return _run("braking", seed, unit, table)
+
+
+def _gradual(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    event = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S), (1.0, 2.5))
+    event["ramp_s"] = between(rng, (0.1, 0.4 * event["for_s"]))
+    return _run("gradual", seed, unit, {"event": [event], **_steady(rng, unit)})
+
+
+def _crawl(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    forward = sign(rng)
+    start, rise = between(rng, (0.2, 0.6)), between(rng, (0.3, 1.0))
+    top, hold = forward * between(rng, (3.0, 40.0)), between(rng, (1.5, 2.5))
+    rise = max(rise, round(abs(top) / _hardest(unit), 4))
+    points = np.cumsum([start, rise, hold, rise]).round(4).tolist()
+    events = []
+    if rng.random() < 0.5:
+        at = between(rng, (1.2, 2.2))
+        events = [_loss(rng, int(rng.integers(1, 4)), at, (0.3, 1.0))]
+    table = {
+        "duration_s": points[-1] + 0.5,
+        "event": events,
+        "motion": {
+            "start": "standstill",
+            "profile": [[points[0], 0.0], [points[1], top], [points[2], top], [points[3], 0.0]],
+        },
+        "load": {"kind": "preset", "torque_nm": unit.nm(between(rng, LOAD_NM) * sign(rng))},
+    }
+    return _run("crawl", seed, unit, table)
+
+
+def _rough_table(rng: Rng, unit: PerUnit) -> Table:
+    """What a real train is like; the draws per drive are the scenario's own, from its seed."""
+    table = _steady(rng, unit)
+    table["load"] |= {"share_within": ROUGH_SHARE}
+    table["mismatch"] = dict(ROUGH)
+    table["sensors"] = {
+        "current_noise_var": unit.noise(ROUGH_VAR),
+        "current_offset_within_a": unit.amps(ROUGH_OFFSET_A),
+    }
+    table["event"] = [{"at_s": 0.0, "kind": "frame_loss", "depth": ROUGH_LOST}]
+    return table
+
+
+def _rough(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    table = _rough_table(rng, unit)
+    at = between(rng, ROUGH_ONSET_S)
+    table["event"].append(_loss(rng, int(rng.integers(1, 4)), at))
+    return _run("rough", seed, unit, table)
+
+
+def _healthy_rough(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    return _run("healthy, rough", seed, unit, {**_rough_table(rng, unit), "duration_s": 8.0})
+
+
+def _large(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    event = _loss(rng, int(rng.integers(1, 4)), between(rng, (1.2, 2.0)))
+    end = event["at_s"] + event["for_s"] + TAIL_S
+    forward, first = sign(rng), between(rng, (0.0, unit.speed[1]))
+    last = min(max(first + end * between(rng, (-15.0, 15.0)), 0.0), unit.speed[1])
+    table = {
+        "event": [event],
+        "motion": {"profile": [[0.0, forward * first], [end, forward * round(last, 3)]]},
+        "load": {"kind": "preset", "torque_nm": unit.nm(between(rng, LOAD_NM) * sign(rng))},
+    }
+    return _run("large", seed, unit, table)
+
+
+def _all_together(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    """Sudden, under all wheels; the train pulls or brakes, against a gradient or its own mass.
+
+    What the rail has left is at most three quarters of what was demanded at the onset.
+    """
+    low, high = unit.speed
+    forward, pull = sign(rng), sign(rng)
+    demand = between(rng, (14.0, 28.0))
+    share = between(rng, (0.15, 0.7))
+    at, length = between(rng, (1.0, 2.0)), between(rng, (0.3, 1.5))
+    kind = rng.choice(["leaves", "wet", "number"], p=[0.4, 0.2, 0.4])
+    if kind == "wet":
+        demand = between(rng, (27.0, 28.0))
+    value = round(0.3 * share * demand / WET_NM, 4) if kind == "number" else str(kind)
+    end = at + length + 1.5
+    # Not faster: dry rail must carry the demand again, and it carries less at speed.
+    speed = between(rng, (low + 0.2 * (high - low), low + 0.6 * (high - low)), 3)
+    inertial = between(rng, (0.0, 0.5 if rng.random() < 0.5 else 0.0))
+    slope = pull * _tenable(unit, inertial * demand)
+    last = max(speed + slope * end, 0.5 * low)
+    table = {
+        "drives": int(rng.integers(2, 5)),
+        "duration_s": round(end, 4),
+        "event": [{"at_s": at, "for_s": length, "drive": "all", "kind": "rail", "value": value}],
+        "motion": {
+            "profile": [[0.0, forward * speed], [end, forward * round(last, 3)]],
+            "effort_nm": unit.nm(between(rng, (1.02, 1.15)) * demand),
+        },
+        "load": {
+            "kind": "rail",
+            "torque_nm": unit.nm(forward * pull * (1.0 - inertial) * demand),
+        },
+    }
+    return _run("all together", seed, unit, table)
+
+
+def _healthy_hard(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    """Hard traction and braking, gradients, curves and load steps, within what dry rail carries."""
+    on_rail = bool(rng.random() < 0.5)
+    standing = bool(rng.random() < 0.25)
+    low, high = unit.speed
+    forward = sign(rng)
+    speed = 0.0 if standing else between(rng, (low, 0.8 * high), 3)
+    profile = [[0.5, forward * speed]]
+    loads = [[0.0, unit.nm(between(rng, (4.0, 8.0)))]]
+    while profile[-1][0] < HARD_S:
+        began, now = profile[-1][0], abs(profile[-1][1])
+        for_s = between(rng, (1.0, 3.0))
+        effort = between(rng, (-20.0, 20.0)) if now >= low else 18.0
+        then = min(max(now + _tenable(unit, effort) * for_s, min(now, low)), high)
+        profile.append([round(began + for_s, 4), forward * round(then, 3)])
+        step = between(rng, (0.02, 0.5))
+        level = unit.nm(between(rng, (-8.0, 8.0) if on_rail else (-25.0, 25.0)))
+        loads += [[round(began + 0.4, 4), loads[-1][1]], [round(began + 0.4 + step, 4), level]]
+    curves = [
+        {
+            "drive": int(rng.integers(1, 4)),
+            "at_s": between(rng, (0.0, HARD_S)),
+            "for_s": between(rng, (1.0, 5.0)),
+            "amount": between(rng, (-0.08, 0.08)),
+        }
+        for _ in range(8)
+    ]
+    table = {
+        "duration_s": HARD_S,
+        "motion": {
+            "start": "standstill" if standing else "rolling",
+            "profile": profile,
+            "effort_nm": unit.nm(HARD_NM),
+        },
+        "load": {
+            "kind": "rail" if on_rail else "preset",
+            "profile": loads,
+            "curve": curves,
+            "share_within": 0.03,
+            "wheel_within": 0.01,
+        },
+    }
+    return _run("healthy, hard", seed, unit, table)
+
+
+def _mismatched(off: Mismatch) -> Callable[[int, Rng, PerUnit], Scenario]:
+    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+        table = _steady(rng, unit)
+        loss = _loss(rng, int(rng.integers(2, 4)), between(rng, ROUGH_ONSET_S))
+        motor, sensors, events = tables(off, unit.amps(1.0))
+        table["event"] = [*events, loss if off.phase_open or rng.random() < 0.5 else loss | ON_IT]
+        table["mismatch"] = motor
+        table["sensors"] = {"current_noise_var": unit.noise(QUIET_VAR)} | sensors
+        return _run(off.title, seed, unit, table)
+
+    return make
+
+
+def _slipping(limiter: str) -> Callable[[int, Rng, PerUnit], Scenario]:
+    def make(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+        loss = _loss(rng, int(rng.integers(1, 4)), between(rng, ONSET_S), SLIP_LENGTH_S)
+        return _run(f"{limiter} slip limiter", seed, unit, slipping(rng, unit, limiter, loss))
+
+    return make
+
+
+def _braked(seed: int, rng: Rng, unit: PerUnit) -> Scenario:
+    return _run("friction brakes", seed, unit, braked(rng, unit))
+
+
+FAMILIES: Final[dict[str, Family]] = {
+    "single": Family("one drive of three loses adhesion", _single),
+    "majority": Family("more than half of 3 to 6 drives lose adhesion", _majority),
+    "n1": Family("a single drive", _number(1)),
+    "n2": Family("one of two drives", _number(2)),
+    "n12": Family("1 to 6 of 12 drives", _number(12)),
+    "n16": Family("1 to 8 of 16 drives", _number(16)),
+    "braking": Family("braking from high speed, both directions", _braking),
+    "gradual": Family("losses that grow over 0.1 to 1 s", _gradual),
+    "crawl": Family("standstill, crawl and stop, half of them healthy", _crawl),
+    "rough": Family("noise 1e-2, unlike motors and loads, offsets, 1 % of frames lost", _rough),
+    "large": Family("the 350 kW motor, 0 to 140 Hz", _large, motor="traction_350kw"),
+    "all_together": Family("all drives at once on the creep curve", _all_together, common=True),
+    "healthy_hard": Family(
+        "hard traction and braking, curves, load steps", _healthy_hard, healthy=True
+    ),
+    "healthy_rough": Family("as rough, nothing lost", _healthy_rough, healthy=True),
+}
+"""By name; new ones go to the end, because a family's place is part of its random stream."""
+GROUPS: Final[dict[str, dict[str, Family]]] = {
+    "mismatch": {name: Family(off.title, _mismatched(off)) for name, off in MISMATCHES.items()},
+    "slide": {
+        "slide_no_limiter": Family("one wheel runs away, no slip limiter", _slipping("none")),
+        "slide_slow_limiter": Family("one wheel slips, slow slip limiter", _slipping("slow")),
+        "slide_braked": Family("friction brakes lock one wheel, motors coast", _braked),
+    },
+}
+"""Families that are asked for by their group's name."""
+ALL: Final[dict[str, Family]] = {**FAMILIES, **GROUPS["mismatch"], **GROUPS["slide"]}

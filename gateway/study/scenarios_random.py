@@ -1,0 +1,108 @@
+"""Random single losses of adhesion, by seed: what the detection figures are measured on.
+
+Nothing here is tuned to any detector; scores on a paper's own scenario flatter whatever was
+tuned on it. `gateway.study.scenarios_family` has the other kinds of runs.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from sim.physics.plant import BENCH, MOTORS
+from sim.scenario import Scenario, parse
+
+STREAM: Final = 20
+"""Purpose of the random stream."""
+ONSET_S: Final = (0.8, 1.6)
+LENGTH_S: Final = (0.1, 2.0)
+DEPTH: Final = (0.2, 1.0)
+SPEED_RAD_S: Final = (40.0, 250.0)
+LOAD_NM: Final = (8.0, 30.0)
+RAMP_S: Final = 0.02
+TAIL_S: Final = 0.8
+TOP_RAD_S: Final = {"traction_350kw": 880.0}
+"""Highest electrical speed where it is not that of the bench: 140 Hz."""
+
+
+class PerUnit:
+    """The bench motor's ranges for another motor: torque by T_rated, current by I_rated."""
+
+    def __init__(self, motor: str) -> None:
+        """`motor`: a name of `sim.physics.plant.MOTORS`."""
+        self.name = motor
+        self._torque = MOTORS[motor].T_rated / BENCH.T_rated
+        self._current = MOTORS[motor].I_rated / BENCH.I_rated
+        self.speed = (SPEED_RAD_S[0], TOP_RAD_S.get(motor, SPEED_RAD_S[1]))
+        """Range of electrical speeds, rad/s."""
+
+    def nm(self, bench: float) -> float:
+        """A torque of the bench motor's, to 1 mNm."""
+        return round(float(bench) * self._torque, 3)
+
+    def amps(self, bench: float) -> float:
+        """A current."""
+        return bench * self._current
+
+    def noise(self, bench_var: float) -> float:
+        """A variance of currents, A^2."""
+        return bench_var * self._current**2
+
+
+def between(rng: np.random.Generator, limits: tuple[float, float], digits: int = 4) -> float:
+    """A uniform draw, rounded."""
+    return round(float(rng.uniform(*limits)), digits)
+
+
+def sign(rng: np.random.Generator) -> float:
+    """-1 or 1."""
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def random_scenario(
+    seed: int,
+    *,
+    drives: int = 3,
+    kind: Literal["preset", "rail"] = "preset",
+    healthy: bool = False,
+    noise_var: float = 2e-4,
+    motor: str = "bench",
+) -> Scenario:
+    """One run: rolling start with unknown angles, one loss on one drive (none if `healthy`).
+
+    Uniform draws: speed 40-250 electrical rad/s and load 8-30 Nm, each of either sign; depth
+    0.2-1, length 0.1-2 s, onset 0.8-1.6 s, linear edges of 0-20 ms, any drive. `kind` is the
+    plant's load: preset (every drive speed controlled) or the creep curve on dry rail. Runs end
+    0.8 s after the loss. Loads and `noise_var` (A^2) are the bench motor's and scale with `motor`.
+    """
+    unit = PerUnit(motor)
+    rng = np.random.default_rng([seed, STREAM])
+    speed = rng.uniform(*unit.speed) * rng.choice([-1.0, 1.0])
+    load = rng.uniform(*LOAD_NM) * rng.choice([-1.0, 1.0])
+    onset = round(float(rng.uniform(*ONSET_S)), 4)
+    length = round(float(rng.uniform(*LENGTH_S)), 4)
+    depth = round(float(rng.uniform(*DEPTH)), 4)
+    ramp = round(float(rng.uniform(0.0, RAMP_S)), 4)
+    drive = int(rng.integers(1, drives + 1))
+    event: dict[str, Any] = {
+        "at_s": onset,
+        "for_s": length,
+        "drive": drive,
+        "kind": "adhesion_loss",
+        "depth": depth,
+        "ramp_s": ramp,
+    }
+    title = f"random {seed}: {speed:.0f} rad/s, {unit.nm(load):.1f} Nm"
+    table = {
+        "title": title if healthy else f"{title}, {depth:.0%} of drive {drive} for {length:.2f} s",
+        "seed": seed,
+        "duration_s": round(onset + length + TAIL_S, 4),
+        "drives": drives,
+        "motor": {"name": motor},
+        "motion": {"speed": round(float(speed), 3)},
+        "load": {"kind": kind, "torque_nm": unit.nm(load)},
+        "sensors": {"current_noise_var": unit.noise(noise_var)},
+        "event": [] if healthy else [event],
+    }
+    return parse(table, f"random {seed}")

@@ -1,0 +1,76 @@
+"""Wheels that run away or lock: what a drive's own slip limiter otherwise hides from a detector.
+
+`scenarios_family` has them as the group `slide`. The 5 % creep of all other families is what a
+fast slip limiter leaves of a slide.
+
+May know: scenarios. May not know: any detector.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from gateway.study.scenarios_random import PerUnit, between, sign
+
+Table = dict[str, Any]
+Rng = np.random.Generator
+
+SLIP_LENGTH_S: Final = (1.0, 3.0)
+PULL_NM: Final = (8.0, 20.0)
+BRAKE_NM: Final = (9.0, 18.0)
+"""Dry rail carries more than either, and the driver's limit, at every speed drawn."""
+EFFORT_NM: Final = 24.0
+GRADIENT_NM: Final = 8.0
+"""What the train resists with before and after it brakes: a load that can be judged."""
+RAIL_LEFT: Final = (0.2, 0.6)
+"""Of the brake's torque, what a poor rail carries within 5 % creep and low speed, at most."""
+FRICTION_PER_NM: Final = 0.3 / 20.0
+"""Friction that carries 1 Nm on the bench: wet rail is 0.3 and carries 20 Nm."""
+
+
+def _speed(rng: Rng, unit: PerUnit) -> float:
+    """Electrical rad/s, either way, with voltage left for a wheel that runs away."""
+    low, high = unit.speed
+    return between(rng, (low + 0.5 * (high - low), low + 0.7 * (high - low)), 3) * sign(rng)
+
+
+def slipping(rng: Rng, unit: PerUnit, limiter: str, loss: Table) -> Table:
+    """One wheel that its drive's slip limiter holds late or never; half of the losses grow slowly.
+
+    The train pulls or brakes. `loss`: an event of kind `adhesion_loss`.
+    """
+    if rng.random() < 0.5:
+        loss["ramp_s"] = between(rng, (0.3 * loss["for_s"], 0.5 * loss["for_s"]))
+    pull = between(rng, PULL_NM) * sign(rng)
+    return {
+        "slip_limiter": limiter,
+        "event": [loss],
+        "motion": {"speed": _speed(rng, unit), "effort_nm": unit.nm(EFFORT_NM)},
+        "load": {"kind": "rail", "torque_nm": unit.nm(pull)},
+    }
+
+
+def braked(rng: Rng, unit: PerUnit) -> Table:
+    """Friction brakes on all wheels, the motors coasting; one wheel comes onto a poor rail.
+
+    The load that a motor can know is here not the rail's: the brake takes it up.
+    """
+    brake = between(rng, BRAKE_NM)
+    at, length = between(rng, (1.0, 2.0)), between(rng, (0.8, 1.5))
+    poor = {
+        "at_s": round(at + 0.1, 4),
+        "for_s": round(length - 0.2, 4),
+        "kind": "rail",
+        "drive": int(rng.integers(1, 4)),
+        "value": round(FRICTION_PER_NM * between(rng, RAIL_LEFT) * brake, 4),
+    }
+    brakes = {"at_s": at, "for_s": length, "kind": "friction_brake", "ramp_s": 0.3}
+    speed = _speed(rng, unit)
+    return {
+        "event": [{**brakes, "value": unit.nm(brake)}, poor],
+        "motion": {"speed": speed, "effort_nm": unit.nm(EFFORT_NM)},
+        "load": {"kind": "rail", "torque_nm": unit.nm(math.copysign(GRADIENT_NM, speed))},
+    }

@@ -1,0 +1,405 @@
+"""Labelled trains for thermal fault detection: four 350 kW motors, their duty, their ills, a fault.
+
+Two time bases. `DAYS`: the paper's, 360 samples in 100 days, the fault from day 50 (sample 180) to
+day 75 (270). `BENCH`: what a bench sees on CAN, one sample a second for two hours.
+
+What makes it hard is drawn per motor and measured by nobody: cooling air 3 %, local air 1 K,
+bearing friction 8 % (one sigma, each a slow random course on top of a constant of the motor),
+ageing as a jump diffusion, which a train that is new does not show yet, and faults of no more than
+3 to 12 K true effect.
+
+May know: heat. May not know: any method of detection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.physics.plant import TRACTION_350KW
+from sim.records import ffi, lib, pointer
+
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+
+MOTORS: Final = 4
+NODES: Final = 6
+WINDING, CORE, FRAME, BEARING_DE, BEARING_NDE, ROTOR = range(NODES)
+MEASURED: Final = (WINDING, BEARING_DE, BEARING_NDE)
+STREAM: Final = 30
+"""Purpose of the random streams; purposes within a train follow."""
+TRAIN, RUN = range(2)
+
+CAPACITY: Final = np.array([31e3, 150e3, 100e3, 9e3, 8e3, 75e3])
+"""J/K: 80 kg of copper, 325 kg of iron, 200 kg of frame, two bearings with their shields, 160 kg of
+rotor: 850 kg in all (paper `thermal`, Table 1)."""
+LINKS: Final = (
+    (WINDING, CORE, 150.0), (CORE, FRAME, 400.0), (FRAME, BEARING_DE, 14.0),
+    (FRAME, BEARING_NDE, 12.0), (CORE, ROTOR, 25.0), (ROTOR, BEARING_DE, 8.0),
+    (ROTOR, BEARING_NDE, 8.0),
+)  # fmt: skip
+"""W/K. Time constants: winding 200 s, bearings 400 s, the whole motor 40 min."""
+AIR_STILL, AIR_PER_SPEED, BEARING_AIR = 40.0, 0.40, 6.0
+"""W/K of frame and, per rad/s of its fan, W/K of bearings to the air."""
+IRON, FRICTION, ROTOR_SHARE = (2.0, 0.028), 0.35, 0.2
+"""W per rad/s and (rad/s)^2 of the rotor; W per rad/s and bearing; of the iron loss."""
+COPPER_SLOPE, COPPER_REFERENCE = 0.0039, 60.0
+
+AIR_SPREAD, LOCAL_AIR_K, FRICTION_SPREAD, CURRENT_SPREAD = 0.03, 1.0, 0.08, 0.01
+READING_NOISE_K: Final = 0.25
+RESOLUTION_K: Final = 0.1
+OFFSET_K: Final = 0.7
+
+
+class Base(NamedTuple):
+    """A time base: K samples `sample_s` apart, simulated in steps of `step_s`.
+
+    memory_s: time constants of the disturbances' courses; onset, length: ranges, samples.
+    """
+
+    name: str
+    samples: int
+    sample_s: float
+    step_s: float
+    memory_s: float
+    onset: tuple[int, int]
+    length: tuple[int, int]
+    ageing: float
+    """Most that it drifts by in the record, share of the air."""
+
+
+DAYS: Final = Base("days", 360, 24_000.0, 60.0, 2 * 86_400.0, (180, 180), (90, 90), 0.12)
+BENCH: Final = Base("bench", 7200, 1.0, 1.0, 900.0, (2400, 3600), (1200, 2400), 0.0)
+BASES: Final = {base.name: base for base in (DAYS, BENCH)}
+KINDS: Final = (
+    "overheating", "cooling_loss", "bearing", "winding_resistance", "sensor_bias", "intermittent",
+)  # fmt: skip
+CREEP: Final = "sensor_creep"
+"""A sensor that goes off as slowly as heat does: not in the benchmark's sums."""
+SENSOR_KINDS: Final = ("sensor_bias", "intermittent", CREEP)
+SIZE_K: Final = (3.0, 12.0)
+"""True effect at the sensor that shows it most: settled, at the mean duty, where samples are hours
+apart; else the largest that is reached while the fault lasts."""
+MOST_BLOCKED, MOST_MORE = 0.9, 1e5
+"""Largest share of the air that is lost; most of anything else."""
+INTERMITTENT_K: Final = (15.0, 40.0)
+INTERMITTENT_SHARE: Final = 0.05
+"""Of the readings, in bursts, while the connector is loose."""
+
+
+class Fault(NamedTuple):
+    """What is wrong, where, and when.
+
+    kind: of `KINDS`; motor; point: 0..2 of sensors and bearings, else -1; begin, end: samples.
+    """
+
+    kind: str
+    motor: int
+    point: int
+    begin: int
+    end: int
+    size_k: float
+
+
+class Labelled(NamedTuple):
+    """A train's record and its truth.
+
+    temperature (K, M, 3) degC as read, true (K, M, 3) without noise; at (K,): steps; current_square
+    (L, M), speed (L,), ambient (L,) as measured; effect (K, M, 3) K: readings less those without
+    the fault, noise aside.
+    """
+
+    temperature: Array
+    true: Array
+    at: NDArray[np.int64]
+    current_square: Array
+    speed: Array
+    ambient: Array
+    step_s: float
+    effect: Array
+    fault: Fault | None
+
+    @property
+    def faulty(self) -> NDArray[np.bool_]:
+        """(K,) whether a fault is injected."""
+        label = np.zeros(len(self.at), dtype=np.bool_)
+        if self.fault is not None:
+            label[self.fault.begin : self.fault.end] = True
+        return label
+
+
+def train(
+    seed: int, base: Base, kind: str | None, number: int = 0, *, new: bool = False
+) -> Labelled:
+    """Run `number` of the train `seed`: the same motors every time, another duty and weather.
+
+    kind: of `KINDS`, or None for a healthy run; new: its cooling does not age. A pure function of
+    its arguments.
+    """
+    own = np.random.default_rng([seed, STREAM, TRAIN])
+    rng = np.random.default_rng([seed, STREAM, RUN, list(BASES).index(base.name), number])
+    steps = round(base.samples * base.sample_s / base.step_s)
+    at = (np.arange(1, base.samples + 1) * base.sample_s / base.step_s).round().astype(int) - 1
+    torque, speed, ambient = _duty(rng, base, steps)
+    motor = TRACTION_350KW
+    amps = torque / (1.5 * motor.pole_pairs * motor.psi_pm)
+    share = 1.0 + CURRENT_SPREAD * _clipped(own, MOTORS)
+    square = np.outer(amps**2, share**2)
+    air = _course(own, rng, base, steps, AIR_SPREAD) * _ageing(
+        rng, 0.0 if new else base.ageing, steps
+    )
+    friction = _course(own, rng, base, steps, FRICTION_SPREAD)
+    local = ambient[:, None] + LOCAL_AIR_K * (_course(own, rng, base, steps, 1.0) - 1.0)
+    fault = _fault(rng, base, kind) if kind else None
+    healthy = _heat(base, square, speed, (local, air, friction), _none(steps), at)
+    real, error = healthy, np.zeros_like(healthy)
+    if fault is not None and fault.kind in SENSOR_KINDS:
+        error[:, fault.motor, fault.point] = _sensor_error(rng, base, fault)
+    elif fault is not None:
+
+        def ill(share: float) -> Array:
+            ills = _ills(fault, base, square, speed, share)
+            return _heat(base, square, speed, (local, air, friction), ills, at)
+
+        real = ill(1.0) if base is DAYS else _reaching(fault.size_k, ill, healthy)
+    offset = OFFSET_K * _clipped(own, (MOTORS, len(MEASURED)))
+    noise = READING_NOISE_K * rng.standard_normal(real.shape)
+    true = real + offset + error
+    reading = np.round((true + noise) / RESOLUTION_K) * RESOLUTION_K
+    seen = ambient + 0.3 * rng.standard_normal(steps)
+    effect = real - healthy + error
+    return Labelled(reading, true, at, square, speed, seen, base.step_s, effect, fault)
+
+
+def _clipped(rng: Rng, shape: int | tuple[int, ...]) -> Array:
+    out: Array = np.clip(rng.standard_normal(shape), -2.5, 2.5)
+    return out
+
+
+def _course(own: Rng, rng: Rng, base: Base, steps: int, sigma: float) -> Array:
+    """(L, M) factors around a constant of each motor, that wander with the base's memory."""
+    keep = np.exp(-base.step_s / base.memory_s)
+    white = rng.standard_normal((steps, MOTORS))
+    white[0] /= np.sqrt(1.0 - keep**2)
+    from scipy.signal import lfilter
+
+    wander = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0)
+    return np.asarray(1.0 + sigma * (_clipped(own, MOTORS) + np.clip(wander, -2.5, 2.5)) / 1.5)
+
+
+def _ageing(rng: Rng, most: float, steps: int) -> Array:
+    """(L, M) share of the air that dirt leaves: drift, Brownian motion, and jumps (a cleaning).
+
+    most: largest drift in the whole record.
+    """
+    if not most:
+        return np.ones((steps, MOTORS))
+    share = 1.0 / steps
+    drift = most * rng.uniform(0.3, 1.0, MOTORS) * share
+    walk = 0.3 * most * np.sqrt(share) * rng.standard_normal((steps, MOTORS))
+    jumps = (rng.random((steps, MOTORS)) < 2.0 * share) * rng.normal(
+        0.0, 0.3 * most, (steps, MOTORS)
+    )
+    return np.clip(1.0 - np.cumsum(drift + walk + jumps, axis=0), 0.85, 1.1)
+
+
+def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
+    """(L,) torque Nm, rotor speed rad/s, ambient degC: pull, coast, brake, stop; the weather."""
+    rated = TRACTION_350KW.T_rated
+    torque, speed = np.empty(steps), np.empty(steps)
+    at, now = 0, 0.0
+    while at < steps:
+        top = rng.uniform(150.0, 420.0)
+        for kind in ("pull", "cruise", "coast", "brake", "stand"):
+            # To the bit what `uniform` draws one by one.
+            pull, cruise, coast, brake, stand, *share = rng.random(8).tolist()
+            for_s = {
+                "pull": 120.0 + 240.0 * pull, "cruise": 120.0 + 1380.0 * cruise,
+                "coast": 30.0 + 170.0 * coast, "brake": 60.0 + 120.0 * brake,
+                "stand": 60.0 + 340.0 * stand,
+            }[kind]  # fmt: skip
+            n = min(max(round(for_s / base.step_s), 1), steps - at)
+            end = {"pull": top, "cruise": top, "coast": 0.9 * top, "brake": 0.0, "stand": 0.0}[kind]
+            level = {
+                "pull": 0.6 + 0.4 * share[0], "cruise": 0.15 + (0.45 - 0.15) * share[1],
+                "coast": 0.0, "brake": -(0.4 + 0.5 * share[2]), "stand": 0.0,
+            }[kind]  # fmt: skip
+            torque[at : at + n] = level * rated
+            speed[at : at + n] = now + (end - now) / n * np.arange(n)
+            at, now = at + n, end
+            if at >= steps:
+                break
+    t = np.arange(steps) * base.step_s
+    day = 6.0 * np.sin(2.0 * np.pi * t / 86_400.0 + rng.uniform(0.0, 2.0 * np.pi))
+    season = rng.uniform(-5.0, 25.0) + 8.0 * np.sin(
+        2.0 * np.pi * t / (200.0 * 86_400.0) + rng.uniform(0.0, 2.0 * np.pi)
+    )
+    return torque, speed, season + day
+
+
+def _fault(rng: Rng, base: Base, kind: str) -> Fault:
+    begin = int(rng.integers(base.onset[0], base.onset[1] + 1))
+    length = int(rng.integers(base.length[0], base.length[1] + 1))
+    any_point, end = int(rng.integers(0, 3)), int(rng.integers(1, 3))
+    point = any_point if kind in SENSOR_KINDS else end if kind == "bearing" else -1
+    # The paper's is coach 4; elsewhere a method could learn which.
+    motor = 3 if base is DAYS else int(rng.integers(0, MOTORS))
+    limits = INTERMITTENT_K if kind == "intermittent" else SIZE_K
+    return Fault(kind, motor, point, begin, min(begin + length, base.samples),
+                 float(rng.uniform(*limits)))  # fmt: skip
+
+
+class _Ills(NamedTuple):
+    """What is wrong with one motor.
+
+    heat (L,) W in `node`; blocked (L,) share of its air; resistance (L,) factor on its winding's.
+    """
+
+    motor: int
+    node: int
+    heat: Array
+    blocked: Array
+    resistance: Array
+
+
+def _none(steps: int) -> _Ills:
+    return _Ills(0, WINDING, np.zeros(steps), np.zeros(steps), np.ones(steps))
+
+
+def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> Array:
+    """(K, M, 3) degC with a fault whose largest effect is `size_k`, or as near as it gets.
+
+    ill: temperatures with this share of the fault that would reach it settled.
+    """
+    share = 1.0
+    for _ in range(4):
+        real = ill(share)
+        reached = float((real - healthy).max())
+        if abs(reached - size_k) < 0.05 * size_k:
+            break
+        share *= min(size_k / max(reached, 1e-3), 30.0)
+    return real
+
+
+def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -> _Ills:
+    """Of a fault of heat, by its true effect.
+
+    With a share of 1 the point that shows it most is `size_k` warmer at the mean duty, settled.
+    """
+    ills = _none(len(speed))._replace(motor=fault.motor)
+    per = base.sample_s / base.step_s
+    when = slice(round(fault.begin * per), round(fault.end * per))
+    mean = (float(square[:, fault.motor].mean()), float(np.abs(speed).mean()))
+    healthy = _settled(*mean, 0.0, 1.0, np.zeros(NODES))
+
+    def most(amount: float) -> float:
+        """K that the point which shows it most is warmer, for this much of the fault's kind."""
+        heat = (amount if fault.kind in ("overheating", "bearing") else 0.0) * np.eye(NODES)
+        air = amount if fault.kind == "cooling_loss" else 0.0
+        copper = 1.0 + amount if fault.kind == "winding_resistance" else 1.0
+        return float((_settled(*mean, air, copper, heat[ills.node]) - healthy).max())
+
+    if fault.kind == "bearing":
+        ills = ills._replace(node=MEASURED[fault.point])
+    limit = MOST_BLOCKED if fault.kind == "cooling_loss" else MOST_MORE
+    amount = min(share * _amount(most, fault.size_k, limit), limit)
+    if fault.kind == "overheating":
+        ills.heat[when] = amount
+    elif fault.kind == "bearing":
+        # Friction heats while the rotor turns.
+        ills.heat[when] = amount * np.abs(speed[when]) / max(mean[1], 1e-9)
+    elif fault.kind == "cooling_loss":
+        ills.blocked[when] = amount
+    elif fault.kind == "winding_resistance":
+        ills.resistance[when] = 1.0 + amount
+    return ills
+
+
+def _amount(effect: Callable[[float], float], wanted: float, most: float) -> float:
+    """The amount (<= most) whose rising effect is the wanted one, by bisection."""
+    low, high = 0.0, most
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effect(middle) < wanted else (low, middle)
+    return high
+
+
+def _settled(square: float, speed: float, blocked: float, resistance: float, extra: Array) -> Array:
+    """(3,) K above ambient at the measured points, in the steady state of a mean motor."""
+    g = np.zeros((NODES, NODES))
+    for a, b, w in LINKS:
+        g[a, b] = g[b, a] = w
+    matrix = np.diag(g.sum(axis=1)) - g
+    matrix[FRAME, FRAME] += (AIR_STILL + AIR_PER_SPEED * speed) * (1.0 - blocked)
+    matrix[BEARING_DE, BEARING_DE] += BEARING_AIR
+    matrix[BEARING_NDE, BEARING_NDE] += BEARING_AIR
+    copper = 1.5 * TRACTION_350KW.R_s * square * resistance
+    iron = IRON[0] * speed + IRON[1] * speed**2
+    q = extra.copy()
+    q[WINDING] += copper
+    q[CORE] += (1.0 - ROTOR_SHARE) * iron
+    q[ROTOR] += ROTOR_SHARE * iron
+    q[BEARING_DE] += FRICTION * speed
+    q[BEARING_NDE] += FRICTION * speed
+    return np.asarray(np.linalg.solve(matrix, q)[list(MEASURED)])
+
+
+def _heat(
+    base: Base, square: Array, speed: Array, unlike: tuple[Array, Array, Array], ills: _Ills,
+    at: NDArray[np.int64],
+) -> Array:  # fmt: skip
+    """(K, M, 3) degC at the measured points, from a motor that has run for some hours.
+
+    unlike: local air degC, factors on cooling air and friction, each (L, M).
+    """
+    local, air, friction = unlike
+    links = np.zeros((NODES, NODES))
+    for a, b, g in LINKS:
+        links[a, b] = links[b, a] = g
+    start = _settled(float(square.mean()), float(np.abs(speed).mean()), 0.0, 1.0, np.zeros(NODES))
+    state = np.full((MOTORS, NODES), float(local[0].mean() + 0.6 * start.mean()))
+    state[:, WINDING] += 0.4 * start[0]
+    copper = 1.5 * TRACTION_350KW.R_s * square
+    copper[:, ills.motor] *= ills.resistance
+    cooling = (AIR_STILL + AIR_PER_SPEED * np.abs(speed))[:, None] * air
+    cooling[:, ills.motor] *= 1.0 - ills.blocked
+    iron = IRON[0] * np.abs(speed) + IRON[1] * speed**2
+    rub = FRICTION * np.abs(speed)[:, None] * friction
+    out = np.empty((len(at), MOTORS, NODES))
+    held = [np.ascontiguousarray(x, float) for x in (
+        copper, iron, rub, cooling, local, ills.heat, links, CAPACITY,
+    )]  # fmt: skip
+    *courses, link, capacity = (pointer("double", x) for x in held)
+    steps = np.ascontiguousarray(at, np.int64)
+    record = ffi.new("struct sim_heat_record *", [
+        len(copper), MOTORS, len(at), base.step_s, BEARING_AIR, ROTOR_SHARE, COPPER_SLOPE,
+        COPPER_REFERENCE, *courses, ills.motor, ills.node, link, capacity,
+        pointer("int64_t", steps),
+    ])  # fmt: skip
+    lib.sim_heat_record(record, pointer("double", state), pointer("double", out))
+    return out[:, :, list(MEASURED)]
+
+
+def _sensor_error(rng: Rng, base: Base, fault: Fault) -> Array:
+    """(K,) K of either sign: a bias at once or creeping up, or bursts of a loose connector."""
+    error = np.zeros(base.samples)
+    length = fault.end - fault.begin
+    sign = float(rng.choice([-1.0, 1.0]))
+    if fault.kind == "sensor_bias":
+        error[fault.begin : fault.end] = sign * fault.size_k
+        return error
+    if fault.kind == CREEP:
+        ramp = rng.uniform(0.25, 1.0) * length
+        error[fault.begin : fault.end] = (
+            sign * fault.size_k * np.minimum(np.arange(1, length + 1) / ramp, 1.0)
+        )
+        return error
+    burst = max(round(5.0 / base.sample_s), 1)
+    begins = np.flatnonzero(rng.random(length) < INTERMITTENT_SHARE / burst)
+    for begin in begins.tolist():
+        until = min(begin + burst, length)
+        error[fault.begin + begin : fault.begin + until] = sign * fault.size_k
+    return error

@@ -1,0 +1,141 @@
+"""Figures 4-8 of paper `thermal`: states, errors, jumps, motors and MAISD, detection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.reports.figures import BLUE, GREEN, GREY, ORANGE
+from gateway.study.reproduction_figures import save, subplots
+
+Array = NDArray[np.float64]
+
+COLOURS: Final = (BLUE, GREEN, "#CC79A7", ORANGE)
+"""Of the four coaches; they differ by dashes as well."""
+DASHES: Final = ("-", "--", "-.", ":")
+NAMES: Final = ("$x_1$ stator", "$x_2$ drive end", "$x_3$ non-drive end")
+
+
+class Train(NamedTuple):
+    """What the figures show of one train of K samples and M motors.
+
+    days (K,); fault: first and last day; odd: the motor with the fault; reading, true, state (K, M,
+    3) degC; mixed (K, M) degC; jumps (K - 1,) of `beyond` (K,): the odd motor's stator less the
+    motors' mean; detail (K - 1,): its undecimated Haar details; maisd (K, 3) K and its limits (3,).
+    """
+
+    days: Array
+    fault: tuple[float, float]
+    odd: int
+    reading: Array
+    true: Array
+    state: Array
+    mixed: Array
+    beyond: Array
+    detail: Array
+    jumps: NDArray[np.bool_]
+    maisd: Array
+    limit: Array
+
+
+def states(stem: Path, train: Train) -> None:
+    """Figure 4: readings and estimated states of the odd motor, and its mixed state."""
+    figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True)
+    m = train.odd
+    for p in range(3):
+        axis = axes[p, 0]
+        axis.plot(train.days, train.reading[:, m, p], ".", ms=3.0, color=GREY, label="reading")
+        axis.plot(train.days, train.state[:, m, p], color=BLUE, lw=1.0, label="estimate")
+        axis.set_ylabel(f"{NAMES[p]}\n°C")
+    axes[3, 0].plot(train.days, train.mixed[:, m], color=BLUE, lw=1.0)
+    axes[3, 0].set_ylabel("sigma-mixed\n°C")
+    axes[0, 0].legend(loc="upper right", ncols=2)
+    _finish(axes, train)
+    figure.suptitle(f"Figure 4: states of the motor in coach {m + 1}")
+    save(figure, stem)
+
+
+def errors(stem: Path, train: Train) -> None:
+    """Figure 5: estimates less what a sensor without noise would read."""
+    figure, axes = subplots(3, 1, (11.0, 7.0), sharex=True, sharey=True)
+    for p in range(3):
+        error = train.state[:, train.odd, p] - train.true[:, train.odd, p]
+        axes[p, 0].plot(train.days, error, color=BLUE, lw=0.9)
+        axes[p, 0].axhline(0.0, color=GREY, lw=0.8)
+        axes[p, 0].set_ylabel(f"{NAMES[p]}\nerror / K")
+    _finish(axes, train)
+    figure.suptitle(f"Figure 5: errors of the states, coach {train.odd + 1}")
+    save(figure, stem)
+
+
+def jumps(stem: Path, train: Train) -> None:
+    """Figure 6: details over time and scale, and the jumps among the first of them."""
+    import pywt
+
+    figure, axes = subplots(3, 1, (11.0, 8.0), sharex=True)
+    axes[0, 0].plot(train.days, train.beyond, color=BLUE, lw=1.0)
+    axes[0, 0].set_ylabel("stator less\nmotors' mean / K")
+    scales = np.geomspace(1.0, 48.0, 24)
+    power, _ = pywt.cwt(train.beyond - train.beyond.mean(), scales, "mexh")
+    axes[1, 0].pcolormesh(train.days, scales, np.abs(power), shading="nearest", cmap="viridis",
+                          rasterized=True)  # fmt: skip
+    axes[1, 0].set_yscale("log")
+    axes[1, 0].set_ylabel("scale / samples")
+    axes[2, 0].plot(train.days[1:], train.detail, color=GREY, lw=0.9)
+    where = np.flatnonzero(train.jumps)
+    axes[2, 0].plot(train.days[1:][where], train.detail[where], "o", color=ORANGE, label="jump")
+    axes[2, 0].set_ylabel("difference / K")
+    if len(where):
+        axes[2, 0].legend(loc="upper right")
+    _finish(axes, train, shade=False)
+    figure.suptitle(f"Figure 6: jump points of coach {train.odd + 1}")
+    save(figure, stem)
+
+
+def motors(stem: Path, train: Train) -> None:
+    """Figure 7: stator states of all coaches, and the three MAISD with their limits."""
+    figure, axes = subplots(4, 1, (11.0, 10.0), sharex=True)
+    for m in range(train.state.shape[1]):
+        axes[0, 0].plot(
+            train.days, train.state[:, m, 0], COLOURS[m % 4], lw=1.0, ls=DASHES[m % 4],
+            label=f"coach {m + 1}",
+        )  # fmt: skip
+    axes[0, 0].set_ylabel("stator\n°C")
+    axes[0, 0].legend(loc="upper right", ncols=4)
+    for p in range(3):
+        axis = axes[1 + p, 0]
+        axis.plot(train.days, train.maisd[:, p], color=BLUE, lw=1.0, label="MAISD")
+        axis.axhline(train.limit[p], color=ORANGE, ls="--", lw=1.2, label="limit")
+        axis.set_ylabel(f"{NAMES[p]}\nMAISD / K")
+    axes[1, 0].legend(loc="upper left", ncols=2)
+    _finish(axes, train)
+    figure.suptitle("Figure 7: motors of all coaches, and the spread between them")
+    save(figure, stem)
+
+
+def detection(stem: Path, train: Train, found: Mapping[str, tuple[Array, float]]) -> None:
+    """Figure 8: every method's statistic (K,) over its limit."""
+    figure, axes = subplots(len(found), 1, (11.0, 1.6 * len(found) + 1.2), sharex=True)
+    for row, (name, (statistic, limit)) in enumerate(found.items()):
+        axis = axes[row, 0]
+        alarm = statistic > limit
+        axis.plot(train.days, statistic, color=BLUE, lw=0.9)
+        axis.plot(train.days[alarm], statistic[alarm], ".", ms=4.0, color=ORANGE)
+        axis.axhline(limit, color=ORANGE, ls="--", lw=1.0)
+        axis.set_ylabel(name)
+    _finish(axes, train)
+    figure.suptitle("Figure 8: statistics; dots: above the limit; shaded: the fault is there")
+    save(figure, stem)
+
+
+def _finish(axes: Any, train: Train, *, shade: bool = True) -> None:
+    for axis in axes[:, 0]:
+        axis.grid(alpha=0.3)
+        if shade:
+            axis.axvspan(*train.fault, color=ORANGE, alpha=0.12, lw=0)
+    axes[-1, 0].set_xlabel("day")
+    axes[-1, 0].set_xlim(0.0, train.days[-1])

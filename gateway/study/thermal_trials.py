@@ -1,0 +1,192 @@
+"""Thermal methods on labelled trains: simulate, fit on fault-free runs, judge runs with a fault.
+
+One limit rule for all: the 99 % quantile of a method's statistic on a fault-free run that it was
+not fitted on. Both are of the train when it was new; then it ages, and nobody tells the methods.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal.hypotheses import KINDS as BELIEFS
+from estimators.thermal.maisd_method import Learnt, PaperMethod
+from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
+from estimators.thermal.record import Record, join
+from estimators.thermal.rivals import RIVALS
+from gateway.study.thermal_dataset import BASES, CREEP, KINDS, Base, Labelled, train
+from gateway.study.thermal_scores import Score, Told, Truth, score
+
+Array = NDArray[np.float64]
+
+LIMIT: Final = 0.99
+DEVELOPMENT: Final = range(30)
+"""Seeds that anything may be tuned on."""
+REPORTING: Final = range(1000, 1024)
+"""Seeds that nobody looks at before reporting."""
+FIT_RUNS: Final = {"days": 1, "bench": 4}
+"""Fault-free runs to learn from; the next one sets the limit."""
+HEALTHY: Final = "none"
+METHODS: Final[dict[str, dict[str, Any]]] = {
+    base: {
+        "model": ModelMethod(),
+        "paper": PaperMethod(window),
+        "paper_causal": PaperMethod(window, causal=True),
+        "paper_sound": PaperMethod(window, causal=True, weighted=True, centred=True),
+        **RIVALS[base],
+    }
+    for base, window in (("days", 3), ("bench", 60))
+}
+"""By time base: the product's; the paper's as printed (it looks ahead), causal, and with the
+mixture's own mean and centred motors; the paper's rivals. Tuned by `bench.thermal_rivals`."""
+NAMES: Final = tuple(METHODS["days"])
+"""Of the methods, on every base."""
+SHOWS: Final = {
+    "overheating": ("overheating",),
+    "cooling_loss": ("cooling_loss",),
+    "bearing": ("bearing_de", "bearing_nde"),
+    "winding_resistance": ("winding_resistance",),
+    "sensor_bias": ("bias_stator", "bias_de", "bias_nde"),
+    "intermittent": ("loose_stator", "loose_de", "loose_nde"),
+    CREEP: ("bias_stator", "bias_de", "bias_nde"),
+}
+"""Beliefs that name a kind of fault rightly."""
+UNDECIDED: Final = "undecided"
+"""Hot motor or sensor: neither is sure."""
+CLASS: Final = {
+    belief: kind for kind, beliefs in SHOWS.items() if kind != CREEP for belief in beliefs
+}
+
+
+class Runs(NamedTuple):
+    """Of one train: `healthy` to learn from, `limiting` for the limit, `judged` by kind."""
+
+    healthy: list[Record]
+    limiting: Record
+    judged: dict[str, Labelled]
+
+
+class Trial(NamedTuple):
+    """One method on one run."""
+
+    seed: int
+    kind: str
+    method: str
+    score: Score
+    named: dict[str, int]
+    """Samples in the fault's interval and beyond the limit, by the kind of fault that was told.
+
+    Empty for methods that name none.
+    """
+
+
+def record_of(run: Labelled) -> Record:
+    """What a method may see of a run."""
+    return Record(run.temperature, run.at, run.current_square, run.speed, run.ambient, run.step_s)
+
+
+def truth_of(run: Labelled, base: Base) -> Truth:
+    """What it is judged by."""
+    effect = np.abs(run.effect).max(axis=(1, 2))
+    if run.fault is None:
+        return Truth(run.faulty, effect, -1, 0, base.sample_s)
+    loose = run.fault.kind == "intermittent"
+    return Truth(run.faulty, effect, run.fault.motor, run.fault.begin, base.sample_s, loose)
+
+
+def runs_of(seed: int, base: Base, kinds: Sequence[str]) -> Runs:
+    """A train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function."""
+    fits = FIT_RUNS[base.name]
+    new = [record_of(train(seed, base, None, n, new=True)) for n in range(fits + 1)]
+    judged = {
+        kind: train(seed, base, None if kind == HEALTHY else kind, fits + 1 + n)
+        for n, kind in enumerate((*KINDS, HEALTHY, CREEP))
+        if kind in kinds
+    }
+    return Runs(new[:fits], new[fits], judged)
+
+
+def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -> list[Trial]:
+    """All methods on a train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function.
+
+    A method whose library is missing gives nothing (the LSTM needs PyTorch).
+    """
+    at = BASES[base]
+    healthy, limiting, runs = runs_of(seed, at, kinds)
+    out = []
+    learnt: dict[tuple[bool, bool], Learnt] = {}
+    for name in methods:
+        try:
+            fitted = fit(METHODS[base][name], healthy, learnt)
+        except ModuleNotFoundError:
+            continue
+        limit = float(np.nanquantile(fitted(limiting), LIMIT))
+        out += [Trial(seed, kind, name, *_one(fitted, limit, runs[kind], at)) for kind in kinds]
+    return out
+
+
+def fit(
+    method: Any, healthy: Sequence[Record], learnt: dict[tuple[bool, bool], Learnt] | None = None
+) -> Callable[[Record], Array]:
+    """All methods learn from the same runs; those without a model see them one after another.
+
+    learnt: what variants of the paper's method have learnt of these runs, by their `learning`.
+    """
+    if isinstance(method, ModelMethod) and len(healthy) > 1:
+        return method.fit_runs(healthy)
+    if isinstance(method, PaperMethod) and learnt is not None:
+        whole = join(healthy)
+        if method.learning not in learnt:
+            learnt[method.learning] = method.learn(whole)
+        return method.fit(whole, learnt[method.learning])
+    fitted: Callable[[Record], Array] = method.fit(join(healthy))
+    return fitted
+
+
+def _one(
+    fitted: Callable[[Record], Array], limit: float, run: Labelled, base: Base
+) -> tuple[Score, dict[str, int]]:
+    """Judge one run; the time is that of scoring it."""
+    names: dict[str, int] = {}
+    record = record_of(run)
+    began = time.perf_counter()
+    if isinstance(fitted, Calibrated | Watching):
+        belief = fitted.believe(record)
+        motor = belief.statistic.argmax(axis=1)
+        statistic = belief.statistic.max(axis=1)
+        kinds = belief.kind[np.arange(len(motor)), motor]
+        kind = kinds.argmax(axis=1)
+        sure = belief.side[np.arange(len(motor)), motor] != 0
+        wanted = SHOWS[run.fault.kind] if run.fault is not None else ()
+        named = sure & np.isin(kind, [BELIEFS.index(name) for name in wanted])
+        told = Told(motor, named)
+        said = run.faulty & (statistic > limit)
+        names = dict(Counter(CLASS[BELIEFS[k]] for k in kind[said & sure].tolist()))
+        names |= {UNDECIDED: int((said & ~sure).sum())} if (said & ~sure).any() else {}
+    else:
+        statistic, told = fitted(record), None
+    seconds = time.perf_counter() - began
+    return score(statistic, limit, truth_of(run, base), told, seconds), names
+
+
+def evaluate(
+    seeds: Sequence[int], base: str, kinds: Sequence[str], methods: Sequence[str], jobs: int = 1
+) -> Iterator[list[Trial]]:
+    """Trials seed by seed, in order, in so many processes."""
+    tasks = [(seed, base, tuple(kinds), tuple(methods)) for seed in seeds]
+    if jobs <= 1:
+        yield from (trials(*task) for task in tasks)
+        return
+    from gateway.io.workers import workers
+
+    with workers(jobs) as pool:
+        yield from pool.map(_task, tasks)
+
+
+def _task(task: tuple[int, str, tuple[str, ...], tuple[str, ...]]) -> list[Trial]:
+    return trials(*task)

@@ -1,0 +1,1 @@
+"""Motors, wheels, rail and heat: no bits, no estimator."""

@@ -1,0 +1,203 @@
+"""The tables of a scenario file apart from its events: motor, load, motion, sensors, heat, bus.
+
+May know: names and numbers. May not know: bits, buses, how anything is simulated.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from dbc.bounds import Within as Bounds
+from dbc.bounds import within
+from sim.physics.adhesion import rail
+from sim.physics.plant import MOTORS
+
+Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")]
+Span = Annotated[
+    float, within(0.001, 1e7, "s", "give it in seconds; what is shorter has no effect")
+]
+Number = Annotated[float, within(-1e6, 1e6, "", "nothing on a train is as large")]
+Points = Annotated[list[tuple[Time, Number]], Field(min_length=1)]
+Factor = Annotated[float, within(0.01, 100, "", "a factor, 1 leaves the number as it is")]
+Factors = Factor | list[Factor]
+"""One number for all drives, or one per drive."""
+Within = Annotated[float, Field(ge=0, lt=1)]
+"""Largest deviation of a factor drawn from the seed."""
+
+
+_BITRATE: Final = Bounds(10_000, 1_000_000, "bit/s", "in bit/s; 0 for a bus without one, as vcan")
+
+
+class Strict(BaseModel):
+    """Unknown keys are refused; values are frozen."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False
+    )
+
+
+class MotorChoice(Strict):
+    """`[motor]`: one of `sim.physics.plant.MOTORS`."""
+
+    name: str = "bench"
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.name not in MOTORS:
+            msg = f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}"
+            raise ValueError(msg)
+        return self
+
+
+class Disturbance(Strict):
+    """`[[load.disturbance]]`, preset loads only: minus `amplitude_nm` x sin over half a period."""
+
+    drive: int = Field(ge=1)
+    at_s: Time
+    for_s: Span
+    amplitude_nm: Number
+
+
+class Curve(Strict):
+    """`[[load.curve]]`: a healthy drive whose share of the load swells and returns, as in a curve.
+
+    Its share is multiplied by 1 + `amount` x sin over half a period, in steps of 10 ms.
+    """
+
+    drive: int = Field(ge=1)
+    at_s: Time
+    for_s: Span
+    amount: float = Field(ge=-0.5, le=0.5)
+
+
+class Load(Strict):
+    """`[load]`: what the drives work against.
+
+    `kind = "rail"`: `torque_nm` is what the train resists with, per drive (gradient and running
+    resistance). `kind = "preset"`: it is each drive's healthy load. `profile` = [[t_s, Nm], ...]
+    replaces it; between the points linear, or with `transition = "normal_cdf"` steps smoothed by
+    the normal distribution with standard deviation `smooth_s`. `rail`: condition at the start.
+
+    `share`: what falls to each drive for good, 1 = as the train demands (one number or one per
+    drive). With a preset load that is its load; on the rail its axle load and the torque that it
+    delivers. The command that it reports is the train's all the same. `wheel`: wheel diameters, 1 =
+    nominal; a smaller one turns faster. `*_within` draws a factor of up to 1 +- that per drive from
+    the seed and multiplies.
+    """
+
+    kind: Literal["rail", "preset"] = "rail"
+    torque_nm: Number = 18.0
+    profile: Points | None = None
+    transition: Literal["linear", "normal_cdf"] = "linear"
+    smooth_s: Annotated[float, within(1e-6, 1e4, "s", "of the normal distribution")] = 0.00375
+    rail: float | str = "dry"
+    disturbance: list[Disturbance] = []
+    curve: list[Curve] = []
+    share: Factors = 1.0
+    share_within: Within = 0.0
+    wheel: Factors = 1.0
+    wheel_within: Within = 0.0
+
+    @property
+    def differs(self) -> bool:
+        """Whether the drives' healthy loads or speeds are ever unlike."""
+        plain = self.share == self.wheel == 1.0 and not self.share_within and not self.wheel_within
+        return not plain or bool(self.curve)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        rail(self.rail)
+        if self.disturbance and self.kind != "preset":
+            raise ValueError("disturbance needs kind = 'preset'")
+        if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
+            raise ValueError("times of profile must rise")
+        return self
+
+
+class Motion(Strict):
+    """`[motion]`: the speed wanted, electrical rad/s, or rotor rpm with `unit = "rpm"`.
+
+    `profile` = [[t_s, speed], ...] (linear) replaces `speed`. `start = "rolling"`: at the profile's
+    first speed. `angle_rad`: initial electrical angle of every drive, else random per drive.
+    `effort_nm`: the most that the driver demands of each drive on the rail, else 1.5 T_rated.
+    """
+
+    speed: Number = 100.0
+    profile: Points | None = None
+    unit: Literal["rad_s", "rpm"] = "rad_s"
+    start: Literal["rolling", "standstill"] = "rolling"
+    angle_rad: Number | None = None
+    effort_nm: Annotated[float, within(0.01, 1e6, "Nm", "torque of each drive")] | None = None
+
+    @model_validator(mode="after")
+    def _rises(self) -> Self:
+        if self.profile and [t for t, _ in self.profile] != sorted({t for t, _ in self.profile}):
+            raise ValueError("times of profile must rise")
+        return self
+
+
+class Sensors(Strict):
+    """`[sensors]`.
+
+    Currents: white noise per phase, offset and gain the same in all, range; `*_within` draws an
+    offset and a gain per drive and phase from the seed, uniform up to +- that. Temperatures: noise
+    and the spread of constant offsets, both one sigma.
+    """
+
+    current_noise_var: Annotated[float, within(0, 1e6, "A2", "a variance, of each phase")] = 2e-4
+    current_offset_a: Number = 0.0
+    current_gain: Factor = 1.0
+    current_offset_within_a: Annotated[float, within(0, 1e6, "A", "up to +- that")] = 0.0
+    current_gain_within: Within = 0.0
+    current_range_a: Annotated[float, within(0.1, 1e6, "A", "where the sensors saturate")] = 600.0
+    temperature_noise_k: Annotated[float, within(0, 100, "K", "one sigma")] = 0.15
+    temperature_offset_k: Annotated[float, within(0, 100, "K", "one sigma")] = 0.3
+
+
+class Mismatch(Strict):
+    """`[mismatch]`: how the motors are off their data sheet, which the drives' control goes by.
+
+    Factors on R_s, L_s and psi_pm: one number or one per drive; `*_within` draws a factor of up to
+    1 +- that per drive from the seed and multiplies. A drive whose magnets are weaker than it
+    believes delivers less torque than commanded, and reports (`Motion.Torque`) what it believes.
+    """
+
+    R_s: Factors = 1.0
+    R_s_within: Within = 0.0
+    L_s: Factors = 1.0
+    L_s_within: Within = 0.0
+    psi_pm: Factors = 1.0
+    psi_pm_within: Within = 0.0
+
+
+class ThermalStart(Strict):
+    """`[thermal]`.
+
+    `start`: "equilibrium" of the first load and speed, "ambient", or degC for all nodes.
+    `ambient_profile` = [[t_s, degC], ...] (linear) replaces `ambient_c` while the train runs.
+    `train_seed` draws what is unlike between motors and sensors: the same train in every scenario.
+    """
+
+    start: (
+        Literal["equilibrium", "ambient"]
+        | Annotated[float, within(-60, 300, "degC", "of all nodes")]
+    ) = "equilibrium"
+    ambient_c: Annotated[float, within(-40, 60, "degC", "of the air around the train")] = 20.0
+    ambient_profile: Points | None = None
+    train_seed: int = Field(1, ge=0)
+
+
+class BusModel(Strict):
+    """`[bus]`: stamps follow arbitration at this bit rate; 0 = a bus without one, as vcan."""
+
+    bitrate: int = 1_000_000
+    data_bitrate: Annotated[
+        int, within(10_000, 20_000_000, "bit/s", "CAN FD has up to 8 Mbit/s: in bit/s")
+    ] = 5_000_000
+
+    @field_validator("bitrate")
+    @classmethod
+    def _none_or_real(cls, bitrate: int) -> int:
+        return int(_BITRATE(bitrate)) if bitrate else 0
