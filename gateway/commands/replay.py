@@ -9,16 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dbc.text import printable
-from gateway.commands.common import (
-    add_config,
-    add_signature,
-    faults,
-    note,
-    track_file,
-    verdict_of_input,
-)
+from gateway.commands.common import add_config, add_signature, faults, track_file, verdict_of_input
 from gateway.io import quick_start as leanstart
-from gateway.io.console import console
+from gateway.io.console import console, note
 from gateway.io.prepare import prepare
 from gateway.settings.config import ConfigError
 
