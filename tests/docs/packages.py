@@ -19,7 +19,7 @@ import grimp
 
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "pictures" / "packages.svg"
-BOX, LANE, HEIGHT, ROW, EDGE = 252, 28, 76, 120, 34
+BOX, LANE, HEIGHT, ROW, EDGE = 206, 22, 90, 128, 34
 """Pixels: width of a box and of a passing arrow, with their gaps; height of a box and of a row;
 margin."""
 STYLE = """
@@ -117,9 +117,13 @@ def arrange(rows: list[list[str]], arrows: list[list[Place]]) -> dict[Place, flo
 
 
 def _middles(line: list[Place]) -> list[tuple[Place, float]]:
-    widths = [LANE if place.to else BOX for place in line]
+    widths = [_width(place) for place in line]
     ends = itertools.accumulate(widths)
     return [(p, e - w / 2 - sum(widths) / 2) for p, w, e in zip(line, widths, ends, strict=True)]
+
+
+def _width(place: Place) -> int:
+    return LANE if place.to else BOX
 
 
 def svg() -> str:
@@ -128,7 +132,7 @@ def svg() -> str:
     edges = reduced(imports({name for row in rows for name in row}))
     arrows = paths(rows, edges)
     x = arrange(rows, arrows)
-    half = max(abs(middle) for middle in x.values()) + BOX / 2 + EDGE
+    half = max(abs(middle) + _width(place) / 2 for place, middle in x.items()) + EDGE
     inside = sum(row[0].startswith("gateway.") for row in rows)
     size = f"{2 * half:.0f} {ROW * len(rows) + EDGE:.0f}"
     return "\n".join([
@@ -167,12 +171,17 @@ def _box(place: Place, middle: float) -> str:
     parts = sorted(p.parent.name for p in folder.glob("*/__init__.py"))
     left, top = middle - BOX / 2 + 9, _top(place.row)
     kind = "box c" if list(folder.rglob("*.c")) else "box"
-    lines = textwrap.wrap(about.splitlines()[0].replace("`", ""), 38)
+    sentence = about.splitlines()[0].replace("`", "").partition(". ")[0].rstrip(".")
+    lines = [("parts", " ".join(parts))] * bool(parts)
+    lines += [("", line) for line in textwrap.wrap(sentence, 31)]
     return "\n".join([
         f'<rect class="{kind}" x="{left:.0f}" y="{top}" width="{BOX - 18}" height="{HEIGHT}"/>',
-        f'<text x="{left + 8:.0f}" y="{top + 18}"><tspan class="name">'
-        f'{place.name.rpartition(".")[2]}</tspan> <tspan class="parts">{" ".join(parts)}</tspan>',
-        *(f'<tspan x="{left + 8:.0f}" dy="16">{escape(line)}</tspan>' for line in lines),
+        f'<text x="{left + 8:.0f}" y="{top + 18}">'
+        f'<tspan class="name">{place.name.rpartition(".")[2]}</tspan>',
+        *(
+            f'<tspan class="{style}" x="{left + 8:.0f}" dy="16">{escape(line)}</tspan>'
+            for style, line in lines
+        ),
         "</text>",
     ])  # fmt: skip
 
