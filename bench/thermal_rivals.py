@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from gateway.drivers.thermal_trials import (
+from gateway.study.thermal_dataset import BASES, KINDS
+from gateway.study.thermal_scores import score
+from gateway.study.thermal_trials import (
     DEVELOPMENT,
     HEALTHY,
     LIMIT,
@@ -29,8 +31,6 @@ from gateway.drivers.thermal_trials import (
     runs_of,
     truth_of,
 )  # fmt: skip
-from gateway.study.thermal_dataset import BASES, KINDS
-from gateway.study.thermal_scores import score
 
 GRID: dict[str, dict[str, Sequence[object]]] = {
     "dpca": {
