@@ -143,7 +143,7 @@ def main(words: Sequence[str] = ()) -> int:
         if path.exists() and path.read_bytes() == text.encode("ascii"):
             continue
         if "--check" in words:
-            sys.stderr.write(f"{name} is not what dbc.build writes\n")
+            sys.stderr.write(f"{name} is not what dbc.generate writes\n")
             wrong = 1
         else:
             path.write_text(text, encoding="ascii", newline="\n")

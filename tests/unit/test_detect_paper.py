@@ -574,7 +574,7 @@ def test_global_estimates_of_all_four_methods():
 
 def test_names_and_codes():
     codes = {name: kind.code for name, kind in (DETECTORS | WITH_MEMORY).items()}
-    assert codes == {
+    those_of_the_papers = {
         "vb": 1,
         "median": 4,
         "kmeans": 3,
@@ -582,6 +582,7 @@ def test_names_and_codes():
         "paper_vb": 1,
         "paper_vb_reuse": 1,
     }
+    assert those_of_the_papers.items() <= codes.items()
 
 
 @pytest.mark.parametrize("kind", PAPER)
