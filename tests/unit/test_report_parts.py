@@ -21,7 +21,7 @@ from gateway.reports.delays import Loss, score
 from gateway.reports.figures import Panel, panels, save, styled
 from gateway.reports.intervals import KEPT, Interval, Intervals
 from gateway.reports.page import Anchors, code, literal, plain, table
-from gateway.reports.toml_text import dump
+from gateway.reports.provenance import as_toml
 from gateway.reports.trace import CHUNK, MOST, Envelope, Trace
 from gateway.reports.truth import HEADER, Event, judge, read, rows
 from gateway.settings.config import Config, ConfigError, load, parse
@@ -199,7 +199,7 @@ def test_a_configuration_as_toml_is_the_same_configuration():
     files = [examples / "train16.toml", *sorted((examples / "inverters").glob("*.toml"))]
     assert len(files) == 8
     for config in (Config(), parse(odd), *map(load, files)):
-        text = dump(config)
+        text = as_toml(config)
         again = parse(tomllib.loads(text), base=config.base)
         assert again == config
         assert again.hash24() == config.hash24()
