@@ -11,7 +11,6 @@ import pytest
 
 from dbc import generate as build
 from dbc import load as binding
-from dbc import prepared
 from dbc.codec import Codec, bind, load
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
@@ -366,17 +365,17 @@ def test_kinds_and_nodes(codec: Codec) -> None:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_prepared_specs_are_what_cantools_reads(name: str) -> None:
+def test_specs_of_the_table_are_what_cantools_reads(name: str) -> None:
     specs, problems = binding.read(FOLDER / name)
     assert problems == []
-    assert repr(prepared.recall((FOLDER / name).read_bytes())) == repr(specs)
+    assert repr(build.recall((FOLDER / name).read_bytes())) == repr(specs)
 
 
 def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
     content = (FOLDER / "traction.dbc").read_bytes()
     changed = content.replace(b"SG_ Ia : 16|16@1- (0.02,0)", b"SG_ Ia : 16|16@1- (0.04,0)")
     assert changed != content
-    assert prepared.recall(changed) is None
+    assert build.recall(changed) is None
     path = tmp_path / "traction.dbc"
     path.write_bytes(changed)
     (signal,) = (
@@ -398,15 +397,6 @@ def test_a_copy_elsewhere_is_known_by_its_content(tmp_path: Path) -> None:
     assert done.stdout == "False\n"
 
 
-def test_a_table_of_another_version_or_none_is_not_used(tmp_path: Path) -> None:
-    content = (FOLDER / "traction.dbc").read_bytes()
-    other = tmp_path / "prepared.json"
-    assert prepared.recall(content, other) is None
-    text = prepared.TABLE.read_text(encoding="ascii")
-    other.write_text(text.replace('"mux_ranges"', '"something_new"', 1), encoding="ascii")
-    assert prepared.recall(content, other) is None
-
-
 def test_the_check_of_what_is_generated_can_fail(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -416,5 +406,5 @@ def test_the_check_of_what_is_generated_can_fail(
     assert "traction.dbc is not what" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert build.main() == 0
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["prepared.json", *FILES]
+    assert sorted(p.name for p in tmp_path.iterdir()) == list(FILES)
     assert build.main(["--check"]) == 0
