@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from dbc.frame import BRS, EXTENDED, FD, Frame
+from dbc.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 
 CRC15: Final = 0x4599
-FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 CLASSIC_TAIL: Final = 1 + 2 + 7 + 3
 """CRC delimiter, acknowledge and its delimiter, end of frame, intermission."""
 FD_TAIL: Final = 2 + 7 + 3
@@ -46,7 +45,7 @@ def _classic(frame: Frame) -> int:
 def _fd(frame: Frame) -> Bits:
     if len(frame.data) not in FD_LENGTHS:
         raise ValueError(f"{len(frame.data)} bytes: CAN FD has no such length")
-    code = FD_LENGTHS.index(len(frame.data))
+    code = sorted(FD_LENGTHS).index(len(frame.data))
     switch = int(bool(frame.flags & BRS))
     # 11 bits: RRS, IDE, FDF, res, BRS; 29 bits: RRS, FDF, res, BRS.
     extended = bool(frame.flags & EXTENDED)
