@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from enum import IntEnum
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from dbc import load as binding
 from dbc.codec import Codec, bind, load
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
+from gateway.core import codes
 
 FOLDER = Path(build.__file__).parent
 FILES = ("traction.dbc", "traction_fd.dbc")
@@ -341,6 +343,25 @@ def test_definitions_have_defaults_and_the_contracts_types() -> None:
     assert definitions["E2EDataIdList"].type_name == "STRING"
     assert all(d.default_value is not None for d in definitions.values())
     assert database.dbc.attributes["BusType"].value == "CAN FD"
+
+
+@pytest.mark.parametrize(
+    ("message", "signal", "enumeration"),
+    [
+        ("Gateway_Adhesion", "Reason", codes.Reason),
+        ("Gateway_Faults", "Reason", codes.Reason),
+        ("Drive1_Estimate", "Health", codes.Health),
+        ("Drive1_Thermal", "FaultClass", codes.FaultClass),
+        ("Drive1_Thermal", "FaultSensor", codes.FaultSensor),
+        ("Gateway_Status", "State", codes.GatewayState),
+    ],
+)
+def test_the_numbers_of_the_core_have_the_names_of_the_dbc(
+    codec: Codec, message: str, signal: str, enumeration: type[IntEnum]
+) -> None:
+    (spec,) = (s for s in codec.by_name[message].signals if s.name == signal)
+    labels = {raw: label for raw, label in spec.labels.items() if raw != spec.not_available}
+    assert labels == {e.value: e.name.title().replace("_", "") for e in enumeration}
 
 
 def test_data_ids_are_distinct_and_as_the_rule_says(codec: Codec) -> None:
