@@ -16,6 +16,7 @@ from canopen.nmt import NMT_COMMANDS, NMT_STATES
 
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame, Nanos
 from dbc.frames import Block
+from gateway.core.supervision import HEARTBEAT_BASE
 from gateway.io.transport import EMCY_ID, HEARTBEAT_ID, NMT_ID
 
 log = logging.getLogger(__name__)
@@ -33,7 +34,6 @@ _OPERATIONAL = bytes((_STATE_CODES["OPERATIONAL"],))
 _PRE_OPERATIONAL = bytes((_STATE_CODES["PRE-OPERATIONAL"],))
 _BOOT_UP = bytes((_STATE_CODES["INITIALISING"],))
 _START = NMT_COMMANDS["OPERATIONAL"]
-_HEARTBEAT_BASE = 0x700
 
 
 class GatewayError(IntEnum):
@@ -62,7 +62,7 @@ def error_register(codes: Iterable[int]) -> int:
 def meant(block: Block) -> list[Frame]:
     """The frames of a block that a `CanopenNode` listens to: NMT commands and heartbeats."""
     service = block.can_id & 0x780
-    wanted = (block.can_id == NMT_ID) | (service == _HEARTBEAT_BASE)
+    wanted = (block.can_id == NMT_ID) | (service == HEARTBEAT_BASE)
     return list(block.pick(wanted).frames()) if wanted.any() else []
 
 
@@ -72,7 +72,7 @@ class CanopenNode:
     def __init__(self, nodes: Iterable[int] = (), *, nmt_master: bool = False) -> None:
         """Start the drives `nodes` if `nmt_master`; without it no NMT frame is ever made."""
         self._master = nmt_master
-        self._drive_of = {_HEARTBEAT_BASE + node: node for node in nodes}
+        self._drive_of = {HEARTBEAT_BASE + node: node for node in nodes}
         if 0 in self._drive_of.values():
             msg = "node 0 is the broadcast address: NMT commands are node-addressed only"
             raise ValueError(msg)
