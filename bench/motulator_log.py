@@ -22,7 +22,7 @@ from gateway.core.gateway import Gateway
 from gateway.io.replay import OneChannel, open_log, replay
 from gateway.reports.scoring import quantile, truth_of
 from gateway.settings.config import Config
-from gateway.study.evaluation import EDGE_S, SKIP_S, Measured, Said, listen, measure, nothing
+from gateway.study.evaluation import Measured, Said, listen, measure, nothing
 from sim.ground_truth import Truth
 from sim.physics.plant import MOTORS, Plant
 from sim.scenario import Scenario
@@ -123,7 +123,7 @@ def _healthy_errors(rows: Sequence[Truth], said: Said, nodes: Sequence[int]) -> 
         truth = truth_of(rows, node)
         true_nm = np.array([row.load_nm for row in rows if row.drive == node])
         row = np.maximum(truth.at(estimates.t_s), 0)
-        judged = truth.counted(estimates.t_s, EDGE_S, SKIP_S) & ~truth.lost[row]
+        judged = truth.counted(estimates.t_s) & ~truth.lost[row]
         error = (estimates.load_nm - true_nm[row])[judged]
         errors.append(error[np.isfinite(error)])
     return np.concatenate(errors)

@@ -12,6 +12,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from gateway.reports.scoring import stretches
 from gateway.study.evaluation_runs import seeds_of
 from gateway.study.thermal_dataset import BENCH, train
 from gateway.study.thermal_trials import (
@@ -38,8 +39,7 @@ def episodes(seed: int) -> list[tuple[int, int, int, int]]:
     out = []
     for run in RUNS:
         above = fitted(record_of(train(seed, BENCH, None, run))) > limit
-        turns = np.flatnonzero(np.diff(above.astype(int), prepend=0, append=0))
-        out += [(seed, run, int(a), int(b - a)) for a, b in turns.reshape(-1, 2)]
+        out += [(seed, run, a, b - a) for a, b in stretches(above)]
     return out
 
 

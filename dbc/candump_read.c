@@ -18,7 +18,6 @@
 
 #include "dbc/fd_length.h"
 
-enum { FD = 8, BRS = 16, ESI = 32 }; /* dbc/frame.py */
 enum { MAX_SECONDS_DIGITS = 10, MICROSECONDS = 6, NANOSECONDS = 9, MAX_GAP = 21 };
 enum { CLASSIC_BYTES = 8, SHORTEST_LINE = 17 }; /* `(0.000000) a 123#` */
 enum { IS_HEX = 16, DELETE = 127 };
@@ -104,7 +103,7 @@ static const uint8_t *read_flags(const uint8_t *at, const uint8_t *end, uint8_t 
     if (!at || at == end || *at != '#')
         return at;
     const unsigned bits = end - at >= 2 ? HEX[at[1]] : 0;
-    *flags = (uint8_t)(FD | (bits & 1 ? BRS : 0) | (bits & 2 ? ESI : 0));
+    *flags = (uint8_t)(FRAME_FD | (bits & 1 ? FRAME_BRS : 0) | (bits & 2 ? FRAME_ESI : 0));
     return bits & IS_HEX ? at + 2 : NULL;
 }
 

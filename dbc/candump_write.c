@@ -7,7 +7,6 @@
 
 #include "dbc/fd_length.h"
 
-enum { EXTENDED = 1, REMOTE = 2, ERROR_FRAME = 4, FD = 8, BRS = 16, ESI = 32 }; /* dbc/frame.py */
 enum { CLASSIC_BYTES = 8, MAX_RAW_DLC = 15, NS_PER_S = 1000000000 };
 
 static const int64_t END_NS = INT64_C(9000000000) * NS_PER_S; /* fits in 64 bits */
@@ -17,13 +16,13 @@ static const uint8_t DIGITS[] = "0123456789ABCDEF";
 /* 1 if a line can say a frame with these flags, raw length and length of data. */
 static int has_form(int32_t flags, int32_t dlc, int64_t length)
 {
-    if (flags & ERROR_FRAME && flags & (REMOTE | FD | EXTENDED))
+    if (flags & FRAME_ERROR && flags & (FRAME_REMOTE | FRAME_FD | FRAME_EXTENDED))
         return 0;
-    if (flags & (BRS | ESI) && !(flags & FD))
+    if (flags & (FRAME_BRS | FRAME_ESI) && !(flags & FRAME_FD))
         return 0;
-    if (flags & REMOTE)
-        return length == 0 && !(flags & FD) && dlc <= MAX_RAW_DLC;
-    if (flags & FD)
+    if (flags & FRAME_REMOTE)
+        return length == 0 && !(flags & FRAME_FD) && dlc <= MAX_RAW_DLC;
+    if (flags & FRAME_FD)
         return is_fd_length(length) && dlc <= CLASSIC_BYTES;
     if (dlc > CLASSIC_BYTES) /* a raw length belongs to a full frame */
         return length == CLASSIC_BYTES && dlc <= MAX_RAW_DLC;
@@ -32,7 +31,7 @@ static int has_form(int32_t flags, int32_t dlc, int64_t length)
 
 static int fits(int64_t t_ns, int64_t can_id, int32_t flags, int32_t dlc, int64_t length)
 {
-    const int long_id = flags & (EXTENDED | ERROR_FRAME);
+    const int long_id = flags & (FRAME_EXTENDED | FRAME_ERROR);
     const int64_t last_id = long_id ? EXTENDED_ID : STANDARD_ID;
     const int in_range = t_ns >= 0 && t_ns < END_NS && can_id >= 0 && can_id <= last_id;
     return in_range && has_form(flags, dlc, length);
@@ -95,11 +94,11 @@ static uint8_t *write_request(uint8_t *at, int32_t dlc)
 static uint8_t *write_body(uint8_t *at, int32_t flags, int32_t dlc, int64_t length,
                            const uint8_t *data)
 {
-    if (flags & REMOTE)
+    if (flags & FRAME_REMOTE)
         return write_request(at, dlc);
-    if (flags & FD) {
+    if (flags & FRAME_FD) {
         *at++ = '#';
-        *at++ = DIGITS[(flags & BRS ? 1 : 0) | (flags & ESI ? 2 : 0)];
+        *at++ = DIGITS[(flags & FRAME_BRS ? 1 : 0) | (flags & FRAME_ESI ? 2 : 0)];
     }
     at = write_bytes(at, data, length);
     if (dlc > CLASSIC_BYTES) {
@@ -114,12 +113,12 @@ int64_t candump_write_line(int64_t t_ns, int64_t can_id, int32_t flags, int32_t 
 {
     if (name->length == 0 || !fits(t_ns, can_id, flags, dlc, length))
         return 0;
-    const int long_id = flags & (EXTENDED | ERROR_FRAME);
+    const int long_id = flags & (FRAME_EXTENDED | FRAME_ERROR);
     uint8_t *at = write_stamp(text, t_ns);
     for (int k = 0; k < name->length; k++)
         *at++ = name->text[k];
     *at++ = ' ';
-    at = write_hex(at, flags & ERROR_FRAME ? can_id | ERROR_BIT : can_id, long_id ? 8 : 3);
+    at = write_hex(at, flags & FRAME_ERROR ? can_id | ERROR_BIT : can_id, long_id ? 8 : 3);
     *at++ = '#';
     return write_body(at, flags, dlc, length, data) - text;
 }

@@ -6,7 +6,9 @@ the log's own when replaying). Frames are values: nothing here reads a clock.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from _traction_core import lib
 
 Nanos = int
 """Integer nanoseconds. Floats lose 238 ns at today's epoch, so they never carry time here."""
@@ -14,12 +16,15 @@ Nanos = int
 DriveId = int
 """CANopen node number of a drive, 1..16; the `n` of `Drive{n}_...`."""
 
-EXTENDED = 1
-REMOTE = 2
-ERROR = 4
-FD = 8
-BRS = 16
-ESI = 32
+EXTENDED: Final[int] = lib.FRAME_EXTENDED
+REMOTE: Final[int] = lib.FRAME_REMOTE
+ERROR: Final[int] = lib.FRAME_ERROR
+FD: Final[int] = lib.FRAME_FD
+BRS: Final[int] = lib.FRAME_BRS
+ESI: Final[int] = lib.FRAME_ESI
+
+FD_LENGTHS: Final = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
+"""Bytes of data that a CAN FD frame can have; `dbc/fd_length.h` says the same to the core."""
 
 MS: Nanos = 1_000_000
 SECOND: Nanos = 1_000_000_000

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from dbc import contract as expected
-from dbc import prepared
 from dbc.contract import Contract, Direction, MessageNeed, SignalNeed
 from dbc.dataids import p02_data_ids
 from dbc.e2e import HEADER_BYTES, Profile
+from dbc.generate import recall
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
 from dbc.load_errors import explained, placed
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
@@ -87,7 +87,7 @@ def specs_of(
     """Every message of the file as a spec. Raises DbcMismatch with all objections."""
     problems: list[str] = []
     try:
-        specs = prepared.recall(read_bytes(path))
+        specs = recall(read_bytes(path))
     except (OSError, ValueError):
         # `load` says what is wrong with it.
         specs = None

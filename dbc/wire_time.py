@@ -14,10 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.frame import BRS, EXTENDED, FD, Frame
+from dbc.frame import BRS, EXTENDED, FD, FD_LENGTHS, Frame
 
 CRC15: Final = 0x4599
-FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 CLASSIC_TAIL: Final = 1 + 2 + 7 + 3
 """CRC delimiter, acknowledge and its delimiter, end of frame, intermission."""
 FD_TAIL: Final = 2 + 7 + 3
@@ -64,7 +63,7 @@ def _fd(head: Bits, body: Bits, length: int, flags: int) -> tuple[Counts, Counts
     control = f"010{switch}" if flags & EXTENDED else f"0010{switch}"
     head = np.vstack([head, _same(control, head)])
     # Error state, length, data.
-    body = np.vstack([_same(f"0{FD_LENGTHS.index(length):04b}", head), body])
+    body = np.vstack([_same(f"0{sorted(FD_LENGTHS).index(length):04b}", head), body])
     # At the end of the data a fixed stuff bit takes the place of a dynamic one.
     stuffed, in_head = _stuffed(np.vstack([head, body])[:-1], len(head))
     crc = 21 if length > 16 else 17

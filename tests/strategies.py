@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from dbc.candump.grammar import FD_LENGTHS
 from dbc.e2e import Check
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 
 # ---- dbc: frames and log lines -----------------------------------------------------------------
 

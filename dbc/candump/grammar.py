@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from _traction_core import ffi, lib
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 
 MAX_LINE: Final = 8192
 """Longer than any frame (CAN XL has 4,120 characters): such a line is skipped, not collected."""
@@ -53,7 +53,6 @@ class Verdict(IntEnum):
         return self >= Verdict.CUT
 
 
-FD_LENGTHS: Final = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
 _HEX: Final = rb"[0-9A-Fa-f]"
 # Up to 8,999,999,999 s: as nanoseconds it still fits in 64 bits.
 _STAMP: Final = rb"\((\d{1,9}|[0-8]\d{9})\.(\d{6}|\d{9})\)"

@@ -32,9 +32,9 @@ def run(options: argparse.Namespace) -> int:
     """Drives and gateway talk over a real python-can bus; one loop, in real time."""
     from gateway.hil.demo import rehearse, run_demo
     from gateway.hil.fitting import scenario_thermal
-    from gateway.reports.delays import injected, score, summary_table
     from gateway.reports.figures import Span, loads
-    from gateway.reports.record import Recorder
+    from gateway.reports.intervals import Intervals
+    from gateway.reports.scoring import judge, summary_table
     from gateway.reports.trace import Trace
     from gateway.reports.truth import Truth
     from gateway.settings.config import Drive
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     drives = tuple({"node": n} for n in range(1, scenario.drives + 1))
     config, codec = prepare(None, thermal=scenario_thermal())
     config = config.model_copy(update={"drive": tuple(Drive(**d) for d in drives)})
-    recorder, trace = Recorder(None), Trace(config.nodes)
+    intervals, trace = Intervals(), Trace(config.nodes)
     seconds = scenario.duration_s if options.duration is None else options.duration
     say = console()
     say.print(f"{scenario.title}: {scenario.drives} drives, {seconds:g} s", markup=False)
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
         live = Live(console=say, auto_refresh=True, refresh_per_second=8)
 
     def watch(tick: int, view: Any) -> None:
-        recorder.add(view)
+        intervals.add(view)
         trace.add(view)
         if live is not None and tick % 10 == 0:
             from gateway.reports.live_table import render
@@ -65,9 +65,12 @@ def run(options: argparse.Namespace) -> int:
     rehearse(scenario, config, codec)
     with live or nullcontext():
         done = run_demo(scenario, config, codec, CHANNEL, seconds, watch, options.began_s)
-    truth = done.truth
-    table = score(injected(truth), recorder.changes, 0)
-    print(summary_table(table, config.nodes))
+    known = Truth()
+    known.add(done.truth)
+    known.close()
+    intervals.close()
+    losses = [event for event in known.events if event.flag == "adhesion"]
+    print(summary_table(judge(losses, intervals.kept, 0)[0], config.nodes))
     print(
         f"first flag {done.first_flag_s:.2f} s after the program started; "
         f"ran at {done.pace:.2f} of real time; "
@@ -75,9 +78,7 @@ def run(options: argparse.Namespace) -> int:
         f"rejected {done.gateway.view.rejected if done.gateway.view else 0}"
     )
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    spans = [Span(s.start_s, s.end_s, s.drive, "lost") for s in injected(truth)]
-    known = Truth()
-    known.add(truth)
+    spans = [Span(loss.start_s, loss.end_s, loss.node, "lost") for loss in losses]
     loads(options.output, trace, scenario.title, known, spans)
     print(f"picture: {options.output}")
     return GOOD

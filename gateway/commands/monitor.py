@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         from gateway.settings.config import ConfigError
 
         raise ConfigError("--token-file", ["says nothing without --web or --metrics"])
-    need(("textual",), "monitor")
+    need(("textual", "textual_plotext"), "monitor")
     if not sys.stdout.isatty():
         from gateway.settings.config import ConfigError
 

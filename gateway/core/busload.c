@@ -11,8 +11,6 @@
 #define SECOND_NS    1000000000
 #define MOST_PERCENT 126.0 /* one below the signal's code for not available */
 
-enum { FD = 8 }; /* dbc/frame.py */
-
 /* Time from the start of the window, ns. It wraps where a record holds nonsense. */
 static int64_t window_ns(const struct bus_load *load, int64_t now_ns)
 {
@@ -35,7 +33,7 @@ void bus_load_receive(struct bus_load *load, const struct receiver *receiver,
 {
     for (int64_t i = first; i < first + count; i++)
         if (!receiver || lookup_id(receiver, block->can_id[i], block->flags[i]) != ID_OWN)
-            bus_load_send(load, block->flags[i] & FD, block->length[i]);
+            bus_load_send(load, block->flags[i] & FRAME_FD, block->length[i]);
 }
 
 void bus_load_send(struct bus_load *load, int fd, uint8_t length)

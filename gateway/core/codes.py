@@ -22,6 +22,10 @@ class Flag(IntEnum):
     BAD = lib.FLAG_BAD
 
 
+INVALID: Final = 3
+"""The fourth state of a flag's two bits, read as unknown."""
+
+
 class Reason(IntEnum):
     """Why something is unknown."""
 
@@ -66,6 +70,9 @@ class FaultClass(IntEnum):
     SENSOR_STUCK = lib.FAULT_SENSOR_STUCK
     SENSOR_LOST = lib.FAULT_SENSOR_LOST
     WINDING_RESISTANCE = lib.FAULT_WINDING_RESISTANCE
+
+
+SENSOR_FAULTS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST)
 
 
 class FaultSensor(IntEnum):

@@ -14,14 +14,13 @@
 #include "gateway/core/sequence.h"
 #include "gateway/core/supervision.h"
 
-enum { EXTENDED = 1, REMOTE = 2, ERROR_FRAME = 4, FD = 8 }; /* dbc/frame.py */
 enum { EXTENDED_SHIFT = 31, HEARTBEAT_BASE = 0x700 };
 
 /* ---- whose a frame is */
 
 int64_t lookup_id(const struct receiver *receiver, uint32_t can_id, uint8_t flags)
 {
-    const int extended = flags & EXTENDED;
+    const int extended = flags & FRAME_EXTENDED;
     if (!extended && can_id < STANDARD_IDS)
         return receiver->standard_ids[can_id];
     const int64_t key = (int64_t)can_id | (int64_t)extended << EXTENDED_SHIFT;
@@ -212,7 +211,8 @@ static void receive_other(struct receiver *receiver, int64_t owner, const struct
     } else if (frame->can_id >= HEARTBEAT_BASE) {
         struct supervision *all = receiver->supervision;
         const int32_t node = all->row[(frame->can_id - HEARTBEAT_BASE) % HEARTBEAT_NODES];
-        on_heartbeat(all, node, frame->t_ns, frame->length, !(frame->flags & FD), frame->data[0]);
+        on_heartbeat(all, node, frame->t_ns, frame->length, !(frame->flags & FRAME_FD),
+                     frame->data[0]);
         receiver->counters[RX_CANOPEN]++;
     } else {
         receiver->emergency_rows[receiver->tick.emergencies++] = frame->row;
@@ -225,7 +225,7 @@ static void receive_channel(struct receiver *receiver, int64_t c, const struct f
     struct channel *channel = &receiver->channels[c];
     const struct e2e_config *config = &channel->e2e_config;
     channel->received_ns = frame->t_ns;
-    if (frame->length != config->length || (frame->flags & FD) != config->fd) {
+    if (frame->length != config->length || (frame->flags & FRAME_FD) != config->fd) {
         /* One with this identifier that cannot be this message is as bad as a wrong checksum. */
         receiver->counters[RX_WRONG_LENGTH]++;
         e2e_sm_check(&channel->e2e_state, E2E_P_ERROR);
@@ -245,9 +245,9 @@ static void receive_channel(struct receiver *receiver, int64_t c, const struct f
 static void receive_frame(struct receiver *receiver, const struct frame *frame, int64_t now_ns)
 {
     const uint8_t flags = frame->flags;
-    if (flags & (ERROR_FRAME | REMOTE)) {
-        receiver->counters[flags & ERROR_FRAME ? RX_ERROR_FRAME : RX_REMOTE]++;
-        if (!(flags & (ERROR_FRAME | EXTENDED)))
+    if (flags & (FRAME_ERROR | FRAME_REMOTE)) {
+        receiver->counters[flags & FRAME_ERROR ? RX_ERROR_FRAME : RX_REMOTE]++;
+        if (!(flags & (FRAME_ERROR | FRAME_EXTENDED)))
             on_node_guard(receiver->supervision, frame->can_id);
         return;
     }

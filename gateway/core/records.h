@@ -1245,7 +1245,7 @@ struct interface_name {
 struct frame_columns {
     int64_t *t_ns;
     uint32_t *can_id;
-    uint8_t *flags;    /* dbc/frame.py */
+    uint8_t *flags;    /* enum frame_flag */
     uint8_t *length;   /* bytes of data; 255: more than a row keeps */
     uint8_t *data;     /* PAYLOAD_BYTES per row, 0 behind the length */
     int8_t *dlc;       /* -1: the length; else a raw length, or what a remote frame asks for */
@@ -1482,7 +1482,7 @@ struct estimator {
 
 /* ---- frames from a socket (dbc/socketcan.c) ---- */
 
-/* Flags of a frame; the numbers are those of dbc/frame.py. */
+/* Flags of a frame; dbc/frame.py has them from here. */
 enum frame_flag {
     FRAME_EXTENDED = 1,
     FRAME_REMOTE = 2,

@@ -22,6 +22,7 @@ from gateway.core.codes import Flag, Reason
 from gateway.core.gateway import Gateway
 from gateway.hil.inverter_sim import Inverters
 from gateway.mapping import plan as foreign
+from gateway.reports.record import camel
 from gateway.settings.config import BENCH_MOTOR, Config, shipped_dbc
 from sim.physics import plant
 from sim.scenario import parse
@@ -300,10 +301,7 @@ def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
 
 def _unknown(view: DriveView, when: str) -> str:
     why = view.adhesion_reason
-    return (
-        f"the drive is Unknown {when}, reason {why.name.title().replace('_', '')}: "
-        f"{_CURES.get(why, _FILTER)}"
-    )
+    return f"the drive is Unknown {when}, reason {camel(why.name)}: {_CURES.get(why, _FILTER)}"
 
 
 def _cause(view: DriveView, most: float, config: Config) -> str:

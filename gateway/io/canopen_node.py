@@ -15,6 +15,7 @@ from typing import Final
 
 from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame, Nanos
 from dbc.frames import Block
+from gateway.core.supervision import HEARTBEAT_BASE
 from gateway.io.transport import EMCY_ID, HEARTBEAT_ID, NMT_ID
 
 log = logging.getLogger(__name__)
@@ -32,7 +33,6 @@ _BOOT_UP, _OPERATIONAL, _PRE_OPERATIONAL = b"\x00", b"\x05", b"\x7f"
 _START: Final = 1
 _EMCY: Final = Struct("<HB5s")
 """Error code, error register, five bytes of the maker's."""
-_HEARTBEAT_BASE = 0x700
 
 
 class GatewayError(IntEnum):
@@ -61,7 +61,7 @@ def error_register(codes: Iterable[int]) -> int:
 def meant(block: Block) -> list[Frame]:
     """The frames of a block that a `CanopenNode` listens to: NMT commands and heartbeats."""
     service = block.can_id & 0x780
-    wanted = (block.can_id == NMT_ID) | (service == _HEARTBEAT_BASE)
+    wanted = (block.can_id == NMT_ID) | (service == HEARTBEAT_BASE)
     return list(block.pick(wanted).frames()) if wanted.any() else []
 
 
@@ -71,7 +71,7 @@ class CanopenNode:
     def __init__(self, nodes: Iterable[int] = (), *, nmt_master: bool = False) -> None:
         """Start the drives `nodes` if `nmt_master`; without it no NMT frame is ever made."""
         self._master = nmt_master
-        self._drive_of = {_HEARTBEAT_BASE + node: node for node in nodes}
+        self._drive_of = {HEARTBEAT_BASE + node: node for node in nodes}
         if 0 in self._drive_of.values():
             msg = "node 0 is the broadcast address: NMT commands are node-addressed only"
             raise ValueError(msg)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from enum import StrEnum
 
 from dbc.codec import Codec
+from gateway.core.supervision import EMCY_BASE, HEARTBEAT_BASE
 from gateway.io.transport import Allow
 from gateway.settings.config import Config
 
@@ -50,5 +51,6 @@ def drives_only(codec: Codec, nodes: Iterable[int], channels: Iterable[str] | No
         if not spec.is_gateway and spec.node in nodes
     }
     for node in nodes:
-        lengths |= {0x700 + node: (1, False), 0x080 + node: (8, False), 0x580 + node: (8, False)}
+        lengths |= {HEARTBEAT_BASE + node: (1, False)}
+        lengths |= {base + node: (8, False) for base in (EMCY_BASE, 0x580)}
     return Allow(lengths, channels=channels)

@@ -11,8 +11,9 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame, Nanos
+from dbc.frame import FD, SECOND, Frame, Nanos
 from dbc.frames import Block, block_of
+from dbc.python_can_logs import from_message, to_message
 from gateway.io import quick_start as leanstart
 from gateway.io.transport import (
     RETRY_NS,
@@ -41,35 +42,6 @@ def complete(chosen: Mapping[str, Any]) -> dict[str, Any]:
     except (can.CanError, ValueError) as error:
         raise ConfigError("bus", [f"{error}; name one with -i and -c"]) from None
     return {key: value for key, value in dict(found).items() if value is not None}
-
-
-def to_frame(message: can.Message, t_ns: Nanos, channel: str) -> Frame:
-    """python-can's message as a frame."""
-    if message.is_error_frame:
-        return Frame(t_ns, message.arbitration_id, bytes(message.data), ERROR, channel)
-    flags = EXTENDED if message.is_extended_id else 0
-    if message.is_remote_frame:
-        return Frame(t_ns, message.arbitration_id, b"", flags | REMOTE, channel, message.dlc or -1)
-    if message.is_fd:
-        flags |= FD
-        flags |= BRS if message.bitrate_switch else 0
-        flags |= ESI if message.error_state_indicator else 0
-    return Frame(t_ns, message.arbitration_id, bytes(message.data), flags, channel)
-
-
-def to_message(frame: Frame) -> can.Message:
-    """A frame as python-can's message."""
-    remote = bool(frame.flags & REMOTE)
-    return can.Message(
-        arbitration_id=frame.can_id,
-        data=None if remote else frame.data,
-        dlc=max(frame.dlc, 0) if remote else None,
-        is_extended_id=bool(frame.flags & EXTENDED),
-        is_remote_frame=remote,
-        is_fd=frame.is_fd,
-        bitrate_switch=bool(frame.flags & BRS),
-        error_state_indicator=bool(frame.flags & ESI),
-    )
 
 
 class PythonCan:
@@ -135,7 +107,7 @@ class PythonCan:
         if self._bus is None:
             return count(SendResult.DOWN)
         try:
-            self._bus.send(to_message(frame), timeout=0)
+            self._bus.send(to_message(frame._replace(t_ns=0, channel="")), timeout=0)
         except (can.CanError, OSError) as error:
             self.status.note = f"{self.channel}: {error}"
             code = getattr(error, "error_code", None) or getattr(error, "errno", None)
@@ -186,8 +158,8 @@ class PythonCan:
             self._empty_ns = now
         frames = []
         for message in messages:
-            stamp = int(message.timestamp * SECOND)
-            frame = to_frame(message, monotonic_stamp(stamp, real, now, bound), self.channel)
+            stamp = monotonic_stamp(int(message.timestamp * SECOND), real, now, bound)
+            frame = from_message(message)._replace(t_ns=stamp, channel=self.channel)
             self.status.saw(frame)
             frames.append(frame)
         return frames

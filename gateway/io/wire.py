@@ -1,4 +1,6 @@
-"""SocketCAN's C structures as bytes, and what an error frame says. Pure: no socket, no clock.
+"""A frame as SocketCAN's C structures, and what an error frame says. Pure: no socket, no clock.
+
+The way back is `unpack_frames` in `dbc/socketcan.c`.
 
 Layout of `struct can_frame` (16 bytes) and `struct canfd_frame` (72 bytes): linux/can.h;
 error classes: linux/can/error.h.
@@ -9,14 +11,12 @@ from __future__ import annotations
 import struct
 from enum import StrEnum
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 
-CLASSIC_SIZE = 16
 FD_SIZE = 72
-FD_LENGTHS = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
 
 _HEAD = struct.Struct("=IBBBB")  # id and flags, length, FD flags, reserved, raw length 9..15
-_EFF, _RTR, _ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
+_EFF, _RTR = 0x8000_0000, 0x4000_0000
 _SFF_MASK, _EFF_MASK = 0x7FF, 0x1FFF_FFFF
 _FD_BRS, _FD_ESI = 1, 2
 
@@ -55,35 +55,6 @@ def pack(frame: Frame) -> bytes | None:
         length = min(max(frame.dlc, 0), 8)
         return _HEAD.pack(can_id, length, 0, 0, raw) + bytes(8)
     return _HEAD.pack(can_id, length, 0, 0, raw) + frame.data.ljust(8, b"\0")
-
-
-def unpack(buffer: bytes, t_ns: int, channel: str) -> Frame | None:
-    """Bytes read from a raw CAN socket to a frame; None for anything but classic CAN and CAN FD."""
-    size = len(buffer)
-    if size not in (CLASSIC_SIZE, FD_SIZE):
-        return None
-    word, length, fd_flags, _, raw = _HEAD.unpack_from(buffer)
-    flags = 0
-    if size == FD_SIZE:
-        flags = FD
-        if fd_flags & _FD_BRS:
-            flags |= BRS
-        if fd_flags & _FD_ESI:
-            flags |= ESI
-    if word & _ERR:
-        return Frame(t_ns, word & _EFF_MASK, buffer[8 : 8 + min(length, 8)], ERROR, channel)
-    if word & _EFF:
-        can_id = word & _EFF_MASK
-        flags |= EXTENDED
-    else:
-        can_id = word & _SFF_MASK
-    if size == FD_SIZE:
-        return Frame(t_ns, can_id, buffer[8 : 8 + length], flags, channel)
-    dlc = raw if length == 8 and 9 <= raw <= 15 else -1
-    if word & _RTR:
-        asked = dlc if dlc > 0 else min(length, 8) or -1  # a length byte says up to 255
-        return Frame(t_ns, can_id, b"", flags | REMOTE, channel, asked)
-    return Frame(t_ns, can_id, buffer[8 : 8 + length], flags, channel, dlc)
 
 
 _CLASS_CONTROLLER, _CLASS_BUS_OFF, _CLASS_RESTARTED = 0x004, 0x040, 0x100

@@ -1,4 +1,9 @@
-"""What stands before every request: verbs, names, the token, and what answers tell a browser."""
+"""What stands before every request: verbs, names, the token, and what answers tell a browser.
+
+Starlette parses; its own middleware does not do the same. `TrustedHostMiddleware` has no rule for
+addresses in numbers, `AuthenticationMiddleware` no limit for wrong tokens, neither knows Origin or
+counts what it refuses.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +11,10 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Final
-from urllib.parse import parse_qs
+from typing import Final
 
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from gateway.monitor.model.access import Access, Refusal
@@ -80,21 +85,17 @@ class Guard:
         """(why not, the token that the address line had)."""
         if scope["type"] == "http" and scope["method"] != "GET":
             return Refusal(405, "method", "only GET", (("allow", "GET"),)), None
-        headers: dict[str, str] = {}
-        for raw, value in scope["headers"]:
-            name = raw.decode("latin-1").lower()
-            if name in headers and name in ("host", "origin"):
+        asked = HTTPConnection(scope)
+        for name in ("host", "origin"):
+            if len(asked.headers.getlist(name)) > 1:
                 return Refusal(400, "host", f"more than one {name}"), None
-            headers[name] = value.decode("latin-1")
-        if (refusal := self._access.page(headers)) is not None:
+        if (refusal := self._access.page(asked.headers)) is not None:
             return refusal, None
         given = None
         if scope["type"] == "http" and scope["path"] == "/" and self._access.wants_token:
-            tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token")
-            given = tokens[0] if tokens else None
-        refusal = self._access.person(
-            headers, given, cookie_name(scope), _address(scope), self._clock()
-        )
+            given = asked.query_params.get("token") or None
+        session = asked.cookies.get(cookie_name(scope), "")
+        refusal = self._access.person(asked.headers, given, session, _address(scope), self._clock())
         return refusal, given
 
 
@@ -111,14 +112,9 @@ def _address(scope: Scope) -> str:
 
 async def _refuse(refusal: Refusal, scope: Scope, receive: Receive, send: Send) -> None:
     headers = {**dict(refusal.headers), "connection": "close"}
-    answer: Response = PlainTextResponse(refusal.text + "\n", refusal.status, headers)
-    if scope["type"] == "http":
-        await answer(scope, receive, send)
-        return
-    await receive()  # websocket.connect
-    if "websocket.http.response" not in (scope.get("extensions") or {}):
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    start: dict[str, Any] = {"status": answer.status_code, "headers": answer.raw_headers}
-    await send({"type": "websocket.http.response.start", **start})
-    await send({"type": "websocket.http.response.body", "body": bytes(answer.body)})
+    if scope["type"] == "websocket":
+        await receive()  # websocket.connect
+        if "websocket.http.response" not in (scope.get("extensions") or {}):
+            await send({"type": "websocket.close", "code": 1008})
+            return
+    await PlainTextResponse(refusal.text + "\n", refusal.status, headers)(scope, receive, send)

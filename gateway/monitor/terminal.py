@@ -12,10 +12,11 @@ from typing import Any, ClassVar, Final
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal, VerticalScroll
+from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen, Screen
 from textual.widget import Widget
 from textual.widgets import Static
+from textual_plotext import PlotextPlot
 
 from dbc.candump.reader import LogError
 from gateway.io.replay import BadLogError
@@ -100,7 +101,9 @@ class MonitorApp(App[None]):
     #drives { height: auto; scrollbar-size-vertical: 1; }
     #detail { height: 2; }
     #plots { height: 2fr; min-height: 7; }
-    #load { width: 1fr; }
+    #load { width: 1fr; padding-right: 1; }
+    #loadhead { height: 1; }
+    #chances { height: 2; }
     #late { width: 28; }
     #events { height: 1fr; min-height: 4; }
     .more #events { height: 4fr; }
@@ -160,7 +163,12 @@ class MonitorApp(App[None]):
             yield Static(id="table")
         yield Static(id="detail")
         with Horizontal(id="plots"):
-            yield Panel(self._plots, "load")
+            with Vertical(id="load"):
+                yield Static(id="loadhead")
+                picture = PlotextPlot(id="curve")
+                picture.theme = "clear"
+                yield picture
+                yield Static(id="chances")
             yield Panel(self._late, "late")
         yield Panel(self._events, "events")
         yield Static(id="keys")
@@ -294,6 +302,7 @@ class MonitorApp(App[None]):
         self._put("table", panels.table(shown, self._selected, width))
         self._put("detail", panels.detail(shown, self._selected))
         self._put("keys", self._keys())
+        self._plots(shown)
         for panel in self._base.query(Panel):
             panel.refresh()
         row = [r.node for r in shown.drives].index(self._selected)
@@ -342,22 +351,18 @@ class MonitorApp(App[None]):
     def _events(self, _width: int, height: int) -> Text:
         return panels.events(self._shown.events, height) if self._shown else Text()
 
-    def _plots(self, width: int, height: int) -> Text:
+    def _plots(self, shown: Snapshot) -> None:
         """Load with its band, loss probability, and the strip of flags, of the selected drive."""
-        shown = self._shown
-        if shown is None:
-            return Text()
         trace = next((t for t in shown.history if t.node == self._selected), Trace(self._selected))
         seconds = SPANS_S[self._zoom]
         span = (shown.t_s - seconds, shown.t_s)
-        width = max(width - 1, SCALE + 4)
-        inner = width - SCALE
-        text = Text(no_wrap=True)
-        text.append(f"LOAD Nm of drive {self._selected}", style=f"bold {SKY}")
-        text.append(f"  last {seconds:g} s, ░ 2 sigma\n", style=GREY)
-        size = (width, max(height - 3, 2))
-        text.append(curve(trace.t_s, trace.load_nm, trace.load_sigma_nm, span, size))
-        lost = columns(trace.t_s, trace.loss_probability, *span, inner)
-        text.append("\nP(lost)").append(bars(lost, 0.5))
+        text = Text(f"LOAD Nm of drive {self._selected}", style=f"bold {SKY}", no_wrap=True)
+        self._put("loadhead", text.append(f"  last {seconds:g} s, ░ 2 sigma", style=GREY))
+        picture = self._base.query_one("#curve", PlotextPlot)
+        curve(picture.plt, trace, span)
+        picture.refresh()
+        inner = max(picture.size.width - SCALE, 4)
+        text = Text("P(lost)", no_wrap=True)
+        text.append(bars(columns(trace.t_s, trace.loss_probability, *span, inner), 0.5))
         text.append("\nflag   ").append(strip(trace.t_s, trace.adhesion, span, inner))
-        return text
+        self._put("chances", text)

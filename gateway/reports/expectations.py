@@ -7,12 +7,11 @@ from typing import NamedTuple, Protocol
 
 from dbc.codec import Codec
 from dbc.frame import Frame
-from gateway.core.codes import Flag
+from gateway.core.codes import INVALID, Flag
+from gateway.reports.scoring import first
 
 WORDS = {"unknown": Flag.UNKNOWN, "good": Flag.GOOD, "bad": Flag.BAD}
 _SET_FLAGS = {"common_mode": "CommonMode", "comm": "CommFault", "sensor": "SensorFault"}
-_SPARE = 3
-"""`Invalid` on the wire is read as unknown."""
 
 
 class Expectation(Protocol):
@@ -86,7 +85,7 @@ class FlagTrack:
                 names += [("comm", 0, "CommFault"), ("sensor", 0, "SensorFault")]
             for flag, node, signal in names:
                 raw = int(values[signal].raw)
-                state = Flag.UNKNOWN if raw == _SPARE else Flag(raw)
+                state = Flag.UNKNOWN if raw == INVALID else Flag(raw)
                 self.seen.setdefault((flag, node), []).append((frame.t_ns, state))
 
 
@@ -114,18 +113,18 @@ def _one(expect: Expectation, seen: list[tuple[int, Flag]], node: int, start_ns:
     who = f" of drive {node}" if node else ""
     text = f"{expect.flag}{who} {'never ' if expect.never else ''}{expect.is_}"
     text += f" after {expect.after_s:g} s"
-    first = next((t for t, state in seen if t >= after and state is wanted), None)
+    found = first(seen, wanted, after)
     if expect.never:
-        detail = "held" if first is None else f"seen at {(first - start_ns) / 1e9:.3f} s"
-        delay_ms = None if first is None else (first - after) / 1e6
-        held = first is None and bool(seen)
+        detail = "held" if found is None else f"seen at {(found - start_ns) / 1e9:.3f} s"
+        delay_ms = None if found is None else (found - after) / 1e6
+        held = found is None and bool(seen)
         return Verdict(text, held, detail if seen else "no flag frame", delay_ms)
     limit = None if expect.within_ms is None else expect.within_ms
     if limit is not None:
         text += f" within {limit:g} ms"
-    if first is None:
+    if found is None:
         last = seen[-1][1].name.lower() if seen else "no flag frame"
         return Verdict(text, False, f"not seen; last: {last}", None, limit)
-    delay_ms = (first - after) / 1e6
+    delay_ms = (found - after) / 1e6
     passed = limit is None or delay_ms <= limit
     return Verdict(text, passed, f"after {delay_ms:.0f} ms", delay_ms, limit)

@@ -6,7 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
+from gateway.core.codes import SENSOR_FAULTS, FaultClass, FaultSensor, Flag, Reason
 from gateway.core.view import DriveView, GatewayView
 from gateway.reports.record import ADHESION, FAULT, camel
 
@@ -16,7 +16,6 @@ COMMON: Final = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "A
 BAD: Final = frozenset({"AdhesionLost", "Fault", "AllDrives"})
 OF_DRIVE: Final = ("adhesion", "thermal")
 """Those in `flags.csv`."""
-_SENSORS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST)
 OTHERS: Final = ("sensor", "comm", "estimator", "common mode", "overrun")
 
 
@@ -81,7 +80,7 @@ class Intervals:
             thermal = self._note(d.node, "thermal", FAULT[d.thermal], now)
             _ill(thermal, d)
             sensor = self._note(d.node, "sensor", FAULT[d.sensor], now)
-            if d.sensor is Flag.BAD and d.fault_class in _SENSORS:
+            if d.sensor is Flag.BAD and d.fault_class in SENSOR_FAULTS:
                 sensor.causes[_fault(d)] = None
             self._note(d.node, "comm", FAULT[d.comm], now)
             self._note(d.node, "estimator", FAULT[d.estimator], now)

@@ -1,4 +1,4 @@
-"""Which program and which file: version, commit, SHA-256. For reports."""
+"""Which program, file and configuration: version, commit, SHA-256, TOML. For reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
+import tomli_w
+
 import gateway
+from gateway.settings.config import Config
 
 NAME = "traction-gateway"
 
@@ -59,3 +62,8 @@ def sha256(path: Path) -> str:
     """Of a file, in flat memory. Raises OSError."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def as_toml(config: Config) -> str:
+    """Every key that has a value, defaults included; `load` of it gives the same configuration."""
+    return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True))

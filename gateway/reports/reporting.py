@@ -18,11 +18,10 @@ from gateway.reports import run_figures, run_report
 from gateway.reports.figures import loads
 from gateway.reports.intervals import Intervals
 from gateway.reports.page import literal
-from gateway.reports.provenance import program, sha256
+from gateway.reports.provenance import as_toml, program, sha256
 from gateway.reports.record import Recorder
 from gateway.reports.run_report import Run, Timed
 from gateway.reports.timing import tables
-from gateway.reports.toml_text import dump
 from gateway.reports.trace import Trace
 from gateway.reports.truth import Truth, rows
 from gateway.settings import calibration
@@ -125,7 +124,7 @@ class Reporting:
             loads(self.folder / f"loads.{suffix}", self.trace, title, self.truth)
         timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
         return Run(
-            title, facts, _configuration(config, self._codec, gateway), dump(config), self.trace,
+            title, facts, _configuration(config, self._codec, gateway), as_toml(config), self.trace,
             self.intervals, gateway.inbox.counts, self.truth, verdicts, timed,
             [f"{inside}{name}" for name in names], _bus(config), notes,
         )  # fmt: skip

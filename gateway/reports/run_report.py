@@ -17,8 +17,9 @@ from gateway.reports import page, words
 from gateway.reports.intervals import Interval, Intervals
 from gateway.reports.page import Anchors, code, folded, picture, plain, table
 from gateway.reports.record import camel
+from gateway.reports.scoring import Judged, judge
 from gateway.reports.trace import Trace
-from gateway.reports.truth import Judged, Truth, judge
+from gateway.reports.truth import Truth
 
 if TYPE_CHECKING:
     from gateway.io.timing import Stage

@@ -1,6 +1,9 @@
-"""How good a flag is: judged per drive and flag frame, read from the wire.
+"""Did the flag come, when, and was it false: every rule of it.
 
-F1 leaves out `edge_s` around each edge of the truth and the first `skip_s`; unknown counts as
+`first` looks for a state in the flag frames of a run, `judge` matches events of the truth with
+intervals of flags, `score_flag` counts flag frames against the truth.
+
+F1 leaves out `EDGE_S` around each edge of the truth and the first `SKIP_S`; unknown counts as
 not raised. Delay runs from the truth's onset to the time stamp of the first `AdhesionLost`.
 
 A loss counts from `SHALLOW` on: where less of the demand is missing for longer than an edge (a
@@ -10,28 +13,85 @@ a stretch of `AdhesionLost` that touches no loss, from an edge before it to an e
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
+from itertools import islice
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.frame import Nanos
 from gateway.core.codes import Flag
-from gateway.reports.delays import TruthRow
-from gateway.reports.expectations import FlagTrack
+from gateway.reports.intervals import Interval
+from gateway.reports.truth import Event, Row
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+EDGE_S: Final = 0.03
+"""Nothing is false so soon after what was true, and no frame counts so near to an edge of it."""
+SKIP_S: Final = 0.5
+"""The start, in which no frame counts."""
 SHALLOW: Final = 0.2 - 1e-9
 """Share of the demand whose loss need not be found."""
 DEEP: Final = 0.5
 ABRUPT_S: Final = 0.02
 """A loss that takes half of the demand within this time of its onset is abrupt."""
-
-
 GRACE_S: Final = 5e-7
 """Stamps and the truth's rows are decimals of one grid."""
+
+
+class Judged(NamedTuple):
+    """An event and the interval of its flag that tells it; None if none does."""
+
+    event: Event
+    by: Interval | None
+    delay_ms: float | None
+
+
+def first(seen: Sequence[tuple[Nanos, Flag]], wanted: Flag, from_ns: Nanos) -> Nanos | None:
+    """Stamp of the first of a flag's frames, from then on, with this state; None if none has it."""
+    begin = bisect_left(seen, from_ns, key=itemgetter(0))
+    return next((t for t, state in islice(seen, begin, None) if state is wanted), None)
+
+
+def judge(
+    events: Sequence[Event], intervals: Sequence[Interval], start_ns: int
+) -> tuple[list[Judged], set[Interval]]:
+    """Every event with the delay of its flag, and the bad intervals that no event explains.
+
+    An event is found by the first bad interval of its flag that begins, or already holds, in it.
+    start_ns: the report's 0. Pass intervals only of drives of which the truth is known.
+    """
+    bad = [i for i in intervals if i.bad]
+    false = set(bad)
+    judged = []
+    for event in events:
+        delay: float | None = None
+        by: Interval | None = None
+        for i in bad:
+            if (i.node, i.flag) != (event.node, event.flag):
+                continue
+            begin, end = (i.start_ns - start_ns) / 1e9, (i.end_ns - start_ns) / 1e9
+            if begin <= event.end_s + EDGE_S and end >= event.start_s:
+                false.discard(i)
+            if delay is None and begin <= event.end_s and end > event.start_s:
+                delay, by = max(begin - event.start_s, 0.0) * 1e3, i
+        judged.append(Judged(event, by, delay))
+    return judged, false
+
+
+def summary_table(judged: Sequence[Judged], nodes: Sequence[int]) -> str:
+    """Per drive: losses injected, found, delay."""
+    lines = ["drive  losses  found  median delay / ms  worst / ms"]
+    for node in nodes:
+        mine = [j for j in judged if j.event.node == node]
+        delays = [j.delay_ms for j in mine if j.delay_ms is not None]
+        middle, worst = (f"{quantile(delays, q):.0f}" if delays else "-" for q in (0.5, 1.0))
+        lines.append(f"{node:5}  {len(mine):6}  {len(delays):5}  {middle:>17}  {worst:>10}")
+    return "\n".join(lines)
 
 
 class Score(NamedTuple):
@@ -129,26 +189,26 @@ class Truth(NamedTuple):
 
     def losses(self) -> list[tuple[int, int]]:
         """Rows (first, last + 1) of each stretch of lost adhesion."""
-        return _stretches(self.lost)
+        return stretches(self.lost)
 
-    def counted(self, t_s: Array, edge_s: float, skip_s: float) -> Flags:
+    def counted(self, t_s: Array) -> Flags:
         """(T,) which of these times are judged at all."""
         edges = self.edges()
         shallow = self.lost & (self.depth < SHALLOW)
-        for first, last in _stretches(shallow):
+        for first, last in stretches(shallow):
             end_s = self.t_s[last] if last < len(self.t_s) else np.inf
-            if end_s - self.t_s[first] > edge_s + GRACE_S:
+            if end_s - self.t_s[first] > EDGE_S + GRACE_S:
                 edges = np.append(edges, [self.t_s[first], end_s])
             else:
                 shallow[first:last] = False
         row = self.at(t_s)
-        out: Flags = (t_s >= skip_s) & ~(shallow[row] & (row >= 0))
+        out: Flags = (t_s >= SKIP_S) & ~(shallow[row] & (row >= 0))
         for edge in edges[np.isfinite(edges)]:
-            out &= ~(np.abs(t_s - edge) < edge_s - GRACE_S)
+            out &= ~(np.abs(t_s - edge) < EDGE_S - GRACE_S)
         return out
 
 
-def truth_of(rows: Iterable[TruthRow], node: int) -> Truth:
+def truth_of(rows: Iterable[Row], node: int) -> Truth:
     """One drive's truth; rows without a depth count as deep."""
     mine = [row for row in rows if row.drive == node]
     lost = np.array([bool(row.lost) for row in mine], dtype=np.bool_)
@@ -162,11 +222,9 @@ def everyone(truths: Sequence[Truth]) -> Truth:
     return Truth(truths[0].t_s, lost, np.minimum.reduce([truth.depth for truth in truths]))
 
 
-def score_flag(
-    truth: Truth, t_s: Array, flag: NDArray[np.int64], edge_s: float = 0.03, skip_s: float = 0.5
-) -> Score:
+def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
     """Score one flag (T,), values of `Flag`, that stood on the wire at times (T,)."""
-    counted = truth.counted(t_s, edge_s, skip_s)
+    counted = truth.counted(t_s)
     row = truth.at(t_s)
     lost = truth.lost[row] & (row >= 0)
     raised = flag == Flag.BAD
@@ -179,19 +237,18 @@ def score_flag(
         good=int(np.count_nonzero(healthy & (flag == Flag.GOOD))),
         healthy=int(np.count_nonzero(healthy)),
         unknown=int(np.count_nonzero(healthy & (flag == Flag.UNKNOWN))),
-        alarms=_alarms(truth, t_s, raised, edge_s, skip_s),
+        alarms=_alarms(truth, t_s, raised),
         train_s=every_s * int(np.count_nonzero(healthy)),
     )
     return score.plus(_delays(truth, t_s[raised]))
 
 
-def _alarms(truth: Truth, t_s: Array, raised: Flags, edge_s: float, skip_s: float) -> int:
+def _alarms(truth: Truth, t_s: Array, raised: Flags) -> int:
     """Stretches of raised flags that touch no loss."""
     near = truth.lost[truth.at(t_s)] & (truth.at(t_s) >= 0)
     for edge in truth.edges():
-        near = near | (np.abs(t_s - edge) < edge_s - GRACE_S)
-    stretches = _stretches(raised)
-    return sum(not near[a:b].any() and bool(t_s[b - 1] >= skip_s) for a, b in stretches)
+        near = near | (np.abs(t_s - edge) < EDGE_S - GRACE_S)
+    return sum(not near[a:b].any() and bool(t_s[b - 1] >= SKIP_S) for a, b in stretches(raised))
 
 
 def _delays(truth: Truth, raised_s: Array) -> Score:
@@ -212,31 +269,12 @@ def _delays(truth: Truth, raised_s: Array) -> Score:
     return Score(delays_ms=tuple(found), abrupt_ms=tuple(abrupt), missed=missed)
 
 
-def score_run(
-    truth: Iterable[TruthRow],
-    track: FlagTrack,
-    nodes: Sequence[int],
-    start_ns: int = 0,
-    edge_s: float = 0.03,
-    skip_s: float = 0.5,
-) -> Score:
-    """Score one run; `truth` and the flag frames share the time base, from `start_ns`."""
-    rows = list(truth)
-    total = Score()
-    for node in nodes:
-        seen = track.seen.get(("adhesion", node), [])
-        t_s = np.array([(t - start_ns) / 1e9 for t, _ in seen])
-        flag = np.array([int(state) for _, state in seen], dtype=np.int64)
-        total = total.plus(score_flag(truth_of(rows, node), t_s, flag, edge_s, skip_s))
-    return total._replace(train_s=total.train_s / max(len(nodes), 1))
-
-
 def _changes(values: Flags) -> NDArray[np.int64]:
     """Rows at which a flag differs from the row before; before the first it is down."""
     return np.flatnonzero(np.diff(values, prepend=False))
 
 
-def _stretches(values: Flags) -> list[tuple[int, int]]:
+def stretches(values: Flags) -> list[tuple[int, int]]:
     """Rows (first, last + 1) of each stretch of raised flags."""
     edges = _changes(np.append(values, np.False_)).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))

@@ -1,4 +1,4 @@
-"""What was really so, where it is known: for pictures, and to judge flags by.
+"""What was really so, where it is known: for pictures, and to judge flags by (`scoring`).
 
 The rows are those that `sim --truth` writes; they are put together as they come, so that an hour of
 them takes no more memory than a second.
@@ -12,8 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
-from gateway.core.codes import FaultClass
-from gateway.reports.intervals import Interval
+from gateway.core.codes import SENSOR_FAULTS, FaultClass
 from gateway.reports.record import camel
 from gateway.reports.trace import Curve, Envelope
 from gateway.settings.config import ConfigError
@@ -21,12 +20,9 @@ from gateway.settings.config import ConfigError
 HEADER: Final = (
     "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
 )  # fmt: skip
-EDGE_S: Final = 0.03
-"""A flag this soon after what was true is no false one: `scoring` has the same."""
 _CLASSES: Final = {str(ill.value): ill.value for ill in FaultClass}
 _LONGEST: Final = 1000
 """Bytes, of a row."""
-_SENSORS: Final = (FaultClass.SENSOR_BIAS, FaultClass.SENSOR_STUCK, FaultClass.SENSOR_LOST)
 
 
 class Row(Protocol):
@@ -73,14 +69,6 @@ class Event(NamedTuple):
     end_s: float
 
 
-class Judged(NamedTuple):
-    """An event and the interval of its flag that tells it; None if none does."""
-
-    event: Event
-    by: Interval | None
-    delay_ms: float | None
-
-
 class _Drive:
     """One drive's rows so far."""
 
@@ -115,7 +103,7 @@ class Truth:
             self._follow(row.drive, drive, "adhesion", "loss" if row.lost else "", t_s)
             ill = row.fault_class > FaultClass.NONE
             kind = camel(FaultClass(row.fault_class).name) if ill else ""
-            flag = "sensor" if row.fault_class in _SENSORS else "thermal"
+            flag = "sensor" if row.fault_class in SENSOR_FAULTS else "thermal"
             for name in ("thermal", "sensor"):
                 self._follow(row.drive, drive, name, kind if name == flag else "", t_s)
 
@@ -217,29 +205,3 @@ def _row(cells: Sequence[str]) -> _Text:
         msg = "not finite"
         raise ValueError(msg)
     return _Text(t_s, int(drive), speed_rad_s, load_nm, int(lost), _CLASSES[ill])
-
-
-def judge(
-    events: Sequence[Event], intervals: Sequence[Interval], start_ns: int
-) -> tuple[list[Judged], set[Interval]]:
-    """Every event with the delay of its flag, and the bad intervals that no event explains.
-
-    An event is found by the first bad interval of its flag that begins, or already holds, in it.
-    start_ns: the report's 0. Pass intervals only of drives of which the truth is known.
-    """
-    bad = [i for i in intervals if i.bad]
-    false = set(bad)
-    judged = []
-    for event in events:
-        delay: float | None = None
-        by: Interval | None = None
-        for i in bad:
-            if (i.node, i.flag) != (event.node, event.flag):
-                continue
-            begin, end = (i.start_ns - start_ns) / 1e9, (i.end_ns - start_ns) / 1e9
-            if begin <= event.end_s + EDGE_S and end >= event.start_s:
-                false.discard(i)
-            if delay is None and begin <= event.end_s and end > event.start_s:
-                delay, by = max(begin - event.start_s, 0.0) * 1e3, i
-        judged.append(Judged(event, by, delay))
-    return judged, false

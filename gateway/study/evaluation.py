@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from dbc.codec import VALID, Codec
 from dbc.frame import Frame
 from dbc.frames import block_of
-from gateway.core.codes import Flag, Health
-from gateway.reports.delays import TruthRow
+from gateway.core.codes import INVALID, Flag, Health
 from gateway.reports.scoring import (
     Score,
     Truth,
@@ -26,6 +25,7 @@ from gateway.reports.scoring import (
     score_flag,
     truth_of,
 )
+from gateway.reports.truth import Row
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,19 +34,6 @@ LEVELS: Final = 201
 """Values of `LossProbability` on the wire: 0 to 100 % in steps of 0.5 %."""
 BINS: Final = 10
 """Of the reliability diagram."""
-SPARE: Final = 3
-"""`Invalid` on the wire is read as unknown."""
-EDGE_S: Final = 0.03
-SKIP_S: Final = 0.5
-
-
-class LoadRow(TruthRow, Protocol):
-    """Truth with the load as well."""
-
-    @property
-    def load_nm(self) -> float:
-        """Torque on the rail, Nm."""
-        ...
 
 
 class Estimates(NamedTuple):
@@ -149,19 +136,19 @@ def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> Said:
 
 def _states(value: Array) -> Ints:
     raw = np.nan_to_num(value).astype(np.int64)
-    return np.where(raw == SPARE, int(Flag.UNKNOWN), raw)
+    return np.where(raw == INVALID, int(Flag.UNKNOWN), raw)
 
 
-def measure(rows: Sequence[LoadRow], said: Said, nodes: Sequence[int]) -> Measured:
+def measure(rows: Sequence[Row], said: Said, nodes: Sequence[int]) -> Measured:
     """Judge one run against the truth's rows."""
     truths = [truth_of(rows, node) for node in nodes]
     flags, common = Score(), Score()
     levels, silent = np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64)
     square, loads = 0.0, 0
     for k, (node, truth) in enumerate(zip(nodes, truths, strict=True)):
-        flags = flags.plus(score_flag(truth, said.t_s, said.flags[:, k], EDGE_S, SKIP_S))
+        flags = flags.plus(score_flag(truth, said.t_s, said.flags[:, k]))
         estimates = said.estimates[k]
-        counted = truth.counted(estimates.t_s, EDGE_S, SKIP_S)
+        counted = truth.counted(estimates.t_s)
         lost = truth.lost[truth.at(estimates.t_s)]
         for true in (0, 1):
             judged = estimates.probability[counted & (lost == bool(true))]
@@ -172,13 +159,13 @@ def measure(rows: Sequence[LoadRow], said: Said, nodes: Sequence[int]) -> Measur
         true_nm = np.array([row.load_nm for row in rows if row.drive == node])
         # Load is judged in shallow losses too: only edges and the start are left out.
         settled = truth._replace(depth=np.ones_like(truth.depth))
-        counted = settled.counted(estimates.t_s, EDGE_S, SKIP_S)
+        counted = settled.counted(estimates.t_s)
         error = (estimates.load_nm - true_nm[np.maximum(truth.at(estimates.t_s), 0)])[counted]
         error = error[np.isfinite(error)]
         square += float(error @ error)
         loads += len(error)
     if len(nodes) > 1:
-        common = score_flag(everyone(truths), said.t_s, said.common, EDGE_S, SKIP_S)
+        common = score_flag(everyone(truths), said.t_s, said.common)
     flags = flags._replace(train_s=flags.train_s / len(nodes))
     return Measured(flags, common, levels, silent, square, loads)
 

@@ -14,6 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.reports.scoring import stretches
+
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -75,6 +77,7 @@ def score(
     hidden = faulty & (truth.effect < SHOWN_K) & (not truth.loose)
     judged = ~hidden & ~(~faulty & (truth.effect > GONE_K))
     best = _best(finite, faulty)
+    healthy_days = np.count_nonzero(~faulty) * truth.sample_s / DAY_S
     hit = np.flatnonzero(alarm & faulty)
     right = Told(np.full(len(faulty), -2), np.zeros(len(faulty), dtype=np.bool_))
     right = told if told is not None else right
@@ -92,7 +95,7 @@ def score(
         delay_s=(float(hit[0]) - truth.begin) * truth.sample_s if len(hit) else math.nan,
         motor_right=_share(right.motor[hit] == truth.motor) if told else math.nan,
         kind_right=_share(right.kind_right[hit]) if told else math.nan,
-        episodes=_episodes(alarm & ~faulty) / (np.count_nonzero(~faulty) * truth.sample_s / DAY_S),
+        episodes=len(stretches(alarm & ~faulty)) / healthy_days,
         seconds=seconds,
     )
 
@@ -120,10 +123,6 @@ def _over(values: Array, what: object) -> float:
 
 def _share(flags: Flags) -> float:
     return float(np.mean(flags)) if len(flags) else math.nan
-
-
-def _episodes(alarm: Flags) -> int:
-    return int(np.count_nonzero(np.diff(alarm.astype(np.int8), prepend=0) == 1))
 
 
 def _best(statistic: Array, faulty: Flags) -> tuple[float, float, float]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from dbc.candump.grammar import DROPS, FD_LENGTHS, Verdict, name_bytes, parse_line, tail_of
+from dbc.candump.grammar import DROPS, Verdict, name_bytes, parse_line, tail_of
 from dbc.candump.reader import Problem
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 from dbc.text import printable
 
 NO_LINE_END = frozenset((Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT))

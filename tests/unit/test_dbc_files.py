@@ -5,16 +5,17 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from enum import IntEnum
 from pathlib import Path
 
 import pytest
 
 from dbc import generate as build
 from dbc import load as binding
-from dbc import prepared
 from dbc.codec import Codec, bind, load
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
+from gateway.core import codes
 
 FOLDER = Path(build.__file__).parent
 FILES = ("traction.dbc", "traction_fd.dbc")
@@ -344,6 +345,25 @@ def test_definitions_have_defaults_and_the_contracts_types() -> None:
     assert database.dbc.attributes["BusType"].value == "CAN FD"
 
 
+@pytest.mark.parametrize(
+    ("message", "signal", "enumeration"),
+    [
+        ("Gateway_Adhesion", "Reason", codes.Reason),
+        ("Gateway_Faults", "Reason", codes.Reason),
+        ("Drive1_Estimate", "Health", codes.Health),
+        ("Drive1_Thermal", "FaultClass", codes.FaultClass),
+        ("Drive1_Thermal", "FaultSensor", codes.FaultSensor),
+        ("Gateway_Status", "State", codes.GatewayState),
+    ],
+)
+def test_the_numbers_of_the_core_have_the_names_of_the_dbc(
+    codec: Codec, message: str, signal: str, enumeration: type[IntEnum]
+) -> None:
+    (spec,) = (s for s in codec.by_name[message].signals if s.name == signal)
+    labels = {raw: label for raw, label in spec.labels.items() if raw != spec.not_available}
+    assert labels == {e.value: e.name.title().replace("_", "") for e in enumeration}
+
+
 def test_data_ids_are_distinct_and_as_the_rule_says(codec: Codec) -> None:
     lists = [m.data_ids for m in codec.messages]
     assert len(set(lists)) == len(lists)
@@ -366,17 +386,17 @@ def test_kinds_and_nodes(codec: Codec) -> None:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_prepared_specs_are_what_cantools_reads(name: str) -> None:
+def test_specs_of_the_table_are_what_cantools_reads(name: str) -> None:
     specs, problems = binding.read(FOLDER / name)
     assert problems == []
-    assert repr(prepared.recall((FOLDER / name).read_bytes())) == repr(specs)
+    assert repr(build.recall((FOLDER / name).read_bytes())) == repr(specs)
 
 
 def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
     content = (FOLDER / "traction.dbc").read_bytes()
     changed = content.replace(b"SG_ Ia : 16|16@1- (0.02,0)", b"SG_ Ia : 16|16@1- (0.04,0)")
     assert changed != content
-    assert prepared.recall(changed) is None
+    assert build.recall(changed) is None
     path = tmp_path / "traction.dbc"
     path.write_bytes(changed)
     (signal,) = (
@@ -398,15 +418,6 @@ def test_a_copy_elsewhere_is_known_by_its_content(tmp_path: Path) -> None:
     assert done.stdout == "False\n"
 
 
-def test_a_table_of_another_version_or_none_is_not_used(tmp_path: Path) -> None:
-    content = (FOLDER / "traction.dbc").read_bytes()
-    other = tmp_path / "prepared.json"
-    assert prepared.recall(content, other) is None
-    text = prepared.TABLE.read_text(encoding="ascii")
-    other.write_text(text.replace('"mux_ranges"', '"something_new"', 1), encoding="ascii")
-    assert prepared.recall(content, other) is None
-
-
 def test_the_check_of_what_is_generated_can_fail(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -416,5 +427,5 @@ def test_the_check_of_what_is_generated_can_fail(
     assert "traction.dbc is not what" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert build.main() == 0
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["prepared.json", *FILES]
+    assert sorted(p.name for p in tmp_path.iterdir()) == list(FILES)
     assert build.main(["--check"]) == 0

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from dbc.frame import SECOND
 from gateway.io.batch import Batch
 from gateway.io.transport import monotonic_stamp
-from gateway.io.wire import unpack
 from tests.fuzz import examples
 from tests.messages import put
+from tests.reference.socketcan import unpack
 
 REAL, NOW = 1_790_000_000 * SECOND, 50 * SECOND
 

@@ -10,7 +10,8 @@ import can
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from gateway.io.pythoncan import PythonCan, to_frame, to_message
+from dbc.python_can_logs import from_message, to_message
+from gateway.io.pythoncan import PythonCan
 from gateway.io.transport import LinkState, SendResult
 from gateway.settings.config import ConfigError
 
@@ -26,7 +27,7 @@ FRAMES = [
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_frames_survive_the_way_through_a_message(frame: Frame) -> None:
-    assert to_frame(to_message(frame), 0, "bus") == frame
+    assert from_message(to_message(frame)) == frame
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from gateway.io.wire import BusState, bus_state, pack, unpack
+from gateway.io.wire import BusState, bus_state, pack
+from tests.reference.socketcan import unpack
 
 BYTES = [
     (Frame(0, 0x123, b"\x11\x22"), "23010000 02000000 1122000000000000"),

@@ -68,6 +68,8 @@ def test_unknown_counts_as_not_raised_and_is_reported():
     assert (score.true_positive, score.false_negative, score.false_positive) == (0, 45, 0)
     assert (score.f1, score.good_share, score.unknown_share) == (0.0, 0.0, 1.0)
     assert (score.missed, score.losses, score.delays_ms) == (1, 1, ())
+    always = score_flag(truth((100, 150)), T, flags(otherwise=Flag.BAD))
+    assert always.false_positive == always.healthy > 0
 
 
 def test_shallow_stretches_are_left_out_and_short_ones_are_edges():
@@ -75,7 +77,7 @@ def test_shallow_stretches_are_left_out_and_short_ones_are_edges():
     slow = truth((100, 200))
     slow.depth[100:150] = np.linspace(0.02, 1.0, 50)
     missed = score_flag(slow, T, flags())
-    counted = slow.counted(T, 0.03, 0.5)
+    counted = slow.counted(T)
     assert not counted[98:112].any()
     assert counted[112:198].all()
     assert missed.false_negative == 198 - 112
@@ -83,7 +85,7 @@ def test_shallow_stretches_are_left_out_and_short_ones_are_edges():
     # The same within 20 ms changes nothing beside the usual 30 ms.
     quick = truth((100, 200))
     quick.depth[100:102] = 0.1
-    assert quick.counted(T, 0.03, 0.5)[103:198].all()
+    assert quick.counted(T)[103:198].all()
     # A rail that carries nearly all is neither a loss nor a miss.
     nearly = score_flag(truth((100, 200), depth=0.1), T, flags((100, 200)))
     assert (nearly.losses, nearly.true_positive, nearly.false_positive, nearly.alarms) == (0,) * 4

@@ -5,12 +5,13 @@ import sys
 
 import pytest
 from rich.text import Text
+from textual_plotext import Plot
 
 from gateway.cli import main
 from gateway.core.codes import FaultClass, Flag
 from gateway.monitor.log_source import LogSource
 from gateway.monitor.model import panels, plots
-from gateway.monitor.model.snapshot import Event, Lateness
+from gateway.monitor.model.snapshot import Event, Lateness, Trace
 from gateway.monitor.terminal import MonitorApp
 from tests.monitored import play, recorded, write
 
@@ -272,14 +273,21 @@ def test_the_newest_events_are_the_ones_that_are_shown():
     assert [line.split()[-1] for line in plain] == ["17", "18", "19"]
 
 
-def grid(text: Text) -> list[str]:
-    return text.plain.split("\n")
+def curve(t_s, load_nm, sigma_nm, size) -> list[str]:
+    """The lines of a plot of 10 s."""
+    nothing = (None,) * len(t_s)
+    trace = Trace(1, t_s, nothing, load_nm, sigma_nm, nothing, (Flag.UNKNOWN,) * len(t_s))
+    plot = Plot()
+    plot.plot_size(*size)
+    plots.curve(plot, trace, (0.0, 10.0))
+    plot._set_size(*size)
+    return Text.from_ansi(plot.build()).plain.removesuffix("\n").split("\n")
 
 
 def test_a_curve_has_its_size_its_gaps_and_its_ends():
     t_s = [k / 10 for k in range(1, 101)]
     values = [20.0 if t < 4 else None if t < 6 else 0.0 for t in t_s]
-    lines = grid(plots.curve(t_s, values, [1.0] * 100, (0.0, 10.0), (57, 10)))
+    lines = curve(t_s, values, [1.0] * 100, (57, 10))
     assert len(lines) == 10
     assert {len(line) for line in lines} == {57}
     body = [line[plots.SCALE :] for line in lines]
@@ -299,10 +307,18 @@ def test_a_curve_has_its_size_its_gaps_and_its_ends():
     assert any("░" in line for line in body)
 
 
-def test_a_curve_of_nothing_says_so():
-    plain = plots.curve((), (), (), (0.0, 10.0), (40, 5)).plain
-    assert "not known" in plain
-    assert plots.curve([1.0], [None], [None], (0.0, 10.0), (40, 5)).plain == plain
+@pytest.mark.parametrize("bad", [None, float("nan"), float("inf")])
+def test_a_curve_of_nothing_says_so(bad):
+    plain = curve((), (), (), (40, 5))
+    assert "not known" in "".join(plain)
+    assert curve([1.0], [bad], [None], (40, 5)) == plain
+
+
+def test_a_curve_without_a_band_and_of_huge_numbers_is_drawn():
+    for sigma in (None, float("nan")):
+        assert "░" not in "".join(curve([1.0, 1.1], [1e9, -1e9], [sigma] * 2, (40, 5)))
+    lines = curve([1.0, 1.1], [1e9, -1e9], [None] * 2, (40, 5))
+    assert (float(lines[0][:6]), float(lines[-1][:6])) == (1e9, -1e9)
 
 
 def test_a_strip_shows_the_gravest_and_a_bar_what_is_not_known():

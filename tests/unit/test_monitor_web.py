@@ -181,6 +181,22 @@ def test_a_token_in_the_address_line_becomes_a_cookie_once():
         assert "set-cookie" not in answer.headers
 
 
+def test_a_session_is_found_among_other_cookies_and_odd_ones_break_nothing():
+    app = make_app(Feed(FakeSource()), access := Access(TOKEN.encode()))
+    name = "traction_gateway_8090"
+    with TestClient(app, base_url=BASE) as client:
+        for right in (f"x=y; {name}={access.session}", f'=; ;{name}="{access.session}";'):
+            assert client.get("/", headers={"cookie": right}).status_code == 200, right
+        for wrong in (
+            f"{name}={TOKEN}",
+            f"{name}=",
+            f"{name}=\x01; ;;=",
+            f"tg={access.session}",
+            ";",
+        ):
+            assert client.get("/", headers={"cookie": wrong}).status_code == 401, wrong
+
+
 def test_wrong_tokens_are_limited():
     feed = Feed(FakeSource())
     with client_of(feed, token=TOKEN) as client:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +17,13 @@ from gateway.core.codes import REJECTED, Flag, GatewayState, Reason
 from gateway.core.receiving import NAMES
 from gateway.core.view import DriveView, GatewayView
 from gateway.reports import words
-from gateway.reports.delays import Loss, score
 from gateway.reports.figures import Panel, panels, save, styled
 from gateway.reports.intervals import KEPT, Interval, Intervals
 from gateway.reports.page import Anchors, code, literal, plain, table
-from gateway.reports.toml_text import dump
+from gateway.reports.provenance import as_toml
+from gateway.reports.scoring import Judged, first, judge, summary_table
 from gateway.reports.trace import CHUNK, MOST, Envelope, Trace
-from gateway.reports.truth import HEADER, Event, judge, read, rows
+from gateway.reports.truth import HEADER, Event, read, rows
 from gateway.settings.config import Config, ConfigError, load, parse
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -122,34 +122,54 @@ def test_a_flag_that_never_rests_is_counted_but_not_kept_for_ever():
     st.lists(st.tuples(st.integers(0, 300), st.integers(1, 60)), max_size=4),
     st.lists(st.integers(0, 400), max_size=12),
 )
-def test_delays_are_those_that_the_demo_prints(losses, changes):
-    """`delays.score` judges the changes of a flag; here intervals are judged, by the same rule."""
-    events, losses_ = [], []
+def test_a_delay_runs_to_the_first_change_to_lost_in_a_loss(losses, changes):
+    """The same rule, said by the changes of the flag instead of by its intervals."""
+    events = []
     last = -1
     for start, length in sorted(losses):
         if start > last:
             last = start + length
             events.append(Event(1, "adhesion", "loss", start / 100, last / 100))
-            losses_.append(Loss(1, start / 100, last / 100))
     ms = 10_000_000
-    # Half a tick beside the truth's grid: at one and the same instant the two rules differ.
+    # Half a tick beside the truth's grid: nothing happens at one and the same instant.
     edges = [t + 0.5 for t in sorted(set(changes))]
-    told = [
-        (round(t * ms), 1, "adhesion", "AdhesionLost" if k % 2 == 0 else "Adhering")
-        for k, t in enumerate(edges)
-    ]
     intervals = [
-        Interval(1, "adhesion", word, t, round([*edges, 500][k + 1] * ms), ())
-        for k, (t, _, _, word) in enumerate(told)
+        Interval(
+            1, "adhesion", ("AdhesionLost", "Adhering")[k % 2], round(t * ms), round(u * ms), ()
+        )
+        for k, (t, u) in enumerate(pairwise([*edges, 500]))
     ]
+    raised = [t / 100 for t in edges[::2]]
+
+    def delay(event):
+        if sum(t / 100 < event.start_s for t in edges) % 2:
+            return 0.0
+        return next(
+            ((t - event.start_s) * 1e3 for t in raised if event.start_s < t < event.end_s), None
+        )
+
     judged, false = judge(events, intervals, 0)
-    ours = [j.delay_ms for j in judged]
-    theirs = [found.delay_ms for found in score(losses_, told, 0)]
-    assert ours == pytest.approx(theirs)
+    assert [j.delay_ms for j in judged] == pytest.approx([delay(event) for event in events])
     for i in intervals:
         near = any(i.start_ns / 1e9 <= e.end_s + 0.03 and i.end_ns / 1e9 >= e.start_s
                    for e in events)  # fmt: skip
         assert (i in false) == (i.bad and not near)
+
+
+def test_the_summary_of_losses_has_median_and_worst_delay_of_each_drive():
+    loss = Event(2, "adhesion", "loss", 1.0, 2.0)
+    lines = summary_table([Judged(loss, None, d) for d in (None, 30.0, 10.0, 20.0)], (1, 2))
+    assert [line.split() for line in lines.splitlines()[1:]] == [
+        ["1", "0", "0", "-", "-"], ["2", "4", "3", "20", "30"],
+    ]  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(Flag))), st.integers(-1, 35))
+def test_the_first_frame_of_a_state_from_a_time_on(steps, at):
+    seen = list(zip(accumulate(dt for dt, _ in steps), [flag for _, flag in steps], strict=True))
+    for wanted in Flag:
+        later = [t for t, flag in seen if t >= at and flag is wanted]
+        assert first(seen, wanted, at) == min(later, default=None)
 
 
 def truth_file(path: Path, *lines: str) -> Path:
@@ -199,7 +219,7 @@ def test_a_configuration_as_toml_is_the_same_configuration():
     files = [examples / "train16.toml", *sorted((examples / "inverters").glob("*.toml"))]
     assert len(files) == 8
     for config in (Config(), parse(odd), *map(load, files)):
-        text = dump(config)
+        text = as_toml(config)
         again = parse(tomllib.loads(text), base=config.base)
         assert again == config
         assert again.hash24() == config.hash24()

@@ -10,6 +10,7 @@ from dbc.frame import MS, Frame, Nanos
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
 from gateway.reports.expectations import WORDS, FlagTrack
+from gateway.reports.scoring import first
 
 SHOWN_NS: Final[Nanos] = 300 * MS
 """A picture begins so long before the test began to wait."""
@@ -59,24 +60,19 @@ class GatewayFlags:
         __tracebackhide__ = True
         bench, began = self._bench, self._bench.now_ns
         wanted = WORDS[state]
-        first: list[Nanos] = []
 
-        def met() -> bool:
-            for t, said in reversed(self._seen(flag, drive)):
-                if t <= began:
-                    break
-                if said is wanted:
-                    first[:] = [t]
-            return bool(first)
+        def found() -> Nanos | None:
+            return first(self._seen(flag, drive), wanted, began + 1)
 
-        if not bench.run_until(met, within_ms / 1000.0) or first[0] - began > within_ms * MS:
+        bench.run_until(lambda: found() is not None, within_ms / 1000.0)
+        if (at := found()) is None or at - began > within_ms * MS:
             who = f" of drive {drive}" if drive else ""
             last = self.now(flag, drive).name.lower()
             raise AssertionError(
                 f"{flag}{who} was expected to be {state} within {within_ms:g} ms; it is {last}\n"
                 + self.show(began)
             )
-        return (first[0] - began) / MS
+        return (at - began) / MS
 
     def expect_never(self, flag: str, state: str, *, drive: int = 0, for_ms: float) -> None:
         """The flag does not say so for so long from now on; it must be heard all the while."""
@@ -86,7 +82,7 @@ class GatewayFlags:
         heard = len(self._seen(flag, drive))
 
         def broken() -> bool:
-            return any(said is wanted for _, said in self._seen(flag, drive)[heard:])
+            return first(self._seen(flag, drive), wanted, began + 1) is not None
 
         who = f" of drive {drive}" if drive else ""
         if bench.run_until(broken, for_ms / 1000.0):

@@ -13,7 +13,6 @@ import ipaddress
 import secrets
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from http.cookies import CookieError, SimpleCookie
 from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
@@ -152,8 +151,8 @@ class Access:
         if not self._ours(host):
             cure = "use the address in numbers" if self.wants_token else "use 127.0.0.1"
             return Refusal(403, "host", f"this is not a name of this machine; {cure}")
-        origin = headers.get("origin")
-        if origin is not None and not _same(origin, host):
+        ours = {f"{scheme}://{host}".lower() for scheme in ("http", "https")}
+        if headers.get("origin", f"http://{host}").lower() not in ours:
             return Refusal(403, "origin", "asked by a page from elsewhere")
         return None
 
@@ -162,12 +161,12 @@ class Access:
     ) -> Refusal | None:
         """None if there is no token, or the right one.
 
-        given: of the address line, if any; else the header's counts. cookie: its name. A session
+        given: of the address line, if any; else the header's counts. cookie: what it holds. It
         is looked at even when too many wrong tokens came from there: nobody guesses 256 bits.
         """
         if self._digest is None:
             return None
-        if given is None and _is(_cookie(headers.get("cookie", ""), cookie), self._session):
+        if given is None and _is(cookie, self._session):
             return None
         if given is None:
             scheme, _, given = headers.get("authorization", "").partition(" ")
@@ -208,22 +207,6 @@ def _name(host: str) -> str | None:
     except ValueError:
         return None
     return parts.hostname
-
-
-def _same(origin: str, host: str) -> bool:
-    try:
-        parts = urlsplit(origin)
-    except ValueError:
-        return False
-    return parts.scheme in ("http", "https") and parts.netloc.lower() == host.lower()
-
-
-def _cookie(text: str, name: str) -> str:
-    try:
-        morsel = SimpleCookie(text).get(name)
-    except CookieError:
-        return ""
-    return "" if morsel is None else morsel.value
 
 
 def _is(given: str, expected: str) -> bool:

@@ -1,7 +1,7 @@
 """Small plots out of characters: a curve with its band, bars, a strip of states. Pure.
 
-A curve is of braille dots, two by four to a character; a band is a shade; gaps stay gaps. Colour
-only repeats what the characters say.
+plotext draws a curve, of braille dots, and its band, a shade; gaps stay gaps. Colour only repeats
+what the characters say.
 """
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from rich.color import Color
 from rich.text import Text
+from textual_plotext import Plot
 
 from gateway.core.codes import Flag
+from gateway.monitor.model.snapshot import Trace
 
 # Okabe and Ito: told apart with any kind of colour vision, also in grey.
 GREEN, VERMILION, ORANGE = "#009E73", "#D55E00", "#E69F00"
 SKY, GREY, YELLOW = "#56B4E9", "#9A9A9A", "#F0E442"
 
-_BRAILLE: Final = 0x2800
-_DOTS: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 _EIGHTHS: Final = " ▁▂▃▄▅▆▇█"
 _SHADE: Final = "░"
 GAP: Final = "·"
@@ -50,88 +51,35 @@ def limits(values: Sequence[float], least: float) -> tuple[float, float]:
     return math.floor((middle - half) / step) * step, math.ceil((middle + half) / step) * step
 
 
-def curve(
-    t_s: Sequence[float],
-    values: Sequence[float | None],
-    sigmas: Sequence[float | None],
-    span: tuple[float, float],
-    size: tuple[int, int],
-    least: float = 5.0,
-) -> Text:
-    """Lines of a plot: the numbers of its ends, the curve, a shade of two sigma around it.
+def curve(plot: Plot, trace: Trace, span: tuple[float, float], least: float = 5.0) -> None:
+    """Draw the load with a shade of two sigma around it, Nm; gaps stay gaps.
 
-    span: from, to in seconds; size: characters, lines (the scale takes `SCALE` of each).
+    span: from, to in seconds; least: the axis is at least so long, Nm.
     """
-    width, height = max(size[0] - SCALE, 4), max(size[1], 2)
-    uppers, lowers = _edges(values, sigmas, 2.0), _edges(values, sigmas, -2.0)
-    seen = [
-        value
-        for line in (values, uppers, lowers)
-        for column in columns(t_s, line, *span, 1)
-        for value in column
+    plot.clear_figure()
+    plot.xaxes(False, False)
+    plot.yaxes(True, False)
+    plot.xlim(*span)
+    plot.xticks([])
+    rows = zip(trace.t_s, trace.load_nm, trace.load_sigma_nm, strict=True)
+    here = [row for row in rows if span[0] < row[0] <= span[1]]
+    line = [(t, load) for t, load, _ in here]
+    band = [
+        (t, None if load is None or sigma is None else load + times * sigma)
+        for t, load, sigma in here
+        for times in (-2.0, 2.0)
     ]
-    if not seen:
-        return _empty(width, height)
+    seen = [y for _, y in line + band if y is not None and math.isfinite(y)]
     low, high = limits(seen, least)
-
-    def row(value: float, rows: int) -> int:
-        """Row from the top, clipped."""
-        return min(max(round((high - value) / (high - low) * (rows - 1)), 0), rows - 1)
-
-    dots = [[0] * width for _ in range(height)]
-    before: int | None = None
-    for x, column in enumerate(columns(t_s, values, *span, 2 * width)):
-        if not column:
-            # One empty bin may only mean that there are more bins than points.
-            before = None if x % 2 else before
-            continue
-        top, bottom = row(max(column), 4 * height), row(min(column), 4 * height)
-        if before is not None:  # a jump is drawn as a line
-            top, bottom = min(top, before), max(bottom, before)
-        before = row(column[-1], 4 * height)
-        for y in range(top, bottom + 1):
-            dots[y >> 2][x >> 1] |= _DOTS[y & 3][x & 1]
-    shade = [[False] * width for _ in range(height)]
-    bands = (columns(t_s, edge, *span, width) for edge in (uppers, lowers))
-    for x, (upper, lower) in enumerate(zip(*bands, strict=True)):
-        if upper and lower:
-            for y in range(row(max(upper), height), row(min(lower), height) + 1):
-                shade[y][x] = True
-    text = Text(no_wrap=True)
-    for y in range(height):
-        text.append(_scale(high, low, y, height), style=GREY)
-        for x in range(width):
-            if dots[y][x]:
-                text.append(chr(_BRAILLE + dots[y][x]), style=f"bold {SKY}")
-            elif shade[y][x]:
-                text.append(_SHADE, style=GREY)
-            else:
-                text.append(" ")
-        text.append("\n" if y < height - 1 else "")
-    return text
-
-
-def _edges(
-    values: Sequence[float | None], sigmas: Sequence[float | None], times: float
-) -> list[float | None]:
-    return [
-        value + times * sigma if value is not None and sigma is not None else None
-        for value, sigma in zip(values, sigmas, strict=True)
-    ]
-
-
-def _scale(high: float, low: float, y: int, height: int) -> str:
-    if y not in (0, height - 1):
-        return " " * (SCALE - 1) + "│"
-    value = high if y == 0 else low
-    return f"{value:6.4g}┤" if abs(value) < 1e5 else f"{value:6.0e}┤"
-
-
-def _empty(width: int, height: int) -> Text:
-    middle = height // 2
-    word = "not known".center(width)
-    lines = [" " * (SCALE - 1) + "│" + (word if y == middle else "") for y in range(height)]
-    return Text("\n".join(lines), style=GREY, no_wrap=True)
+    plot.ylim(low, high)
+    ends = [f"{y:6.4g}" if abs(y) < 1e5 else f"{y:6.0e}" for y in (low, high)]
+    plot.yticks([low, high], ends if seen else [" " * (SCALE - 1)] * 2)
+    if not seen:
+        plot.text("not known", sum(span) / 2, (low + high) / 2, alignment="center")
+        return
+    for points, marker, colour in ((band, _SHADE, GREY), (line, "braille", SKY)):
+        t_s, values = zip(*points, strict=True)
+        plot.plot(t_s, values, marker=marker, color=Color.parse(colour).get_truecolor())
 
 
 def bars(bins: Sequence[Column], grave: float) -> Text:

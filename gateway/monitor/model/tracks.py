@@ -18,12 +18,11 @@ from dbc.frame import MS, Nanos
 from dbc.spec import Reading
 from dbc.text import printable
 from gateway.core.channel import sequence_guards
+from gateway.core.inbox import USABLE
 
 LEAST_LIMIT_NS: Final[Nanos] = 100 * MS
 """A flag frame comes every 10 ms; ten of them missing are not a hiccup of this monitor."""
 NEVER: Final[Nanos] = -1
-USABLE: Final = (1, 2)
-"""`Quality` Valid and Degraded."""
 _MATCH: Final = {Match.WRONG_LENGTH: "wrong_length", Match.WRONG_FORMAT: "wrong_format"}
 _CHECK: Final = {
     Check.ERROR: "error",
