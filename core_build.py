@@ -190,15 +190,16 @@ def compiler() -> list[str]:
 
 
 def builder() -> Any:
-    """What setuptools builds `_traction_core` by."""
+    """What setuptools builds `_traction_core` by. CORE_FLAGS in the environment: more flags."""
     from cffi import FFI
 
+    flags = [*FLAGS, *os.environ.get("CORE_FLAGS", "").split()]
     made = FFI()
     made.cdef(declarations())
     includes = "\n".join(f'#include "{header}"' for header in HEADERS)
     made.set_source(
         "_traction_core", includes, sources=list(SOURCES), include_dirs=["."],
-        depends=list(DEPENDS), extra_compile_args=list(FLAGS), libraries=["m"], py_limited_api=True,
+        depends=list(DEPENDS), extra_compile_args=flags, libraries=["m"], py_limited_api=True,
     )  # fmt: skip
     command = " ".join(compiler())
     os.environ.setdefault("CC", command)

@@ -50,7 +50,7 @@ static const uint8_t *read_stamp(const uint8_t *at, const uint8_t *end, int64_t 
 {
     int64_t seconds, fraction;
     int count, decimals;
-    if (!at || at == end || *at != '(')
+    if (at == end || *at != '(')
         return NULL;
     at = read_digits(at + 1, end, MAX_SECONDS_DIGITS, &count, &seconds);
     if (count == 0 || seconds >= 9000000000 || at == end || *at != '.')

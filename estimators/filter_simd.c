@@ -661,7 +661,7 @@ static void filter_block(struct filter_sample *samples, const struct pmsm *motor
                 filters[k].is_finite = 0;
         }
     }
-    for (int k = 0; k < drives && k < LANES; k++)
+    for (int k = 0; k < drives; k++)
         store_lane(&s, k, &filters[k]);
 }
 

@@ -69,7 +69,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
 """Tests that answer for the core; they run in every variant."""
 SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer"
 FLAGS = {
-    "sanitize": f"-O1 -g {SANITIZERS}", "coverage": "-O0 --coverage",
+    "sanitize": f"-g {SANITIZERS}", "coverage": "-O0 --coverage",
     "libfuzzer": "-O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all -fsanitize=address"
     " -fsanitize=undefined -fsanitize=fuzzer-no-link",
 }  # fmt: skip
@@ -84,7 +84,7 @@ def build(name: str) -> Path:
     shutil.rmtree(place, ignore_errors=True)
     command = [sys.executable, "setup.py", "-q", "build_ext", "--force", f"--build-lib={place}",
                f"--build-temp={place / 'objects'}"]  # fmt: skip
-    environment = {"CC": "gcc", "LDSHARED": f"gcc -shared {FLAGS[name]}", "CFLAGS": FLAGS[name]}
+    environment = {"CC": "gcc", "LDSHARED": f"gcc -shared {FLAGS[name]}", "CORE_FLAGS": FLAGS[name]}
     if name == "libfuzzer":
         # What it calls comes with the library that atheris brings along.
         clang = f"{sys.executable} -m ziglang cc {FLAGS[name]}"

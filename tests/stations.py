@@ -30,7 +30,7 @@ from gateway.core.temperature import SensorSide
 from tests import columns
 
 
-class Inbox(gateway.inbox.Inbox):
+class Inbox(gateway.core.inbox.Inbox):
     """Takes the frames of a tick."""
 
     def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
@@ -48,7 +48,7 @@ class Inbox(gateway.inbox.Inbox):
         return self.receiver.room.first(self.receiver.pointer.tick.samples)
 
 
-def receive(inbox: gateway.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
+def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
     """`receive_frames`, `check_timeouts`, and emergencies."""
     block = frames if isinstance(frames, Block) else block_of(frames)
     receiver = inbox.receiver
@@ -63,7 +63,7 @@ def receive(inbox: gateway.inbox.Inbox, frames: Iterable[Frame] | Block, now: Na
     return block
 
 
-class Bank(gateway.bank.Bank):
+class Bank(gateway.core.estimate.Bank):
     """Filters what the receiver holds."""
 
     def link(self) -> None:
@@ -80,7 +80,7 @@ class Bank(gateway.bank.Bank):
         lib.run_filters(self._pointer, receiver, valid, told, now)
 
 
-class InputMonitor(gateway.inputs.InputMonitor):
+class InputMonitor(gateway.core.inputs.InputMonitor):
     """Judges what the receiver holds."""
 
     def assess(self, intruder: bool, now: Nanos) -> None:
@@ -90,7 +90,7 @@ class InputMonitor(gateway.inputs.InputMonitor):
         lib.assess_inputs(self.receiver.pointer, channels, intruder, now, status)
 
 
-class MotionMonitor(gateway.motion.MotionMonitor):
+class MotionMonitor(gateway.core.motion.MotionMonitor):
     """Compares speeds and torques with the estimates."""
 
     def observe(self, now: Nanos) -> None:
@@ -98,10 +98,10 @@ class MotionMonitor(gateway.motion.MotionMonitor):
         lib.observe_load(self.pointer, now)
 
 
-class ThermalSide(gateway.thermal.ThermalSide):
+class ThermalSide(gateway.core.thermal.ThermalSide):
     """Judges the temperatures that the receiver holds."""
 
-    def hear(self, inbox: gateway.inbox.Inbox, now: Nanos, out: Records) -> None:
+    def hear(self, inbox: gateway.core.inbox.Inbox, now: Nanos, out: Records) -> None:
         """`monitor_temperatures`, into out (N,) of `flag_inputs`."""
         inputs = ffi.from_buffer("struct flag_inputs[]", out)
         lib.monitor_temperatures(self.pointer, inbox.receiver.pointer, now, inputs)
@@ -111,7 +111,7 @@ class ThermalSide(gateway.thermal.ThermalSide):
         lib.report_temperatures(self.pointer, now, ffi.from_buffer("struct flag_inputs[]", out))
 
 
-class Doubt(gateway.doubt.Doubt):
+class Doubt(gateway.core.integrity.Doubt):
     """What speaks against all drives."""
 
     def tick(self, now: Nanos, own: int) -> None:
@@ -124,7 +124,7 @@ class Doubt(gateway.doubt.Doubt):
         return bool(self.pointer.mute)
 
 
-class Flags(gateway.flags.Flags):
+class Flags(gateway.core.flags.Flags):
     """From what is found to flags, in three steps."""
 
     def link(self) -> None:
@@ -172,7 +172,7 @@ def loss_evidence(rules: Records, probability: float) -> int:
     return int(lib.loss_evidence(pointer("struct flag_rules", rules), probability))
 
 
-def is_fresh(inbox: gateway.inbox.Inbox, row: int, now: Nanos) -> bool:
+def is_fresh(inbox: gateway.core.inbox.Inbox, row: int, now: Nanos) -> bool:
     """Whether the last good value of channel `row` is within its age limit and it is known."""
     return bool(lib.is_channel_fresh(inbox.receiver.pointer.channels + row, now))
 

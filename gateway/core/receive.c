@@ -86,7 +86,7 @@ static int verify(struct receiver *receiver, struct channel *channel, const uint
     e2e_sm_check(state, status);
     if (status != E2E_P_ERROR) {
         const int same = replace_last_frame(channel, data);
-        guard_sequence(&channel->guard, t_ns, state->step, same && status == E2E_P_REPEATED);
+        guard_sequence(&channel->guard, t_ns, state->step, status == E2E_P_REPEATED && same);
     }
     if (status <= E2E_P_OK_SOME_LOST)
         return accept(receiver, channel, t_ns);

@@ -51,6 +51,7 @@ _LONG_REQUEST = struct.pack("=IBBBB", 0x4000_0000, 128, 0, 0, 0) + bytes(8)
 
 @settings(max_examples=examples(500))
 @example([(_LONG_REQUEST, 0)])
+@example([(_head(0x181, 8), -1), (_head(0x181, 8), -(10**9))])  # stamps ahead of the clock
 @example([(_head(0x4000_0181, 3), 0), (_head(0x4000_0181, 0), 0), (_head(0x4000_0181, 8, 13), 0)])
 @example([(_head(0x181, 8, 13), 0), (_head(0x181, 8, 16), 0), (_head(0x181, 8, 8), 0)])
 @given(st.lists(st.tuples(st.one_of(classic, fd, st.binary(max_size=90)), st.integers(0, 10**9))))

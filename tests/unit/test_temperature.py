@@ -141,5 +141,7 @@ def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor()
     side.take(Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
     assert sensor_fault(side, 0, 0, 50 * MS) is FaultClass.NONE
     assert sensor_fault(side, 0, 0, 51 * MS) is FaultClass.SENSOR_STUCK
+    # Four that stand still have no cause in common, as four that are lost at once have.
+    assert sensor_verdict(side, 0, 51 * MS) == (FaultClass.SENSOR_STUCK, FaultSensor.STATOR)
     assert sensor_fault(side, 0, 0, 300 * MS) is FaultClass.SENSOR_STUCK
     assert sensor_fault(side, 0, 0, 301 * MS) is FaultClass.NONE
