@@ -77,10 +77,8 @@ class DriveInput:
 
     @property
     def irms(self) -> float | None:
-        """Current as last sent with a torque command, A."""
-        slow = self._receiver.slow
-        commanded = not math.isnan(slow.command.item(self._row))
-        return slow.irms.item(self._row) if commanded else None
+        """Current as last sent, A."""
+        return _known(self._receiver.slow.irms.item(self._row))
 
 
 def _known(number: float) -> float | None:
