@@ -20,11 +20,12 @@ test: $(VENV)/.ready
 	$(BIN)/pytest -n auto --dist worksteal --ignore=tests/hil $(ARGS)
 	$(BIN)/pytest tests/hil $(ARGS)
 
-# What takes longer than the gate may: the golden logs on other processors (qemu-user), and the whole
-# test suite on a core with the sanitizers in it.
+# What takes longer than the gate may: the golden logs on other processors (qemu-user), 500 logs and 200
+# configurations with accidents, and the whole test suite on a core with the sanitizers in it.
 test-all: test
 	$(PIP) --require-hashes -r requirements-compiler.lock
 	$(BIN)/python -m tests.other_processors
+	$(BIN)/python -m tests.foreign.mutated --logs 500 --configurations 200
 	$(BIN)/python -m tests.core_variants sanitize -n auto --dist worksteal --ignore=tests/hil --ignore=tests/web tests
 	$(MAKE) fuzz-tick
 

@@ -34,18 +34,26 @@ from dbc.spec import (
     SignalSpec,
     Validity,
 )
-from dbc.text import read_bytes
+from dbc.text import printable, read_bytes
+from dbc.tolerant import read_any_dbc
 
 
 class Codec:
     """A bound DBC: specs by name and id, decoding and encoding. Immutable after construction."""
 
-    def __init__(self, path: Path, messages: Iterable[MessageSpec], digest: str = "") -> None:
+    def __init__(
+        self,
+        path: Path,
+        messages: Iterable[MessageSpec],
+        digest: str = "",
+        left_out: Sequence[str] = (),
+    ) -> None:
         """`messages` are checked and numbered from 0 (by `bind`).
 
-        digest: SHA-256 of the file, hexadecimal.
+        digest: SHA-256 of the file, hexadecimal; left_out: entries of it that are not used.
         """
         self.path = path
+        self.left_out = tuple(left_out)
         self.digest = digest
         self.messages: tuple[MessageSpec, ...] = tuple(messages)
         self.by_name: Mapping[str, MessageSpec] = {m.name: m for m in self.messages}
@@ -173,6 +181,12 @@ def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> 
     return Codec(path, specs, before)
 
 
+def bind_usable(path: Path) -> Codec:
+    """Whatever of a DBC of others can be used; `left_out` lists the rest. Raises DbcMismatch."""
+    specs, left_out = read_any_dbc(Path(path))
+    return Codec(Path(path), specs, _digest(Path(path)), [printable(line) for line in left_out])
+
+
 def _digest(path: Path) -> str:
     """SHA-256 of a file; empty where it cannot be read, which `specs_of` explains."""
     try:
@@ -196,5 +210,6 @@ __all__ = [
     "SignalSpec",
     "Validity",
     "bind",
+    "bind_usable",
     "load",
 ]

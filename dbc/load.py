@@ -21,7 +21,7 @@ from dbc.generate import recall
 from dbc.layout import bits_of, duplicates, layout_faults, oversized
 from dbc.load_errors import explained, placed
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
-from dbc.text import read_bytes
+from dbc.text import decoded, read_bytes
 
 if TYPE_CHECKING:
     from cantools.database import Database
@@ -46,7 +46,7 @@ _SLACK: Final = 1e-6
 
 def load(path: Path, *, strict: bool = True) -> Database:
     """Read a DBC with cantools. Raises DbcMismatch if there is no such file or it is no DBC."""
-    from cantools.database import load_file
+    from cantools.database import load_string
     from cantools.database.errors import Error
 
     try:
@@ -65,7 +65,7 @@ def load(path: Path, *, strict: bool = True) -> Database:
     # Duplicates only make it log; they are listed properly by `dbc.layout`.
     quiet.setLevel(logging.ERROR)
     try:
-        database = load_file(path, database_format="dbc", strict=strict)
+        database = load_string(decoded(text), "dbc", strict=strict)
     except Error as error:
         raise DbcMismatch(path, explained(_one_line(error), text)) from None
     except Exception as error:  # cantools lets bare KeyErrors and others escape
@@ -124,9 +124,16 @@ def read(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
         problems += refusal
     specs: list[MessageSpec] = []
     for message in messages:
-        spec, faults = _message_spec(database, message, len(specs))
+        spec, faults, unusable = message_spec(database, message, len(specs))
         specs.append(spec)
-        problems += faults
+        problems += faults + [f"{spec.name}.{name}: {why}" for name, why in unusable.items()]
+        problems += (
+            f"{spec.name}.{s.name}: not-available code {s.not_available} lies inside the range"
+            for s in spec.signals
+            if s.not_available is not None
+            and s.raw_min <= s.not_available <= s.raw_max
+            and s.raw_max - s.raw_min < (1 << s.length) - 1
+        )
     return tuple(specs), problems
 
 
@@ -153,15 +160,22 @@ def _attribute(database: Database, message: Message, name: str) -> Any:
     return value
 
 
-def _message_spec(
+def message_spec(
     database: Database, message: Message, index: int
-) -> tuple[MessageSpec, list[str]]:
+) -> tuple[MessageSpec, list[str], dict[str, str]]:
+    """The message; what is wrong with it; signals that cannot be decoded, and why.
+
+    What is wrong is not in the spec: a range that cannot be is none, a cycle time 0.
+    """
     problems: list[str] = []
     signals = []
+    unusable: dict[str, str] = {}
     for signal in message.signals:
-        spec, faults = _signal_spec(signal)
+        spec, faults, why = _signal_spec(signal)
         signals.append(spec)
         problems += (f"{message.name}.{signal.name}: {fault}" for fault in faults)
+        if why:
+            unusable[signal.name] = why
     profile, ids, faults = _protection(database, message)
     problems += (f"{message.name}: {fault}" for fault in faults)
     problems += _header(message.name, profile, signals)
@@ -174,23 +188,27 @@ def _message_spec(
     if not isinstance(cycle, (int, float)) or not 0 <= cycle <= _LONGEST_CYCLE_MS:
         problems.append(f"{message.name}: GenMsgCycleTime {cycle!r} is not a time in ms")
         cycle = 0
-    return MessageSpec(
-        name=message.name,
-        can_id=message.frame_id,
-        length=message.length,
-        is_fd=message.is_fd,
-        # Vector's default, where the attribute is not there, is with bit rate switch.
-        brs=message.is_fd and str(1 if brs is None else brs) == "1",
-        cycle_ns=round(cycle * 1_000_000),
-        profile=profile,
-        data_ids=ids,
-        signals=tuple(signals),
-        index=index,
-        node=node,
-        kind=kind,
-        is_extended=message.is_extended_frame,
-        is_gateway=match is not None and (kind, node > 0) in _PRODUCED,
-    ), problems
+    return (
+        MessageSpec(
+            name=message.name,
+            can_id=message.frame_id,
+            length=message.length,
+            is_fd=message.is_fd,
+            # Vector's default, where the attribute is not there, is with bit rate switch.
+            brs=message.is_fd and str(1 if brs is None else brs) == "1",
+            cycle_ns=round(cycle * 1_000_000),
+            profile=profile,
+            data_ids=ids,
+            signals=tuple(signals),
+            index=index,
+            node=node,
+            kind=kind,
+            is_extended=message.is_extended_frame,
+            is_gateway=match is not None and (kind, node > 0) in _PRODUCED,
+        ),
+        problems,
+        unusable,
+    )
 
 
 def _selectors(name: str, signals: Sequence[SignalSpec]) -> Iterator[str]:
@@ -207,9 +225,10 @@ def _selectors(name: str, signals: Sequence[SignalSpec]) -> Iterator[str]:
             yield f"{name}.{signal.name}: is multiplexed by {at}, which the message does not have"
 
 
-def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str]]:
-    problems = []
-    labels = {int(raw): str(label) for raw, label in (signal.choices or {}).items()}
+def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str], str]:
+    """The signal; what is wrong with it and left out; why it cannot be decoded, or ""."""
+    problems: list[str] = []
+    unusable = ""
     low, high = (
         (-(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1)
         if signal.is_signed
@@ -217,18 +236,22 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str]]:
     )
     scale, offset = signal.conversion.scale, signal.conversion.offset
     if not scale or not math.isfinite(scale) or not math.isfinite(offset):
-        problems.append(f"scale {scale}, offset {offset} cannot be inverted")
+        unusable = f"scale {scale}, offset {offset} cannot be inverted"
         scale = 1.0
     if signal.is_float and signal.length not in (32, 64):
-        problems.append(f"a float of {signal.length} bits is not supported")
-    # The highest one: `Reason` has a cause called NotAvailable below its own code.
-    code = max((raw for raw, text in labels.items() if _says_no_data(text)), default=None)
-    if code is not None and not low <= code <= high:
-        problems.append(f"not-available code {code} does not fit in {signal.length} bits")
+        unusable = f"a float of {signal.length} bits is not supported"
+    labels = {}
+    for raw, label in (signal.choices or {}).items():
+        # Tools write the code of a signed signal as the unsigned number of its bits.
+        wrapped = (
+            int(raw) - (1 << signal.length) if signal.is_signed and int(raw) > high else int(raw)
+        )
+        labels[wrapped] = str(label)
     raw_min, raw_max = low, high
     float_min, float_max = SignalSpec.float_limits()
     bounds = (signal.minimum, signal.maximum)
-    if bounds[0] is not None and bounds[1] is not None:
+    # Equal ones are how many tools write that there is no range.
+    if bounds[0] is not None and bounds[1] is not None and bounds[0] != bounds[1]:
         minimum, maximum = float(bounds[0]), float(bounds[1])
         if minimum > maximum:
             problems.append(f"range {minimum:g}..{maximum:g} is empty")
@@ -242,30 +265,36 @@ def _signal_spec(signal: Signal) -> tuple[SignalSpec, list[str]]:
             if raw_min > raw_max:
                 problems.append(f"range {minimum:g}..{maximum:g} holds no raw value")
                 raw_min, raw_max = low, high
-            if code is not None and raw_min <= code <= raw_max:
-                problems.append(f"not-available code {code} lies inside the range")
+    code = _not_available(labels, (raw_min, raw_max), (low, high))
+    if code is not None and not low <= code <= high:
+        problems.append(f"not-available code {code} does not fit in {signal.length} bits")
+        code = None
     start_raw, fault = _start(signal, low, high)
     problems += fault
-    return SignalSpec(
-        name=signal.name,
-        start=signal.start,
-        length=signal.length,
-        is_signed=signal.is_signed,
-        is_big_endian=signal.byte_order == "big_endian",
-        scale=scale,
-        offset=offset,
-        unit=signal.unit or "",
-        raw_min=raw_min,
-        raw_max=raw_max,
-        not_available=code,
-        start_raw=start_raw,
-        labels=labels,
-        is_float=signal.is_float,
-        float_min=float_min,
-        float_max=float_max,
-        mux_parent=signal.multiplexer_signal,
-        mux_ranges=_runs(signal.multiplexer_ids or ()),
-    ), problems
+    return (
+        SignalSpec(
+            name=signal.name,
+            start=signal.start,
+            length=signal.length,
+            is_signed=signal.is_signed,
+            is_big_endian=signal.byte_order == "big_endian",
+            scale=scale,
+            offset=offset,
+            unit=signal.unit or "",
+            raw_min=raw_min,
+            raw_max=raw_max,
+            not_available=code,
+            start_raw=start_raw,
+            labels=labels,
+            is_float=signal.is_float,
+            float_min=float_min,
+            float_max=float_max,
+            mux_parent=signal.multiplexer_signal,
+            mux_ranges=_runs(signal.multiplexer_ids or ()),
+        ),
+        problems,
+        unusable,
+    )
 
 
 def _start(signal: Signal, low: int, high: int) -> tuple[int, list[str]]:
@@ -280,8 +309,38 @@ def _start(signal: Signal, low: int, high: int) -> tuple[int, list[str]]:
     return int(raw), []
 
 
+def _not_available(
+    labels: Mapping[int, str], raw_range: tuple[int, int], limits: tuple[int, int]
+) -> int | None:
+    """The raw value that says that there is none, if a label says so of one.
+
+    At the end of the raw limits, or with all bits set, such a label is that code. Elsewhere it is
+    one only where no other label names a state, or outside of the range: "NA", which may be a
+    country, not even there. Of several the highest: `Reason` has a cause called NotAvailable below
+    its own code.
+    """
+    low, high = limits
+    found = [raw for raw, text in labels.items() if _says_no_data(text)]
+    edge = [raw for raw in found if raw == high or (low < 0 and raw in (-1, low))]
+    if edge:
+        return max(edge)
+    if all(map(_is_special, labels.values())):
+        return max(found, default=None)
+    first, last = raw_range
+    sure = [raw for raw in found if not first <= raw <= last and labels[raw].lower() != "na"]
+    return max(sure, default=None)
+
+
 def _says_no_data(label: str) -> bool:
     return re.sub(r"[\W_]", "", label).lower() in _NO_DATA_LABELS
+
+
+def _is_special(label: str) -> bool:
+    """Whether a label is of no state: no data, an error, not yet valid."""
+    return (
+        _says_no_data(label)
+        or re.search(r"err|fault|invalid|init|unknown|reserved", label, re.I) is not None
+    )
 
 
 def _runs(values: Collection[int]) -> tuple[tuple[int, int], ...]:

@@ -1,53 +1,42 @@
-"""Other log formats (.asc .blf .csv .trc .mf4 ..) through python-can, as our frames."""
+"""python-can's messages as our frames and back; logs that only python-can reads (`.db`)."""
 
 from __future__ import annotations
 
 import importlib
-import io
 from collections.abc import Iterator
 from importlib.util import find_spec
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from dbc.blank_lines import without_blank_lines
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.objectlog import ObjectReader
 
 if TYPE_CHECKING:
     import can
-    from can.io.generic import TextIOMessageReader
 
 
-def read_any(path: Path) -> Iterator[Frame]:
-    """Frames of a log by its suffix. Error frames are never data.
+class PythonCan(ObjectReader):
+    """A log by python-can's reader for its ending.
 
     python-can's time is a float of seconds: rounded to the nearest nanosecond, exact to about
-    0.2 us at today's dates. Raises LogError for an unknown format, a missing reader or a file
-    that python-can cannot read (its readers stop at the first fault).
+    0.2 us at today's dates. Its readers stop at the first fault.
     """
-    import can
-    from can.io.generic import TextIOMessageReader
 
-    if ".mf4" in path.name.lower():
-        mf4_module()
-    count = 0
-    try:
-        with can.LogReader(path) as reader:
-            if isinstance(reader, TextIOMessageReader):
-                _squeeze(reader)
-            for message in reader:
-                count += 1
-                yield from_message(message)
-    except Exception as error:  # its readers raise anything from IndexError to struct.error
-        text = " ".join(str(error).split()) or type(error).__name__
-        where = f" after {count} frames" if count else ""
-        raise LogError(str(path), 0, f"cannot be read{where}: {text}") from error
+    def frames(self) -> Iterator[Frame]:
+        """Raises LogError for a file that python-can cannot read."""
+        import can
 
-
-def _squeeze(reader: TextIOMessageReader) -> None:
-    if isinstance(reader.file, io.TextIOWrapper):
-        reader.file = without_blank_lines(reader.file)
+        count = 0
+        try:
+            with can.LogReader(self.path) as reader:
+                for message in reader:
+                    count += 1
+                    yield from_message(message)
+        except Exception as error:  # its readers raise anything from IndexError to struct.error
+            text = " ".join(str(error).split()) or type(error).__name__
+            where = f" after {count} frames" if count else ""
+            raise LogError(self.name, 0, f"cannot be read{where}: {text}") from error
 
 
 def mf4_module() -> ModuleType:
@@ -79,24 +68,3 @@ def from_message(message: can.Message) -> Frame:
     channel = "" if message.channel is None else str(message.channel)
     t_ns = round(message.timestamp * 1_000_000_000)
     return Frame(t_ns, message.arbitration_id & 0x1FFF_FFFF, data, flags, channel, dlc)
-
-
-def to_message(frame: Frame) -> can.Message:
-    """A frame as a python-can message; a raw DLC of 9..15 becomes the data length."""
-    import can
-
-    flags = frame.flags
-    remote = bool(flags & REMOTE)
-    return can.Message(
-        timestamp=frame.t_ns / 1_000_000_000,
-        arbitration_id=frame.can_id,
-        is_extended_id=bool(flags & EXTENDED),
-        is_remote_frame=remote,
-        is_error_frame=bool(flags & ERROR),
-        is_fd=bool(flags & FD),
-        bitrate_switch=bool(flags & BRS),
-        error_state_indicator=bool(flags & ESI),
-        channel=frame.channel or None,
-        dlc=max(frame.dlc, 0) if remote else len(frame.data),
-        data=None if remote else frame.data,
-    )

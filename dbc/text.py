@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import tomllib
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,6 +39,34 @@ def read_bytes(path: Path) -> bytes:
     if len(content) > MOST_BYTES:
         raise OSError(errno.EFBIG, f"larger than {MOST_BYTES >> 20} MiB", str(path))
     return content
+
+
+def decoded(data: bytes) -> str:
+    """The text of a DBC: UTF-8, with or without a mark, where it is valid; else cp1252.
+
+    UTF-16 with its mark is read, too.
+    """
+    if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        return data.decode("utf-16", "replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # Five bytes have no meaning in cp1252; Windows takes them for control characters.
+        return "".join(bytes([b]).decode("cp1252", "replace") if b > 127 else chr(b) for b in data)
+
+
+def without_mark(chunks: Iterable[bytes]) -> Iterator[bytes]:
+    """A file's text without a byte order mark; UTF-16, as Windows' shells write it, as UTF-8."""
+    pieces = iter(chunks)
+    first = next(pieces, b"")
+    if first[:2] not in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
+        yield first.removeprefix(codecs.BOM_UTF8)
+        yield from pieces
+        return
+    decoder = codecs.getincrementaldecoder("utf-16")("replace")
+    for piece in chain([first], pieces):
+        yield decoder.decode(piece).encode("utf-8", "replace")
+    yield decoder.decode(b"", final=True).encode("utf-8", "replace")
 
 
 def read_toml(text: str) -> dict[str, Any]:

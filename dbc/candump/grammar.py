@@ -26,7 +26,7 @@ MAX_LINE: Final = 8192
 
 
 class Verdict(IntEnum):
-    """What one line is. The first four come with a frame; those from CUT on are faults."""
+    """What one line is. The first four come with a frame; those from CUT to BAD_ID are faults."""
 
     OK = 0
     """Classic data frame."""
@@ -46,11 +46,17 @@ class Verdict(IntEnum):
     """More data than the format has, or a length FD does not have."""
     BAD_ID = 11
     """More bits than an identifier has."""
+    HEADER = 12
+    """A line about the log itself; of other formats than candump's, as those below."""
+    EVENT = 13
+    """No frame: a status, a counter, a marker, another kind of bus."""
+    REQUEST = 14
+    """A frame that was to be sent; that it was on the bus is another line."""
 
     @property
     def is_fault(self) -> bool:
         """True where something is lost: strict reading stops there."""
-        return self >= Verdict.CUT
+        return Verdict.CUT <= self <= Verdict.BAD_ID
 
 
 _HEX: Final = rb"[0-9A-Fa-f]"

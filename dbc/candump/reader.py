@@ -29,7 +29,7 @@ from dbc.candump.writer import Writer
 from dbc.frame import Frame
 from dbc.frames import Block, block_of
 from dbc.prefetch import ahead
-from dbc.text import printable
+from dbc.text import printable, without_mark
 
 PROBLEMS_KEPT: Final = 100
 _CHUNK: Final = 1 << 20
@@ -79,6 +79,9 @@ class Reader:
     Raises OSError if the file cannot be opened; with `strict`, LogError at the first fault.
     """
 
+    unit = "lines"
+    """What `lines` counts."""
+
     def __init__(self, source: Path | str | IO[bytes], *, strict: bool = False) -> None:
         """Nothing is opened before iteration."""
         self.bytes_read = 0
@@ -94,6 +97,7 @@ class Reader:
         self.drops = 0
         self.problems: list[Problem] = []
         self.truncated = ""
+        self.notes: list[str] = []
 
     def __iter__(self) -> Iterator[Frame]:
         """Read from the start."""
@@ -105,7 +109,7 @@ class Reader:
         self._reset()
         self.bytes_read = 0
         with ExitStack() as stack:
-            yield from self._blocks(self._chunks(stack))
+            yield from self._blocks(without_mark(self._chunks(stack)))
 
     def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
         scanner = Scanner()

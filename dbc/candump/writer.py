@@ -18,6 +18,15 @@ _LINES: Final = 512
 """That there is room for at once."""
 
 
+class NotWritableError(ValueError):
+    """No line can say a frame of a block: `row`. Those before it are written."""
+
+    def __init__(self, row: int, text: str) -> None:
+        """`text` says what is wrong."""
+        self.row = row
+        super().__init__(text)
+
+
 class Writer:
     """Writes frames to a log (gzip by the suffix `.gz`). Context manager; `close` when done."""
 
@@ -48,7 +57,10 @@ class Writer:
         self._stream.write(format_frame(frame, channel or self._channel) + b"\n")
 
     def write_block(self, block: Block, channel: str = "") -> None:
-        """Append the frames of a block, as `write` does one by one; much sooner."""
+        """Append the frames of a block, as `write` does one by one; much sooner.
+
+        Raises NotWritableError at the first that no line can say.
+        """
         if not block.size:
             return
         names = [name_bytes(name or channel or self._channel) for name in block.names]
@@ -64,8 +76,8 @@ class Writer:
                 # A block keeps no more than this of a frame, and what is cut would look whole.
                 if block.length[row] > ROOM:
                     msg = f"cannot be written as a candump line: more than {ROOM} bytes"
-                    raise ValueError(msg)
-                raise not_writable(block.frame(row))
+                    raise NotWritableError(row, msg)
+                raise NotWritableError(row, str(not_writable(block.frame(row))))
 
     def close(self) -> None:
         """Flush and close what was opened here; a given stream stays open."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from gateway.mapping.plan import given
+from gateway.mapping.plan import given, raw_ends
+from gateway.settings.signal_map import UNITS
 
 if TYPE_CHECKING:
     from gateway.mapping.plan import Plan
@@ -17,7 +18,7 @@ TURN: Final = 8
 def told(plan: Plan) -> list[str]:
     """Lines, the first with the drive's name."""
     first = f"drive {plan.node}"
-    lines = [*_sources(plan), *_limits(plan)]
+    lines = [*_sources(plan), *_limits(plan), *_codes(plan)]
     return [f"{first if k == 0 else '':<14} {line}" for k, line in enumerate(lines)]
 
 
@@ -30,6 +31,30 @@ def _sources(plan: Plan) -> Iterator[str]:
     for kind, parts in given(plan.signals).items():
         cycle_ms = plan.spec[kind].cycle_ns / 1e6
         yield f"{names[kind]} from {', '.join(parts)}, every {cycle_ms:g} ms"
+
+
+def _codes(plan: Plan) -> Iterator[str]:
+    """Ends of raw ranges that may mean that there is no value, where nothing says so."""
+    for spec in plan.codec.messages:
+        for name, column, source in plan.sources[spec.index]:
+            signal = spec.signals[spec.column(column)]
+            if signal.is_float or signal.not_available is not None or source.not_available:
+                continue
+            if name == "Counter":
+                continue
+            ends = raw_ends(signal)
+            if UNITS[name] != "degC":
+                # A 0 is a value like any other there, and so are limits that somebody set.
+                ends = tuple(raw for raw in (ends[0], ends[-1]) if raw)
+            told = ", ".join(
+                f"{raw} ({source.scale * (signal.scale * raw + signal.offset) + source.offset:g})"
+                for raw in ends
+            )
+            listed = ", ".join(map(str, ends))
+            yield (
+                f"{name}: raw {told} may mean that there is no value; if so: "
+                f'{name} = {{ signal = "{source.signal}", not_available = [{listed}] }}'
+            )
 
 
 def _limits(plan: Plan) -> Iterator[str]:

@@ -10,17 +10,23 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from dbc.candump.grammar import Verdict
 from dbc.text import printable
 from gateway.io.console import console, note
 
 if TYPE_CHECKING:
-    from dbc.candump.reader import Reader
+    from dbc.codec import Codec
     from dbc.frames import Block
+    from dbc.openlog import LogReader
     from gateway.io.replay import Log
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
 """Exit codes of the contract."""
 PATIENCE_S: Final = 3.0
+PROBLEMS_SHOWN: Final = 5
+"""Faults of one log of which a line tells."""
+ENTRIES_SHOWN: Final = 50
+"""Entries of a DBC of which a line tells."""
 
 
 def positive_seconds(text: str) -> float:
@@ -75,10 +81,73 @@ def need(modules: Sequence[str], extra: str) -> None:
         )  # fmt: skip
 
 
-def faults(reader: Reader | None) -> dict[str, int]:
-    """Lines of a log that are none, by cause; of other formats nobody knows."""
-    counts = {} if reader is None else reader.counts
-    return {verdict.name.lower(): n for verdict, n in counts.items() if verdict.is_fault}
+def add_line(parser: argparse.ArgumentParser) -> None:
+    """`--line`."""
+    parser.add_argument(
+        "--line", metavar="PATTERN", default="",
+        help="how a line of the log looks, '{ms:x} {id:x} {data}' for one; 'auto' proposes it",
+    )  # fmt: skip
+
+
+def pattern_of(log: Path, line: str) -> str:
+    """The pattern that `--line` names; of `auto` the proposal, printed. Raises ConfigError."""
+    from dbc.linepattern import Pattern, PatternError, proposed
+    from dbc.openlog import first_lines
+    from gateway.settings.config import ConfigError
+
+    if line != "auto":
+        try:
+            return Pattern(line).pattern if line else ""
+        except PatternError as error:
+            cure = "docs/files.md has the fields, and examples"
+            raise ConfigError("--line", [str(error), cure]) from None
+    lines = [text.decode("latin-1") for text in first_lines(log)] if log.is_file() else []
+    found = proposed(lines)
+    if found is None:
+        shown_line = printable(lines[0][:80]) if lines else "(nothing that is text)"
+        raise ConfigError(
+            f"{log}: no pattern fits its first lines",
+            [
+                f"the first one: {shown_line}",
+                "write one: docs/files.md has the fields, and examples",
+            ],
+        )
+    pattern, good, bad = found
+    print(f"--line '{pattern}': fits {good} of {good + bad} lines looked at")
+    return pattern
+
+
+def faults(reader: LogReader) -> dict[str, int]:
+    """Lines or objects of a log that are none, by cause."""
+    return {verdict.name.lower(): n for verdict, n in reader.counts.items() if verdict.is_fault}
+
+
+def tell_of_dbc(codec: Codec) -> None:
+    """Entries of a DBC that are not used, on stderr."""
+    if codec.left_out:
+        count = len(codec.left_out)
+        what = "entry is" if count == 1 else "entries are"
+        head = f"{codec.path.name}: {count} {what} not used as written:"
+        console().print(head, markup=False, soft_wrap=True)
+        for line in codec.left_out[:ENTRIES_SHOWN]:
+            console().print(f"  {line}", markup=False, soft_wrap=True)
+        if count > ENTRIES_SHOWN:
+            console().print(f"  and {count - ENTRIES_SHOWN} more")
+
+
+def tell_of_log(reader: LogReader) -> None:
+    """Counts of a log that was read, on stdout; the first faults and notes, on stderr."""
+    counts = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
+    print(f"{reader.unit}: " + ", ".join(f"{name} {n}" for name, n in counts))
+    one = reader.unit.removesuffix("s")
+    for number, verdict, text in reader.problems[:PROBLEMS_SHOWN]:
+        console().print(f"{one} {number}: {verdict.name.lower()}: {text}", markup=False)
+    for text in reader.notes:
+        console().print(f"note: {text}", markup=False, soft_wrap=True)
+    if reader.counts[Verdict.CUT]:
+        why = reader.truncated or "its last line is not whole"
+        text = f"warning: the log is cut: {why}; its last, incomplete frame is not used"
+        console().print(text, markup=False, soft_wrap=True)
 
 
 def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
@@ -103,9 +172,9 @@ def _bar(log: Log, path: Path, what: str) -> Iterator[Block]:
     from rich.progress import Progress
 
     with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(what, total=path.stat().st_size if log.reader else None)
+        task = progress.add_task(what, total=path.stat().st_size)
         for block in log.blocks:
-            progress.update(task, completed=log.reader.bytes_read if log.reader else 0)
+            progress.update(task, completed=log.reader.bytes_read)
             yield block
 
 

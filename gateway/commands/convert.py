@@ -12,8 +12,12 @@ from dbc.text import printable
 from gateway.commands.common import (
     BAD_INPUT,
     add_config,
+    add_line,
     faults,
+    pattern_of,
     shown,
+    tell_of_dbc,
+    tell_of_log,
     track_file,
     verdict_of_input,
 )
@@ -34,6 +38,10 @@ signal; .mf4, a channel group per message. With --frames these three hold frames
 """
 
 
+OUTSIDE_SHOWN = 20
+"""Signals out of range that are named."""
+
+
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -47,13 +55,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="decode by this DBC, not by the configuration's")  # fmt: skip
     parser.add_argument("--frames", action="store_true",
                         help="frames, not signals, into .parquet, .mf4, .csv")  # fmt: skip
+    add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="this channel only (default: all)")
     parser.add_argument("--strict", action="store_true",
                         help="stop at the first fault in IN, and leave no file")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
-    """Convert; counts on stdout. Exit 2 too if the log ended in a fault and OUT is a part of it.
+    """Convert; counts on stdout. Exit 2 too if a binary log was cut, or ended in a fault.
 
     Exit 1 if more than 1 % of its lines are none, or of its frames are left out for their time.
     """
@@ -62,7 +71,8 @@ def run(options: argparse.Namespace) -> int:
     from gateway.logfiles.signals import Decoder
 
     kind = convert.out_ending(options.output, options.frames)
-    log = convert.open_input(options.log, options.strict)
+    line = pattern_of(options.log, options.line)
+    log = convert.open_input(options.log, options.strict, line)
     if options.output.exists() and options.output.samefile(options.log):
         raise BadLogError(f"{options.output}: is the log itself; name another file")
     decoder: Decoder | None = None
@@ -75,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     def make(path: Path) -> Any:
         if decoder is None:
             return convert.frame_sink(path, kind)
-        first = convert.open_input(options.log, strict=False)
+        first = convert.open_input(options.log, False, line)
         return convert.signal_sink(path, kind, decoder, blocks(first, "looking"))
 
     began = time.perf_counter()
@@ -99,27 +109,26 @@ def run(options: argparse.Namespace) -> int:
             markup=False, soft_wrap=True,
         )  # fmt: skip
         return BAD_INPUT
+    if log.reader.truncated and log.reader.unit != "lines":
+        return BAD_INPUT
     late = done.time_faults
     return verdict_of_input(faults(log.reader) | late, done.read - sum(late.values()))
 
 
 def _codec(options: argparse.Namespace) -> Codec:
     """Of the DBC that was named, as it is; else of the configuration."""
-    from dbc.codec import bind
-    from dbc.contract import ANY
+    from dbc.codec import bind_usable
 
     if options.dbc is not None:
-        return bind(options.dbc, (), ANY)
+        codec = bind_usable(options.dbc)
+        tell_of_dbc(codec)
+        return codec
     return prepare(options.config)[1]
 
 
 def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     """What was read, written and left out, on stdout."""
-    if log.reader is not None:
-        lines = sorted((verdict.name.lower(), n) for verdict, n in log.reader.counts.items() if n)
-        print("lines: " + ", ".join(f"{name} {n}" for name, n in lines))
-        for number, verdict, text in log.reader.problems[:5]:
-            console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
+    tell_of_log(log.reader)
     print(f"frames: read {done.read}, written {done.sink.written}")
     left = dict(done.sink.left_out)
     if decoder is not None:
@@ -132,6 +141,18 @@ def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     if any(left.values()):
         words = (f"{cause} {n}" for cause, n in sorted(left.items()) if n)
         print("not written: " + ", ".join(words))
+    reduced = getattr(done.sink, "reduced", {})
+    if any(reduced.values()):
+        words = (f"{what} {n}" for what, n in sorted(reduced.items()) if n)
+        print("written without: " + ", ".join(words))
     if decoder is not None:
         words = (f"{how.name.lower()} {n}" for how, n in sorted(decoder.cells.items()))
         print("values: " + ", ".join(words))
+        if decoder.outside:
+            named = decoder.outside.most_common(OUTSIDE_SHOWN)
+            more = len(decoder.outside) - len(named)
+            rest = f" and {more} signals more" if more else ""
+            print("out of range, kept and marked: "
+                  + ", ".join(f"{name} {n}" for name, n in named) + rest)  # fmt: skip
+        if decoder.longer:
+            print(f"frames longer than their message: {decoder.longer}")

@@ -9,17 +9,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dbc.text import printable
-from gateway.commands.common import add_config, add_signature, faults, track_file, verdict_of_input
+from gateway.commands.common import (
+    add_config,
+    add_line,
+    add_signature,
+    faults,
+    pattern_of,
+    tell_of_log,
+    track_file,
+    verdict_of_input,
+)
 from gateway.io import quick_start as leanstart
 from gateway.io.console import console, note
 from gateway.io.prepare import prepare
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
-    from dbc.candump.reader import Reader
     from dbc.codec import Codec
     from dbc.frame import Frame
     from dbc.frames import Block
+    from dbc.openlog import LogReader
     from gateway.io.replay import Replayed
     from gateway.reports.record import Recorder
     from gateway.reports.reporting import Reporting
@@ -49,6 +58,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--detector",
         help="override [adhesion] detector (vb, median, kmeans, vmp, paper_vb, paper_vb_reuse)",
     )
+    add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--strict", action="store_true",
                         help="stop at the first line that is not candump's")  # fmt: skip
@@ -57,7 +67,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
     with leanstart.unsearched():
-        from dbc.candump.reader import Writer
+        from dbc.candump.reader import Reader, Writer
         from dbc.frames import block_of
         from dbc.prefetch import ahead
         from gateway.core.gateway import Gateway
@@ -71,8 +81,8 @@ def run(options: argparse.Namespace) -> int:
         config, codec = prepare(options.config, signature=options, **changes)
     if options.output and options.output.exists() and options.output.samefile(options.log):
         raise BadLogError(f"{options.output}: is the log itself; name another file for -o")
-    log = open_log(options.log, options.strict)
-    if log.reader is not None:  # compiled, so it runs beside the core
+    log = open_log(options.log, options.strict, pattern_of(options.log, options.line))
+    if isinstance(log.reader, Reader):  # much of it is compiled, so it runs beside the core
         log = log._replace(blocks=ahead(iter(log.blocks)))
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
     left = _reporting(options, config, codec)
@@ -135,7 +145,7 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
 
 
 def _report(
-    options: argparse.Namespace, left: Reporting, done: Replayed, reader: Reader | None
+    options: argparse.Namespace, left: Reporting, done: Replayed, reader: LogReader
 ) -> Path:
     """Write it; its path."""
     from gateway.reports.page import literal
@@ -144,9 +154,8 @@ def _report(
 
     facts = replay_facts(options.log, done, left.trace)
     notes = []
-    if reader is not None:
-        lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
-        facts.append(("lines of the log", ", ".join(f"{name} {n:,}" for name, n in lines)))
+    lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
+    facts.append((f"{reader.unit} of the log", ", ".join(f"{name} {n:,}" for name, n in lines)))
     if options.truth is not None:
         left.truth, same = read(options.truth, done.first_ns / 1e9, done.last_ns / 1e9)
         facts.append(("truth", literal(options.truth.name)))
@@ -157,13 +166,9 @@ def _report(
     return leave(options.results, f"Replay of {options.log.name}", [run], single=True)
 
 
-def _summary(reader: Reader | None, done: Replayed, recorder: Recorder) -> None:
+def _summary(reader: LogReader, done: Replayed, recorder: Recorder) -> None:
     """What the log held and what the gateway said, on stdout."""
-    if reader is not None:
-        lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
-        print("lines: " + ", ".join(f"{name} {n}" for name, n in lines))
-        for number, verdict, text in reader.problems[:SHOWN]:
-            console().print(f"line {number}: {verdict.name.lower()}: {text}", markup=False)
+    tell_of_log(reader)
     print(f"configuration: {done.gateway.outbox.config_hash:06x}")
     for back in done.clock.backs[:SHOWN]:
         console().print(

@@ -97,29 +97,34 @@ static int verify(struct receiver *receiver, struct channel *channel, const uint
 
 /* ---- values */
 
-/* Whether every signal of a decoded row may be used: RX_DECODED, else why not. */
+/* Whether the sender says that its message may be used. */
+static int has_quality(const struct channel *channel, const double *value)
+{
+    const int32_t quality = channel->quality;
+    return quality < 0 || value[quality] == 1.0 || value[quality] == 2.0; /* Valid, Degraded */
+}
+
+/* Whether the signals of a decoded row that the gateway uses may be used: RX_DECODED, else why not.
+ * One that nobody here uses says nothing of the others. */
 static enum rx_counter judge(const struct channel *channel, const double *value,
                              const uint8_t *validity)
 {
     enum rx_counter found = RX_DECODED;
-    for (int k = 0; k < channel->signal_count; k++) {
-        if (validity[k] == SIGNAL_NOT_AVAILABLE)
+    for (int k = 0; k < channel->column_count; k++) {
+        const uint8_t own = validity[channel->columns[k]];
+        if (own == SIGNAL_NOT_AVAILABLE)
             return RX_NOT_AVAILABLE;
-        if (validity[k] != SIGNAL_VALID && validity[k] != SIGNAL_ABSENT)
+        if (own != SIGNAL_VALID && own != SIGNAL_ABSENT)
             found = RX_RANGE;
     }
-    const int32_t quality = channel->quality;
-    if (quality >= 0 && value[quality] != 1.0 && value[quality] != 2.0) /* Valid, Degraded */
-        return RX_NOT_AVAILABLE;
-    return found;
+    return has_quality(channel, value) ? found : RX_NOT_AVAILABLE;
 }
 
 /* Temperatures: each sensor by itself, as one that is dead must not silence the other three. */
 static void note_temperatures(struct channel *channel, const double *value, const uint8_t *validity,
                               int64_t t_ns)
 {
-    const int32_t quality = channel->quality;
-    const int usable = quality < 0 || value[quality] == 1.0 || value[quality] == 2.0;
+    const int usable = has_quality(channel, value);
     channel->reject_reason = usable ? REASON_NONE : REASON_NOT_AVAILABLE;
     for (int k = 0; k < channel->column_count; k++) {
         if (usable && validity[channel->columns[k]] == SIGNAL_VALID)
@@ -133,50 +138,80 @@ static void note_temperatures(struct channel *channel, const double *value, cons
 #define STEADY_SHARE 0.05 /* and this share of it */
 #define OPERATION    2.0  /* `State` of an inverter that drives */
 
-/* A good row of Motion: speed, torque, and the angle if there is one. */
-static void note_motion(struct receiver *receiver, const struct channel *channel,
-                        const double *value, int64_t t_ns)
+/* Value of a used column, NaN if there is no such column or the value is not valid. */
+static double used_value(const struct channel *channel, int k, const double *value,
+                         const uint8_t *validity)
 {
-    const int32_t *columns = channel->columns;
-    const int64_t n = receiver->tick.motions++;
-    const double speed = value[columns[0]] * RPM;
+    if (k >= channel->column_count || validity[channel->columns[k]] != SIGNAL_VALID)
+        return NAN;
+    return value[channel->columns[k]];
+}
+
+/* Motion: speed, torque, and the angle if there is one. The speed counts without the torque; the
+ * torque says nothing without the speed. Returns 1 if there is a speed. */
+static int note_motion(struct receiver *receiver, const struct channel *channel,
+                       const double *value, const uint8_t *validity, int64_t t_ns)
+{
+    const double speed = used_value(channel, 0, value, validity) * RPM;
+    const double torque = used_value(channel, 1, value, validity);
+    if (isnan(speed))
+        return 0;
     receiver->drives[channel->drive].speed = speed;
+    if (isnan(torque))
+        return 1;
+    const int64_t n = receiver->tick.motions++;
     receiver->motion_drive[n] = channel->drive;
     receiver->motion_t_ns[n] = t_ns;
     receiver->motion_speed[n] = speed;
-    receiver->motion_torque[n] = value[columns[1]];
-    receiver->motion_angle[n] = channel->column_count > 2 ? value[columns[2]] * RADIANS : NAN;
+    receiver->motion_torque[n] = torque;
+    receiver->motion_angle[n] = used_value(channel, 2, value, validity) * RADIANS;
+    return 1;
 }
 
-/* A good row of Status: torque command, current, and the state if there is one. */
-static void note_status(struct receiver *receiver, const struct channel *channel,
-                        const double *value, int64_t t_ns)
+/* Status: torque command, current, and the state if there is one, each by itself. Returns 1 if there
+ * is a command or a current. */
+static int note_status(struct receiver *receiver, const struct channel *channel,
+                       const double *value, const uint8_t *validity, int64_t t_ns)
 {
     struct drive_input *drive = &receiver->drives[channel->drive];
-    const int32_t *columns = channel->columns;
-    const double command = value[columns[0]];
+    const double command = used_value(channel, 0, value, validity);
+    const double irms = used_value(channel, 1, value, validity);
+    const double state = used_value(channel, 2, value, validity);
+    if (isnan(command) && isnan(irms))
+        return 0;
     const double before = isnan(drive->command) ? command : drive->command;
     drive->command_steady = fabs(command - before) <= STEADY_NM + STEADY_SHARE * fabs(command);
     drive->command = command;
     drive->previous_command = before;
-    drive->irms = value[columns[1]];
-    drive->operating =
-        channel->column_count <= 2 || isnan(value[columns[2]]) || value[columns[2]] == OPERATION;
+    drive->irms = irms;
+    drive->operating = isnan(state) || state == OPERATION;
     drive->command_ns = t_ns;
+    return 1;
 }
 
-/* A good row of any other kind than temperatures. */
-static enum rx_counter note_good(struct receiver *receiver, struct channel *channel, int64_t row,
-                                 const double *value)
+/* Motion and Status: each signal by itself. Returns why the first one, which adhesion needs, may not
+ * be used, or RX_DECODED. */
+static enum rx_counter note_separate(struct receiver *receiver, struct channel *channel,
+                                     int64_t row, const double *value, const uint8_t *validity)
 {
     const int64_t t_ns = receiver->t_ns[row];
-    if (channel->kind == KIND_MOTION)
-        note_motion(receiver, channel, value, t_ns);
-    else if (channel->kind == KIND_STATUS)
-        note_status(receiver, channel, value, t_ns);
-    else if (!pair_samples(receiver, row))
+    const int noted = channel->kind == KIND_MOTION
+                          ? note_motion(receiver, channel, value, validity, t_ns)
+                          : note_status(receiver, channel, value, validity, t_ns);
+    if (noted)
+        channel->good_ns = t_ns;
+    const uint8_t first = validity[channel->columns[0]];
+    if (first == SIGNAL_VALID)
+        return RX_DECODED;
+    return first == SIGNAL_NOT_AVAILABLE ? RX_NOT_AVAILABLE : RX_RANGE;
+}
+
+/* A good row of currents, voltages or samples. */
+static enum rx_counter note_good(struct receiver *receiver, struct channel *channel, int64_t row)
+{
+    if (!pair_samples(receiver, row))
         return RX_RANGE;
-    channel->good_ns = t_ns;
+    channel->good_ns = receiver->t_ns[row];
     return RX_DECODED;
 }
 
@@ -191,12 +226,16 @@ static void note_row(struct receiver *receiver, int64_t row)
         note_temperatures(channel, value, validity, receiver->t_ns[row]);
         receiver->temperature_rows[receiver->tick.temperatures++] = row;
     } else {
-        if (found == RX_DECODED)
-            found = note_good(receiver, channel, row, value);
+        enum rx_counter why = found;
+        const int separate = channel->kind == KIND_MOTION || channel->kind == KIND_STATUS;
+        if (separate && has_quality(channel, value))
+            why = note_separate(receiver, channel, row, value, validity);
+        else if (!separate && found == RX_DECODED)
+            why = found = note_good(receiver, channel, row);
         static const uint8_t reasons[] = {[RX_DECODED] = REASON_NONE,
                                           [RX_NOT_AVAILABLE] = REASON_NOT_AVAILABLE,
                                           [RX_RANGE] = REASON_RANGE};
-        channel->reject_reason = reasons[found];
+        channel->reject_reason = reasons[why];
     }
     receiver->counters[found]++;
 }

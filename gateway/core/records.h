@@ -1262,6 +1262,26 @@ struct frame {
     uint8_t *data; /* PAYLOAD_BYTES */
 };
 
+/* ---- text logs of others (dbc/text_read.c) ---- */
+
+#define TEXT_HEADS    4096 /* different heads of a log that are read without Python */
+#define TEXT_MAX_HEAD 63   /* bytes of one */
+
+/* How the plain lines of a format look: words, a time, words that are the head, data. */
+struct text_shape {
+    int64_t unit_ns;      /* of the time, ns */
+    int32_t words_before; /* in front of the time */
+    int32_t head_words;   /* between time and data */
+    int32_t marker_word;  /* which of them has to be `marker`; -1: none */
+    uint8_t marker;       /* a character */
+};
+
+/* What stands between the time and the data of a line. */
+struct text_head {
+    uint8_t text[TEXT_MAX_HEAD];
+    uint8_t length; /* bytes of it; 0: none */
+};
+
 /* ---- which inputs are valid (gateway/core/inputs.c) ---- */
 
 /* Channels of one drive, and how good its inputs have to be; constant. */

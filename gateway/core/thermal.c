@@ -75,7 +75,7 @@ static void add_load(struct motor_temperatures *motor, const struct receiver *re
                      int64_t now_ns)
 {
     const struct drive_input *in = &receiver->drives[j];
-    if (!isnan(in->command) && motor->status >= 0 &&
+    if (!isnan(in->irms) && motor->status >= 0 &&
         is_channel_fresh(&receiver->channels[motor->status], now_ns))
         add_quantity(motor, THERMAL_CURRENT_SQUARE, 2.0 * (in->irms * in->irms)); /* amplitude */
     if (!isnan(in->speed) && motor->motion >= 0 &&

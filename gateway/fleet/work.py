@@ -7,6 +7,7 @@ from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 
+from dbc.candump.grammar import Verdict
 from dbc.codec import Codec, DbcMismatch, bind
 from gateway.core.gateway import Gateway
 from gateway.fleet.log_result import Estimates
@@ -61,9 +62,12 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
         sink = Briefly(lambda _out: None, changed, estimates)
         done = replay(blocks, lambda at: Gateway(config, codec, at), config.loop.period_ns, sink)
         reader = log.reader
-        faulty = sum(n for v, n in reader.counts.items() if v.is_fault) if reader else 0
+        faulty = sum(n for v, n in reader.counts.items() if v.is_fault)
+        cut = reader.truncated or (
+            "its last line is not whole" if reader.counts[Verdict.CUT] else None
+        )
         row = Row(
-            path=shown(one.path), warning=(reader.truncated or None) if reader else None,
+            path=shown(one.path), warning=cut,
             file=f"{FOLDER}/{one.name}", size_bytes=int(mark["size_bytes"]),
             channel=done.channel.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
             first_ns=done.first_ns, last_ns=done.last_ns, frames=done.frames,

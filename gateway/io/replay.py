@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from dbc.candump.reader import LogError, Reader
 from dbc.frame import Frame, Nanos
-from dbc.frames import EMPTY, Block, block_of, in_blocks, join
+from dbc.frames import EMPTY, Block, block_of, join
+from dbc.openlog import OTHERS, LogReader, ending, is_screen_form, open_reader
+from dbc.textlog import TextReader
 from gateway.core.gateway import Gateway
 from gateway.io import quick_start as leanstart
 from gateway.io.logtime import HOLE_NS, LogTime
@@ -215,16 +217,17 @@ def replay(
 
 
 class Log(NamedTuple):
-    """A log that can be read: its blocks, and what keeps the counts (None: nobody does)."""
+    """A log that can be read: its blocks, and what keeps the counts."""
 
     blocks: Iterable[Block]
-    reader: Reader | None
+    reader: LogReader
 
 
-def open_log(path: Path, strict: bool) -> Log:
-    """A log: python-can's formats by their suffix, candump's text with any other.
+def open_log(path: Path, strict: bool, line: str = "") -> Log:
+    """A log: by its ending, and by its content where that says nothing, see `dbc.openlog`.
 
-    Raises BadLogError for what is not there or no file: a FIFO or a device may never end.
+    line: a pattern of its lines. Raises BadLogError for what is not there or no file: a FIFO or a
+    device may never end.
     """
     if not path.exists():
         msg = f"{path}: no such file"
@@ -235,25 +238,13 @@ def open_log(path: Path, strict: bool) -> Log:
     if not path.is_file():
         msg = f"{path}: a FIFO, device or socket, not a log; write a file first"
         raise BadLogError(msg)
-    # Loggers on Windows like capitals.
-    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
-    if suffix == ".log" or not _other(suffix):
-        reader = Reader(path, strict=strict)
-        return Log(_some(reader, path), reader)
-    from dbc.python_can_logs import read_any
-
-    return Log(in_blocks(read_any(path)), None)
+    if ending(path) in OTHERS:
+        leanstart.python_can()
+    reader = open_reader(path, strict=strict, line=line)
+    return Log(_some(reader, path), reader)
 
 
-def _other(suffix: str) -> bool:
-    """Whether it is a format of python-can, which is loaded for others than candump's only."""
-    leanstart.python_can()
-    from can.io.player import MESSAGE_READERS
-
-    return suffix in MESSAGE_READERS
-
-
-def _some(reader: Reader, path: Path) -> Iterator[Block]:
+def _some(reader: LogReader, path: Path) -> Iterator[Block]:
     """The log's blocks. Raises BadLogError where it has lines and none is a frame."""
     found = False
     for block in reader.blocks():
@@ -261,10 +252,17 @@ def _some(reader: Reader, path: Path) -> Iterator[Block]:
         yield block
     if not found and reader.problems:
         line, verdict, text = reader.problems[0]
+        candump = isinstance(reader, Reader) and not isinstance(reader, TextReader)
+        name = "frame as candump -L writes them" if candump else "frame"
+        what = "" if candump else "cannot be read: "
         msg = (
-            f"{path}: not one of its {reader.lines} lines is a frame as candump -L writes them; "
+            f"{path}: {what}not one of its {reader.lines} {reader.unit} is a {name}; "
             f"line {line}: {verdict.name.lower()}: {text[:TOLD]}"
         )
+        if is_screen_form(text):
+            msg += (
+                "; candump shows this on a screen: record with `candump -L IF` or `candump -l IF`"
+            )
         raise BadLogError(msg)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from dbc.codec import Codec
 from dbc.frame import MS
-from dbc.frames import Block, in_blocks
+from dbc.frames import Block
 from gateway.io.logtime import LogTime
 from gateway.io.replay import BadLogError, Log, LogError, OneChannel, open_log
 from gateway.io.whole_file import whole
@@ -27,6 +27,8 @@ SIGNALS: Final = (".parquet", ".mf4", ".csv", ".csv.gz")
 """Endings that hold decoded signals, or frames where asked for."""
 ASCENDING: Final = (".asc", ".blf", ".trc", ".mf4")
 """Endings of formats in which time only goes forward."""
+TIME_FAULTS: Final = ("time_back", "before_the_first", "before_1970")
+"""Causes for which a frame is not written that are the log's."""
 _EXTRA: Final = {".parquet": ("pyarrow", "parquet"), ".mf4": ("asammdf", "mf4")}
 
 
@@ -45,7 +47,7 @@ class Done(NamedTuple):
     @property
     def time_faults(self) -> dict[str, int]:
         """Frames that were not written because of their time, by cause."""
-        return {cause: self.sink.left_out[cause] for cause in ("time_back", "before_the_first")}
+        return {cause: self.sink.left_out[cause] for cause in TIME_FAULTS}
 
 
 def ending(path: Path) -> str:
@@ -79,28 +81,13 @@ def need(path: Path) -> None:
         raise ConfigError(f"{path}: needs {module}", [cure])
 
 
-def open_input(path: Path, strict: bool) -> Log:
+def open_input(path: Path, strict: bool, line: str = "") -> Log:
     """As `open_log`, and Parquet with a row per frame. Raises ConfigError, BadLogError."""
     need(path)
-    kind = ending(path)
-    if kind == ".parquet" and path.is_file():
-        return Log(in_blocks(frame_files.read_parquet(path)), None)
-    log = open_log(path, strict)
-    return Log(_all_of_blf(path, log.blocks), None) if kind == ".blf" else log
-
-
-def _all_of_blf(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
-    """The same; raises LogError at the end of a file that was cut: python-can says nothing."""
-    read = 0
-    for block in blocks:
-        read += block.size
-        yield block
-    with path.open("rb") as stream:
-        # Vector's header: its own size of the file at byte 16.
-        promised = int.from_bytes(stream.read(24)[16:], "little")
-    if path.stat().st_size < promised:
-        what = f"ends early after {read} frames: {path.stat().st_size} of {promised} bytes"
-        raise LogError(str(path), 0, what)
+    if ending(path) == ".parquet" and path.is_file():
+        reader = frame_files.ParquetReader(path, strict=strict)
+        return Log(reader.blocks(), reader)
+    return open_log(path, strict, line)
 
 
 def of_channel(blocks: Iterable[Block], wanted: str | None) -> Iterator[Block]:
@@ -118,7 +105,14 @@ def frame_sink(path: Path, kind: str) -> Sink:
         from gateway.logfiles.mf4 import Mf4Frames
 
         return Mf4Frames(path)
-    return frame_files.PythonCan(path)
+    if kind == ".blf":
+        from gateway.logfiles.blf import BlfFile
+
+        return BlfFile(path)
+    from gateway.logfiles import text as text_files
+
+    kinds = {".asc": text_files.AscFile, ".trc": text_files.TrcFile, ".csv": text_files.CsvFrames}
+    return kinds[kind](path)
 
 
 def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]) -> Sink:
@@ -146,10 +140,10 @@ def _readable(blocks: Iterable[Block]) -> Iterator[Block]:
 
 def comments_of(codec: Codec) -> dict[str, str]:
     """`Message` and `Message.Signal` -> comment, of those that have one."""
-    from dbc.load import load
+    from dbc.tolerant import database_of
 
     said = {}
-    for message in load(codec.path).messages:
+    for message in database_of(codec.path).messages:
         said[message.name] = message.comment or ""
         for signal in message.signals:
             said[f"{message.name}.{signal.name}"] = signal.comment or ""

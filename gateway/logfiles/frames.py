@@ -1,4 +1,4 @@
-"""Frames into files: candump text, python-can's formats, Parquet with a row per frame.
+"""Frames into files: candump text, and Parquet with a row per frame.
 
 Every writer takes blocks, counts what it wrote and what its format has no room for, by cause.
 """
@@ -13,8 +13,10 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from dbc.candump.reader import Writer
+from dbc.candump.writer import NotWritableError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from dbc.frames import Block
+from dbc.objectlog import ObjectReader
 
 GROUP: Final = 1 << 17
 """Rows of a Parquet row group: what is kept in memory."""
@@ -51,63 +53,25 @@ class Candump:
 
     def add(self, block: Block) -> None:
         """Append."""
-        names = [interface(name) for name in block.names]
-        for k, frame in enumerate(block.frames()):
+        early = block.t_ns < 0
+        if early.any():
+            self.left_out["before_1970"] += int(np.count_nonzero(early))
+            block = block.pick(~early)
+        block = block._replace(names=[interface(name) for name in block.names])
+        while block.size:
             try:
-                self._writer.write(frame._replace(channel=names[block.channel[k]]))
-            except ValueError:
-                # A time before 1970, or a name with a blank in it.
+                self._writer.write_block(block)
+            except NotWritableError as error:  # a name with a blank in it, for one
+                self.written += error.row
                 self.left_out["not_expressible"] += 1
+                block = block.part(error.row + 1, block.size)
             else:
-                self.written += 1
+                self.written += block.size
+                return
 
     def close(self) -> None:
         """Make the file whole."""
         self._writer.close()
-
-
-_NO_ROOM: Final = {".asc": 0, ".blf": 0, ".trc": FD | REMOTE | ERROR, ".csv": FD}
-"""Ending -> flags of frames that python-can's writer drops or mistakes for others."""
-
-
-class PythonCan:
-    """python-can's own writers: `.asc`, `.blf`, `.trc`, and `.csv` of frames."""
-
-    def __init__(self, path: Path) -> None:
-        """Creates the file; the format is by its ending."""
-        import can
-
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
-        self._no_room = _NO_ROOM[path.suffix.lower()]
-        self._first_ns: int | None = None
-        self._logger = can.Logger(path)
-
-    def add(self, block: Block) -> None:
-        """Append."""
-        from dbc.python_can_logs import to_message
-
-        for frame in block.frames():
-            if (cause := self._objection(frame)) is not None:
-                self.left_out[cause] += 1
-                continue
-            if self._first_ns is None:
-                self._first_ns = frame.t_ns
-            self._logger.on_message_received(to_message(frame))
-            self.written += 1
-
-    def _objection(self, frame: Frame) -> str | None:
-        for flag, name in ((FD, "fd"), (REMOTE, "remote"), (ERROR, "error")):
-            if frame.flags & flag & self._no_room:
-                return name
-        # These formats count from the first frame and have no sign.
-        if self._first_ns is not None and frame.t_ns < self._first_ns:
-            return "before_the_first"
-        return None
-
-    def close(self) -> None:
-        """Make the file whole."""
-        self._logger.stop()
 
 
 _FLAGS: Final = {
@@ -171,6 +135,16 @@ class ParquetFrames:
         self._writer.close()
 
 
+class ParquetReader(ObjectReader):
+    """Frames of a file that `ParquetFrames` wrote. Raises LogError for any other."""
+
+    unit = "rows"
+
+    def frames(self) -> Iterator[Frame]:
+        """See `read_parquet`."""
+        return read_parquet(self.path)
+
+
 def read_parquet(path: Path) -> Iterator[Frame]:
     """Frames of a file that `ParquetFrames` wrote. Raises LogError for any other."""
     import pyarrow as pa
@@ -210,4 +184,11 @@ def _frames(batch: Any) -> Iterator[Frame]:
     return (Frame(*row) for row in rows)
 
 
-__all__ = ["Candump", "ParquetFrames", "PythonCan", "Sink", "interface", "read_parquet"]
+__all__ = [
+    "Candump",
+    "ParquetFrames",
+    "ParquetReader",
+    "Sink",
+    "interface",
+    "read_parquet",
+]

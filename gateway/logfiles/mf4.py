@@ -19,7 +19,7 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND
 from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
 from gateway.logfiles.signal_files import Comments, labels_of
-from gateway.logfiles.signals import Decoder
+from gateway.logfiles.signals import Decoded, Decoder, is_exact
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _BUS, _CAN = 2, 2
@@ -92,39 +92,52 @@ class Mf4Signals(_Mf4):
                 self.left_out["no_signals"] += len(rows)
                 continue
             times = self._seconds(frames.t_ns[rows])
-            values = done.value[rows, : len(message.signals)]
+            cells = [_cells(done, message, place, rows) for place in range(len(message.signals))]
             if key not in self._groups:
-                self._groups[key] = self._begin(message, channel, times, values)
+                self._groups[key] = self._begin(message, channel, times, cells)
             else:
-                cells = [(np.ascontiguousarray(v), np.isnan(v)) for v in values.T]
                 self._mdf.extend(self._groups[key], [(times, None), *cells])
             self.written += len(rows)
 
     def _begin(
-        self, message: MessageSpec, channel: str, times: Any, values: NDArray[np.float64]
+        self, message: MessageSpec, channel: str, times: Any, cells: list[tuple[Any, Any]]
     ) -> int:
         from asammdf import Signal, Source
 
         source = Source(name=channel, path=channel, comment="", source_type=_BUS, bus_type=_CAN)
         signals = []
-        for signal, column in zip(message.signals, values.T, strict=True):
+        for signal, (column, missing) in zip(message.signals, cells, strict=True):
             name = f"{message.name}.{signal.name}"
             signals.append(
                 Signal(
-                    samples=np.ascontiguousarray(column),
+                    samples=column,
                     timestamps=times,
                     name=name,
                     unit=signal.unit,
                     comment=self._comments.get(name, ""),
                     conversion=_names(signal),
                     source=source,
-                    invalidation_bits=np.isnan(column),
+                    invalidation_bits=missing,
                 )
             )
         comment = self._comments.get(message.name, "")
         return int(
             self._mdf.append(signals, acq_name=message.name, acq_source=source, comment=comment)
         )
+
+
+def _cells(
+    done: Decoded, message: MessageSpec, place: int, rows: NDArray[np.int64]
+) -> tuple[Any, NDArray[np.bool_]]:
+    """Values of a signal, and which are none."""
+    values = done.value[rows, place]
+    missing = np.isnan(values)
+    signal = message.signals[place]
+    if is_exact(signal):
+        found = done.exact[message.index, place][rows]
+        kind = np.int64 if signal.is_signed else np.uint64
+        return np.array([0 if raw is None else raw for raw in found], dtype=kind), missing
+    return np.ascontiguousarray(values), missing
 
 
 def _names(signal: SignalSpec) -> dict[str, Any] | None:
@@ -188,8 +201,7 @@ def _records(name: str, block: Block) -> NDArray[np.void]:
     fd = block.flags & FD != 0
     length = block.length.clip(max=64)
     dlc = np.where(fd, codes[length], length)
-    if remote:
-        dlc = np.where(block.dlc >= 0, block.dlc, dlc)
+    dlc = np.where((block.dlc >= 0) & ~fd, block.dlc, dlc)
     out[f"{name}.BusChannel"] = numbers[block.channel]
     out[f"{name}.ID"] = block.can_id
     out[f"{name}.IDE"] = block.flags & EXTENDED != 0

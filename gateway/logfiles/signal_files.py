@@ -20,10 +20,13 @@ from numpy.typing import NDArray
 from dbc.frame import SECOND
 from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
-from gateway.logfiles.signals import Decoded, Decoder, columns
+from gateway.logfiles.signals import Decoded, Decoder, columns, is_exact
 
+_LARGEST: Final = 2.0**64
 _CELLS: Final = 1 << 22
 """Of a Parquet row group: what is kept in memory, some 40 MB."""
+MARKS: Final = "out_of_range"
+"""The last column: the row's signals whose value is outside of its range."""
 Comments = dict[str, str]
 """`Message` and `Message.Signal` -> what the DBC says of it."""
 
@@ -60,7 +63,11 @@ class ParquetSignals:
             if labels := labels_of(signal):
                 said["labels"] = json.dumps(labels)
             said = {key: text for key, text in said.items() if text}
-            fields.append(pa.field(name, pa.float64(), metadata=said))
+            kind = pa.float64()
+            if is_exact(signal):
+                kind = pa.int64() if signal.is_signed else pa.uint64()
+            fields.append(pa.field(name, kind, metadata=said))
+        fields.append(pa.field(MARKS, pa.string()))
         self._schema = pa.schema(fields)
         self._held: list[Any] = []
         self._rows = 0
@@ -85,9 +92,17 @@ class ParquetSignals:
                 pa.array(done.message.astype(np.int16)), pa.array(self._names, pa.string())
             ),
         ]
-        for _, message, place in self._columns:
+        for k, (_, message, place) in enumerate(self._columns, 3):
+            if is_exact(message.signals[place]):
+                whole = done.exact.get((message.index, place), [None] * frames.size)
+                arrays.append(pa.array(list(whole), self._schema.field(k).type))
+                continue
             values = _column(done, message, place)
             arrays.append(pa.array(values, pa.float64(), mask=np.isnan(values)))
+        marks = np.full(frames.size, None, dtype=object)
+        for k in np.flatnonzero(done.marked.any(axis=1)).tolist():
+            marks[k] = done.marks(k, self._decoder.codec.messages[done.message[k]])
+        arrays.append(pa.array(marks, pa.string()))
         self._held.append(pa.record_batch(arrays, schema=self._schema))
         self._rows += frames.size
         self.written += frames.size
@@ -125,6 +140,7 @@ class CsvSignals:
             self._first.setdefault(message.index, len(head))
             unit = message.signals[place].unit
             head.append(f"{name} [{unit}]" if unit else name)
+        head.append(MARKS)
         self._width = len(head)
         if path.suffix.lower() == ".gz":
             stream = gzip.open(path, "wt", encoding="utf-8", newline="")  # noqa: SIM115
@@ -138,6 +154,7 @@ class CsvSignals:
         """Append."""
         done = self._decoder.decode(block)
         frames, messages = done.frames, self._decoder.codec.messages
+        has_marks = np.atleast_1d(done.marked.any(axis=1)).tolist()
         stamps, channels = frames.t_ns.tolist(), frames.channel.tolist()
         for k, (number, values) in enumerate(
             zip(done.message.tolist(), done.value.tolist(), strict=True)
@@ -145,16 +162,28 @@ class CsvSignals:
             message = messages[number]
             row = [""] * self._width
             row[:3] = (_seconds(stamps[k]), frames.names[channels[k]], message.name)
-            first = self._first[number]
+            first = self._first.get(number, 0)  # of a message without signals there is none
             for place, value in enumerate(values[: len(message.signals)], first):
                 if value == value:  # noqa: PLR0124 - not NaN
-                    row[place] = format(value, ".15g")
+                    row[place] = _number(value)
+            if has_marks[k]:
+                row[-1] = done.marks(k, message)
+            for (index, place), whole in done.exact.items():
+                if index == number and whole[k] is not None:
+                    row[first + place] = str(whole[k])
             self._rows.writerow(row)
         self.written += frames.size
 
     def close(self) -> None:
         """Make the file whole."""
         self._file.close()
+
+
+def _number(value: float) -> str:
+    """15 digits, as many as any decimal keeps; more where they are those of a whole number."""
+    if 1e15 <= abs(value) < _LARGEST and value.is_integer():
+        return f"{value:.0f}"
+    return format(value, ".15g")
 
 
 def _seconds(t_ns: int) -> str:

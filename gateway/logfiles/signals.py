@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +15,46 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE
 from dbc.frames import ROOM, Block
-from dbc.spec import ABSENT, EXTENDED_KEY, VALID, Match, MessageSpec, Validity
+from dbc.spec import (
+    ABSENT,
+    EXTENDED_KEY,
+    NOT_AVAILABLE,
+    RANGE,
+    SATURATED,
+    Match,
+    MessageSpec,
+    SignalSpec,
+    Validity,
+)
+
+_FLOAT_BITS: Final = 53
 
 
 class Decoded(NamedTuple):
     """Frames of a DBC: n of them in their order.
 
     frames: n frames; message (n,) int32, its `MessageSpec.index`; value (n, S) as
-    `Codec.decode_rows`, NaN where the frame has no valid value.
+    `Codec.decode_rows`, NaN where the frame has none; marked (n, S): outside of its range, or at
+    the end of one that saturates; exact: by message and place of a signal whose whole numbers a
+    float cannot hold, (n,) objects: int, or None where there is no value.
     """
 
     frames: Block
     message: NDArray[np.int32]
     value: NDArray[np.float64]
+    marked: NDArray[np.bool_]
+    exact: dict[tuple[int, int], NDArray[np.object_]]
+
+    def marks(self, k: int, message: MessageSpec) -> str:
+        """Names of the marked signals of a frame, with blanks between."""
+        places = np.flatnonzero(self.marked[k]).tolist()
+        return " ".join(message.signals[place].name for place in places)
+
+
+def is_exact(signal: SignalSpec) -> bool:
+    """Whether its whole numbers need more than a float's 53 bits."""
+    plain = (signal.scale, signal.offset) == (1, 0) and not signal.is_float
+    return plain and signal.length > _FLOAT_BITS
 
 
 class Decoder:
@@ -38,6 +65,16 @@ class Decoder:
         self.codec = codec
         self.counts: Counter[Match] = Counter()
         self.cells: Counter[Validity] = Counter()
+        self.longer = 0
+        """Frames with more bytes than their message has."""
+        self.outside: Counter[str] = Counter()
+        """`Message.Signal` -> values that are marked."""
+        self._exact = {
+            (m.index, place): signal
+            for m in codec.messages
+            for place, signal in enumerate(m.signals)
+            if is_exact(signal)
+        }
         ordered = sorted(codec.messages, key=lambda m: m.key)
         self._keys = np.array([m.key for m in ordered], dtype=np.int64)
         self._index = np.array([m.index for m in ordered], dtype=np.int32)
@@ -55,7 +92,7 @@ class Decoder:
         said = np.full(block.size, Match.UNKNOWN_ID, dtype=np.uint8)
         if known.any():
             said[known] = Match.OK
-            said[known & (self._length[place] != block.length)] = Match.WRONG_LENGTH
+            said[known & (self._length[place] > block.length)] = Match.WRONG_LENGTH
             said[known & (self._fd[place] != (flags & FD != 0))] = Match.WRONG_FORMAT
         said[flags & REMOTE != 0] = Match.REMOTE
         said[flags & ERROR != 0] = Match.ERROR_FRAME
@@ -63,6 +100,8 @@ class Decoder:
             if count:
                 self.counts[Match(number)] += count
         good = said == Match.OK
+        if good.any():
+            self.longer += int(np.count_nonzero(self._length[place[good]] < block.length[good]))
         index = np.full(block.size, -1, dtype=np.int32)
         index[good] = self._index[place[good]]
         return index
@@ -76,8 +115,34 @@ class Decoder:
         for number, count in enumerate(np.bincount(validity.ravel()).tolist()):
             if count and number != ABSENT:
                 self.cells[Validity(number)] += count
-        value[validity != VALID] = np.nan
-        return Decoded(frames, index, value)
+        value[(validity == NOT_AVAILABLE) | (validity == ABSENT) | ~np.isfinite(value)] = np.nan
+        marked = (validity == RANGE) | (validity == SATURATED)
+        for number in np.unique(index[marked.any(axis=1)]).tolist():
+            message = self.codec.messages[number]
+            counts = np.count_nonzero(marked[index == number], axis=0).tolist()
+            for place, count in enumerate(counts):
+                if count:
+                    self.outside[f"{message.name}.{message.signals[place].name}"] += count
+        exact = {
+            key: self._whole(key, frames, index, value) for key in self._exact if key[0] in index
+        }
+        return Decoded(frames, index, value, marked, exact)
+
+    def _whole(
+        self,
+        key: tuple[int, int],
+        frames: Block,
+        index: NDArray[np.int32],
+        value: NDArray[np.float64],
+    ) -> NDArray[np.object_]:
+        """One signal's raw numbers."""
+        number, place = key
+        message = self.codec.messages[number]
+        out = np.full(len(index), None, dtype=object)
+        for k in np.flatnonzero((index == number) & ~np.isnan(value[:, place])).tolist():
+            data = frames.data[k, : message.length].tobytes()
+            out[k] = self.codec.decode(message, data)[message.signals[place].name].raw
+        return out
 
 
 def seen(blocks: Iterable[Block], codec: Codec) -> list[MessageSpec]:

@@ -17,8 +17,8 @@ from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
 from dbc.frame import MS, Nanos
-from dbc.load import read
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
+from dbc.tolerant import read_any_dbc
 from gateway.settings.config import Config, ConfigError, Drive, Motor
 from gateway.settings.signal_map import Signals, Source
 
@@ -147,9 +147,17 @@ def given(signals: Signals) -> dict[str, tuple[str, ...]]:
     return {kind: parts for kind, parts in out.items() if parts}
 
 
+def raw_ends(signal: SignalSpec) -> tuple[int, ...]:
+    """Raw values at the ends of a whole number's range, and of what its bits can hold."""
+    low, high = 0, (1 << signal.length) - 1
+    if signal.is_signed:
+        low, high = -(1 << (signal.length - 1)), (1 << (signal.length - 1)) - 1
+    return tuple(sorted({low, signal.raw_min, signal.raw_max, high}))
+
+
 def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
     path = config.base / signals.dbc
-    specs, problems, sends = _messages(path, signals)
+    specs, problems, sends, left_out = _messages(path, signals)
     by_name = {spec.name: spec for spec in specs}
     sources: dict[int, list[tuple[str, str, Source]]] = {}
     of: dict[str, int] = {}
@@ -157,12 +165,16 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
     for name, source in signals.use.items():
         spec = by_name.get(source.message)
         if spec is None:
-            problems.append(f"use.{name}: {path.name} has no message {source.message!r}")
+            why = _why(left_out, source.message)
+            problems.append(f"use.{name}: {path.name} has no message {source.message!r}{why}")
             continue
         found = {signal.name: signal for signal in spec.signals}.get(source.name)
         if found is None:
             known = ", ".join(signal.name for signal in spec.signals)
-            problems.append(f"use.{name}: {source.message} has no signal {source.name!r}: {known}")
+            why = _why(left_out, source.name)
+            problems.append(
+                f"use.{name}: {source.message} has no signal {source.name!r}: {known}{why}"
+            )
             continue
         sources.setdefault(spec.index, []).append((name, source.name, source))
         of[name] = spec.index
@@ -192,15 +204,31 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
     )  # fmt: skip
 
 
-def _messages(path: Path, signals: Signals) -> tuple[list[MessageSpec], list[str], dict[int, str]]:
-    """The mapped messages, numbered, with offset and cycles; problems; all messages' names."""
+def _why(left_out: list[str], name: str) -> str:
+    """What the file's reader says of an entry that it has not used."""
+    return next(
+        (
+            f" ({line})"
+            for line in left_out
+            if name in line.replace(":", " ").replace(".", " ").split()
+        ),
+        "",
+    )
+
+
+def _messages(
+    path: Path, signals: Signals
+) -> tuple[list[MessageSpec], list[str], dict[int, str], list[str]]:
+    """The mapped messages, numbered, with offset and cycles; problems; all messages' names.
+
+    Last, entries of the file that cannot be used: none of our business unless they are mapped.
+    """
     try:
-        specs, faults = read(path)
+        specs, left_out = read_any_dbc(path)
     except DbcMismatch as error:
         raise ConfigError("signals", [f"{path.name}: {line}" for line in error.problems]) from None
     wanted = {source.message for source in signals.use.values()}
-    # Other messages of the file are none of our business, whatever is wrong with them.
-    problems = [f"{path.name}: {f}" for f in faults if f.split(":")[0].split(".")[0] in wanted]
+    problems: list[str] = []
     out: list[MessageSpec] = []
     sends = {spec.key + signals.id_offset: spec.name for spec in specs}
     for spec in specs:
@@ -215,7 +243,7 @@ def _messages(path: Path, signals: Signals) -> tuple[list[MessageSpec], list[str
             spec, index=len(out), can_id=can_id, profile=Profile.NONE,
             cycle_ns=spec.cycle_ns if cycle is None else round(cycle * MS),
         ))  # fmt: skip
-    return out, problems, sends
+    return out, problems, sends, left_out
 
 
 def _scale(name: str, parts: tuple[str, ...], resolution: Mapping[str, float]) -> float:

@@ -17,8 +17,8 @@ from dbc.codec import Codec
 from dbc.e2e import protect
 from dbc.frame import ERROR, EXTENDED, FD, MS, Frame, Nanos
 from dbc.frames import Block, block_of
-from dbc.spec import EXTENDED_KEY, Match, MessageSpec, Validity
-from gateway.mapping.plan import BASES, CARRIES, LEAST_NS, Plan
+from dbc.spec import EXTENDED_KEY, Match, MessageSpec, Reading, SignalSpec, Validity
+from gateway.mapping.plan import BASES, CARRIES, LEAST_NS, Plan, raw_ends
 from gateway.settings.signal_map import Source
 
 JOINED_PERIODS: Final = 1.5
@@ -31,6 +31,8 @@ for one instant: frames of one sample leave one after another."""
 MOST_STEPS: Final = 15
 SQUARES: Final = 256
 """Currents that are remembered for `Irms`."""
+NEAR_END_K: Final = 10.0
+"""From there a motor warms up to the end of the range within a few readings, with no jump."""
 _ELECTRICAL: Final = ("PhaseCurrents", "StatorVoltages")
 _SQRT3: Final = math.sqrt(3.0)
 _CAUSES: Final = {
@@ -95,6 +97,8 @@ class _Drive:
         self._theirs: int | None = None
         self._their = 0
         self._squares: deque[float] = deque(maxlen=SQUARES)
+        self._inside: dict[str, float] = {}
+        """Last temperatures that were not at an end of their raw range, as the DBC has them."""
         self._news: set[str] = set()
         """What has come since currents were made."""
         self._of = {n: k for k, rows in plan.sources.items() for n, _, _ in rows}
@@ -123,6 +127,9 @@ class _Drive:
             if reading.validity is Validity.ABSENT:
                 continue
             good = reading.validity is Validity.VALID and reading.raw not in source.not_available
+            good = good and not self._jumped_to_end(
+                name, spec.signals[spec.column(column)], reading
+            )
             good = good and t_ns - self._begun[index] >= source.settle_ms * MS
             self._held[name] = Held(_physical(reading.value, source) if good else None, t_ns)
             came.add(name)
@@ -132,6 +139,19 @@ class _Drive:
         if "PhaseCurrents" in kinds:
             self._news.clear()
         return [self._make(kind, t_ns) for kind in kinds]
+
+    def _jumped_to_end(self, name: str, signal: SignalSpec, reading: Reading) -> bool:
+        """Whether a temperature is at an end of its raw range, and was not near it before.
+
+        255, 0x7FFF, -40: what a sensor sends that has no value. A motor warms up to the end.
+        """
+        if name not in CARRIES["Temperatures"] or signal.is_float:
+            return False
+        if reading.raw not in raw_ends(signal):
+            self._inside[name] = reading.value
+            return False
+        last = self._inside.get(name)
+        return last is None or abs(reading.value - last) > NEAR_END_K
 
     def _its_turn(self, kind: str, came: set[str], t_ns: Nanos) -> bool:
         """came: the quantities of this frame."""

@@ -254,9 +254,10 @@ class Receiver:
         value, validity = values[0, :width].tolist(), validities[0, :width].tolist()
         usable = channel.quality is None or value[channel.quality] in (1.0, 2.0)
         found = 0
-        if not usable or 1 in validity:
+        said = [validity[k] for k in channel.columns]
+        if not usable or 1 in said:
             found = NOT_AVAILABLE
-        elif set(validity) - {0, 4}:
+        elif set(said) - {0, 4}:
             found = RANGE
         used = [value[k] for k in channel.columns]
         if channel.kind == "Temperatures":
@@ -264,6 +265,14 @@ class Receiver:
             if usable and any(validity[k] == 0 for k in channel.columns):
                 channel.good = frame.t_ns
             self.temperatures.append(channel.spec.name)
+        elif channel.kind in ("Motion", "Status"):
+            why = found
+            if usable:
+                known = [v if how == 0 else math.nan for v, how in zip(used, said, strict=True)]
+                if self.use(channel, frame, known):
+                    channel.good = frame.t_ns
+                why = {0: 0, 1: NOT_AVAILABLE}.get(said[0], RANGE)
+            channel.rejected = why
         else:
             if not found and channel.kind == "Samples" and int(used[0]) % 8:
                 found = RANGE
@@ -276,10 +285,15 @@ class Receiver:
     def use(self, channel, frame, used):
         drive, t = self.drives[channel.drive], frame.t_ns
         if channel.kind == "Motion":
+            if math.isnan(used[0]):
+                return False
             drive.speed = used[0] * (2.0 * math.pi / 60.0)
             angle = used[2] * (math.pi / 180.0) if len(used) > 2 else math.nan
-            self.readings.append((channel.drive, t, drive.speed, used[1], angle))
+            if not math.isnan(used[1]):
+                self.readings.append((channel.drive, t, drive.speed, used[1], angle))
         elif channel.kind == "Status":
+            if math.isnan(used[0]) and math.isnan(used[1]):
+                return False
             before = used[0] if math.isnan(drive.command) else drive.command
             drive.steady = abs(used[0] - before) <= 0.5 + 0.05 * abs(used[0])
             drive.command, drive.before, drive.irms, drive.command_ns = used[0], before, used[1], t
@@ -288,6 +302,7 @@ class Receiver:
             self.block(channel, drive, used, t)
         else:
             self.pair(channel, drive, used, t, frame.data[1] & 15)
+        return True
 
     def pair(self, channel, drive, used, t, counter):
         kind, period = channel.kind, channel.spec.cycle_ns

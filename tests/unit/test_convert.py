@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import shutil
+import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from dbc.contract import ANY
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from dbc.frames import block_of
 from dbc.load import load
+from dbc.spec import Validity
 from gateway import cli
 from gateway.io.replay import open_log
 from gateway.logfiles import convert
@@ -87,11 +89,11 @@ ROOM = {
     ".log": (0, 0, True, True),
     ".log.gz": (0, 0, True, True),
     ".parquet": (0, 0, True, True),
-    ".mf4": (0, 240, True, True),
-    ".blf": (0, 500, True, True),
+    ".mf4": (0, 0, True, True),
+    ".blf": (0, 0, True, True),
     ".asc": (0, 500, False, True),
-    ".trc": (FD | REMOTE | ERROR, 500, True, False),
-    ".csv": (FD, 240, True, False),
+    ".trc": (0, 500, True, True),
+    ".csv": (FD, 0, True, False),
 }
 
 
@@ -112,8 +114,9 @@ def test_frames_there_and_back(tmp_path: Path, kind: str, capsys: pytest.Capture
     frames = list(Reader(back))
     data = [f.data if not f.flags & ERROR else b"" for f in frames]
     assert data == [f.data if not f.flags & ERROR else b"" for f in kept]
-    # ASC says of an error frame only that there was one.
-    ids = [f.can_id if kind != ".asc" or not f.flags & ERROR else 0x4 for f in frames]
+    # ASC and TRC say of an error frame only that there was one.
+    some = kind in (".asc", ".trc")
+    ids = [0x4 if some and f.flags & ERROR else f.can_id for f in frames]
     assert ids == [f.can_id for f in kept]
     assert [f.flags & ~EXTENDED if f.flags & ERROR else f.flags for f in frames] == [
         f.flags for f in kept
@@ -165,7 +168,7 @@ def expected() -> tuple[list[Frame], dict[str, list[tuple[int, float]]]]:
         read = database.decode_message(spec.can_id, data, decode_choices=False)
         sure = codec.decode(spec, data)
         for name, value in read.items():
-            if sure[name].validity == 0:
+            if sure[name].validity in (Validity.VALID, Validity.RANGE, Validity.SATURATED):
                 values.setdefault(f"{spec.name}.{name}", []).append((t_ns, float(value)))
     assert sum(map(len, values.values())) > 1000
     return frames, values
@@ -202,7 +205,8 @@ def test_signals_in_parquet(tmp_path: Path, source: Path, expected: tuple) -> No
     assert table["message"].to_pylist()[:2] == ["Drive1_Motion", "Drive2_Motion"]
     assert set(table["channel"].to_pylist()) == {"can0"}
     found = {}
-    for name in table.column_names[3:]:
+    assert table.column_names[-1] == "out_of_range"
+    for name in table.column_names[3:-1]:
         pairs = zip(times, table[name].to_pylist(), strict=True)
         found[name] = [(t, v) for t, v in pairs if v is not None]
     check(found, expected[1])
@@ -225,6 +229,7 @@ def test_signals_in_csv(tmp_path: Path, source: Path, expected: tuple, ending: s
         t_ns = int(row.pop("t_s").replace(".", ""))
         assert row.pop("channel") == "can0"
         message = row.pop("message")
+        row.pop("out_of_range")
         for name, text in row.items():
             if text:
                 assert name.startswith(f"{message}.")
@@ -321,6 +326,41 @@ def test_one_wrong_stamp_and_a_clock_that_is_set_back_cost_next_to_nothing(
     assert np.flatnonzero(steps > 11_000_000).tolist() == [299, 998]
 
 
+def test_asc_and_trc_are_the_same_bytes_wherever_and_whenever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = log_of(tmp_path / "in.log", KINDS)
+    for kind in (".asc", ".trc", ".blf"):
+        made = []
+        for zone in ("UTC", "Asia/Shanghai"):
+            monkeypatch.setenv("TZ", zone)
+            time.tzset()
+            assert run(log, tmp_path / f"out{kind}", "--frames") == 0
+            made.append((tmp_path / f"out{kind}").read_bytes())
+        assert made[0] == made[1]
+    monkeypatch.undo()
+    time.tzset()
+    text = (tmp_path / "out.asc").read_text()
+    assert text.startswith("date Tue Nov 14 22:13:20.123 2023\n")
+    assert "Begin Triggerblock Tue Nov 14 22:13:20.123 2023\n" in text
+
+
+@pytest.mark.parametrize("kind", [".asc", ".blf", ".csv", ".trc"])
+def test_what_is_written_python_can_reads(tmp_path: Path, kind: str) -> None:
+    no_room, error_ns, absolute, _ = ROOM[kind]
+    plain = [f for f in KINDS if not f.flags & (no_room | ERROR)]
+    out = tmp_path / f"out{kind}"
+    assert run(log_of(tmp_path / "in.log", plain), out, "--frames") == 0
+    with can.LogReader(out) as reader:
+        messages = list(reader)
+    assert [(m.arbitration_id, bytes(m.data), m.is_fd, m.is_remote_frame) for m in messages] == [
+        (f.can_id, f.data, bool(f.flags & FD), bool(f.flags & REMOTE)) for f in plain
+    ]
+    start = 0 if absolute else plain[0].t_ns
+    errors = [m.timestamp * 1e9 - (f.t_ns - start) for m, f in zip(messages, plain, strict=True)]
+    assert np.abs(errors).max() <= error_ns + 1000
+
+
 def test_one_channel(tmp_path: Path) -> None:
     log = log_of(tmp_path / "in.log", KINDS)
     out = tmp_path / "out.log"
@@ -400,7 +440,7 @@ def test_faulty_lines_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture)
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 2
 
 
-def test_a_log_that_ends_in_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_line_of_asc_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     text = tmp_path / "in.asc"
     with can.Logger(text) as logger:
         for message in MESSAGES:
@@ -410,9 +450,12 @@ def test_a_log_that_ends_in_a_fault(tmp_path: Path, capsys: pytest.CaptureFixtur
     lines[k] = lines[k].replace(" 01 02", " XX YY")
     text.write_text("\n".join(lines))
     out = tmp_path / "out.log"
-    assert run(text, out) == 2
-    assert "after 1 frames" in capsys.readouterr().err.replace("\n", " ")
-    assert [f.can_id for f in Reader(out)] == [0x181]
+    assert run(text, out) == 1
+    said = capsys.readouterr()
+    assert f"line {k + 1}: bad_length" in said.err
+    assert "bad_length 1" in said.out
+    others = [m.arbitration_id for m in MESSAGES if m.arbitration_id != 0x18FEF100]
+    assert [f.can_id for f in Reader(out)] == others
     out.unlink()
     assert run(text, out, "--strict") == 2
     assert list(tmp_path.iterdir()) == [text]

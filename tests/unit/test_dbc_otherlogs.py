@@ -11,7 +11,8 @@ import pytest
 
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.python_can_logs import from_message, read_any
+from dbc.openlog import read_any
+from dbc.python_can_logs import from_message
 
 T0 = 1_700_000_000.0
 MESSAGES = [
@@ -66,9 +67,8 @@ def test_remote_length_and_channel() -> None:
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("log.xyz", b""),
+        ("log.mf4", b"this is no MF4 file"),
         ("log.blf", b"this is no BLF file"),
-        ("none.blf", None),
     ],
 )
 def test_what_cannot_be_read_is_one_clear_error(

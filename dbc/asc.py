@@ -1,0 +1,248 @@
+"""Vector's ASC: what its lines say.
+
+Own, because python-can's reader eats the line behind a short header, takes `timestamps relative`
+for absolute, drops lines before the trigger, and stops at what it does not know
+(docs/upstream/asc.md).
+Times are those of the file: seconds since the first trigger, also behind a second one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.grammar import Verdict
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND
+from dbc.textlines import shape_of
+from dbc.textlog import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
+
+_PLAIN: Final = (
+    r"[ \t]*(-?\d+\.\d+)[ \t]+"
+    r"(\d{1,3}[ \t]+[0-9A-Fa-f]{1,10}[xX]?[ \t]+(?:[RT]x|TxRq)[ \t]+d[ \t]+[0-9A-Fa-f]{1,2})"
+    r"(?![^ \t\n])([ \t0-9A-Fa-f]*).*"
+)
+_TIMED: Final = re.compile(r"(-?\d+(?:\.\d*)?)\s+(\S.*)")
+_BASE: Final = re.compile(r"base\s+(hex|dec)\b(?:.*\btimestamps\s+(absolute|relative))?", re.I)
+_TRIGGER: Final = re.compile(r"begin\s+triggerblock\b(.*)", re.I)
+_HEADER: Final = re.compile(r"date\b|end\s+triggerblock|(?:no\s+)?internal\s+events", re.I)
+_DATE: Final = re.compile(
+    r"(\S+)\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*([ap]m)?\s*(\d{4})\b", re.I
+)
+_SYMBOLIC: Final = re.compile(r"\bID\s*=\s*(\d+)(x?)", re.I)
+_DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
+_MONTHS: Final = {
+    name: number
+    for number, names in enumerate(
+        ("jan jän ene gen", "feb fév fev", "mar mär mrz", "apr avr abr", "may mai mag",
+         "jun jui giu", "jul lug", "aug aoû ago", "sep set", "oct okt ott out", "nov",
+         "dec dez déc dic"), 1,
+    )
+    for name in names.split()
+}  # fmt: skip
+"""By the first three letters, as Windows writes months in several languages."""
+_MOST_RAW: Final = 15
+_SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
+"""Channel, identifier, direction, `d`, length."""
+_RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
+"""Of the flags of a CANFD line."""
+
+
+class Asc:
+    """The lines of one log, see `dbc.textlog.Format`."""
+
+    regex = re.compile(rf"^(?:{_PLAIN}|(.*))$", re.MULTILINE)
+    order = ()
+    began = False
+    splits = False
+    shape: Any = _SHAPE
+
+    def __init__(self) -> None:
+        """As a log without a header is: hexadecimal, with absolute times."""
+        self._base = 16
+        self._relative = False
+        self._first: datetime | None = None
+        self._block: datetime | None = None
+        self._offset_ns = 0
+        self._latest_ns = 0
+
+    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
+        """Of seconds."""
+        return nanoseconds(texts)
+
+    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """From the first trigger on: differences added up, times of later blocks moved."""
+        if not timed.any():
+            return times
+        if self._relative:
+            times = np.cumsum(np.where(timed, times, 0)) + self._latest_ns
+        else:
+            first = times[timed].item(0)
+            if self._block and self._first and first + self._offset_ns < self._latest_ns:
+                self._offset_ns = _between(self._first, self._block)
+            times = times + self._offset_ns
+        self._block = None
+        self._latest_ns = times[timed].item(-1)
+        return times
+
+    def data(self, text: str, length: int) -> bytes:
+        """Bytes with blanks between, in the log's base."""
+        return hex_bytes(text, length) if self._base == 16 else bytes(map(int, text.split()))
+
+    def whole(self, text: str) -> bool:
+        """A decimal byte may go on."""
+        del text
+        return self._base == 16
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """`channel id direction d length` of a plain line."""
+        channel, name, direction, _, length = parts[0].split()
+        if not channel.isdecimal() or direction not in ("Rx", "Tx", "TxRq"):
+            return Head(0, verdict=Verdict.MALFORMED)
+        request = Verdict.REQUEST if direction == "TxRq" else Verdict.OK
+        found = self._id(name)
+        if found is None:
+            return Head(0, verdict=Verdict.BAD_ID)
+        try:
+            dlc = int(length, self._base)
+        except ValueError:
+            return Head(0, verdict=Verdict.MALFORMED)
+        if dlc > _MOST_RAW:
+            return Head(0, verdict=Verdict.BAD_LENGTH)
+        raw = dlc if dlc > CLASSIC_BYTES else -1
+        return Head(*found, min(dlc, CLASSIC_BYTES), _channel(channel), raw, request)
+
+    def _id(self, text: str) -> tuple[int, int] | None:
+        digits = text.rstrip("xX")
+        try:
+            return int(digits, self._base), EXTENDED if len(digits) < len(text) else 0
+        except ValueError:
+            return None
+
+    def changes(self, text: str) -> bool:
+        """Base and kind of time, and the start of a block."""
+        return bool(_BASE.match(text.strip()) or _TRIGGER.match(text.strip()))
+
+    def line(self, text: str) -> Line:
+        """Header, event, remote, error or CAN FD frame, one with a name for an identifier."""
+        text = text.strip()
+        if not text:
+            return Line(Verdict.BLANK)
+        if text.startswith(("//", "#", ";")):
+            return Line(Verdict.COMMENT)
+        if match := _TIMED.fullmatch(text):
+            try:
+                t_ns = nanoseconds([match[1]]).item()
+                return self._timed(t_ns, match[2].split(), text)
+            except (ValueError, OverflowError, IndexError):
+                return Line(Verdict.MALFORMED)
+        if match := _BASE.match(text):
+            self._base = 16 if match[1].lower() == "hex" else 10
+            self.shape = _SHAPE if self._base == 16 else None
+            self._relative = (match[2] or "").lower() == "relative"
+            return Line(Verdict.HEADER)
+        if match := _TRIGGER.match(text):
+            self._block = _date(match[1])
+            self._first = self._first or self._block
+            return Line(Verdict.HEADER)
+        return Line(Verdict.HEADER if _HEADER.match(text) else Verdict.MALFORMED)
+
+    def _timed(self, t_ns: int, words: list[str], text: str) -> Line:
+        if words[0].upper() == "CANFD" and words[1].isdecimal():
+            return self._fd(t_ns, words)
+        if not words[0].isdecimal():
+            return Line(Verdict.EVENT if words[0][0].isalpha() else Verdict.MALFORMED, None, t_ns)
+        channel = _channel(words[0])
+        if words[1].lower().startswith("errorframe"):
+            return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)
+        if len(words) < 3 or words[2].lower() not in _DIRECTIONS:
+            word = words[1].rstrip(":")
+            event = len(words) > 2 and word.isalpha() and self._id(word) is None
+            return Line(Verdict.EVENT if event else Verdict.MALFORMED, None, t_ns)
+        if words[2].lower() == "txrq":
+            return Line(Verdict.REQUEST, None, t_ns)
+        found = self._id(words[1])
+        if (match := _SYMBOLIC.search(text)) and found is None:
+            found = int(match[1]), EXTENDED if match[2] else 0
+        if found is None:
+            return Line(Verdict.BAD_ID, None, t_ns)
+        number, flags = found
+        if words[3].lower() == "r":
+            asked = words[4] if len(words) > 4 else ""
+            dlc = int(asked, self._base) if asked.isalnum() and len(asked) < 3 else 0
+            return framed(Head(number, flags | REMOTE, 0, channel, dlc or -1), t_ns, sure=True)
+        if words[3].lower() != "d":
+            return Line(Verdict.MALFORMED, None, t_ns)
+        dlc = int(words[4], self._base)
+        if dlc > _MOST_RAW:
+            return Line(Verdict.BAD_LENGTH, None, t_ns)
+        size = min(dlc, CLASSIC_BYTES)
+        data = self.data(" ".join(words[5 : 5 + size]), size)
+        raw = dlc if dlc > CLASSIC_BYTES else -1
+        return framed(Head(number, flags, size, channel, raw), t_ns, data, sure=self._base == 16)
+
+    def _fd(self, t_ns: int, words: list[str]) -> Line:
+        """`CANFD channel direction id [name] brs esi dlc length data duration bits flags ..`."""
+        channel = _channel(words[1])
+        if words[3].lower().startswith("errorframe"):
+            return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)
+        if words[2].lower() not in _DIRECTIONS:
+            return Line(Verdict.MALFORMED, None, t_ns)
+        if words[2].lower() == "txrq":
+            return Line(Verdict.REQUEST, None, t_ns)
+        number, flags = int(words[3].rstrip("xX"), 16), EXTENDED if words[3][-1] in "xX" else 0
+        # A name may stand there, of any form.
+        at = 4 if words[4] in ("0", "1") and _fits(words, 6) else 5
+        brs, esi, dlc, size = words[at], words[at + 1], int(words[at + 2], 16), int(words[at + 3])
+        body = words[at + 4 : at + 4 + size]
+        data = bytes.fromhex(" ".join(body))
+        behind = words[at + 4 + size :]
+        bits = int(behind[2], 16) if len(behind) > 2 else _EDL
+        if bits & _RTR:
+            return framed(Head(number, flags | REMOTE, 0, channel, dlc or -1), t_ns, sure=True)
+        if bits & _EDL:
+            flags |= FD | (BRS if brs == "1" else 0) | (ESI if esi == "1" else 0)
+        if FD_SIZES[dlc & 15] != size and (flags & FD or min(dlc, CLASSIC_BYTES) != size):
+            return Line(Verdict.BAD_LENGTH, None, t_ns)
+        return framed(Head(number, flags, size, channel), t_ns, data, sure=len(behind) > 0)
+
+
+def _fits(words: list[str], at: int) -> bool:
+    """Whether a code of the length and the length stand here."""
+    try:
+        return int(words[at + 1]) in (0, FD_SIZES[int(words[at], 16)])
+    except (ValueError, IndexError):
+        return False
+
+
+def _channel(text: str) -> str:
+    """Vector counts from 1."""
+    return str(max(int(text) - 1, 0))
+
+
+def _date(text: str) -> datetime | None:
+    """Of a trigger; None where it is in no language or order that is known."""
+    match = _DATE.search(text)
+    if match is None:
+        return None
+    word, day, hour, minute, second, fraction, half, year = match.groups()
+    month = _MONTHS.get(word[:3].lower(), 0)
+    hours = int(hour)
+    if half:
+        hours = hours % 12 + (12 if half.lower() == "pm" else 0) if hours <= 12 else hours
+    try:
+        us = int((fraction or "0").ljust(6, "0")[:6])
+        return datetime(int(year), month, int(day), hours, int(minute), int(second), us)  # noqa: DTZ001 only differences are used
+    except ValueError:
+        return None
+
+
+def _between(first: datetime, later: datetime) -> int:
+    """Nanoseconds, at least none."""
+    span = later - first
+    us = (span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds
+    return max(us, 0) * 1000

@@ -1,0 +1,211 @@
+"""CAN bus logging in MF4, read by asammdf in whole arrays.
+
+Own, because python-can's reader takes every identifier for 29 bits where there is no IDE channel,
+needs DataLength, and takes local time by the reading machine's zone (docs/upstream/mf4.md). A file
+whose clock is local time of no named zone is read as UTC.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack
+from functools import reduce
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.grammar import Verdict
+from dbc.candump.reader import LogError
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frames import EMPTY, ROOM, Block, join
+from dbc.objectlog import ObjectReader
+from dbc.python_can_logs import mf4_module
+from dbc.textlog import CLASSIC_BYTES, FD_SIZES
+
+_ROWS: Final = 1 << 14
+"""Records of a group that are read at once."""
+_KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+_LOCAL_TIME: Final = 1
+"""Of the header's time flags."""
+_LONG_ID: Final = 0x8000_0000
+_SIZES: Final = np.array(FD_SIZES, dtype=np.int64)
+_BITS: Final = {"IDE": EXTENDED, "EDL": FD, "BRS": BRS, "ESI": ESI}
+
+
+class Mf4(ObjectReader):
+    """One file; groups are merged by time."""
+
+    unit = "frames and records"
+
+    def blocks(self) -> Iterator[Block]:
+        """See `ObjectReader.blocks`."""
+        self._reset()
+        module = mf4_module()
+        if getattr(module, "asammdf", None) is None:
+            raise LogError(self.name, 0, "cannot be read: asammdf is not installed")
+        _calm(module)
+        try:
+            with ExitStack() as stack:
+                mdf = stack.enter_context(module.MDF(self._whole(stack)))
+                if mdf.header.time_flags & _LOCAL_TIME:
+                    self.notes.append(
+                        "the file's clock is local time of no named zone, read as UTC"
+                    )
+                yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
+        except LogError:
+            raise
+        except Exception as error:  # asammdf raises anything from KeyError to struct.error
+            text = " ".join(str(error).split()) or type(error).__name__
+            where = f" after {self.lines} frames" if self.lines else ""
+            raise LogError(self.name, 0, f"cannot be read{where}: {text}") from error
+
+    def _whole(self, stack: ExitStack) -> Path | IO[bytes]:
+        """The file, unpacked on disk where it is gzip: asammdf goes to and fro in it."""
+        stream = self._open(stack)
+        if not self.zipped:
+            return self.path
+        plain = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 the stack closes it
+        shutil.copyfileobj(stream, plain)
+        plain.seek(0)
+        return plain
+
+    def frames(self) -> Iterator[Frame]:
+        """All of them."""
+        for block in self.blocks():
+            yield from block.frames()
+
+    def _groups(self, mdf: Any) -> Iterator[tuple[int, str]]:
+        """Groups of CAN bus logging; records of all others are counted."""
+        for index, group in enumerate(mdf.groups):
+            names = {channel.name for channel in group.channels}
+            found = next((name for name in _KINDS if name in names), None)
+            count = int(group.channel_group.cycles_nr)
+            if found is not None and count:
+                yield index, found
+            elif count:
+                self._skip(Verdict.EVENT, count)
+
+    def _merged(self, groups: list[_Group]) -> Iterator[Block]:
+        """Blocks by time. Of equal times the group that comes first in the file is first."""
+        while waiting := [group for group in groups if group.fill()]:
+            last = min(group.held[0].max() for group in waiting)
+            parts = [group.take(last) for group in waiting]
+            order = np.argsort(np.concatenate([part.t_ns for part in parts]), kind="stable")
+            yield self._checked(reduce(join, parts).pick(order))
+
+    def _checked(self, block: Block) -> Block:
+        """Frames that can be; the others are counted, and all by verdict."""
+        flags, size = block.flags, block.length
+        data = flags & (ERROR | REMOTE) == 0
+        long = (flags & FD == 0) & (size > CLASSIC_BYTES) & data
+        bad_length = long | ((flags & FD != 0) & data & ~np.isin(size, FD_SIZES))
+        bad_id = (flags & (EXTENDED | ERROR) == 0) & (block.can_id > 0x7FF) & ~bad_length
+        for verdict, which in ((Verdict.BAD_LENGTH, bad_length), (Verdict.BAD_ID, bad_id)):
+            for k in np.flatnonzero(which).tolist():
+                self._fault(verdict, f"id {block.can_id.item(k):X}, {size.item(k)} bytes")
+        block = block.pick(~(bad_length | bad_id))
+        self._count(block)
+        return block
+
+
+def _calm(module: Any) -> None:
+    """What asammdf would print of a damaged file is in the error that we raise.
+
+    The object of a file that it refuses is half made, and complains when it is collected.
+    """
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
+    kind = module.asammdf.blocks.mdf_v4.MDF4
+    whole = kind.__del__
+    if getattr(whole, "is_calm", False):
+        return
+
+    def end(half: Any) -> None:
+        with contextlib.suppress(Exception):
+            whole(half)
+
+    end.is_calm = True  # type: ignore[attr-defined]
+    kind.__del__ = end
+
+
+class _Group:
+    """Frames of one channel group, some at a time."""
+
+    def __init__(self, mdf: Any, index: int, name: str) -> None:
+        self._mdf, self._index, self._name = mdf, index, name
+        self._left = int(mdf.groups[index].channel_group.cycles_nr)
+        self._done = 0
+        self._start_ns = int(mdf.header.abs_time)
+        self.held: tuple[NDArray[np.int64], Block] = (np.zeros(0, np.int64), EMPTY)
+
+    def fill(self) -> bool:
+        """Have some frames; False at the end."""
+        while not len(self.held[0]) and self._done < self._left:
+            records = self._mdf.get(
+                self._name, self._index, record_offset=self._done, record_count=_ROWS, raw=False
+            )
+            self._done += _ROWS
+            if len(records):
+                block = self._block(records)
+                self.held = block.t_ns, block
+        return bool(len(self.held[0]))
+
+    def take(self, last_ns: int) -> Block:
+        """Those up to a time; the others wait."""
+        times, block = self.held
+        late = np.flatnonzero(times > last_ns)
+        end = late.item(0) if late.size else len(times)
+        self.held = times[end:], block.part(end, len(times))
+        return block.part(0, end)
+
+    def _block(self, records: Any) -> Block:
+        samples, count, kind = records.samples, len(records), _KINDS[self._name]
+        present = set(samples.dtype.names)
+
+        def field(name: str) -> NDArray[np.int64] | None:
+            full = f"{self._name}.{name}"
+            if full not in present or samples[full].dtype.kind not in "iub":
+                return None
+            return samples[full].astype(np.int64).reshape(count, -1)[:, 0]  # type: ignore[no-any-return]
+
+        def or_zero(name: str) -> NDArray[np.int64]:
+            found = field(name)
+            return np.zeros(count, np.int64) if found is None else found
+
+        can_id, long = or_zero("ID"), field("IDE")
+        flags = np.full(count, kind, np.int64)
+        # Without a channel of its own it is bit 31 of the identifier.
+        flags |= np.where(can_id & _LONG_ID if long is None else long, EXTENDED, 0)
+        if not kind:
+            for name, flag in _BITS.items():
+                flags |= np.where(or_zero(name) != 0, flag, 0) if name != "IDE" else 0
+            flags &= np.where(flags & FD, 0xFF, ~(BRS | ESI))
+        if kind == ERROR:
+            flags[:] = ERROR
+        dlc, room = or_zero("DLC"), np.zeros((count, ROOM), np.uint8)
+        length = np.zeros(count, np.int64)
+        if kind != REMOTE and f"{self._name}.DataBytes" in present:
+            content = samples[f"{self._name}.DataBytes"].reshape(count, -1)[:, :ROOM]
+            size = field("DataLength")
+            if size is None and field("DLC") is not None:
+                size = np.where(flags & FD, _SIZES[dlc & 15], np.minimum(dlc, CLASSIC_BYTES))
+            width = content.shape[1]
+            length = np.full(count, width) if size is None else np.minimum(size, 255)
+            room[:, :width] = content
+            room[np.arange(ROOM) >= length[:, None]] = 0
+        raw = (flags & (FD | ERROR) == 0) & (dlc > CLASSIC_BYTES) & (length == CLASSIC_BYTES)
+        raw |= (kind == REMOTE) & (dlc > 0)
+        channel = or_zero("BusChannel")
+        numbers, places = np.unique(channel, return_inverse=True)
+        times = np.rint(records.timestamps.astype(np.float64) * 1e9).astype(np.int64)
+        return Block(
+            times + self._start_ns, (can_id & 0x1FFF_FFFF).astype(np.uint32),
+            flags.astype(np.uint8), length.astype(np.uint8), room,
+            np.where(raw, np.minimum(dlc, 15), -1).astype(np.int8), places.astype(np.uint16),
+            [str(number) for number in numbers.tolist()],
+        )  # fmt: skip

@@ -1,0 +1,111 @@
+"""What readers of binary logs share with those of text: counts by verdict, problems, cut files."""
+
+from __future__ import annotations
+
+import gzip
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Final, cast
+
+import numpy as np
+
+from dbc.candump.grammar import Verdict
+from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem
+from dbc.frame import Frame
+from dbc.frames import Block, in_blocks
+from dbc.text import printable
+from dbc.textlog import verdict_of
+
+FRAMES: Final = (Verdict.OK, Verdict.FD, Verdict.REMOTE, Verdict.ERROR_FRAME)
+BLOCK: Final = 1 << 13
+"""Frames of a block."""
+
+
+class ObjectReader:
+    """Frames of a log that has objects, not lines. Fields as of `dbc.candump.reader.Reader`.
+
+    `lines` counts objects; a problem's `line` is the number of its object. `notes`: what else is to
+    be known about the log.
+    """
+
+    unit = "objects"
+    zipped = False
+    """Whether the file that `_open` has opened is gzip."""
+
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
+        """Nothing is opened before iteration."""
+        self.path, self.strict = path, strict
+        self.name = str(path)
+        self._reset()
+
+    def _reset(self) -> None:
+        self.counts: Counter[Verdict] = Counter()
+        self.lines = self.drops = self.bytes_read = 0
+        self.problems: list[Problem] = []
+        self.truncated = ""
+        self.notes: list[str] = []
+
+    def blocks(self) -> Iterator[Block]:
+        """Read from the start. Raises LogError for no such log; with `strict`, at a fault."""
+        self._reset()
+        yield from in_blocks(self._counted(), BLOCK)
+        self._end()
+
+    def _end(self) -> None:
+        """A log that is cut ends in a fault."""
+        if self.truncated:
+            read = sum(self.counts[verdict] for verdict in FRAMES)
+            self.truncated = f"ends early after {read} frames: {self.truncated}"
+            self._fault(Verdict.CUT, self.truncated)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Read from the start, frame by frame."""
+        for block in self.blocks():
+            yield from block.frames()
+
+    def _counted(self) -> Iterator[Frame]:
+        counts: Counter[int] = Counter()
+        try:
+            for frame in self.frames():
+                counts[frame.flags] += 1
+                yield frame
+        finally:
+            for flags, count in counts.items():
+                self.counts[verdict_of(flags)] += count
+            self.lines += counts.total()
+
+    def _open(self, stack: ExitStack) -> IO[bytes]:
+        """The file, unpacked if it is gzip."""
+        stream: IO[bytes] = stack.enter_context(self.path.open("rb"))
+        self.zipped = stream.read(2) == b"\x1f\x8b"
+        stream.seek(0)
+        if not self.zipped:
+            return stream
+        plain = cast("IO[bytes]", gzip.GzipFile(fileobj=stream))
+        stack.callback(plain.close)
+        return plain
+
+    def _count(self, block: Block) -> None:
+        """Frames by verdict."""
+        numbers, counts = np.unique(block.flags, return_counts=True)
+        for flags, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+            self._skip(verdict_of(flags), count)
+
+    def frames(self) -> Iterator[Frame]:
+        """Of a format; objects that are none are counted by `_skip` and `_fault`."""
+        raise NotImplementedError
+
+    def _skip(self, verdict: Verdict, count: int = 1) -> None:
+        self.counts[verdict] += count
+        self.lines += count
+
+    def _fault(self, verdict: Verdict, text: str) -> None:
+        self._skip(verdict)
+        text = printable(text[:120])
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(Problem(self.lines, verdict, text))
+        if self.strict:
+            name = verdict.name.lower().replace("_", " ")
+            raise LogError(self.name, self.lines, f"{name}: {text}")

@@ -1,0 +1,152 @@
+"""Which reader a log needs: by its ending, and where that says nothing by what is in it."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from dbc.candump.grammar import Verdict, parse_line
+from dbc.candump.reader import Problem, Reader
+from dbc.frame import Frame
+from dbc.frames import Block
+from dbc.text import without_mark
+from dbc.textlog import TextReader
+
+_LOOKED_AT: Final = 1 << 16
+LINES: Final = 100
+"""By which a format is recognised."""
+_SCREEN: Final = re.compile(rb"\s*\S{1,21}\s+[0-9A-Fa-f]{3,8}\s+\[\d{1,2}\](?:\s+[0-9A-Fa-f]{2})*")
+_ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
+TEXT: Final = (".asc", ".trc", ".csv")
+OTHERS: Final = (".blf", ".mf4", ".db")
+
+
+class LogReader(Protocol):
+    """What every reader has, see `dbc.candump.reader.Reader`."""
+
+    name: str
+    unit: str
+    strict: bool
+    counts: Counter[Verdict]
+    lines: int
+    drops: int
+    problems: list[Problem]
+    truncated: str
+    notes: list[str]
+    bytes_read: int
+
+    def blocks(self) -> Iterator[Block]:
+        """Read from the start."""
+
+
+def ending(path: Path) -> str:
+    """In small letters, without `.gz`."""
+    return Path(path.name.lower().removesuffix(".gz")).suffix
+
+
+def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
+    """The reader of a file that is there. line: a pattern of its lines (`dbc.linepattern`).
+
+    Raises PatternError, or LogError where no reader fits.
+    """
+    if line:
+        from dbc.linepattern import Pattern
+
+        Pattern(line)
+        return TextReader(path, lambda: Pattern(line), strict=strict)
+    kind = ending(path)
+    if kind not in TEXT + OTHERS:
+        kind = _by_content(path)
+    if (form := _format(kind)) is not None:
+        return TextReader(path, form, strict=strict)
+    if kind in OTHERS:
+        return _binary(path, kind, strict)
+    return Reader(path, strict=strict)
+
+
+def _format(kind: str) -> Callable[[], Any] | None:
+    if kind == ".asc":
+        from dbc.asc import Asc
+
+        return Asc
+    if kind == ".trc":
+        from dbc.trc import Trc
+
+        return Trc
+    if kind == ".csv":
+        from dbc.csvlog import Csv
+
+        return Csv
+    if "{" in kind:
+        from dbc.linepattern import Pattern
+
+        return lambda: Pattern(kind)
+    return None
+
+
+def _binary(path: Path, kind: str, strict: bool) -> LogReader:
+    if kind == ".blf":
+        from dbc.blf import Blf
+
+        return Blf(path, strict=strict)
+    if kind == ".mf4":
+        from dbc.mf4log import Mf4
+
+        return Mf4(path, strict=strict)
+    from dbc.python_can_logs import PythonCan
+
+    return PythonCan(path, strict=strict)
+
+
+def first_lines(path: Path) -> list[bytes]:
+    """The first `LINES` whole lines of a text, plain or gzip; none of what is no text."""
+    with path.open("rb") as stream:
+        data = stream.read(_LOOKED_AT)
+    if data[:2] == b"\x1f\x8b":
+        try:
+            data = zlib.decompressobj(wbits=31).decompress(data, _LOOKED_AT)
+        except zlib.error:
+            return []
+    text = b"".join(without_mark([data]))
+    end = text.rfind(b"\n") + 1 or len(text)
+    return text[:end].splitlines()[:LINES]
+
+
+def _by_content(path: Path) -> str:
+    """The ending that a file should have, a pattern of its lines, or "" for candump's text."""
+    with path.open("rb") as stream:
+        magic = stream.read(8)
+    if magic[:4] == b"LOGG":
+        return ".blf"
+    if magic[:3] == b"MDF":
+        return ".mf4"
+    lines = first_lines(path)
+    if any(parse_line(line)[1] is not None for line in lines):
+        return ""
+    if any(_ASC.match(line) for line in lines[:5]):
+        return ".asc"
+    if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):
+        return ".trc"
+    from dbc.csvlog import is_header
+    from dbc.linepattern import DIALECTS, proposed
+
+    texts = [line.decode("latin-1") for line in lines]
+    if any(is_header(text) for text in texts[:5]):
+        return ".csv"
+    found = proposed(texts, tuple(DIALECTS.values()))
+    return found[0] if found is not None and found[1] > found[2] else ""
+
+
+def is_screen_form(text: str) -> bool:
+    """Whether a line is what candump shows on a screen without `-L`: it has no time."""
+    return _SCREEN.fullmatch(text.encode("latin-1", "replace").strip()) is not None
+
+
+def read_any(path: Path) -> Iterator[Frame]:
+    """Frames of a log, one by one. Raises LogError for one that cannot be read."""
+    for block in open_reader(path, strict=False).blocks():
+        yield from block.frames()

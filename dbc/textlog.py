@@ -1,0 +1,479 @@
+"""Logs in lines of text, whatever their format: counts, cut files and blocks, as of candump's.
+
+A format is a `Format`: a regular expression for its plain lines, of which many are read at once,
+and a function for any other line. What is between a frame's time and its data comes again and
+again, so it is read once and remembered.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.grammar import FD_LENGTHS, MAX_LINE, Verdict
+from dbc.candump.reader import LogError, Problem, Reader
+from dbc.frame import ERROR, EXTENDED, FD, REMOTE
+from dbc.frames import ROOM, Block
+from dbc.text import printable
+from dbc.textlines import Known, Scan, Scanner
+
+_RUN: Final = 16
+"""Lines of a run of plain or other ones, on average: with shorter ones all are read one by one."""
+_SECOND: Final = 1_000_000_000
+_HEADS_KEPT: Final = 100_000
+_BLANK: Final = re.compile(r"\n{3,}")
+_INT64_DIGITS: Final = 19
+_LATEST_NS: Final = 9_000_000_000_000_000_000
+CLASSIC_BYTES: Final = 8
+FD_SIZES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Bytes by the code of the length."""
+
+
+class Head(NamedTuple):
+    """What a line says of a frame besides time and data.
+
+    length: of its data; -1: as many as there are. dlc: as in `Frame`. verdict: other than those of
+    frames if the line is none.
+    """
+
+    can_id: int
+    flags: int = 0
+    length: int = -1
+    channel: str = ""
+    dlc: int = -1
+    verdict: Verdict = Verdict.OK
+
+
+class Line(NamedTuple):
+    """A line that was read by itself. t_ns: its time, if it has one; as `Format.times` has it.
+
+    sure: that the line is whole, although no line end follows.
+    """
+
+    verdict: Verdict
+    head: Head | None = None
+    t_ns: int | None = None
+    data: bytes = b""
+    sure: bool = False
+
+
+class Format(Protocol):
+    """A format of lines."""
+
+    regex: re.Pattern[str]
+    """Matches every line. Groups: time, those of the head, data; the line if it is not plain."""
+    order: tuple[int, ...]
+    """Places of these groups among those of `regex`, if they are not in this order; else empty."""
+    splits: bool
+    """Whether the head's groups are its words; else it is one group."""
+    shape: Any
+    """How plain lines look for dbc/text_read.c, see `dbc.textlines`; None: it cannot read them."""
+    began: bool
+    """Whether a plain line came before the one that `line` is given."""
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """Of the head's groups."""
+
+    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
+        """Nanoseconds of the time's groups. Raises ValueError."""
+
+    def data(self, text: str, length: int) -> bytes:
+        """Of the data's group. Raises ValueError."""
+
+    def whole(self, text: str) -> bool:
+        """Whether no digit can follow in the data's group, which has as many bytes as it should."""
+
+    def changes(self, text: str) -> bool:
+        """Whether a line that is not plain says how those behind it are to be read."""
+
+    def line(self, text: str) -> Line:
+        """A line that is not plain. After one of `changes`, `regex` may be another one."""
+
+    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """The frames' times of those that stand in consecutive lines; 0 in lines without one."""
+
+
+def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[np.int64]:
+    """Decimal numbers of a unit, exact. Raises ValueError for what is none or has no room.
+
+    Beyond whole nanoseconds digits are cut.
+    """
+    if not texts:
+        return np.zeros(0, dtype=np.int64)
+    places = {len(text) - text.find(".") - 1 if "." in text else 0 for text in texts}
+    longest = max(map(len, texts))
+    if len(places) == 1 and longest <= _INT64_DIGITS + 1:
+        decimals = places.pop()
+        digits = " ".join(texts).replace(".", "").split(" ")
+        whole = np.array(list(map(int, digits)), dtype=np.int64)
+        scale = 10**decimals
+        if unit_ns % scale == 0 and np.abs(whole).max() <= _LATEST_NS * scale // unit_ns:
+            exact: NDArray[np.int64] = whole * (unit_ns // scale)
+            return exact
+    return np.array([_exact(text, unit_ns) for text in texts], dtype=np.int64)
+
+
+def _exact(text: str, unit_ns: int) -> int:
+    whole, _, fraction = text.strip().partition(".")
+    sign = -1 if whole.startswith("-") else 1
+    digits = f"{whole.lstrip('+-') or '0'}{fraction}"
+    if len(digits) > 60 or not digits.isdecimal():
+        raise ValueError(text)
+    value: int = sign * (int(digits) * unit_ns // 10 ** len(fraction))
+    if abs(value) > _LATEST_NS:
+        raise ValueError(text)
+    return value
+
+
+def hex_bytes(text: str, length: int) -> bytes:
+    """Bytes of two digits each, with anything that `bytes.fromhex` takes between them."""
+    del length
+    return bytes.fromhex(text)
+
+
+class TextReader(Reader):
+    """Frames of a log in lines, see `Reader`: the same counts, problems and rules for cut files.
+
+    An unterminated last line is believed if it says how long it is and is that long, with the last
+    digit of its last byte; where lines do not say that, if one of the same head was as long. Else
+    its verdict is CUT.
+    """
+
+    def __init__(
+        self, source: Path | str, make: Callable[[], Format], *, strict: bool = False
+    ) -> None:
+        """`make` gives the format as it is at the start of a log."""
+        super().__init__(source, strict=strict)
+        self._make = make
+
+    def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
+        self._format = self._make()
+        self._recent: list[tuple[str, ...]] = []
+        self._shift_ns: int | None = None
+        self._scanner = Scanner(self._known)
+        self._heads: dict[tuple[str, ...], Head] = {}
+        for text, last in self._texts(chunks):
+            at = 0
+            for run in _BLANK.finditer(text):
+                yield from self._piece(text[at : run.start() + 1])
+                blank = run.end() - run.start() - 1
+                self.lines += blank
+                self.counts[Verdict.BLANK] += blank
+                at = run.end()
+            yield from self._piece(text[at:]) if not last else self._last_line(text[at:])
+        if self.truncated and not self.counts[Verdict.CUT]:
+            self.counts[Verdict.CUT] += 1
+            self._fault(Problem(self.lines, Verdict.CUT, self.truncated))
+
+    def _texts(self, chunks: Iterable[bytes]) -> Iterator[tuple[str, bool]]:
+        """Whole lines with a line feed each; what stands behind the last one, and True."""
+        rest = ""
+        skipping = old = False
+        for k, chunk in enumerate(chunks):
+            text = rest + chunk.decode("latin-1")
+            old = old or (not k and "\n" not in text and "\r" in text)
+            if old:  # line ends of a Macintosh
+                text = text.replace("\r", "\n")
+            if skipping:
+                start = text.find("\n") + 1
+                rest = ""
+                if not start:
+                    continue
+                skipping = False
+                text = text[start:]
+                self._one(f"(a line of more than {MAX_LINE} characters)", Verdict.MALFORMED)
+            end = text.rfind("\n") + 1
+            rest = text[end:]
+            if end:
+                yield text[:end].replace("\r", ""), False
+            if len(rest) > MAX_LINE:
+                rest, skipping = "", True
+        if skipping:
+            self._one(f"(a line of more than {MAX_LINE} characters)", Verdict.CUT)
+        elif rest:
+            yield rest.replace("\r", ""), True
+
+    def _last_line(self, text: str) -> Iterator[Block]:
+        form = self._format
+        row = self._matches(text)[0]
+        line = self._plain(row) if row[0] else form.line(text)
+        if line.head is None and not line.verdict.is_fault:
+            self._one(text, line.verdict)
+        elif self.truncated or line.verdict.is_fault or not line.sure or line.t_ns is None:
+            self._one(f"{self.truncated}: {text}" if self.truncated else text, Verdict.CUT)
+        elif line.verdict > Verdict.ERROR_FRAME:
+            self._one(text, line.verdict)
+        else:
+            self.lines += 1
+            self.counts[line.verdict] += 1
+            times = form.clock(np.array([line.t_ns]), np.array([True]))
+            yield self._block(times, [line.head or Head(0)], [line.data])
+
+    def _plain(self, row: tuple[str, ...]) -> Line:
+        """A plain line by itself, whole as far as it says how long it is."""
+        head = self._head(row[1:-2])
+        try:
+            t_ns = self._format.times([row[0]]).item()
+            data = self._format.data(row[-2], head.length)
+        except (ValueError, OverflowError):
+            return Line(Verdict.MALFORMED)
+        sure = head.length == len(data) and (not data or self._format.whole(row[-2]))
+        if head.length < 0:
+            same = (r for r in reversed(self._recent) if r[1:-2] == row[1:-2])
+            sure = len(next(same, ("", ""))[-2]) == len(row[-2]) > 0
+        return Line(_verdict(head, data), head, t_ns, data, sure)
+
+    def _piece(self, text: str) -> Iterator[Block]:
+        """Whole lines: runs of plain ones at once, where their format allows it."""
+        data = text.encode("latin-1") if self._format.shape is not None else b""
+        at = 0
+        while at < len(data) and (shape := self._format.shape) is not None:
+            scan = self._scanner.scan(data, at, shape)
+            edges = np.flatnonzero(np.diff(scan.plain, prepend=False, append=False)).tolist()
+            if len(edges) > len(scan.plain) // _RUN:
+                break
+            done = 0
+            for first, last in zip(edges[::2], edges[1::2], strict=True):
+                yield from self._lines_of(text, scan, done, first)
+                if self._format.shape is not shape:
+                    break
+                yield self._run(scan.rows.part(first, last))
+                done = last
+            else:
+                yield from self._lines_of(text, scan, done, len(scan.plain))
+                first = len(scan.plain)
+            at = scan.start.item(first)
+        yield from self._by_lines(text[at:])
+
+    def _lines_of(self, text: str, scan: Scan, first: int, last: int) -> Iterator[Block]:
+        return self._by_lines(text[scan.start.item(first) : scan.start.item(last)])
+
+    def _run(self, rows: Block) -> Block:
+        """Plain lines, one after another."""
+        self._format.began = True
+        fd = int(np.count_nonzero(rows.flags & FD))
+        self.lines += rows.size
+        for verdict, count in ((Verdict.OK, rows.size - fd), (Verdict.FD, fd)):
+            if count:
+                self.counts[verdict] += count
+        times = self._format.clock(rows.t_ns, np.ones(rows.size, dtype=np.bool_))
+        return rows._replace(t_ns=self._moved(times))
+
+    def _known(self, text: str) -> Known | None:
+        """What a head says of plain data frames; None for all else."""
+        parts = tuple(text.split()) if self._format.splits else (text,)
+        head = _checked(self._format.head(parts))
+        if head.verdict not in (Verdict.OK, Verdict.FD) or head.length < 0:
+            return None
+        return Known(head.can_id, head.flags, head.length, head.channel, head.dlc)
+
+    def _by_lines(self, text: str) -> Iterator[Block]:
+        """Whole lines; again from the line behind one that has changed what plain lines are."""
+        while text:
+            rows = self._recent = self._matches(text[:-1])
+            lines, taken = self._others(rows)
+            block, fault = self._rows(rows[:taken], lines)
+            if block is not None:
+                yield block
+            if fault is not None:
+                raise fault
+            if taken == len(rows):
+                return
+            at = 0
+            for _ in range(taken):
+                at = text.index("\n", at) + 1
+            text = text[at:]
+
+    def _matches(self, text: str) -> list[tuple[str, ...]]:
+        rows: list[tuple[str, ...]] = self._format.regex.findall(text)
+        if self._format.order:
+            rows = list(map(itemgetter(*self._format.order), rows))
+        return rows
+
+    def _others(self, rows: list[tuple[str, ...]]) -> tuple[dict[int, Line], int]:
+        """Lines that are not plain, and how many there are up to one that changes the format."""
+        lines: dict[int, Line] = {}
+        form = self._format
+        began = form.began
+        for k, row in enumerate(rows):
+            if row[0]:
+                began = True
+                continue
+            form.began = began
+            changes = form.changes(row[-1])
+            if changes and k:
+                return lines, k
+            lines[k] = form.line(row[-1]) if row[-1] else Line(Verdict.BLANK)
+            if changes:
+                # What heads say depends on it.
+                self._heads.clear()
+                self._scanner = Scanner(self._known)
+                return lines, 1
+        form.began = began
+        return lines, len(rows)
+
+    def _rows(
+        self, rows: list[tuple[str, ...]], lines: dict[int, Line]
+    ) -> tuple[Block | None, LogError | None]:
+        """Frames of lines, of which some have been read; those before the first fault, and that."""
+        texts = {k: rows[k][-1] for k in lines}
+        times, timed = self._times(rows, lines)
+        heads, bodies = [Head(0)] * len(rows), [b""] * len(rows)
+        known, data_of = self._heads, self._format.data
+        for k, row in enumerate(rows):
+            if k in lines:
+                continue
+            parts = row[1:-2]
+            head = known.get(parts) or self._head(parts)
+            try:
+                data = data_of(row[-2], head.length)
+            except ValueError:
+                lines[k] = Line(Verdict.MALFORMED)
+                continue
+            size = len(data)
+            same = size == head.length or (head.length < 0 and size <= CLASSIC_BYTES)
+            if same and not head.verdict:
+                heads[k], bodies[k] = head, data
+            else:
+                lines[k] = Line(_verdict(head, data), head, 0, data)
+        times = self._format.clock(times, timed)
+        kept = np.ones(len(rows), dtype=np.bool_)
+        last, fault = len(rows), None
+        for k in sorted(lines):
+            line = lines[k]
+            self.counts[line.verdict] += 1
+            kept[k] = line.verdict <= Verdict.ERROR_FRAME
+            if line.head is not None and kept[k]:
+                heads[k], bodies[k] = line.head, line.data
+            elif line.verdict.is_fault:
+                text = texts.get(k) or " ".join(rows[k][:-1])
+                try:
+                    self._report(self.lines + k + 1, line.verdict, text)
+                except LogError as raised:
+                    kept[k:], last, fault = False, k, raised
+                    break
+        if plain := last - sum(k < last for k in lines):
+            self.counts[Verdict.OK] += plain
+        self.lines += last + (fault is not None)
+        frames = np.flatnonzero(kept).tolist()
+        if not frames:
+            return None, fault
+        if len(frames) != len(rows):
+            heads, bodies = [heads[k] for k in frames], [bodies[k] for k in frames]
+        return self._block(times[kept], heads, bodies), fault
+
+    def _times(
+        self, rows: list[tuple[str, ...]], lines: dict[int, Line]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Of every line, and which have one. A plain line whose time is none is a faulty one."""
+        plain = [k for k in range(len(rows)) if k not in lines]
+        times, timed = np.zeros(len(rows), dtype=np.int64), np.zeros(len(rows), dtype=np.bool_)
+        try:
+            times[plain] = self._format.times([rows[k][0] for k in plain])
+        except (ValueError, OverflowError):
+            for k in plain:
+                try:
+                    times[k] = self._format.times([rows[k][0]]).item()
+                except (ValueError, OverflowError):
+                    lines[k] = Line(Verdict.MALFORMED)
+        timed[plain] = True
+        for k, line in lines.items():
+            timed[k] = line.t_ns is not None
+            times[k] = line.t_ns or 0
+        return times, timed
+
+    def _one(self, text: str, verdict: Verdict) -> None:
+        """Count a line that gives no frame."""
+        self.lines += 1
+        self.counts[verdict] += 1
+        if verdict.is_fault:
+            self._report(self.lines, verdict, text)
+
+    def _report(self, line: int, verdict: Verdict, text: str) -> None:
+        text = text[:MAX_LINE].strip()
+        if verdict is Verdict.MALFORMED and (explain := getattr(self._format, "explain", None)):
+            text = f"{explain(text)}: {text}"
+        self._fault(Problem(line, verdict, printable(text[:120])))
+
+    def _head(self, parts: tuple[str, ...]) -> Head:
+        if len(self._heads) > _HEADS_KEPT:
+            self._heads.clear()
+        head = self._heads[parts] = _checked(self._format.head(parts))
+        return head
+
+    def _moved(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Forward, where the log begins before 0."""
+        if self._shift_ns is None:
+            # Before a trigger; candump's text, for one, has no sign.
+            seconds = max(-(times.item(0) // _SECOND), 0)
+            self._shift_ns = seconds * _SECOND
+            if seconds:
+                self.notes.append(f"times begin before 0: all are moved forward by {seconds} s")
+        return times + self._shift_ns if self._shift_ns else times
+
+    def _block(
+        self, times: NDArray[np.int64], heads: Sequence[Head], bodies: Sequence[bytes]
+    ) -> Block:
+        # Few different ones, and comparing them by identity is enough.
+        number = {id(head): head for head in heads}
+        place = {key: k for k, key in enumerate(number)}
+        which = np.array([place[id(head)] for head in heads], dtype=np.intp)
+        can_id, flags, _, channel, dlc, _ = zip(*number.values(), strict=True)
+        names = list(dict.fromkeys(channel))
+        joined = bytearray().join([item.ljust(ROOM, b"\0") for item in bodies])
+        return Block(
+            self._moved(times),
+            np.array(can_id, dtype=np.uint32)[which],
+            np.array(flags, dtype=np.uint8)[which],
+            np.array(list(map(len, bodies)), dtype=np.uint8),
+            np.frombuffer(joined, dtype=np.uint8).reshape(-1, ROOM),
+            np.array(dlc, dtype=np.int8)[which],
+            np.array([names.index(name) for name in channel], dtype=np.uint16)[which],
+            names,
+        )
+
+
+def _verdict(head: Head, data: bytes) -> Verdict:
+    """Of a line with this head and these data."""
+    if head.verdict > Verdict.ERROR_FRAME:
+        return head.verdict
+    if len(data) != head.length and not (head.length < 0 and _possible(head.flags, len(data))):
+        return Verdict.BAD_LENGTH
+    return head.verdict
+
+
+def _possible(flags: int, length: int) -> bool:
+    return length in FD_LENGTHS if flags & FD else length <= CLASSIC_BYTES
+
+
+def _checked(head: Head) -> Head:
+    """With a verdict of its own if no frame has this identifier, or this length."""
+    if head.verdict > Verdict.ERROR_FRAME:
+        return head
+    if not 0 <= head.can_id <= (0x1FFF_FFFF if head.flags & (EXTENDED | ERROR) else 0x7FF):
+        return head._replace(verdict=Verdict.BAD_ID)
+    if not _possible(head.flags, max(head.length, 0)):
+        return head._replace(verdict=Verdict.BAD_LENGTH)
+    return head._replace(verdict=verdict_of(head.flags))
+
+
+def verdict_of(flags: int) -> Verdict:
+    """Of a frame with these flags."""
+    for flag, verdict in (
+        (ERROR, Verdict.ERROR_FRAME), (REMOTE, Verdict.REMOTE), (FD, Verdict.FD),
+    ):  # fmt: skip
+        if flags & flag:
+            return verdict
+    return Verdict.OK
+
+
+def framed(head: Head, t_ns: int, data: bytes = b"", *, sure: bool = False) -> Line:
+    """A line with a frame, checked."""
+    head = _checked(head)
+    return Line(_verdict(head, data), head, t_ns, data, sure)

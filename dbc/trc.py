@@ -1,0 +1,181 @@
+"""PEAK's TRC, versions 1.0 to 1.3, 2.0 and 2.1: what its lines say.
+
+Own, because python-can's reader knows no 1.2, stops at PEAK's own sample, and drops error, status
+and short lines in silence (docs/upstream/trc.md). The clock of `$STARTTIME` is that of the
+recording machine, in no named zone: it is read as UTC.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.grammar import Verdict
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND
+from dbc.textlines import shape_of
+from dbc.textlog import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
+
+_EPOCH_DAYS: Final = 25_569
+"""From 30 December 1899, where these days count from, to 1970."""
+_VERSIONS: Final = {
+    "1.0": "O I L D", "1.1": "O T I L D", "1.2": "O B T I L D", "1.3": "O B T I R L D",
+    "2.0": "O T I d L D", "2.1": "O T B I d R L D",
+}  # fmt: skip
+"""Columns behind the number, as `$COLUMNS` names them; T is Rx, Tx, Error or Warng in 1.x."""
+_FORMS: Final = {
+    "T": r"([RrTt]x|DT|F[DBE]|BI)",
+    "I": r"([0-9A-Fa-f]{4,8})",
+    "L": r"(\d{1,4})",
+    "l": r"(\d{1,4})",
+}
+_WORD: Final = r"([^ \t\n]+)"
+_BLANK: Final = r"[ \t]+"
+_TYPES: Final = {
+    "DT": 0, "FD": FD, "FB": FD | BRS, "FE": FD | BRS | ESI, "BI": FD | ESI, "RR": REMOTE,
+    "RX": 0, "TX": 0,
+}  # fmt: skip
+_ERRORS, _STATES = frozenset({"ER", "ERROR"}), frozenset({"ST", "EC", "EV", "WARNG"})
+_NO_ID: Final = re.compile(r"[^0-9A-Fa-f]|^.{0,3}$|.{9}")
+_ZERO: Final = "FFFFFFFF"
+"""The identifier of a status line of version 1.0."""
+_LINE: Final = re.compile(r"\d+\)?[ \t]+\S")
+_KEY: Final = re.compile(r";\$(\w+)=([^;]*)")
+
+
+class Trc:
+    """The lines of one log, see `dbc.textlog.Format`."""
+
+    order: tuple[int, ...]
+    began = False
+    splits = True
+    shape: Any
+
+    def __init__(self) -> None:
+        """As a log without a header is: version 1.0."""
+        self._start_ns = 0
+        self._columns: list[str] = []
+        self._set("1.0")
+
+    def _set(self, version: str, columns: Sequence[str] = ()) -> None:
+        """How its lines look. Raises KeyError for a version that nobody knows."""
+        self._columns = list(columns or _VERSIONS[version].split())
+        names = self._columns
+        if names[-1] != "D" or not {"O", "I"} <= set(names) or not {"L", "l"} & set(names):
+            raise KeyError(version)
+        head = [_FORMS.get(c, _WORD) for c in names[:-1] if c != "O"]
+        at = names.index("O")
+        head.insert(at, r"(-?\d+(?:\.\d*)?)")
+        plain = r"[ \t]*\d+\)?" + _BLANK + _BLANK.join(head) + r"(?![^ \t\n])([ \t0-9A-Fa-f]*)"
+        self.regex = re.compile(rf"^(?:{plain}|(.*))$", re.MULTILINE)
+        count = len(head)
+        rest = [k for k in range(count) if k != at]
+        self.order = (at, *rest, count, count + 1) if at else ()
+        self._head = [c for c in names[:-1] if c != "O"]
+        self.shape = shape_of(MS, 1, len(self._head)) if names[0] == "O" else None
+
+    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
+        """Of milliseconds."""
+        return nanoseconds(texts, MS)
+
+    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """From the start of the log on."""
+        del timed
+        return times + self._start_ns
+
+    def data(self, text: str, length: int) -> bytes:
+        """Bytes with blanks between."""
+        return hex_bytes(text, length)
+
+    def whole(self, text: str) -> bool:
+        """Two digits each."""
+        del text
+        return True
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """Of a plain line."""
+        return self._of(dict(zip(self._head, parts, strict=True)))
+
+    def _of(self, parts: dict[str, str]) -> Head:
+        kind, name = parts.get("T", "Rx").upper(), parts["I"]
+        code_text = parts["L"] if "L" in parts else parts["l"]
+        if not code_text.isdecimal() or _NO_ID.search(name):
+            return Head(0, verdict=Verdict.MALFORMED)
+        if kind in _STATES or (name.upper() == _ZERO and "T" not in parts):
+            return Head(0, verdict=Verdict.EVENT)
+        bus = parts.get("B", "1")
+        channel = str(max(int(bus) - 1, 0)) if bus.isdecimal() else bus
+        if kind in _ERRORS:
+            return Head(0, ERROR, 0, channel, verdict=Verdict.ERROR_FRAME)
+        if kind not in _TYPES:
+            return Head(0, verdict=Verdict.MALFORMED)
+        flags = _TYPES[kind] | (EXTENDED if len(name) > 4 else 0)
+        code = int(code_text)
+        if flags & FD and "L" in parts:
+            size = FD_SIZES[code] if code < len(FD_SIZES) else -1
+        else:
+            size = code if code <= 64 else -1
+        raw = -1
+        if (
+            not flags & FD
+            and "L" in parts
+            and "B" in parts
+            and CLASSIC_BYTES < code < len(FD_SIZES)
+        ):
+            raw, size = code, CLASSIC_BYTES
+        if size < 0:
+            return Head(0, verdict=Verdict.BAD_LENGTH)
+        if flags & REMOTE:
+            return Head(int(name, 16), flags, 0, channel, code or -1)
+        return Head(int(name, 16), flags, size, channel, raw)
+
+    def changes(self, text: str) -> bool:
+        """`;$KEY=value`."""
+        return _KEY.match(text.strip()) is not None
+
+    def line(self, text: str) -> Line:
+        """Header, comment, remote and error frames, states."""
+        text = text.strip()
+        if not text:
+            return Line(Verdict.BLANK)
+        if match := _KEY.match(text):
+            return Line(self._key(match[1].upper(), match[2].strip()))
+        if text.startswith(";"):
+            return Line(Verdict.COMMENT)
+        words = text.split()
+        names = self._columns[:-1]
+        if not _LINE.match(text) or len(words) < 1 + len(names):
+            return Line(Verdict.MALFORMED)
+        parts = dict(zip(names, words[1:], strict=False))
+        body = words[1 + len(names) :]
+        try:
+            t_ns = nanoseconds([parts["O"]], MS).item()
+            if parts.get("T", "").upper() in _STATES:
+                return Line(Verdict.EVENT, None, t_ns)
+            if parts.get("T", "").upper() in _ERRORS:
+                return framed(self._of(parts | {"I": "0000"}), t_ns, sure=True)
+            head = self._of(parts)
+            if body[:1] == ["RTR"]:
+                asked = head.dlc if head.dlc >= 0 else head.length
+                head = head._replace(flags=head.flags | REMOTE, length=0, dlc=asked or -1)
+                return framed(head, t_ns, sure=True)
+            return framed(head, t_ns, bytes.fromhex(" ".join(body)), sure=True)
+        except (ValueError, OverflowError):
+            return Line(Verdict.MALFORMED)
+
+    def _key(self, key: str, value: str) -> Verdict:
+        """`;$KEY=value`."""
+        try:
+            if key == "FILEVERSION":
+                self._set(value)
+            elif key == "STARTTIME":
+                since_1899 = nanoseconds([value], 86_400 * SECOND).item()
+                self._start_ns = since_1899 - _EPOCH_DAYS * 86_400 * SECOND
+            elif key == "COLUMNS":
+                self._set("", [name.strip() for name in value.split(",")][1:])
+        except (ValueError, KeyError, OverflowError):
+            return Verdict.MALFORMED
+        return Verdict.HEADER

@@ -1,0 +1,161 @@
+"""Frames as Vector's BLF, times exact to the nanosecond."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from dbc.blf import (
+    BASE,
+    CLASSIC,
+    CLASSIC_FIELDS,
+    CONTAINER,
+    CONTAINER_KIND,
+    ERROR_EXT,
+    ERROR_EXT_KIND,
+    FD_KIND,
+    FD_MESSAGE,
+    FILE,
+)
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Nanos
+from dbc.frames import Block
+from dbc.textlog import FD_SIZES
+from gateway.logfiles.text import channel_number
+
+_HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000
+_STAMP: Final = struct.Struct("<LHHQ")
+_NANOSECONDS, _LONG_ID, _REMOTE_FLAG = 2, 0x8000_0000, 0x80
+_MESSAGE: Final = 1
+_LOBJ, _AT_ONCE = int.from_bytes(b"LOBJ", "little"), 2048
+_CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+class BlfFile:
+    """The start of the file is the first frame's full millisecond, in UTC."""
+
+    def __init__(self, path: Path) -> None:
+        """Creates the file."""
+        self.written = 0
+        self.left_out: Counter[str] = Counter()
+        self._file = path.open("wb")
+        self._file.write(bytes(_HEADER_BYTES))
+        self._first_ns: Nanos | None = None
+        self._start_ns = self._last_ns = self._unpacked = 0
+        self._held = bytearray()
+
+    def add(self, block: Block) -> None:
+        """Append."""
+        if not block.size:
+            return
+        if self._first_ns is None:
+            self._first_ns = block.t_ns.item(0)
+            self._start_ns = self._first_ns // _MS * _MS
+        early = block.t_ns < self._first_ns
+        if early.any():
+            self.left_out["before_the_first"] += int(np.count_nonzero(early))
+            block = block.pick(~early)
+        self._last_ns = max(self._last_ns, int(block.t_ns.max(initial=0)))
+        self.written += block.size
+        for first in range(0, block.size, _AT_ONCE):
+            part = block.part(first, min(first + _AT_ONCE, block.size))
+            if (part.flags & (ERROR | FD)).any():
+                self._held += b"".join(map(self._object, part.frames()))
+            else:
+                self._held += self._classic(part)
+            if len(self._held) >= _CONTAINER_BYTES:
+                self._flush()
+
+    def _classic(self, block: Block) -> bytes:
+        """Objects of classic data and remote frames."""
+        objects = np.zeros(block.size, CLASSIC_FIELDS)
+        objects["signature"], objects["header"], objects["version"] = _LOBJ, 32, 1
+        objects["size"], objects["kind"], objects["flags"] = (
+            objects.itemsize,
+            _MESSAGE,
+            _NANOSECONDS,
+        )
+        objects["stamp"] = block.t_ns - self._start_ns
+        numbers = np.array([channel_number(name) + 1 for name in block.names], np.uint16)
+        objects["channel"] = numbers[block.channel]
+        remote = block.flags & REMOTE != 0
+        objects["bits"] = np.where(remote, _REMOTE_FLAG, 0)
+        dlc = np.where(remote, block.dlc.clip(min=0), block.length)
+        objects["dlc"] = np.where(~remote & (block.dlc >= 0), block.dlc, dlc)
+        long = np.where(block.flags & EXTENDED, np.uint32(_LONG_ID), np.uint32(0))
+        objects["can_id"] = block.can_id | long
+        objects["data"] = block.data[:, :8]
+        return objects.tobytes()
+
+    def _object(self, frame: Frame) -> bytes:
+        channel = channel_number(frame.channel) + 1
+        flags, data = frame.flags, frame.data
+        can_id = frame.can_id | (_LONG_ID if flags & EXTENDED else 0)
+        dlc = frame.dlc if frame.dlc >= 0 else len(data)
+        if flags & ERROR:
+            kind = ERROR_EXT_KIND
+            body = ERROR_EXT.pack(channel, 0, 0, 0, 0, len(data), 0, can_id, 0, data)
+        elif flags & FD:
+            kind = FD_KIND
+            bits = 1 | (2 if flags & BRS else 0) | (4 if flags & ESI else 0)
+            size = len(data)
+            body = FD_MESSAGE.pack(channel, 0, _CODES[size], can_id, 0, 0, bits, size, data)
+        else:
+            kind = _MESSAGE
+            remote = _REMOTE_FLAG if flags & REMOTE else 0
+            body = CLASSIC.pack(channel, remote, max(dlc, 0), can_id, data)
+        size = BASE.size + _STAMP.size + len(body)
+        head = BASE.pack(b"LOBJ", BASE.size + _STAMP.size, 1, size, kind)
+        stamp = _STAMP.pack(_NANOSECONDS, 0, 0, frame.t_ns - self._start_ns)
+        return head + stamp + body + bytes(len(body) % 4)
+
+    def _flush(self) -> None:
+        if not self._held:
+            return
+        data, self._held = bytes(self._held), bytearray()
+        body = CONTAINER.pack(2, len(data)) + zlib.compress(data)
+        size = BASE.size + len(body)
+        head = BASE.pack(b"LOBJ", BASE.size, 1, size, CONTAINER_KIND)
+        self._file.write(head + body + bytes(size % 4))
+        self._unpacked += BASE.size + CONTAINER.size + len(data)
+
+    def close(self) -> None:
+        """Make the file whole."""
+        self._flush()
+        size = self._file.tell()
+        self._file.seek(0)
+        fields = (
+            b"LOGG",
+            _HEADER_BYTES,
+            5,
+            0,
+            0,
+            0,
+            2,
+            6,
+            8,
+            1,
+            size,
+            self._unpacked,
+            self.written,
+            0,
+        )
+        self._file.write(
+            FILE.pack(*fields, *_system_time(self._start_ns), *_system_time(self._last_ns))
+        )
+        self._file.close()
+
+
+def _system_time(t_ns: Nanos) -> tuple[int, ...]:
+    """Windows' SYSTEMTIME in UTC; zeros, which stand for none, at 1970."""
+    if t_ns <= 0:
+        return (0,) * 8
+    m = _EPOCH + timedelta(microseconds=t_ns // 1000)
+    day = m.isoweekday() % 7
+    return (m.year, m.month, day, m.day, m.hour, m.minute, m.second, m.microsecond // 1000)

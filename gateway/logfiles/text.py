@@ -1,0 +1,268 @@
+"""Frames as text of other programs: Vector's ASC, PEAK's TRC 2.1, python-can's CSV.
+
+Own writers, so that the same frames give the same bytes wherever and whenever: python-can's put the
+time of the export, by the machine's zone, where the log's own belongs (docs/upstream/asc.md).
+"""
+
+from __future__ import annotations
+
+from binascii import b2a_base64
+from collections import Counter
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Nanos
+from dbc.frames import ROOM, Block
+from dbc.textlog import FD_SIZES
+
+_DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_MONTHS: Final = (
+    "Jan",
+    "Feb",
+    "Mar",
+    "Apr",
+    "May",
+    "Jun",
+    "Jul",
+    "Aug",
+    "Sep",
+    "Oct",
+    "Nov",
+    "Dec",
+)
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH_DAYS: Final = 25_569
+"""Of 1970, from 30 December 1899, where TRC's days count from."""
+_CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
+_DAY_NS: Final = 86_400 * SECOND
+_DAY_DIGITS: Final = 14
+_FORMS_KEPT: Final = 100_000
+_EARLIEST, _LATEST = -62_000_000_000 * SECOND, 250_000_000_000 * SECOND
+_FLAG_EDL, _FLAG_BRS, _FLAG_ESI = 0x1000, 0x2000, 0x4000
+
+
+class Form(NamedTuple):
+    """What stands before and behind the data in the lines of frames that differ in them alone."""
+
+    before: str
+    behind: str
+    has_data: bool = True
+
+
+class TextFile:
+    """What the three share: a file, times from the first frame, counts."""
+
+    no_room = 0
+    """Flags of frames that the format has no room for."""
+    has_channel = True
+    has_error_class = False
+    as_hex = True
+    counts_from_first = True
+    """Whether its times have no sign."""
+
+    def __init__(self, path: Path) -> None:
+        """Creates the file."""
+        self.written = self._numbered = 0
+        self.left_out: Counter[str] = Counter()
+        self.reduced: Counter[str] = Counter()
+        """Frames of which something is not kept, by what."""
+        self._first_ns: Nanos | None = None
+        self._forms: dict[tuple[int, ...], Form] = {}
+        self._file = path.open("w", encoding="ascii", newline="")
+
+    def add(self, block: Block) -> None:
+        """Append."""
+        block = self._with_room(block)
+        if not block.size:
+            return
+        size = min(int(block.length.max()), ROOM)
+        # All bytes of the block in one text, of which each line takes its part.
+        content = block.data[:, :size].tobytes()
+        text, width = (content.hex(" ").upper() + " ", 3) if self.as_hex else (content, 1)
+        channels = [self._channel(name) for name in block.names]
+        numbers = [channels[k] for k in block.channel.tolist()]
+        rows = zip(
+            block.t_ns.tolist(), block.can_id.tolist(), block.flags.tolist(),
+            block.length.tolist(), block.dlc.tolist(), numbers, strict=True,
+        )  # fmt: skip
+        known, lines = self._forms, []
+        for k, (t_ns, *key) in enumerate(rows):
+            form = known.get(parts := tuple(key))
+            if form is None:
+                if len(known) > _FORMS_KEPT:
+                    known.clear()
+                form = known[parts] = self._form(*key)
+            start = k * size * width
+            lines.append(self._line(t_ns, form, text[start : start + key[2] * width]))
+        self._file.write("".join(lines))
+        self.written += block.size
+        self._count_reduced(block)
+
+    def _with_room(self, block: Block) -> Block:
+        """The frames for which there is room; the others are counted."""
+        for flag, name in ((FD, "fd"), (REMOTE, "remote"), (ERROR, "error")):
+            out = block.flags & flag & self.no_room != 0
+            if out.any():
+                self.left_out[name] += int(np.count_nonzero(out))
+                block = block.pick(~out)
+        if not block.size:
+            return block
+        if self._first_ns is None:
+            self._first_ns = block.t_ns.item(0)
+            self._file.write("".join(self._head(self._first_ns)))
+        early = block.t_ns < self._first_ns
+        if self.counts_from_first and early.any():
+            self.left_out["before_the_first"] += int(np.count_nonzero(early))
+            block = block.pick(~early)
+        return block
+
+    def _count_reduced(self, block: Block) -> None:
+        """What is not kept of the frames that were written."""
+        flags = block.flags
+        if not self.has_error_class:
+            told = (block.can_id != 0) | (block.length != 0)
+            self.reduced["error_class"] += int(np.count_nonzero((flags & ERROR != 0) & told))
+        if not self.has_channel:
+            named = np.array([bool(name) for name in block.names])[block.channel]
+            self.reduced["channel"] += int(np.count_nonzero(named))
+            raw = (block.dlc > block.length) & (flags & REMOTE == 0)
+            self.reduced["raw_length"] += int(np.count_nonzero(raw))
+
+    @property
+    def _start_ns(self) -> Nanos:
+        return self._first_ns or 0
+
+    def _channel(self, name: str) -> int:
+        return channel_number(name) + 1
+
+    def _head(self, first_ns: Nanos) -> Iterator[str]:
+        raise NotImplementedError
+
+    def _form(self, can_id: int, flags: int, length: int, dlc: int, channel: int) -> Form:
+        """What stands before and behind the data of frames of one kind."""
+        raise NotImplementedError
+
+    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
+        """data: in hexadecimal with a blank behind each byte, or as bytes."""
+        raise NotImplementedError
+
+    def _tail(self) -> str:
+        return ""
+
+    def close(self) -> None:
+        """Make the file whole."""
+        if self._first_ns is not None:
+            self._file.write(self._tail())
+        self._file.close()
+
+
+class AscFile(TextFile):
+    """ASC; its date is that of the first frame, in UTC."""
+
+    def _head(self, first_ns: Nanos) -> Iterator[str]:
+        date = _date(first_ns)
+        yield f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
+        yield f"Begin Triggerblock {date}\n 0.000000 Start of measurement\n"
+
+    def _form(self, can_id: int, flags: int, length: int, dlc: int, channel: int) -> Form:
+        if flags & ERROR:
+            return Form(f" {channel}  ErrorFrame", "\n", has_data=False)
+        name = f"{can_id:X}{'x' if flags & EXTENDED else ''}"
+        if flags & FD:
+            return self._fd_form(flags, length, f" CANFD {channel:>3} Rx   {name:>8}")
+        if flags & REMOTE:
+            asked = max(dlc, 0)
+            return Form(f" {channel}  {name:<15} Rx   r {asked:x}", "\n", has_data=False)
+        return Form(f" {channel}  {name:<15} Rx   d {dlc if dlc >= 0 else length:x} ", "\n")
+
+    def _fd_form(self, flags: int, length: int, start: str) -> Form:
+        brs, esi = bool(flags & BRS), bool(flags & ESI)
+        bits = _FLAG_EDL | (_FLAG_BRS if brs else 0) | (_FLAG_ESI if esi else 0)
+        middle = f"  {'':>32} {brs:d} {esi:d} {_CODES[length]:x} {length:>2} "
+        zero = f"{0:>8}"
+        end = f" {zero} {0:>4} {bits:>8X} {zero} {zero} {zero} {zero} {zero}\n"
+        return Form(start + middle, end)
+
+    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
+        us = (t_ns - self._start_ns + 500) // 1000
+        shown = data[:-1] if form.has_data else ""
+        return f"{us // 1_000_000:>2}.{us % 1_000_000:06d}{form.before}{shown}{form.behind}"
+
+    def _tail(self) -> str:
+        return "End TriggerBlock\n"
+
+
+class TrcFile(TextFile):
+    """TRC 2.1; its start is that of the first frame, in UTC."""
+
+    def _head(self, first_ns: Nanos) -> Iterator[str]:
+        days, rest = divmod(first_ns, _DAY_NS)
+        part = rest * 10**_DAY_DIGITS // _DAY_NS
+        moment = _EPOCH + timedelta(microseconds=first_ns // 1000)
+        yield f";$FILEVERSION=2.1\r\n;$STARTTIME={days + _EPOCH_DAYS}.{part:0{_DAY_DIGITS}d}\r\n"
+        yield ";$COLUMNS=N,O,T,B,I,d,R,L,D\r\n;\r\n"
+        yield f";   Start time: {moment.isoformat(' ').removesuffix('+00:00')} UTC\r\n"
+        yield ";   Generated by traction-gateway\r\n"
+        yield ";---+-- ------+------ +- +- --+----- +- +- +--- +- -- -- -- -- -- -- --\r\n"
+
+    def _form(self, can_id: int, flags: int, length: int, dlc: int, channel: int) -> Form:
+        name = f"{can_id:08X}" if flags & EXTENDED else f"{can_id:04X}"
+        code, kind = dlc if dlc >= 0 else _CODES.get(length, 0), "DT"
+        if flags & ERROR:
+            kind, name, code = "ER", "-", 0
+        elif flags & REMOTE:
+            kind, code = "RR", max(dlc, 0)
+        elif flags & FD:
+            kind = {0: "FD", BRS: "FB", BRS | ESI: "FE", ESI: "BI"}[flags & (BRS | ESI)]
+        before = f" {kind} {channel:>2} {name:>8} Rx -  {code:<4} "
+        return Form(before, "\r\n", has_data=not flags & (ERROR | REMOTE))
+
+    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
+        us = (t_ns - self._start_ns + 500) // 1000
+        self._numbered += 1
+        stamp = f"{us // 1000}.{us % 1000:03d}"
+        shown = data[:-1] if form.has_data else ""
+        return f"{self._numbered:>7} {stamp:>13}{form.before}{shown}{form.behind}"
+
+
+class CsvFrames(TextFile):
+    """python-can's CSV of frames."""
+
+    no_room = FD
+    has_channel = False
+    has_error_class = True
+    as_hex = False
+    counts_from_first = False
+
+    def _head(self, first_ns: Nanos) -> Iterator[str]:
+        del first_ns
+        yield "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+
+    def _form(self, can_id: int, flags: int, length: int, dlc: int, channel: int) -> Form:
+        del channel
+        bits = ",".join(str(int(bool(flags & flag))) for flag in (EXTENDED, REMOTE, ERROR))
+        size = max(dlc, 0) if flags & REMOTE else length
+        return Form(f",{can_id:#x},{bits},{size},", "\n")
+
+    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
+        sign, size = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
+        text = b2a_base64(data, newline=False).decode()
+        return f"{sign}{size // SECOND}.{size % SECOND:09d}{form.before}{text}\n"
+
+
+def channel_number(channel: str) -> int:
+    """The digits of a channel's name; 0 where it has none."""
+    digits = "".join(filter(str.isdecimal, channel))
+    return int(digits) if digits and len(digits) < 6 else 0
+
+
+def _date(t_ns: Nanos) -> str:
+    """As Vector writes dates, in UTC and in English whatever the machine's language."""
+    moment = _EPOCH + timedelta(microseconds=min(max(t_ns, _EARLIEST), _LATEST) // 1000)
+    clock = f"{moment:%H:%M:%S}.{moment.microsecond // 1000:03d}"
+    day = f"{_DAYS[moment.weekday()]} {_MONTHS[moment.month - 1]} {moment.day:02d}"
+    return f"{day} {clock} {moment.year}"

@@ -1,0 +1,103 @@
+"""A signal that is not available takes no other signal of its message with it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from dbc.frame import Frame
+from dbc.frames import block_of
+from gateway.cli import main
+from gateway.core.gateway import Gateway
+from gateway.mapping.plan import fitted, plans
+from gateway.mapping.translate import Translator
+from gateway.settings.config import parse
+from tests.inverters import write_dbc
+from tests.sender import MS, Sender, codec_for
+
+KNOWN = {
+    "Status": {"Irms": 70.0, "TorqueCommand": 20.0, "State": 2, "FaultCode": 0},
+    "Motion": {"Speed": 1000.0, "Torque": 20.0, "ElectricalAngle": 10.0},
+}
+
+
+def heard(kind: str, without: str) -> tuple[float | None, float | None, float]:
+    """Speed, current and command of drive 1."""
+    codec = codec_for()
+    gateway = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec, 0)
+    sender = Sender(codec, f"Drive1_{kind}")
+    for k in range(1, 30):
+        values = {**KNOWN[kind], without: None}
+        gateway.step([sender.frame(10 * k * MS, **values)], 10 * k * MS)
+    drive = gateway.inbox.drives[0]
+    command = gateway.inbox.receiver.slow.command.item(0)
+    return drive.speed, drive.irms, command
+
+
+@pytest.mark.parametrize("without", ["FaultCode", "State", "Irms", "TorqueCommand"])
+def test_status(without: str) -> None:
+    _, irms, command = heard("Status", without)
+    assert irms == (None if without == "Irms" else pytest.approx(70.0))
+    if without == "TorqueCommand":
+        assert command != command
+    else:
+        assert command == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("without", ["Torque", "ElectricalAngle", "Speed"])
+def test_motion(without: str) -> None:
+    speed, *_ = heard("Motion", without)
+    assert speed == (None if without == "Speed" else pytest.approx(104.72, abs=0.1))
+
+
+# ---- ends of raw ranges of mapped temperatures ---------------------------------------------------
+
+
+def temperatures(folder: Path, raw: list[int]) -> list[float | None]:
+    """What becomes of the readings of an 8-bit sensor, -40 to 215 degC."""
+    file = {"Tmp": (0x600, 100, ['Motor : 0|8@1+ (1,-40) [-40|215] "degC"',
+                                 'Bearing : 8|8@1+ (1,-40) [-40|215] "degC"'])}  # fmt: skip
+    write_dbc(folder / "one.dbc", file)
+    use = {"Tstator": "Tmp.Motor", "Tde": "Tmp.Bearing"}
+    config = parse({"drive": [{"node": 1, "signals": {"dbc": "one.dbc", "use": use}}]}, base=folder)
+    codec = fitted(codec_for((1,)), plans(config))
+    translator = Translator(plans(config), codec)
+    found: list[float | None] = []
+    for k, value in enumerate(raw, 1):
+        t_ns = k * 100 * MS
+        frame = Frame(t_ns, 0x600, bytes([value, 90, *bytes(6)]))
+        counts: Counter[str] = Counter()
+        (made,) = translator.take(block_of([frame]), t_ns, counts).frames()
+        spec = codec.by_name["Drive1_Temperatures"]
+        read = codec.decode(spec, made.data)
+        assert read["Tde"].value == pytest.approx(50.0)
+        found.append(round(read["Tstator"].value) if read["Tstator"].validity == 0 else None)
+    return found
+
+
+def test_a_sensor_that_jumps_to_an_end_has_no_value(tmp_path: Path) -> None:
+    assert temperatures(tmp_path, [100, 255, 101, 0, 100]) == [60, None, 61, None, 60]
+    assert temperatures(tmp_path, [255, 255, 0, 100]) == [None, None, None, 60]
+
+
+def test_a_motor_that_warms_up_to_the_end_is_believed(tmp_path: Path) -> None:
+    assert temperatures(tmp_path, [248, 252, 254, 255, 255]) == [208, 212, 214, 215, 215]
+
+
+def test_check_proposes_codes_where_nothing_says_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    temperatures(tmp_path, [100])
+    text = '[[drive]]\nnode = 1\n[drive.signals]\ndbc = "one.dbc"\n[drive.signals.use]\n'
+    path = tmp_path / "train.toml"
+    path.write_text(text + 'Tstator = "Tmp.Motor"\nTde = "Tmp.Bearing"\n')
+    main(["check", str(path), "--no-timing"])
+    said = capsys.readouterr().out
+    assert "Tstator: raw 0 (-40), 255 (215) may mean that there is no value" in said
+    named = '{ signal = "Tmp.Motor", not_available = [0, 255] }'
+    assert f"Tstator = {named}" in said
+    path.write_text(text + f'Tstator = {named}\nTde = "Tmp.Bearing"\n')
+    main(["check", str(path), "--no-timing"])
+    assert "Tstator: raw" not in capsys.readouterr().out
