@@ -68,3 +68,24 @@ def from_message(message: can.Message) -> Frame:
     channel = "" if message.channel is None else str(message.channel)
     t_ns = round(message.timestamp * 1_000_000_000)
     return Frame(t_ns, message.arbitration_id & 0x1FFF_FFFF, data, flags, channel, dlc)
+
+
+def to_message(frame: Frame) -> can.Message:
+    """A frame as a python-can message; a raw DLC of 9..15 becomes the data length."""
+    import can
+
+    flags = frame.flags
+    remote = bool(flags & REMOTE)
+    return can.Message(
+        timestamp=frame.t_ns / 1_000_000_000,
+        arbitration_id=frame.can_id,
+        is_extended_id=bool(flags & EXTENDED),
+        is_remote_frame=remote,
+        is_error_frame=bool(flags & ERROR),
+        is_fd=bool(flags & FD),
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
+        channel=frame.channel or None,
+        dlc=max(frame.dlc, 0) if remote else len(frame.data),
+        data=None if remote else frame.data,
+    )

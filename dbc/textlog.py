@@ -16,9 +16,9 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.candump.grammar import FD_LENGTHS, MAX_LINE, Verdict
+from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import LogError, Problem, Reader
-from dbc.frame import ERROR, EXTENDED, FD, REMOTE
+from dbc.frame import ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE
 from dbc.frames import ROOM, Block
 from dbc.text import printable
 from dbc.textlines import Known, Scan, Scanner
