@@ -166,8 +166,8 @@ DEPENDS = (
 """All that sources include."""
 FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
-instruction. Hidden: a function calls ours and not another library's of the same name, and may hold
-it inline."""
+instruction. The linker binds our names to our functions (-Bsymbolic), never to those of another
+library in the process."""
 
 
 def declarations() -> str:
