@@ -166,10 +166,10 @@ DEPENDS = (
     "estimators/detect/paper.h",
 )
 """All that sources include."""
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
-instruction. Hidden: a function calls ours and not another library's of the same name, and may hold
-it inline."""
+instruction. The linker binds our names to our functions (-Bsymbolic), never to those of another
+library in the process."""
 
 
 def declarations() -> str:
@@ -205,7 +205,7 @@ def builder() -> Any:
     )  # fmt: skip
     command = " ".join(compiler())
     os.environ.setdefault("CC", command)
-    os.environ.setdefault("LDSHARED", f"{command} -shared")
+    os.environ.setdefault("LDSHARED", f"{command} -shared -Wl,-Bsymbolic")
     return made
 
 

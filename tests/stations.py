@@ -45,7 +45,13 @@ class Inbox(gateway.core.inbox.Inbox):
     @property
     def samples(self) -> Samples:
         """Of the last tick."""
-        return self.receiver.room.first(self.receiver.pointer.tick.samples)
+        return samples_of(self)
+
+
+def samples_of(inbox: gateway.core.inbox.Inbox) -> Samples:
+    """Samples of the last tick."""
+    receiver = inbox.receiver
+    return receiver.room.first(receiver.pointer.tick.samples)
 
 
 def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:

@@ -45,15 +45,20 @@ class Stepped(Gateway):
             hook(self)
 
     def _run(self, block: Block, ends: np.ndarray, now: Nanos) -> int:
-        """One tick."""
+        """The first tick of `run`."""
+        self._run_one(block.part(0, int(ends[0])), now)
+        self._now, self._view = now, None
+        return 1
+
+    def _run_one(self, block: Block, now: Nanos) -> None:
         self.now = now
-        part = block.part(0, int(ends[0])).ordered()
+        part = block.ordered()
+        if part.size > self._room:
+            self._make_room(part.size)
         self._receive(part, now)
         self._judge(now)
         self._say(now)
         self.inbox.read_emergencies(part, 0)
-        self._now, self._view = now, None
-        return 1
 
     def _receive(self, part: Block, now: Nanos) -> None:
         p, at = self.pointer, part.columns()

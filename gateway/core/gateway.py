@@ -154,6 +154,15 @@ class Gateway(Addressed):
         block = frames if isinstance(frames, Block) else block_of(frames)
         if self.translator is not None:
             block = self._translated(self.translator, block, now)
+        self._run_one(block, now)
+        self._now, self._view = now, None
+        out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
+        if self.outbox.authenticator is not None:
+            self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
+        return out
+
+    def _run_one(self, block: Block, now: Nanos) -> None:
+        """One tick, of all frames of a block."""
         size = len(block.t_ns)
         if size > self._room:
             self._make_room(size)
@@ -163,11 +172,6 @@ class Gateway(Addressed):
             done = lib.run_one(self.pointer, size, *block.addresses(), now)
         if done > 1:
             self._finish(block, 0, now)
-        self._now, self._view = now, None
-        out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
-        if self.outbox.authenticator is not None:
-            self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
-        return out
 
     def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
         """Ticks at `now`, a period later and so on, one for each of ends (K,).

@@ -25,11 +25,12 @@ from dbc.e2e import (
 )
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from gateway.core.gateway import Gateway
-from gateway.core.inbox import OWN_CANOPEN, Inbox
+from gateway.core.inbox import OWN_CANOPEN
 from gateway.core.supervision import Supervision
 from gateway.settings.config import parse
 from tests.reference.receive import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 from tests.sender import FD_FILE, codec_for
+from tests.stations import Inbox, samples_of
 
 NODES = (1, 2)
 CODECS = (codec_for(NODES), codec_for(NODES, FD_FILE))
@@ -260,8 +261,9 @@ def frames(
         ends = Counter(box.counts)
         ends.subtract(before)
         _as_told(ends, twin.take(came, now), len(came))
-        assert np.isfinite(box.samples.u).all()
-        assert np.isfinite(box.samples.y).all()
+        samples = samples_of(box)
+        assert np.isfinite(samples.u).all()
+        assert np.isfinite(samples.y).all()
         total += len(came)
     return total
 

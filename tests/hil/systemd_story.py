@@ -110,6 +110,8 @@ def started() -> Story:
     enabled = systemctl("enable", "--now", LINKS.removesuffix(".service"), GATEWAY)
     until("started", lambda: show(GATEWAY, "ActiveState")["ActiveState"] == "active")
     Bus().until_flags("first flag")
+    # udev may start the links unit once more, when it sees the device.
+    until("links", lambda: show(LINKS, "ActiveState")["ActiveState"] != "activating")
     link = subprocess.run(
         ["ip", "-d", "link", "show", BUS], capture_output=True, text=True, check=True
     )

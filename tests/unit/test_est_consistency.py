@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-import gateway.core.estimate
 from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, THETA_E, W_E
+from gateway.core.estimate import SETTLE_STEPS
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
+from tests.stations import samples_of
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 from tests.unit.test_est_ekf import bench
 
@@ -103,11 +104,9 @@ def nominal_windows(kind: str) -> np.ndarray:
     runs: list[list[float]] = [[] for _ in NODES]
     windows = []
     for tick in range(1, LOOP_TICKS + 1):
-        tracked = [
-            core.bank.filters.steps[d] >= gateway.bank.SETTLE_STEPS for d in range(len(NODES))
-        ]
+        tracked = [core.bank.filters.steps[d] >= SETTLE_STEPS for d in range(len(NODES))]
         core.step(honest.sent(tick), tick * TICK)
-        drive = core.inbox.samples.drive
+        drive = samples_of(core.inbox).drive
         nis = core.bank.samples.nis[: len(drive)]
         losses = honest.lost[max(tick - 31, 0) : tick + 30].any()
         standing = honest.phase[tick - 1] == PHASES.index("standstill")
