@@ -32,7 +32,7 @@ def heard(kind: str, without: str) -> tuple[float | None, float | None, float]:
         values = {**KNOWN[kind], without: None}
         gateway.step([sender.frame(10 * k * MS, **values)], 10 * k * MS)
     drive = gateway.inbox.drives[0]
-    command = gateway.inbox.receiver.slow.command.item(0)
+    command = float(gateway.inbox.receiver.drives["command"][0])
     return drive.speed, drive.irms, command
 
 
