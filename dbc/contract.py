@@ -207,6 +207,7 @@ _SHARED = (
             *(_state(f"Adhesion{n}", "Adhering", "AdhesionLost") for n in _ALL),
             _coded(
                 "Detector", "VariationalBayes", "VariationalMessagePassing", "KMeans", "Median",
+                "Switching",
                 first=1, bits=3,
             ),
             _state("CommonMode", "NotDetected", "AllDrives"),

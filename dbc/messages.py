@@ -277,7 +277,7 @@ def gateway_messages() -> tuple[Entry, ...]:
                     for n in DRIVES
                 ),
                 chosen("Detector", 48, 3, "Detector in use.", "VariationalBayes",
-                       "VariationalMessagePassing", "KMeans", "Median", first=1),
+                       "VariationalMessagePassing", "KMeans", "Median", "Switching", first=1),
                 state("CommonMode", 52, "Loss common to all drives.", "NotDetected", "AllDrives"),
                 measured("Age", 56, 8, unit_age, "ms", "1"),
             ),

@@ -142,6 +142,11 @@ MOTION: Final = dtype_of(ffi.typeof("struct motion"))
 PLAUSIBILITY: Final = dtype_of(ffi.typeof("struct plausibility"))
 MOTION_MONITOR: Final = dtype_of(ffi.typeof("struct motion_monitor"))
 INTEGRITY: Final = dtype_of(ffi.typeof("struct integrity"))
+SWITCHING: Final = dtype_of(ffi.typeof("struct switching"))
+SWITCHING_LOAD: Final = dtype_of(ffi.typeof("struct switching_load"))
+SWITCHING_NOISE: Final = dtype_of(ffi.typeof("struct switching_noise"))
+SWITCHING_DRIVE: Final = dtype_of(ffi.typeof("struct switching_drive"))
+SWITCHING_HYPOTHESIS: Final = dtype_of(ffi.typeof("struct switching_hypothesis"))
 GATEWAY: Final = dtype_of(ffi.typeof("struct gateway"))
 
 

@@ -14,6 +14,7 @@ from estimators.detect.median import MedianDetector
 from estimators.detect.message_passing import MessagePassingDetector
 from estimators.detect.paper_vb import PaperVariationalDetector, ReusingVariationalDetector
 from estimators.detect.protocol import Detector, Evidence, Opinion
+from estimators.detect.switching import SwitchingDetector
 from estimators.detect.variational import VariationalDetector
 
 DETECTORS: dict[str, type[Detector]] = {
@@ -25,7 +26,10 @@ DETECTORS: dict[str, type[Detector]] = {
 }
 """Names as in `[adhesion] detector`; the classes carry the code that goes on the bus."""
 
-WITH_MEMORY: Final[dict[str, type[Detector]]] = {"paper_vb_reuse": ReusingVariationalDetector}
+WITH_MEMORY: Final[dict[str, type[Detector]]] = {
+    "paper_vb_reuse": ReusingVariationalDetector,
+    "switching": SwitchingDetector,
+}
 """Detectors whose answer depends on the calls before: one object for one sequence of ticks."""
 
 
@@ -63,6 +67,7 @@ __all__ = [
     "Opinion",
     "PaperVariationalDetector",
     "ReusingVariationalDetector",
+    "SwitchingDetector",
     "VariationalDetector",
     "make",
 ]

@@ -56,7 +56,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--detector",
-        help="override [adhesion] detector (vb, median, kmeans, vmp, paper_vb, paper_vb_reuse)",
+        help="override [adhesion] detector (vb, switching, median, kmeans, vmp, paper_vb, "
+        "paper_vb_reuse)",
     )
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")

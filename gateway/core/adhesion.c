@@ -13,10 +13,12 @@
 
 #include "estimators/detect/command_response.h"
 #include "estimators/detect/load_reference.h"
+#include "estimators/detect/switching.h"
 #include "estimators/detect/variational.h"
 #include "estimators/numbers.h"
 #include "gateway/core/flags.h"
 #include "gateway/core/loads.h"
+#include "gateway/core/switching_loss.h"
 #include "gateway/core/train.h"
 
 /* Loads differ by this share, standard deviation, for some seconds: curves, load steps. Too short to
@@ -52,6 +54,8 @@ void adhesion_reset(struct adhesion *a, double spread)
         a->known[k] = a->loss_known[k] = a->may_learn[k] = 0;
         a->normalised[k] = a->sigma[k] = a->loss_probability[k] = 0.0;
     }
+    if (a->switching)
+        switching_reset(a->switching);
     a->common_mode = (struct flag){.state = FLAG_UNKNOWN, .evidence = FLAG_UNKNOWN};
     a->learn_ns = a->flagged_ns = NO_TIME;
     a->common = 0.0;
@@ -106,6 +110,10 @@ void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
 
 void adhesion_detect(struct adhesion *a)
 {
+    if (a->switching) {
+        compare_by_memory(a);
+        return;
+    }
     int count = 0;
     for (int k = 0; k < a->n; k++)
         count += a->known[k] != 0;
@@ -143,20 +151,25 @@ static int any_compared(const struct adhesion *a)
     return 0;
 }
 
-/* A comparison of drives that carry next to nothing is none; one of drives that carry little
- * accuses nobody. */
-static void limit_comparison(struct adhesion *a)
+/* Follows the load that drives share: whether it can be compared. 1: so little that it accuses
+ * nobody. */
+static int follow_common(struct adhesion *a)
 {
     if (!any_compared(a)) {
         a->common_smoothed = NAN;
-        return;
+        return 0;
     }
     if (isnan(a->common_smoothed))
         a->common_smoothed = a->common;
     a->common_smoothed += smaller(a->tick_s / LOAD_TAU_S, 1.0) * (a->common - a->common_smoothed);
     const double smoothed = fabs(a->common_smoothed);
     a->comparable = smoothed >= (a->comparable ? LEAST_LOAD : MORE_LOAD);
-    const int little = smaller(fabs(a->common), smoothed) < MORE_LOAD;
+    return smaller(fabs(a->common), smoothed) < MORE_LOAD;
+}
+
+/* A comparison of drives that carry next to nothing is none. */
+static void limit_comparison(struct adhesion *a, int little)
+{
     for (int k = 0; k < a->n; k++) {
         const int accused = little && a->loss_probability[k] > UNDECIDED;
         a->loss_known[k] = a->loss_known[k] && a->comparable && !accused;
@@ -182,18 +195,25 @@ static void fuse_views(struct adhesion *a, int64_t now_ns)
     }
 }
 
-/* Severe losses, and since when loads are known. */
-static void find_severe(struct adhesion *a, int64_t now_ns)
+/* Since when loads are known. */
+static void note_known(struct adhesion *a, int64_t now_ns)
+{
+    for (int k = 0; k < a->n; k++) {
+        struct drive_load *mine = &a->loads[k];
+        if (!a->known[k])
+            mine->known_since_ns = NO_TIME;
+        else if (mine->known_since_ns == NO_TIME)
+            mine->known_since_ns = now_ns;
+    }
+}
+
+static void find_severe(struct adhesion *a)
 {
     for (int k = 0; k < a->n; k++) {
         struct drive_load *mine = &a->loads[k];
         const int severe = is_severe_loss(&a->responses[k], a->common, a->normalised[k],
                                           a->sigma[k], SEVERE_SHARE, SEVERE_SIGMA);
         mine->severe_loss = a->known[k] && severe;
-        if (!a->known[k])
-            mine->known_since_ns = NO_TIME;
-        else if (mine->known_since_ns == NO_TIME)
-            mine->known_since_ns = now_ns;
     }
 }
 
@@ -272,9 +292,15 @@ void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
                    const struct drive_status *status, int64_t now_ns)
 {
     const int answered = respond_alone(a);
-    limit_comparison(a);
-    fuse_views(a, now_ns);
-    find_severe(a, now_ns);
+    const int little = follow_common(a);
+    if (a->switching) {
+        judge_by_memory(a, status, little, now_ns);
+    } else {
+        limit_comparison(a, little);
+        fuse_views(a, now_ns);
+        find_severe(a);
+    }
+    note_known(a, now_ns);
     debounce(&a->common_mode, common_mode_evidence(a), &a->rules->timing[FLAG_ADHESION],
              a->rules->tick_ns, now_ns);
     learn(a, answered, drives, status, now_ns);

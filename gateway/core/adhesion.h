@@ -16,7 +16,7 @@ void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
                       const struct input_status *inputs, const struct drive_input *drives,
                       const struct drive_status *status, int64_t now_ns);
 
-/* The default detector, variational Bayes: fills `loss_probability`, `loss_known` and `common`. */
+/* The detector in the core, the model with a memory or variational Bayes: fills `loss_probability`, `loss_known` and `common`. */
 void adhesion_detect(struct adhesion *a);
 
 /* What the detector has found, fused in place with the response of every drive to its own command;
@@ -24,7 +24,7 @@ void adhesion_detect(struct adhesion *a);
 void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
                    const struct drive_status *status, int64_t now_ns);
 
-/* One tick with the default detector: all three. */
+/* One tick with a detector in the core: all three. */
 void detect_loss(struct adhesion *a, struct drive_estimate *estimates,
                  const struct input_status *inputs, const struct drive_input *drives,
                  const struct drive_status *status, int64_t now_ns);

@@ -27,6 +27,7 @@ from dbc.records import (
     pointer,
 )
 from estimators.detect import Evidence, Opinion, make
+from estimators.detect.switching import Switching, SwitchingDetector
 from estimators.detect.variational import VariationalDetector
 from gateway.settings.config import Adhesion, Motor
 
@@ -44,8 +45,8 @@ class AdhesionMonitor(Addressed):
         self.config, self.rules = config, rules
         self.rated = tuple(motor.T_rated for motor in motors)
         self.detector = make(config.detector, config.observe)
-        self.in_core = isinstance(self.detector, VariationalDetector)
-        """Whether the detector is the one in the core."""
+        self.in_core = isinstance(self.detector, VariationalDetector | SwitchingDetector)
+        """Whether the detector is one of those in the core."""
         n = len(motors)
         self.rotors = _rotors(motors)
         self.rotor_inputs = np.zeros(n, ROTOR_INPUTS)
@@ -60,6 +61,9 @@ class AdhesionMonitor(Addressed):
         if isinstance(self.detector, VariationalDetector):
             self.record["priors"] = tuple(self.detector.priors)
             self.record["iterations"] = self.detector.sweeps
+        self.switching: Switching | None = None
+        if isinstance(self.detector, SwitchingDetector):
+            self.switching = Switching(n, tick_ns)
         self.link()
         lib.adhesion_reset(self._pointer, config.spread_nm / BASE_NM)
 
@@ -71,6 +75,8 @@ class AdhesionMonitor(Addressed):
             "workspace",
         ):  # fmt: skip
             self.record[name] = getattr(self, name).ctypes.data
+        if self.switching is not None:
+            self.record["switching"] = self.switching.record.ctypes.data
         self._pointer = pointer("struct adhesion", self.record)
         self.common_mode = self.record["common_mode"]
         """One flag: whether all drives have lost adhesion at once."""

@@ -1460,6 +1460,7 @@ struct adhesion {
     /* state */
     struct load_spread response_spread; /* of loads over commands */
     struct load_spread spread;          /* of loads over the common one */
+    struct switching *switching;        /* NULL: another detector compares the drives */
     struct flag common_mode;            /* all drives have lost adhesion at once */
     int64_t learn_ns;                   /* next time that ratios are learnt; NO_TIME: at once */
     int64_t flagged_ns;                 /* last tick with any adhesion flag bad; NO_TIME: none */
@@ -1678,6 +1679,78 @@ struct lumped_tuning {
     double step_s; /* s, length of a step of the inputs */
     double walk;   /* variance by which the logarithms of gain and loss walk per sample */
     double doubt;  /* standard deviation of these logarithms at the start */
+};
+
+/* ---- Losses of adhesion by a model with a memory (estimators/detect/switching.c) ------------- */
+/* Symbols and equation numbers: docs/switching.md. Torques per unit of rated torque, in the
+ * direction of the train. */
+
+#define SWITCHING_KEPT  6  /* hypotheses that are kept from step to step */
+#define SWITCHING_TRIED 48 /* hypotheses that are weighed in one step: eight from each */
+
+/* Load of a drive over the demand of the train while it adheres: r + u. */
+struct switching_ratio {
+    double r;    /* for good: axle load, wheel, magnet */
+    double u;    /* that comes and goes: curves */
+    double v_rr; /* variance of r */
+    double v_ru; /* covariance */
+    double v_uu; /* variance of u */
+};
+
+/* One drive under one hypothesis. */
+struct switching_drive {
+    double adhering;               /* probability that it adheres, */
+    double lost;                   /* that it has lost adhesion, */
+    double neither;                /* that its load means nothing; their sum is 1 */
+    double fresh;                  /* share of `lost` whose c is new in this step, */
+    double fresh_neither;          /* and of `neither` */
+    double c;                      /* load over the demand unless it adheres */
+    double v_c;                    /* variance of c */
+    double precision;              /* what its load has said of the demand: 1 / variance, */
+    double shift;                  /* and mean / variance */
+    struct switching_ratio now;    /* if it adheres */
+    struct switching_ratio before; /* if it does not: as it was while it did */
+};
+
+/* One hypothesis of how the demand and all drives have come to what they are. */
+struct switching_hypothesis {
+    double log_weight; /* logarithm of its probability */
+    double m;          /* demand */
+    double s;          /* its change in a step */
+    double v_mm;       /* variance of m */
+    double v_ms;       /* covariance */
+    double v_ss;       /* variance of s */
+};
+
+/* What is known of the load of one drive. */
+struct switching_load {
+    double load;
+    uint8_t known; /* 1: `load` is a number */
+    uint8_t apart; /* 1: its wheel runs apart from the others and is no measure for them */
+};
+
+/* How far loads lie from what is expected of them. */
+struct switching_noise {
+    double variance; /* as learnt */
+    double lag;      /* standard deviation more while the demand moves */
+    double learnt_s; /* for how long `variance` has been learnt */
+};
+
+/* Everything; `switching_reset` makes one that knows nothing. */
+struct switching {
+    int32_t n;                               /* drives */
+    int32_t every;                           /* ticks in a step of 10 ms, at least 1 */
+    int32_t ticks;                           /* since the last step */
+    int32_t kept;                            /* hypotheses */
+    struct switching_load *loads;            /* (n,) input */
+    struct switching_noise *noises;          /* (n,) */
+    struct switching_hypothesis *hypotheses; /* (SWITCHING_KEPT,), the first `kept` */
+    struct switching_drive *drives;          /* (SWITCHING_KEPT, n) */
+    struct switching_hypothesis *trials;     /* (SWITCHING_TRIED,) workspace */
+    struct switching_drive *trial_drives;    /* (SWITCHING_TRIED, n) workspace */
+    double *adhering;                        /* (n,) probabilities of all hypotheses together */
+    double *lost;                            /* (n,) */
+    double demand;                           /* mean of all hypotheses */
 };
 
 #endif

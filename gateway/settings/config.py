@@ -160,10 +160,16 @@ class Estimator(Strict):
     """Electrical; below: not observable."""
 
 
+SWITCHING_MS: Final = {"raise_ms": 10, "raise_severe_ms": 0, "clear_ms": 20}
+"""Times of the detector `switching` that are not given."""
+
+
 class Adhesion(Strict):
     """`[adhesion]`: detector and the timing of its flag."""
 
-    detector: Literal["vb", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"] = "vb"
+    detector: Literal[
+        "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
+    ] = "vb"
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
@@ -180,10 +186,18 @@ class Adhesion(Strict):
     ] = 0.5
     raise_ms: Milliseconds = 20
     raise_severe_ms: Milliseconds = 10
-    """Where a third of the load is missing."""
+    """Where a third of the load is missing; `switching`: where a loss is certain."""
     clear_ms: Hold = 30
     good_ms: Hold = 50
     """Good evidence needed before the first `Adhering`."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _times(cls, given: Any) -> Any:
+        """A detector with a memory has looked more than once: its times are shorter by a tick."""
+        if not isinstance(given, dict) or given.get("detector") != "switching":
+            return given
+        return {**SWITCHING_MS, **given}
 
 
 class Thermal(Strict):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from dbc.codec import Codec, bind
 from dbc.frame import Frame
 from dbc.frames import Block, block_of
-from estimators.detect import DETECTORS
+from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
 from gateway.settings.config import Config, ConfigError, Drive, load
 from gateway.study.evaluation import Line, Measured, listen, measure
@@ -70,8 +70,9 @@ def known_detectors(names: Iterable[str], plan: Plan) -> tuple[list[str], list[s
     """Detectors that can be configured, and a line for each of the others."""
     good, bad = [], []
     for name in names:
-        if name not in DETECTORS:
-            bad.append(f"{name}: no such detector; there are {', '.join(DETECTORS)}")
+        if name not in DETECTORS | WITH_MEMORY:
+            there_are = ", ".join(DETECTORS | WITH_MEMORY)
+            bad.append(f"{name}: no such detector; there are {there_are}")
             continue
         try:
             _base(plan.config, plan.dbc, name)

@@ -26,6 +26,9 @@ CASES = {
     "bad_bus": ("traction.dbc", (1, 2, 3), "vb"),
     "fd": ("traction_fd.dbc", (1, 2), "vb"),
     "slow": ("traction.dbc", (1, 2, 3), "vb"),
+    "loss_switching": ("traction.dbc", (1, 2, 3), "switching"),
+    "bad_bus_switching": ("traction.dbc", (1, 2, 3), "switching"),
+    "fd_switching": ("traction_fd.dbc", (1, 2), "switching"),
 }
 
 
@@ -65,7 +68,7 @@ def flag_log(log: Path, dbc: str, nodes: tuple[int, ...], detector: str) -> list
 @pytest.mark.parametrize("case", CASES)
 def test_the_gateway_says_what_it_said(case, request):
     dbc, nodes, detector = CASES[case]
-    log = HERE / f"{case.removesuffix('_median')}.log.gz"
+    log = HERE / f"{case.removesuffix(f'_{detector}')}.log.gz"
     expected = HERE / f"{case}.expected.txt"
     lines = flag_log(log, dbc, nodes, detector)
     assert len(lines) > 100

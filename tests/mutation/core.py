@@ -63,6 +63,10 @@ TESTS = {
     "dbc/decode.c": CODEC, "dbc/encode.c": CODEC,
     "gateway/core/flags.c": ("tests/unit/test_flags.py", "tests/unit/test_flags_reference.py"),
     "estimators/detect/variational.c": ("tests/unit/test_variational_reference.py",),
+    **dict.fromkeys((
+        "estimators/detect/switching.c", "estimators/detect/switching_drive.c",
+    ), ("tests/unit/test_switching_reference.py", "tests/unit/test_switching.py")),
+    "gateway/core/switching_loss.c": ("tests/unit/test_adhesion_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,
     "estimators/detect/command_response.c": RESPONSE,
     "estimators/elementary.c": ("tests/unit/test_elementary.py",),

@@ -28,6 +28,7 @@ from dbc.records import (
     pointer,
 )
 from estimators.detect import Evidence
+from estimators.detect.switching import Switching
 from estimators.detect.variational import VariationalDetector
 from gateway.core.codes import NEVER, Flag, Health
 from gateway.settings.config import Motor
@@ -57,9 +58,11 @@ class Adhesion:
     """N drives; one `tick` after the other."""
 
     def __init__(
-        self, motors: Sequence[Motor], rules: Records, tick_ns: int, spread: float
-    ) -> None:
-        n = len(motors)
+        self, motors: Sequence[Motor], rules: Records, tick_ns: int, spread: float,
+        model: Switching | None = None,
+    ) -> None:  # fmt: skip
+        """model: of the detector `switching`, for itself alone; None: variational Bayes."""
+        n, self.model = len(motors), model
         self.n, self.tick_s, self.tick_ns = n, tick_ns / 1e9, tick_ns
         self.rules = ffi.from_buffer("struct flag_rules *", rules)
         self.detector = VariationalDetector()
@@ -102,8 +105,13 @@ class Adhesion:
             lib.normalised_sigma(spread, each + k, *one, TRANSIENT_SPREAD)
             for k, one in enumerate(given)
         ])  # fmt: skip
-        lost, known, self.common = self.detector(Evidence(self.normalised, self.sigma, self.known))
-        self._fuse(lost.tolist(), known.tolist(), now)
+        if self.model is not None:
+            self._judge(self.model, flag, now)
+        else:
+            evidence = Evidence(self.normalised, self.sigma, self.known)
+            lost, known, self.common = self.detector(evidence)
+            self._fuse(lost.tolist(), known.tolist(), now)
+        self._end(now)
         answered = bool((self.responses["command_age_s"] < self.tick_s).any())
         self._learn(answered, slow, flag, now)
 
@@ -178,7 +186,61 @@ class Adhesion:
         )
         return self.gain[k] if abs(self.gain[k]) >= abs(last) else last
 
-    def _fuse(self, lost: list[float], known: list[bool], now: int) -> None:
+    def _judge(self, model: Switching, flag: Ints, now: int) -> None:
+        """As `switching_loss.c`."""
+        load = self.load / self.ratio
+        known = self.known & np.isfinite(load)
+        model.loads["known"], model.loads["apart"] = known, self.rotors["away"]
+        model.loads["load"] = np.clip(np.where(known, load, 0.0), -2.0, 2.0)
+        if self.n > 1:
+            lib.switching_tick(model.pointer)
+            self.common = model.record["demand"].item()
+        else:
+            model.adhering[:], model.lost[:] = 1.0, 0.0
+            self.common = model.record["demand"] = model.loads["load"].item()
+        adhering, lost = model.adhering.copy(), model.lost.copy()
+        two = np.count_nonzero(self.known) >= 2
+        alone, valid, each = self._alone()
+        compared = self._limited([0.0] * self.n, (self.known & two).tolist())
+        little = min(abs(self.smoothed), abs(self.common)) < MORE_LOAD
+        usable = self.responses["usable"] == 1
+        asked = [
+            alone[k] if valid[k] else 0.0
+            for k in range(self.n) if self.known[k] and adhering[k] > 0.5
+        ]  # fmt: skip
+        everyone = min(asked, default=0.0) if usable[self.known].all() else 0.0
+        everyone = everyone if 0.5 <= everyone <= 1.0 else 0.0
+        self.lost, self.lost_known, self.severe = [], [], []
+        for k in range(self.n):
+            rotor, is_asked = self.rotors[k], bool(lib.is_asked(each + k))
+            p = lost[k] + adhering[k] * everyone
+            if rotor["away"] and valid[k]:
+                p = max(p, alone[k])
+            if p < self.rules.raise_probability:
+                if everyone and adhering[k] >= 0.5:
+                    p = lib.UNDECIDED
+                elif not (adhering[k] >= 0.5 and (flag[k] == Flag.BAD or lost[k] <= 0.1)):
+                    rotor["uncertain"] = 1
+            elif is_asked and not valid[k] and not rotor["away"]:
+                p = lib.UNDECIDED
+            idle = usable[k] and not is_asked
+            said = self.known[k] and (compared[k] or is_asked)
+            bare = idle or (little and everyone == 0.0)
+            self.lost_known.append(bool(said and not (bare and lost[k] >= 0.7)))
+            p = self._doubted(rotor, p, now)
+            self.lost.append(p)
+            self.severe.append(bool(self.known[k] and p >= 0.99))
+        self.alone, self.each = alone, each
+
+    def _doubted(self, rotor: Any, p: float, now: int) -> float:
+        doubt = now < rotor["doubt_until_ns"] or rotor["uncommanded_s"] > 0.0
+        if doubt and p > lib.UNDECIDED:
+            rotor["uncertain"] = 1
+            return float(lib.UNDECIDED)
+        return p
+
+    def _alone(self) -> tuple[list[float], Any, Any]:
+        """What every drive says by itself, which of that means something."""
         each, n = pointer("struct command_response", self.responses), self.n
         valid = pointer("uint8_t", np.zeros(n, dtype=np.uint8))
         alone = [
@@ -186,23 +248,29 @@ class Adhesion:
             for k in range(n)
         ]
         odd = self.rotors["odd_s"] > 0.0
-        alone = [min(p, lib.UNDECIDED) if odd[k] else p for k, p in enumerate(alone)]
+        return [min(p, lib.UNDECIDED) if odd[k] else p for k, p in enumerate(alone)], valid, each
+
+    def _fuse(self, lost: list[float], known: list[bool], now: int) -> None:
+        n = self.n
+        alone, valid, each = self._alone()
         known = self._limited(lost, known)
         self.lost, self.lost_known, self.severe = [], [], []
         for k in range(n):
             rotor = self.rotors[k]
             p = lib.fuse_loss(each + k, lost[k], known[k], alone[k], valid[k], rotor["away"])
-            if (now < rotor["doubt_until_ns"] or rotor["uncommanded_s"] > 0.0) and (
-                p > lib.UNDECIDED
-            ):
-                p, rotor["uncertain"] = lib.UNDECIDED, 1
-            self.lost.append(p)
+            self.lost.append(self._doubted(rotor, p, now))
             self.lost_known.append(known[k] or bool(lib.is_asked(each + k)))
             severe = lib.is_severe_loss(
                 each + k, self.common, self.normalised[k], self.sigma[k], SEVERE_SHARE,
                 SEVERE_SIGMA,
             )  # fmt: skip
             self.severe.append(bool(self.known[k] and severe))
+        self.alone, self.each = alone, each
+
+    def _end(self, now: int) -> None:
+        """Since when loads are known; all drives at once."""
+        alone, each = self.alone, self.each
+        for k in range(self.n):
             if not self.known[k]:
                 self.known_ns[k] = NEVER
             elif self.known_ns[k] == NEVER:

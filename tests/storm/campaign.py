@@ -76,7 +76,7 @@ class Result(NamedTuple):
 
 
 def config_of(seed: int):
-    """EKF and UKF, all detectors, by seed.
+    """EKF and UKF, detectors (`median` is much like `kmeans`), by seed.
 
     Classic CAN, from seed 1000 on CAN FD, of those with wrong values half and half.
     """
@@ -84,7 +84,7 @@ def config_of(seed: int):
     return parse({
         "dbc": {"file": "traction_fd.dbc" if fd else "traction.dbc"},
         "estimator": {"kind": ("ekf", "ekf", "ukf")[seed % 3]},
-        "adhesion": {"detector": ("vb", "median", "kmeans", "vmp")[seed // 3 % 4]},
+        "adhesion": {"detector": ("vb", "switching", "kmeans", "vmp")[seed // 3 % 4]},
         "thermal": {"calibration": str(CALIBRATION)},
     })  # fmt: skip
 

@@ -9,6 +9,7 @@ from _traction_core import lib
 
 from dbc.records import DRIVE_STATUS
 from estimators.detect import DETECTORS
+from estimators.detect.switching import Switching
 from gateway.core import flags, inputs, pairing
 from gateway.core.adhesion import BASE_NM, AdhesionMonitor
 from gateway.core.codes import NEVER, Flag, Health
@@ -79,11 +80,12 @@ def validity(commanded, speed):
 class Both:
     """The station and its reference on the same ticks."""
 
-    def __init__(self, motors, tick_ns=TICK):
+    def __init__(self, motors, tick_ns=TICK, detector="vb"):
         self.n = len(motors)
-        self.core = AdhesionMonitor(Adhesion(), motors, RULES, tick_ns)
+        self.core = AdhesionMonitor(Adhesion(detector=detector), motors, RULES, tick_ns)
         spread = Adhesion().spread_nm / BASE_NM
-        self.plain = reference.Adhesion(motors, RULES, tick_ns, spread)
+        model = Switching(self.n, tick_ns) if detector == "switching" else None
+        self.plain = reference.Adhesion(motors, RULES, tick_ns, spread, model)
         self.status = np.zeros(self.n, DRIVE_STATUS)
         self.drives = pairing.drive_inputs(self.n)
         self.slow = columns.slow_of(self.drives)
@@ -138,9 +140,11 @@ def copied(told):
     return made
 
 
+@pytest.mark.parametrize("detector", ["vb", "switching"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_train_that_drives(seed):
-    rng, both, met = np.random.default_rng(seed), Both([BENCH_MOTOR] * N), set()
+def test_a_train_that_drives(seed, detector):
+    motors = [BENCH_MOTOR] * N
+    rng, both, met = np.random.default_rng(seed), Both(motors, detector=detector), set()
     first = both.core.record["spread"]["spread"].item()
     for tick, given in enumerate(train_that_drives(rng, N, 800)):
         opinion = both.tick(columns.told(N), given, tick * TICK, rng.random() < 0.99)
@@ -150,10 +154,12 @@ def test_a_train_that_drives(seed):
     assert both.core.record["spread"]["spread"].item() != first, "the spread is learnt"
 
 
+@pytest.mark.parametrize("detector", ["vb", "switching"])
 @pytest.mark.parametrize("n", [1, 2, 5])
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
-def test_anything(n):
-    rng, both = np.random.default_rng(n), Both(([BENCH_MOTOR, OTHER] * n)[:n])
+def test_anything(n, detector):
+    motors = ([BENCH_MOTOR, OTHER] * n)[:n]
+    rng, both = np.random.default_rng(n), Both(motors, detector=detector)
     for tick, given in enumerate(anything(rng, n, 1500)):
         if tick % 7 == 0:
             both.core.doubt_until_ns[:] = both.plain.rotors["doubt_until_ns"] = (
@@ -173,8 +179,9 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
     assert known == both.core.record["common"].item()
 
 
-def test_a_copy_goes_on_alone():
-    rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N)
+@pytest.mark.parametrize("detector", ["vb", "switching"])
+def test_a_copy_goes_on_alone(detector):
+    rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N, detector=detector)
     given = list(train_that_drives(rng, N, 60))
     for tick, one in enumerate(given[:30]):
         both.tick(columns.told(N), one, tick * TICK, True)
@@ -197,7 +204,7 @@ def test_a_copy_goes_on_alone():
 def test_a_detector_of_ones_own_stops_between_the_stages(name):
     """With the default one outside of the core: the same to the last bit."""
     motors = [BENCH_MOTOR] * N
-    inside = AdhesionMonitor(Adhesion(), motors, RULES, TICK)
+    inside = AdhesionMonitor(Adhesion(detector="vb"), motors, RULES, TICK)
     outside = AdhesionMonitor(Adhesion(detector=name), motors, RULES, TICK)
     outside.in_core = False
     drives, status = pairing.drive_inputs(N), np.zeros(N, DRIVE_STATUS)

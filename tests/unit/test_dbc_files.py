@@ -133,7 +133,13 @@ ENUMS = {
         11: "Config",
         15: "SNA",
     },
-    "Detector": {1: "VariationalBayes", 2: "VariationalMessagePassing", 3: "KMeans", 4: "Median"},
+    "Detector": {
+        1: "VariationalBayes",
+        2: "VariationalMessagePassing",
+        3: "KMeans",
+        4: "Median",
+        5: "Switching",
+    },
     "FaultClass": {
         0: "Unknown",
         1: "None",
@@ -186,7 +192,7 @@ RANGES = {
     "BusLoad": (0, 100, 0x7F),
     "Age": (0, 254, 0xFF),
     "Quality": (0, 2, 15),
-    "Detector": (1, 4, None),
+    "Detector": (1, 5, None),
     "Adhesion1": (0, 2, None),
     "DegradationRate": (-32766, 32766, 0x7FFF),
     "ConfigHash": (0, 0xFFFFFF, None),

@@ -24,6 +24,7 @@ SILENT: Final = "Silent"
 _FLAGS: Final[dict[int | None, Flag]] = {1: Flag.GOOD, 2: Flag.BAD}
 DETECTORS: Final = {
     1: "VariationalBayes", 2: "VariationalMessagePassing", 3: "KMeans", 4: "Median",
+    5: "Switching",
 }  # fmt: skip
 """For a shadow, which has a number only; of frames the DBC's labels are taken."""
 

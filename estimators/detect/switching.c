@@ -1,0 +1,464 @@
+/* Losses of adhesion by a model with a memory: docs/switching.md, equations (S1) to (S20).
+ *
+ * Each drive adheres, has lost adhesion, or its load means nothing; all share the demand of the
+ * train, which walks, wobbles, turns and now and then jumps. Given the demand the drives are
+ * independent, so what is known is a mixture of at most SWITCHING_KEPT hypotheses, each a demand and
+ * N small filters. In a step each hypothesis proposes up to eight, which are weighed, merged where
+ * they say the same, and the likeliest kept: the cost is linear in N. Not in paper `adhesion`.
+ *
+ * Nothing here can fail: what is divided by is a variance with a floor, a sum of probabilities that
+ * has one, a ratio within 1.5 R_MOST of 1, or a count that is not 0; arguments of logarithms have
+ * floors; loads that are known are numbers. Places are below SWITCHING_KEPT, SWITCHING_TRIED, n. */
+#include "estimators/detect/switching.h"
+
+#include <math.h>
+
+#include "estimators/detect/switching_drive.h"
+#include "estimators/elementary.h"
+#include "estimators/numbers.h"
+
+#define STEP_SD       0.003 /* walk of the demand in a step, standard deviation */
+#define SLOPE_SD      0.003 /* and of its slope */
+#define SLOPE_KEPT    0.9
+#define MOVE_SD       0.04  /* of a wobble, and of a turn: a change of slope */
+#define MOVE          0.04  /* probability of either */
+#define JUMP          0.02  /* probability that the demand jumps anywhere within SPAN */
+#define EVENT         2e-4  /* that drives lose adhesion together, */
+#define PART          0.3   /* each with this probability */
+#define ALONE         1e-5  /* that one drive does, alone */
+#define FULL_LOAD     0.25  /* demand from which on losses are as frequent as this */
+#define NOISE_FIRST   0.02  /* error of a load at the start, standard deviation; */
+#define NOISE_LEAST   0.012 /* the least, the most */
+#define NOISE_MOST    0.2
+#define NOISE_S       1.0  /* time constant of learning it in the long run, */
+#define NOISE_FIRST_S 0.1  /* and at first */
+#define NOISE_CLIP    9.0  /* variances that one error counts */
+#define LAG           0.15 /* noise more for a demand that has moved by 1: not all follow at once */
+#define LAG_KEPT      0.4
+#define NEAR_V        0.5  /* demands are the same within so much of their variances, */
+#define NEAR_P        0.2  /* and drives, within so much of their probabilities */
+#define UNLIKELY      20.0 /* logarithm of how much less likely than the best is given up */
+#define HOPELESS      16.0 /* the same before it is weighed */
+#define LEAST_P       1e-12
+#define LEAST_PRECISION 0.1 /* of a demand by all drives but one */
+#define MOST_M          4.0
+
+enum move { CALM, ONSETS, WOBBLE, TURN, MOVES };
+
+static struct switching_drive *drives_of(struct switching_drive *all, const struct switching *s,
+                                         int k)
+{
+    return all + (size_t)k * (size_t)s->n;
+}
+
+void switching_reset(struct switching *s)
+{
+    s->ticks = 0;
+    s->kept = 1;
+    s->demand = 0.0;
+    s->hypotheses[0] = (struct switching_hypothesis){.v_mm = 1.0, .v_ss = 1e-4};
+    for (int i = 0; i < s->n; i++) {
+        s->drives[i] = switching_drive_unknown();
+        s->noises[i] = (struct switching_noise){.variance = NOISE_FIRST * NOISE_FIRST};
+        s->loads[i] = (struct switching_load){.load = 0.0};
+        s->adhering[i] = s->drives[i].adhering;
+        s->lost[i] = s->drives[i].lost;
+    }
+}
+
+static double noise_of(const struct switching *s, int i)
+{
+    return s->noises[i].variance + square(s->noises[i].lag);
+}
+
+/* ---- One hypothesis and all loads ---- */
+
+/* First sweep, (S13): the demand takes in one drive after the other. */
+static struct gaussian sweep_demand(const struct switching *s, struct switching_hypothesis *h,
+                                    struct switching_drive *d, int anchor)
+{
+    struct gaussian g = {h->m, h->v_mm};
+    for (int i = 0; i < s->n; i++) {
+        d[i].precision = d[i].shift = 0.0;
+        if (!s->loads[i].known || s->loads[i].apart || i == anchor)
+            continue;
+        const double y = s->loads[i].load, noise = noise_of(s, i);
+        const struct origins from = switching_drive_explain(&d[i], y, noise, g);
+        const struct gaussian with = switching_drive_absorb(&d[i], y, noise, g, &from);
+        h->log_weight += elementary_log(from.all);
+        d[i].precision = larger(1.0 / with.v - 1.0 / g.v, 0.0);
+        d[i].shift = d[i].precision > 0.0 ? with.m / with.v - g.m / g.v : 0.0;
+        const double precision = 1.0 / g.v + d[i].precision;
+        g = (struct gaussian){(g.m / g.v + d[i].shift) / precision, 1.0 / precision};
+    }
+    return g;
+}
+
+/* Second sweep, (S14): each drive against all others. */
+static struct gaussian sweep_drives(const struct switching *s, struct switching_drive *d,
+                                    int anchor, struct gaussian g)
+{
+    for (int i = 0; i < s->n; i++) {
+        if (!s->loads[i].known || i == anchor)
+            continue;
+        /* Never less than the precision of the prior demand, which varies by 1 or so at most. */
+        const double without = larger(1.0 / g.v - d[i].precision, LEAST_PRECISION);
+        const struct gaussian others = {(g.m / g.v - d[i].shift) / without, 1.0 / without};
+        const double y = s->loads[i].load, noise = noise_of(s, i);
+        const struct origins from = switching_drive_explain(&d[i], y, noise, others);
+        if (!s->loads[i].apart) {
+            const struct gaussian with = switching_drive_absorb(&d[i], y, noise, others, &from);
+            d[i].precision = larger(1.0 / with.v - without, 0.0);
+            d[i].shift = d[i].precision > 0.0 ? with.m / with.v - others.m * without : 0.0;
+            const double precision = without + d[i].precision;
+            g = (struct gaussian){(others.m * without + d[i].shift) / precision, 1.0 / precision};
+        }
+        switching_drive_update(&d[i], y, noise, others, &from, s->loads[i].apart);
+    }
+    return g;
+}
+
+/* Both; the slope follows what the demand has learnt, (S15). anchor: a drive that the demand already
+ * comes from, or -1. */
+static void weigh(const struct switching *s, struct switching_hypothesis *h,
+                  struct switching_drive *d, int anchor)
+{
+    const struct gaussian before = {h->m, h->v_mm};
+    const struct gaussian g = sweep_drives(s, d, anchor, sweep_demand(s, h, d, anchor));
+    const double k = h->v_ms / before.v;
+    h->s += k * (g.m - before.m);
+    h->v_ss = larger(h->v_ss - k * k * (before.v - g.v), 1e-9);
+    h->v_ms = k * g.v;
+    h->m = g.m;
+    h->v_mm = g.v;
+}
+
+/* ---- What may happen in a step ---- */
+
+/* (S1): a step of the demand. */
+static struct switching_hypothesis walk(struct switching_hypothesis h)
+{
+    const double v_mm = h.v_mm + 2.0 * h.v_ms + h.v_ss + STEP_SD * STEP_SD;
+    h.m = clamp(h.m + h.s, -MOST_M, MOST_M);
+    h.s = SLOPE_KEPT * h.s;
+    h.v_ms = v_mm < 1.0 ? SLOPE_KEPT * (h.v_ms + h.v_ss) : 0.0;
+    h.v_ss = smaller(SLOPE_KEPT * SLOPE_KEPT * h.v_ss + SLOPE_SD * SLOPE_SD, 0.01);
+    h.v_mm = smaller(v_mm, 1.0);
+    return h;
+}
+
+/* How frequent losses are: wheels that carry little hold. */
+static double frequency(double demand)
+{
+    const double x = smaller(fabs(demand) / FULL_LOAD, 1.0);
+    return x * x * x;
+}
+
+/* (S16): the demand goes on, wobbles or turns; drives lose adhesion alone, or together. */
+static struct switching_hypothesis moved(struct switching_hypothesis h, enum move move)
+{
+    const double often = larger(EVENT * frequency(h.m), LEAST_P);
+    const double p[MOVES] = {
+        [CALM] = 1.0 - EVENT - JUMP - 2.0 * MOVE, [ONSETS] = often, [WOBBLE] = MOVE, [TURN] = MOVE};
+    h.log_weight += elementary_log(p[move]);
+    if (move == WOBBLE || move == TURN)
+        h.v_mm += MOVE_SD * MOVE_SD;
+    if (move == TURN) {
+        h.v_ms += 0.5 * MOVE_SD * MOVE_SD;
+        h.v_ss += 0.5 * MOVE_SD * MOVE_SD;
+    }
+    return h;
+}
+
+/* Drives of `from` a step later, as those of trial k. */
+static struct switching_drive *predicted(const struct switching *s, int k,
+                                         const struct switching_drive *from, double begin)
+{
+    struct switching_drive *d = drives_of(s->trial_drives, s, k);
+    for (int i = 0; i < s->n; i++) {
+        d[i] = from[i];
+        switching_drive_predict(&d[i], begin);
+    }
+    return d;
+}
+
+/* Load of drive i as demand, if that is where it comes from. */
+static double demand_of(const struct switching *s, const struct switching_drive *d, int i)
+{
+    return s->loads[i].load / ratio_of(&d[i].now);
+}
+
+static int may_lead(const struct switching *s, int i)
+{
+    return s->loads[i].known && !s->loads[i].apart;
+}
+
+/* The two strongest loads of one sign; -1: there is none. */
+static void find_strongest(const struct switching *s, const struct switching_drive *d, double sign,
+                           int strongest[2])
+{
+    double most[2] = {0.0, 0.0};
+    strongest[0] = strongest[1] = -1;
+    for (int i = 0; i < s->n; i++) {
+        const double x = may_lead(s, i) ? sign * demand_of(s, d, i) : 0.0;
+        if (x > most[0]) {
+            most[1] = most[0];
+            strongest[1] = strongest[0];
+            most[0] = x;
+            strongest[0] = i;
+        } else if (x > most[1]) {
+            most[1] = x;
+            strongest[1] = i;
+        }
+    }
+}
+
+/* (S17): the demand jumps to what drive j carries, which adheres; those that carry more do not, so
+ * that no jump is counted twice. */
+static void jump(const struct switching *s, struct switching_hypothesis *h,
+                 struct switching_drive *d, int j)
+{
+    const double rho = ratio_of(&d[j].now), x = s->loads[j].load / rho;
+    const double far = clamp(x - h->m, -1.0, 1.0);
+    for (int i = 0; i < s->n; i++) {
+        const double theirs = may_lead(s, i) ? demand_of(s, d, i) : 0.0;
+        if (i == j || theirs * x <= 0.0 || fabs(theirs) <= fabs(x))
+            continue;
+        d[i].neither += d[i].adhering * 1e-9;
+        d[i].adhering = d[i].lost = 0.0;
+    }
+    d[j].adhering = 1.0 - 1e-9;
+    d[j].lost = 0.0;
+    d[j].neither = 1e-9;
+    h->m = x;
+    h->v_mm = (noise_of(s, j) + ratio_variance(&d[j].now) * x * x) / (rho * rho);
+    h->s = 0.5 * far;
+    h->v_ms = 0.0;
+    h->v_ss = 1e-4 + square(0.5 * far);
+    weigh(s, h, d, j);
+    d[j].precision = d[j].shift = 0.0;
+}
+
+static double best_of(const struct switching *s, int tried)
+{
+    double best = -HUGE_VAL;
+    for (int k = 0; k < tried; k++)
+        best = larger(s->trials[k].log_weight, best);
+    return best;
+}
+
+/* Trials of jumps from one hypothesis, after the first `tried`; how many there are then. */
+static int propose_jumps(struct switching *s, const struct switching_hypothesis *walked,
+                         const struct switching_drive *from, int tried)
+{
+    for (int sign = -1; sign <= 1; sign += 2) {
+        int strongest[2];
+        find_strongest(s, from, sign, strongest);
+        for (int k = 0; k < 2 && strongest[k] >= 0; k++) {
+            const int j = strongest[k];
+            const double far = demand_of(s, from, j) - walked->m;
+            if (square(far) < 4.0 * (walked->v_mm + MOVE_SD * MOVE_SD))
+                continue;
+            struct switching_hypothesis h = *walked;
+            const double p = larger(from[j].adhering + 0.01 * from[j].lost, LEAST_P);
+            h.log_weight += elementary_log(JUMP / SPAN * p / ratio_of(&from[j].now));
+            if (h.log_weight < best_of(s, tried) - 30.0)
+                continue;
+            jump(s, &h, predicted(s, tried, from, ALONE * frequency(walked->m)), j);
+            s->trials[tried++] = h;
+        }
+    }
+    return tried;
+}
+
+/* Everything that hypothesis k may become. */
+static int propose(struct switching *s, int k, int tried)
+{
+    const struct switching_drive *from = drives_of(s->drives, s, k);
+    const struct switching_hypothesis walked = walk(s->hypotheses[k]);
+    for (int move = CALM; move < MOVES; move++) {
+        struct switching_hypothesis h = moved(walked, (enum move)move);
+        if (h.log_weight < s->hypotheses[0].log_weight - HOPELESS)
+            continue;
+        const double begin = move == ONSETS ? PART : ALONE * frequency(walked.m);
+        weigh(s, &h, predicted(s, tried, from, begin), -1);
+        s->trials[tried++] = h;
+    }
+    return propose_jumps(s, &walked, from, tried);
+}
+
+/* ---- Fewer again ---- */
+
+/* 1 if two hypotheses say the same, (S18). */
+static int are_alike(const struct switching_hypothesis *a, const struct switching_drive *d_a,
+                     const struct switching_hypothesis *b, const struct switching_drive *d_b, int n)
+{
+    if (square(a->m - b->m) > NEAR_V * (a->v_mm + b->v_mm))
+        return 0;
+    for (int i = 0; i < n; i++)
+        if (fabs(d_a[i].adhering - d_b[i].adhering) >= NEAR_P)
+            return 0;
+    return 1;
+}
+
+/* (S19) of one drive; w and 1 - w: weights of both. */
+static void merge_drive(struct switching_drive *a, const struct switching_drive *b, double w)
+{
+    const double z = 1.0 - w;
+    const double gone_a = w * (1.0 - a->adhering), gone_b = z * (1.0 - b->adhering);
+    const double w_a = (gone_a + 1e-300) / (gone_a + gone_b + 2e-300), w_b = 1.0 - w_a;
+    const double c = w_a * a->c + w_b * b->c;
+    a->v_c = w_a * (a->v_c + square(a->c - c)) + w_b * (b->v_c + square(b->c - c));
+    a->c = c;
+    a->now = mix_ratios(&a->now, w * a->adhering, &b->now, z * b->adhering);
+    a->before =
+        mix_ratios(&a->before, w * (1.0 - a->adhering), &b->before, z * (1.0 - b->adhering));
+    a->adhering = w * a->adhering + z * b->adhering;
+    a->lost = w * a->lost + z * b->lost;
+    a->neither = w * a->neither + z * b->neither;
+}
+
+/* (S19): moments of both, into the likelier one. */
+static void merge(struct switching_hypothesis *a, struct switching_drive *d_a,
+                  const struct switching_hypothesis *b, const struct switching_drive *d_b, int n)
+{
+    const double other = elementary_exp(b->log_weight - a->log_weight);
+    const double w = 1.0 / (1.0 + other), z = 1.0 - w;
+    const double m = w * a->m + z * b->m, s = w * a->s + z * b->s;
+    a->v_mm = w * (a->v_mm + square(a->m - m)) + z * (b->v_mm + square(b->m - m));
+    a->v_ms = w * (a->v_ms + (a->m - m) * (a->s - s)) + z * (b->v_ms + (b->m - m) * (b->s - s));
+    a->v_ss = w * (a->v_ss + square(a->s - s)) + z * (b->v_ss + square(b->s - s));
+    a->m = m;
+    a->s = s;
+    a->log_weight += elementary_log(1.0 + other);
+    for (int i = 0; i < n; i++)
+        merge_drive(&d_a[i], &d_b[i], w);
+}
+
+/* Trial k into one that says the same, or as one more if there is room. */
+static void keep(struct switching *s, int k)
+{
+    const struct switching_hypothesis *h = &s->trials[k];
+    const struct switching_drive *d = drives_of(s->trial_drives, s, k);
+    for (int j = 0; j < s->kept; j++) {
+        struct switching_drive *theirs = drives_of(s->drives, s, j);
+        if (!are_alike(&s->hypotheses[j], theirs, h, d, s->n))
+            continue;
+        merge(&s->hypotheses[j], theirs, h, d, s->n);
+        return;
+    }
+    if (s->kept >= SWITCHING_KEPT)
+        return;
+    struct switching_drive *mine = drives_of(s->drives, s, s->kept);
+    for (int i = 0; i < s->n; i++)
+        mine[i] = d[i];
+    s->hypotheses[s->kept++] = *h;
+}
+
+/* The likeliest trials, in falling order, become the hypotheses; their weights sum to 1. */
+static void reduce(struct switching *s, int tried)
+{
+    int rank[SWITCHING_TRIED] = {0};
+    for (int k = 0; k < tried; k++) {
+        int j = k;
+        for (; j > 0 && s->trials[rank[j - 1]].log_weight < s->trials[k].log_weight; j--)
+            rank[j] = rank[j - 1];
+        rank[j] = k;
+    }
+    const double best = s->trials[rank[0]].log_weight;
+    s->kept = 0;
+    for (int k = 0; k < tried && s->trials[rank[k]].log_weight >= best - UNLIKELY; k++)
+        keep(s, rank[k]);
+    double total = 0.0;
+    for (int k = 0; k < s->kept; k++)
+        total += elementary_exp(s->hypotheses[k].log_weight - best);
+    for (int k = 0; k < s->kept; k++)
+        s->hypotheses[k].log_weight -= best + elementary_log(total);
+}
+
+/* What all hypotheses say together. */
+static void sum_up(struct switching *s)
+{
+    s->demand = 0.0;
+    for (int i = 0; i < s->n; i++)
+        s->adhering[i] = s->lost[i] = 0.0;
+    for (int k = 0; k < s->kept; k++) {
+        const double w = elementary_exp(s->hypotheses[k].log_weight);
+        const struct switching_drive *d = drives_of(s->drives, s, k);
+        s->demand += w * s->hypotheses[k].m;
+        for (int i = 0; i < s->n; i++) {
+            s->adhering[i] += w * d[i].adhering;
+            s->lost[i] += w * d[i].lost;
+        }
+    }
+}
+
+/* ---- What is learnt ---- */
+
+/* (S12): noise of drive i, by the likeliest hypothesis. */
+static void learn_noise(struct switching *s, int i)
+{
+    const struct switching_hypothesis *h = &s->hypotheses[0];
+    const struct switching_drive *d = &s->drives[i];
+    const double without = 1.0 / h->v_mm - d->precision;
+    if (!(without > 100.0))
+        return;
+    const double m = (h->m / h->v_mm - d->shift) / without;
+    if (fabs(m) < 0.05)
+        return;
+    const double rho = ratio_of(&d->now), e = s->loads[i].load - rho * m;
+    const double v = ratio_variance(&d->now) * m * m + rho * rho / without + noise_of(s, i);
+    const double z2 = smaller(e * e / v, NOISE_CLIP);
+    struct switching_noise *noise = &s->noises[i];
+    noise->learnt_s += STEP_S;
+    const double tau = clamp(noise->learnt_s, NOISE_FIRST_S, NOISE_S);
+    const double step = 2.0 * STEP_S / tau * (noise->variance / v) * (z2 - 1.0) * s->adhering[i];
+    noise->variance =
+        clamp(noise->variance * (1.0 + step), NOISE_LEAST * NOISE_LEAST, NOISE_MOST * NOISE_MOST);
+}
+
+/* (S20): the mean ratio of a hypothesis is 1. */
+static void centre(struct switching_hypothesis *h, struct switching_drive *d, int n)
+{
+    double total = 0.0;
+    for (int i = 0; i < n; i++)
+        total += d[i].now.r;
+    const double mean = total / n; /* within R_MOST of 1 */
+    for (int i = 0; i < n; i++) {
+        d[i].now.r = clamp(d[i].now.r / mean, 1.0 - R_MOST, 1.0 + R_MOST);
+        d[i].before.r = clamp(d[i].before.r / mean, 1.0 - R_MOST, 1.0 + R_MOST);
+    }
+    h->m *= mean;
+}
+
+static void learn(struct switching *s)
+{
+    for (int i = 0; i < s->n; i++)
+        if (may_lead(s, i) && s->adhering[i] >= 0.5)
+            learn_noise(s, i);
+    for (int k = 0; k < s->kept; k++)
+        centre(&s->hypotheses[k], drives_of(s->drives, s, k), s->n);
+}
+
+void switching_step(struct switching *s)
+{
+    const double before = s->demand;
+    int tried = 0, known = 0;
+    for (int i = 0; i < s->n; i++)
+        known += s->loads[i].known;
+    for (int k = 0; k < s->kept; k++)
+        tried = propose(s, k, tried);
+    reduce(s, tried);
+    sum_up(s);
+    if (known > 1)
+        learn(s);
+    for (int i = 0; i < s->n; i++)
+        s->noises[i].lag = larger(LAG_KEPT * s->noises[i].lag, LAG * fabs(s->demand - before));
+}
+
+void switching_tick(struct switching *s)
+{
+    if (s->ticks == 0)
+        switching_step(s);
+    s->ticks = s->ticks + 1 < s->every ? s->ticks + 1 : 0;
+}

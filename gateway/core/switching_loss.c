@@ -1,0 +1,119 @@
+/* From a model with a memory to what the flags are told: the detector `switching`.
+ *
+ * The model (estimators/detect/switching.c) compares the drives and remembers. That all of them have
+ * lost adhesion at once no comparison sees: this comes from their answers to their commands, and is
+ * believed where every drive that adheres, as far as the others show, stays behind its own.
+ *
+ * Unknown is an answer: a drive that neither adheres nor is lost for certain has no flag.
+ *
+ * Nothing here can fail: there is at least one drive, command ratios are RATIO_FLOOR (loads.c) or more, nothing else divides,
+ * and comparisons with NaN are false, each written so that false is the safe answer. */
+#include "gateway/core/switching_loss.h"
+
+#include <math.h>
+
+#include "estimators/detect/command_response.h"
+#include "estimators/detect/switching.h"
+#include "estimators/numbers.h"
+
+#define MOST_LOAD 2.0  /* per unit of rated torque; no drive carries more */
+#define SURE      0.99 /* probability of a loss that needs no second look */
+#define GRIPS     0.5  /* probability of adhering that is needed for `Adhering`; */
+#define DOUBTED   0.1  /* of a loss from which on it is not said, unless the flag is bad: */
+                       /* at the end of a loss one is slow, not wrong */
+#define COUNTS 0.5 /* drives that adhere with this probability are asked about all; so is a doubt */
+#define ACCUSED 0.7
+
+void compare_by_memory(struct adhesion *a)
+{
+    struct switching *s = a->switching;
+    int count = 0;
+    for (int k = 0; k < a->n; k++) {
+        struct switching_load *in = &s->loads[k];
+        const double load = a->loads[k].load / a->loads[k].command_ratio;
+        in->known = a->known[k] && isfinite(load);
+        in->load = in->known ? clamp(load, -MOST_LOAD, MOST_LOAD) : 0.0;
+        in->apart = a->rotors[k].away;
+        count += a->known[k] != 0;
+    }
+    if (a->n > 1) {
+        switching_tick(s);
+    } else {
+        /* One alone is compared with nobody. */
+        s->adhering[0] = 1.0;
+        s->lost[0] = 0.0;
+        s->demand = s->loads[0].load;
+    }
+    for (int k = 0; k < a->n; k++) {
+        a->loss_probability[k] = s->lost[k];
+        a->loss_known[k] = count >= 2 && a->known[k];
+    }
+    a->common = s->demand;
+}
+
+/* Probability that all drives together carry less than they are asked for; 0 where one cannot say. */
+static double all_lost(const struct adhesion *a)
+{
+    double least = HUGE_VAL;
+    for (int k = 0; k < a->n; k++) {
+        if (!a->known[k])
+            continue;
+        if (!a->responses[k].usable)
+            return 0.0;
+        const struct drive_load *mine = &a->loads[k];
+        if (a->switching->adhering[k] > COUNTS)
+            least = smaller(mine->response_valid ? mine->p_response : 0.0, least);
+    }
+    return least >= COUNTS && least <= 1.0 ? least : 0.0;
+}
+
+/* 1 if something can be said of drive k at all. */
+static int is_comparable(const struct adhesion *a, int k, double all, int little)
+{
+    const int asked = is_asked(&a->responses[k]);
+    const int idle = a->responses[k].usable && !asked;
+    /* Who is asked for nothing has nothing to lose. */
+    if (a->switching->lost[k] >= ACCUSED && (idle || (little && all == 0.0)))
+        return 0;
+    return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
+}
+
+/* Probability of a loss as the flags take it: above `raise_probability`, below
+ * `clear_probability`, or UNDECIDED between them. */
+static double verdict(const struct adhesion *a, int k, double all, int bad, uint8_t *uncertain)
+{
+    const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
+    const struct drive_load *mine = &a->loads[k];
+    double p = lost + adhering * all;
+    /* A wheel that has run away and stays behind its command, however slowly it came to that. */
+    if (a->rotors[k].away && mine->response_valid)
+        p = larger(p, mine->p_response);
+    /* On their way through zero drives do not follow at quite the same instant. */
+    const int passing = is_asked(&a->responses[k]) && !mine->response_valid;
+    if (p >= a->rules->raise_probability)
+        return passing && !a->rotors[k].away ? UNDECIDED : p;
+    if (all > 0.0 && adhering >= COUNTS)
+        return UNDECIDED;
+    if (!(adhering >= GRIPS && (bad || lost <= DOUBTED)))
+        *uncertain = 1;
+    return p;
+}
+
+void judge_by_memory(struct adhesion *a, const struct drive_status *status, int little,
+                     int64_t now_ns)
+{
+    const double all = all_lost(a);
+    for (int k = 0; k < a->n; k++) {
+        struct rotor *r = &a->rotors[k];
+        const int bad = status[k].flag[FLAG_ADHESION].state == FLAG_BAD;
+        double p = verdict(a, k, all, bad, &r->uncertain);
+        a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
+        /* Nor is a drive lost that carries more than it is asked to. */
+        if ((now_ns < r->doubt_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {
+            p = UNDECIDED;
+            r->uncertain = 1;
+        }
+        a->loss_probability[k] = p;
+        a->loads[k].severe_loss = a->known[k] && p >= SURE;
+    }
+}

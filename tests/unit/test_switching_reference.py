@@ -1,0 +1,72 @@
+"""`switching.c` and `switching_drive.c` against NumPy: trains that drive, and any loads."""
+
+import numpy as np
+import pytest
+from _traction_core import lib
+
+from estimators.detect.switching import Switching
+from tests.reference import switching as reference
+
+
+def driven(rng, n, steps, noise=0.02):
+    """Loads (steps, n) of a train: demands that step and turn, losses of one, of most, of all."""
+    ratio = 1.0 + rng.uniform(-0.06, 0.06, n)
+    demand, share, slope = 0.6, np.ones(n), 0.0
+    for _ in range(steps):
+        if rng.random() < 0.03:
+            demand = rng.uniform(-0.9, 0.9)
+        if rng.random() < 0.03:
+            slope = rng.choice([0.0, 0.0, 0.03, -0.05])
+        demand = np.clip(demand + slope, -1.0, 1.0)
+        if rng.random() < 0.05:
+            share = np.where(rng.random(n) < rng.choice([0.0, 0.3, 0.8]), rng.uniform(0, 0.9, n), 1)
+        yield demand * ratio * share + noise * rng.standard_normal(n)
+
+
+class Both:
+    def __init__(self, n):
+        self.core, self.plain = Switching(n), reference.Switching(n)
+
+    def step(self, load, known, apart):
+        core, plain = self.core, self.plain
+        core.loads["load"], core.loads["known"], core.loads["apart"] = load, known, apart
+        lib.switching_step(core.pointer)
+        plain.step(np.array(load, dtype=float), np.array(known), np.array(apart))
+        np.testing.assert_allclose(core.adhering, plain.adhering, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(core.lost, plain.lost, rtol=0, atol=1e-7)
+        assert core.record["demand"].item() == pytest.approx(plain.demand, abs=1e-7)
+        np.testing.assert_allclose(core.noises["variance"], plain.variance, rtol=1e-6)
+        kept = core.record["kept"].item()
+        assert kept == len(plain.all)
+        for k, h in enumerate(plain.all):
+            mine = core.drives[k]
+            ratio = np.stack([[mine[s]["r"], mine[s]["u"]] for s in ("now", "before")])
+            np.testing.assert_allclose(ratio.transpose(0, 2, 1), h.rho, atol=1e-6)
+            np.testing.assert_allclose(mine["c"], h.c, atol=1e-5)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7])
+@pytest.mark.parametrize("noise", [0.005, 0.04])
+def test_a_train_that_drives(n, noise):
+    rng, both = np.random.default_rng(n), Both(n)
+    met = set()
+    for load in driven(rng, n, 250, noise):
+        both.step(load, rng.random(n) < 0.97, rng.random(n) < 0.03)
+        met |= {*(both.core.lost > 0.9).tolist(), both.core.record["kept"].item()}
+    assert {True, False} <= met or n == 1
+    assert len(met) > 3, "several numbers of hypotheses"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_loads(seed):
+    rng, n = np.random.default_rng(seed), 3
+    both = Both(n)
+    for _ in range(200):
+        load = rng.choice([0.0, 1e-3, -2.0, 2.0, 0.5, -0.5, rng.uniform(-1.5, 1.5)], n)
+        # Of hypotheses that are equally likely either may come first.
+        load += rng.uniform(-1e-3, 1e-3, n)
+        both.step(load, rng.random(n) < 0.8, rng.random(n) < 0.2)
+        assert np.isfinite(both.core.adhering).all()
+        total = both.core.adhering + both.core.lost
+        assert (both.core.lost >= 0).all()
+        assert (total <= 1 + 1e-8).all()
