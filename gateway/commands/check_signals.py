@@ -14,7 +14,7 @@ TURN: Final = 8
 """Samples in an electrical revolution that the filters follow by the currents alone."""
 
 
-def told(plan: Plan) -> list[str]:
+def signal_lines(plan: Plan) -> list[str]:
     """Lines, the first with the drive's name."""
     first = f"drive {plan.node}"
     lines = [*_sources(plan), *_limits(plan)]

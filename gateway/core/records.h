@@ -996,7 +996,7 @@ struct receiver {
 
 /* ---- sent messages, and the load of the bus (gateway/core/transmit.c, busload.c) */
 
-#define MAX_DATA_BYTES 256 /* numbers of data bytes that a frame's length can say */
+#define DATA_LENGTHS 256 /* numbers of data bytes that a frame's length can say */
 
 /* Where the value of a sent signal comes from. */
 enum tx_source {
@@ -1095,11 +1095,11 @@ struct transmitter {
 
 /* Share of the bus in use, worst-case stuffing, over the last full second. */
 struct bus_load {
-    double classic_s[MAX_DATA_BYTES]; /* s, of a classic frame by its number of data bytes */
-    double fd_s[MAX_DATA_BYTES];      /* s, of a CAN FD frame */
-    int64_t since_ns;                 /* start of the window */
-    double busy_s;                    /* s, frames of the window */
-    double percent;                   /* of the last window; NaN: none yet */
+    double classic_s[DATA_LENGTHS]; /* s, of a classic frame by its number of data bytes */
+    double fd_s[DATA_LENGTHS];      /* s, of a CAN FD frame */
+    int64_t since_ns;               /* start of the window */
+    double busy_s;                  /* s, frames of the window */
+    double percent;                 /* of the last window; NaN: none yet */
 };
 
 /* ---- degradation, and a train's thermal monitor (estimators/thermal/trend.c, monitor.c) */
@@ -1601,7 +1601,7 @@ struct gateway {
     uint8_t detects;       /* 1: the detector is the core's own */
     /* result of a run */
     struct tx_frame *sent; /* frames of its ticks */
-    int64_t sent_room;     /* how many there is room for: at least those of a tick */
+    int64_t sent_capacity; /* how many there is room for: at least those of a tick */
     int64_t sent_count;
     double *peak; /* (drive_count) largest probability of loss; NaN: none */
     /* state */
@@ -1655,9 +1655,9 @@ struct lumped_model {
 
 /* How the filter is run. */
 struct lumped_tuning {
-    double step_s; /* s, length of a step of the inputs */
-    double walk;   /* variance by which the logarithms of gain and loss walk per sample */
-    double doubt;  /* standard deviation of these logarithms at the start */
+    double step_s;      /* s, length of a step of the inputs */
+    double walk;        /* variance by which the logarithms of gain and loss walk per sample */
+    double prior_sigma; /* standard deviation of these logarithms at the start */
 };
 
 #endif

@@ -103,7 +103,7 @@ STATE: dict[str, str] = {
     "outbox.record": "counts summary_sent",
     "outbox._thermal_sent": "",
     "load.record": "since_ns busy_s percent",
-    "doubt.record": (
+    "integrity.record": (
         "missed_ticks lost_frames watching now_ns deadline_misses late_in_a_row overrun_ns lost_ns"
         " intruder_ns intruder silent mute"
     ),
