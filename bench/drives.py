@@ -28,7 +28,7 @@ from gateway.core.inputs import places
 from gateway.core.motion import Timebase
 from gateway.settings.config import BENCH_MOTOR, Adhesion, Estimator, shipped_dbc
 from tests.receivers import Received
-from tests.stations import Bank, Flags, InputMonitor, MotionMonitor, ThermalSide
+from tests.stations import Bank, Flags, InputMonitor, MotionMonitor, TemperatureMonitor
 
 HEADER = ("drives", "per tick", "per drive and tick", "longest station")
 FLEETS: Final = (3, 16, 64, 256, 1024)
@@ -65,7 +65,7 @@ class Stations:
             motors, Estimator(), times, tick_ns, step_a, self.came, self.inputs, self.bank,
             self.adhesion.rotors,
         )  # fmt: skip
-        self.thermal = ThermalSide(n, 100 * MS, 60.0, None, tuple(range(n)))
+        self.thermal = TemperatureMonitor(n, 100 * MS, 60.0, None, tuple(range(n)))
         self.thermal.wire(where, [gateway.config.loop.period_ns * 30] * n)
         self.flags = Flags(rules, n, self.adhesion.detector.code, gateway.start_ns)
         self.spent: dict[str, list[float]] = {}
@@ -85,7 +85,7 @@ class Stations:
         came.channels["drive"] = np.arange(len(came.channels)) // self.per
         tick = box.pointer.tick
         for name, mine, theirs, rows in (
-            ("samples", came.samples, box.room, tick.samples),
+            ("samples", came.samples, box.workspace, tick.samples),
             ("motions", came.readings, box.readings, tick.motions),
         ):
             drive = np.tile(theirs.drive[:rows], groups) + count * np.arange(groups).repeat(rows)
@@ -95,7 +95,7 @@ class Stations:
                 ours[: len(copied)] = copied
             mine.drive[: kept.sum()] = drive[kept]
             setattr(came.pointer.tick, name, int(kept.sum()))
-        self.bank.make_room(came.pointer.tick.samples)
+        self.bank.reserve(came.pointer.tick.samples)
 
     def tick(self, now: Nanos) -> None:
         """Each station in its order, with a timer."""

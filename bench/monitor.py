@@ -33,7 +33,7 @@ def main() -> None:
         observer = Observer(codec, config)
         began = time.process_time()
         for now, block in looks:
-            observer.take(block, now)
+            observer.add_frames(block, now)
             observer.snapshot(now)
         took.append(time.process_time() - began)
     best = min(took)

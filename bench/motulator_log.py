@@ -22,7 +22,7 @@ from gateway.core.gateway import Gateway
 from gateway.io.replay import OneChannel, open_log, replay
 from gateway.reports.scoring import quantile, truth_of
 from gateway.settings.config import Config
-from gateway.study.evaluation import Measured, Said, listen, measure, nothing
+from gateway.study.evaluation import GatewayOutput, Measured, listen, measure, nothing
 from sim.ground_truth import Truth
 from sim.physics.plant import MOTORS, Plant
 from sim.scenario import Scenario
@@ -111,15 +111,15 @@ class Judged(NamedTuple):
 def judge(rows: Sequence[Truth], sent: Sequence[Frame], codec: Codec) -> Judged:
     """Judge what a gateway sent in one run."""
     nodes = tuple(dict.fromkeys(row.drive for row in rows))
-    said = listen(sent, codec, nodes)
-    errors = _healthy_errors(rows, said, nodes)
-    return Judged(measure(rows, said, nodes), float(errors @ errors), len(errors))
+    output = listen(sent, codec, nodes)
+    errors = _healthy_errors(rows, output, nodes)
+    return Judged(measure(rows, output, nodes), float(errors @ errors), len(errors))
 
 
-def _healthy_errors(rows: Sequence[Truth], said: Said, nodes: Sequence[int]) -> Array:
+def _healthy_errors(rows: Sequence[Truth], output: GatewayOutput, nodes: Sequence[int]) -> Array:
     """Estimated minus true load, Nm, of healthy drives while tracked; edges and start left out."""
     errors = []
-    for node, estimates in zip(nodes, said.estimates, strict=True):
+    for node, estimates in zip(nodes, output.estimates, strict=True):
         truth = truth_of(rows, node)
         true_nm = np.array([row.load_nm for row in rows if row.drive == node])
         row = np.maximum(truth.at(estimates.t_s), 0)

@@ -21,7 +21,7 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.core.flags import Timing
 from gateway.core.gateway import SENSOR
 from gateway.core.inbox import Temperatures
-from gateway.core.thermal import ThermalSide
+from gateway.core.thermal import TemperatureMonitor
 from gateway.settings.calibration import POINTS, Calibration, MotorCalibration
 from gateway.settings.config import Thermal
 from gateway.study.calibrating import Learner
@@ -134,7 +134,7 @@ def judge(
     """Every tick through the thermal side and the flags' table, as in `gateway/core/gateway.py`."""
     drives, settings = len(fitted), Thermal()
     nodes = tuple(range(1, drives + 1))
-    side = ThermalSide(drives, CYCLE_NS, settings.window_s, calibration, nodes, fitted)
+    side = TemperatureMonitor(drives, CYCLE_NS, settings.window_s, calibration, nodes, fitted)
     heat = Timing(0, round(settings.raise_s * SECOND), round(settings.clear_s * SECOND))
     start = readings[0].t_ns
     thermal, sensor = ([flag(start) for _ in nodes] for _ in range(2))
@@ -147,9 +147,9 @@ def judge(
         while at < len(readings) and readings[at].t_ns <= now:
             newest[readings[at].drive] = readings[at].celsius[0]
             at += 1
-        side.take(readings[first:at], now)
+        side.add_readings(readings[first:at], now)
         if learner is not None:
-            learner.take(side, now)
+            learner.add_second(side, now)
         reports = [side.report(k, now, STALE_NS) for k in range(drives)]
         for k, report in enumerate(reports):
             debounce(thermal[k], report.thermal, heat, TICK_NS, now)

@@ -130,8 +130,8 @@ def one_by_one(recorded: Recorded, ticks: list[tuple[Block, int]]) -> dict[str, 
     """s of each station in every tick. Raises AssertionError where something else is sent."""
     gateway = recorded.gateway()
     most = max(block.size for block, _ in ticks)
-    gateway.inbox.receiver.make_room(2 * most)
-    gateway.bank.make_room(len(gateway.inbox.receiver.room.drive))
+    gateway.inbox.receiver.reserve(2 * most)
+    gateway.bank.reserve(len(gateway.inbox.receiver.workspace.drive))
     gateway.link()
     calls = stations(gateway)
     spent: dict[str, list[float]] = {name: [] for name in calls}

@@ -47,7 +47,7 @@ GRID: dict[str, dict[str, Sequence[object]]] = {
     },
     "ekf": {
         "window": (0.0, 0.002, 0.005, 0.01, 0.03), "walk": (0.001, 0.01, 0.1),
-        "joint": (True, False), "doubt": (0.001, 0.05),
+        "joint": (True, False), "prior_sigma": (0.001, 0.05),
     },
     "paper_causal": {"window": (1, 3, 5, 9, 15, 30, 60, 120)},
     "lstm": {"window": (0.0, 0.005, 0.02), "hidden": (16, 32)},

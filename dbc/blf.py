@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame
-from dbc.frames import ROOM, Block, block_of
+from dbc.frames import MAX_DATA_BYTES, Block, block_of
 from dbc.objectlog import BLOCK, ObjectReader
 from dbc.textlog import CLASSIC_BYTES, FD_SIZES
 
@@ -288,7 +288,7 @@ def _classic(objects: NDArray[np.void], start_ns: int) -> Block:
     dlc = objects["dlc"].astype(np.int8)
     remote = objects["bits"] & _REMOTE_FLAG != 0
     length = np.where(remote, 0, np.minimum(dlc, CLASSIC_BYTES)).astype(np.uint8)
-    rows = np.zeros((count, ROOM), np.uint8)
+    rows = np.zeros((count, MAX_DATA_BYTES), np.uint8)
     rows[:, :CLASSIC_BYTES] = objects["data"]
     rows[:, :CLASSIC_BYTES][np.arange(CLASSIC_BYTES) >= length[:, None]] = 0
     flags = np.where(objects["can_id"] & _LONG_ID, EXTENDED, 0) | np.where(remote, REMOTE, 0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dbc.frame import Frame
 from dbc.records import pointer
 
-ROOM: Final = 64
+MAX_DATA_BYTES: Final = 64
 """Bytes kept per frame: the most that CAN FD carries."""
 
 
@@ -87,8 +87,10 @@ class Block(NamedTuple):
     def frames(self) -> Iterator[Frame]:
         """All frames."""
         data = self.data.tobytes()
-        ends = (ROOM * np.arange(self.size) + np.minimum(self.length, ROOM)).tolist()
-        bytes_of = [data[ROOM * k : end] for k, end in enumerate(ends)]
+        ends = (
+            MAX_DATA_BYTES * np.arange(self.size) + np.minimum(self.length, MAX_DATA_BYTES)
+        ).tolist()
+        bytes_of = [data[MAX_DATA_BYTES * k : end] for k, end in enumerate(ends)]
         names = [self.names[k] for k in self.channel.tolist()]
         rows = zip(
             self.t_ns.tolist(), self.can_id.tolist(), bytes_of, self.flags.tolist(), names,
@@ -112,7 +114,7 @@ def blank(rows: int, names: Sequence[str]) -> Block:
         np.empty(rows, dtype=np.uint32),
         np.empty(rows, dtype=np.uint8),
         np.empty(rows, dtype=np.uint8),
-        np.empty((rows, ROOM), dtype=np.uint8),
+        np.empty((rows, MAX_DATA_BYTES), dtype=np.uint8),
         np.full(rows, -1, dtype=np.int8),
         np.zeros(rows, dtype=np.uint16),
         names,
@@ -128,13 +130,13 @@ def block_of(frames: Iterable[Frame]) -> Block:
     names = list(dict.fromkeys(channel))
     number = [0] * len(rows) if len(names) == 1 else [names.index(name) for name in channel]
     # Writable, as every other block: compiled code would be loaded once more for a read-only one.
-    joined = bytearray().join([item.ljust(ROOM, b"\0")[:ROOM] for item in data])
+    joined = bytearray().join([item.ljust(MAX_DATA_BYTES, b"\0")[:MAX_DATA_BYTES] for item in data])
     return Block(
         np.array(t_ns, dtype=np.int64),
         np.array(can_id, dtype=np.uint32),
         np.array(flags, dtype=np.uint8),
         np.array([min(len(item), 255) for item in data], dtype=np.uint8),
-        np.frombuffer(joined, dtype=np.uint8).reshape(-1, ROOM),
+        np.frombuffer(joined, dtype=np.uint8).reshape(-1, MAX_DATA_BYTES),
         np.array(dlc, dtype=np.int8),
         np.array(number, dtype=np.uint16),
         names,
@@ -181,7 +183,7 @@ EMPTY: Final = Block(
     np.zeros(0, dtype=np.uint32),
     np.zeros(0, dtype=np.uint8),
     np.zeros(0, dtype=np.uint8),
-    np.zeros((0, ROOM), dtype=np.uint8),
+    np.zeros((0, MAX_DATA_BYTES), dtype=np.uint8),
     np.zeros(0, dtype=np.int8),
     np.zeros(0, dtype=np.uint16),
     [],

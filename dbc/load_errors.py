@@ -19,22 +19,22 @@ _PLACE: Final = re.compile(r"(\w+)(?:\.(\w+))?: ")
 _NODES: Final = re.compile(rb"^\s*BU_\s*:", re.MULTILINE)
 
 
-def explained(said: str, text: bytes) -> list[str]:
-    """Problems, one a line with its cure, of what cantools said (in one line) of this file."""
+def explained(message: str, text: bytes) -> list[str]:
+    """Problems, one a line with its cure, of what cantools says (in one line) of this file."""
     lines = text.splitlines()
-    if said.startswith("unused VAL_ entries"):
-        return list(_unused(said, lines)) or [said]
-    if match := _SYNTAX.match(said):
+    if message.startswith("unused VAL_ entries"):
+        return list(_unused(message, lines)) or [message]
+    if match := _SYNTAX.match(message):
         number = int(match[1])
         if 1 <= number <= len(lines) and _MESSAGE.match(lines[number - 1]):
             before = b"\n".join(lines[: number - 1])
             if not _NODES.search(before):
                 return [
                     f"line {number}: the first message (BO_) stands before any list of nodes; "
-                    f'add a line "BU_: XXX" above it ({said})'
+                    f'add a line "BU_: XXX" above it ({message})'
                 ]
-        return [f"{said}; correct this line, or the one before it, or take both out"]
-    return [said]
+        return [f"{message}; correct this line, or the one before it, or take both out"]
+    return [message]
 
 
 def placed(fault: str, text: bytes) -> str:
@@ -52,9 +52,9 @@ def placed(fault: str, text: bytes) -> str:
     return fault
 
 
-def _unused(said: str, lines: list[bytes]) -> Iterator[str]:
+def _unused(message: str, lines: list[bytes]) -> Iterator[str]:
     """The lines of value tables whose message or signal the file does not have."""
-    for can_id, signal in dict.fromkeys(_UNUSED.findall(said)):
+    for can_id, signal in dict.fromkeys(_UNUSED.findall(message)):
         table = re.compile(rf"\s*VAL_\s+{can_id}\s+{signal}\s".encode())
         found = [k for k, line in enumerate(lines, 1) if table.match(line)]
         # In another encoding, or over two lines: named, although without a place.

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from dbc.frames import EMPTY, ROOM, Block, join
+from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
 from dbc.objectlog import ObjectReader
 from dbc.python_can_logs import mf4_module
 from dbc.textlog import CLASSIC_BYTES, FD_SIZES
@@ -95,7 +95,7 @@ class Mf4(ObjectReader):
         """Blocks by time. Of equal times the group that comes first in the file is first."""
         while waiting := [group for group in groups if group.fill()]:
             last = min(group.held[0].max() for group in waiting)
-            parts = [group.take(last) for group in waiting]
+            parts = [group.frames_until(last) for group in waiting]
             order = np.argsort(np.concatenate([part.t_ns for part in parts]), kind="stable")
             yield self._checked(reduce(join, parts).pick(order))
 
@@ -155,7 +155,7 @@ class _Group:
                 self.held = block.t_ns, block
         return bool(len(self.held[0]))
 
-    def take(self, last_ns: int) -> Block:
+    def frames_until(self, last_ns: int) -> Block:
         """Those up to a time; the others wait."""
         times, block = self.held
         late = np.flatnonzero(times > last_ns)
@@ -187,17 +187,17 @@ class _Group:
             flags &= np.where(flags & FD, 0xFF, ~(BRS | ESI))
         if kind == ERROR:
             flags[:] = ERROR
-        dlc, room = or_zero("DLC"), np.zeros((count, ROOM), np.uint8)
+        dlc, data = or_zero("DLC"), np.zeros((count, MAX_DATA_BYTES), np.uint8)
         length = np.zeros(count, np.int64)
         if kind != REMOTE and f"{self._name}.DataBytes" in present:
-            content = samples[f"{self._name}.DataBytes"].reshape(count, -1)[:, :ROOM]
+            content = samples[f"{self._name}.DataBytes"].reshape(count, -1)[:, :MAX_DATA_BYTES]
             size = field("DataLength")
             if size is None and field("DLC") is not None:
                 size = np.where(flags & FD, _SIZES[dlc & 15], np.minimum(dlc, CLASSIC_BYTES))
             width = content.shape[1]
             length = np.full(count, width) if size is None else np.minimum(size, 255)
-            room[:, :width] = content
-            room[np.arange(ROOM) >= length[:, None]] = 0
+            data[:, :width] = content
+            data[np.arange(MAX_DATA_BYTES) >= length[:, None]] = 0
         raw = (flags & (FD | ERROR) == 0) & (dlc > CLASSIC_BYTES) & (length == CLASSIC_BYTES)
         raw |= (kind == REMOTE) & (dlc > 0)
         channel = or_zero("BusChannel")
@@ -205,7 +205,7 @@ class _Group:
         times = np.rint(records.timestamps.astype(np.float64) * 1e9).astype(np.int64)
         return Block(
             times + self._start_ns, (can_id & 0x1FFF_FFFF).astype(np.uint32),
-            flags.astype(np.uint8), length.astype(np.uint8), room,
+            flags.astype(np.uint8), length.astype(np.uint8), data,
             np.where(raw, np.minimum(dlc, 15), -1).astype(np.int8), places.astype(np.uint16),
             [str(number) for number in numbers.tolist()],
         )  # fmt: skip

@@ -70,15 +70,15 @@ class Verifier:
         """Of the newest genuine frame; to be kept by whoever keeps this receiver's memory."""
         self.accepted = self.failed = self.alone = self.held = 0
         self._waiting: list[Genuine] = []
-        self._heard_ns: Nanos = _NEVER
+        self._received_ns: Nanos = _NEVER
         self._guess = 0
         self._guess_ns: Nanos = _NEVER
         self._fits = 0
         self._place = 0
         self._tokens = 0.0
         self._tokens_ns: Nanos = 0
-        self._said = 0
-        self._said_ns: Nanos = _NEVER
+        self._reported = 0
+        self._reported_ns: Nanos = _NEVER
 
     def flag(self, key: int, data: bytes, now: Nanos) -> None:
         """A flag frame came: nothing is believed yet."""
@@ -98,7 +98,7 @@ class Verifier:
             found = self._fitting(value, mac, self._waiting)
             if found is not None:
                 return self._accept(found, value, now)
-        if now - self._heard_ns >= QUIET_NS:
+        if now - self._received_ns >= QUIET_NS:
             return self._look_ahead(low, mac, now)
         self.failed += 1
         return None
@@ -106,9 +106,9 @@ class Verifier:
     def notice(self, now: Nanos) -> str | None:
         """What a person should know, at most once a second; None if nothing is new."""
         wrong = self.failed + self.alone
-        if wrong == self._said or now - self._said_ns < NOTICE_NS:
+        if wrong == self._reported or now - self._reported_ns < NOTICE_NS:
             return None
-        new, self._said, self._said_ns = wrong - self._said, wrong, now
+        new, self._reported, self._reported_ns = wrong - self._reported, wrong, now
         return (
             f"{new} frames failed authentication ({self.failed} forged, old or unheard-of, "
             f"{self.alone} without a flag frame, {self.accepted} genuine so far)"
@@ -118,7 +118,7 @@ class Verifier:
         self._waiting.remove(found)
         self.freshness = value
         self.accepted += 1
-        self._heard_ns = now
+        self._received_ns = now
         self._guess_ns, self._place = _NEVER, 0
         return found
 

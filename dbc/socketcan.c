@@ -130,7 +130,7 @@ static int64_t age(const struct socket_clock *clock, int64_t stamp_ns)
     return ns < clock->max_age_ns ? ns : clock->max_age_ns;
 }
 
-void unpack_frames(struct socket_message *messages, int n, size_t control_room,
+void unpack_frames(struct socket_message *messages, int n, size_t control_capacity,
                    const struct socket_clock *clock, const struct frame_columns *rows,
                    struct socket_counts *counts)
 {
@@ -138,7 +138,7 @@ void unpack_frames(struct socket_message *messages, int n, size_t control_room,
     for (int k = 0; k < n; k++) {
         struct socket_header *header = &messages[k].head;
         const int64_t stamp_ns = read_control(header, counts);
-        header->control_size = control_room;
+        header->control_size = control_capacity;
         const uint32_t size = messages[k].size;
         if (header->flags & TRUNCATED || (size != CLASSIC_BYTES && size != FD_BYTES)) {
             counts->malformed++;

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import LogError, Problem, Reader
 from dbc.frame import ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE
-from dbc.frames import ROOM, Block
+from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.text import printable
 from dbc.textlines import Known, Scan, Scanner
 
@@ -426,13 +426,13 @@ class TextReader(Reader):
         which = np.array([place[id(head)] for head in heads], dtype=np.intp)
         can_id, flags, _, channel, dlc, _ = zip(*number.values(), strict=True)
         names = list(dict.fromkeys(channel))
-        joined = bytearray().join([item.ljust(ROOM, b"\0") for item in bodies])
+        joined = bytearray().join([item.ljust(MAX_DATA_BYTES, b"\0") for item in bodies])
         return Block(
             self._moved(times),
             np.array(can_id, dtype=np.uint32)[which],
             np.array(flags, dtype=np.uint8)[which],
             np.array(list(map(len, bodies)), dtype=np.uint8),
-            np.frombuffer(joined, dtype=np.uint8).reshape(-1, ROOM),
+            np.frombuffer(joined, dtype=np.uint8).reshape(-1, MAX_DATA_BYTES),
             np.array(dlc, dtype=np.int8)[which],
             np.array([names.index(name) for name in channel], dtype=np.uint16)[which],
             names,

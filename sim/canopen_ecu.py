@@ -109,7 +109,7 @@ class CanopenNode:
         if self.state != STOPPED:
             self._send(0x080, EMCY.pack(code, register, b""))
 
-    def take(self, now_ns: Nanos) -> list[tuple[Nanos, int, bytes]]:
+    def sent_until(self, now_ns: Nanos) -> list[tuple[Nanos, int, bytes]]:
         """Everything sent up to `now_ns`, heartbeats included."""
         self._run_until(now_ns)
         out, self._sent = self._sent, []

@@ -105,7 +105,7 @@ class Ecu:
             if self.verifier is not None and frame.can_id in self._vouched:
                 self._verify(self.verifier, self._vouched[frame.can_id], frame, now_ns)
             elif frame.can_id == flag_id:
-                self._take_flags(frame, now_ns)
+                self._receive_flags(frame, now_ns)
             elif frame.can_id in (0, sdo_id) and not frame.is_fd:
                 self.canopen.deliver(frame.can_id, frame.data, now_ns)
 
@@ -121,12 +121,12 @@ class Ecu:
             return
         if not crc_ok(spec, frame.data):
             return
-        said = self.codec.decode(spec, frame.data)
-        genuine = verifier.auth(int(said["Freshness"].raw), int(said["Mac"].raw), frame.t_ns)
+        values = self.codec.decode(spec, frame.data)
+        genuine = verifier.auth(int(values["Freshness"].raw), int(values["Mac"].raw), frame.t_ns)
         if genuine is not None and self._adhesion and genuine.key == self._adhesion.key:
-            self._take_flags(frame._replace(can_id=genuine.key, data=genuine.data), now_ns)
+            self._receive_flags(frame._replace(can_id=genuine.key, data=genuine.data), now_ns)
 
-    def _take_flags(self, frame: Frame, now_ns: Nanos) -> None:
+    def _receive_flags(self, frame: Frame, now_ns: Nanos) -> None:
         spec, receiver = self._adhesion, self._receiver
         if spec is None or receiver is None or not self.canopen.operational:
             return
@@ -181,7 +181,7 @@ class Ecu:
     def service_frames(self, now_ns: Nanos) -> list[Frame]:
         """Heartbeat, EMCY and SDO frames up to `now_ns`, ready for the bus."""
         out = []
-        for t_ns, can_id, data in self.canopen.take(now_ns):
+        for t_ns, can_id, data in self.canopen.sent_until(now_ns):
             sent = self._wire.apply(t_ns * 1e-9, can_id, data)
             if sent is not None:
                 out.append(Frame(t_ns + self._latency, can_id, sent))

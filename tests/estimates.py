@@ -49,6 +49,6 @@ def step(bank: Bank, samples: Samples, heard: Sequence[bool], now: int) -> list[
     for mine, given in zip(box.samples, samples, strict=True):
         mine[:m] = given
     box.pointer.tick.samples = m
-    bank.make_room(m)
+    bank.reserve(m)
     bank.run(box.pointer, come, now)
     return estimates_of(bank.told)

@@ -13,7 +13,7 @@ from tests.simrun import codec
 
 def spoken(config: Config, frames: list[Frame]) -> list[Frame]:
     """Frames of simulated drives 1.. (classic) as the configuration's inverters send them."""
-    return Inverters(plans(config), codec(config.nodes)).take(frames)
+    return Inverters(plans(config), codec(config.nodes)).convert(frames)
 
 
 DBC = """VERSION ""

@@ -71,7 +71,7 @@ def play(observer: Observer, frames, until_ns: int | None = None, step_ns: int =
         first = k
         while k < len(frames) and frames[k].t_ns <= now:
             k += 1
-        observer.take(frames[first:k], now)
+        observer.add_frames(frames[first:k], now)
     return observer.snapshot(end)
 
 

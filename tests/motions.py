@@ -31,7 +31,7 @@ class Drives(MotionMonitor):
             sensors=current_calibration.start(n),
         )  # fmt: skip
         rotors = zeros(n, ROTOR)
-        rotors["doubt_until_ns"] = NEVER
+        rotors["unreliable_until_ns"] = NEVER
         super().__init__(
             [motor] * n, Estimator(), times, 10 * MS, step_a, self.came,
             SimpleNamespace(status=self.status), bank, rotors,

@@ -8,7 +8,7 @@ import numpy as np
 from _traction_core import ffi
 
 from dbc.records import CHANNEL, RECEIVER
-from gateway.core.pairing import drive_inputs, readings, room
+from gateway.core.pairing import drive_inputs, readings, workspace
 
 
 class Received:
@@ -16,7 +16,7 @@ class Received:
 
     def __init__(self, drives, channels=0, rows=64):
         self.channels, self.drives = np.zeros(channels, CHANNEL), drive_inputs(drives)
-        self.samples, self.readings = room(rows), readings(rows)
+        self.samples, self.readings = workspace(rows), readings(rows)
         self.record = np.zeros(1, RECEIVER)
         self.record["channel_count"], self.record["drive_count"] = channels, drives
         arrays = {

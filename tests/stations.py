@@ -26,7 +26,7 @@ from gateway.core.codes import FaultClass, FaultSensor
 from gateway.core.flags import Timing
 from gateway.core.pairing import Samples
 from gateway.core.supervision import Supervision
-from gateway.core.temperature import SensorSide
+from gateway.core.temperature import SensorMonitor
 from tests import columns
 
 
@@ -51,7 +51,7 @@ class Inbox(gateway.core.inbox.Inbox):
 def samples_of(inbox: gateway.core.inbox.Inbox) -> Samples:
     """Samples of the last tick."""
     receiver = inbox.receiver
-    return receiver.room.first(receiver.pointer.tick.samples)
+    return receiver.workspace.first(receiver.pointer.tick.samples)
 
 
 def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
@@ -59,7 +59,7 @@ def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, no
     block = frames if isinstance(frames, Block) else block_of(frames)
     receiver = inbox.receiver
     if block.size > receiver.rows:
-        receiver.make_room(2 * block.size)
+        receiver.reserve(2 * block.size)
     for ordered in (False, True):
         block = block.ordered() if ordered else block
         if lib.receive_frames(receiver.pointer, block.columns(), 0, block.size, now):
@@ -104,7 +104,7 @@ class MotionMonitor(gateway.core.motion.MotionMonitor):
         lib.observe_load(self.pointer, now)
 
 
-class ThermalSide(gateway.core.thermal.ThermalSide):
+class TemperatureMonitor(gateway.core.thermal.TemperatureMonitor):
     """Judges the temperatures that the receiver holds."""
 
     def hear(self, inbox: gateway.core.inbox.Inbox, now: Nanos, out: Records) -> None:
@@ -117,7 +117,7 @@ class ThermalSide(gateway.core.thermal.ThermalSide):
         lib.report_temperatures(self.pointer, now, ffi.from_buffer("struct flag_inputs[]", out))
 
 
-class Doubt(gateway.core.integrity.Doubt):
+class IntegrityMonitor(gateway.core.integrity.IntegrityMonitor):
     """What speaks against all drives."""
 
     def tick(self, now: Nanos, own: int) -> None:
@@ -188,16 +188,16 @@ def any_lost(watch: Supervision, now: Nanos) -> bool:
     return any(lib.is_node_lost(watch.pointer, row, now) for row in range(len(watch.nodes)))
 
 
-def _drive(sensors: SensorSide, drive: int) -> Any:
+def _drive(sensors: SensorMonitor, drive: int) -> Any:
     return pointer("struct temperature_drive", sensors.drives) + drive
 
 
-def sensor_fault(sensors: SensorSide, drive: int, k: int, now: Nanos) -> FaultClass:
+def sensor_fault(sensors: SensorMonitor, drive: int, k: int, now: Nanos) -> FaultClass:
     """Of one sensor; UNKNOWN while it has never been heard, NONE for one that is not configured."""
     return FaultClass(lib.temperature_sensor_fault(_drive(sensors, drive), k, now))
 
 
-def sensors_valid(sensors: SensorSide, now: Nanos) -> NDArray[np.bool_]:
+def sensors_valid(sensors: SensorMonitor, now: Nanos) -> NDArray[np.bool_]:
     """(N, P): configured, heard and without fault."""
     values, valid = np.empty(sensors.configured.shape), np.empty_like(sensors.configured)
     lib.temperature_values(
@@ -207,12 +207,14 @@ def sensors_valid(sensors: SensorSide, now: Nanos) -> NDArray[np.bool_]:
     return valid
 
 
-def not_yet_valid(sensors: SensorSide, drive: int) -> bool:
+def not_yet_valid(sensors: SensorMonitor, drive: int) -> bool:
     """Whether a configured sensor has never given a valid value."""
     return bool(lib.temperature_not_yet_valid(_drive(sensors, drive)))
 
 
-def sensor_verdict(sensors: SensorSide, drive: int, now: Nanos) -> tuple[FaultClass, FaultSensor]:
+def sensor_verdict(
+    sensors: SensorMonitor, drive: int, now: Nanos
+) -> tuple[FaultClass, FaultSensor]:
     """The drive's first sensor fault and whose it is."""
     own = _drive(sensors, drive)
     kind, whose = lib.temperature_fault(own, now), lib.temperature_fault_sensor(own, now)

@@ -53,8 +53,8 @@ class Stepped(Gateway):
     def _run_one(self, block: Block, now: Nanos) -> None:
         self.now = now
         part = block.ordered()
-        if part.size > self._room:
-            self._make_room(part.size)
+        if part.size > self._capacity:
+            self._reserve(part.size)
         self._receive(part, now)
         self._judge(now)
         self._say(now)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import tail_of
 from dbc.frame import EXTENDED, FD, Frame
-from dbc.frames import ROOM, Block, blank
+from dbc.frames import MAX_DATA_BYTES, Block, blank
 from dbc.records import INTERFACE_NAME, pointer, zeros
 
 ROWS: Final = 1 << 15
@@ -92,7 +92,7 @@ class Scanner:
         digits, lines.tail[k] = tail_of(line)
         rows.t_ns[k], rows.can_id[k], rows.flags[k] = frame.t_ns, frame.can_id, frame.flags
         rows.length[k], rows.dlc[k] = len(frame.data), frame.dlc
-        rows.data[k] = np.frombuffer(frame.data.ljust(ROOM, b"\0"), dtype=np.uint8)
+        rows.data[k] = np.frombuffer(frame.data.ljust(MAX_DATA_BYTES, b"\0"), dtype=np.uint8)
         rows.channel[k] = self._number(frame.channel)
         if len(digits) != 3:
             lines.tail[k] = -1

@@ -12,7 +12,7 @@ from _traction_core import ffi, lib
 
 from dbc.candump.grammar import format_frame, name_bytes, not_writable
 from dbc.frame import Frame
-from dbc.frames import ROOM, Block
+from dbc.frames import MAX_DATA_BYTES, Block
 
 _LINES: Final = 512
 """That there is room for at once."""
@@ -74,8 +74,8 @@ class Writer:
             self._stream.write(ffi.unpack(self._text, filled[0]))
             if row < block.size and not filled[0]:
                 # A block keeps no more than this of a frame, and what is cut would look whole.
-                if block.length[row] > ROOM:
-                    msg = f"cannot be written as a candump line: more than {ROOM} bytes"
+                if block.length[row] > MAX_DATA_BYTES:
+                    msg = f"cannot be written as a candump line: more than {MAX_DATA_BYTES} bytes"
                     raise NotWritableError(row, msg)
                 raise NotWritableError(row, str(not_writable(block.frame(row))))
 

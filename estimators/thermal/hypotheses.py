@@ -116,9 +116,9 @@ def side(kind: Array, named: float = NAMED) -> NDArray[np.int64]:
     See `thermal_sides` in `hypotheses.h`. kind (..., 11): probabilities; gives (...,).
     """
     given = np.ascontiguousarray(kind, dtype=np.float64)
-    told = np.empty(given.shape[:-1], dtype=np.int64)
-    lib.thermal_sides(pointer("double", given), told.size, named, pointer("int64_t", told))
-    return told
+    sides = np.empty(given.shape[:-1], dtype=np.int64)
+    lib.thermal_sides(pointer("double", given), sides.size, named, pointer("int64_t", sides))
+    return sides
 
 
 def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
@@ -130,22 +130,22 @@ def side_apart(kind: Array, rise_k: Array, shapes: Array) -> NDArray[np.int64]:
     first, then = len(HEAT), len(HEAT) + len(SENSORS)
     loose = kind[..., then:].sum(axis=-1)
     clear = loose / np.maximum(kind.sum(axis=-1), 1e-300)
-    told = side(kind, APART_NAMED)
-    told = np.where((loose > 0.5) & (clear < NAMED), 0, told)
+    sides = side(kind, APART_NAMED)
+    sides = np.where((loose > 0.5) & (clear < NAMED), 0, sides)
     which = kind[..., first:then].argmax(axis=-1)
     hot = [HEAT.index(name) for name in ("overheating", "bearing_de", "bearing_nde")]
     beside = [np.delete(shapes[:, hot[q]], q, axis=1).max(axis=1) for q in range(3)]
     shown_k = rise_k * np.take_along_axis(np.stack(beside, axis=1), which, axis=1)
     hidden = (rise_k > 0.0) & (shown_k < APART_HIDDEN_K) & (loose < 0.5)
-    told = np.where((told < 0) & hidden, 0, told)
-    lasts = np.zeros_like(told, dtype=np.bool_)
+    sides = np.where((sides < 0) & hidden, 0, sides)
+    lasts = np.zeros_like(sides, dtype=np.bool_)
     lasts[APART_LASTS - 1 :] = True
     for back in range(1, APART_LASTS):
-        lasts[back:] &= told[back:] == told[:-back]
+        lasts[back:] &= sides[back:] == sides[:-back]
     # A burst in a motor that seems ill already is another kind of the same side, for one sample.
     kinds = kind.argmax(axis=-1)
     lasts[1:] &= kinds[1:] == kinds[:-1]
-    return np.where(lasts, told, 0)
+    return np.where(lasts, sides, 0)
 
 
 def spread(residual: Array, learnt: float, floor_k: float = 0.1) -> Spread:

@@ -63,8 +63,8 @@ class Watching:
             # Between blocks only a step, or a motor that begins anew, changes what is told.
             steps = monitor.offsets.tobytes()
             if judged or k == 0 or steps != stepped or monitor.motors["lost"].any():
-                told, stepped = monitor.kinds(), steps
-            kind[k], size[k] = told
+                result, stepped = monitor.kinds(), steps
+            kind[k], size[k] = result
         return Belief(kind, size, hypotheses.side(kind))
 
     def __call__(self, record: Record) -> Array:

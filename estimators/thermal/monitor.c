@@ -115,7 +115,7 @@ static void forget_return(struct thermal_motor *motor, int q)
 }
 
 /* Inputs from the middle of the last block to that of this one. */
-static void take_inputs(struct thermal_motor *motor)
+static void read_inputs(struct thermal_motor *motor)
 {
     const struct thermal_sums *first = &motor->half[0], *late = &motor->late;
     motor->inputs = (struct thermal_sums){
@@ -155,7 +155,7 @@ void thermal_close_block(const struct thermal_config *config,
             motor[m].off_k[q] = u[m * P + q] - was[m * P + q];
             forget_return(&motor[m], q);
         }
-        take_inputs(&motor[m]);
+        read_inputs(&motor[m]);
     }
 }
 

@@ -70,6 +70,6 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
         return gateway
 
     def look(now: int, _out: list[Frame], gateway: Gateway) -> None:
-        learner.take(gateway.thermal, now)
+        learner.add_second(gateway.thermal, now)
 
     replay(blocks, make, config.loop.period_ns, look)

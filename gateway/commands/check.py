@@ -46,7 +46,7 @@ def more_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what will be; exit 2 if it cannot work, or would never tell a loss."""
     from gateway.commands import check_loss
-    from gateway.commands.check_signals import told
+    from gateway.commands.check_signals import signal_lines
     from gateway.mapping import plan as foreign
     from gateway.settings import calibration
 
@@ -60,13 +60,13 @@ def run(options: argparse.Namespace) -> int:
         f"{len(codec.messages)} messages fit the contract"
     )
     for plan in planned:
-        print("\n".join(told(plan)))
+        print("\n".join(signal_lines(plan)))
     percent = bus_load(codec, config, planned)
     verdict = "good" if percent <= LOAD_LIMIT_PERCENT else "too much"
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")
     tried = _tried(config, codec, timing=not options.no_timing)
     print(f"heartbeats     {_heartbeats(config)}")
-    unfound = check_loss.tell(config, tried)
+    unfound = check_loss.print_results(config, tried)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
     print(f"signature      {signed}")
     print(f"flags          {_authentication(config)}")
-    _tell_machine(options, config)
+    _print_machine(options, config)
     if percent > LOAD_LIMIT_PERCENT:
         note(
             f"bus load {percent:.0f} % is above {LOAD_LIMIT_PERCENT:.0f} %: use slower cycles in "
@@ -100,14 +100,14 @@ def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:
     if ours is not config:
         tried = check_loss.attempt(config, codec)
     if measured.times_us:
-        check_timing.tell(config, codec, measured)
+        check_timing.print_results(config, codec, measured)
     else:
         why = simulated.problem or "no drive can ever be judged"
         print(f"timing         not measured: {why}")
     return tried
 
 
-def _tell_machine(options: argparse.Namespace, config: Config) -> None:
+def _print_machine(options: argparse.Namespace, config: Config) -> None:
     """Settings of the kernel and of the link, each with its cure; they refuse nothing."""
     from gateway.commands.run import bus_options
     from gateway.io import interface_settings as settings
@@ -119,8 +119,8 @@ def _tell_machine(options: argparse.Namespace, config: Config) -> None:
         found += settings.link(str(bus["channel"]), *rates)
     else:
         print("link           not looked at: name it with -i socketcan -c can0, or in [bus]")
-    for what, said, cure in found:
-        print(f"{what:<14} {said}{'' if cure else ', good'}")
+    for what, finding, cure in found:
+        print(f"{what:<14} {finding}{'' if cure else ', good'}")
         if cure:
             print(f"{'':<14} cure: {cure}")
 

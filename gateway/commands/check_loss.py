@@ -34,7 +34,7 @@ def attempt(config: Config, codec: Codec, measured: Measured | None = None) -> T
     return Tried(blind, found, "")
 
 
-def tell(config: Config, tried: Tried) -> list[str]:
+def print_results(config: Config, tried: Tried) -> list[str]:
     """Print a line per loss; gives what is wrong: losses that are not found, or cannot be."""
     from gateway.hil.synthetic_loss import DEPTH, WITHIN_NS
 

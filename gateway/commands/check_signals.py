@@ -15,7 +15,7 @@ TURN: Final = 8
 """Samples in an electrical revolution that the filters follow by the currents alone."""
 
 
-def told(plan: Plan) -> list[str]:
+def signal_lines(plan: Plan) -> list[str]:
     """Lines, the first with the drive's name."""
     first = f"drive {plan.node}"
     lines = [*_sources(plan), *_limits(plan), *_codes(plan)]
@@ -46,13 +46,13 @@ def _codes(plan: Plan) -> Iterator[str]:
             if UNITS[name] != "degC":
                 # A 0 is a value like any other there, and so are limits that somebody set.
                 ends = tuple(raw for raw in (ends[0], ends[-1]) if raw)
-            told = ", ".join(
+            codes = ", ".join(
                 f"{raw} ({source.scale * (signal.scale * raw + signal.offset) + source.offset:g})"
                 for raw in ends
             )
             listed = ", ".join(map(str, ends))
             yield (
-                f"{name}: raw {told} may mean that there is no value; if so: "
+                f"{name}: raw {codes} may mean that there is no value; if so: "
                 f'{name} = {{ signal = "{source.signal}", not_available = [{listed}] }}'
             )
 

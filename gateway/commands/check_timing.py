@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from gateway.settings.config import Config
 
 
-def tell(config: Config, codec: Codec, measured: Measured) -> None:
+def print_results(config: Config, codec: Codec, measured: Measured) -> None:
     """Print both."""
     if config.unmapped() is not config:
         print("timing         as if all drives spoke our message set: without translation")
-    _tell_loads(codec, config, measured.frames)
-    _tell_timing(measured.times_us, config.loop.period_ns / 1e3)
+    _print_loads(codec, config, measured.frames)
+    _print_timing(measured.times_us, config.loop.period_ns / 1e3)
 
 
-def _tell_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
+def _print_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
     """A line per kind of message: its share of the bus by the frames' own stuff bits."""
     bus, seconds = config.bus, MEASURE_NS / 1e9
     nominal, data = bits_of(frames)
@@ -48,7 +48,7 @@ def _kind(spec: MessageSpec) -> str:
     return f"Drive{{n}}_{spec.kind}" if spec.node else spec.name
 
 
-def _tell_timing(times_us: list[float], period_us: float) -> None:
+def _print_timing(times_us: list[float], period_us: float) -> None:
     ordered = sorted(times_us)
     p50, p99 = (ordered[int(len(ordered) * q)] for q in (0.5, 0.99))
     print(

@@ -122,7 +122,7 @@ def faults(reader: LogReader) -> dict[str, int]:
     return {verdict.name.lower(): n for verdict, n in reader.counts.items() if verdict.is_fault}
 
 
-def tell_of_dbc(codec: Codec) -> None:
+def report_dbc(codec: Codec) -> None:
     """Entries of a DBC that are not used, on stderr."""
     if codec.left_out:
         count = len(codec.left_out)
@@ -135,7 +135,7 @@ def tell_of_dbc(codec: Codec) -> None:
             console().print(f"  and {count - ENTRIES_SHOWN} more")
 
 
-def tell_of_log(reader: LogReader) -> None:
+def report_log(reader: LogReader) -> None:
     """Counts of a log that was read, on stdout; the first faults and notes, on stderr."""
     counts = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
     print(f"{reader.unit}: " + ", ".join(f"{name} {n}" for name, n in counts))

@@ -15,9 +15,9 @@ from gateway.commands.common import (
     add_line,
     faults,
     pattern_of,
+    report_dbc,
+    report_log,
     shown,
-    tell_of_dbc,
-    tell_of_log,
     track_file,
     verdict_of_input,
 )
@@ -121,14 +121,14 @@ def _codec(options: argparse.Namespace) -> Codec:
 
     if options.dbc is not None:
         codec = bind_usable(options.dbc)
-        tell_of_dbc(codec)
+        report_dbc(codec)
         return codec
     return prepare(options.config)[1]
 
 
 def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     """What was read, written and left out, on stdout."""
-    tell_of_log(log.reader)
+    report_log(log.reader)
     print(f"frames: read {done.read}, written {done.sink.written}")
     left = dict(done.sink.left_out)
     if decoder is not None:

@@ -82,12 +82,12 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
     from gateway.study.thermal_scores import mean, table_of
     from gateway.study.thermal_trials import HEALTHY, UNDECIDED
 
-    told = [kind for kind in kinds if kind != HEALTHY]
+    faults = [kind for kind in kinds if kind != HEALTHY]
     columns = (*KINDS, UNDECIDED)
     naming = [m for m in methods if any(t.named for t in found if t.method == m)]
     for method in naming:
         rows = []
-        for kind in told:
+        for kind in faults:
             counts = [t.named for t in found if t.method == method and t.kind == kind]
             total = sum(sum(names.values()) for names in counts)
             shares = [sum(names.get(k, 0) for names in counts) / max(total, 1) for k in columns]

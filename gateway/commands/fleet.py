@@ -61,8 +61,8 @@ def run(options: argparse.Namespace) -> int:
 
     def finish() -> list[Row]:
         table = [rows[one] for one in planned.jobs if one in rows]
-        about = {"settings": settings.key, "version": settings.version}
-        files = write(settings.folder, table, {**about, "config": config.model_dump_json()})
+        metadata = {"settings": settings.key, "version": settings.version}
+        files = write(settings.folder, table, {**metadata, "config": config.model_dump_json()})
         _summary(table, len(planned.before), len(planned.jobs), files)
         return table
 

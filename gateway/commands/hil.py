@@ -53,8 +53,8 @@ def run(options: argparse.Namespace) -> int:
         seconds = time.perf_counter() - began
         bad = [v for v in verdicts if not v.passed]
         failed += len(bad)
-        said = f"{seconds:.1f} s, configuration {word:06x}"
-        print(f"{'FAIL' if bad else 'ok  '} {scenario.title}  ({said})")
+        summary = f"{seconds:.1f} s, configuration {word:06x}"
+        print(f"{'FAIL' if bad else 'ok  '} {scenario.title}  ({summary})")
         for v in verdicts:
             print(f"     {'ok  ' if v.passed else 'FAIL'} {v.text}: {v.detail}")
         _suite(suites, scenario.title, verdicts, seconds, word)

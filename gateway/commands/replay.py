@@ -15,7 +15,7 @@ from gateway.commands.common import (
     add_signature,
     faults,
     pattern_of,
-    tell_of_log,
+    report_log,
     track_file,
     verdict_of_input,
 )
@@ -169,7 +169,7 @@ def _report(
 
 def _summary(reader: LogReader, done: Replayed, recorder: Recorder) -> None:
     """What the log held and what the gateway said, on stdout."""
-    tell_of_log(reader)
+    report_log(reader)
     print(f"configuration: {done.gateway.outbox.config_hash:06x}")
     for back in done.clock.backs[:SHOWN]:
         console().print(

@@ -48,12 +48,12 @@ def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -
             for row in rows:
                 scores[base][row.method].append(row.score)
     step("figures")
-    train, said = picture(FIRST_SEED)
+    train, flags = picture(FIRST_SEED)
     figures.states(folder / "figure4", train)
     figures.errors(folder / "figure5", train)
     figures.jumps(folder / "figure6", train)
     figures.motors(folder / "figure7", train)
-    figures.detection(folder / "figure8", train, said)
+    figures.detection(folder / "figure8", train, flags)
     step("report")
     missing = [name for name, own in scores[BASE].items() if not own]
     outcome = Outcome(KIND, list(seeds), scores, missing)

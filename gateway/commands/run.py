@@ -165,8 +165,8 @@ def bus_options(options: argparse.Namespace, config: Any) -> dict[str, Any]:
     elif given["interface"] in ("socketcan", "virtual"):
         # SocketCAN's bit rates are set by `ip link`, and compared with what was said here. A
         # virtual bus has none.
-        said = config.bus.model_fields_set if given["interface"] == "socketcan" else ()
-        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd", *said)}
+        configured = config.bus.model_fields_set if given["interface"] == "socketcan" else ()
+        given = {k: v for k, v in given.items() if k in ("interface", "channel", "fd", *configured)}
     return {**given, **vars(options)}
 
 
@@ -184,7 +184,7 @@ def active_errors(gateway: Any) -> tuple[int, ...]:
     view = gateway.view
     if view is None:
         return ()
-    intruder = (GatewayError.INTRUDER,) if gateway.doubt.intruder else ()
+    intruder = (GatewayError.INTRUDER,) if gateway.integrity.intruder else ()
     pairs = (
         (view.overrun, GatewayError.OVERRUN),
         (view.comm, GatewayError.COMMUNICATION),

@@ -100,7 +100,7 @@ class _Truth:
         if self._writer:
             self._writer.writerow(TRUTH_HEADER)
 
-    def take(self, simulation: Any) -> None:
+    def record(self, simulation: Any) -> None:
         rows = simulation.truth_rows()
         if self._writer:
             self._writer.writerows(row.text() for row in rows)
@@ -132,7 +132,7 @@ def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, trut
         for tick in _progress(round(seconds * 100) + 1, "simulating"):
             for frame in simulation.step((), tick * step):
                 writer.write(frame._replace(channel="vcan0"))
-            truth.take(simulation)
+            truth.record(simulation)
 
 
 def _progress(total: int, what: str) -> Iterator[int]:
@@ -156,7 +156,7 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
     )
 
     def after_step() -> None:
-        truth.take(simulation)
+        truth.record(simulation)
         _say_failures(simulation)
 
     stop = Stop()
@@ -175,5 +175,5 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
 def _say_failures(simulation: Any) -> None:
     """What a receiver could not verify; each at most once a second."""
     for node, verifier in simulation.verifiers.items():
-        if said := verifier.notice(time.monotonic_ns()):
-            log.warning("drive %d: %s", node, said)
+        if notice := verifier.notice(time.monotonic_ns()):
+            log.warning("drive %d: %s", node, notice)

@@ -185,8 +185,8 @@ static void fuse_views(struct adhesion *a, int64_t now_ns)
         double p = fuse_loss(&a->responses[k], a->loss_probability[k], a->loss_known[k],
                              mine->p_response, mine->response_valid, r->away);
         /* Nor is a drive lost that carries more than it is asked to. */
-        const int in_doubt = now_ns < r->doubt_until_ns || r->uncommanded_s > 0.0;
-        if (in_doubt && p > UNDECIDED) {
+        const int unreliable = now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0;
+        if (unreliable && p > UNDECIDED) {
             p = UNDECIDED;
             r->uncertain = 1;
         }

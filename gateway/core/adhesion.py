@@ -84,7 +84,7 @@ class AdhesionMonitor(Addressed):
         """(N,) drives that carry so much less than the others that noise cannot be the cause."""
         self.uncertain: NDArray[np.uint8] = self.rotors["uncertain"]
         """(N,) drives whose rotor may run away."""
-        self.doubt_until_ns: NDArray[np.int64] = self.rotors["doubt_until_ns"]
+        self.unreliable_until_ns: NDArray[np.int64] = self.rotors["unreliable_until_ns"]
         """(N,) until then the currents of a drive accuse nobody."""
 
     def ask_detector(self, estimates: Records) -> None:

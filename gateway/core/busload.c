@@ -1,6 +1,6 @@
 /* Share of the bus in use, worst-case stuffing, over the last full second.
  *
- * Nothing here can fail: a length of 8 bits is below MAX_DATA_BYTES, and a window that is divided by
+ * Nothing here can fail: a length of 8 bits is below DATA_LENGTHS, and a window that is divided by
  * is at least a second long. */
 #include "gateway/core/busload.h"
 

@@ -19,7 +19,7 @@ class BusLoad(Addressed):
 
     def __init__(self, bitrate: int, data_bitrate: int, start_ns: Nanos) -> None:
         self.record = np.zeros(1, BUS_LOAD)
-        lengths = range(lib.MAX_DATA_BYTES)
+        lengths = range(lib.DATA_LENGTHS)
         self.record["classic_s"] = [(47 + 8 * n + (33 + 8 * n) // 4) / bitrate for n in lengths]
         self.record["fd_s"] = [
             34 / bitrate + (8 * n + 33 + 8 * n // 4) / data_bitrate for n in lengths

@@ -24,12 +24,12 @@ static const int64_t REPEATS = 2;            /* in a row: more than one late sam
 #define LEAST_TORQUE  0.1 /* and torque, neither torque nor angle says anything */
 /* Largest difference of two torques, per unit of rated torque and of the sent one: magnets may be a
  * fifth off the data sheet. From the doubt on the currents are no evidence of a loss. */
-#define TORQUE_OFF            0.15
-#define TORQUE_OFF_RELATIVE   0.3
-#define TORQUE_DOUBT          0.06
-#define TORQUE_DOUBT_RELATIVE 0.15
-#define DOUBT_NS              (15 * MS_NS)
-static const struct misfit_rule OF_CURRENT = {3, DOUBT_NS};
+#define TORQUE_OFF                0.15
+#define TORQUE_OFF_RELATIVE       0.3
+#define TORQUE_DEVIATION          0.06
+#define TORQUE_DEVIATION_RELATIVE 0.15
+#define UNRELIABLE_NS             (15 * MS_NS)
+static const struct misfit_rule OF_CURRENT = {3, UNRELIABLE_NS};
 /* Largest deviation of the angle: rad, and in turns of a sample period, which is at least 0.5 ms:
  * stamps jitter. */
 #define ANGLE_OFF         0.06
@@ -172,8 +172,8 @@ static int is_torque_off(struct motion_monitor *m, const struct reading *reading
 {
     const double off = torque_difference(m, reading, theta);
     const double rated = m->checks[reading->k].rated_nm, sent = fabs(reading->torque);
-    if (off > TORQUE_DOUBT * rated + TORQUE_DOUBT_RELATIVE * sent)
-        set_doubt(&m->rotors[reading->k], now_ns + DOUBT_NS);
+    if (off > TORQUE_DEVIATION * rated + TORQUE_DEVIATION_RELATIVE * sent)
+        mark_unreliable(&m->rotors[reading->k], now_ns + UNRELIABLE_NS);
     return off > TORQUE_OFF * rated + TORQUE_OFF_RELATIVE * sent;
 }
 

@@ -86,7 +86,7 @@ class Bank(Addressed):
         self._pointer = pointer("struct estimator", self.record)
         self.x, self.P = self.filters.x, self.filters.P
 
-    def make_room(self, samples: int) -> None:
+    def reserve(self, samples: int) -> None:
         """For so many samples of a tick."""
         if samples > len(self.samples):
             self.samples = zeros(samples, FILTER_SAMPLE)

@@ -37,10 +37,10 @@ from gateway.core.codes import REJECTED, Flag, GatewayState
 from gateway.core.estimate import Bank
 from gateway.core.flags import FlagKind, Flags, Timing, rules, unknown_status
 from gateway.core.inbox import ELECTRICAL, SAMPLES, DriveInput, Inbox
-from gateway.core.integrity import INTRUDER_HOLD_NS, Doubt
+from gateway.core.integrity import INTRUDER_HOLD_NS, IntegrityMonitor
 from gateway.core.motion import MotionMonitor, Timebase
 from gateway.core.supervision import Supervision
-from gateway.core.thermal import ThermalSide
+from gateway.core.thermal import TemperatureMonitor
 from gateway.core.transmit import Outbox
 from gateway.core.view import Counted, GatewayView, drives_of, view_of
 from gateway.mapping import plan as foreign
@@ -108,10 +108,10 @@ class Gateway(Addressed):
         own_hash = calibration.config_hash(config, codec.digest, cells)
         self.outbox = Outbox(codec, nodes, own_hash, tick_ns, authenticator)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
-        told_apart = config.on_intruder == "tell" and authenticator is not None
+        authenticated = config.on_intruder == "tell" and authenticator is not None
         for_good = config.on_intruder in ("stop", "go_on")
-        self.doubt = Doubt(
-            tick_ns, told_apart=told_apart, stops=config.on_intruder == "stop",
+        self.integrity = IntegrityMonitor(
+            tick_ns, authenticated=authenticated, stops=config.on_intruder == "stop",
             intruder_hold_ns=None if for_good else INTRUDER_HOLD_NS,
         )  # fmt: skip
         self.peak: NDArray[np.float64] = np.full(len(nodes), np.nan)
@@ -119,10 +119,10 @@ class Gateway(Addressed):
         self.sent = np.zeros(max(SENT, len(self.outbox.heads)), TX_FRAME)
         self.record = np.zeros(1, GATEWAY)
         self.record["period_ns"], self.record["drive_count"] = tick_ns, len(nodes)
-        self.record["sent_room"], self.record["changed"] = len(self.sent), 1
+        self.record["sent_capacity"], self.record["changed"] = len(self.sent), 1
         self.record["is_translated"] = self.translator is not None
         self.record["detects"] = self.adhesion.in_core
-        self._room = 0
+        self._capacity = 0
         """Frames of a tick that there is room for."""
         self._now: Nanos = start_ns
         self._view: GatewayView | None = None
@@ -132,7 +132,7 @@ class Gateway(Addressed):
         """See `Addressed`."""
         records: dict[str, NDArray[Any]] = {
             "receiver": self.inbox.receiver.record, "load": self.load.record,
-            "integrity": self.doubt.record, "channels": self.inputs.channels,
+            "integrity": self.integrity.record, "channels": self.inputs.channels,
             "inputs": self.inputs.status, "estimator": self.bank.record,
             "estimates": self.bank.estimates, "motion": self.motion.record,
             "adhesion": self.adhesion.record, "temperatures": self.thermal.record,
@@ -164,8 +164,8 @@ class Gateway(Addressed):
     def _run_one(self, block: Block, now: Nanos) -> None:
         """One tick, of all frames of a block."""
         size = len(block.t_ns)
-        if size > self._room:
-            self._make_room(size)
+        if size > self._capacity:
+            self._reserve(size)
         done = lib.run_one(self.pointer, size, *block.addresses(), now)
         if not done:
             block = block.ordered()
@@ -190,8 +190,8 @@ class Gateway(Addressed):
             first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
             if self.translator is None and self.outbox.authenticator is None:
                 most = int(np.diff(ends[done:], prepend=first).max())
-                if most > self._room:
-                    self._make_room(most)
+                if most > self._capacity:
+                    self._reserve(most)
                 done += self._run(block.part(first, int(ends[-1])), ends[done:] - first, at)
                 out.append(self.outbox.block_of(self.sent[: self.pointer.sent_count]))
             else:
@@ -221,13 +221,13 @@ class Gateway(Addressed):
         if self.pointer.receiver.tick.emergencies:
             self.inbox.read_emergencies(block, first)
 
-    def _make_room(self, frames: int) -> None:
+    def _reserve(self, frames: int) -> None:
         """In the receiver, and for samples, for so many frames in a tick."""
         receiver = self.inbox.receiver
         if frames > receiver.rows:
-            receiver.make_room(2 * frames)
-        self.bank.make_room(len(receiver.room.drive))
-        self._room = receiver.rows
+            receiver.reserve(2 * frames)
+        self.bank.reserve(len(receiver.workspace.drive))
+        self._capacity = receiver.rows
 
     def leave_out(self, frames: int) -> None:
         """So many of a log were left out for the time of their stamps."""
@@ -240,10 +240,10 @@ class Gateway(Addressed):
 
     def _translated(self, translator: Translator, block: Block, now: Nanos) -> Block:
         """Frames of one tick as the core knows them; the load of the bus is that of the others."""
-        heard = block.ordered()
+        received = block.ordered()
         # Our own frames are counted as they go out; in a log they stand a second time.
-        self.load.add_block(heard, self.inbox.receiver, now)
-        taken = translator.take(heard, now, self.inbox.added)
+        self.load.add_block(received, self.inbox.receiver, now)
+        taken = translator.translate(received, now, self.inbox.added)
         self._note_rejected()
         return taken.ordered()
 
@@ -255,7 +255,7 @@ class Gateway(Addressed):
     @property
     def silent(self) -> bool:
         """Whether nothing is sent any more."""
-        return self.doubt.silent
+        return self.integrity.silent
 
     @property
     def view(self) -> GatewayView | None:
@@ -287,7 +287,7 @@ class Gateway(Addressed):
             return []
         unknown = unknown_status(len(self.nodes), self.adhesion.detector.code)
         unknown.train["state"] = GatewayState.SILENT
-        unknown.train["overrun"] = Flag.BAD if self.doubt.overrun else Flag.GOOD
+        unknown.train["overrun"] = Flag.BAD if self.integrity.overrun else Flag.GOOD
         self.outbox.restart(now)
         names = ("Gateway_Adhesion", "Gateway_Faults", "Gateway_Status")
         wanted = {self.outbox.specs[name].can_id for name in names} | {self.outbox.auth.can_id}
@@ -297,17 +297,17 @@ class Gateway(Addressed):
         """What the frames of a tick at `now` say of the frames so far."""
         counts = self.inbox.counts
         return Counted(
-            self.doubt.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
+            self.integrity.deadline_misses, sum(counts[c] for c in REJECTED), counts["lost"],
             self.load.percent(now), *self.outbox.timing,
         )  # fmt: skip
 
 
 def _thermal(
     config: Config, drives: Sequence[DriveInput], cells: calibration.Calibration | None
-) -> ThermalSide:
+) -> TemperatureMonitor:
     """What judges the motors' temperatures."""
     cycles = [d.channels["Temperatures"].period_ns for d in drives if "Temperatures" in d.channels]
-    return ThermalSide(
+    return TemperatureMonitor(
         len(drives), max(cycles, default=100 * MS), config.thermal.window_s, cells, config.nodes,
         [d.sensors for d in config.drive],
         model=config.thermal.method == "model", limit_k=config.thermal.limit_k,

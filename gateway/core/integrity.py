@@ -25,7 +25,7 @@ LOST_TICKS: Final = 5
 FOREVER: Final[Nanos] = (1 << 63) - 1
 
 
-class Doubt(Addressed):
+class IntegrityMonitor(Addressed):
     """Notes of the driver before a step, and what they come to in a tick.
 
     record (1,): `struct integrity`.
@@ -35,13 +35,13 @@ class Doubt(Addressed):
         self,
         tick_ns: Nanos,
         *,
-        told_apart: bool = False,
+        authenticated: bool = False,
         intruder_hold_ns: Nanos | None = None,
         stops: bool = False,
     ) -> None:
         """tick_ns: period of the loop.
 
-        told_apart: receivers can tell our frames from an intruder's, so ours are still good.
+        authenticated: receivers can tell our frames from an intruder's, so ours are still good.
         intruder_hold_ns: flags are unknown for so long after its last frame; None: until restart.
         stops: nothing is sent any more once there was one.
         """
@@ -50,7 +50,7 @@ class Doubt(Addressed):
         self.record["lost_hold_ns"] = LOST_TICKS * tick_ns
         hold = FOREVER if intruder_hold_ns is None else intruder_hold_ns
         self.record["intruder_hold_ns"] = hold
-        self.record["authenticated"], self.record["stop_on_intruder"] = told_apart, stops
+        self.record["authenticated"], self.record["stop_on_intruder"] = authenticated, stops
         for name in ("overrun_ns", "lost_ns", "intruder_ns"):
             self.record[name] = NEVER
         self.link()

@@ -13,7 +13,7 @@ static const int64_t HELD_NS = 200 * MS_NS;
  * one before that the currents accuse no drive: no loss is raised before the next reading. */
 struct misfit_rule {
     int64_t limit;
-    int64_t doubt_ns;
+    int64_t unreliable_ns;
 };
 
 static inline void set_implausible(struct plausibility *p, int64_t until_ns)
@@ -23,10 +23,10 @@ static inline void set_implausible(struct plausibility *p, int64_t until_ns)
     p->restart = 1;
 }
 
-static inline void set_doubt(struct rotor *rotor, int64_t until_ns)
+static inline void mark_unreliable(struct rotor *rotor, int64_t until_ns)
 {
-    if (until_ns > rotor->doubt_until_ns)
-        rotor->doubt_until_ns = until_ns;
+    if (until_ns > rotor->unreliable_until_ns)
+        rotor->unreliable_until_ns = until_ns;
 }
 
 /* Count a reading of drive k that does not fit (off), or does, in `misfits`: those in a row. */
@@ -37,7 +37,7 @@ static inline void count_misfit(struct motion_monitor *m, int64_t k, int64_t *mi
     if (*misfits >= rule->limit)
         set_implausible(&m->checks[k], now_ns + HELD_NS);
     else if (off)
-        set_doubt(&m->rotors[k], now_ns + rule->doubt_ns);
+        mark_unreliable(&m->rotors[k], now_ns + rule->unreliable_ns);
 }
 
 #endif

@@ -87,7 +87,7 @@ class MotionMonitor(Addressed):
         """Noise is that of the configuration, per unit of each motor's rated torque.
 
         current_step_a: resolution of the currents on the bus; rotors: `rotor` of every drive, whose
-        `doubt_until_ns` is set here.
+        `unreliable_until_ns` is set here.
         """
         n = len(motors)
         self.receiver, self.inputs, self.bank, self.rotors = receiver, inputs, bank, rotors

@@ -57,7 +57,7 @@ def drive_inputs(drives: int) -> Records:
     return found
 
 
-def room(rows: int) -> Samples:
+def workspace(rows: int) -> Samples:
     """Space for the samples of `rows` frames, eight each."""
     m = 8 * rows
     return Samples(

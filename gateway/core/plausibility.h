@@ -5,7 +5,7 @@
 #include "gateway/core/records.h"
 
 /* Check the samples and readings of a tick, after `follow_readings` and before `select_sources`: sets
- * `implausible_until_ns` of `checks`, and `doubt_until_ns` of `rotors`, until which the currents
+ * `implausible_until_ns` of `checks`, and `unreliable_until_ns` of `rotors`, until which the currents
  * accuse no drive. The speed of a Motion that stands still is not known any more (`inputs`). A filter
  * whose input was implausible starts anew. */
 void check_plausibility(struct motion_monitor *m, int64_t now_ns);

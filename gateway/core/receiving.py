@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dbc.codec import Codec
 from dbc.frame import Nanos
-from dbc.frames import ROOM
+from dbc.frames import MAX_DATA_BYTES
 from dbc.records import ID_ENTRY, RECEIVER, Addressed, Records
 from gateway.core import pairing
 from gateway.core.supervision import Supervision
@@ -75,21 +75,21 @@ class Receiver(Addressed):
         self.record = np.zeros(1, RECEIVER)
         self.record["max_gap_ns"] = max_gap_ns
         self.record["standard_ids"] = [ids.get(k, lib.ID_UNKNOWN) for k in range(lib.STANDARD_IDS)]
-        self.make_room(64)
+        self.reserve(64)
 
     @property
     def rows(self) -> int:
         """Frames of a tick that there is room for."""
         return len(self.scratch.t_ns)
 
-    def make_room(self, rows: int) -> None:
+    def reserve(self, rows: int) -> None:
         """For so many frames of a tick."""
-        self.room, self.readings = pairing.room(rows), pairing.readings(rows)
+        self.workspace, self.readings = pairing.workspace(rows), pairing.readings(rows)
         self.scratch = Scratch(
             channel=np.zeros(rows, dtype=np.int64),
             message=np.zeros(rows, dtype=np.int32),
             t_ns=np.zeros(rows, dtype=np.int64),
-            payload=np.zeros((rows, ROOM), dtype=np.uint8),
+            payload=np.zeros((rows, MAX_DATA_BYTES), dtype=np.uint8),
             value=np.zeros((rows, self.codec.width)),
             validity=np.zeros((rows, self.codec.width), dtype=np.uint8),
             seen=np.zeros(rows, dtype=np.int64),
@@ -99,7 +99,7 @@ class Receiver(Addressed):
 
     def link(self) -> None:
         """Addresses in the record, and columns of records."""
-        s, m, r = self.scratch, self.room, self.readings
+        s, m, r = self.scratch, self.workspace, self.readings
         arrays = {
             "channels": self.channels, "drives": self.drives, "ids": self.ids,
             "channel": s.channel, "message": s.message, "t_ns": s.t_ns, "payload": s.payload,

@@ -739,29 +739,29 @@ struct filter_settings {
 
 /* One rotor: its ratings, and what is remembered of it. */
 struct rotor {
-    double rated_nm;            /* rated torque */
-    double inertia_kg_m2;       /* of the rotor */
-    double speed;               /* of this tick */
-    double load;                /* of this tick, in the direction of the train */
-    double slow_speed;          /* smoothed, to find the acceleration */
-    double acceleration_torque; /* that accelerates the rotor with its train */
-    double diameter;            /* of the wheel over those of the others, as speeds */
-    double learnt_s;            /* for how long `diameter` has been learnt */
-    double creep;               /* speed over that of the others, minus 1 */
-    double followed_s;          /* for how long the filter has tracked */
-    double alone_s;             /* for how long all others have been away */
-    double near_s;              /* for how long it has been within the largest creep */
-    double slides_s;            /* for how long it has carried more than the others while apart */
-    double uncommanded_s;       /* for how long it has carried what it was not asked for */
-    double odd_s;               /* for how long its command has been odd */
-    int64_t doubt_until_ns;     /* until then its currents accuse nobody; NO_TIME: not in doubt */
-    int32_t motor;              /* rotors with the same number have the same ratings */
-    uint8_t far;                /* 1: too far from the others, the diameter not being known */
-    uint8_t apart;              /* 1: too far from the others when that was last known */
-    uint8_t away;               /* 1: ran away from the others by its effort, and is not back yet */
-    uint8_t uncertain;          /* 1: it may be running away, or braked by something else */
-    uint8_t odd;                /* 1: its command has been odd for too long */
-    uint8_t above;              /* 1: carries more than its command and than the others */
+    double rated_nm;             /* rated torque */
+    double inertia_kg_m2;        /* of the rotor */
+    double speed;                /* of this tick */
+    double load;                 /* of this tick, in the direction of the train */
+    double slow_speed;           /* smoothed, to find the acceleration */
+    double acceleration_torque;  /* that accelerates the rotor with its train */
+    double diameter;             /* of the wheel over those of the others, as speeds */
+    double learnt_s;             /* for how long `diameter` has been learnt */
+    double creep;                /* speed over that of the others, minus 1 */
+    double followed_s;           /* for how long the filter has tracked */
+    double alone_s;              /* for how long all others have been away */
+    double near_s;               /* for how long it has been within the largest creep */
+    double slides_s;             /* for how long it has carried more than the others while apart */
+    double uncommanded_s;        /* for how long it has carried what it was not asked for */
+    double odd_s;                /* for how long its command has been odd */
+    int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: not in doubt */
+    int32_t motor;               /* rotors with the same number have the same ratings */
+    uint8_t far;                 /* 1: too far from the others, the diameter not being known */
+    uint8_t apart;               /* 1: too far from the others when that was last known */
+    uint8_t away;      /* 1: ran away from the others by its effort, and is not back yet */
+    uint8_t uncertain; /* 1: it may be running away, or braked by something else */
+    uint8_t odd;       /* 1: its command has been odd for too long */
+    uint8_t above;     /* 1: carries more than its command and than the others */
 };
 
 /* What the stations before have found of one drive in this tick. */
@@ -996,7 +996,7 @@ struct receiver {
 
 /* ---- sent messages, and the load of the bus (gateway/core/transmit.c, busload.c) */
 
-#define MAX_DATA_BYTES 256 /* numbers of data bytes that a frame's length can say */
+#define DATA_LENGTHS 256 /* numbers of data bytes that a frame's length can say */
 
 /* Where the value of a sent signal comes from. */
 enum tx_source {
@@ -1095,11 +1095,11 @@ struct transmitter {
 
 /* Share of the bus in use, worst-case stuffing, over the last full second. */
 struct bus_load {
-    double classic_s[MAX_DATA_BYTES]; /* s, of a classic frame by its number of data bytes */
-    double fd_s[MAX_DATA_BYTES];      /* s, of a CAN FD frame */
-    int64_t since_ns;                 /* start of the window */
-    double busy_s;                    /* s, frames of the window */
-    double percent;                   /* of the last window; NaN: none yet */
+    double classic_s[DATA_LENGTHS]; /* s, of a classic frame by its number of data bytes */
+    double fd_s[DATA_LENGTHS];      /* s, of a CAN FD frame */
+    int64_t since_ns;               /* start of the window */
+    double busy_s;                  /* s, frames of the window */
+    double percent;                 /* of the last window; NaN: none yet */
 };
 
 /* ---- degradation, and a train's thermal monitor (estimators/thermal/trend.c, monitor.c) */
@@ -1622,7 +1622,7 @@ struct gateway {
     uint8_t detects;       /* 1: the detector is the core's own */
     /* result of a run */
     struct tx_frame *sent; /* frames of its ticks */
-    int64_t sent_room;     /* how many there is room for: at least those of a tick */
+    int64_t sent_capacity; /* how many there is room for: at least those of a tick */
     int64_t sent_count;
     double *peak; /* (drive_count) largest probability of loss; NaN: none */
     /* state */
@@ -1676,9 +1676,9 @@ struct lumped_model {
 
 /* How the filter is run. */
 struct lumped_tuning {
-    double step_s; /* s, length of a step of the inputs */
-    double walk;   /* variance by which the logarithms of gain and loss walk per sample */
-    double doubt;  /* standard deviation of these logarithms at the start */
+    double step_s;      /* s, length of a step of the inputs */
+    double walk;        /* variance by which the logarithms of gain and loss walk per sample */
+    double prior_sigma; /* standard deviation of these logarithms at the start */
 };
 
 /* ---- Losses of adhesion by a model with a memory (estimators/detect/switching.c) ------------- */

@@ -79,8 +79,8 @@ static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in
     const double off = fabs(measured - in->speed_rad_s);
     if (off > SPEEDS_APART * fabs(measured) + SPEEDS_APART_RAD_S)
         return NAN;
-    const int in_doubt = r->followed_s < FOLLOWED_S || now_ns < r->doubt_until_ns;
-    const int guess = in_doubt && off > LEARN_CREEP * fabs(measured);
+    const int unreliable = r->followed_s < FOLLOWED_S || now_ns < r->unreliable_until_ns;
+    const int guess = unreliable && off > LEARN_CREEP * fabs(measured);
     return guess ? measured : in->speed_rad_s;
 }
 

@@ -109,7 +109,7 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
         double p = verdict(a, k, all, bad, &r->uncertain);
         a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
         /* Nor is a drive lost that carries more than it is asked to. */
-        if ((now_ns < r->doubt_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {
+        if ((now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {
             p = UNDECIDED;
             r->uncertain = 1;
         }

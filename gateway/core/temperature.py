@@ -38,7 +38,7 @@ STEP_MARGIN: Final = 3.0
 SMALLEST_STEP_K: Final = 2.0
 
 
-class SensorSide:
+class SensorMonitor:
     """State of all drives' sensors; `take` per reading, `fault` and `verdict` when asked."""
 
     def __init__(
@@ -72,7 +72,7 @@ class SensorSide:
     def _drive(self, drive: int) -> Any:
         return pointer("struct temperature_drive", self.drives) + drive
 
-    def take(self, reading: Temperatures) -> None:
+    def add_reading(self, reading: Temperatures) -> None:
         """Accept one reading of one drive."""
         drive, configured = self._drive(reading.drive), self.configured[reading.drive]
         lib.temperature_add_reading(drive, reading.t_ns)

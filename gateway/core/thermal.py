@@ -31,7 +31,7 @@ from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.core.inputs import NONE, Places
 from gateway.core.receiving import Receiver
-from gateway.core.temperature import SensorSide
+from gateway.core.temperature import SensorMonitor
 from gateway.core.thermal_model_monitor import SAMPLE_NS, Sample, Wear
 from gateway.settings.calibration import POINTS, Calibration
 from gateway.settings.config import ConfigError
@@ -76,7 +76,7 @@ class Window(NamedTuple):
     number: NDArray[np.int64]
 
 
-class ThermalSide(Addressed):
+class TemperatureMonitor(Addressed):
     """All motors' temperatures (`struct temperature_monitor`)."""
 
     def __init__(
@@ -100,7 +100,7 @@ class ThermalSide(Addressed):
         self.limit_k = limit_k
         by_node = {m.node: m for m in calibration.motor} if calibration else {}
         cells = [by_node.get(n) for n in nodes]
-        self.sensors = SensorSide(motors, period_ns, cells, sensors)
+        self.sensors = SensorMonitor(motors, period_ns, cells, sensors)
         every = max(round(SAMPLE_NS / period_ns), 1)
         self.dt_s = every * period_ns / SECOND
         """From one second to the next."""
@@ -159,7 +159,7 @@ class ThermalSide(Addressed):
     def learning(self, wanted: bool) -> None:
         self.record["sum_seconds"] = wanted or self.model is not None
 
-    def take(
+    def add_readings(
         self, readings: Sequence[Temperatures], now: Nanos, beside: Receiver | None = None
     ) -> None:
         """One tick of readings that came in no frame: a recording's; nothing is reported.
@@ -167,7 +167,7 @@ class ThermalSide(Addressed):
         beside: what else the drives have sent, for the thermal model.
         """
         for reading in readings:
-            self.sensors.take(reading)
+            self.sensors.add_reading(reading)
             celsius, valid = reading.celsius[AMBIENT], reading.valid[AMBIENT]
             self.motors["ambient_c"][reading.drive] = celsius if valid else math.nan
         receiver = ffi.NULL if beside is None else beside.pointer
@@ -199,8 +199,8 @@ class ThermalSide(Addressed):
         """What is known of each motor's degradation, while its temperatures are fresh."""
         fresh = self.motors["fresh"].tolist()
         return [
-            self._wear(k) if self.model is not None and heard else Wear()
-            for k, heard in enumerate(fresh)
+            self._wear(k) if self.model is not None and current else Wear()
+            for k, current in enumerate(fresh)
         ]
 
     def _wear(self, k: int) -> Wear:
@@ -213,9 +213,9 @@ class ThermalSide(Addressed):
         self.motors["age_limit_ns"][drive] = limit_ns
         out = np.zeros(1, FLAG_INPUTS)
         lib.report_motor(self.pointer, drive, now, pointer("struct flag_inputs", out))
-        return self.told(drive, out[0])
+        return self.to_report(drive, out[0])
 
-    def told(self, drive: int, found: Any) -> Report:
+    def to_report(self, drive: int, found: Any) -> Report:
         """One motor's `flag_inputs` in words."""
         mixed, largest = (float(found[name]) for name in ("mixed_c", "maisd_k"))
         return Report(

@@ -136,7 +136,7 @@ int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t
     g->sent_count = 0;
     for (int32_t k = 0; k < g->drive_count; k++)
         g->peak[k] = NAN;
-    while (done < ticks && g->sent_count + g->transmitter->message_count <= g->sent_room) {
+    while (done < ticks && g->sent_count + g->transmitter->message_count <= g->sent_capacity) {
         const struct frame_range rows = {first, ends[done] - first};
         if (!tick(g, frames, rows, now_ns + done * g->period_ns))
             break;

@@ -149,7 +149,7 @@ void train_reset(struct rotor *rotors, int n)
             .slow_speed = NAN,
             .creep = NAN,
             .diameter = 1.0,
-            .doubt_until_ns = NO_TIME,
+            .unreliable_until_ns = NO_TIME,
         };
 }
 

@@ -19,7 +19,7 @@ from dbc.codec import Codec, MessageSpec
 from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
-from dbc.frames import ROOM, Block, blank, block_of
+from dbc.frames import MAX_DATA_BYTES, Block, blank, block_of
 from dbc.records import TRANSMITTER, TX_FRAME, TX_MESSAGE, TX_SIGNAL, Addressed, Records
 from gateway.core.flags import Status
 from gateway.core.tx_signals import OF_A_DRIVE, OF_THE_SET
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 VOUCHED: Final = ("Gateway_Adhesion", "Gateway_Faults")
 """What `Gateway_Auth` follows, where flags are authenticated."""
-_SENT: Final = Struct(f"=qi{ROOM}s{TX_FRAME.itemsize - calcsize(f'=qi{ROOM}s')}x")
+_SENT: Final = Struct(
+    f"=qi{MAX_DATA_BYTES}s{TX_FRAME.itemsize - calcsize(f'=qi{MAX_DATA_BYTES}s')}x"
+)
 """A `tx_frame`: stamp, message, data."""
 _frame: Final = partial(tuple.__new__, Frame)
 CHANGING: Final = "Gateway_Faults"

@@ -157,8 +157,8 @@ def _interrupted(error: BaseException | None) -> bool:
 def _prepare(client: Client, settings: Settings) -> None:
     """Get all workers ready at once; ConfigError with what is wrong with any of them."""
     # Of a worker that dies meanwhile there is an error: the next one gets ready at its first log.
-    said: dict[str, object] = client.run(ready, settings, on_error="return")
-    problems = [text for text in said.values() if isinstance(text, str) and text]
+    results: dict[str, object] = client.run(ready, settings, on_error="return")
+    problems = [text for text in results.values() if isinstance(text, str) and text]
     if problems:
         raise ConfigError("fleet", list(dict.fromkeys(problems)))
 

@@ -119,9 +119,9 @@ class Estimates:
             before = now if first else self.next_ns
             self.next_ns = before + EVERY_NS * (1 + (now - before) // EVERY_NS)
         if due or gateway.changed:
-            self._take(now, gateway, due=due)
+            self._store(now, gateway, due=due)
 
-    def _take(self, now: Nanos, gateway: Gateway, *, due: bool) -> None:
+    def _store(self, now: Nanos, gateway: Gateway, *, due: bool) -> None:
         """The rows of a tick: of every drive, or of those of which a flag changed."""
         drives, at = gateway.status.drives, self._at
         flags = drives["flag"]["state"].T[_ORDER]

@@ -125,10 +125,10 @@ def fingerprint(path: Path, settings: Settings) -> dict[str, str]:
 
 def done_before(one: Job, settings: Settings) -> Row | None:
     """The row of a log that is done and has not changed since, else None."""
-    said = metadata_of(settings.folder / FOLDER / one.name)
+    metadata = metadata_of(settings.folder / FOLDER / one.name)
     try:
-        same = bool(said) and fingerprint(one.path, settings).items() <= said.items()
-        return Row.of_json(said["row"]) if same else None
+        same = bool(metadata) and fingerprint(one.path, settings).items() <= metadata.items()
+        return Row.of_json(metadata["row"]) if same else None
     except (OSError, KeyError, ValueError, TypeError):
         return None
 

@@ -86,10 +86,10 @@ def measure(folder: Path, *, force: bool) -> Measured:
     force: take them although flags were raised, which says that those were false.
     """
     table = folder / TABLE
-    said = metadata_of(table)
-    if "config" not in said:
+    metadata = metadata_of(table)
+    if "config" not in metadata:
         raise ConfigError(str(table), ["no results of a fleet; make them with 'fleet'"])
-    config = Config.model_validate_json(said["config"])
+    config = Config.model_validate_json(metadata["config"])
     rows = pq.read_table(table).to_pylist()
     done = [row for row in rows if row["status"] == DONE]
     problems = [
@@ -120,7 +120,7 @@ def measure(folder: Path, *, force: bool) -> Measured:
     drives = {node: tally.seen() for node, tally in tallies.items()}
     return Measured(
         drives, fleet.seen(), spread, len(done), len(rows) - len(done), config.adhesion,
-        said.get("settings", ""),
+        metadata.get("settings", ""),
     )  # fmt: skip
 
 

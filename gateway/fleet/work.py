@@ -77,6 +77,6 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
             took_s=round(time.perf_counter() - began, 3),
         )  # fmt: skip
         row = row._replace(warning="; ".join(filter(None, (row.warning, row.dropped))) or None)
-        said = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}
-        estimates.finish({**said, **mark})
+        metadata = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}
+        estimates.finish({**metadata, **mark})
     return row

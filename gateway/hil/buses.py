@@ -101,7 +101,7 @@ def run_on_real_bus(
         msg = f"the simulated drives' process ended early, with exit code {child.returncode}"
         raise ChildProcessError(msg)
     if left is not None:
-        left.take_timing(seen, ticker.period_ns)
+        left.set_timing(seen, ticker.period_ns)
         left.read_truth(left.folder / TRUTH)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)

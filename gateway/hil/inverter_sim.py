@@ -40,7 +40,7 @@ class Inverter:
             4,
         )
 
-    def take(self, kind: str, values: Mapping[str, float], t_ns: Nanos) -> Iterator[Frame]:
+    def convert(self, kind: str, values: Mapping[str, float], t_ns: Nanos) -> Iterator[Frame]:
         """Frames of theirs that are due with this frame of ours of that kind, at t_ns."""
         k = self._known
         k.update(values)
@@ -94,7 +94,7 @@ class Inverters:
         self._inverters = {plan.node: Inverter(plan) for plan in planned}
         self._ours = ours
 
-    def take(self, frames: Iterable[Frame]) -> list[Frame]:
+    def convert(self, frames: Iterable[Frame]) -> list[Frame]:
         """Frames of simulated drives as the mapped ones send them, those of others as they are."""
         out: list[Frame] = []
         for frame in frames:
@@ -104,5 +104,5 @@ class Inverters:
                 continue
             read = self._ours.decode(spec, frame.data)
             good = {name: float(r.value) for name, r in read.items() if r.validity == VALID}
-            out += self._inverters[spec.node].take(spec.kind, good, frame.t_ns)
+            out += self._inverters[spec.node].convert(spec.kind, good, frame.t_ns)
         return out

@@ -222,7 +222,7 @@ class _Stream:
             for frame in frames:
                 by_node[_sender(self._codec, frame)].append(frame)
             for n, inverters in zip(self.nodes, self._inverters, strict=False):
-                by_node[n] = inverters.take(by_node[n])
+                by_node[n] = inverters.convert(by_node[n])
             self._chunks.append(by_node)
         return self._chunks[k][node]
 

@@ -15,7 +15,7 @@ from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
 from dbc.frame import Nanos
-from dbc.frames import ROOM, Block
+from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.records import SOCKET_MESSAGE, SOCKET_VECTOR, pointer
 from gateway.io.wire import FD_SIZE
 
@@ -31,20 +31,20 @@ class Batch:
     data, control and what is seen of the headers (control_sizes, sizes, flags) the kernel fills.
     """
 
-    def __init__(self, room: int) -> None:
+    def __init__(self, capacity: int) -> None:
         """room: messages."""
-        self.room = room
+        self.capacity = capacity
         self.filled = 0
         self._counts: Any = ffi.new("struct socket_counts *")
         self._clock: Any = ffi.new("struct socket_clock *")
         self._rows: Any = ffi.new("struct frame_columns *")
-        self.data = np.zeros((room, FD_SIZE), dtype=np.uint8)
-        self.control = np.zeros((room, CONTROL_SIZE), dtype=np.uint8)
-        steps = np.arange(room, dtype=np.uint64)
-        self._vectors = np.zeros(room, dtype=SOCKET_VECTOR)
+        self.data = np.zeros((capacity, FD_SIZE), dtype=np.uint8)
+        self.control = np.zeros((capacity, CONTROL_SIZE), dtype=np.uint8)
+        steps = np.arange(capacity, dtype=np.uint64)
+        self._vectors = np.zeros(capacity, dtype=SOCKET_VECTOR)
         self._vectors["frame"] = self.data.ctypes.data + FD_SIZE * steps
         self._vectors["bytes"] = FD_SIZE
-        self._messages = np.zeros(room, dtype=SOCKET_MESSAGE)
+        self._messages = np.zeros(capacity, dtype=SOCKET_MESSAGE)
         head = self._messages["head"]
         head["vector"] = self._vectors.ctypes.data + SOCKET_VECTOR.itemsize * steps
         head["vectors"] = 1
@@ -64,7 +64,7 @@ class Batch:
     @property
     def full(self) -> bool:
         """Nothing more can be read before `take`."""
-        return self.filled == self.room
+        return self.filled == self.capacity
 
     def begin(self) -> None:
         """A new socket: its drop counter starts at 0."""
@@ -76,7 +76,7 @@ class Batch:
         True if there is room left: nothing waits any more, or there was an error, which the kernel
         then keeps (`SO_ERROR`).
         """
-        wanted = self.room - self.filled
+        wanted = self.capacity - self.filled
         at = self._first + self.filled * SOCKET_MESSAGE.itemsize
         count = self._call(descriptor, at, wanted, _DONTWAIT, None)
         if count < 0:
@@ -85,7 +85,7 @@ class Batch:
         self.filled += count
         return bool(count < wanted)
 
-    def take(
+    def to_block(
         self, real_ns: Nanos, now_ns: Nanos, bound_ns: Nanos, name: str
     ) -> tuple[Block, int, int, int]:
         """What was read, as frames of interface `name`, and room for more.
@@ -97,7 +97,7 @@ class Batch:
         n, counts, clock, rows = self.filled, self._counts, self._clock, self._rows
         block = Block(
             np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.uint8),
-            np.empty(n, np.uint8), np.empty((n, ROOM), np.uint8), np.empty(n, np.int8),
+            np.empty(n, np.uint8), np.empty((n, MAX_DATA_BYTES), np.uint8), np.empty(n, np.int8),
             np.empty(n, np.uint16), [name],
         )  # fmt: skip
         clock.real_ns, clock.now_ns, clock.max_age_ns = real_ns, now_ns, bound_ns

@@ -83,7 +83,7 @@ class CanopenNode:
         self._waiting: dict[int, Nanos] = {}  # pre-operational drive -> when to tell it (again)
         self.another_master = False
         """True for good once an NMT command was heard: from then on we send none."""
-        self.nmt_heard = 0
+        self.nmt_received = 0
         self.starts_sent = 0
         self.starts_refused = 0
         """Starts that were due but not sent because there is another master."""
@@ -115,7 +115,7 @@ class CanopenNode:
         if frame.flags & (EXTENDED | REMOTE | ERROR):
             return
         if frame.can_id == NMT_ID:
-            self.nmt_heard += 1
+            self.nmt_received += 1
             if self._master and not self.another_master:
                 log.warning(
                     "another NMT master on the bus (%s): no drive will be started from here",

@@ -88,10 +88,10 @@ def link(channel: str, bitrate: int = 0, data_bitrate: int = 0) -> list[Finding]
         return [Finding(name, "not there",
                         f"ip link add {channel} type vcan && ip link set {channel} up, "
                         "or plug it in")]  # fmt: skip
-    return told(channel, found, bitrate, data_bitrate)
+    return link_findings(channel, found, bitrate, data_bitrate)
 
 
-def told(channel: str, found: Facts, bitrate: int, data_bitrate: int) -> list[Finding]:
+def link_findings(channel: str, found: Facts, bitrate: int, data_bitrate: int) -> list[Finding]:
     """The same of what is known of a link."""
     name = f"link {channel}"
     state = "up" if found.up else "down"

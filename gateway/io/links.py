@@ -82,7 +82,7 @@ def facts(answer: bytes) -> Facts | None:
     kind = linked.get_attr("IFLA_INFO_KIND") if linked is not None else None
     data = linked.get_attr("IFLA_INFO_DATA") if kind == "can" else None
 
-    def said(name: str, part: str = "") -> int:
+    def attribute(name: str, part: str = "") -> int:
         value = data.get_attr(name) if data is not None else None
         return int(value[part] if part else value) if value is not None else 0
 
@@ -92,9 +92,9 @@ def facts(answer: bytes) -> Facts | None:
         bool(message["flags"] & _LOWER_UP),
         kind or "",
         None if data is None else _STATES.get(str(data.get_attr("IFLA_CAN_STATE"))),
-        said("IFLA_CAN_RESTART_MS"),
-        said("IFLA_CAN_BITTIMING", "bitrate"),
-        said("IFLA_CAN_DATA_BITTIMING", "bitrate"),
+        attribute("IFLA_CAN_RESTART_MS"),
+        attribute("IFLA_CAN_BITTIMING", "bitrate"),
+        attribute("IFLA_CAN_DATA_BITTIMING", "bitrate"),
         int(message.get_attr("IFLA_TXQLEN") or 0),
     )
 
@@ -119,14 +119,14 @@ def advice(channel: str, found: Facts, bitrate: int = 0, data_bitrate: int = 0) 
             f"{channel}: {found.queue} frames of others may wait before ours (txqueuelen); "
             f"ip link set {channel} txqueuelen 10"
         )
-    for what, told, real in (
+    for what, expected, real in (
         ("bitrate", bitrate, found.bitrate),
         ("dbitrate", data_bitrate, found.data_bitrate),
     ):
-        if told and real and told != real:
+        if expected and real and expected != real:
             lines.append(
-                f"{channel}: {what} is {real}, the gateway was told {told}; "
-                f"{setting} {what} {told}; ip link set {channel} up"
+                f"{channel}: {what} is {real}, the gateway was told {expected}; "
+                f"{setting} {what} {expected}; ip link set {channel} up"
             )
     return lines
 
@@ -143,7 +143,7 @@ class Links:
     ) -> None:
         """Nothing is asked before `start`. bitrate, data_bitrate: see `advice`."""
         self._channel = channel
-        self._told = (bitrate, data_bitrate)
+        self._bit_rates = (bitrate, data_bitrate)
         self._question = question(channel)
         self._clock = clock
         self._wake = threading.Event()
@@ -185,7 +185,7 @@ class Links:
         """What to change of the link as it was found, if that has not just been said."""
         if self._facts is None:
             return []
-        before, self._advice = self._advice, advice(self._channel, self._facts, *self._told)
+        before, self._advice = self._advice, advice(self._channel, self._facts, *self._bit_rates)
         return [] if self._advice == before else self._advice
 
     def close(self) -> None:

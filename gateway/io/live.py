@@ -18,7 +18,7 @@ from typing import Protocol
 
 from dbc.frame import Frame, Nanos
 from dbc.frames import Block
-from gateway.core.integrity import Doubt
+from gateway.core.integrity import IntegrityMonitor
 from gateway.io.canopen_node import CanopenNode, meant
 from gateway.io.endings import Ended
 from gateway.io.realtime import Ticker
@@ -53,7 +53,7 @@ class Core(Protocol):
         """One tick."""
 
     @property
-    def doubt(self) -> Doubt:
+    def integrity(self) -> IntegrityMonitor:
         """Takes notes before a step: ticks that were missed, frames that were lost."""
 
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int, /) -> None:
@@ -154,9 +154,9 @@ def _loop(
     errors: Callable[[], Collection[int]],
     on_tick: Callable[[LiveSnapshot], None] | None,
 ) -> LiveSnapshot:
-    clock, doubt, status = ticker.clock, gateway.doubt, transport.status
+    clock, integrity, status = ticker.clock, gateway.integrity, transport.status
     # Who only listens hears the gateway that it is not.
-    doubt.watching = not (status.hears_itself or status.silent)
+    integrity.watching = not (status.hears_itself or status.silent)
     drops = status.kernel_drops
     timing = Timing(ticker.lateness)
     seen = LiveSnapshot(transport.status, timing)
@@ -166,21 +166,21 @@ def _loop(
     while not stop.requested:
         tick = ticker.wait()
         if tick.missed:
-            doubt.note_overrun(tick.missed)
+            integrity.note_overrun(tick.missed)
         if tick.number >= report:
             report = tick.number + TIMING_TICKS
             gateway.note_timing(
                 timing.latency.quantile(0.99) // 1000, timing.lateness.quantile(0.99) // 1000
             )
-        block = transport.take(0.0)
+        block = transport.receive_block(0.0)
         if status.kernel_drops != drops:
-            doubt.note_lost(status.kernel_drops - drops)
+            integrity.note_lost(status.kernel_drops - drops)
             drops = status.kernel_drops
         now = clock()
-        alone = not doubt.intruder
+        alone = not integrity.intruder
         out = gateway.step(block, now)
         stepped = clock()
-        if alone and doubt.intruder:
+        if alone and integrity.intruder:
             log.error("%s", INTRUDER)
         node.set_errors(errors())
         oldest = now + OLDEST * ticker.period_ns

@@ -69,7 +69,7 @@ class LogTime:
         self._shift_ns: Nanos = 0
         self._waiting = EMPTY
         self._ahead: deque[tuple[Nanos, Nanos]] = deque()
-        self._told_ns: Nanos = 0
+        self._current_shift_ns: Nanos = 0
 
     @property
     def last_ns(self) -> Nanos:
@@ -79,19 +79,19 @@ class LogTime:
     def shift_ns(self, now: Nanos) -> Nanos:
         """What a time as blocks have it is more than the log's own. `now` must not go back."""
         while self._ahead and self._ahead[0][0] <= now:
-            self._told_ns = self._ahead.popleft()[1]
-        return self._told_ns
+            self._current_shift_ns = self._ahead.popleft()[1]
+        return self._current_shift_ns
 
     def steady(self, blocks: Iterable[Block]) -> Iterator[Steady]:
         """All frames that count, block by block."""
         for block in blocks:
             self.frames += block.size
             if block.size:
-                yield self._take(block)
+                yield self._to_steady(block)
         if self._waiting.size:
             yield self._end()
 
-    def _take(self, block: Block) -> Steady:
+    def _to_steady(self, block: Block) -> Steady:
         if not self._waiting.size:
             steps = np.diff(block.t_ns, prepend=self._latest_ns)
             near = bool(((steps >= 0) & (steps <= NEAR_NS)).all())

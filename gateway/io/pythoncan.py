@@ -95,7 +95,7 @@ class PythonCan:
                 return frames
             time.sleep(_PAUSE_S)
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         """See Transport."""
         return block_of(self.receive(timeout_s))
 

@@ -26,7 +26,7 @@ from gateway.io.logtime import HOLE_NS, LogTime
 
 MOST_TICKS = 4096
 """Asked for at once."""
-TOLD = 60
+REPORTED = 60
 """Characters of a line that is none."""
 
 Array = NDArray[np.float64]
@@ -150,14 +150,14 @@ def replay(
         out = gateway.step(frames, now)
         ticks += 1
         if isinstance(sink, Briefly):
-            tell(sink, [block_of(out)], now, gateway.status.drives["loss_probability"])
+            publish_frames(sink, [block_of(out)], now, gateway.status.drives["loss_probability"])
         else:
             shift = clock.shift_ns(now)
             if shift:
                 out = [frame._replace(t_ns=frame.t_ns - shift) for frame in out]
             sink(now, out, gateway)
 
-    def tell(sink: Briefly, out: Iterable[Block], last_ns: Nanos, peak: Array) -> None:
+    def publish_frames(sink: Briefly, out: Iterable[Block], last_ns: Nanos, peak: Array) -> None:
         shift = clock.shift_ns(last_ns)
         for frames in out:
             sink.write(frames._replace(t_ns=frames.t_ns - shift) if shift else frames)
@@ -180,7 +180,7 @@ def replay(
             nows = now + period_ns * np.arange(count)
             ends = np.searchsorted(block.t_ns[done:], nows, "right")
             stepped, out = gateway.run(block.part(done, block.size), ends, now)
-            tell(sink, out, now + (stepped - 1) * period_ns, gateway.peak)
+            publish_frames(sink, out, now + (stepped - 1) * period_ns, gateway.peak)
             now += stepped * period_ns
             ticks += stepped
             done += ends.item(stepped - 1)
@@ -257,7 +257,7 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
         what = "" if candump else "cannot be read: "
         msg = (
             f"{path}: {what}not one of its {reader.lines} {reader.unit} is a {name}; "
-            f"line {line}: {verdict.name.lower()}: {text[:TOLD]}"
+            f"line {line}: {verdict.name.lower()}: {text[:REPORTED]}"
         )
         if is_screen_form(text):
             msg += (

@@ -58,9 +58,9 @@ def statement(seals: Mapping[str, str]) -> bytes:
 def sign(path: Path, config: Config, key: Path) -> tuple[str, dict[str, str]]:
     """(text of the signature file, what it vouches for). Raises ConfigError for the key."""
     seals = digests(path, config)
-    said = statement(seals)
-    signature = base64.b64encode(_private_key(key).sign(said)).decode("ascii")
-    return f"{said.decode('ascii')}signature {signature}\n", seals
+    signed = statement(seals)
+    signature = base64.b64encode(_private_key(key).sign(signed)).decode("ascii")
+    return f"{signed.decode('ascii')}signature {signature}\n", seals
 
 
 def verified(signature: Path, public_key: Path) -> dict[str, str]:
@@ -75,15 +75,15 @@ def verified(signature: Path, public_key: Path) -> dict[str, str]:
     except OSError as error:
         problem = f"no signature: {error.strerror}; make one with 'traction-gateway sign'"
         raise ConfigError(str(signature), [problem]) from None
-    said, _, last = content.rpartition(b"signature ")
-    seals = dict(line.partition(" ")[::2] for line in said.decode("latin-1").splitlines()[1:])
+    signed, _, last = content.rpartition(b"signature ")
+    seals = dict(line.partition(" ")[::2] for line in signed.decode("latin-1").splitlines()[1:])
     try:
         raw = base64.b64decode(last, validate=False)
-        if set(seals) != set(ROLES) or statement(seals) != said:
+        if set(seals) != set(ROLES) or statement(seals) != signed:
             raise ConfigError(str(signature), ["is not a signature of a configuration"])
         if base64.b64encode(raw) + b"\n" != last:
             raise ConfigError(str(signature), ["is not a signature of a configuration"])
-        key.verify(raw, said)
+        key.verify(raw, signed)
     except (InvalidSignature, binascii.Error, UnicodeEncodeError):
         problem = f"the signature is not of {public_key}, or what it vouches for was changed"
         raise ConfigError(str(signature), [problem]) from None

@@ -70,7 +70,7 @@ class SocketCan:
         self._newest = newest
         self._links = links
         self._held = 0  # reads in a row with frames of ours still waiting
-        self._told_ns: Nanos = 0  # when something last told the bus state
+        self._state_ns: Nanos = 0  # when something last told the bus state
         self._kernel = kernel or Kernel()
         self._raw: RawSocket | None = None
         self._ifindex = 0
@@ -107,9 +107,9 @@ class SocketCan:
 
     def receive(self, timeout_s: float) -> list[Frame]:
         """See Transport."""
-        return list(self.take(timeout_s).frames())
+        return list(self.receive_block(timeout_s).frames())
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         """See Transport."""
         now = self._kernel.monotonic_ns()
         self._tend(now)
@@ -187,7 +187,7 @@ class SocketCan:
         self._batch.begin()
         self._empty_ns = self._look_ns = now
         self._held = 0
-        self._told_ns = now
+        self._state_ns = now
         self.status.bus_state = BusState.ACTIVE
         self.status.reopened += self._opened
         self._opened = True
@@ -241,7 +241,7 @@ class SocketCan:
             log.warning("%s", line)
         if (
             found.state is not None
-            and asked > self._told_ns
+            and asked > self._state_ns
             and found.state is not (before := self.status.bus_state)
         ):
             self.status.bus_state = found.state
@@ -265,7 +265,7 @@ class SocketCan:
             self._links.hurry()
         self.status.state = LinkState.DOWN
         self.status.bus_state = BusState.ACTIVE  # down and up restarts the controller
-        self._told_ns = self._kernel.monotonic_ns()
+        self._state_ns = self._kernel.monotonic_ns()
         self.status.note = f"{self.channel} is down"
 
     def _lose(self, note: str) -> None:
@@ -306,17 +306,17 @@ class SocketCan:
         bound = now - self._empty_ns
         if emptied:
             self._empty_ns = now
-        block, malformed, errors, dropped = batch.take(real, now, bound, self.channel)
+        block, malformed, errors, dropped = batch.to_block(real, now, bound, self.channel)
         status.malformed += malformed
         status.kernel_drops += dropped
         if errors or status.bus_state is BusState.BUS_OFF:
             before_all = status.bus_state
             for frame in block.frames():
                 before = status.bus_state
-                status.saw(frame, heard=self._links is None)
+                status.saw(frame, from_wire=self._links is None)
                 self._moved(before, now)
             if errors or status.bus_state is not before_all:
-                self._told_ns = now
+                self._state_ns = now
             if self._links is not None:
                 self._links.hurry()
         else:

@@ -98,16 +98,16 @@ class Status:
                 self.tx_failed += 1
         return result
 
-    def saw(self, frame: Frame, *, heard: bool = True) -> None:
+    def saw(self, frame: Frame, *, from_wire: bool = True) -> None:
         """Count a received frame; error frames move `bus_state`.
 
-        heard: data proves that we are not off, where nothing else would tell.
+        from_wire: data proves that we are not off, where nothing else would tell.
         """
         self.received += 1
         if frame.flags & ERROR:
             self.error_frames += 1
             self.bus_state = bus_state(frame, self.bus_state)
-        elif heard and self.bus_state is BusState.BUS_OFF:
+        elif from_wire and self.bus_state is BusState.BUS_OFF:
             self.bus_state = BusState.ACTIVE
 
 
@@ -128,7 +128,7 @@ class Transport(Protocol):
         `t_ns` is the time of reception on CLOCK_MONOTONIC, never later than now.
         """
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         """The same, as arrays: what the core's loop reads."""
 
     def send(self, frame: Frame) -> SendResult:
@@ -241,9 +241,9 @@ class Guarded:
         """See Transport."""
         return self._inner.receive(timeout_s)
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         """See Transport."""
-        return self._inner.take(timeout_s)
+        return self._inner.receive_block(timeout_s)
 
     def send(self, frame: Frame) -> SendResult:
         """Send if allowed, else REFUSED."""

@@ -131,7 +131,7 @@ def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]
 
 
 def _readable(blocks: Iterable[Block]) -> Iterator[Block]:
-    """What can be read; the fault is met again, and said, when the file is converted."""
+    """What can be read; the fault is met again, and told, when the file is converted."""
     try:
         yield from blocks
     except LogError:
@@ -142,12 +142,12 @@ def comments_of(codec: Codec) -> dict[str, str]:
     """`Message` and `Message.Signal` -> comment, of those that have one."""
     from dbc.tolerant import database_of
 
-    said = {}
+    comments = {}
     for message in database_of(codec.path).messages:
-        said[message.name] = message.comment or ""
+        comments[message.name] = message.comment or ""
         for signal in message.signals:
-            said[f"{message.name}.{signal.name}"] = signal.comment or ""
-    return {name: text for name, text in said.items() if text}
+            comments[f"{message.name}.{signal.name}"] = signal.comment or ""
+    return {name: text for name, text in comments.items() if text}
 
 
 class _Source:

@@ -59,14 +59,14 @@ class ParquetSignals:
         ]
         for name, message, place in self._columns:
             signal = message.signals[place]
-            said = {"unit": signal.unit, "comment": comments.get(name, "")}
+            metadata = {"unit": signal.unit, "comment": comments.get(name, "")}
             if labels := labels_of(signal):
-                said["labels"] = json.dumps(labels)
-            said = {key: text for key, text in said.items() if text}
+                metadata["labels"] = json.dumps(labels)
+            metadata = {key: text for key, text in metadata.items() if text}
             kind = pa.float64()
             if is_exact(signal):
                 kind = pa.int64() if signal.is_signed else pa.uint64()
-            fields.append(pa.field(name, kind, metadata=said))
+            fields.append(pa.field(name, kind, metadata=metadata))
         fields.append(pa.field(MARKS, pa.string()))
         self._schema = pa.schema(fields)
         self._held: list[Any] = []

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dbc.codec import Codec
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE
-from dbc.frames import ROOM, Block
+from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.spec import (
     ABSENT,
     EXTENDED_KEY,
@@ -89,17 +89,17 @@ class Decoder:
         known = (
             self._keys[place] == keys if len(self._keys) else np.zeros(block.size, dtype=np.bool_)
         )
-        said = np.full(block.size, Match.UNKNOWN_ID, dtype=np.uint8)
+        outcome = np.full(block.size, Match.UNKNOWN_ID, dtype=np.uint8)
         if known.any():
-            said[known] = Match.OK
-            said[known & (self._length[place] > block.length)] = Match.WRONG_LENGTH
-            said[known & (self._fd[place] != (flags & FD != 0))] = Match.WRONG_FORMAT
-        said[flags & REMOTE != 0] = Match.REMOTE
-        said[flags & ERROR != 0] = Match.ERROR_FRAME
-        for number, count in enumerate(np.bincount(said, minlength=len(Match)).tolist()):
+            outcome[known] = Match.OK
+            outcome[known & (self._length[place] > block.length)] = Match.WRONG_LENGTH
+            outcome[known & (self._fd[place] != (flags & FD != 0))] = Match.WRONG_FORMAT
+        outcome[flags & REMOTE != 0] = Match.REMOTE
+        outcome[flags & ERROR != 0] = Match.ERROR_FRAME
+        for number, count in enumerate(np.bincount(outcome, minlength=len(Match)).tolist()):
             if count:
                 self.counts[Match(number)] += count
-        good = said == Match.OK
+        good = outcome == Match.OK
         if good.any():
             self.longer += int(np.count_nonzero(self._length[place[good]] < block.length[good]))
         index = np.full(block.size, -1, dtype=np.int32)
@@ -111,7 +111,7 @@ class Decoder:
         index = self.match(block)
         good = index >= 0
         frames, index = block.pick(good), index[good]
-        value, validity = self.codec.decode_rows(index, frames.data[:, :ROOM])
+        value, validity = self.codec.decode_rows(index, frames.data[:, :MAX_DATA_BYTES])
         for number, count in enumerate(np.bincount(validity.ravel()).tolist()):
             if count and number != ABSENT:
                 self.cells[Validity(number)] += count

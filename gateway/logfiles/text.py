@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Nanos
-from dbc.frames import ROOM, Block
+from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.textlog import FD_SIZES
 
 _DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
@@ -56,7 +56,7 @@ class Form(NamedTuple):
 class TextFile:
     """What the three share: a file, times from the first frame, counts."""
 
-    no_room = 0
+    not_held = 0
     """Flags of frames that the format has no room for."""
     has_channel = True
     has_error_class = False
@@ -76,10 +76,10 @@ class TextFile:
 
     def add(self, block: Block) -> None:
         """Append."""
-        block = self._with_room(block)
+        block = self._representable(block)
         if not block.size:
             return
-        size = min(int(block.length.max()), ROOM)
+        size = min(int(block.length.max()), MAX_DATA_BYTES)
         # All bytes of the block in one text, of which each line takes its part.
         content = block.data[:, :size].tobytes()
         text, width = (content.hex(" ").upper() + " ", 3) if self.as_hex else (content, 1)
@@ -102,10 +102,10 @@ class TextFile:
         self.written += block.size
         self._count_reduced(block)
 
-    def _with_room(self, block: Block) -> Block:
+    def _representable(self, block: Block) -> Block:
         """The frames for which there is room; the others are counted."""
         for flag, name in ((FD, "fd"), (REMOTE, "remote"), (ERROR, "error")):
-            out = block.flags & flag & self.no_room != 0
+            out = block.flags & flag & self.not_held != 0
             if out.any():
                 self.left_out[name] += int(np.count_nonzero(out))
                 block = block.pick(~out)
@@ -124,8 +124,8 @@ class TextFile:
         """What is not kept of the frames that were written."""
         flags = block.flags
         if not self.has_error_class:
-            told = (block.can_id != 0) | (block.length != 0)
-            self.reduced["error_class"] += int(np.count_nonzero((flags & ERROR != 0) & told))
+            described = (block.can_id != 0) | (block.length != 0)
+            self.reduced["error_class"] += int(np.count_nonzero((flags & ERROR != 0) & described))
         if not self.has_channel:
             named = np.array([bool(name) for name in block.names])[block.channel]
             self.reduced["channel"] += int(np.count_nonzero(named))
@@ -232,7 +232,7 @@ class TrcFile(TextFile):
 class CsvFrames(TextFile):
     """python-can's CSV of frames."""
 
-    no_room = FD
+    not_held = FD
     has_channel = False
     has_error_class = True
     as_hex = False

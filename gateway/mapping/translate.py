@@ -60,7 +60,7 @@ class Translator:
         # Else somebody could pass for the translator.
         self._hidden = {base + plan.node for plan in planned for base in BASES.values()}
 
-    def take(self, frames: Iterable[Frame] | Block, now: Nanos, counts: Counter[str]) -> Block:
+    def translate(self, frames: Iterable[Frame] | Block, now: Nanos, counts: Counter[str]) -> Block:
         """Frames of one tick, mapped ones in our words, all others as they are.
 
         counts: what was not used, by cause, and `translated`.
@@ -78,7 +78,7 @@ class Translator:
                 counts["time_back"] += 1
             else:
                 for drive, spec in routes:
-                    out += drive.take(frame, spec, counts)
+                    out += drive.translate(frame, spec, counts)
         return block_of(out)
 
 
@@ -90,7 +90,7 @@ class _Drive:
         self._codec = codec
         self._specs = {kind: codec.by_name[spec.name] for kind, spec in plan.spec.items()}
         self._held: dict[str, Held] = {}
-        self._heard: dict[int, Nanos] = {}
+        self._received: dict[int, Nanos] = {}
         self._begun: dict[int, Nanos] = {}
         self._counter = dict.fromkeys(self._specs, -1)
         self._made: dict[str, Nanos] = {}
@@ -103,7 +103,7 @@ class _Drive:
         """What has come since currents were made."""
         self._of = {n: k for k, rows in plan.sources.items() for n, _, _ in rows}
 
-    def take(self, frame: Frame, spec: MessageSpec, counts: Counter[str]) -> list[Frame]:
+    def translate(self, frame: Frame, spec: MessageSpec, counts: Counter[str]) -> list[Frame]:
         """One frame of this drive; what can be made with it, in the order of the contract."""
         codec = self.plan.codec
         match, _ = codec.match(frame)
@@ -111,13 +111,13 @@ class _Drive:
             counts[_CAUSES.get(match, "wrong_length")] += 1
             return []
         index, t_ns = spec.index, frame.t_ns
-        last = self._heard.get(index)
+        last = self._received.get(index)
         if last is not None and t_ns < last:
             counts["time_back"] += 1
             return []
         counts["translated"] += 1
         silent = last is None or (spec.cycle_ns and t_ns - last > SILENT_PERIODS * spec.cycle_ns)
-        self._heard[index] = t_ns
+        self._received[index] = t_ns
         if silent:
             self._begun[index] = t_ns
         readings = codec.decode(spec, frame.data)

@@ -173,7 +173,7 @@ class Feed:
             shown = source.seek(float(orders["seek"]), PERIOD_S)
         else:
             shown = source.advance(0.0 if self._waits and not self.viewers else passed)
-        self._tell(shown.events)
+        self._log_events(shown.events)
         self._seeking = self._seeking and source.behind
         about = {
             "title": source.title,
@@ -210,7 +210,7 @@ class Feed:
         orders, self._orders = self._orders, {}
         return orders
 
-    def _tell(self, events: tuple[Event, ...]) -> None:
+    def _log_events(self, events: tuple[Event, ...]) -> None:
         """New events to the log, by their level; not those that a seek jumps over.
 
         A place in the code for each level: what the log allows is counted by place, and many of

@@ -60,7 +60,7 @@ class Guard:
             return
         refusal, given = self._judge(scope)
 
-        async def tell(message: Message) -> None:
+        async def send_response(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 names = {name for name, _ in message.get("headers", ())}
                 extra = [(name, value) for name, value in _RAW if name not in names]
@@ -70,16 +70,16 @@ class Guard:
         if refusal is not None:
             self._counts[refusal.cause] += 1
             log.info("refused %s: %s", _address(scope), refusal.cause)
-            await _refuse(refusal, scope, receive, tell)
+            await _refuse(refusal, scope, receive, send_response)
         elif given is not None:
             # Out of the address line at once, so that it is neither kept nor shown there.
             answer = RedirectResponse("/", status_code=303)
             answer.set_cookie(
                 cookie_name(scope), self._access.session, httponly=True, samesite="strict", path="/"
             )
-            await answer(scope, receive, tell)
+            await answer(scope, receive, send_response)
         else:
-            await self._app(scope, receive, tell)
+            await self._app(scope, receive, send_response)
 
     def _judge(self, scope: Scope) -> tuple[Refusal | None, str | None]:
         """(why not, the token that the address line had)."""

@@ -168,14 +168,14 @@ class LogSource:
             early = int((dropped <= now).sum()) if now < block.size else len(dropped)
             self._latest_ns = block.t_ns.item(now - 1) if now else self._latest_ns
             self._observer.note_dropped(early)
-            self._observer.take(
+            self._observer.add_frames(
                 block.part(0, now), to_ns if now < block.size else self._latest_ns
             )  # fmt: skip
             self._frames += now + early
             self._held = _rest(self._held, now, early)
             if not _is_empty(self._held):
                 break
-        self._observer.take(EMPTY, to_ns)
+        self._observer.add_frames(EMPTY, to_ns)
 
     def _keep(self, checkpoint: Checkpoint) -> None:
         self._checkpoints.append(checkpoint)

@@ -81,7 +81,7 @@ class Reader:
     def _run(self) -> None:
         # Waiting for the next frame would wake it thousands of times a second.
         while not self._stop.wait(READ_S):
-            block = self._transport.take(0.0)
+            block = self._transport.receive_block(0.0)
             with self._lock:
                 self._now = self._clock()
                 if block.size:
@@ -144,7 +144,7 @@ class LiveSource:
     def advance(self, wall_dt_s: float) -> Snapshot:  # noqa: ARG002 - the bus has its own time
         """See Source. Also while paused everything is read; only the picture stands still."""
         block, now = self._reader.fetch()
-        self._observer.take(block, now)
+        self._observer.add_frames(block, now)
         if self._shown is None or not self.paused:
             self._shown = self._look(now)
         return self._shown

@@ -184,8 +184,8 @@ class MonitorApp(App[None]):
 
     def on_resize(self) -> None:
         """The table has more columns, and more rows, where there is room."""
-        room = max(self.size.height - OTHERS, 3)
-        self._base.query_one("#drives").styles.max_height = room
+        rows = max(self.size.height - OTHERS, 3)
+        self._base.query_one("#drives").styles.max_height = rows
         self._draw()
 
     def on_unmount(self) -> None:

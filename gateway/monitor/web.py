@@ -177,7 +177,7 @@ def make_app(
     @asynccontextmanager
     async def playing(_: Starlette) -> AsyncIterator[None]:
         job = asyncio.create_task(feed.play())
-        job.add_done_callback(lambda done: _told(done, ended))
+        job.add_done_callback(lambda done: _report_end(done, ended))
         yield
         job.cancel()
         await asyncio.gather(job, return_exceptions=True)
@@ -195,7 +195,7 @@ def make_app(
     return Guard(_by_port(whole, dict.fromkeys(metrics_only, few)), access, feed.counts)
 
 
-def _told(done: asyncio.Task[None], ended: Callable[[BaseException], None] | None) -> None:
+def _report_end(done: asyncio.Task[None], ended: Callable[[BaseException], None] | None) -> None:
     if not done.cancelled() and (error := done.exception()) is not None and ended is not None:
         ended(error)
 

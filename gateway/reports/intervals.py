@@ -68,13 +68,13 @@ class Intervals:
         """Take one tick."""
         now = self._last_ns = view.t_ns
         for d in view.drives:
-            said = (
+            status = (
                 d.adhesion, d.adhesion_reason, d.thermal, d.thermal_reason, d.sensor, d.comm,
                 d.estimator, d.fault_class, d.fault_sensor,
             )  # fmt: skip
-            if self._before.get(d.node) == said:
+            if self._before.get(d.node) == status:
                 continue
-            self._before[d.node] = said
+            self._before[d.node] = status
             adhesion = self._note(d.node, "adhesion", ADHESION[d.adhesion], now)
             _because(adhesion, d.adhesion_reason)
             thermal = self._note(d.node, "thermal", FAULT[d.thermal], now)

@@ -22,17 +22,17 @@ _HARMLESS: Final = frozenset(",.:;/'%=?@-+()\"&")
 
 def plain(text: str) -> str:
     """Somebody else's words as they are: no markup, no HTML, one line."""
-    said = _SPECIAL.sub(
+    escaped = _SPECIAL.sub(
         lambda m: m[1] if m[1] in _HARMLESS else f"\\{m[1]}", printable(text).replace("&", "&amp;")
     )
     # What would begin a list or a heading's rule.
-    return f"\\{said}" if said[:1] in ("-", "+", "=") else said
+    return f"\\{escaped}" if escaped[:1] in ("-", "+", "=") else escaped
 
 
 def literal(text: str) -> str:
     """Somebody else's words as code: names of files, channels."""
-    said = printable(text)
-    return plain(said) if not said or "`" in said or "|" in said else f"`{said}`"
+    escaped = printable(text)
+    return plain(escaped) if not escaped or "`" in escaped or "|" in escaped else f"`{escaped}`"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

@@ -33,8 +33,8 @@ class Program(NamedTuple):
 def program() -> Program:
     """What runs: from the installation, or from the checkout that this package stands in."""
     version = metadata.version(NAME)
-    said = metadata.distribution(NAME).read_text("direct_url.json")
-    if said and (commit := json.loads(said).get("vcs_info", {}).get("commit_id")):
+    direct_url = metadata.distribution(NAME).read_text("direct_url.json")
+    if direct_url and (commit := json.loads(direct_url).get("vcs_info", {}).get("commit_id")):
         return Program(version, commit)
     root = Path(gateway.__path__[0]).resolve().parent
     if not (root / ".git").exists():

@@ -69,7 +69,7 @@ class Reporting:
             self.truth = Truth()
         self.truth.add(rows)
 
-    def take_timing(self, seen: LiveSnapshot, period_ns: int) -> None:
+    def set_timing(self, seen: LiveSnapshot, period_ns: int) -> None:
         """Keep the histograms of a run in real time. Raises OSError."""
         stages = seen.timing.table()
         tables(self.folder, stages, period_ns)
@@ -175,16 +175,16 @@ def replay_facts(path: Path, done: Replayed, trace: Trace) -> Facts:
 def _configuration(config: Config, codec: Codec, gateway: Gateway) -> Facts:
     a = config.adhesion
     cells = calibration.of(config)
-    told = "none: thermal flags stay unknown"
+    cells_text = "none: thermal flags stay unknown"
     if cells is not None and config.calibration_path is not None:
-        told = f"{literal(config.calibration_path.name)}, checksum `{cells.checksum()}`"
+        cells_text = f"{literal(config.calibration_path.name)}, checksum `{cells.checksum()}`"
     return [
         ("hash, as on the bus (`ConfigHash`)", f"`{gateway.outbox.config_hash:06x}`"),
         ("estimator, detector", f"{config.estimator.kind.upper()}, {a.detector}"),
         ("loop", f"{config.loop.rate_hz} Hz"),
         ("DBC", literal(codec.path.name)),
         ("SHA-256 of the DBC", f"`{codec.digest}`"),
-        ("thermal calibration", told),
+        ("thermal calibration", cells_text),
     ]
 
 

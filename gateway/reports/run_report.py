@@ -138,8 +138,8 @@ def _verdict(run: Run) -> list[str]:
         total = _plural(len(run.verdicts), "expectation")
         lines.append(f"**{'FAILED' if bad else 'Passed'}: {len(run.verdicts) - bad} of {total} "
                      "held.**")  # fmt: skip
-    said = _said(run.intervals)
-    lines.append(said if run.verdicts else f"**{said}**")
+    summary = _summary(run.intervals)
+    lines.append(summary if run.verdicts else f"**{summary}**")
     judged, false = run.judged()
     if run.truth is not None:
         found = [j for j in judged if j.delay_ms is not None]
@@ -154,7 +154,7 @@ def _verdict(run: Run) -> list[str]:
     return lines
 
 
-def _said(intervals: Intervals) -> str:
+def _summary(intervals: Intervals) -> str:
     lost = sum(n for (_, _, state), n in intervals.count.items() if state == "AdhesionLost")
     fault = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == ("thermal", "Fault"))
     other = sum(1 for _ in intervals.other_bad())
@@ -354,8 +354,10 @@ def _glossary(runs: Sequence[Run]) -> list[str]:
     """The reasons that occurred."""
     seen = {cause for run in runs for i in run.intervals.kept for cause in i.causes}
     rows = [(camel(r.name), text) for r, text in words.REASONS.items() if camel(r.name) in seen]
-    said = "Seconds count from the first tick. An interval ends where the flag says something else"
-    lines = ["## How to read this", "", f"{said}, the last one with the run."]
+    summary = (
+        "Seconds count from the first tick. An interval ends where the flag says something else"
+    )
+    lines = ["## How to read this", "", f"{summary}, the last one with the run."]
     if not rows:
         return lines
     return [*lines, "A flag that says `Unknown` says why:", *table(("reason", "meaning"), rows)]

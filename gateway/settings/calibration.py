@@ -158,7 +158,7 @@ def load(
         if sealed is not None:
             check_seal(path, content, sealed)
         table = read_toml(content.decode("utf-8"))
-        said = table.pop("checksum", None)
+        stored = table.pop("checksum", None)
         calibration = Calibration.model_validate(table)
     except FileNotFoundError:
         problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
@@ -170,7 +170,7 @@ def load(
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
     known = {m.node for m in calibration.motor}
     problems = []
-    if said != calibration.checksum():
+    if stored != calibration.checksum():
         problem = "checksum: the file is not what 'traction-gateway calibrate' wrote; measure anew"
         problems.append(problem)
     problems += [

@@ -18,7 +18,7 @@ from estimators.thermal.model_method import learn
 from estimators.thermal.monitor import Known
 from estimators.thermal.record import Record, split
 from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
-from gateway.core.thermal import ThermalSide
+from gateway.core.thermal import TemperatureMonitor
 from gateway.core.thermal_model_monitor import Sample
 from gateway.settings.calibration import (
     POINTS,
@@ -68,7 +68,7 @@ class Learner:
         self._count = 0
         self.seconds.append([])
 
-    def take(self, side: ThermalSide, now: Nanos) -> None:
+    def add_second(self, side: TemperatureMonitor, now: Nanos) -> None:
         """Look at the thermal side once per temperature cycle."""
         if side.cycles == self._count:
             return
@@ -202,7 +202,7 @@ def _against_fleet(means: np.ndarray, fitted: np.ndarray) -> tuple[np.ndarray, n
     moved = fleet - centre
     apart = means - means.mean(axis=0)
     power = (moved**2).sum(axis=0)
-    told = fitted & (np.ptp(fleet, axis=0) > SPAN_K)
+    observable = fitted & (np.ptp(fleet, axis=0) > SPAN_K)
     both = (apart * moved).sum(axis=0)
-    gain = np.divide(both, power, out=np.ones(means.shape[1:]), where=told)
+    gain = np.divide(both, power, out=np.ones(means.shape[1:]), where=observable)
     return gain, np.where(fitted, means.mean(axis=0) - gain * centre, 0.0)

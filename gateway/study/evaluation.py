@@ -44,7 +44,7 @@ class Estimates(NamedTuple):
     load_nm: Array
 
 
-class Said(NamedTuple):
+class GatewayOutput(NamedTuple):
     """What the gateway said in one run.
 
     t_s (T,); flags (T, N) and common (T,), values of `Flag`; estimates per drive.
@@ -103,7 +103,7 @@ def pooled(runs: Iterable[Measured]) -> Measured:
     return total
 
 
-def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> Said:
+def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> GatewayOutput:
     """Decode the gateway's frames, in order; stamps count from 0 at the start of the run."""
     block = block_of(frames)
 
@@ -131,7 +131,7 @@ def listen(frames: Iterable[Frame], codec: Codec, nodes: Sequence[int]) -> Said:
                 np.where((validity[:, load] == VALID) & tracked, value[:, load], np.nan),
             )
         )
-    return Said(t_s, _states(states), _states(common), tuple(estimates))
+    return GatewayOutput(t_s, _states(states), _states(common), tuple(estimates))
 
 
 def _states(value: Array) -> Ints:
@@ -139,15 +139,15 @@ def _states(value: Array) -> Ints:
     return np.where(raw == INVALID, int(Flag.UNKNOWN), raw)
 
 
-def measure(rows: Sequence[Row], said: Said, nodes: Sequence[int]) -> Measured:
+def measure(rows: Sequence[Row], output: GatewayOutput, nodes: Sequence[int]) -> Measured:
     """Judge one run against the truth's rows."""
     truths = [truth_of(rows, node) for node in nodes]
     flags, common = Score(), Score()
     levels, silent = np.zeros((2, LEVELS), np.int64), np.zeros(2, np.int64)
     square, loads = 0.0, 0
     for k, (node, truth) in enumerate(zip(nodes, truths, strict=True)):
-        flags = flags.plus(score_flag(truth, said.t_s, said.flags[:, k]))
-        estimates = said.estimates[k]
+        flags = flags.plus(score_flag(truth, output.t_s, output.flags[:, k]))
+        estimates = output.estimates[k]
         counted = truth.counted(estimates.t_s)
         lost = truth.lost[truth.at(estimates.t_s)]
         for true in (0, 1):
@@ -165,7 +165,7 @@ def measure(rows: Sequence[Row], said: Said, nodes: Sequence[int]) -> Measured:
         square += float(error @ error)
         loads += len(error)
     if len(nodes) > 1:
-        common = score_flag(everyone(truths), said.t_s, said.common)
+        common = score_flag(everyone(truths), output.t_s, output.common)
     flags = flags._replace(train_s=flags.train_s / len(nodes))
     return Measured(flags, common, levels, silent, square, loads)
 
@@ -198,7 +198,7 @@ def roc(levels: Ints) -> Curve:
 class Reliability(NamedTuple):
     """Said against true, per bin of the probability (BINS,); NaN in empty bins."""
 
-    said: Array
+    predicted: Array
     true: Array
     frames: Ints
 
@@ -208,7 +208,7 @@ class Reliability(NamedTuple):
         full = self.frames > 0
         if not full.any():
             return math.nan
-        gap = np.abs(self.said[full] - self.true[full])
+        gap = np.abs(self.predicted[full] - self.true[full])
         return float(gap @ self.frames[full] / self.frames.sum())
 
 
@@ -219,9 +219,9 @@ def reliability(levels: Ints) -> Reliability:
     both = levels.sum(axis=0)
     count = np.bincount(place, both, BINS)
     with np.errstate(invalid="ignore", divide="ignore"):
-        said = np.bincount(place, both * level, BINS) / count
+        predicted = np.bincount(place, both * level, BINS) / count
         true = np.bincount(place, levels[1], BINS) / count
-    return Reliability(said, true, count.astype(np.int64))
+    return Reliability(predicted, true, count.astype(np.int64))
 
 
 class Line(NamedTuple):
@@ -292,6 +292,6 @@ def _finite(value: float) -> float:
 
 
 __all__ = [
-    "BINS", "COLUMNS", "LEVELS", "Curve", "Estimates", "Line", "Measured", "Reliability", "Said",
-    "Truth", "listen", "measure", "nothing", "pooled", "reliability", "roc", "row",
+    "BINS", "COLUMNS", "LEVELS", "Curve", "Estimates", "GatewayOutput", "Line", "Measured",
+    "Reliability", "Truth", "listen", "measure", "nothing", "pooled", "reliability", "roc", "row",
 ]  # fmt: skip

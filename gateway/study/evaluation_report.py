@@ -112,8 +112,8 @@ def _bins(lines: Sequence[Line]) -> Iterable[Sequence[object]]:
     for line in lines:
         found = reliability(line.total.levels)
         for k in range(BINS):
-            said, true = _text(float(found.said[k])), _text(float(found.true[k]))
-            yield line.family, line.detector, k, said, true, int(found.frames[k])
+            predicted, true = _text(float(found.predicted[k])), _text(float(found.true[k]))
+            yield line.family, line.detector, k, predicted, true, int(found.frames[k])
 
 
 def _picture(
@@ -172,7 +172,7 @@ def _draw_bins(axis: Any, line: Line, style: Any) -> None:
     found = reliability(line.total.levels)
     full = found.frames > 0
     axis.plot([0, 1], [0, 1], color="#999999", lw=0.8)
-    axis.plot(found.said[full], found.true[full], marker="o", ms=3, **style)
+    axis.plot(found.predicted[full], found.true[full], marker="o", ms=3, **style)
     axis.set_xlim(0.0, 1.0)
     axis.set_ylim(0.0, 1.0)
     axis.set_xlabel("probability said")

@@ -109,14 +109,14 @@ class Tree:
             wires.send(0, target, np.array([HELLO]))
         while wires.sent:
             for i, inbox in enumerate(wires.deliver()):
-                heard = [source for source, payload in inbox.items() if payload[0] == HELLO]
-                self.children[i] += [source for source in inbox if source not in heard]
-                if not heard or joined[i]:
+                hellos = [source for source, payload in inbox.items() if payload[0] == HELLO]
+                self.children[i] += [source for source in inbox if source not in hellos]
+                if not hellos or joined[i]:
                     continue
                 joined[i] = True
-                self.parent[i] = min(heard)
-                wires.send(i, min(heard), np.array([JOIN]))
-                for target in set(wires.near[i]).difference(heard):
+                self.parent[i] = min(hellos)
+                wires.send(i, min(hellos), np.array([JOIN]))
+                for target in set(wires.near[i]).difference(hellos):
                     wires.send(i, target, np.array([HELLO]))
 
     def total(self, values: list[Array]) -> list[Array]:

@@ -94,9 +94,9 @@ def rows(outcome: Outcome, base: str = "days") -> list[list[str]]:
     out = []
     for method, name in NAMES.items():
         printed = PRINTED.get(method) if base == "days" else None
-        said = "-" if printed is None else "{:.1f} / {:.2f} / {:.2f}, {:.2f}".format(*printed)
+        published = "-" if printed is None else "{:.1f} / {:.2f} / {:.2f}, {:.2f}".format(*printed)
         if method in outcome.missing:
-            out.append([name, *["not run: library missing"], *["-"] * (len(HEAD) - 3), said])
+            out.append([name, *["not run: library missing"], *["-"] * (len(HEAD) - 3), published])
             continue
         scores = outcome.scores[base][method]
         m, sd = mean(scores), spread(scores)
@@ -108,7 +108,7 @@ def rows(outcome: Outcome, base: str = "days") -> list[list[str]]:
             f"{100 * m.fnr_at_printed:.1f}",
             f"{sum(s.found == 1.0 for s in scores)} of {len(scores)}",
             f"{m.seconds:.2f}",
-            said,
+            published,
         ])  # fmt: skip
     return out
 

@@ -40,7 +40,7 @@ class Truth(NamedTuple):
     loose: bool = False
 
 
-class Told(NamedTuple):
+class Diagnosis(NamedTuple):
     """motor (K,), kind_right (K,): what a method says beside its alarm, where it says it."""
 
     motor: NDArray[np.int64]
@@ -68,7 +68,11 @@ class Score(NamedTuple):
 
 
 def score(
-    statistic: Array, limit: float, truth: Truth, told: Told | None = None, seconds: float = 0.0
+    statistic: Array,
+    limit: float,
+    truth: Truth,
+    diagnosis: Diagnosis | None = None,
+    seconds: float = 0.0,
 ) -> Score:
     """Of one run; NaN of the statistic is no alarm. A share of no samples is NaN."""
     finite = np.where(np.isfinite(statistic), statistic, -np.inf)
@@ -79,8 +83,8 @@ def score(
     best = _best(finite, faulty)
     healthy_days = np.count_nonzero(~faulty) * truth.sample_s / DAY_S
     hit = np.flatnonzero(alarm & faulty)
-    right = Told(np.full(len(faulty), -2), np.zeros(len(faulty), dtype=np.bool_))
-    right = told if told is not None else right
+    right = Diagnosis(np.full(len(faulty), -2), np.zeros(len(faulty), dtype=np.bool_))
+    right = diagnosis if diagnosis is not None else right
     return Score(
         accuracy=_share(alarm == faulty),
         fpr=_share(alarm[~faulty]),
@@ -93,8 +97,8 @@ def score(
         fnr_at_printed=_at(finite, faulty, PRINTED_FPR),
         found=float(len(hit) > 0) if faulty.any() else math.nan,
         delay_s=(float(hit[0]) - truth.begin) * truth.sample_s if len(hit) else math.nan,
-        motor_right=_share(right.motor[hit] == truth.motor) if told else math.nan,
-        kind_right=_share(right.kind_right[hit]) if told else math.nan,
+        motor_right=_share(right.motor[hit] == truth.motor) if diagnosis else math.nan,
+        kind_right=_share(right.kind_right[hit]) if diagnosis else math.nan,
         episodes=len(stretches(alarm & ~faulty)) / healthy_days,
         seconds=seconds,
     )

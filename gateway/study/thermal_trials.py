@@ -20,7 +20,7 @@ from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
 from gateway.study.thermal_dataset import BASES, CREEP, KINDS, Base, Labelled, train
-from gateway.study.thermal_scores import Score, Told, Truth, score
+from gateway.study.thermal_scores import Diagnosis, Score, Truth, score
 
 Array = NDArray[np.float64]
 
@@ -164,14 +164,14 @@ def _one(
         sure = belief.side[np.arange(len(motor)), motor] != 0
         wanted = SHOWS[run.fault.kind] if run.fault is not None else ()
         named = sure & np.isin(kind, [BELIEFS.index(name) for name in wanted])
-        told = Told(motor, named)
-        said = run.faulty & (statistic > limit)
-        names = dict(Counter(CLASS[BELIEFS[k]] for k in kind[said & sure].tolist()))
-        names |= {UNDECIDED: int((said & ~sure).sum())} if (said & ~sure).any() else {}
+        diagnosis = Diagnosis(motor, named)
+        flagged = run.faulty & (statistic > limit)
+        names = dict(Counter(CLASS[BELIEFS[k]] for k in kind[flagged & sure].tolist()))
+        names |= {UNDECIDED: int((flagged & ~sure).sum())} if (flagged & ~sure).any() else {}
     else:
-        statistic, told = fitted(record), None
+        statistic, diagnosis = fitted(record), None
     seconds = time.perf_counter() - began
-    return score(statistic, limit, truth_of(run, base), told, seconds), names
+    return score(statistic, limit, truth_of(run, base), diagnosis, seconds), names
 
 
 def evaluate(

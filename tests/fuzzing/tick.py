@@ -73,7 +73,8 @@ STATE: dict[str, str] = {
     "motion.others": "",
     "adhesion.rotors": (
         "speed load slow_speed acceleration_torque diameter learnt_s creep followed_s alone_s"
-        " near_s slides_s uncommanded_s odd_s doubt_until_ns far apart away uncertain odd above"
+        " near_s slides_s uncommanded_s odd_s unreliable_until_ns far apart away uncertain odd"
+        " above"
     ),
     "adhesion.loads": "",
     "adhesion.ratios": "",
@@ -103,7 +104,7 @@ STATE: dict[str, str] = {
     "outbox.record": "counts summary_sent",
     "outbox._thermal_sent": "",
     "load.record": "since_ns busy_s percent",
-    "doubt.record": (
+    "integrity.record": (
         "missed_ticks lost_frames watching now_ns deadline_misses late_in_a_row overrun_ns lost_ns"
         " intruder_ns intruder silent mute"
     ),

@@ -52,8 +52,8 @@ def test_a_gateways_own_frames_are_no_intruder(site: Site) -> None:
     for each in (bus, other):
         each.open()
     gateway = Gateway(parse({"drive": [{"node": n} for n in site.used.nodes]}), codec, 0)
-    gateway.doubt.watching = not bus.status.hears_itself
-    assert gateway.doubt.watching
+    gateway.integrity.watching = not bus.status.hears_itself
+    assert gateway.integrity.watching
     ours = [Frame(0, m.can_id, bytes(m.length)) for m in codec.messages if m.is_gateway]
     ours += [Frame(0, identifier, bytes(8)) for identifier in (EMCY_ID, HEARTBEAT_ID)]
     ids = itertools.cycle(ours)
@@ -61,15 +61,15 @@ def test_a_gateways_own_frames_are_no_intruder(site: Site) -> None:
     for k in range(rounds):
         sent = [bus.send(next(ids)) for _ in range(BATCH)]
         assert set(sent) == {SendResult.SENT}
-        heard += other.take(0.0).size
-        gateway.step(bus.take(0.0), (k + 1) * TICK_NS)
-        assert not gateway.doubt.intruder
+        heard += other.receive_block(0.0).size
+        gateway.step(bus.receive_block(0.0), (k + 1) * TICK_NS)
+        assert not gateway.integrity.intruder
     assert heard == rounds * BATCH == site.count(OWN)
     assert gateway.inbox.counts["own"] == 0
     # The same frames of somebody else are found at once.
     other.send(ours[0])
-    gateway.step(bus.take(1.0), (rounds + 1) * TICK_NS)
-    assert gateway.doubt.intruder
+    gateway.step(bus.receive_block(1.0), (rounds + 1) * TICK_NS)
+    assert gateway.integrity.intruder
     for each in (bus, other):
         each.close()
 

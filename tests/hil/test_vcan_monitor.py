@@ -49,7 +49,7 @@ def test_a_monitor_sees_drives_and_gateway_and_sends_nothing(vcan: Vcan) -> None
     source = LiveSource(transport, Observer(codec, config), vcan.name)
     try:
         shown = source.advance(0.1)
-        assert not shown.gateway.heard
+        assert not shown.gateway.present
         assert shown.link.received == 0
         program = (sys.executable, "-m", "gateway")
         named = ("-i", "socketcan", "-c", vcan.name)

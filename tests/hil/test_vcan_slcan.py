@@ -173,7 +173,7 @@ def stalled(bus: SocketCan, adapter: Adapter) -> list[Arrival]:
     reader.start()
     ticks = 0
     while (now := time.monotonic()) < ending - 0.1:
-        bus.take(0.0)
+        bus.receive_block(0.0)
         said = bytearray(bytes(2) + round((now - began) * 1e6).to_bytes(6, "little"))
         protect(spec, said, ticks)
         bus.send(Frame(0, FLAGS, bytes(said)))

@@ -37,7 +37,7 @@ def test_anything_may_come(tmp_path_factory, form, hostile, data):
     planned = plans(config)
     taken, counts = fitted(codec(), planned), Counter()
     now = data.draw(st.integers(0, 2_000_000_000))
-    made = Translator(planned, taken).take(hostile, now, counts)
+    made = Translator(planned, taken).translate(hostile, now, counts)
     own = {spec.can_id for plan in planned for spec in plan.spec.values()}
     passed = [f for f in made.frames() if f.flags != FD or f.can_id not in own]
     assert len(passed) + sum(counts.values()) == len(hostile), "each is passed on or counted"

@@ -60,7 +60,7 @@ def series(draw: st.DrawFn) -> list[Frame]:
 def shown_by(observer: Observer, cuts: list[list[Frame]], end: int) -> str:
     for cut in cuts:
         if cut:
-            observer.take(cut, cut[-1].t_ns)
+            observer.add_frames(cut, cut[-1].t_ns)
     shown = observer.snapshot(end)
     assert all(row.age_s is None or row.age_s >= 0 for row in shown.drives)
     assert shown.t_s >= 0
@@ -97,7 +97,7 @@ def test_flags_with_a_wrong_checksum_stay_unknown(contents) -> None:
         sent.append(Frame(k * 10 * MS, spec.can_id, bytes(data)))
     observer = Observer(codec(), config_of())
     end = len(sent) * 10 * MS
-    observer.take(sent, end)
+    observer.add_frames(sent, end)
     shown = observer.snapshot(end)
     assert {row.adhesion for row in shown.drives} == {Flag.UNKNOWN}
     assert not shown.gateway.alive

@@ -233,7 +233,7 @@ class Adhesion:
         self.alone, self.each = alone, each
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:
-        doubt = now < rotor["doubt_until_ns"] or rotor["uncommanded_s"] > 0.0
+        doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0
         if doubt and p > lib.UNDECIDED:
             rotor["uncertain"] = 1
             return float(lib.UNDECIDED)

@@ -10,19 +10,19 @@ LATE_IN_A_ROW = 3
 LOST_TICKS = 5
 
 
-class Doubt:
+class IntegrityMonitor:
     """Notes of the driver before a step; `tick` once per step."""
 
     def __init__(
-        self, tick_ns: int, *, told_apart: bool = False, intruder_hold_ns: int | None = None,
+        self, tick_ns: int, *, authenticated: bool = False, intruder_hold_ns: int | None = None,
         stops: bool = False,
     ) -> None:  # fmt: skip
         """tick_ns: period of the loop.
 
-        told_apart: receivers can tell our frames from an intruder's, so ours are still good.
+        authenticated: receivers can tell our frames from an intruder's, so ours are still good.
         intruder_hold_ns: flags are unknown for so long after its last frame; None: until restart.
         """
-        self._told_apart = told_apart
+        self._authenticated = authenticated
         self.silent = self.mute = False
         self._stops = stops
         self._intruder_hold_ns = intruder_hold_ns
@@ -75,7 +75,7 @@ class Doubt:
         """
         hold = self._intruder_hold_ns
         held = hold is None or self._now - self._intruder_ns <= hold
-        if self.intruder and held and not self._told_apart:
+        if self.intruder and held and not self._authenticated:
             return Reason.INTRUDER
         if self._late_in_a_row > LATE_IN_A_ROW:
             return Reason.OVERRUN

@@ -53,7 +53,7 @@ def words(motor, kind):
 
 
 class Temperatures:
-    """Of all motors, beside a `ThermalSide` whose sensors and monitor it looks at."""
+    """Of all motors, beside a `TemperatureMonitor` whose sensors and monitor it looks at."""
 
     def __init__(self, side, calibration, nodes, window, every, limits):
         n = len(side.motors)

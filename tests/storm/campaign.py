@@ -159,10 +159,10 @@ class Watched:
     def stood(self, missed: int, dropped: int) -> None:
         """Before a tick: the process has stood for so many, and so many frames are lost unread."""
         self._flush()
-        self._core.doubt.note_lost(dropped)
+        self._core.integrity.note_lost(dropped)
         self._oracle.note_lost(dropped)
         if missed:
-            self._core.doubt.note_overrun(missed)
+            self._core.integrity.note_overrun(missed)
 
     def take(self, tick: Tick) -> None:
         """One tick, or one more of those that wait to be done together."""

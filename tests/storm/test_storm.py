@@ -339,7 +339,7 @@ def unknown_clears_all(monkeypatch):
 
 
 def overruns_are_hidden(monkeypatch):
-    monkeypatch.setattr(core.Doubt, "note_overrun", lambda *_: None)
+    monkeypatch.setattr(core.IntegrityMonitor, "note_overrun", lambda *_: None)
 
 
 def overruns_are_never_over(monkeypatch):
@@ -348,7 +348,7 @@ def overruns_are_never_over(monkeypatch):
 
 def lost_frames_are_forgotten(monkeypatch):
     monkeypatch.setattr(campaign, "plan", lambda *_: STOPS)
-    monkeypatch.setattr(core.Doubt, "note_lost", lambda *_: None)
+    monkeypatch.setattr(core.IntegrityMonitor, "note_lost", lambda *_: None)
 
 
 def two_senders_are_one(monkeypatch):

@@ -162,7 +162,7 @@ def test_anything(n, detector):
     rng, both = np.random.default_rng(n), Both(motors, detector=detector)
     for tick, given in enumerate(anything(rng, n, 1500)):
         if tick % 7 == 0:
-            both.core.doubt_until_ns[:] = both.plain.rotors["doubt_until_ns"] = (
+            both.core.unreliable_until_ns[:] = both.plain.rotors["unreliable_until_ns"] = (
                 tick + rng.integers(0, 20, n)
             ) * TICK
         opinion = both.tick(columns.told(n), given, tick * TICK, rng.random(n) < 0.9)
@@ -231,7 +231,7 @@ def test_what_nothing_is_known_of_is_not_judged():
     opinion = detect(both.core, told.estimates, inputs.statuses(N), both.drives, both.status, 0)
     assert not opinion.known.any()
     assert opinion.common == 0.0
-    assert (both.core.doubt_until_ns == NEVER).all()
+    assert (both.core.unreliable_until_ns == NEVER).all()
     assert math.isnan(both.core.record["common_smoothed"].item())
 
 
@@ -241,7 +241,7 @@ def test_rotors_have_the_ratings_of_their_motors():
     assert core.rotors["motor"].tolist() == [0, 1, 0]
     rated = BENCH_MOTOR.T_rated
     assert core.rotors["rated_nm"].tolist() == [rated, 2.0 * rated, rated]
-    core.doubt_until_ns[1], core.rotors["uncertain"][2] = 7, 1
-    assert core.rotors["doubt_until_ns"].tolist() == [NEVER, 7, NEVER]
+    core.unreliable_until_ns[1], core.rotors["uncertain"][2] = 7, 1
+    assert core.rotors["unreliable_until_ns"].tolist() == [NEVER, 7, NEVER]
     assert core.uncertain.tolist() == [0, 0, 1]
     assert round(lib.LEARN_PERIOD_S * 1000) == reference.LEARN_NS // MS

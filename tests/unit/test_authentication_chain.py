@@ -180,7 +180,7 @@ def intruded(config: Config, sender: Authenticator | None) -> tuple[Gateway, lis
     """A gateway that hears one frame with its own identifier, and what it says at the end."""
     drives = Simulation(scenario(duration_s=3.0), codec())
     gateway = Gateway(config, codec(), 0, sender)
-    gateway.doubt.watching = True
+    gateway.integrity.watching = True
     out: list[Frame] = []
     for tick in range(1, 201):
         frames = drives.step((), tick * TICK)
@@ -198,7 +198,7 @@ def test_one_forged_frame_neither_silences_nor_blinds_an_authenticated_gateway()
     assert {d.adhesion for d in view.drives} == {Flag.GOOD}
     assert view.adhesion_reason is Reason.NONE
     assert view.comm is Flag.BAD, "it is said, all the same"
-    assert gateway.doubt.intruder
+    assert gateway.integrity.intruder
 
 
 def test_who_wants_to_stop_stops() -> None:

@@ -482,13 +482,13 @@ def test_farewell_says_unknown():
 def test_overruns_are_said_and_too_many_make_unknown():
     bench = Bench(gateway(), drives())
     bench.run(60)
-    bench.core.doubt.note_overrun(2)
+    bench.core.integrity.note_overrun(2)
     view = bench.run(1)
     assert view.overrun is Flag.BAD
     assert view.deadline_misses == 2
     assert view.drives[0].adhesion is Flag.GOOD
     for _ in range(4):
-        bench.core.doubt.note_overrun(1)
+        bench.core.integrity.note_overrun(1)
         view = bench.run(1)
     assert view.adhesion_reason is Reason.OVERRUN
 

@@ -30,7 +30,7 @@ def with_own(frames, now):
 
 def running(**sections):
     bench = Bench(gateway(**sections), drives((20.0, 8.0, 20.0)))
-    bench.core.doubt.watching = True
+    bench.core.integrity.watching = True
     view = bench.run(60)
     assert [d.adhesion for d in view.drives] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
     return bench
@@ -55,7 +55,7 @@ def running(**sections):
 def test_what_counts_as_a_frame_of_ours(frame, is_ours):
     bench = running()
     view = bench.run(1, lambda frames, now: [*frames, frame._replace(t_ns=now)])
-    assert (view.adhesion_reason is Reason.INTRUDER) == bench.core.doubt.intruder == is_ours
+    assert (view.adhesion_reason is Reason.INTRUDER) == bench.core.integrity.intruder == is_ours
 
 
 @pytest.mark.parametrize("sections", [{}, {"bus": {"on_intruder": "unknown"}}])
@@ -119,7 +119,7 @@ def test_in_a_log_our_own_frames_are_no_intruders():
 def test_lost_frames_make_good_unknown_for_five_ticks():
     bench = Bench(gateway(), drives())
     bench.run(60)
-    bench.core.doubt.note_lost(40)
+    bench.core.integrity.note_lost(40)
     for _ in range(5):
         view = bench.run(1)
         assert {d.adhesion for d in view.drives} == {Flag.UNKNOWN}

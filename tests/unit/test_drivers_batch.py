@@ -60,7 +60,7 @@ def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, i
     items = items[:64]
     for payload, age in items:
         put(batch, payload, [stamp(REAL - age)])
-    block, malformed, errors, dropped = batch.take(REAL, NOW, SECOND // 2, "vcan0")
+    block, malformed, errors, dropped = batch.to_block(REAL, NOW, SECOND // 2, "vcan0")
     wanted = [
         unpack(payload, monotonic_stamp(REAL - age, REAL, NOW, SECOND // 2), "vcan0")
         for payload, age in items
@@ -81,14 +81,14 @@ def test_stamps_drops_and_unknown_control_in_any_order() -> None:
     put(batch, frame, [drops(3), other, stamp(REAL - 5)])
     put(batch, frame, [other])
     put(batch, frame, [(1234, 35, struct.pack("@ll", 1, 1)), drops(7)])
-    block, _, _, dropped = batch.take(REAL, NOW, SECOND, "vcan0")
+    block, _, _, dropped = batch.to_block(REAL, NOW, SECOND, "vcan0")
     assert block.t_ns.tolist() == [NOW - 5, NOW, NOW]
     assert dropped == 7
     put(batch, frame, [drops(9)])
-    assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 2
+    assert batch.to_block(REAL, NOW, SECOND, "vcan0")[3] == 2
     batch.begin()
     put(batch, frame, [drops(4)])
-    assert batch.take(REAL, NOW, SECOND, "vcan0")[3] == 4
+    assert batch.to_block(REAL, NOW, SECOND, "vcan0")[3] == 4
 
 
 def test_control_that_is_cut_off_or_too_short_is_not_read() -> None:
@@ -101,7 +101,7 @@ def test_control_that_is_cut_off_or_too_short_is_not_read() -> None:
     put(batch, frame, [(level, kind, data)])
     # A head that says less than its own size.
     batch.control[2, :8] = 0
-    block, _, _, dropped = batch.take(REAL, NOW, SECOND, "vcan0")
+    block, _, _, dropped = batch.to_block(REAL, NOW, SECOND, "vcan0")
     assert block.t_ns.tolist() == [NOW] * 3
     assert dropped == 0
 
@@ -109,9 +109,9 @@ def test_control_that_is_cut_off_or_too_short_is_not_read() -> None:
 def test_what_was_taken_stays_when_the_room_is_filled_again() -> None:
     batch = Batch(2)
     put(batch, struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + b"\x01" * 8, [])
-    first, *_ = batch.take(REAL, NOW, SECOND, "vcan0")
+    first, *_ = batch.to_block(REAL, NOW, SECOND, "vcan0")
     put(batch, struct.pack("=IBBBB", 0x182, 1, 0, 0, 0) + b"\x02" * 8, [])
-    batch.take(REAL, NOW, SECOND, "vcan0")
+    batch.to_block(REAL, NOW, SECOND, "vcan0")
     assert (first.can_id.item(0), first.data.item(0, 0)) == (0x181, 1)
 
 
@@ -125,12 +125,12 @@ def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full
             theirs.send(struct.pack("=IBBBB", 0x180 + k, 2, 0, 0, 0) + bytes([k] * 8))
         assert not batch.read(ours.fileno())
         assert batch.full
-        block, *_ = batch.take(REAL, NOW, SECOND, "x")
+        block, *_ = batch.to_block(REAL, NOW, SECOND, "x")
         assert [frame.can_id for frame in block.frames()] == [0x180, 0x181, 0x182, 0x183]
         theirs.send(bytes(100))
         theirs.send(bytes(72))
         assert not batch.read(ours.fileno())
-        block, malformed, _, _ = batch.take(REAL, NOW, SECOND, "x")
+        block, malformed, _, _ = batch.to_block(REAL, NOW, SECOND, "x")
         assert [frame.can_id for frame in block.frames()] == [0x184, 0x185, 0]
         assert [frame.data for frame in block.frames()] == [b"\4\4", b"\5\5", b""]
         assert malformed == 1
@@ -153,5 +153,5 @@ def test_the_kernels_own_stamp_is_read() -> None:
         receiver.recv(16, socket.MSG_PEEK)
         batch.read(receiver.fileno())
     # Of a clock that is past 2020, and before the year 2200.
-    block, *_ = batch.take(7_000_000_000 * SECOND, 8_000_000_000 * SECOND, 1 << 62, "x")
+    block, *_ = batch.to_block(7_000_000_000 * SECOND, 8_000_000_000 * SECOND, 1 << 62, "x")
     assert 1_577_836_800 < block.t_ns.item(0) / SECOND - 1_000_000_000 < 7_000_000_000

@@ -88,7 +88,7 @@ def test_another_master_ends_starting_for_good(caplog: pytest.LogCaptureFixture)
         out = run(node, 3.0, frames)
     assert {f.can_id for f in out} == {0x720}
     assert node.another_master
-    assert (node.nmt_heard, node.starts_sent, node.starts_refused) == (1, 0, 3)
+    assert (node.nmt_received, node.starts_sent, node.starts_refused) == (1, 0, 3)
     assert "another NMT master" in caplog.text
 
 

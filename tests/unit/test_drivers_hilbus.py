@@ -70,7 +70,7 @@ class World:
         self.status.received += len(frames)
         return [f._replace(t_ns=f.t_ns + LATE_NS) for f in frames]
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:

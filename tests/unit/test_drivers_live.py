@@ -62,7 +62,7 @@ class Core:
         return self.decided
 
     @property
-    def doubt(self) -> Core:
+    def integrity(self) -> Core:
         return self
 
     def note_overrun(self, missed: int) -> None:
@@ -99,7 +99,7 @@ class Bus:
         self._reads += 1
         return [Frame(stamp, 0x181, b""), Frame(stamp, 0x182, b"")]
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:

@@ -101,7 +101,7 @@ class Storm:
         self.status = Status(state=LinkState.UP)
         self.tick = 0
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         self.tick += 1
         k = self.tick
         self.status.state = LinkState.DOWN if k % 2 else LinkState.UP

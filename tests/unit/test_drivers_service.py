@@ -86,7 +86,7 @@ class Rig:
     def __getattr__(self, name: str) -> object:
         return getattr(self.core, name)
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         return EMPTY
 
     def send(self, frame: Frame) -> SendResult:
@@ -290,7 +290,7 @@ def test_a_bus_that_takes_nothing_restarts_nobody(rig: Rig, result: SendResult) 
 
 def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig: Rig) -> None:
     def intrude() -> None:
-        rig.core.doubt.record["intruder"] = 1
+        rig.core.integrity.record["intruder"] = 1
 
     rig.at[100] = intrude
     rig.run(300)

@@ -49,14 +49,14 @@ def test_rights_that_are_missing_are_named(monkeypatch):
 
 
 def test_a_good_link_needs_nothing():
-    (only,) = settings.told("can0", CAN0, 500_000, 0)
+    (only,) = settings.link_findings("can0", CAN0, 500_000, 0)
     assert only.found == "can, up, queue 10, 500000 bit/s, restart-ms 100, active"
     assert not only.cure
 
 
 def test_a_bad_link_is_cured_line_by_line():
     bad = CAN0._replace(up=False, restart_ms=0, queue=1000, bitrate=250_000)
-    first, *rest = settings.told("can0", bad, 500_000, 0)
+    first, *rest = settings.link_findings("can0", bad, 500_000, 0)
     assert first.cure == "ip link set can0 up"
     problems = [line.found for line in rest]
     assert problems[0].startswith("restart-ms is 0")

@@ -31,7 +31,7 @@ class Bus:
         frames, self.waiting = self.waiting, []
         return frames
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:

@@ -39,7 +39,7 @@ class Recorder:
         self.calls.append(f"receive {timeout_s}")
         return []
 
-    def take(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s: float) -> Block:
         return block_of(self.receive(timeout_s))
 
     def send(self, frame: Frame) -> SendResult:

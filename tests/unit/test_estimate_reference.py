@@ -38,7 +38,7 @@ class Both:
             mine[:m] = given
         self.box.pointer.tick.samples = m
         self.box.drives["restart"] = [k in restarts for k in range(N)]
-        self.bank.make_room(m)
+        self.bank.reserve(m)
         self.bank.run(self.box.pointer, self.come, now)
         done, out = self.plain.tick(samples, restarts, self.come, now)
         same_numbers(self.bank.samples.nis[:m], done.nis)

@@ -12,7 +12,15 @@ from gateway.core.codes import Flag
 from gateway.reports.scoring import Score, Truth, everyone, quantile, score_flag
 from gateway.settings.config import ConfigError
 from gateway.study import evaluation
-from gateway.study.evaluation import LEVELS, Estimates, Said, listen, measure, reliability, roc
+from gateway.study.evaluation import (
+    LEVELS,
+    Estimates,
+    GatewayOutput,
+    listen,
+    measure,
+    reliability,
+    roc,
+)
 from gateway.study.evaluation_runs import (
     Plan,
     evaluate,
@@ -160,9 +168,9 @@ def test_reliability_bins_and_error():
     levels[1, 200] = 100  # said 100 %, true 100 %: with the 90 % in the last bin
     found = reliability(levels)
     assert found.frames.tolist() == [0, 100, 0, 0, 0, 0, 0, 0, 0, 200]
-    assert found.said[1] == pytest.approx(0.15)
+    assert found.predicted[1] == pytest.approx(0.15)
     assert found.true[1] == pytest.approx(0.15)
-    assert found.said[9] == pytest.approx(0.95)
+    assert found.predicted[9] == pytest.approx(0.95)
     assert found.true[9] == pytest.approx(0.75)
     assert found.error == pytest.approx(0.2 * 200 / 300)
     assert math.isnan(reliability(np.zeros((2, LEVELS), int)).error)
@@ -182,13 +190,13 @@ def test_measure_reads_probability_load_and_common_mode():
     load[:50] = 99.0  # before the start counts
     load[100:103] = 99.0  # an edge
     load[250:] = np.nan
-    said = Said(
+    output = GatewayOutput(
         T,
         np.column_stack([flags((103, 153)), flags((103, 153))]),
         flags((106, 150)),
         (Estimates(T, chance, load),) * 2,
     )
-    found = measure(rows, said, (1, 2))
+    found = measure(rows, output, (1, 2))
     assert found.flags.true_positive == 90
     assert found.flags.train_s == pytest.approx(1.95)
     assert (found.common.delays_ms, found.common.f1) == ((pytest.approx(60.0),), 84 / 87)
@@ -197,7 +205,7 @@ def test_measure_reads_probability_load_and_common_mode():
     assert found.silent.tolist() == [20, 0]
     assert found.load_rmse_nm == pytest.approx(1.0)
     assert found.plus(found).levels[1, 180] == 180
-    alone = measure([r for r in rows if r.drive == 1], said, (1,))
+    alone = measure([r for r in rows if r.drive == 1], output, (1,))
     assert alone.common == Score()
 
 
@@ -212,13 +220,13 @@ def test_listen_decodes_what_the_gateway_sends():
             {"Health": 1, "LoadTorque": 12.5, "LossProbability": None},
         )
     ]
-    said = listen(frames, c, (1, 2, 3))
-    assert said.t_s.tolist() == [0.01]
-    assert said.flags.tolist() == [[Flag.GOOD, Flag.BAD, Flag.UNKNOWN]]
-    assert said.common.tolist() == [Flag.BAD]
-    np.testing.assert_array_equal(said.estimates[1].probability, [0.4, np.nan])
-    np.testing.assert_array_equal(said.estimates[1].load_nm, [12.5, np.nan])
-    assert len(said.estimates[0].t_s) == 0
+    output = listen(frames, c, (1, 2, 3))
+    assert output.t_s.tolist() == [0.01]
+    assert output.flags.tolist() == [[Flag.GOOD, Flag.BAD, Flag.UNKNOWN]]
+    assert output.common.tolist() == [Flag.BAD]
+    np.testing.assert_array_equal(output.estimates[1].probability, [0.4, np.nan])
+    np.testing.assert_array_equal(output.estimates[1].load_nm, [12.5, np.nan])
+    assert len(output.estimates[0].t_s) == 0
 
 
 def test_seeds_for_tuning_and_reporting_are_apart():

@@ -123,7 +123,7 @@ def translated(config: Config, frames, now: int = 10**12) -> tuple[list, Counter
     """What is made for the first drive, decoded: (kind, time in ms, values)."""
     taken = fitted(codec(), plans(config))
     counts: Counter = Counter()
-    block = Translator(plans(config), taken).take(frames, now, counts)
+    block = Translator(plans(config), taken).translate(frames, now, counts)
     out = []
     for frame in block.frames():
         spec = taken.by_id.get(frame.can_id)

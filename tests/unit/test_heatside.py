@@ -25,7 +25,7 @@ from gateway.settings.calibration import (
 from gateway.settings.config import ConfigError
 from gateway.study.calibrating import Learner
 from tests.sender import codec_for
-from tests.stations import Inbox, ThermalSide
+from tests.stations import Inbox, TemperatureMonitor
 
 MS = 1_000_000
 NODES = (1, 2, 3)
@@ -74,13 +74,13 @@ def shipped():
 
 
 def test_a_second_is_the_mean_of_what_was_known():
-    side = ThermalSide(2, 100 * MS, 5.0, None, (1, 2), [("stator", "drive_end"), POINTS])
+    side = TemperatureMonitor(2, 100 * MS, 5.0, None, (1, 2), [("stator", "drive_end"), POINTS])
     side.learning = True
     lines, others = [Line(), Line(irms=None)], Others((1, 2), side)
     for k in range(10):
         now = (k + 1) * 100 * MS
-        side.take([reading(0, now, (50 + k / 10, 40, 30, 20)), reading(1, now, (50, 40, 30, 20))],
-                  now, others.say(lines, now))  # fmt: skip
+        pair = [reading(0, now, (50 + k / 10, 40, 30, 20)), reading(1, now, (50, 40, 30, 20))]
+        side.add_readings(pair, now, others.say(lines, now))
         assert (side.last is None) == (k < 9)
     assert side.dt_s == 1.0
     sample = side.last
@@ -95,7 +95,7 @@ class Rig:
 
     def __init__(self):
         self.cells = shipped()
-        self.side = ThermalSide(3, 100 * MS, 5.0, self.cells, NODES, model=True)
+        self.side = TemperatureMonitor(3, 100 * MS, 5.0, self.cells, NODES, model=True)
         self.known = self.cells.known(NODES)
         self.others = Others(NODES, self.side)
         self.k = 0
@@ -115,7 +115,9 @@ class Rig:
             now = self.k * 100 * MS
             noisy = np.round(row + rng.normal(0.0, 0.1, (3, 3)), 1)
             beside = self.others.say(lines, now)
-            self.side.take([reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, beside)
+            self.side.add_readings(
+                [reading(j, now, (*noisy[j], 20.0)) for j in range(3)], now, beside
+            )
         self.last = out[-1]
         return [self.side.report(j, now, 310 * MS) for j in range(3)]
 
@@ -247,7 +249,7 @@ def test_what_was_learnt_is_stored_whole_and_edits_are_refused(tmp_path):
     without = calibration.load(path, NODES, 5.0)
     assert without.known(NODES) is None
     with pytest.raises(ConfigError, match="method"):
-        ThermalSide(3, 100 * MS, 5.0, without, NODES, model=True)
+        TemperatureMonitor(3, 100 * MS, 5.0, without, NODES, model=True)
 
 
 def test_the_learner_finds_motors_of_another_size(tmp_path):

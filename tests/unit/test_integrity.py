@@ -13,13 +13,13 @@ from gateway.core import integrity as module
 from gateway.core.codes import Flag, Reason
 from gateway.core.integrity import INTRUDER_HOLD_NS
 from tests.reference import integrity as reference
-from tests.stations import Doubt
+from tests.stations import IntegrityMonitor
 
 TICK = 10 * MS
 
 
 def told(*notes, ticks=1):
-    doubt = Doubt(TICK)
+    doubt = IntegrityMonitor(TICK)
     for k in range(ticks):
         for note in notes:
             note(doubt)
@@ -57,7 +57,7 @@ def test_a_tick_in_time_ends_the_row():
 
 @pytest.mark.parametrize("begin", [0, 7 * TICK, 12_345_678_901])
 def test_how_long_lost_frames_count_depends_on_no_clock(begin):
-    doubt = Doubt(TICK)
+    doubt = IntegrityMonitor(TICK)
     doubt.note_lost(3)
     said = []
     for k in range(8):
@@ -76,7 +76,7 @@ def test_lost_frames_are_held_against_every_flag_for_five_ticks():
 
 
 def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
-    doubt = Doubt(TICK)
+    doubt = IntegrityMonitor(TICK)
     doubt.tick(0, 3)
     assert not doubt.intruder
     doubt.watching = True
@@ -91,7 +91,7 @@ def test_an_intruder_is_known_only_to_who_watches_and_is_never_forgotten():
 
 
 def test_unknown_lasts_as_long_as_the_intruder_and_ten_seconds_more():
-    doubt = Doubt(TICK, intruder_hold_ns=INTRUDER_HOLD_NS)
+    doubt = IntegrityMonitor(TICK, intruder_hold_ns=INTRUDER_HOLD_NS)
     doubt.watching = True
     for k in range(300):
         doubt.tick(k * TICK, int(k % 100 == 0))
@@ -106,14 +106,14 @@ def test_unknown_lasts_as_long_as_the_intruder_and_ten_seconds_more():
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("told_apart", [False, True])
+@pytest.mark.parametrize("authenticated", [False, True])
 @pytest.mark.parametrize("stops", [False, True])
 @pytest.mark.parametrize("hold_ns", [None, 200 * MS])
-def test_it_equals_the_reference(seed, told_apart, stops, hold_ns):
+def test_it_equals_the_reference(seed, authenticated, stops, hold_ns):
     """Notes of every kind at random, ticks of any length."""
     rng, now, met = np.random.default_rng(seed), 0, set()
-    words = {"told_apart": told_apart, "intruder_hold_ns": hold_ns, "stops": stops}
-    ours, theirs = Doubt(TICK, **words), reference.Doubt(TICK, **words)
+    words = {"authenticated": authenticated, "intruder_hold_ns": hold_ns, "stops": stops}
+    ours, theirs = IntegrityMonitor(TICK, **words), reference.IntegrityMonitor(TICK, **words)
     train = np.zeros(1, TRAIN_INPUTS)
     pointer = module.ffi.from_buffer("struct train_inputs *", train)
     for _ in range(2000):
@@ -136,13 +136,15 @@ def test_it_equals_the_reference(seed, told_apart, stops, hold_ns):
         assert train.tolist() == [(found[0], mode, found[4], found[1])]
         met.add(found[0])
     wanted = {Reason.NONE, Reason.OVERRUN, Reason.SEQUENCE, Reason.INTRUDER}
-    assert met == wanted - ({Reason.INTRUDER} if told_apart else set()) or met >= {Reason.INTRUDER}
+    assert met == wanted - ({Reason.INTRUDER} if authenticated else set()) or met >= {
+        Reason.INTRUDER
+    }
 
 
 def test_damaged_records_cost_no_more_than_a_wrong_answer():
     rng = np.random.default_rng(7)
     for _ in range(2000):
-        one = Doubt(TICK)
+        one = IntegrityMonitor(TICK)
         one.record.view(np.uint8)[:] = rng.integers(0, 256, INTEGRITY.itemsize, dtype=np.uint8)
         # A count of ticks does not come near its end.
         one.record["deadline_misses"] >>= 2
@@ -154,7 +156,7 @@ def test_damaged_records_cost_no_more_than_a_wrong_answer():
 
 
 def test_a_copy_has_notes_of_its_own():
-    one = Doubt(TICK)
+    one = IntegrityMonitor(TICK)
     other = copy.deepcopy(one)
     other.note_lost(1)
     other.tick(TICK, 0)

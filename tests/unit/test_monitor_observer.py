@@ -39,7 +39,7 @@ def test_flags_and_estimates_are_those_that_the_gateway_sent():
         first = k
         while k < len(frames) and frames[k].t_ns <= view.t_ns:
             k += 1
-        observer.take(frames[first:k], view.t_ns)
+        observer.add_frames(frames[first:k], view.t_ns)
         shown = observer.snapshot(view.t_ns)
         if view.t_ns < 50 * MS:
             continue
@@ -113,7 +113,7 @@ def test_what_is_too_old_is_unknown():
     assert shown.drives[0].adhesion is Flag.GOOD
     shown = observer.snapshot(END + 130 * MS)
     assert not shown.gateway.alive
-    assert shown.gateway.heard
+    assert shown.gateway.present
     assert {row.adhesion for row in shown.drives} == {Flag.UNKNOWN}
     assert shown.gateway.reason is None
     assert "no flags of the gateway any more" in texts(shown)
@@ -132,7 +132,7 @@ def test_what_is_too_old_is_unknown():
 def test_without_a_gateway_nothing_is_known_and_nothing_is_made_up():
     run = recorded()
     shown = play(run.observer(), run.drives, END)
-    assert not shown.gateway.heard
+    assert not shown.gateway.present
     assert shown.gateway.source == "none"
     for row in shown.drives:
         assert (row.adhesion, row.thermal, row.health) == (Flag.UNKNOWN, Flag.UNKNOWN, 0)
@@ -219,7 +219,7 @@ def test_frames_from_the_future_and_before_time_are_counted_and_not_believed():
     observer = run.observer()
     play(observer, run.frames, END)
     late = run.gateway[-1]
-    observer.take([late._replace(t_ns=END + 5_000 * MS), late._replace(t_ns=-5)], END)
+    observer.add_frames([late._replace(t_ns=END + 5_000 * MS), late._replace(t_ns=-5)], END)
     assert observer.snapshot(END).link.rejected == {"time_back": 2}
 
 
@@ -230,7 +230,7 @@ def test_a_flood_with_one_stamp_is_bounded_and_counted(monkeypatch):
     play(observer, run.frames, END)
     before = observer.counts["unknown_id"]
     for _ in range(20):
-        observer.take([Frame(END, 0x555, b"")] * 10, END)
+        observer.add_frames([Frame(END, 0x555, b"")] * 10, END)
     assert observer.snapshot(END + TICK).link.rejected == {"flood": 150}
     assert observer.counts["unknown_id"] == before + 50
 
@@ -307,7 +307,7 @@ def test_a_long_silence_is_skipped_and_gives_what_waiting_gives():
     a = play(hasty, run.frames + later, later[-1].t_ns, step_ns=3_600_000 * MS)
     play(patient, run.frames, END)
     for minute in range(1, 60):
-        patient.take((), END + minute * 60_000 * MS)
+        patient.add_frames((), END + minute * 60_000 * MS)
     b = play(patient, later, later[-1].t_ns)
     assert a == b
     assert a.t_s == pytest.approx(3603.0, abs=0.02)

@@ -171,7 +171,7 @@ class Fake:
         self.hangs = threading.Event()
         self.hangs.set()
 
-    def take(self, _timeout_s):
+    def receive_block(self, _timeout_s):
         self.hangs.wait()
         time.sleep(0.0005)
         first, now = self.given, self.now
@@ -270,7 +270,7 @@ def test_nothing_can_be_sent_and_a_silent_bus_is_no_error():
     seen = shown.advance(0.1)
     shown.close()
     assert seen.link.received == 0
-    assert not seen.gateway.heard
+    assert not seen.gateway.present
     assert seen.t_s == 0.0
 
 

@@ -56,7 +56,7 @@ class Plain:
             reference.FADED_NM, own["turning_w_e"], reference.LOCKED_NS, reference.SPEED_TOLERANCE,
             reference.SPEED_TOLERANCE_RAD_S, reference.TICKS,
         )  # fmt: skip
-        self.doubt_ns = drives.rotors["doubt_until_ns"].copy()
+        self.doubt_ns = drives.rotors["unreliable_until_ns"].copy()
         self.check = plausibility.start(n, self.doubt_ns)
         self.check_limits = plausibility.PlausibilityLimits(
             p, checks["torque_per_a"], checks["rated_a"], checks["rated_nm"],
@@ -98,7 +98,7 @@ class Plain:
             for j, name in enumerate(names)
         ]
         pairs += [(drives.others, self.check.others, "others")]
-        pairs += [(drives.rotors["doubt_until_ns"], self.doubt_ns, "doubt")]
+        pairs += [(drives.rotors["unreliable_until_ns"], self.doubt_ns, "doubt")]
         for mine, plain in (
             (drives.estimates, self.estimates), (drives.status, self.status),
             (drives.bank.filters, self.filters),

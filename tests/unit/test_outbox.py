@@ -18,7 +18,7 @@ from gateway.core.thermal_model_monitor import Wear
 from gateway.core.transmit import Outbox
 from gateway.core.view import Counted, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
-from tests.stations import Doubt, Inbox
+from tests.stations import Inbox, IntegrityMonitor
 
 NODES = (2, 1, 3)
 N = len(NODES)
@@ -204,7 +204,7 @@ def test_counts_are_those_taken_over_and_those_in_the_receiver():
     codec = codec_for(NODES)
     box, load = Outbox(codec, NODES, 7, TICK), BusLoad(500_000, 2_000_000, 0)
     inbox = Inbox(codec, NODES, TICK, Supervision(NODES, 300 * MS))
-    counters, doubt = inbox.receiver.counters, Doubt(TICK)
+    counters, doubt = inbox.receiver.counters, IntegrityMonitor(TICK)
     doubt.note_overrun(3)
     doubt.tick(0, 0)
     box.note_rejected(5)

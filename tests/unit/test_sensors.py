@@ -5,10 +5,10 @@ import pytest
 
 from gateway.core.codes import FaultClass, FaultSensor, Flag
 from gateway.core.inbox import Temperatures
-from gateway.core.temperature import SensorSide
+from gateway.core.temperature import SensorMonitor
 from gateway.settings.calibration import MotorCalibration
 from gateway.study.calibrating import Learner
-from tests.stations import ThermalSide, not_yet_valid, sensor_verdict, sensors_valid
+from tests.stations import TemperatureMonitor, not_yet_valid, sensor_verdict, sensors_valid
 
 MS = 1_000_000
 HEALTHY = ((FaultClass.NONE, FaultSensor.NONE),)
@@ -18,7 +18,7 @@ class Rig:
     """One drive at 10 readings a second."""
 
     def __init__(self, sensors=None):
-        self.side = SensorSide(1, 100 * MS, sensors=None if sensors is None else [sensors])
+        self.side = SensorMonitor(1, 100 * MS, sensors=None if sensors is None else [sensors])
         self.rng = np.random.default_rng(2)
         self.k = 0
 
@@ -32,7 +32,7 @@ class Rig:
             good = (*(p not in lost for p in range(3)), True)
             raw = tuple(round(10 * c) for c in celsius)
             now = self.k * 100 * MS
-            self.side.take(Temperatures(0, now, (*celsius, 20.0), good, (*raw, 200)))
+            self.side.add_reading(Temperatures(0, now, (*celsius, 20.0), good, (*raw, 200)))
             found = sensor_verdict(self.side, 0, now)
             if not said or said[-1] != found:
                 said.append(found)
@@ -105,9 +105,9 @@ def test_what_has_cooled_while_nothing_was_heard_has_not_jumped(silent_s):
 
 
 def test_the_same_value_before_and_after_a_silence_is_not_held():
-    side = SensorSide(1, 100 * MS)
+    side = SensorMonitor(1, 100 * MS)
     for t_s in (0, 300):
-        side.take(Temperatures(0, t_s * 1000 * MS, (60.0,) * 4, (True,) * 4, (600,) * 4))
+        side.add_reading(Temperatures(0, t_s * 1000 * MS, (60.0,) * 4, (True,) * 4, (600,) * 4))
     assert sensor_verdict(side, 0, 300_050 * MS) == HEALTHY[0]
 
 
@@ -132,7 +132,7 @@ def test_a_sensor_without_noise_is_not_held_to_what_it_held_in_health(step_k, ho
     cell = MotorCalibration(
         node=1, gain=(1,) * 3, offset_k=(0,) * 3, longest_hold_s=(2.0,) * 3, largest_step_k=three
     )
-    side = SensorSide(1, 100 * MS, [cell])
+    side = SensorMonitor(1, 100 * MS, [cell])
     assert side.stuck_after_ns(0, 0) == hold_s * 1000 * MS
 
 
@@ -150,20 +150,20 @@ def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_ha
                 raw = tuple(round(10 * c) for c in celsius)
                 # What is not fitted reads nonsense, as an open input does.
                 readings.append(Temperatures(j, now, tuple(celsius), (True,) * 4, raw))
-            side.take(readings, now)
+            side.add_readings(readings, now)
             look(now)
         return [side.report(j, now, 310 * MS) for j in range(3)]
 
     learner = Learner(nodes, 2.0)
-    side = ThermalSide(3, 100 * MS, 2.0, None, nodes, fitted)
-    play(side, 60, 0.0, lambda now: learner.take(side, now))
+    side = TemperatureMonitor(3, 100 * MS, 2.0, None, nodes, fitted)
+    play(side, 60, 0.0, lambda now: learner.add_second(side, now))
     learnt = learner.finish(1.5)
     assert learnt.motor[0].offset_k[1:] == (0.0, 0.0)
     assert learnt.motor[1].offset_k[1] == pytest.approx(1.0, abs=0.1)
     assert learnt.deviation_limit_k[2] == 1.0, "nobody has one: the floor"
-    well = play(ThermalSide(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.0)
+    well = play(TemperatureMonitor(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.0)
     assert {r.thermal for r in well} == {Flag.GOOD}
-    ill = play(ThermalSide(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.3)
+    ill = play(TemperatureMonitor(3, 100 * MS, 2.0, learnt, nodes, fitted), 20, 0.3)
     assert [r.fault_class for r in ill] == [FaultClass.NONE, FaultClass.BEARING, FaultClass.NONE]
 
 
@@ -180,12 +180,12 @@ def test_what_warms_reading_by_reading_is_no_sensors_step(per_reading):
 
 
 def test_a_motor_that_warms_beyond_what_a_reading_can_say_is_neither_offset_nor_stuck():
-    side = SensorSide(1, 100 * MS)
+    side = SensorMonitor(1, 100 * MS)
     for k in range(6000):
         celsius = (min(60.0 + 0.7 * k, 300.0), 50.0 + 0.1 * (k % 2), 48.0 + 0.1 * (k % 2), 20.0)
         raw = tuple(round(10 * c) for c in celsius)
         now = (k + 1) * 100 * MS
-        side.take(Temperatures(0, now, celsius, (True,) * 4, raw))
+        side.add_reading(Temperatures(0, now, celsius, (True,) * 4, raw))
         assert sensor_verdict(side, 0, now) == HEALTHY[0]
 
 

@@ -9,7 +9,7 @@ from _traction_core import lib
 from dbc.records import pointer
 from gateway.core.codes import FaultClass, FaultSensor
 from gateway.core.inbox import Temperatures
-from gateway.core.temperature import SensorSide
+from gateway.core.temperature import SensorMonitor
 from tests.reference import temperature as reference
 from tests.stations import not_yet_valid, sensor_fault, sensor_verdict, sensors_valid
 
@@ -87,7 +87,7 @@ def compare(side, points, now):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_it_equals_the_reference_to_the_bit(seed):
-    side, bus = SensorSide(4, 100 * MS, sensors=FITTED), Bus(seed)
+    side, bus = SensorMonitor(4, 100 * MS, sensors=FITTED), Bus(seed)
     sensors = side.drives["sensor"]
     sensors["stuck_after_ns"] = 1500 * MS
     points = reference.start(
@@ -96,7 +96,7 @@ def test_it_equals_the_reference_to_the_bit(seed):
     met = compare(side, points, 0)
     for _ in range(2500):
         for reading in bus.readings():
-            side.take(reading)
+            side.add_reading(reading)
             j, t = reading.drive, reading.t_ns
             reference.note_reading(j, t, points)
             for k in range(3):
@@ -109,11 +109,11 @@ def test_it_equals_the_reference_to_the_bit(seed):
 
 
 def test_a_reset_forgets_all_but_what_is_configured():
-    side = SensorSide(1, 100 * MS)
+    side = SensorMonitor(1, 100 * MS)
     before = side.drives.copy()
     for reading in Bus(0).readings():
         if reading.drive == 0:
-            side.take(reading)
+            side.add_reading(reading)
     assert side.drives.tobytes() != before.tobytes()
     drive = pointer("struct temperature_drive", side.drives)
     assert lib.temperature_received_ns(drive) == side.drives["received_ns"][0]
@@ -122,10 +122,10 @@ def test_a_reset_forgets_all_but_what_is_configured():
 
 
 def test_a_sensor_that_never_gives_a_value_is_lost_after_half_a_second():
-    side = SensorSide(1, 100 * MS)
+    side = SensorMonitor(1, 100 * MS)
     for k in range(1, 8):
         now = 100 * k * MS
-        side.take(Temperatures(0, now, (60.0,) * 4, (True, False, True, True), (600,) * 4))
+        side.add_reading(Temperatures(0, now, (60.0,) * 4, (True, False, True, True), (600,) * 4))
         lost = k > 6
         assert sensor_fault(side, 0, 1, now) == (
             FaultClass.SENSOR_LOST if lost else FaultClass.UNKNOWN
@@ -136,9 +136,9 @@ def test_a_sensor_that_never_gives_a_value_is_lost_after_half_a_second():
 
 
 def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor():
-    side = SensorSide(1, 100 * MS)
+    side = SensorMonitor(1, 100 * MS)
     side.drives["sensor"]["stuck_after_ns"] = 50 * MS
-    side.take(Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
+    side.add_reading(Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
     assert sensor_fault(side, 0, 0, 50 * MS) is FaultClass.NONE
     assert sensor_fault(side, 0, 0, 51 * MS) is FaultClass.SENSOR_STUCK
     # Four that stand still have no cause in common, as four that are lost at once have.

@@ -17,7 +17,7 @@ from tests.reference import thermal as reference
 from tests.sender import MS, codec_for
 from tests.stations import (
     Inbox,
-    ThermalSide,
+    TemperatureMonitor,
     is_fresh,
     not_yet_valid,
     sensor_verdict,
@@ -99,7 +99,7 @@ def cells():
 def made(method, seed, fitted=FITTED):
     """A thermal side, its bus and its reference."""
     learnt = None if method == "none" else cells()
-    side = ThermalSide(3, 100 * MS, 5.0, learnt, NODES, fitted, model=method == "model")
+    side = TemperatureMonitor(3, 100 * MS, 5.0, learnt, NODES, fitted, model=method == "model")
     side.learning = True
     bus, limits = Bus(seed), [310 * MS, 310 * MS, 150 * MS]
     side.wire(bus.places, limits)
@@ -140,12 +140,12 @@ def test_it_equals_the_reference_and_a_recording_is_as_good_as_frames(method, se
             celsius, valid = reading.celsius[3], reading.valid[3]
             plain.ambient[reading.drive] = celsius if valid else np.nan
         plain.tick(bus.seen > 0, bus.now, loads_of(bus))
-        other.take(bus.inbox.temperatures, bus.now, bus.inbox.receiver)
+        other.add_readings(bus.inbox.temperatures, bus.now, bus.inbox.receiver)
         other.tell(bus.now, again)
         assert repr(inputs.tolist()) == repr(again.tolist())
         np.testing.assert_allclose(side.motors["mean"], plain.mean, rtol=1e-12)
         for k in range(3):
-            told, wanted = side.told(k, inputs[k]), plain.report(k, bus.now)
+            told, wanted = side.to_report(k, inputs[k]), plain.report(k, bus.now)
             assert tuple(told[:5]) == wanted[:5], (tick, k)
             numbers = [inputs[k]["mixed_c"], inputs[k]["maisd_k"]]
             np.testing.assert_allclose(numbers, wanted[5:], rtol=1e-9, atol=1e-9)
@@ -253,10 +253,10 @@ def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
 
 
 def test_an_absent_receiver_is_no_load():
-    side = ThermalSide(3, 100 * MS, 2.0, None, NODES)
+    side = TemperatureMonitor(3, 100 * MS, 2.0, None, NODES)
     side.learning = True
     for k in range(11):
-        side.take([Temperatures(0, k * 100 * MS, (50.0,) * 4, (True,) * 4, (500,) * 4)],
+        side.add_readings([Temperatures(0, k * 100 * MS, (50.0,) * 4, (True,) * 4, (500,) * 4)],
                   k * 100 * MS)  # fmt: skip
     assert np.isnan(side.last.square).all() if side.last else True
     np.testing.assert_array_equal(side.motors["mean"][:, 3:5], np.nan)
@@ -283,14 +283,14 @@ def test_maisd_raises_where_the_fleet_differs_and_a_sensor_of_gain_0_raises_noth
     gain, limit_k, thermal
 ):
     """Who stood still while the fleet was learnt from is infinitely far, or nowhere."""
-    side, now = ThermalSide(3, 100 * MS, 2.0, cells(), NODES), 0
+    side, now = TemperatureMonitor(3, 100 * MS, 2.0, cells(), NODES), 0
     side.window.gain[:], side.window.offset_k[:] = 1.0, 0.0
     side.window.gain[:, 1] = gain
     side.record["window"]["limit_k"], side.record["window"]["apart_k"] = limit_k, 1.0
     for k in range(100):
         now = k * 100 * MS
         warm = 0.1 * k
-        side.take(
+        side.add_readings(
             [
                 Temperatures(
                     j, now, (60.0, 50.0 + warm * (j == 1), 50.0, 20.0), (True,) * 4,

@@ -7,7 +7,7 @@ from dbc.records import FLAG_INPUTS
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.settings.calibration import Calibration, MotorCalibration
-from tests.stations import ThermalSide
+from tests.stations import TemperatureMonitor
 
 MS = 1_000_000
 NODES = (1, 2, 3)
@@ -30,7 +30,7 @@ def calibration():
 
 class Rig:
     def __init__(self, cells):
-        self.side = ThermalSide(3, 100 * MS, 2.0, cells, NODES)
+        self.side = TemperatureMonitor(3, 100 * MS, 2.0, cells, NODES)
         self.rng = np.random.default_rng(1)
         self.k = 0
 
@@ -46,7 +46,7 @@ class Rig:
                 good = tuple((j, p) not in lost for p in range(4))
                 raw = tuple(round(v * 10) if g else -1 for v, g in zip(values, good, strict=True))
                 readings.append(Temperatures(j, now, tuple(values), good, raw))
-            self.side.take(readings, now)
+            self.side.add_readings(readings, now)
         return [self.side.report(j, now, 310 * MS) for j in range(3)]
 
 
@@ -129,7 +129,7 @@ def test_silence_is_stale():
 def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
     """Readings that come, fail, stop for good or for a while; ticks of any length."""
     rng = np.random.default_rng(seed)
-    told, asked = (ThermalSide(3, 100 * MS, 2.0, calibration(), NODES) for _ in range(2))
+    told, asked = (TemperatureMonitor(3, 100 * MS, 2.0, calibration(), NODES) for _ in range(2))
     out, met, now = np.zeros(3, FLAG_INPUTS), set(), 0
     limits = np.array([310 * MS, 310 * MS, 0])
     for side in (told, asked):
@@ -145,11 +145,11 @@ def test_what_is_told_is_what_would_be_reported_if_asked_every_tick(seed):
                 celsius, valid = tuple((raw / 10).tolist()), tuple((raw >= 0).tolist())
                 readings.append(Temperatures(j, now - MS, celsius, valid, tuple(raw.tolist())))
         for side in (told, asked):
-            side.take(readings, now)
+            side.add_readings(readings, now)
         told.tell(now, out)
         for k, limit in enumerate(limits.tolist()):
             report = asked.report(k, now, limit)
-            assert told.told(k, out[k]) == report
+            assert told.to_report(k, out[k]) == report
             assert out["temperature_ns"][k] == asked.sensors.drives["received_ns"][k]
             met.add(report.reason)
     assert {Reason.STALE, Reason.STARTING} < met

@@ -185,12 +185,12 @@ def recorded(rng, at, steps, step_s, motors=1, missing=0.2):
     )  # fmt: skip
 
 
-def by_the_reference(record, model, step, doubt):
+def by_the_reference(record, model, step, prior_sigma):
     reading = record.temperature.reshape(len(record.at), -1)
     out = np.empty_like(reading)
     rival_ekf.innovations(
         reading, record.at, record.current_square, record.speed**2, record.ambient,
-        record.step_s, np.stack(model), step, doubt, out,
+        record.step_s, np.stack(model), step, prior_sigma, out,
     )  # fmt: skip
     return out
 
@@ -251,10 +251,10 @@ def test_with_known_coefficients_the_filter_is_the_kalman_filter():
 
 
 @pytest.mark.parametrize(
-    ("step", "doubt", "samples"),
+    ("step", "prior_sigma", "samples"),
     [(0.0, 0.0, 200), (1e-6, 1e-3, 200), (1e-4, 0.05, 200), (0.5, 3.0, 10)],
 )
-def test_the_filter_equals_its_reference(step, doubt, samples):
+def test_the_filter_equals_its_reference(step, prior_sigma, samples):
     """Several motors, gaps of any length, none at all, and coefficients up to their limits.
 
     The last bits of exp go into a derivative by differences, which large variances multiply from
@@ -265,7 +265,7 @@ def test_the_filter_equals_its_reference(step, doubt, samples):
         at = np.cumsum(rng.integers(0, 6, samples))
         record = recorded(rng, at, int(at[-1]) + 1, 30.0, motors=2)
         model = lumped(rng, 6)
-        got, want = (f(record, model, step, doubt) for f in (innovations, by_the_reference))
+        got, want = (f(record, model, step, prior_sigma) for f in (innovations, by_the_reference))
         np.testing.assert_allclose(got, want, rtol=1e-7, atol=1e-7)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.cli import main
 from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
-from gateway.study.thermal_scores import Told, Truth, cells, mean, score, spread, table
+from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score, spread, table
 from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
 
 
@@ -52,10 +52,10 @@ def truth(faulty, effect=None, motor=1):
 def test_scores_by_hand():
     statistic = np.array([0.0, 2.0, 0.0, np.nan, 0.0, 3.0, 4.0, 5.0, 0.0, 0.0])
     t = truth([0, 0, 0, 0, 1, 1, 1, 1, 0, 0], [0, 0, 0, 0, 1.0, 5, 5, 5, 1.5, 0])
-    told = Told(
+    diagnosis = Diagnosis(
         np.array([0, 2, 0, 0, 0, 1, 1, 2, 0, 0]), np.array([0, 0, 0, 0, 0, 1, 0, 1, 0, 0]) > 0
     )
-    s = score(statistic, 1.0, t, told)
+    s = score(statistic, 1.0, t, diagnosis)
     assert s.accuracy == 0.8
     assert s.fpr == pytest.approx(1 / 6)
     assert s.fnr == 0.25
@@ -106,9 +106,9 @@ def test_the_model_beats_the_papers_method():
     assert by["model"].accuracy > by["paper_causal"].accuracy + 0.05
     assert by["model"].motor_right > 0.95
     assert by["model"].kind_right > 0.5, "hours apart a sensor that reads high is seldom named"
-    told = [(t.kind, name) for t in found for name, n in t.named.items() if n]
-    assert ("overheating", "overheating") in told
-    assert not [pair for pair in told if pair[1] not in (pair[0], UNDECIDED)]
+    diagnosis = [(t.kind, name) for t in found for name, n in t.named.items() if n]
+    assert ("overheating", "overheating") in diagnosis
+    assert not [pair for pair in diagnosis if pair[1] not in (pair[0], UNDECIDED)]
     assert FIT_RUNS["days"] == 1
 
 

@@ -106,7 +106,7 @@ def state(gateway):
         adhesion.responses, adhesion.ratios, adhesion.response_ratios, adhesion.rotors,
         adhesion.loads, adhesion.common_mode, receiver.channels, receiver.drives,
         receiver.counters, gateway.supervision.heartbeats, gateway.thermal.motors,
-        *gateway.thermal.window, *gateway.status, gateway.doubt.record,
+        *gateway.thermal.window, *gateway.status, gateway.integrity.record,
         *(gateway.outbox.messages[name] for name in ("next_ns", "counter")),
         *(adhesion.record[name] for name in (
             "response_spread", "spread", "learn_ns", "flagged_ns", "common", "common_smoothed",
@@ -183,7 +183,7 @@ def test_doubt_of_the_driver_is_kept():
     blocks, whole, ends = stormy(train(), 1, 900, 1e9)
     one, many = (Gateway(config_of(), train().codec, 0) for _ in range(2))
     for gateway in (one, many):
-        gateway.doubt.watching = True
+        gateway.integrity.watching = True
     out, wanted, done = [], [], 0
     for first, last, note in (
         (0, 300, lambda d: d.note_lost(3)),
@@ -198,7 +198,7 @@ def test_doubt_of_the_driver_is_kept():
             done += ticks
         for k in range(first, last):
             wanted += one.step(blocks[k], (k + FIRST) * TICK)
-        note(one.doubt), note(many.doubt)
+        note(one.integrity), note(many.integrity)
     assert out == wanted
     assert state(many) == state(one)
 
@@ -221,10 +221,10 @@ def test_an_intruder_and_a_heartbeat_that_stops_are_the_same_either_way(on_intru
         update={"bus": config.bus.model_copy(update={"on_intruder": on_intruder})}
     )
     one, many = (Gateway(config, honest.codec, 0) for _ in range(2))
-    one.doubt.watching = many.doubt.watching = True
+    one.integrity.watching = many.integrity.watching = True
     assert together(many, whole, ends) == singly(one, blocks)
     assert state(many) == state(one)
-    assert one.doubt.intruder
+    assert one.integrity.intruder
     assert one.silent == (on_intruder == "stop")
     assert one.inputs.status["heartbeat_lost"].tolist() == [0, 1, *[0] * (len(NODES) - 2)]
 

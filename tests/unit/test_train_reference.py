@@ -19,7 +19,7 @@ SAME = {
     "slow_speed": "slow_speed", "taken": "acceleration_torque", "diameter": "diameter",
     "learnt_s": "learnt_s", "creep": "creep", "followed_s": "followed_s", "alone_s": "alone_s",
     "far": "far", "apart": "apart", "near_s": "near_s", "slides_s": "slides_s", "away": "away",
-    "uncertain": "uncertain", "doubt_ns": "doubt_until_ns", "uncommanded_s": "uncommanded_s",
+    "uncertain": "uncertain", "doubt_ns": "unreliable_until_ns", "uncommanded_s": "uncommanded_s",
     "odd_s": "odd_s", "odd": "odd", "above": "above", "speed": "speed", "load": "load",
     "rated": "rated_nm", "inertia": "inertia_kg_m2", "motor": "motor",
 }  # fmt: skip
@@ -132,7 +132,7 @@ def test_any_course_of_a_train(seed, n):
         if now % 50 == 0:
             # In ticks, of one nanosecond here.
             plain.doubt_ns[:] = now + doubt.integers(0, 30, n)
-            rotors["doubt_until_ns"] = plain.doubt_ns
+            rotors["unreliable_until_ns"] = plain.doubt_ns
         reference.assess_train(measured, commanded, sent, flag, now, TICK_S, told, plain)
         assess_train(*again[:4], now, again[4], rotors)
         same(rotors, plain)

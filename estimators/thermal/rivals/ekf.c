@@ -51,12 +51,14 @@ static struct gap integrate(double loss, double speed_share, const struct therma
     };
 }
 
-static void start(struct ekf *f, const struct lumped_model *model, double doubt)
+static void start(struct ekf *f, const struct lumped_model *model, double prior_sigma)
 {
     *f = (struct ekf){
         .x = {model->usual - model->offset, elementary_log(model->gain),
               elementary_log(model->loss)},
-        .P = {{square(FIRST_T), 0.0, 0.0}, {0.0, square(doubt), 0.0}, {0.0, 0.0, square(doubt)}},
+        .P = {{square(FIRST_T), 0.0, 0.0},
+              {0.0, square(prior_sigma), 0.0},
+              {0.0, 0.0, square(prior_sigma)}},
     };
     for (int i = 0; i < 3; i++) {
         f->low[i] = f->x[i] - FACTOR;
@@ -116,7 +118,7 @@ void lumped_innovations(const struct lumped_model *model, const struct lumped_tu
                         const int64_t *at, int64_t samples, double *out)
 {
     struct ekf f;
-    start(&f, model, tuning->doubt);
+    start(&f, model, tuning->prior_sigma);
     for (int64_t k = 0; k < samples; k++) {
         if (k > 0 && at[k] > at[k - 1])
             predict(&f, model, tuning, &inputs[at[k - 1] + 1], at[k] - at[k - 1]);

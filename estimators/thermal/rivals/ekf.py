@@ -12,8 +12,8 @@ missing reading is no innovation and changes no state.
 `FOLLOWING` has coefficients that walk as fast as a filter of this kind is usually given: it follows
 the fault, as it is described, and misses nearly all of it.
 
-Tried on seeds 0, 3, 6, 9: walk 0 to 0.3, doubt 0.001 to 0.05, with and without `joint`, means of 2
-to 5 %; nearly fixed coefficients won: at a walk of 0.1, not joint, c and xi follow the fault
+Tried on seeds 0, 3, 6, 9: walk 0 to 0.3, prior_sigma 0.001 to 0.05, with and without `joint`, means
+of 2 to 5 %; nearly fixed coefficients won: at a walk of 0.1, not joint, c and xi follow the fault
 (overheating, 100 days: AUC 0.60, not 0.99). At 1 Hz T itself follows it, whatever was tried.
 """
 
@@ -37,13 +37,13 @@ LOSSES = np.geomspace(1.0 / 14_400.0, 1.0 / 120.0, 24)
 class EkfResidual:
     """Tuning of the filter.
 
-    walk: what c and xi may walk within a run, share; doubt: their sigma at the start, share;
+    walk: what c and xi may walk within a run, share; prior_sigma: their sigma at the start, share;
     joint: whether innovations are weighed by their covariance in the fault-free run, not only by
     the filter's own; window: share of the run's samples over which the statistic is averaged.
     """
 
     walk: float = 0.001
-    doubt: float = 0.001
+    prior_sigma: float = 0.001
     joint: bool = True
     window: float = 0.03
     name: str = "ekf"
@@ -58,13 +58,13 @@ class EkfResidual:
         points = len(model.loss)
         weight: Array = np.eye(points)
         if self.joint:
-            own = innovations(healthy, model, step, self.doubt)[1:]
+            own = innovations(healthy, model, step, self.prior_sigma)[1:]
             shape = own.T @ own / len(own)
             floor = 1e-2 * float(np.trace(shape)) / points + TINY
             weight = np.asarray(np.linalg.inv(shape + floor * np.eye(points)), dtype=np.float64)
 
         def score(record: Record) -> Array:
-            own = innovations(record, model, step, self.doubt)[1:]
+            own = innovations(record, model, step, self.prior_sigma)[1:]
             square = np.einsum("ki,ij,kj->k", own, weight, own) / points
             out = np.full(len(record.at), np.nan)
             out[1:] = moving(np.maximum(square, 0.0), window)
@@ -73,7 +73,7 @@ class EkfResidual:
         return score
 
 
-FOLLOWING = EkfResidual(walk=0.1, doubt=0.05, joint=False, window=0.02, name="ekf_following")
+FOLLOWING = EkfResidual(walk=0.1, prior_sigma=0.05, joint=False, window=0.02, name="ekf_following")
 
 
 class Lumped(NamedTuple):
@@ -150,10 +150,11 @@ def _bounded(table: Array, wanted: Array, lower: Array) -> Array:
     return out
 
 
-def innovations(record: Record, model: Lumped, step: float, doubt: float) -> Array:
+def innovations(record: Record, model: Lumped, step: float, prior_sigma: float) -> Array:
     """(K, N) innovations over their sigma, 0 where there is no reading.
 
-    step: variance of the logarithms of gain and loss per sample; doubt: their sigma at the start.
+    step: variance of the logarithms of gain and loss per sample; prior_sigma: of these at
+    the start.
     A missing reading is left out: the filter's own prediction is its value.
     """
     motors = record.temperature.shape[1]
@@ -164,7 +165,7 @@ def innovations(record: Record, model: Lumped, step: float, doubt: float) -> Arr
     inputs["current_square"] = record.current_square.T
     inputs["speed"], inputs["ambient"] = np.abs(record.speed), record.ambient
     models = pointer("struct lumped_model", np.stack(model, axis=1))
-    tuning = ffi.new("struct lumped_tuning *", (record.step_s, step, doubt))
+    tuning = ffi.new("struct lumped_tuning *", (record.step_s, step, prior_sigma))
     for n in range(3 * motors):
         lib.lumped_innovations(
             models + n, tuning, pointer("struct thermal_input", inputs[n // 3]),

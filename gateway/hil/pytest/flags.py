@@ -79,7 +79,7 @@ class GatewayFlags:
         __tracebackhide__ = True
         bench, began = self._bench, self._bench.now_ns
         wanted = WORDS[state]
-        heard = len(self._seen(flag, drive))
+        count = len(self._seen(flag, drive))
 
         def broken() -> bool:
             return first(self._seen(flag, drive), wanted, began + 1) is not None
@@ -91,7 +91,7 @@ class GatewayFlags:
                 f"{flag}{who} was never to be {state} for {for_ms:g} ms; it was after {at:g} ms\n"
                 + self.show(began)
             )
-        if len(self._seen(flag, drive)) == heard:
+        if len(self._seen(flag, drive)) == count:
             raise AssertionError(
                 f"{flag}{who}: no flag frame for {for_ms:g} ms\n{self.show(began)}"
             )
@@ -139,8 +139,8 @@ class GatewayFlags:
         own = {spec.can_id for spec in bench.codec.messages if spec.is_gateway}
         flags = [f for f in bench.frames if f.can_id in own][-LAST_FRAMES // 2 :]
         others = [f for f in bench.frames if f.can_id not in own][-LAST_FRAMES // 2 :]
-        told = picture.told(sorted([*flags, *others]), bench.codec)
-        return "\n".join([*lines, "  last frames:", *(f"    {line}" for line in told)])
+        frame_texts = picture.frame_texts(sorted([*flags, *others]), bench.codec)
+        return "\n".join([*lines, "  last frames:", *(f"    {line}" for line in frame_texts)])
 
     def _seen(self, flag: str, drive: int) -> list[tuple[Nanos, Flag]]:
         if flag in OF_THE_SET:

@@ -71,7 +71,7 @@ def candump(frame: Frame, channel: str = "can") -> str:
     return f"({frame.t_ns / 1e9:.6f}) {channel} {frame.can_id:03X}{mark}{frame.data.hex().upper()}"
 
 
-def told(frames: Iterable[Frame], codec: Codec) -> list[str]:
+def frame_texts(frames: Iterable[Frame], codec: Codec) -> list[str]:
     """Frames with their names and, of flags, what they say."""
     out = []
     for frame in frames:
@@ -81,12 +81,12 @@ def told(frames: Iterable[Frame], codec: Codec) -> list[str]:
             words = f"  {spec.name}"
             if spec.name in ("Gateway_Adhesion", "Gateway_Faults"):
                 values = codec.decode(spec, frame.data)
-                said = [
+                fields = [
                     f"{name}={_word(int(value.raw))}"
                     for name, value in values.items()
                     if name.startswith(("Adhesion", "Thermal", "SensorF", "CommF")) and value.raw
                 ]
-                words += "  " + " ".join([f"Reason={int(values['Reason'].raw)}", *said])
+                words += "  " + " ".join([f"Reason={int(values['Reason'].raw)}", *fields])
         out.append(candump(frame) + words)
     return out
 

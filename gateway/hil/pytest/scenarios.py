@@ -84,8 +84,8 @@ class ScenarioItem(pytest.Item):
         verdicts = self.parent.verdicts(self.number)
         wrong = [(v, picture) for v, picture in verdicts if not v.passed]
         if wrong:
-            said = "\n".join(f"{v.text}: {v.detail}" for v, _ in wrong)
-            raise ScenarioFailure(f"{said}\n{wrong[0][1]}")
+            failures = "\n".join(f"{v.text}: {v.detail}" for v, _ in wrong)
+            raise ScenarioFailure(f"{failures}\n{wrong[0][1]}")
         self.add_report_section(
             "call", "verdicts", "\n".join(f"{v.text}: {v.detail}" for v, _ in verdicts)
         )

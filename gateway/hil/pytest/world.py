@@ -101,21 +101,23 @@ class BusWorld:
         if self._start is None:
             self._start = now
         start = self._start
-        heard = self._bus.receive(0.0)
-        frames = newest(self.simulation.step(heard, now - start))
+        received = self._bus.receive(0.0)
+        frames = newest(self.simulation.step(received, now - start))
         for frame in frames:
             self._bus.send(frame)
         self._answer()
-        said = [
-            f._replace(t_ns=max(f.t_ns - start, 0)) for f in heard if f.can_id in self._gateway_ids
+        answers = [
+            f._replace(t_ns=max(f.t_ns - start, 0))
+            for f in received
+            if f.can_id in self._gateway_ids
         ]
-        return Tick(now - start, frames, said)
+        return Tick(now - start, frames, answers)
 
     def _answer(self) -> None:
         """Our own gateway's tick."""
         if self._core is None:
             return
-        block = self._theirs.take(0.0)
+        block = self._theirs.receive_block(0.0)
         now = self._ticker.clock()
         for frame in self._core.step(block, now) + self._node.step(meant(block), now):
             self._theirs.send(frame)

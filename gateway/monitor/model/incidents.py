@@ -90,7 +90,7 @@ class Happenings:
         if self.changed("alive", 0, row.alive):
             text = "flags of the gateway are heard" if row.alive else NO_FLAGS
             self.often(t_ns, "alive", 0, INFO if row.alive else ERROR, text)
-        if row.source == "none" and row.heard:
+        if row.source == "none" and row.present:
             return
         mark = MARK if row.source == "shadow" else ""
         for name in _SET_FLAGS:

@@ -87,9 +87,9 @@ def of_snapshot(shown: Snapshot) -> Iterator[Metric]:
 
 
 def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
-    said = {"config_hash": row.config_hash, "detector": row.detector, "source": row.source}
+    labels = {"config_hash": row.config_hash, "detector": row.detector, "source": row.source}
     about = InfoMetricFamily(PREFIX.rstrip("_"), "What runs, by its own word, and who says so")
-    about.add_metric([], {key: value for key, value in said.items() if value is not None})
+    about.add_metric([], {key: value for key, value in labels.items() if value is not None})
     yield about
     flags: Samples = [((name,), int(getattr(row, name))) for name in SET_FLAGS]
     yield _gauge("flag", f"Flags of the set: {FLAG_HELP}", flags, ("flag",))
@@ -99,7 +99,7 @@ def _of_gateway(row: GatewayRow) -> Iterator[Metric]:
     yield _state("reason", "Why flags are unknown", _names(Reason), reasons, ("flags",))
     for name, text, value, scale in (
         ("alive", "1 if flags newer than 100 ms are heard", int(row.alive), 1),
-        ("heard", "1 if a gateway was ever heard on this bus", int(row.heard), 1),
+        ("heard", "1 if a gateway was ever heard on this bus", int(row.present), 1),
         ("sample_age_seconds", "Oldest sample that the flags rest on", row.age_ms, 1e-3),
         ("flags_age_seconds", "Since the last believed flag frame", row.flags_age_ms, 1e-3),
         ("latency_p99_seconds", "Reception to flag, the gateway's word", row.latency_p99_us, US),
@@ -136,8 +136,8 @@ def _of_drives(rows: Iterable[DriveRow]) -> Iterator[Metric]:
         ("health", Health, "Health of a drive's estimate"),
         ("fault_class", FaultClass, "Kind of thermal fault"),
     ):
-        said = [((drive,), _name(getattr(row, name))) for drive, row in drives]
-        yield _state(f"drive_{name}", text, _names(kind), said, ("drive",))
+        samples = [((drive,), _name(getattr(row, name))) for drive, row in drives]
+        yield _state(f"drive_{name}", text, _names(kind), samples, ("drive",))
     for name, every in DRIVE_STATES.items():
         own = [((drive,), getattr(row, name)) for drive, row in drives]
         yield _state(f"drive_{name}", f"The drive's own {name}", every, own, ("drive",))
@@ -199,13 +199,13 @@ def _state(
     name: str,
     text: str,
     every: Iterable[str],
-    said: Iterable[tuple[tuple[str, ...], str | None]],
+    current: Iterable[tuple[tuple[str, ...], str | None]],
     labels: tuple[str, ...] = (),
 ) -> Metric:
     """A sample for each state; the label that names it is the metric's last word, or two."""
     label = name.removeprefix("drive_").removeprefix("link_")
     numbers: Samples = [
-        ((*values, state), int(state == now)) for values, now in said for state in every
+        ((*values, state), int(state == now)) for values, now in current for state in every
     ]
     return _gauge(name, text, numbers, (*labels, label))
 

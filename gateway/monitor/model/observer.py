@@ -31,11 +31,11 @@ from gateway.monitor.model.incidents import ERROR as GRAVE
 from gateway.monitor.model.incidents import MARK, WARNING, Happenings
 from gateway.monitor.model.rows import (
     drive_row,
+    flag_values,
     gateway_row,
     heartbeat,
     shadow_drive,
     shadow_gateway,
-    told,
 )
 from gateway.monitor.model.schedule import Schedule
 from gateway.monitor.model.snapshot import DriveRow, GatewayRow, Lateness, LinkRow, Snapshot
@@ -51,7 +51,7 @@ MOST_HELD: Final = 20_000
 AGREES: Final = 5
 """Ticks back in which the shadow may have said what the bus says now: an estimate is sent every
 20 ms."""
-TOLD: Final = ("adhesion", "thermal", "health")
+TRACED: Final = ("adhesion", "thermal", "health")
 SECOND_SENDERS: Final = ("repeated", "wrong_sequence")
 SIGMAS: Final = 0.5
 """By how much of its own uncertainty the shadow's load may differ from the bus."""
@@ -100,16 +100,16 @@ class Observer:
         self._window_ns: Nanos = 0
         self.first_ns: Nanos | None = None
         self._now: Nanos = 0
-        self._heard_ns: Nanos = 0
+        self._received_ns: Nanos = 0
         self._held = EMPTY
         # Made at once, because it checks the configuration; used from the first frame on.
         self._shadow = Gateway(config, codec, 0)
         self._own_hash = f"{self._shadow.outbox.config_hash:06x}"
-        self._said: dict[int, deque[tuple[Health, float, float]]] = {
+        self._estimates: dict[int, deque[tuple[Health, float, float]]] = {
             n: deque(maxlen=AGREES) for n in config.nodes
         }
 
-    def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> None:
+    def add_frames(self, frames: Iterable[Frame] | Block, now: Nanos) -> None:
         """Frames received until `now`, in any cut. Never raises on wire data."""
         block = frames if isinstance(frames, Block) else block_of(frames)
         good = (block.t_ns >= 0) & (block.t_ns <= now)
@@ -130,7 +130,7 @@ class Observer:
             if following > now:
                 break
             end = bisect_right(stamps, following, done)
-            if end == done and following - self._heard_ns > self._quiet_ns:
+            if end == done and following - self._received_ns > self._quiet_ns:
                 # Nothing can change before the next frame.
                 until = min(now, stamps[done] if done < len(stamps) else now)
                 self._now += max((until - self._now) // self._period_ns, 1) * self._period_ns
@@ -158,7 +158,7 @@ class Observer:
 
     def snapshot(self, now: Nanos) -> Snapshot:
         """The moment `now`, or rather the last step of the grid before it."""
-        self.take(EMPTY, now)
+        self.add_frames(EMPTY, now)
         at = self._now
         gateway, drives = self._rows(at)
         return Snapshot(
@@ -166,7 +166,7 @@ class Observer:
             gateway=gateway,
             drives=drives,
             link=self._link(at),
-            lateness=self._schedule.lateness() if gateway.heard else Lateness(),
+            lateness=self._schedule.lateness() if gateway.present else Lateness(),
             events=tuple(self._happenings.events),
             history=self._recent.traces(),
         )
@@ -175,14 +175,14 @@ class Observer:
         self.first_ns = first_ns
         # The first step is at the first frame itself.
         self._now = first_ns - self._period_ns
-        self._window_ns = self._heard_ns = first_ns
+        self._window_ns = self._received_ns = first_ns
         self._happenings.begin(first_ns)
         self._load = BusLoad(self.config.bus.bitrate, self.config.bus.data_bitrate, first_ns)
         self._shadow = Gateway(self.config, self.codec, first_ns)
 
     def _tick(self, block: Block, now: Nanos) -> None:
         if block.size:
-            self._heard_ns = now
+            self._received_ns = now
             self._received += block.size
             self._window += block.size
         if now - self._window_ns >= SECOND:
@@ -201,7 +201,7 @@ class Observer:
             spec = track.spec
             match = _match(spec, mark, length)
             data = block.data[k, :length].tobytes()
-            cause = track.take(match, data, t_ns)
+            cause = track.add_frame(match, data, t_ns)
             self.counts[cause or "believed"] += 1
             if cause in SECOND_SENDERS and track.doubled(t_ns) and spec.name not in self._doubled:
                 self._doubled.add(spec.name)
@@ -235,9 +235,9 @@ class Observer:
         if view is not None:
             for d in view.drives:
                 if d.load_nm is not None and d.load_sigma_nm is not None:
-                    self._said[d.node].append((d.health, d.load_nm, d.load_sigma_nm))
+                    self._estimates[d.node].append((d.health, d.load_nm, d.load_sigma_nm))
                 else:
-                    self._said[d.node].clear()
+                    self._estimates[d.node].clear()
         gateway = gateway_row(self.tracks, now)
         shown = self._instead(gateway)
         if shown is not None:
@@ -246,14 +246,14 @@ class Observer:
             self._last_bus_state = self._bus_state
             happenings.link(now, self._bus_state)
         happenings.gateway(now, gateway)
-        gone = gateway.heard and gateway.source == "none"
+        gone = gateway.present and gateway.source == "none"
         for k, node in enumerate(() if gone else self.nodes):
             if shown is None:
-                values, mark = told(self.tracks, node, now), ""
+                values, mark = flag_values(self.tracks, node, now), ""
             else:
                 drive = shown.drives[k]
                 values, mark = (drive.adhesion, drive.thermal, drive.health), MARK
-            for name, value in zip(TOLD, values, strict=True):
+            for name, value in zip(TRACED, values, strict=True):
                 happenings.state(now, name, node, value, mark)
         for node in self.nodes:
             status = self.tracks.get(f"Drive{node}_Status")
@@ -312,7 +312,7 @@ class Observer:
             return None
         near = [
             (abs(load - row.load_nm), sigma)
-            for health, load, sigma in self._said[row.node]
+            for health, load, sigma in self._estimates[row.node]
             if health is row.health
         ]
         if not near:
@@ -321,7 +321,7 @@ class Observer:
         return sigma if off <= STEP_NM + SIGMAS * sigma else None
 
     def _link(self, now: Nanos) -> LinkRow:
-        silent = self.first_ns is not None and now - self._heard_ns > 2 * SECOND
+        silent = self.first_ns is not None and now - self._received_ns > 2 * SECOND
         used = ("believed", "canopen", "unknown_id", "not_yet_valid")
         return LinkRow(
             state=self._bus_state,

@@ -119,10 +119,10 @@ def table(shown: Snapshot, selected: int, width: int) -> Text:
 def _cell(value: Text, size: int, side: str) -> Text:
     """Cut or filled to its width; a space follows what is flush right."""
     value = value.copy()
-    room = size - 1
-    if len(value) > room:
-        value.truncate(room, overflow="ellipsis")
-    fill = " " * (room - len(value))
+    space = size - 1
+    if len(value) > space:
+        value.truncate(space, overflow="ellipsis")
+    fill = " " * (space - len(value))
     value = Text(fill).append(value) if side == ">" else value.append(fill)
     return value.append(" ")
 
@@ -152,7 +152,7 @@ def gateway(shown: Snapshot) -> Text:
     text.append("GATEWAY ", style=f"bold {SKY}")
     if row.source == "shadow":
         text.append("? none here, SHADOW: the monitor's own", style=f"bold {ORANGE}")
-    elif not row.heard:
+    elif not row.present:
         text.append("? no gateway on this bus", style=f"bold {ORANGE}")
     elif not row.alive:
         late = age(None if row.flags_age_ms is None else row.flags_age_ms / 1e3)
@@ -168,14 +168,14 @@ def gateway(shown: Snapshot) -> Text:
     for name, label in _SET:
         flag = getattr(row, name)
         sign, style = _FLAG[flag]
-        told = f"{label} {word(name, flag)}" if flag is Flag.BAD else label
-        text.append(f"{sign}{told} ", style=f"bold {style}" if flag is Flag.BAD else style)
+        label_text = f"{label} {word(name, flag)}" if flag is Flag.BAD else label
+        text.append(f"{sign}{label_text} ", style=f"bold {style}" if flag is Flag.BAD else style)
     return text
 
 
 def link(shown: Snapshot) -> Text:
     """The bus as it is found here, and the gateway's counters."""
-    row, said = shown.link, shown.gateway
+    row, status = shown.link, shown.gateway
     text = Text(no_wrap=True)
     text.append("BUS ", style=f"bold {SKY}")
     fine = row.state == "active"
@@ -187,7 +187,7 @@ def link(shown: Snapshot) -> Text:
     text.append(f"\n{number(row.frames_s, 0)} frames/s  errors {row.error_frames}")
     text.append(f"  bad {wrong}", style=ORANGE if wrong else "")
     text.append(f"  unread {row.unread}" if row.unread else "", style=ORANGE)
-    counters = (said.deadline_misses, said.rejected, said.lost_frames)
+    counters = (status.deadline_misses, status.rejected, status.lost_frames)
     missed, rejected, lost = ("?" if n is None else str(n) for n in counters)
     text.append(f"\nmissed {missed}  rejected {rejected}  lost {lost}")
     return text
@@ -202,9 +202,9 @@ def lateness(late: Lateness, size: tuple[int, int]) -> Text:
         return text.append("\nnot known", style=GREY)
     text.append(f"  p99 {_short(late.p99_us or 0)}", style="")
     rows = list(zip(late.edges_us[1:], late.counts, strict=True))
-    room = max(height - 1, 1)
-    if len(rows) > room:  # the lowest go together: what matters is the tail
-        over = len(rows) - room
+    space = max(height - 1, 1)
+    if len(rows) > space:  # the lowest go together: what matters is the tail
+        over = len(rows) - space
         rows = [(rows[over][0], sum(n for _, n in rows[: over + 1])), *rows[over + 1 :]]
     most = max(n for _, n in rows)
     for edge, count in rows:

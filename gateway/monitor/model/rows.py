@@ -63,7 +63,7 @@ def gateway_row(tracks: Tracks, now: Nanos) -> GatewayRow:
     word = info.raw("ConfigHash")
     return GatewayRow(
         alive=alive,
-        heard=any(track.good_ns >= 0 for track in four),
+        present=any(track.good_ns >= 0 for track in four),
         source="bus" if alive else "none",
         state=chosen(GatewayState, status.raw("State")),
         reason=chosen(Reason, adhesion.raw("Reason")),
@@ -86,7 +86,7 @@ def gateway_row(tracks: Tracks, now: Nanos) -> GatewayRow:
     )
 
 
-def told(tracks: Tracks, node: int, now: Nanos) -> tuple[Flag, Flag, Health]:
+def flag_values(tracks: Tracks, node: int, now: Nanos) -> tuple[Flag, Flag, Health]:
     """Of one drive, what the gateway decides: adhesion, thermal, health."""
     estimate = tracks[f"Drive{node}_Estimate"].seen(now)
     return (
@@ -100,7 +100,7 @@ def drive_row(tracks: Tracks, node: int, now: Nanos) -> DriveRow:
     """One drive by the frames about it and from it; heartbeat and shadow are added elsewhere."""
     estimate = tracks[f"Drive{node}_Estimate"].seen(now)
     thermal = tracks[f"Drive{node}_Thermal"].seen(now)
-    adhesion, heat, health = told(tracks, node, now)
+    adhesion, heat, health = flag_values(tracks, node, now)
     speed, lost = estimate.number("Speed"), estimate.number("LossProbability")
     row = DriveRow(
         node=node,

@@ -63,7 +63,7 @@ class GatewayRow(NamedTuple):
 
     alive: bool = False
     """Flags newer than 100 ms were heard."""
-    heard: bool = False
+    present: bool = False
     """Any believed frame of a gateway since the start: without it there is none on this bus."""
     source: str = "none"
     """Whose flags and estimates the rows have: `bus`, `shadow` (a gateway that runs in the monitor

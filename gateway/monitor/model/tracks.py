@@ -71,8 +71,18 @@ class Track:
     """One message: what was last believed of it, and why its frames are not."""
 
     __slots__ = (
-        "_codec", "_guard", "_latest", "_receiver", "_seen", "data", "good_ns", "heard_ns",
-        "limit_ns", "lost", "rejected", "spec",
+        "_codec",
+        "_guard",
+        "_latest",
+        "_receiver",
+        "_seen",
+        "data",
+        "good_ns",
+        "limit_ns",
+        "lost",
+        "received_ns",
+        "rejected",
+        "spec",
     )  # fmt: skip
 
     def __init__(self, codec: Codec, spec: MessageSpec, tick_ns: Nanos) -> None:
@@ -80,7 +90,7 @@ class Track:
         self._codec = codec
         self.spec = spec
         self.limit_ns = max(LEAST_LIMIT_NS, 3 * spec.cycle_ns + tick_ns)
-        self.heard_ns = self.good_ns = NEVER
+        self.received_ns = self.good_ns = NEVER
         self.data = b""
         self.rejected = 0
         self._receiver = Receiver(spec)
@@ -89,12 +99,12 @@ class Track:
         """The last frame with a right checksum."""
         self._guard = sequence_guards([spec.cycle_ns])
 
-    def take(self, match: Match, data: bytes, t_ns: Nanos) -> str | None:
+    def add_frame(self, match: Match, data: bytes, t_ns: Nanos) -> str | None:
         """Judge a frame; gives why it is not believed, or None if it is. Never raises.
 
         t_ns: not before that of the last call.
         """
-        before, self.heard_ns = self.heard_ns, t_ns
+        before, self.received_ns = self.received_ns, t_ns
         cause = self._judge(match, data, t_ns, before)
         if cause is None:
             self.data = data

@@ -108,7 +108,7 @@ function trouble(fresh) {
   if (gateway.source === "shadow") {
     return ["? no gateway on this bus. SHADOW: flags and estimates are the monitor's own", false];
   }
-  if (!gateway.heard) return ["? no gateway on this bus", false];
+  if (!gateway.present) return ["? no gateway on this bus", false];
   if (!gateway.alive) {
     const late = gateway.flags_age_ms;
     return [`✗ no flags of the gateway${late === null ? "" : ` for ${(late / 1000).toFixed(1)} s`}`, true];
