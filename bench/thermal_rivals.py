@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from gateway.study.thermal_dataset import BASES, KINDS
-from gateway.study.thermal_scores import score
+from gateway.study.thermal_scores import score_alarms
 from gateway.study.thermal_trials import (
     DEVELOPMENT,
     HEALTHY,
@@ -66,7 +66,8 @@ def accuracies(task: tuple[int, str, Any]) -> list[tuple[float, float, float]]:
     fitted = fit(method, healthy)
     limit = float(np.nanquantile(fitted(limiting), LIMIT))
     scores = [
-        score(fitted(record_of(run)), limit, truth_of(run, BASES[base])) for run in runs.values()
+        score_alarms(fitted(record_of(run)), limit, truth_of(run, BASES[base]))
+        for run in runs.values()
     ]
     return [(one.accuracy, one.graced_fpr, one.graced_fnr) for one in scores]
 

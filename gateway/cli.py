@@ -108,7 +108,7 @@ def _printed(words: list[str]) -> int:
     from gateway.io import endings
 
     try:
-        code = _run(words)
+        code = _run_command(words)
     except SystemExit:  # of argparse
         endings.flush()
         raise
@@ -122,7 +122,7 @@ def _printed(words: list[str]) -> int:
     return code
 
 
-def _run(words: list[str]) -> int:
+def _run_command(words: list[str]) -> int:
     """Do what the words say. Raises what ends the program from outside, and faults of ours."""
     from dbc.text import printable
     from gateway.io import log_setup as logs

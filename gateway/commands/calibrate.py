@@ -64,7 +64,7 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
     from gateway.core.gateway import Gateway
     from gateway.io.replay import replay
 
-    def make(start: int) -> Gateway:
+    def new_gateway(start: int) -> Gateway:
         gateway = Gateway(config, codec, start)
         gateway.thermal.learning = True
         return gateway
@@ -72,4 +72,4 @@ def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learn
     def look(now: int, _out: list[Frame], gateway: Gateway) -> None:
         learner.add_second(gateway.thermal, now)
 
-    replay(blocks, make, config.loop.period_ns, look)
+    replay(blocks, new_gateway, config.loop.period_ns, look)

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 
 from gateway.commands import evaluate_thermal
@@ -108,10 +109,7 @@ def _progress(total: int) -> Iterator[tuple[Advance, Note]]:
     with Progress(*columns, console=console(), transient=True, disable=not shown) as progress:
         task = progress.add_task("runs", total=total)
 
-        def advance() -> None:
-            progress.advance(task)
-
         def note(family: str, seconds: float) -> None:
             progress.console.print(f"{family}: {seconds:.1f} s", markup=False, highlight=False)
 
-        yield advance, note
+        yield partial(progress.advance, task), note

@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     need(("distributed", "pyarrow"), "fleet")
     from gateway.fleet import run as fleet
     from gateway.fleet.logs import find, settings_for
-    from gateway.fleet.table import BAD, write
+    from gateway.fleet.table import BAD, write_table
     from gateway.settings.config import load
 
     paths = find(options.log, options.output)
@@ -62,7 +62,9 @@ def run(options: argparse.Namespace) -> int:
     def finish() -> list[Row]:
         table = [rows[one] for one in planned.jobs if one in rows]
         metadata = {"settings": settings.key, "version": settings.version}
-        files = write(settings.folder, table, {**metadata, "config": config.model_dump_json()})
+        files = write_table(
+            settings.folder, table, {**metadata, "config": config.model_dump_json()}
+        )
         _summary(table, len(planned.before), len(planned.jobs), files)
         return table
 

@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     recorder = Recorder(None) if left is None else left.recorder
     writer: Writer | None = None
 
-    def make(start: int) -> Gateway:
+    def new_gateway(start: int) -> Gateway:
         gateway = Gateway(config, codec, start)
         if left is not None:
             left.begin(gateway)
@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
         stack.enter_context(recorder)
         if options.output:
             writer = stack.enter_context(Writer(stack.enter_context(whole(options.output))))
-        done = replay(blocks, make, config.loop.period_ns, sink)
+        done = replay(blocks, new_gateway, config.loop.period_ns, sink)
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
     _summary(log.reader, done, recorder)

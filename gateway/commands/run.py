@@ -150,7 +150,7 @@ def run(options: argparse.Namespace) -> int:
 
         title = f"Timing on {options_name(options)}, configuration {gateway.outbox.config_hash:06x}"
         leave(
-            options.results, seen.timing.table(), title, config.loop.period_ns, seen.tick + 1,
+            options.results, seen.timing.stage_rows(), title, config.loop.period_ns, seen.tick + 1,
             seen.missed,
         )  # fmt: skip
         print(f"report: {options.results / 'report.html'}")

@@ -141,7 +141,7 @@ def _type(name: str) -> Any:
     return pa.float64() if name.endswith("_s") else pa.int64()
 
 
-def write(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> list[Path]:
+def write_table(folder: Path, rows: Sequence[Row], metadata: dict[str, str]) -> list[Path]:
     """Write both tables; each gets its name when it is whole. Raises OSError."""
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -70,7 +70,7 @@ class Batch:
         """A new socket: its drop counter starts at 0."""
         self._counts.drops_seen = 0
 
-    def read(self, descriptor: int) -> bool:
+    def read_from(self, descriptor: int) -> bool:
         """Read what waits. OSError as `recvmsg` raises it; BlockingIOError if nothing waits.
 
         True if there is room left: nothing waits any more, or there was an error, which the kernel

@@ -109,7 +109,7 @@ class Kernel:
         To look for an error that has ended it early takes a quarter of the time of reading again.
         """
         assert isinstance(raw, socket.socket)
-        if not batch.read(raw.fileno()):
+        if not batch.read_from(raw.fileno()):
             return False
         if code := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             raise OSError(code, os.strerror(code))

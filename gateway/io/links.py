@@ -165,7 +165,9 @@ class Links:
         except OSError:
             return False
         self.news()  # loads the library now and not in a tick, should the link be absent
-        self._thread = threading.Thread(target=self._run, args=(route,), daemon=True, name="links")
+        self._thread = threading.Thread(
+            target=self._watch, args=(route,), daemon=True, name="links"
+        )
         self._thread.start()
         return True
 
@@ -201,7 +203,7 @@ class Links:
         route.send(self._question)
         self._found = (asked, route.recv(1 << 16))
 
-    def _run(self, route: socket.socket) -> None:
+    def _watch(self, route: socket.socket) -> None:
         with route:
             while not self._ending:
                 self._wake.wait(ASK_NS / SECOND)

@@ -44,7 +44,7 @@ class Timing:
         """From frame to flag."""
         return self.stages[STAGES[-1]]
 
-    def table(self) -> list[Stage]:
+    def stage_rows(self) -> list[Stage]:
         """All of them, lateness first, for a report."""
         return [
             Stage(

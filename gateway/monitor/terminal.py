@@ -299,7 +299,7 @@ class MonitorApp(App[None]):
         self._put("link", panels.link(shown))
         width = self.size.width
         self._put("head", panels.heading(width))
-        self._put("table", panels.table(shown, self._selected, width))
+        self._put("table", panels.drive_table(shown, self._selected, width))
         self._put("detail", panels.detail(shown, self._selected))
         self._put("keys", self._keys())
         self._plots(shown)

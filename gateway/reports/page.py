@@ -71,7 +71,7 @@ class Anchors:
         """None given yet."""
         self._given: dict[str, int] = {}
 
-    def of(self, heading: str) -> str:
+    def anchor_of(self, heading: str) -> str:
         """The name of the next heading of this text."""
         name = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") or "section"
         count = self._given.get(name, 0)
@@ -93,7 +93,7 @@ def write(folder: Path, title: str, text: str, figures: Iterable[str]) -> None:
     for k, token in enumerate(tokens):
         if token.type == "heading_open":
             words = "".join(child.content for child in tokens[k + 1].children or ())
-            token.attrSet("id", anchors.of(words))
+            token.attrSet("id", anchors.anchor_of(words))
     body = reader.renderer.render(tokens, reader.options, {})
     for name in figures:
         inside = base64.b64encode((folder / f"{name}.svg").read_bytes()).decode()

@@ -71,7 +71,7 @@ class Reporting:
 
     def set_timing(self, seen: LiveSnapshot, period_ns: int) -> None:
         """Keep the histograms of a run in real time. Raises OSError."""
-        stages = seen.timing.table()
+        stages = seen.timing.stage_rows()
         tables(self.folder, stages, period_ns)
         self.timed = Timed(stages, period_ns, seen.tick + 1, seen.missed, "timing")
 

@@ -111,11 +111,11 @@ def _tight(text: str) -> str:
 def _contents(headings: Sequence[str]) -> list[str]:
     """Links to the page's parts, in the order of their names' numbering."""
     anchors = Anchors()
-    anchors.of(headings[0])
+    anchors.anchor_of(headings[0])
     parts: list[list[str]] = []
     for heading in headings[1:]:
         level, _, words_ = heading.partition(" ")
-        anchor = anchors.of(re.sub(r"\\(.)", r"\1", words_).replace("&amp;", "&"))
+        anchor = anchors.anchor_of(re.sub(r"\\(.)", r"\1", words_).replace("&amp;", "&"))
         link = f"[{words_}](#{anchor})"
         if level == "##":
             parts.append([link])

@@ -67,7 +67,7 @@ class Score(NamedTuple):
     seconds: float
 
 
-def score(
+def score_alarms(
     statistic: Array,
     limit: float,
     truth: Truth,

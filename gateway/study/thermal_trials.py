@@ -20,7 +20,7 @@ from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
 from gateway.study.thermal_dataset import BASES, CREEP, KINDS, Base, Labelled, train
-from gateway.study.thermal_scores import Diagnosis, Score, Truth, score
+from gateway.study.thermal_scores import Diagnosis, Score, Truth, score_alarms
 
 Array = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ def _one(
     else:
         statistic, diagnosis = fitted(record), None
     seconds = time.perf_counter() - began
-    return score(statistic, limit, truth_of(run, base), diagnosis, seconds), names
+    return score_alarms(statistic, limit, truth_of(run, base), diagnosis, seconds), names
 
 
 def evaluate(

@@ -120,25 +120,25 @@ def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full
     batch = Batch(4)
     with ours, theirs:
         with pytest.raises(BlockingIOError):
-            batch.read(ours.fileno())
+            batch.read_from(ours.fileno())
         for k in range(6):
             theirs.send(struct.pack("=IBBBB", 0x180 + k, 2, 0, 0, 0) + bytes([k] * 8))
-        assert not batch.read(ours.fileno())
+        assert not batch.read_from(ours.fileno())
         assert batch.full
         block, *_ = batch.to_block(REAL, NOW, SECOND, "x")
         assert [frame.can_id for frame in block.frames()] == [0x180, 0x181, 0x182, 0x183]
         theirs.send(bytes(100))
         theirs.send(bytes(72))
-        assert not batch.read(ours.fileno())
+        assert not batch.read_from(ours.fileno())
         block, malformed, _, _ = batch.to_block(REAL, NOW, SECOND, "x")
         assert [frame.can_id for frame in block.frames()] == [0x184, 0x185, 0]
         assert [frame.data for frame in block.frames()] == [b"\4\4", b"\5\5", b""]
         assert malformed == 1
         theirs.send(bytes(16))
-        assert batch.read(ours.fileno())
+        assert batch.read_from(ours.fileno())
         assert batch.filled == 1
     with pytest.raises(OSError, match="descriptor") as closed:
-        batch.read(ours.fileno())
+        batch.read_from(ours.fileno())
     assert closed.value.errno == errno.EBADF
 
 
@@ -151,7 +151,7 @@ def test_the_kernels_own_stamp_is_read() -> None:
         receiver.setsockopt(socket.SOL_SOCKET, 35, 1)
         sender.sendto(bytes(16), receiver.getsockname())
         receiver.recv(16, socket.MSG_PEEK)
-        batch.read(receiver.fileno())
+        batch.read_from(receiver.fileno())
     # Of a clock that is past 2020, and before the year 2200.
     block, *_ = batch.to_block(7_000_000_000 * SECOND, 8_000_000_000 * SECOND, 1 << 62, "x")
     assert 1_577_836_800 < block.t_ns.item(0) / SECOND - 1_000_000_000 < 7_000_000_000

@@ -186,7 +186,7 @@ def test_missed_ticks_are_told_before_the_step() -> None:
     assert setup.journal[told : told + 3] == ["overrun 3", "receive", "step 2"]
     assert setup.snapshots == [(0, 0, 3), (4, 3, 1), (5, 3, 1)]
     assert seen.missed == 3
-    stages = {stage.name: stage.largest for stage in seen.timing.table()}
+    stages = {stage.name: stage.largest for stage in seen.timing.stage_rows()}
     assert stages["reading"] == stages["frame to flag"] == 47 * MS
     assert stages["waiting"] == stages["deciding"] == stages["sending"] == 0
 

@@ -63,7 +63,7 @@ def test_the_report_says_what_the_histograms_hold(tmp_path, decided) -> None:
         timing.lateness.add(100_000)
         begin = stamp + (k + 1) * MS
         timing.add(stamp, begin, begin + 10_000, begin + 400_000, begin + 500_000)
-    leave(tmp_path, timing.table(), "Timing of a test", 10 * MS, 2, 0)
+    leave(tmp_path, timing.stage_rows(), "Timing of a test", 10 * MS, 2, 0)
     with (tmp_path / "timing.csv").open() as file:
         rows = list(csv.DictReader(file))
     counted = dict.fromkeys(("lateness", *STAGES), 0)

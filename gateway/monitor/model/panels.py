@@ -42,7 +42,7 @@ def number(value: float | None, digits: int = 1, unit: str = "") -> str:
     return f"{value:.{digits}f}{' ' + unit if unit else ''}"
 
 
-def load(row: DriveRow) -> str:
+def load_text(row: DriveRow) -> str:
     """Load torque and its standard deviation."""
     if row.load_nm is None:
         return "?"
@@ -88,7 +88,7 @@ def heading(width: int) -> Text:
     return text
 
 
-def table(shown: Snapshot, selected: int, width: int) -> Text:
+def drive_table(shown: Snapshot, selected: int, width: int) -> Text:
     """A row per drive, the selected one marked, in the columns of `heading`."""
     cells = _cells(width)
     text = Text(no_wrap=True)
@@ -97,7 +97,7 @@ def table(shown: Snapshot, selected: int, width: int) -> Text:
         lost = "?" if row.loss_probability is None else f"{100 * row.loss_probability:.0f} %"
         line = [
             Text(f"{'▶' if row.node == selected else ' '}{row.node:>3}"),
-            flag_text("adhesion", row.adhesion), Text(lost), Text(load(row)),
+            flag_text("adhesion", row.adhesion), Text(lost), Text(load_text(row)),
             Text(number(row.speed_rad_s)), health, thermal(row), Text(number(row.mixed_c)),
         ]  # fmt: skip
         if width >= WIDE:

@@ -1,0 +1,81 @@
+"""The product speaks the field's words: names.md's are gone, and one name means one thing."""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("dbc", "estimators", "gateway", "sim")
+GONE = {
+    "said", "told", "room", "heard", "believed", "lean", "stretch", "went", "doubt", "warmth",
+    "heatside", "take", "tell",
+}  # fmt: skip
+THEIRS = {"take_along_axis", "tell"}
+"""Names of NumPy and of files."""
+PROTOCOLS = {
+    "run": "verbs of the command line, loops of ticks",
+    "arguments": "verbs of the command line",
+    "close": "whatever is open",
+    "add": "whatever collects",
+    "link": "records that point to one another",
+    "step": "whatever goes on by a tick",
+    "fit": "methods that learn",
+    "send": "buses and sockets",
+    "line": "readers of logs, a line each",
+    "whole": "readers of logs, a line each",
+    "frames": "readers of logs",
+}
+"""Functions that many classes define: what they have in common."""
+MOST = 6
+
+
+def sources(*endings: str) -> Iterator[Path]:
+    for package in PACKAGES:
+        for ending in endings:
+            yield from sorted((ROOT / package).rglob(f"*{ending}"))
+
+
+def identifiers(path: Path) -> set[str]:
+    """Of Python or C, without comments and texts."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+        return {token.string for token in tokens if token.type == tokenize.NAME}
+    code = re.sub(r'"(?:\\.|[^"\\\n])*"|/\*.*?\*/|//[^\n]*', " ", text, flags=re.DOTALL)
+    return set(re.findall(r"[A-Za-z_]\w*", code))
+
+
+def gone(name: str) -> bool:
+    return bool(GONE & set(name.lower().strip("_").split("_"))) and name not in THEIRS
+
+
+def test_no_identifier_is_a_private_word():
+    found = {path.relative_to(ROOT).as_posix(): sorted(filter(gone, identifiers(path)))
+             for path in sources(".py", ".c", ".h")}  # fmt: skip
+    assert len(found) > 250
+    assert not {path: names for path, names in found.items() if names}
+
+
+@pytest.mark.parametrize("name", ["said", "_told_ns", "MAKE_ROOM", "take"])
+def test_a_private_word_is_found(name):
+    assert gone(name)
+
+
+def test_no_function_name_stands_for_many_things():
+    names = Counter(
+        node.name
+        for path in sources(".py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and not node.name.startswith("__")
+    )
+    often = {name for name, count in names.items() if count > MOST}
+    assert often == set(PROTOCOLS)
