@@ -1,4 +1,4 @@
-/* Plain lines of text logs (ASC, TRC) to times, heads and data; dbc/textlog.py decides on all others.
+/* Plain lines of text logs (ASC, TRC) to times, heads and data; dbc/logs/text.py decides on all others.
  *
  *     line  = word* time word{n} (blank+ byte)* anything LF      byte = two hexadecimal digits
  *

@@ -17,7 +17,7 @@ from gateway.io.console import console, note
 if TYPE_CHECKING:
     from dbc.codec import Codec
     from dbc.frames import Block
-    from dbc.openlog import LogReader
+    from dbc.logs.opening import LogReader
     from gateway.io.replay import Log
 
 GOOD, FAILED, BAD_INPUT = 0, 1, 2
@@ -91,8 +91,8 @@ def add_line(parser: argparse.ArgumentParser) -> None:
 
 def pattern_of(log: Path, line: str) -> str:
     """The pattern that `--line` names; of `auto` the proposal, printed. Raises ConfigError."""
-    from dbc.linepattern import Pattern, PatternError, proposed
-    from dbc.openlog import first_lines
+    from dbc.logs.opening import first_lines
+    from dbc.logs.pattern import Pattern, PatternError, proposed
     from gateway.settings.config import ConfigError
 
     if line != "auto":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from dbc.codec import Codec
     from dbc.frame import Frame
     from dbc.frames import Block
-    from dbc.openlog import LogReader
+    from dbc.logs.opening import LogReader
     from gateway.io.replay import Replayed
     from gateway.reports.record import Recorder
     from gateway.reports.reporting import Reporting

@@ -13,7 +13,7 @@ from typing import Any
 
 from dbc.frame import FD, SECOND, Frame, Nanos
 from dbc.frames import Block, block_of
-from dbc.python_can_logs import from_message, to_message
+from dbc.logs.python_can import from_message, to_message
 from gateway.io import quick_start as leanstart
 from gateway.io.transport import (
     RETRY_NS,

@@ -29,7 +29,7 @@ def absent(*names: str) -> Iterator[None]:
 
 
 def python_can() -> None:
-    """Load python-can without MF4; `dbc.python_can_logs.mf4_module` makes up for it."""
+    """Load python-can without MF4; `dbc.logs.python_can.mf4_module` makes up for it."""
     with absent("asammdf"):
         importlib.import_module("can")
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from dbc.candump.reader import LogError, Reader
 from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
-from dbc.openlog import OTHERS, LogReader, ending, is_screen_form, open_reader
-from dbc.textlog import TextReader
+from dbc.logs.opening import OTHERS, LogReader, ending, is_screen_form, open_reader
+from dbc.logs.text import TextReader
 from gateway.core.gateway import Gateway
 from gateway.io import quick_start as leanstart
 from gateway.io.logtime import HOLE_NS, LogTime
@@ -224,7 +224,7 @@ class Log(NamedTuple):
 
 
 def open_log(path: Path, strict: bool, line: str = "") -> Log:
-    """A log: by its ending, and by its content where that says nothing, see `dbc.openlog`.
+    """A log: by its ending, and by its content where that says nothing, see `dbc.logs.opening`.
 
     line: a pattern of its lines. Raises BadLogError for what is not there or no file: a FIFO or a
     device may never end.

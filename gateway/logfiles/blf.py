@@ -11,7 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from dbc.blf import (
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Nanos
+from dbc.frames import Block
+from dbc.logs.blf import (
     BASE,
     CLASSIC,
     CLASSIC_FIELDS,
@@ -23,9 +25,7 @@ from dbc.blf import (
     FD_MESSAGE,
     FILE,
 )
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Nanos
-from dbc.frames import Block
-from dbc.textlog import FD_SIZES
+from dbc.logs.text import FD_SIZES
 from gateway.logfiles.text import channel_number
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000

@@ -16,7 +16,7 @@ from dbc.candump.reader import Writer
 from dbc.candump.writer import NotWritableError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from dbc.frames import Block
-from dbc.objectlog import ObjectReader
+from dbc.logs.objects import ObjectReader
 
 GROUP: Final = 1 << 17
 """Rows of a Parquet row group: what is kept in memory."""

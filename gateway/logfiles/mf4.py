@@ -189,7 +189,7 @@ def _records(name: str, block: Block) -> NDArray[np.void]:
     """ASAM's record of a frame; remote frames have no data."""
     from can.util import channel2int, len2dlc
 
-    from dbc.python_can_logs import mf4_module
+    from dbc.logs.python_can import mf4_module
 
     mf4 = mf4_module()
 

@@ -11,8 +11,8 @@ import pytest
 
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.openlog import read_any
-from dbc.python_can_logs import from_message
+from dbc.logs.opening import read_any
+from dbc.logs.python_can import from_message
 
 T0 = 1_700_000_000.0
 MESSAGES = [

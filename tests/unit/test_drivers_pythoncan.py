@@ -10,7 +10,7 @@ import can
 import pytest
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, Frame
-from dbc.python_can_logs import from_message, to_message
+from dbc.logs.python_can import from_message, to_message
 from gateway.io.pythoncan import PythonCan
 from gateway.io.transport import LinkState, SendResult
 from gateway.settings.config import ConfigError

@@ -74,7 +74,7 @@ def test_mf4_is_read_and_written_in_a_program_that_started_on_a_bus(tmp_path: Pa
 from pathlib import Path
 from dbc.frames import block_of
 from dbc.frame import Frame
-from dbc.openlog import read_any
+from dbc.logs.opening import read_any
 from gateway.logfiles.mf4 import Mf4Frames
 assert "asammdf" not in sys.modules
 frames = [Frame(10**18 + k * 10**6, 0x100 + k, bytes([k] * 8)) for k in range(5)]

@@ -15,8 +15,8 @@ from dbc.candump.grammar import Verdict
 from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem
 from dbc.frame import Frame
 from dbc.frames import Block, in_blocks
+from dbc.logs.text import verdict_of
 from dbc.text import printable
-from dbc.textlog import verdict_of
 
 FRAMES: Final = (Verdict.OK, Verdict.FD, Verdict.REMOTE, Verdict.ERROR_FRAME)
 BLOCK: Final = 1 << 13

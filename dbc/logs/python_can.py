@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
-from dbc.objectlog import ObjectReader
+from dbc.logs.objects import ObjectReader
 
 if TYPE_CHECKING:
     import can

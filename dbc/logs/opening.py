@@ -13,8 +13,8 @@ from dbc.candump.grammar import Verdict, parse_line
 from dbc.candump.reader import Problem, Reader
 from dbc.frame import Frame
 from dbc.frames import Block
+from dbc.logs.text import TextReader
 from dbc.text import without_mark
-from dbc.textlog import TextReader
 
 _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
@@ -49,12 +49,12 @@ def ending(path: Path) -> str:
 
 
 def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
-    """The reader of a file that is there. line: a pattern of its lines (`dbc.linepattern`).
+    """The reader of a file that is there. line: a pattern of its lines (`dbc.logs.pattern`).
 
     Raises PatternError, or LogError where no reader fits.
     """
     if line:
-        from dbc.linepattern import Pattern
+        from dbc.logs.pattern import Pattern
 
         Pattern(line)
         return TextReader(path, lambda: Pattern(line), strict=strict)
@@ -70,19 +70,19 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
 
 def _format(kind: str) -> Callable[[], Any] | None:
     if kind == ".asc":
-        from dbc.asc import Asc
+        from dbc.logs.asc import Asc
 
         return Asc
     if kind == ".trc":
-        from dbc.trc import Trc
+        from dbc.logs.trc import Trc
 
         return Trc
     if kind == ".csv":
-        from dbc.csvlog import Csv
+        from dbc.logs.csv import Csv
 
         return Csv
     if "{" in kind:
-        from dbc.linepattern import Pattern
+        from dbc.logs.pattern import Pattern
 
         return lambda: Pattern(kind)
     return None
@@ -90,14 +90,14 @@ def _format(kind: str) -> Callable[[], Any] | None:
 
 def _binary(path: Path, kind: str, strict: bool) -> LogReader:
     if kind == ".blf":
-        from dbc.blf import Blf
+        from dbc.logs.blf import Blf
 
         return Blf(path, strict=strict)
     if kind == ".mf4":
-        from dbc.mf4log import Mf4
+        from dbc.logs.mf4 import Mf4
 
         return Mf4(path, strict=strict)
-    from dbc.python_can_logs import PythonCan
+    from dbc.logs.python_can import PythonCan
 
     return PythonCan(path, strict=strict)
 
@@ -131,8 +131,8 @@ def _by_content(path: Path) -> str:
         return ".asc"
     if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):
         return ".trc"
-    from dbc.csvlog import is_header
-    from dbc.linepattern import DIALECTS, proposed
+    from dbc.logs.csv import is_header
+    from dbc.logs.pattern import DIALECTS, proposed
 
     texts = [line.decode("latin-1") for line in lines]
     if any(is_header(text) for text in texts[:5]):

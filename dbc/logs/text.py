@@ -20,8 +20,8 @@ from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import LogError, Problem, Reader
 from dbc.frame import ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE
 from dbc.frames import MAX_DATA_BYTES, Block
+from dbc.logs.lines import Known, Scan, Scanner
 from dbc.text import printable
-from dbc.textlines import Known, Scan, Scanner
 
 _RUN: Final = 16
 """Lines of a run of plain or other ones, on average: with shorter ones all are read one by one."""
@@ -73,7 +73,7 @@ class Format(Protocol):
     splits: bool
     """Whether the head's groups are its words; else it is one group."""
     shape: Any
-    """How plain lines look for dbc/text_read.c, see `dbc.textlines`; None: it cannot read them."""
+    """How plain lines look for dbc/text_read.c, see `dbc.logs.lines`; None: it cannot read them."""
     began: bool
     """Whether a plain line came before the one that `line` is given."""
 
