@@ -48,7 +48,7 @@ def _lay_out(job: Path) -> None:
     (opt / "bin").mkdir(parents=True)
     (opt / "bin/start.py").write_text(
         f"import sys\nsys.path.insert(0, '{OPT}/src')\n"
-        "from gateway.__main__ import main\nsys.exit(main())\n",
+        "from gateway.cli import program\nprogram()\n",
         encoding="utf-8",
     )
     _program(
