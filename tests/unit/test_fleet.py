@@ -16,7 +16,7 @@ from gateway.cli import main
 from gateway.fleet import run as fleet
 from gateway.fleet import task as fleet_task
 from gateway.fleet.logs import FOLDER, find, job, settings_for
-from gateway.fleet.table import BAD, DONE, Row, flat, metadata_of, per_drive, write
+from gateway.fleet.table import BAD, DONE, Row, flat, metadata_of, per_drive, write_table
 from gateway.settings.config import ConfigError, load
 from tests.poison import kill_or_work
 from tests.unit.test_cli import SCENARIO
@@ -182,7 +182,7 @@ def test_bad_logs_of_every_kind(logs, tmp_path):
     assert table["cut.log.gz"].frames > 1000
     named, _ = here(paths, tmp_path / "out", channel="vcan1")
     assert named["two.log"].channel == "vcan1"
-    write(tmp_path, list(table.values()), {})
+    write_table(tmp_path, list(table.values()), {})
     assert len(rows(tmp_path)) == 5
 
 
@@ -230,7 +230,7 @@ def test_thresholds_of_a_healthy_fleet_only(logs, ran, tmp_path, capsys):
     assert forced["raise_probability"] > 0.9
     out = tmp_path / "out"
     table, _ = here([logs / "logs" / "good.log"], out)
-    write(out, list(table.values()), {"config": load(None).model_dump_json()})
+    write_table(out, list(table.values()), {"config": load(None).model_dump_json()})
     assert main(["fleet-thresholds", str(out), "-o", str(fragment)]) == 0
     assert capsys.readouterr().out.endswith(fragment.read_text())
     assert tomllib.loads(fragment.read_text())["adhesion"] == {
@@ -308,7 +308,7 @@ def test_names_of_files_tell_logs_apart(tmp_path):
     assert job(odd).name.isascii()
     assert job(tmp_path / "a" / "x.log").name != job(tmp_path / "b" / "x.log").name
     row = fleet_task.bad(job(odd), "why")
-    write(tmp_path, [row], {"settings": "s"})
+    write_table(tmp_path, [row], {"settings": "s"})
     assert rows(tmp_path)[0]["path"].endswith("é \\xff:x.log.gz")
     assert metadata_of(tmp_path / "fleet.parquet")["settings"] == "s"
     assert metadata_of(tmp_path / "none") == metadata_of(tmp_path / "fleet.csv") == {}

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.cli import main
 from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
-from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score, spread, table
+from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score_alarms, spread, table
 from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
 
 
@@ -55,7 +55,7 @@ def test_scores_by_hand():
     diagnosis = Diagnosis(
         np.array([0, 2, 0, 0, 0, 1, 1, 2, 0, 0]), np.array([0, 0, 0, 0, 0, 1, 0, 1, 0, 0]) > 0
     )
-    s = score(statistic, 1.0, t, diagnosis)
+    s = score_alarms(statistic, 1.0, t, diagnosis)
     assert s.accuracy == 0.8
     assert s.fpr == pytest.approx(1 / 6)
     assert s.fnr == 0.25
@@ -76,7 +76,7 @@ def test_accuracy_lies_between_and_hindsight_is_never_worse():
         faulty = rng.random(60) < rng.uniform(0.1, 0.9)
         if faulty.all() or not faulty.any():
             continue
-        s = score(np.round(rng.normal(size=60) + faulty, 1), 0.5, truth(faulty))
+        s = score_alarms(np.round(rng.normal(size=60) + faulty, 1), 0.5, truth(faulty))
         low, high = sorted((1.0 - s.fpr, 1.0 - s.fnr))
         assert low - 1e-12 <= s.accuracy <= high + 1e-12
         assert s.best_accuracy >= s.accuracy
@@ -84,11 +84,11 @@ def test_accuracy_lies_between_and_hindsight_is_never_worse():
 
 
 def test_a_healthy_run_has_no_misses():
-    s = score(np.zeros(20), 0.0, truth(np.zeros(20), motor=-1))
+    s = score_alarms(np.zeros(20), 0.0, truth(np.zeros(20), motor=-1))
     assert s.accuracy == 1.0
     assert s.fpr == 0.0
     assert all(math.isnan(v) for v in (s.fnr, s.found, s.delay_s, s.best_fnr))
-    both = mean([s, score(np.ones(20), 0.0, truth([0] * 10 + [1] * 10))])
+    both = mean([s, score_alarms(np.ones(20), 0.0, truth([0] * 10 + [1] * 10))])
     assert both.fnr == 0.0, "the mean of the runs that have one"
     assert spread([s, s]).accuracy == 0.0
     line = cells("model", "none", [s])
