@@ -169,7 +169,7 @@ class Adhesion(Strict):
 
     detector: Literal[
         "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
-    ] = "switching"
+    ] = "vb"
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
@@ -195,7 +195,7 @@ class Adhesion(Strict):
     @classmethod
     def _times(cls, given: Any) -> Any:
         """A detector with a memory has looked more than once: its times are shorter by a tick."""
-        if not isinstance(given, dict) or given.get("detector", "switching") != "switching":
+        if not isinstance(given, dict) or given.get("detector") != "switching":
             return given
         return {**SWITCHING_MS, **given}
 
