@@ -173,13 +173,13 @@ def test_an_error_that_the_kernel_keeps_after_a_read_is_raised() -> None:
         raw.setblocking(False)
         raw.connect(nobody.getsockname())
         nobody.close()
-        batch = Mock(read=Mock(return_value=True))  # as if it came up in the middle of one
+        batch = Mock(read_from=Mock(return_value=True))  # as if it came up in the middle of one
         assert Kernel().read(raw, batch)
         raw.send(b"refused")
         with pytest.raises(ConnectionRefusedError):
             Kernel().read(raw, batch)
         assert Kernel().read(raw, batch)
-        assert not Kernel().read(raw, Mock(read=Mock(return_value=False)))
+        assert not Kernel().read(raw, Mock(read_from=Mock(return_value=False)))
 
 
 @pytest.mark.parametrize("step", [-HOUR, HOUR])

@@ -68,7 +68,7 @@ def temperatures(folder: Path, raw: list[int]) -> list[float | None]:
         t_ns = k * 100 * MS
         frame = Frame(t_ns, 0x600, bytes([value, 90, *bytes(6)]))
         counts: Counter[str] = Counter()
-        (made,) = translator.take(block_of([frame]), t_ns, counts).frames()
+        (made,) = translator.translate(block_of([frame]), t_ns, counts).frames()
         spec = codec.by_name["Drive1_Temperatures"]
         read = codec.decode(spec, made.data)
         assert read["Tde"].value == pytest.approx(50.0)

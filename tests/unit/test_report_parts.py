@@ -257,7 +257,7 @@ def test_code_ends_where_it_ends():
 
 def test_headings_of_the_same_name_have_names_of_their_own():
     anchors = Anchors()
-    assert [anchors.of(h) for h in ("Drive 1", "Drive 1", "A: b/c")] == [
+    assert [anchors.anchor_of(h) for h in ("Drive 1", "Drive 1", "A: b/c")] == [
         "drive-1", "drive-1-1", "a-bc",
     ]  # fmt: skip
 
