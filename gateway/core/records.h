@@ -755,7 +755,8 @@ struct rotor {
     double uncommanded_s;       /* for how long it has carried what it was not asked for */
     double odd_s;               /* for how long its command has been odd */
     int64_t doubt_until_ns;     /* until then its currents accuse nobody; NO_TIME: not in doubt */
-    int32_t motor;              /* rotors with the same number have the same ratings */
+    int32_t motor;              /* the first rotor with the same ratings; constant */
+    int32_t next_alike;         /* the next one with the same ratings; 0: none */
     uint8_t far;                /* 1: too far from the others, the diameter not being known */
     uint8_t apart;              /* 1: too far from the others when that was last known */
     uint8_t away;               /* 1: ran away from the others by its effort, and is not back yet */
