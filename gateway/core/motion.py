@@ -95,7 +95,7 @@ class MotionMonitor(Addressed):
         self.checks = plausibility.checks(motors, current_step_a)
         self.others: Array = np.full((n, n), np.nan)
         """Rows of what all drives measured when `Motion` of some last changed, rad/s."""
-        self.noted, self.taken = np.arange(n), np.zeros(n, dtype=np.bool_)
+        self.noted, self.taken = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
         """Of every drive: its row of `others`."""
         self.record = np.zeros(1, MOTION_MONITOR)
         constants = {
