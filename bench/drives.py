@@ -95,6 +95,7 @@ class Stations:
                 ours[: len(copied)] = copied
             mine.drive[: kept.sum()] = drive[kept]
             setattr(came.pointer.tick, name, int(kept.sum()))
+        came.note_samples(came.pointer.tick.samples)
         self.bank.reserve(came.pointer.tick.samples)
 
     def tick(self, now: Nanos) -> None:

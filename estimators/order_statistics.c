@@ -1,6 +1,8 @@
 /* Sorting and medians without memory of their own. */
 #include "estimators/order_statistics.h"
 
+#include <math.h>
+
 /* Shell's method: for 1,000 numbers few steps, and it needs no room. */
 void sort_ascending(double *values, int n)
 {
@@ -33,4 +35,19 @@ struct middle_pair middle_of_others(const double *sorted, int others, double own
         .below = sorted[low + (sorted[low] >= own)],
         .above = sorted[high + (sorted[high] >= own)],
     };
+}
+
+void ranking_add(struct ranking *ranking, double x)
+{
+    if (!isnan(x))
+        ranking->numbers[ranking->count++] = x;
+}
+
+double median_of_others(const struct ranking *ranking, double own, int upper)
+{
+    const int others = ranking->count - !isnan(own);
+    if (others < 1)
+        return NAN;
+    const struct middle_pair middle = middle_of_others(ranking->numbers, others, own);
+    return upper ? middle.above : middle.below;
 }

@@ -17,4 +17,17 @@ double median_in_place(double *values, int n);
  * left out; `others`, at least 1, is how many are left. `own` is NaN: none is left out. */
 struct middle_pair middle_of_others(const double *sorted, int others, double own);
 
+/* Numbers of one kind, ascending once they are sorted. */
+struct ranking {
+    double *numbers;
+    int count;
+};
+
+/* One more number, which is left out if it is NaN. */
+void ranking_add(struct ranking *ranking, double x);
+
+/* Median of sorted numbers, of which one, `own`, is left out; of an even number the upper or the
+ * lower of the two; NaN of none. `own` is NaN: none is left out. */
+double median_of_others(const struct ranking *ranking, double own, int upper);
+
 #endif

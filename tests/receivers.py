@@ -17,10 +17,11 @@ class Received:
     def __init__(self, drives, channels=0, rows=64):
         self.channels, self.drives = np.zeros(channels, CHANNEL), drive_inputs(drives)
         self.samples, self.readings = workspace(rows), readings(rows)
+        self.before = np.zeros_like(self.samples.gap)
         self.record = np.zeros(1, RECEIVER)
         self.record["channel_count"], self.record["drive_count"] = channels, drives
         arrays = {
-            "channels": self.channels, "drives": self.drives,
+            "channels": self.channels, "drives": self.drives, "sample_before": self.before,
             **{f"sample_{name}": each for name, each in self.samples._asdict().items()},
             **{f"motion_{name}": each for name, each in self.readings._asdict().items()},
         }  # fmt: skip
@@ -40,4 +41,13 @@ class Received:
         for k, row in enumerate(samples):
             for column, value in zip(self.samples, row, strict=True):
                 column[k] = value
-        self.pointer.tick.motions, self.pointer.tick.samples = len(motions), len(samples)
+        self.pointer.tick.motions = len(motions)
+        self.note_samples(len(samples))
+
+    def note_samples(self, count):
+        """So many rows of samples are there: which of them are those of one drive."""
+        self.pointer.tick.samples = count
+        newest = self.drives["newest_sample"]
+        newest[:] = -1
+        for row, drive in enumerate(self.samples.drive[:count].tolist()):
+            self.before[row], newest[drive] = newest[drive], row

@@ -19,6 +19,7 @@
 #include <stddef.h>
 
 #include "estimators/elementary.h"
+#include "estimators/order_statistics.h"
 
 #define SIMD_WIDTH 2 /* of any x86-64 and AArch64 */
 #include "estimators/elementary_lanes.h"
@@ -187,18 +188,6 @@ static struct solution run_starts(const struct prior p[2], int iterations, const
     return (struct solution){.m = q[0].m, .bound = lower_bound(q, p, r1, n)};
 }
 
-/* Ascending, by insertion. */
-static void sort(double *x, int n)
-{
-    for (int i = 1; i < n; i++) {
-        const double one = x[i];
-        int j = i;
-        for (; j > 0 && x[j - 1] > one; j--)
-            x[j] = x[j - 1];
-        x[j] = one;
-    }
-}
-
 /* The best of all starts: fills r1 (n,), gives the mean of component 0. Ties keep the first. Of more
  * than VB_MAX_STARTS loads so many are tried, evenly by rank. `workspace` holds 3 n numbers. */
 static double best_start(const struct vb_priors *priors, int iterations, const double *x, int n,
@@ -213,7 +202,7 @@ static double best_start(const struct vb_priors *priors, int iterations, const d
         store_row(trial, i, broadcast(0.0));
     }
     if (n > VB_MAX_STARTS)
-        sort(anchors, n);
+        sort_ascending(anchors, n);
     for (int first = 0; first < starts; first += LANES) {
         const int count = starts - first < LANES ? starts - first : LANES;
         vec anchor = broadcast(anchors[0]); /* and so in the lanes that are not used */

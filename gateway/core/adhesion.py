@@ -109,8 +109,7 @@ def _rotors(motors: Sequence[Motor]) -> Records:
     """
     made = np.zeros(len(motors), ROTOR)
     ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
-    kinds = list(dict.fromkeys(ratings))
     made["rated_nm"] = [m.T_rated for m in motors]
     made["inertia_kg_m2"] = [m.J for m in motors]
-    made["motor"] = [kinds.index(rating) for rating in ratings]
+    made["motor"] = [ratings.index(rating) for rating in ratings]
     return made

@@ -10,7 +10,8 @@
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, and each
  * condition is written so that false, which every comparison with NaN is, is the safe answer.
  * Divisors are the cycle of Motion, at least 1 ns, a count from 1 on, and the length of a current
- * that is above 0. Stamps are between 0 and now; a place in the ring is a count modulo its size. */
+ * that is above 0. Stamps are between 0 and now; a place in the ring is a count modulo its size; the
+ * sample before another one lies in a lower row. */
 #include "gateway/core/current_plausibility.h"
 
 #include "estimators/numbers.h"
@@ -127,15 +128,19 @@ struct reading {
     double later_s;          /* by which that sample is later */
 };
 
+/* Row of the last sample of drive k in this tick, from which `sample_before` goes on; -1: none. */
+static int64_t newest_sample(const struct motion_monitor *m, int64_t k)
+{
+    return m->receiver->drives[k].newest_sample;
+}
+
 /* Fill in the sample of this tick that is nearest to the reading. Returns 0 without any. */
 static int find_current(const struct motion_monitor *m, struct reading *reading)
 {
     const int64_t newest_ns = m->receiver->drives[reading->k].sample_ns;
     double later = (double)(newest_ns - reading->t_ns) * 1e-9;
     reading->later_s = INFINITY;
-    for (int64_t i = m->receiver->tick.samples - 1; i >= 0; i--) {
-        if (m->receiver->sample_drive[i] != reading->k)
-            continue;
+    for (int64_t i = newest_sample(m, reading->k); i >= 0; i = m->receiver->sample_before[i]) {
         const double *y = &m->receiver->sample_y[2 * i];
         if (fabs(later) < fabs(reading->later_s)) {
             reading->later_s = later;
@@ -152,9 +157,7 @@ static double torque_difference(const struct motion_monitor *m, const struct rea
                                 double theta)
 {
     double least = INFINITY, t = 0.0;
-    for (int64_t i = m->receiver->tick.samples - 1; i >= 0; i--) {
-        if (m->receiver->sample_drive[i] != reading->k)
-            continue;
+    for (int64_t i = newest_sample(m, reading->k); i >= 0; i = m->receiver->sample_before[i]) {
         const double *y = &m->receiver->sample_y[2 * i];
         double sin, cos;
         sine_and_cosine(theta - reading->w_e * t, &sin, &cos);

@@ -11,7 +11,7 @@
 #include <math.h>
 
 #include "estimators/numbers.h"
-#include "gateway/core/rotors.h"
+#include "estimators/order_statistics.h"
 
 #define COASTING 0.05 /* share of rated torque below which commands say nothing about each other */
 #define RATIO_FLOOR   0.2 /* no load is divided by less */
@@ -35,11 +35,12 @@ static double relative_command(const struct adhesion *a, const struct drive_inpu
 /* Median load of the drives that do not follow their own flag; NaN of none. */
 static double median_load(const struct adhesion *a, int64_t now_ns)
 {
-    int count = 0;
+    struct ranking loads = {.numbers = a->workspace};
     for (int k = 0; k < a->n; k++)
-        if (!is_soon_after(a->loads[k].flagged_ns, now_ns) && !isnan(a->rotors[k].load))
-            rank_insert(a->rotors[k].load, count++, a->workspace);
-    return rank_median(count, 0, a->workspace);
+        if (!is_soon_after(a->loads[k].flagged_ns, now_ns))
+            ranking_add(&loads, a->rotors[k].load);
+    sort_ascending(loads.numbers, loads.count);
+    return median_of_others(&loads, NAN, 0);
 }
 
 /* Which drives follow their own flag: down to 30 % of the torque and back. */

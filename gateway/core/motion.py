@@ -94,7 +94,9 @@ class MotionMonitor(Addressed):
         self.motions = _motions(motors, config, times.speed_step)
         self.checks = plausibility.checks(motors, current_step_a)
         self.others: Array = np.full((n, n), np.nan)
-        """Of every drive, what the others measured when its `Motion` last changed, rad/s."""
+        """Rows of what all drives measured when `Motion` of some last changed, rad/s."""
+        self.noted, self.taken = np.arange(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+        """Of every drive: its row of `others`."""
         self.record = np.zeros(1, MOTION_MONITOR)
         constants = {
             "max_w_e": 2.0 * math.pi / (FEWEST_SAMPLES * times.sample_s),
@@ -114,6 +116,7 @@ class MotionMonitor(Addressed):
             "estimates": self.bank.estimates, "filters": self.bank.filters,
             "chords": self.bank.chords, "sensors": self.bank.sensors, "rotors": self.rotors,
             "motions": self.motions, "checks": self.checks, "others": self.others,
+            "noted": self.noted, "taken": self.taken,
         }  # fmt: skip
         for name, array in arrays.items():
             self.record[name] = array.ctypes.data

@@ -58,6 +58,8 @@ static void append_sample(struct receiver *receiver, int32_t drive, const double
     receiver->sample_drive[m] = drive;
     receiver->sample_steps[m] = steps;
     receiver->sample_gap[m] = gap;
+    receiver->sample_before[m] = receiver->drives[drive].newest_sample;
+    receiver->drives[drive].newest_sample = m;
     for (int k = 0; k < 2; k++) {
         receiver->sample_u[2 * m + k] = u[k];
         receiver->sample_y[2 * m + k] = y[k];

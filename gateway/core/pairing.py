@@ -50,7 +50,7 @@ def drive_inputs(drives: int) -> Records:
     """Of so many drives, of which nothing has been received: (N,) of `struct drive_input`."""
     found = np.zeros(drives, DRIVE_INPUT)
     found["pending"]["t_ns"] = -1
-    found["sample_ns"] = -1
+    found["sample_ns"] = found["newest_sample"] = -1
     for name in ("speed", "command", "previous_command", "irms"):
         found[name] = np.nan
     found["operating"] = found["command_steady"] = 1

@@ -52,15 +52,17 @@ static double own_speed(const struct motion_monitor *m, int64_t k)
 /* 1 if the measured speeds of all other drives, at least one, have changed. */
 static int all_others_moved(const struct motion_monitor *m, int64_t k)
 {
-    int64_t others = 0, moved = 0;
+    const double *then = m->others + m->noted[k] * m->n;
+    int any = 0;
     for (int64_t j = 0; j < m->n; j++) {
-        const double now = m->inputs[j].speed_rad_s, before = m->others[k * m->n + j];
-        if (j != k && !isnan(now) && !isnan(before)) {
-            others++;
-            moved += has_moved(now, before);
-        }
+        const double now = m->inputs[j].speed_rad_s, before = then[j];
+        if (j == k || isnan(now) || isnan(before))
+            continue;
+        if (!has_moved(now, before))
+            return 0;
+        any = 1;
     }
-    return others > 0 && moved == others;
+    return any;
 }
 
 /* 1 if Motion of drive k stands still while something that it must follow has changed. */
@@ -80,8 +82,25 @@ static int is_motion_held(const struct motion_monitor *m, int64_t k, double own,
     return isnan(own) && all_others_moved(m, k);
 }
 
-/* If Motion has changed, note what was so when it did. */
-static void note_motion(struct motion_monitor *m, int64_t r, double own)
+/* A row of `others` with the speeds of this tick, in place of that of drive k. The other drives have
+ * n - 1 rows at most, so that one is free. */
+static int64_t note_others(struct motion_monitor *m, int64_t k)
+{
+    for (int64_t j = 0; j < m->n; j++)
+        m->taken[j] = 0;
+    for (int64_t j = 0; j < m->n; j++)
+        if (j != k)
+            m->taken[m->noted[j]] = 1;
+    int64_t row = 0;
+    while (m->taken[row])
+        row++;
+    for (int64_t j = 0; j < m->n; j++)
+        m->others[row * m->n + j] = m->inputs[j].speed_rad_s;
+    return row;
+}
+
+/* If Motion has changed, note what was so when it did. row: of `others` in this tick; -1: none yet. */
+static void note_motion(struct motion_monitor *m, int64_t r, double own, int64_t *row)
 {
     const struct receiver *from = m->receiver;
     const int64_t k = from->motion_drive[r];
@@ -93,8 +112,9 @@ static void note_motion(struct motion_monitor *m, int64_t r, double own)
     p->changed_ns = from->motion_t_ns[r];
     p->own_speed = own;
     p->command = from->drives[k].command;
-    for (int64_t j = 0; j < m->n; j++)
-        m->others[k * m->n + j] = m->inputs[j].speed_rad_s;
+    if (*row < 0)
+        *row = note_others(m, k);
+    m->noted[k] = *row;
 }
 
 /* ---- A tick ---- */
@@ -110,13 +130,13 @@ static int is_load_off(const struct motion_monitor *m, int64_t k)
     return fabs(estimate->load_nm - observed) > limit;
 }
 
-static void check_reading(struct motion_monitor *m, int64_t r, int64_t now_ns)
+static void check_reading(struct motion_monitor *m, int64_t r, int64_t *row, int64_t now_ns)
 {
     const int64_t k = m->receiver->motion_drive[r];
     struct plausibility *p = &m->checks[k];
     check_current(m, r, now_ns);
     const double own = own_speed(m, k);
-    note_motion(m, r, own);
+    note_motion(m, r, own, row);
     const int held = is_motion_held(m, k, own, now_ns);
     count_misfit(m, k, &p->motion_misfits, held, &OF_MOTION, now_ns);
     const int load_off = is_load_off(m, k);
@@ -138,8 +158,9 @@ static void restart_filter(struct motion_monitor *m, int64_t k, int64_t now_ns)
 void check_plausibility(struct motion_monitor *m, int64_t now_ns)
 {
     check_samples(m, now_ns);
+    int64_t row = -1; /* of `others` */
     for (int64_t r = 0; r < m->receiver->tick.motions; r++)
-        check_reading(m, r, now_ns);
+        check_reading(m, r, &row, now_ns);
     for (int64_t k = 0; k < m->n; k++) {
         if (m->checks[k].motion_misfits >= OF_MOTION.limit)
             m->inputs[k].speed_rad_s = NAN;

@@ -318,8 +318,10 @@ static int in_order(int64_t frames, const int64_t *t_ns, const uint32_t *can_id)
 static void start_tick(struct receiver *receiver)
 {
     receiver->tick = (struct received){0};
-    for (int64_t k = 0; k < receiver->drive_count; k++)
+    for (int64_t k = 0; k < receiver->drive_count; k++) {
         receiver->drives[k].restart = 0;
+        receiver->drives[k].newest_sample = -1;
+    }
 }
 
 /* Why a channel is unknown at `now_ns`; REASON_NONE if it is not. */

@@ -85,6 +85,7 @@ class Receiver(Addressed):
     def reserve(self, rows: int) -> None:
         """For so many frames of a tick."""
         self.workspace, self.readings = pairing.workspace(rows), pairing.readings(rows)
+        self.before = np.zeros_like(self.workspace.gap)
         self.scratch = Scratch(
             channel=np.zeros(rows, dtype=np.int64),
             message=np.zeros(rows, dtype=np.int32),
@@ -105,7 +106,8 @@ class Receiver(Addressed):
             "channel": s.channel, "message": s.message, "t_ns": s.t_ns, "payload": s.payload,
             "value": s.value, "validity": s.validity, "temperature_rows": s.seen,
             "emergency_rows": s.foreign, "sample_drive": m.drive, "sample_u": m.u, "sample_y": m.y,
-            "sample_steps": m.steps, "sample_gap": m.gap, "motion_drive": r.drive,
+            "sample_steps": m.steps, "sample_gap": m.gap,
+            "sample_before": self.before, "motion_drive": r.drive,
             "motion_t_ns": r.t_ns, "motion_speed": r.speed, "motion_torque": r.torque,
             "motion_angle": r.angle,
         }  # fmt: skip

@@ -755,7 +755,8 @@ struct rotor {
     double uncommanded_s;        /* for how long it has carried what it was not asked for */
     double odd_s;                /* for how long its command has been odd */
     int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: not in doubt */
-    int32_t motor;               /* rotors with the same number have the same ratings */
+    int32_t motor;               /* the first rotor with the same ratings; constant */
+    int32_t next_alike;          /* the next one with the same ratings; 0: none */
     uint8_t far;                 /* 1: too far from the others, the diameter not being known */
     uint8_t apart;               /* 1: too far from the others when that was last known */
     uint8_t away;      /* 1: ran away from the others by its effort, and is not back yet */
@@ -903,6 +904,7 @@ struct drive_input {
     struct half_sample pending[2][PAIR_COUNTERS]; /* by enum channel_kind, by counter */
     int64_t sample_ns;                            /* stamp of the last sample */
     int64_t sample_counter;                       /* and its counter */
+    int64_t newest_sample;                        /* its row in this tick; -1: none */
     double current_sum;                           /* smoothed |Ia + Ib + Ic|, A */
     double speed;                                 /* rotor speed, rad/s */
     double command;                               /* torque command, Nm */
@@ -978,6 +980,7 @@ struct receiver {
     double *sample_y; /* A, alpha and beta */
     int64_t *sample_steps;
     int64_t *sample_gap;
+    int64_t *sample_before; /* row of the one before of the same drive; -1: none in this tick */
     /* readings of Motion in the tick (gateway/core/pairing.py) */
     int64_t *motion_drive;
     int64_t *motion_t_ns;
@@ -1404,7 +1407,10 @@ struct motion_monitor {
     struct rotor *rotors;
     struct motion *motions;
     struct plausibility *checks;
-    double *others;          /* (n, n) measured speeds of all when Motion of a drive changed */
+    double *others;          /* (n, n) measured speeds of all drives: a row for each tick in which
+                                Motion of some drives changed last */
+    int64_t *noted;          /* (n,) the row of every drive; below n */
+    uint8_t *taken;          /* (n,) workspace */
     double max_w_e;          /* electrical speed beyond which samples are too few, rad/s */
     double turning_w_e;      /* electrical speed beyond which a filter finds its rotor, rad/s */
     double fade;             /* share of `offset_nm` that is left after a tick */

@@ -8,11 +8,13 @@
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer.
  * Divisors are ratings, constants, a diameter within MOST_DIAMETER of 1, or speeds of at least
- * LEAST_SPEED; that of `own_change` may be 0, which gives infinity, no small change. Places in
- * `rank` are below the number of rotors. */
+ * LEAST_SPEED; that of `own_change` may be 0, which gives infinity, no small change. Each ranking has
+ * room for all rotors, and `next_alike` is above the own place, so that its loops end. */
 #include "gateway/core/rotors.h"
 
 #include <math.h>
+
+#include "estimators/numbers.h"
 
 #define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor */
 /* Per unit of rated torque, of what accelerates a rotor: an emergency brake of 1.5 m/s^2 for the
@@ -46,29 +48,6 @@
 #define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
 #define DIAMETER_TAU_S   60.0 /* then so slowly: a slip that grows over seconds is no diameter */
 #define MOST_DIAMETER    0.06
-static double clamp(double x, double low, double high)
-{
-    if (x < low)
-        return low;
-    return x > high ? high : x;
-}
-
-/* One more number into the ascending first `count` of rank. */
-void rank_insert(double x, int count, double *rank)
-{
-    int place = count;
-    for (; place > 0 && rank[place - 1] > x; place--)
-        rank[place] = rank[place - 1];
-    rank[place] = x;
-}
-
-/* Median of the first `count`; of an even number the upper or the lower of the two; NaN of none. */
-double rank_median(int count, int upper, const double *rank)
-{
-    if (count == 0)
-        return NAN;
-    return rank[upper ? count / 2 : (count - 1) / 2];
-}
 
 /* ---- Speeds and loads of this tick ---- */
 
@@ -111,7 +90,7 @@ static void note(struct train_tick *t)
  * count: of how many. Follows the smoothed speeds. */
 static double median_rate(struct train_tick *t, int *count)
 {
-    *count = 0;
+    struct ranking rates = {.numbers = t->workspace};
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         if (isnan(r->speed)) {
@@ -122,12 +101,12 @@ static double median_rate(struct train_tick *t, int *count)
         }
         const double slow = isnan(r->slow_speed) ? r->speed : r->slow_speed;
         r->slow_speed = slow + t->tick_s / ACCELERATION_TAU_S * (r->speed - slow);
-        if (fabs(slow) >= LEAST_SPEED) {
-            rank_insert((r->speed - slow) / ACCELERATION_TAU_S / slow, *count, t->rank);
-            (*count)++;
-        }
+        if (fabs(slow) >= LEAST_SPEED)
+            ranking_add(&rates, (r->speed - slow) / ACCELERATION_TAU_S / slow);
     }
-    return rank_median(*count, t->braking, t->rank);
+    sort_ascending(rates.numbers, rates.count);
+    *count = rates.count;
+    return median_of_others(&rates, NAN, t->braking);
 }
 
 /* What every rotor takes to follow the median of all, per unit of its rated torque. */
@@ -151,26 +130,42 @@ static void accelerate(struct train_tick *t)
 
 /* ---- Speeds against one another ---- */
 
-/* Median speed of the other rotors of the same motor, of the tracked ones only or of all. */
-static double others_speed(const struct train_tick *t, int k, int tracked)
+/* Ascending speeds of the rotors of one motor. */
+struct speeds {
+    struct ranking tracked; /* of those that are tracked */
+    struct ranking all;     /* sorted where fewer than two are tracked: else nobody asks for them */
+};
+
+/* The next rotor with the same motor; n after the last one. */
+static int next_alike(const struct train_tick *t, int k)
 {
-    int count = 0;
-    for (int j = 0; j < t->n; j++) {
-        const struct rotor *r = &t->rotor[j];
-        if (j == k || r->motor != t->rotor[k].motor || isnan(r->speed))
-            continue;
-        if (tracked && isnan(r->load))
-            continue;
-        rank_insert(r->speed, count++, t->rank);
-    }
-    return rank_median(count, t->braking, t->rank);
+    const int next = t->rotor[k].next_alike;
+    return next > k ? next : t->n;
 }
 
-/* Of the others that are tracked, else of all; NaN without any. */
-static double reference_speed(const struct train_tick *t, int k)
+/* Of the rotors with the motor of rotor `first`. */
+static struct speeds rank_speeds(const struct train_tick *t, int first)
 {
-    const double tracked = others_speed(t, k, 1);
-    return isnan(tracked) ? others_speed(t, k, 0) : tracked;
+    struct speeds out = {.tracked.numbers = t->workspace, .all.numbers = t->workspace + t->n};
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        const struct rotor *r = &t->rotor[k];
+        ranking_add(&out.all, r->speed);
+        if (!isnan(r->load))
+            ranking_add(&out.tracked, r->speed);
+    }
+    sort_ascending(out.tracked.numbers, out.tracked.count);
+    if (out.tracked.count < 2)
+        sort_ascending(out.all.numbers, out.all.count);
+    return out;
+}
+
+/* Median speed of the others that are tracked, else of all others; NaN without any. */
+static double reference_speed(const struct train_tick *t, const struct speeds *speeds,
+                              const struct rotor *r)
+{
+    const double own = isnan(r->load) ? NAN : r->speed;
+    const double tracked = median_of_others(&speeds->tracked, own, t->braking);
+    return isnan(tracked) ? median_of_others(&speeds->all, r->speed, t->braking) : tracked;
 }
 
 /* By what share a rotor is faster than it was of late. */
@@ -179,22 +174,16 @@ static double own_change(const struct rotor *r)
     return r->speed * r->diameter / fabs(r->slow_speed) - 1.0;
 }
 
-/* 1 if all other wheels have left that of drive k just now, and it is as fast as before. */
-static int stays(struct train_tick *t, int k)
+/* 1 if all other wheels have left a rotor just now, and it is as fast as before. known: rotors of its
+ * motor whose speed is known, itself among them; away: how many of these are away. */
+static int stays(const struct train_tick *t, struct rotor *r, int known, int away)
 {
-    struct rotor *mine = &t->rotor[k];
-    int others = 0, away = 0;
-    for (int j = 0; j < t->n; j++) {
-        const struct rotor *r = &t->rotor[j];
-        if (j == k || r->motor != mine->motor || isnan(r->speed))
-            continue;
-        others++;
-        away += r->away != 0;
-    }
-    const int alone = others > 0 && away == others;
-    mine->alone_s = alone ? mine->alone_s + t->tick_s : 0.0;
-    const int kept = fabs(own_change(mine)) <= LEARN_CREEP;
-    return mine->alone_s > 0.0 && mine->alone_s <= ALONE_S && kept;
+    const int inside = !isnan(r->speed);
+    const int others = known - inside;
+    const int alone = others > 0 && away - (inside && r->away) == others;
+    r->alone_s = alone ? r->alone_s + t->tick_s : 0.0;
+    const int kept = fabs(own_change(r)) <= LEARN_CREEP;
+    return r->alone_s > 0.0 && r->alone_s <= ALONE_S && kept;
 }
 
 /* 1 if a wheel has left the others for the side that the effort takes it to, until it is back: its
@@ -209,30 +198,35 @@ static int runs_away(const struct train_tick *t, const struct rotor *r)
 }
 
 /* Before its diameter is known: what has been learnt so far may be a slip that grows. */
-static void compare_unknown_diameters(struct train_tick *t)
+static void compare_unknown_diameters(struct train_tick *t, int first)
 {
-    for (int k = 0; k < t->n; k++) {
+    int any_unknown = 0;
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        t->rotor[k].far = 0;
+        any_unknown = any_unknown || t->rotor[k].learnt_s < DIAMETER_FIRST_S;
+    }
+    if (!any_unknown)
+        return;
+    const struct speeds speeds = rank_speeds(t, first);
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
-        r->far = 0;
         if (r->learnt_s >= DIAMETER_FIRST_S)
             continue;
-        const double others = reference_speed(t, k);
+        const double others = reference_speed(t, &speeds, r);
         const double creep = others >= LEAST_SPEED ? r->speed / others - 1.0 : 0.0;
         r->far = fabs(creep) > MOST_APART;
     }
 }
 
 /* Creep of every rotor against the others, and which of them run away. */
-static void compare_speeds(struct train_tick *t)
+static void compare_speeds(struct train_tick *t, int first)
 {
-    for (int k = 0; k < t->n; k++)
-        t->rotor[k].speed = fabs(t->rotor[k].speed);
-    compare_unknown_diameters(t);
-    for (int k = 0; k < t->n; k++)
+    for (int k = first; k < t->n; k = next_alike(t, k))
         t->rotor[k].speed /= t->rotor[k].diameter;
-    for (int k = 0; k < t->n; k++) {
+    const struct speeds speeds = rank_speeds(t, first);
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
-        const double others = reference_speed(t, k);
+        const double others = reference_speed(t, &speeds, r);
         r->creep = NAN;
         if (others >= LEAST_SPEED && !isnan(r->speed)) {
             r->creep = r->speed / others - 1.0;
@@ -242,11 +236,17 @@ static void compare_speeds(struct train_tick *t)
 }
 
 /* Which rotors are too far from the others to be adhering. */
-static void find_apart(struct train_tick *t)
+static void find_apart(struct train_tick *t, int first)
 {
-    for (int k = 0; k < t->n; k++) {
+    int known = 0, away = 0;
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        const int inside = !isnan(t->rotor[k].speed);
+        known += inside;
+        away += inside && t->rotor[k].away;
+    }
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
-        const int left = stays(t, k);
+        const int left = stays(t, r, known, away);
         r->uncertain = r->uncertain || (r->far && !left);
         if (isnan(r->creep)) {
             /* Nobody sees whether it is back. */
@@ -257,6 +257,20 @@ static void find_apart(struct train_tick *t)
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
         r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
         r->uncertain = r->uncertain || beyond;
+    }
+}
+
+/* Rotors are compared with those of the same motor. */
+static void compare_alike(struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++)
+        t->rotor[k].speed = fabs(t->rotor[k].speed);
+    for (int k = 0; k < t->n; k++) {
+        if (t->rotor[k].motor != k)
+            continue;
+        compare_unknown_diameters(t, k);
+        compare_speeds(t, k);
+        find_apart(t, k);
     }
 }
 
@@ -286,7 +300,6 @@ void follow_rotors(struct train_tick *t)
 {
     note(t);
     accelerate(t);
-    compare_speeds(t);
-    find_apart(t);
+    compare_alike(t);
     learn_diameters(t);
 }

@@ -9,11 +9,12 @@
  *
  * Not in paper `adhesion`. Nothing here can fail: a number that is not known is NaN, every
  * comparison with NaN is false, and each condition is written so that false is the safe answer.
- * Divisors are ratings and constants; places in `rank` are below the number of rotors. */
+ * Divisors are ratings and constants; each ranking has room for all drives. */
 #include "gateway/core/train.h"
 
 #include <math.h>
 
+#include "estimators/numbers.h"
 #include "gateway/core/rotors.h"
 
 /* A rotor that is apart and carries more than the others for so long slides under its load; one that
@@ -38,11 +39,7 @@
 /* Median load of the other drives, per unit; NaN without any. */
 static double others_load(const struct train_tick *t, int k)
 {
-    int count = 0;
-    for (int j = 0; j < t->n; j++)
-        if (j != k && !isnan(t->rotor[j].load))
-            rank_insert(t->rotor[j].load, count++, t->rank);
-    return rank_median(count, 0, t->rank);
+    return median_of_others(&t->loads, t->rotor[k].load, 0);
 }
 
 /* 1 if the load of drive k is near the median of the others; 0 without any. */
@@ -52,19 +49,14 @@ static int is_like_others(const struct train_tick *t, int k)
     return fabs(t->rotor[k].load - load) <= LOAD_NEAR * fabs(load) + LOAD_NEAR_FLOOR;
 }
 
-static double larger(double a, double b)
-{
-    return b > a ? b : a;
-}
-
 /* 1 if a drive has carried what it was not asked for, for too long. */
 static int is_uncommanded(const struct train_tick *t, struct rotor *r,
                           const struct rotor_inputs *in)
 {
     const double load = in->load_nm / r->rated_nm + r->acceleration_torque;
     const double sign = load >= 0.0 ? 1.0 : -1.0;
-    const double most = larger(sign * in->command_nm, sign * in->previous_command_nm);
-    const double asked = larger(most, 0.0) / r->rated_nm;
+    const double most = larger(sign * in->previous_command_nm, sign * in->command_nm);
+    const double asked = larger(0.0, most) / r->rated_nm;
     const int beyond = sign * load - asked > UNCOMMANDED + UNCOMMANDED_RELATIVE * asked;
     r->uncommanded_s = beyond ? r->uncommanded_s + t->tick_s : 0.0;
     return r->uncommanded_s > COMMAND_LATE_S;
@@ -83,16 +75,18 @@ static int slides(const struct train_tick *t, int k)
     return r->slides_s > SLIDES_S || against || grips;
 }
 
-/* 1 if the command of drive k is far from the others' although its load is like theirs. */
+/* Command without its sign, per unit of rated torque. */
+static double relative_command(const struct train_tick *t, int k)
+{
+    return fabs(t->in[k].command_nm) / t->rotor[k].rated_nm;
+}
+
+/* 1 if the command of drive k, a valid one, is far from the others' although its load is like theirs. */
 static int is_odd_command(const struct train_tick *t, int k)
 {
     struct rotor *r = &t->rotor[k];
-    const double own = fabs(t->in[k].command_nm) / r->rated_nm;
-    int count = 0;
-    for (int j = 0; j < t->n; j++)
-        if (j != k && t->in[j].command_valid)
-            rank_insert(fabs(t->in[j].command_nm) / t->rotor[j].rated_nm, count++, t->rank);
-    const double others = rank_median(count, 0, t->rank);
+    const double own = relative_command(t, k);
+    const double others = median_of_others(&t->commands, own, 0);
     const int far = own > FACTOR * others + FACTOR_FLOOR || own < others / FACTOR - FACTOR_FLOOR;
     r->odd_s = far && is_like_others(t, k) ? r->odd_s + t->tick_s : 0.0;
     return r->odd_s > ODD_S || own > MOST_COMMAND;
@@ -108,6 +102,10 @@ static void do_not_judge(struct rotor_inputs *in, uint8_t health, uint8_t reason
 /* Which loads have no command that explains them. */
 static void assess_loads(struct train_tick *t)
 {
+    t->loads = (struct ranking){.numbers = t->workspace};
+    for (int k = 0; k < t->n; k++)
+        ranking_add(&t->loads, t->rotor[k].load);
+    sort_ascending(t->loads.numbers, t->loads.count);
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         struct rotor_inputs *in = &t->in[k];
@@ -127,6 +125,11 @@ static void assess_loads(struct train_tick *t)
 /* Which commands cannot be right; all are compared before any is dropped. */
 static void assess_commands(struct train_tick *t)
 {
+    t->commands = (struct ranking){.numbers = t->workspace + t->n};
+    for (int k = 0; k < t->n; k++)
+        if (t->in[k].command_valid)
+            ranking_add(&t->commands, relative_command(t, k));
+    sort_ascending(t->commands.numbers, t->commands.count);
     for (int k = 0; k < t->n; k++)
         t->rotor[k].odd = t->in[k].command_valid && is_odd_command(t, k);
     for (int k = 0; k < t->n; k++) {
@@ -151,13 +154,24 @@ void train_reset(struct rotor *rotors, int n)
             .diameter = 1.0,
             .unreliable_until_ns = NO_TIME,
         };
+    for (int k = n - 1; k >= 0; k--) {
+        const int first = rotors[k].motor;
+        if (first == k)
+            continue;
+        rotors[k].next_alike = rotors[first].next_alike;
+        rotors[first].next_alike = k;
+    }
 }
 
 void assess_train(struct rotor *rotors, struct rotor_inputs *inputs, int n, int64_t now_ns,
-                  double tick_s, double *rank)
+                  double tick_s, double *workspace)
 {
-    struct train_tick t = {
-        .rotor = rotors, .in = inputs, .n = n, .now_ns = now_ns, .tick_s = tick_s, .rank = rank};
+    struct train_tick t = {.rotor = rotors,
+                           .in = inputs,
+                           .n = n,
+                           .now_ns = now_ns,
+                           .tick_s = tick_s,
+                           .workspace = workspace};
     follow_rotors(&t);
     assess_loads(&t);
     assess_commands(&t);

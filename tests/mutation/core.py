@@ -72,6 +72,7 @@ TESTS = {
     "estimators/elementary.c": ("tests/unit/test_elementary.py",),
     "estimators/order_statistics.c": (
         "tests/unit/test_maisd.py", "tests/unit/test_thermal_reference.py",
+        "tests/unit/test_train_reference.py",
     ),
     "estimators/maisd.c": ("tests/unit/test_maisd.py",),
     "estimators/thermal/gaussian_mixture.c": ("tests/unit/test_sigma_mixed.py",),

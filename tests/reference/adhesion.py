@@ -70,8 +70,7 @@ class Adhesion:
         self.rotors["rated_nm"] = [m.T_rated for m in motors]
         self.rotors["inertia_kg_m2"] = [m.J for m in motors]
         rated = [motor.T_rated for motor in motors]
-        kinds = list(dict.fromkeys(rated))
-        self.rotors["motor"] = [kinds.index(mine) for mine in rated]
+        self.rotors["motor"] = [rated.index(mine) for mine in rated]
         lib.train_reset(pointer("struct rotor", self.rotors), n)
         self.responses = np.zeros(n, COMMAND_RESPONSE)
         self.differences, self.own = self._learnt(spread), self._learnt(spread)
@@ -125,7 +124,7 @@ class Adhesion:
         one["command_valid"], one["adhesion"], one["not_judged"] = commanded, flag, 0
         lib.assess_train(
             pointer("struct rotor", self.rotors), pointer("struct rotor_inputs", one), self.n, now,
-            self.tick_s, pointer("double", np.zeros(self.n)),
+            self.tick_s, pointer("double", np.zeros(2 * self.n)),
         )  # fmt: skip
         gone = one["not_judged"] == 1
         told.health[gone], told.reason[gone] = one["health"][gone], one["health_reason"][gone]

@@ -83,7 +83,7 @@ Ints = NDArray[np.int64]
 class Train(NamedTuple):
     """Memory of N drives, (N,), NaN where a number is not known.
 
-    rated Nm, inertia kg m2, motor: which of them have equal ratings; slow_speed: smoothed speed of
+    rated Nm, inertia kg m2, motor: the first with the same ratings; slow_speed: smoothed speed of
     the rotor, rad/s; taken: what accelerates it with its train, per unit of rated torque;
     diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
     followed_s: for how long its currents have been followed; alone_s: for how long all others have
@@ -92,8 +92,8 @@ class Train(NamedTuple):
     carried more than the others meanwhile; away: left the others for the side that the effort
     takes it to, and is not back yet; uncertain: it may be running away, or braked by something
     else; doubt_ns: until then its currents accuse nobody; uncommanded_s, odd_s: for how long, odd:
-    too long; above: carries more than its command and than the others, in this tick; speed, load,
-    rank: of one tick.
+    too long; above: carries more than its command and than the others, in this tick; speed, load:
+    of one tick.
     """
 
     rated: Array
@@ -119,7 +119,6 @@ class Train(NamedTuple):
     above: Flags
     speed: Array
     load: Array
-    rank: Array
 
 
 def start(motors: Sequence[Motor]) -> Train:
@@ -129,33 +128,24 @@ def start(motors: Sequence[Motor]) -> Train:
     """
     n = len(motors)
     ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
-    kinds = list(dict.fromkeys(ratings))
-    unknown = np.full((5, n), np.nan)
+    unknown = np.full((4, n), np.nan)
     far, apart, away, uncertain, odd, above = np.zeros((6, n), dtype=np.bool_)
     doubt_ns = np.full(n, NEVER, dtype=np.int64)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
-        np.array([kinds.index(m) for m in ratings], dtype=np.int64), unknown[0], np.zeros(n),
+        np.array([ratings.index(m) for m in ratings], dtype=np.int64), unknown[0], np.zeros(n),
         np.ones(n), np.zeros(n), unknown[1], np.zeros(n), np.zeros(n), far, apart, np.zeros(n),
         np.zeros(n), away, uncertain, doubt_ns, np.zeros(n), np.zeros(n), odd, above, unknown[2],
-        unknown[3], unknown[4],
+        unknown[3],
     )  # fmt: skip
 
 
-def insert(x: float, count: int, rank: Array) -> None:
-    """One more number into the ascending first `count` of rank."""
-    place = count
-    while place > 0 and rank[place - 1] > x:
-        rank[place] = rank[place - 1]
-        place -= 1
-    rank[place] = x
-
-
-def middle(count: int, upper: bool, rank: Array) -> float:
-    """Median of the first `count`; of an even number the upper or the lower of the two."""
+def middle(numbers: Array, upper: bool) -> float:
+    """Median; of an even number the upper or the lower of the two; NaN of none."""
+    count = len(numbers)
     if count == 0:
         return math.nan
-    return float(rank[count // 2 if upper else (count - 1) // 2])
+    return float(np.sort(numbers)[count // 2 if upper else (count - 1) // 2])
 
 
 def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
@@ -163,14 +153,11 @@ def _others(k: int, tracked: bool, upper: bool, train: Train) -> float:
 
     NaN without any.
     """
-    count = 0
-    for j in range(train.speed.shape[0]):
-        alike = j != k and train.motor[j] == train.motor[k]
-        counts = not math.isnan(train.speed[j]) and not (tracked and math.isnan(train.load[j]))
-        if alike and counts:
-            insert(train.speed[j], count, train.rank)
-            count += 1
-    return middle(count, upper, train.rank)
+    compared = (train.motor == train.motor[k]) & ~np.isnan(train.speed)
+    if tracked:
+        compared &= ~np.isnan(train.load)
+    compared[k] = False
+    return middle(train.speed[compared], upper)
 
 
 def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) -> float:
@@ -198,7 +185,7 @@ def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) ->
 
 def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
     """What every rotor takes to follow the median of all, per unit of its rated torque."""
-    count = 0
+    rates = []
     for k in range(train.speed.shape[0]):
         speed = train.speed[k]
         if math.isnan(speed):
@@ -210,9 +197,9 @@ def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
         train.slow_speed[k] = slow + tick_s / ACCELERATION_TAU_S * (speed - slow)
         if abs(slow) >= LEAST_SPEED_RAD_S:
             # Relative, so that it is the same for all diameters and gears.
-            insert((speed - slow) / ACCELERATION_TAU_S / slow, count, train.rank)
-            count += 1
-    rate = middle(count, braking, train.rank)
+            rates.append((speed - slow) / ACCELERATION_TAU_S / slow)
+    known = np.array([rate for rate in rates if not math.isnan(rate)])
+    rate, count = middle(known, braking), len(known)
     for k in range(train.speed.shape[0]):
         torque = train.inertia[k] * rate * train.slow_speed[k] / train.rated[k]
         if math.isnan(torque):
@@ -325,12 +312,9 @@ def _uncommanded(k: int, tick_s: float, slow: SlowState, told: Told, train: Trai
 
 def _others_load(k: int, train: Train) -> float:
     """Median load of the other drives, per unit; NaN without any."""
-    loads = 0
-    for j in range(train.load.shape[0]):
-        if j != k and not math.isnan(train.load[j]):
-            insert(train.load[j], loads, train.rank)
-            loads += 1
-    return middle(loads, False, train.rank)
+    compared = ~np.isnan(train.load)
+    compared[k] = False
+    return middle(train.load[compared], False)
 
 
 def _like_others(k: int, train: Train) -> bool:
@@ -355,12 +339,9 @@ def _slides(k: int, flag: int, tick_s: float, train: Train) -> bool:
 def _odd_command(k: int, tick_s: float, slow: SlowState, commanded: Flags, train: Train) -> bool:
     """Whether drive k's command is far from the others' although its load is like theirs."""
     own = abs(slow.command[k]) / train.rated[k]
-    commands = 0
-    for j in range(commanded.shape[0]):
-        if j != k and commanded[j]:
-            insert(abs(slow.command[j]) / train.rated[j], commands, train.rank)
-            commands += 1
-    others = middle(commands, False, train.rank)
+    compared = commanded.copy()
+    compared[k] = False
+    others = middle(np.abs(slow.command[compared]) / train.rated[compared], False)
     # Written so that what is not known is not odd.
     far = own > FACTOR * others + FACTOR_FLOOR or own < others / FACTOR - FACTOR_FLOOR
     train.odd_s[k] = train.odd_s[k] + tick_s if far and _like_others(k, train) else 0.0

@@ -55,7 +55,7 @@ def train_that_drives(rng, n, ticks):
 
 def anything(rng, n, ticks):
     """Numbers that do not go together, some of them none."""
-    numbers = [0.0, 1.0, -1.0, 20.0, -20.0, 1e308, math.nan, math.inf, -math.inf]
+    numbers = [0.0, -0.0, 1.0, -1.0, 20.0, -20.0, 1e308, math.nan, math.inf, -math.inf]
     for tick in range(ticks):
         load, speed = rng.normal(0.0, 20.0, n), rng.normal(5.0, 20.0, n)
         command, before = rng.normal(5.0, 12.0, (2, n))
@@ -154,13 +154,22 @@ def test_a_train_that_drives(seed, detector):
     assert both.core.record["spread"]["spread"].item() != first, "the spread is learnt"
 
 
+def test_a_long_train_that_drives():
+    """64 drives, of two kinds: flags as the reference decides them, of which one is lost."""
+    rng, both, met = np.random.default_rng(3), Both([BENCH_MOTOR, OTHER] * 32), set()
+    for tick, given in enumerate(train_that_drives(rng, 64, 300)):
+        opinion = both.tick(columns.told(64), given, tick * TICK, True)
+        states, _ = both.decide(opinion, tick * TICK)
+        met.add(tuple(k for k, state in enumerate(states) if state == Flag.BAD))
+    assert (32,) in met
+
+
 @pytest.mark.parametrize("detector", ["vb", "switching"])
-@pytest.mark.parametrize("n", [1, 2, 5])
+@pytest.mark.parametrize(("n", "ticks"), [(1, 1500), (2, 1500), (5, 1500), (16, 300), (65, 150)])
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
-def test_anything(n, detector):
-    motors = ([BENCH_MOTOR, OTHER] * n)[:n]
-    rng, both = np.random.default_rng(n), Both(motors, detector=detector)
-    for tick, given in enumerate(anything(rng, n, 1500)):
+def test_anything(n, ticks, detector):
+    rng, both = np.random.default_rng(n), Both(([BENCH_MOTOR, OTHER] * n)[:n], detector=detector)
+    for tick, given in enumerate(anything(rng, n, ticks)):
         if tick % 7 == 0:
             both.core.unreliable_until_ns[:] = both.plain.rotors["unreliable_until_ns"] = (
                 tick + rng.integers(0, 20, n)

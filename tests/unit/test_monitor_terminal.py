@@ -245,7 +245,9 @@ def test_nothing_is_told_by_colour_alone():
         )
         here = shown._replace(drives=rows, gateway=gate)
         strip = plots.strip((0.5, 1.0), (flag, flag), (0.0, 1.0), 2)
-        drawn.append((panels.drive_table(here, 1, 80).plain, panels.gateway(here).plain, strip.plain))
+        drawn.append(
+            (panels.drive_table(here, 1, 80).plain, panels.gateway(here).plain, strip.plain)
+        )
     for one, two in ((0, 1), (0, 2), (1, 2)):
         assert all(a != b for a, b in zip(drawn[one], drawn[two], strict=True))
 

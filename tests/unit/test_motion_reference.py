@@ -97,7 +97,7 @@ class Plain:
             (drives.motions["observer"][name], self.memory.observer[:, j], name)
             for j, name in enumerate(names)
         ]
-        pairs += [(drives.others, self.check.others, "others")]
+        pairs += [(drives.others[drives.noted], self.check.others, "others")]
         pairs += [(drives.rotors["unreliable_until_ns"], self.doubt_ns, "doubt")]
         for mine, plain in (
             (drives.estimates, self.estimates), (drives.status, self.status),

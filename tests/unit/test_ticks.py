@@ -102,7 +102,7 @@ def state(gateway):
     )  # fmt: skip
     tables = (
         gateway.flags.inputs, gateway.inputs.status, bank.filters, bank.tracks, bank.chords,
-        bank.sensors, bank.estimates, motion.motions, motion.checks, motion.others,
+        bank.sensors, bank.estimates, motion.motions, motion.checks, motion.others, motion.noted,
         adhesion.responses, adhesion.ratios, adhesion.response_ratios, adhesion.rotors,
         adhesion.loads, adhesion.common_mode, receiver.channels, receiver.drives,
         receiver.counters, gateway.supervision.heartbeats, gateway.thermal.motors,

@@ -46,7 +46,7 @@ def assess_train(measured, commanded, slow, flag, now, told, rotors):
     one["command_valid"] = commanded
     lib.assess_train(
         pointer("struct rotor", rotors), pointer("struct rotor_inputs", one), n, now, TICK_S,
-        pointer("double", np.zeros(n)),
+        pointer("double", np.zeros(2 * n)),
     )  # fmt: skip
     commanded[:] = one["command_valid"]
     gone = one["not_judged"] == 1
@@ -76,8 +76,11 @@ def drawn(rng, n, level):
     )  # fmt: skip
 
 
-def course(seed, n, ticks):
-    """What `assess_train` is given, tick by tick: anything, but mostly a train that drives."""
+def course(seed, n, ticks, step):
+    """What `assess_train` is given, tick by tick: anything, but mostly a train that drives.
+
+    step: that numbers are rounded to, so that some are equal and zeros have both signs; or 0.
+    """
     rng = np.random.default_rng(seed)
     diameter = rng.uniform(0.97, 1.03, n)
     left, speed = 0, 25.0
@@ -99,6 +102,8 @@ def course(seed, n, ticks):
         sent.before[rng.random(n) < 0.02] = np.nan
         sent.operating[:] = now.operating
         measured = np.where(now.measured, true + rng.normal(0.0, 0.05, n), np.nan)
+        for column in (told.speed, told.load, measured):
+            column[:] = np.round(column / step) * step if step else column
         if tick % 97 == 5:
             told.speed[rng.integers(n)] = rng.choice([np.nan, 0.0, np.inf])
             told.load[rng.integers(n)] = rng.choice([np.nan, 1e308, -np.inf])
@@ -113,10 +118,16 @@ def copied(given):
     return measured.copy(), commanded.copy(), sent, flag, again
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 5])
+@pytest.mark.parametrize(
+    ("n", "ticks", "step"),
+    [
+        *((n, 2000, 0.0) for n in (1, 2, 3, 5)),
+        *((n, 800, 0.5) for n in (1, 2, 3, 16)), (64, 300, 0.0), (65, 300, 0.5),
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
-def test_any_course_of_a_train(seed, n):
+def test_any_course_of_a_train(seed, n, ticks, step):
     motors = [BENCH_MOTOR] * n if seed else [BENCH_MOTOR, OTHER] * n
     motors = motors[:n]
     plain = reference.start(motors)
@@ -126,7 +137,7 @@ def test_any_course_of_a_train(seed, n):
     plain.learnt_s[:] = rotors["learnt_s"] = (0.0, 59.0)[seed]
     met = {name: set() for name in ("far", "apart", "away", "uncertain", "odd", "above")}
     doubt = np.random.default_rng(seed)
-    for now, given in enumerate(course(seed, n, 2000)):
+    for now, given in enumerate(course(seed, n, ticks, step)):
         measured, commanded, sent, flag, told = given
         again = copied(given)
         if now % 50 == 0:
