@@ -379,17 +379,23 @@ def feed(box, plain, frame, now):
 
 
 def test_a_block_that_is_turns_of_its_counter_late():
-    codec = codec_for(NODES, FD_FILE)
-    for ahead in (0, 1, 20, 16_383, 16_385, 60_000):
+    codec, met = codec_for(NODES, FD_FILE), set()
+    edges = (0, 4 * MS), (SECOND, MS - MAX_GAP_NS), (SECOND, MS - MAX_GAP_NS - 1), (0, -4 * MS)
+    for start, ahead in (*((0, k * MS) for k in (0, 1, 20, 16_383, 16_385, 60_000)), *edges):
         box, plain = both(codec)
         sender = Sender(codec, "Drive1_Samples")
-        values = dict.fromkeys(USED["Samples"][1:], 1.0)
+        values = {s.name: 1.0 for s in sender.spec.signals if s.name[0] in "IUQ"}
         for k in range(4):
-            frame = sender.frame((k + 1) * MS, SampleIndex=8 * k, **values)
-            feed(box, plain, frame, 10 * MS)
-        box.receiver.drives["sample_ns"][0] += ahead * MS
-        plain.drives[0].sample_ns += ahead * MS
-        feed(box, plain, sender.frame(5 * MS, SampleIndex=32, **values), 10 * MS)
+            frame = sender.frame(start + (k + 1) * MS, SampleIndex=8 * k, **values)
+            feed(box, plain, frame, start + 10 * MS)
+        box.receiver.drives["sample_ns"][0] += ahead
+        plain.drives[0].sample_ns += ahead
+        box.receiver.room.u[8:] = 77.0
+        frame = sender.frame(start + 5 * MS, SampleIndex=32, **values)
+        feed(box, plain, frame, start + 10 * MS)
+        met.add((len(plain.samples), bool(plain.restart)))
+        assert (box.receiver.room.u[8:] == 77.0).all(), "no more than there are"
+    assert met == {(8, False), (8, True), (0, False)}
 
 
 def test_the_index_of_a_block_is_a_number_of_its_eighth():
