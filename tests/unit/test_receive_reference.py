@@ -544,6 +544,21 @@ def test_heartbeats_equal_the_reference(period_ns):
     assert seen == {-1, 0, 11}
 
 
+@pytest.mark.parametrize(("period_ns", "gap_ns"), [
+    (0, 65_536 * MS), (0, 65_536 * MS + 1), (1, SECOND),
+])  # fmt: skip
+def test_the_longest_gap_is_one_and_a_configured_period_of_any_length_counts(period_ns, gap_ns):
+    ours, plain = (make(NODES, TIMEOUT, period_ns) for make in (Supervision, reference.Supervision))
+    for t in (MS, MS + gap_ns, MS + 2 * gap_ns):
+        lib.on_heartbeat(ours.pointer, 0, t, 1, 1, 5)
+        plain.heartbeat(1, t, 1, True, 5)
+    node = plain.nodes[1]
+    assert (ours.heartbeats[0]["gaps"], ours.heartbeats[0]["limit_ns"]) == (
+        node.seen,
+        node.limit_ns,
+    )
+
+
 @pytest.mark.parametrize("gaps", [-2, -7, -(1 << 40), -(1 << 63), 3, 1 << 62])
 def test_any_count_of_heartbeats_is_a_place_in_their_ring(gaps):
     """Also one that only a damaged record holds: a gap is written nowhere else."""
