@@ -148,7 +148,8 @@ def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor()
 
 
 @pytest.mark.parametrize(("before", "after", "silent_ns", "fault"), [
-    (60.0, 90.0, 10_000 * MS, FaultClass.SENSOR_BIAS), (60.0, 90.0, 10_000 * MS + 1, FaultClass.NONE),
+    (60.0, 90.0, 10_000 * MS, FaultClass.SENSOR_BIAS),
+    (60.0, 90.0, 10_000 * MS + 1, FaultClass.NONE),
     (280.0, 300.0, 100 * MS, FaultClass.SENSOR_BIAS), (280.1, 300.0, 100 * MS, FaultClass.NONE),
 ])  # fmt: skip
 def test_a_step_after_ten_seconds_or_to_the_maximum_from_five_limits_below(
