@@ -128,6 +128,7 @@ JUDGED = (
     "gateway/core/inputs.c",
     "gateway/core/integrity.c",
     "gateway/core/pairing.c",
+    "gateway/core/receive.c",
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
     "gateway/core/temperature.c",

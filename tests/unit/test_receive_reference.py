@@ -317,6 +317,24 @@ def test_identifiers_of_29_bits_are_found():
     assert any(channel.spec.is_extended for channel in box.channels)
     info = codec.by_name["Gateway_Info"].can_id
     assert lib.lookup_id(box.receiver.pointer, info, EXTENDED) == lib.ID_OWN
+    last = int(max(key for key, _ in box.receiver.ids.tolist())) & ~(1 << 31)
+    box.receiver.pointer.id_count -= 1
+    assert lib.lookup_id(box.receiver.pointer, last, EXTENDED) == lib.ID_UNKNOWN, "no more a row"
+
+
+def test_each_temperature_by_itself_is_a_sign_of_life_and_quality_may_be_any_column():
+    codec = codec_for(NODES)
+    for alone in SIGNALS["Temperatures"]:
+        box, plain = both(codec)
+        values = {name: 50.0 if name == alone else math.nan for name in SIGNALS["Temperatures"]}
+        feed(box, plain, Sender(codec, "Drive1_Temperatures").frame(MS, **values), TICK)
+    for kind in ("Temperatures", "Motion"):
+        box, _ = both(codec)
+        box.receiver.channels["quality"] = 0  # a checksum that is neither valid nor degraded
+        values = dict.fromkeys(SIGNALS[kind], 1.0)
+        box.take([Sender(codec, f"Drive1_{kind}").frame(MS, **values)], TICK)
+        assert box.receiver.channels["accepted_ns"].max() == MS
+        assert box.receiver.channels["good_ns"].max() < 0
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.1, 0.4])
@@ -424,6 +442,12 @@ def test_frames_in_another_order_are_left_alone():
         box.take(wrong, TICK)
         plain.take(right or wrong[::-1], TICK)
         assert_same(box, plain)
+
+
+def test_frames_before_the_first_one_have_no_say_in_their_order():
+    box, _ = both(codec_for(NODES))
+    rows = block_of([Frame(0, 9, b""), *(Frame(1, can_id, b"") for can_id in (1, 2, 3))])
+    assert lib.receive_frames(box.receiver.pointer, rows.columns(), 1, 3, TICK)
 
 
 def test_an_emergency_is_left_to_python():
