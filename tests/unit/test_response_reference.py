@@ -76,6 +76,17 @@ def test_a_ratio_is_learnt_up_to_its_limit(sign):
     assert kept.ratio[0] == 1.0 + sign * reference.RATIO_LIMIT
 
 
+def test_what_is_off_by_the_gate_is_still_learnt_and_no_drive_behind_the_last():
+    kept, one = Loads(1, 0.0), np.ones(1, dtype=bool)
+    kept.variance[:] = 1.0
+    kept.learn(np.array([5.0]), 1.0, one, relative=False)
+    assert kept.ratio[0] == 1.0 + reference.RATIO_LIMIT, "four standard deviations, not more"
+    kept = Loads(3, SPREAD)
+    kept.ratios["taught"], kept.ratio[2], kept.n = 7, 5.0, 2
+    kept.learn(np.array([0.6, 0.62]), 0.6, np.ones(2, dtype=bool))
+    assert (kept.ratios["taught"].tolist(), kept.ratio[2]) == ([1, 1, 7], 5.0)
+
+
 def test_loads_as_if_the_drives_were_equal():
     rng = np.random.default_rng(11)
     for _ in range(200):
