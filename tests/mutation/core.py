@@ -129,6 +129,8 @@ JUDGED = (
     "estimators/detect/command_response.c",
     "estimators/detect/load_reference.c",
     "estimators/detect/variational.c",
+    "estimators/thermal/imm.c",
+    "estimators/thermal/imm_predict.c",
     "gateway/core/busload.c",
     "gateway/core/current_plausibility.c",
     "gateway/core/estimate.c",
