@@ -54,6 +54,8 @@ MOTION = ("tests/unit/test_motion_reference.py", *(
         "test_motion_stands_still_while_all_others_move",
         "test_a_current_of_which_one_half_stays_is_no_repeat",
         "test_an_angle_that_is_off_for_a_minute_is_the_new_one",
+        "test_on_its_limits_motion_is_in_order", "test_on_their_limits_command_and_load_fit",
+        "test_with_fifteen_percent_of_rated_a_current_says_something",
     )
 ))  # fmt: skip
 GOLDEN = "tests/golden/test_golden.py"
@@ -128,9 +130,30 @@ TESTS = {
 }  # fmt: skip
 """Those that answer for a source."""
 JUDGED = (
-    "dbc/crc.c", "dbc/e2e.c", "gateway/core/flags.c", "gateway/core/inputs.c",
-    "gateway/core/integrity.c", "gateway/core/sequence.c",
-)  # fmt: skip
+    "dbc/crc.c",
+    "dbc/e2e.c",
+    "estimators/detect/command_response.c",
+    "estimators/detect/load_reference.c",
+    "estimators/detect/variational.c",
+    "estimators/thermal/imm.c",
+    "estimators/thermal/imm_predict.c",
+    "gateway/core/busload.c",
+    "gateway/core/current_plausibility.c",
+    "gateway/core/estimate.c",
+    "gateway/core/flags.c",
+    "gateway/core/inputs.c",
+    "gateway/core/integrity.c",
+    "gateway/core/motion.c",
+    "gateway/core/pairing.c",
+    "gateway/core/plausibility.c",
+    "gateway/core/receive.c",
+    "gateway/core/sequence.c",
+    "gateway/core/supervision.c",
+    "gateway/core/temperature.c",
+    "gateway/core/thermal.c",
+    "gateway/core/thermal_evidence.c",
+    "gateway/core/transmit.c",
+)
 NOT_YET = tuple(source for source in TESTS if source not in JUDGED)
 """Sources whose mutants have not been judged since they became C."""
 SAMPLE = 60

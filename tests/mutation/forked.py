@@ -26,8 +26,9 @@ from typing import Any
 
 import pytest
 
-LEAST_S = 10.0
-"""A mutant may run ten times as long as the original, and this long at least."""
+LEAST_S = 3.0
+"""Each test may run ten times as long as with the original, and this long at least; and longer by
+the longest of them, as what tests share is made by whichever comes first."""
 PROT_ALL, PAGE = 7, 4096
 
 
@@ -98,7 +99,7 @@ class Judge:
         if "durations" not in told:
             raise pytest.UsageError(f"the original fails: {told or 'a crash'}")
         self.durations = told["durations"]
-        limit = max(LEAST_S, 10.0 * sum(self.durations.values()))
+        limit = 10.0 * (LEAST_S + sum(self.durations.values()))
         with self.results.open("w") as out:
             for library in self.libraries:
                 told = self._forked(lambda at=library: self._run(session.items, at), limit)
@@ -130,6 +131,10 @@ class Judge:
         for item, following in pairwise(order):
             assert item is not None
             began = time.monotonic()
+            if library is not None:  # of this process; at its end the child is ended, in C, too
+                longest_s = max(self.durations.values())
+                limit_s = max(LEAST_S, 10.0 * self.durations[item.nodeid]) + longest_s
+                signal.setitimer(signal.ITIMER_PROF, limit_s)
             item.ihook.pytest_runtest_protocol(item=item, nextitem=following)
             durations[item.nodeid] = time.monotonic() - began
             if self.failed:

@@ -248,3 +248,50 @@ def test_an_angle_that_is_off_for_a_minute_is_the_new_one():
         implausible.append(now < motion.checks["implausible_until_ns"].item())
     assert implausible == [False, True, True, False]
     assert motion.checks["learnt"].item() == 20
+
+
+def test_on_its_limits_motion_is_in_order():
+    """Speeds that differ by 5 rad/s, ten samples a revolution, five cycles to a reading."""
+    motion = side(2)
+    motion.record["n"], motion.motions["aliasing"] = 1, (0, 7)
+    for w_m, estimated in ((0.0, 5.0), (motion.record["max_w_e"].item() / 4.0,) * 2):
+        for _ in range(10):
+            given = [DriveEstimate(Health.TRACKING, estimated, 19.0, 0.5, 2.0)] * 2
+            assert merged(motion, given, [w_m] * 2)[0].health is Health.TRACKING
+        assert motion.motions["aliasing"].tolist() == [0, 7], (
+            "of a drive that there is not: as it was"
+        )
+    for k in (*range(10), 14):
+        tick(motion, (0, k * 10 * MS, w_m, 20.0))
+    assert motion.motions["readings"].item(0) == 10
+
+
+def test_on_their_limits_command_and_load_fit():
+    motion, seen = side(), []
+    rated = motion.checks["rated_nm"].item()
+    motion.motions["started"], motion.motions["readings"] = 1, 5
+    motion.estimates["health"], motion.status["speed_rad_s"] = Health.TRACKING, 0.0
+    motion.came.drives["command"] = 0.0
+    for now, command, age_ns, load in (
+        (10 * MS, 0.0, 0, 0.25), (200 * MS, 0.15, 200 * MS, 0.25), (210 * MS, 0.16, 100 * MS, 0.25),
+        (220 * MS, 0.16, 100 * MS + 1, 0.26),
+    ):  # fmt: skip
+        motion.came.tick([(0, now, 0.0, 20.0, math.nan)])
+        motion.came.drives["command"] = command * rated
+        motion.came.drives["command_ns"], motion.estimates["load_nm"] = now - age_ns, load * rated
+        lib.check_plausibility(motion.pointer, now)
+        seen.append([motion.checks[name].item() for name in ("motion_misfits", "load_misfits")])
+    assert seen == [[0, 0]] * 3 + [[1, 1]]
+
+
+@pytest.mark.parametrize(("ampere", "judged"), [(3.0, 1), (2.99, 0)])
+def test_with_fifteen_percent_of_rated_a_current_says_something(ampere, judged):
+    """Of a torque that is not sent, and of its angle to one that is."""
+    for torque, counted in ((0.0, "torque_misfits"), (30.0, "learnt")):
+        motion = side()
+        motion.checks["rated_a"], motion.checks["torque_per_a"] = 20.0, 10.0
+        motion.checks["rated_nm"], motion.estimates["health"] = 30.0, Health.TRACKING
+        motion.came.drives["sample_ns"], motion.status["speed_rad_s"] = MS, 0.0
+        motion.came.tick([(0, MS, 0.0, torque, 0.0)], [(0, (0.0, 0.0), (0.0, ampere), 16, 0)])
+        lib.check_plausibility(motion.pointer, MS)
+        assert motion.checks[counted].item() == judged

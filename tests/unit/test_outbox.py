@@ -117,19 +117,40 @@ def names(codec, frames):
 def test_each_goes_out_in_its_cycle_and_faults_at_a_change_too():
     codec = codec_for(NODES)
     box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
-    sent = {}
+    sent, summaries = {}, {163: "comm", 165: "sensor", 167: "estimator", 169: "overrun"}
     for tick in range(300):
         if tick == 155:
             words.drives["flag"]["state"][1, FlagKind.THERMAL] = 2
-        if tick == 163:
-            words.train["comm"] = 1
+        if tick in summaries:
+            words.train[summaries[tick]] = 2
         for name in names(codec, box.due(words, tick * TICK)):
             sent.setdefault(name, []).append(tick)
     assert sent["Gateway_Adhesion"] == list(range(300))
     assert sent["Drive1_Estimate"] == list(range(0, 300, 2))
     assert sent["Gateway_Info"] == [0, 100, 200]
     assert sent["Gateway_Status"] == list(range(0, 300, 10))
-    assert sent["Gateway_Faults"] == [*range(0, 151, 10), 155, 163, *range(173, 300, 10)]
+    assert sent["Gateway_Faults"] == [
+        *range(0, 151, 10), 155, *summaries, *range(179, 300, 10),
+    ]  # fmt: skip
+
+
+def test_a_drive_that_there_is_not_changes_nothing_and_is_not_written_to():
+    codec = codec_for(NODES)
+    box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
+    box.record["drive_count"], box._thermal_sent[-1] = N - 1, 7
+    box.due(words, 0)
+    words.drives["flag"]["state"][-1, FlagKind.THERMAL] = 2
+    assert "Gateway_Faults" not in names(codec, box.due(words, TICK))
+    assert box._thermal_sent[-1] == 7
+
+
+def test_what_is_due_within_half_a_tick_goes_out_and_the_loops_own_cycle_with_every_tick():
+    codec = codec_for(NODES)
+    for now, due in ((95 * MS, True), (95 * MS - 1, False)):
+        box, words = Outbox(codec, NODES, 0, TICK), unknown_status(N, 1)
+        box.due(words, 0)
+        assert "Gateway_Adhesion" in names(codec, box.due(words, 1 * MS))
+        assert ("Gateway_Status" in names(codec, box.due(words, now))) == due
 
 
 def test_the_grid_stays_however_late_a_tick_is():

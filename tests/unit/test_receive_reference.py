@@ -317,6 +317,24 @@ def test_identifiers_of_29_bits_are_found():
     assert any(channel.spec.is_extended for channel in box.channels)
     info = codec.by_name["Gateway_Info"].can_id
     assert lib.lookup_id(box.receiver.pointer, info, EXTENDED) == lib.ID_OWN
+    last = int(max(key for key, _ in box.receiver.ids.tolist())) & ~(1 << 31)
+    box.receiver.pointer.id_count -= 1
+    assert lib.lookup_id(box.receiver.pointer, last, EXTENDED) == lib.ID_UNKNOWN, "no more a row"
+
+
+def test_each_temperature_by_itself_is_a_sign_of_life_and_quality_may_be_any_column():
+    codec = codec_for(NODES)
+    for alone in SIGNALS["Temperatures"]:
+        box, plain = both(codec)
+        values = {name: 50.0 if name == alone else math.nan for name in SIGNALS["Temperatures"]}
+        feed(box, plain, Sender(codec, "Drive1_Temperatures").frame(MS, **values), TICK)
+    for kind in ("Temperatures", "Motion"):
+        box, _ = both(codec)
+        box.receiver.channels["quality"] = 0  # a checksum that is neither valid nor degraded
+        values = dict.fromkeys(SIGNALS[kind], 1.0)
+        box.take([Sender(codec, f"Drive1_{kind}").frame(MS, **values)], TICK)
+        assert box.receiver.channels["accepted_ns"].max() == MS
+        assert box.receiver.channels["good_ns"].max() < 0
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.1, 0.4])
@@ -379,17 +397,23 @@ def feed(box, plain, frame, now):
 
 
 def test_a_block_that_is_turns_of_its_counter_late():
-    codec = codec_for(NODES, FD_FILE)
-    for ahead in (0, 1, 20, 16_383, 16_385, 60_000):
+    codec, met = codec_for(NODES, FD_FILE), set()
+    edges = (0, 4 * MS), (SECOND, MS - MAX_GAP_NS), (SECOND, MS - MAX_GAP_NS - 1), (0, -4 * MS)
+    for start, ahead in (*((0, k * MS) for k in (0, 1, 20, 16_383, 16_385, 60_000)), *edges):
         box, plain = both(codec)
         sender = Sender(codec, "Drive1_Samples")
-        values = dict.fromkeys(USED["Samples"][1:], 1.0)
+        values = {s.name: 1.0 for s in sender.spec.signals if s.name[0] in "IUQ"}
         for k in range(4):
-            frame = sender.frame((k + 1) * MS, SampleIndex=8 * k, **values)
-            feed(box, plain, frame, 10 * MS)
-        box.receiver.drives["sample_ns"][0] += ahead * MS
-        plain.drives[0].sample_ns += ahead * MS
-        feed(box, plain, sender.frame(5 * MS, SampleIndex=32, **values), 10 * MS)
+            frame = sender.frame(start + (k + 1) * MS, SampleIndex=8 * k, **values)
+            feed(box, plain, frame, start + 10 * MS)
+        box.receiver.drives["sample_ns"][0] += ahead
+        plain.drives[0].sample_ns += ahead
+        box.receiver.room.u[8:] = 77.0
+        frame = sender.frame(start + 5 * MS, SampleIndex=32, **values)
+        feed(box, plain, frame, start + 10 * MS)
+        met.add((len(plain.samples), bool(plain.restart)))
+        assert (box.receiver.room.u[8:] == 77.0).all(), "no more than there are"
+    assert met == {(8, False), (8, True), (0, False)}
 
 
 def test_the_index_of_a_block_is_a_number_of_its_eighth():
@@ -418,6 +442,12 @@ def test_frames_in_another_order_are_left_alone():
         box.take(wrong, TICK)
         plain.take(right or wrong[::-1], TICK)
         assert_same(box, plain)
+
+
+def test_frames_before_the_first_one_have_no_say_in_their_order():
+    box, _ = both(codec_for(NODES))
+    rows = block_of([Frame(0, 9, b""), *(Frame(1, can_id, b"") for can_id in (1, 2, 3))])
+    assert lib.receive_frames(box.receiver.pointer, rows.columns(), 1, 3, TICK)
 
 
 def test_an_emergency_is_left_to_python():
@@ -536,6 +566,21 @@ def test_heartbeats_equal_the_reference(period_ns):
                 assert any_lost(ours, t + later) == lost
         assert ours.malformed == plain.malformed
     assert seen == {-1, 0, 11}
+
+
+@pytest.mark.parametrize(("period_ns", "gap_ns"), [
+    (0, 65_536 * MS), (0, 65_536 * MS + 1), (1, SECOND),
+])  # fmt: skip
+def test_the_longest_gap_is_one_and_a_configured_period_of_any_length_counts(period_ns, gap_ns):
+    ours, plain = (make(NODES, TIMEOUT, period_ns) for make in (Supervision, reference.Supervision))
+    for t in (MS, MS + gap_ns, MS + 2 * gap_ns):
+        lib.on_heartbeat(ours.pointer, 0, t, 1, 1, 5)
+        plain.heartbeat(1, t, 1, True, 5)
+    node = plain.nodes[1]
+    assert (ours.heartbeats[0]["gaps"], ours.heartbeats[0]["limit_ns"]) == (
+        node.seen,
+        node.limit_ns,
+    )
 
 
 @pytest.mark.parametrize("gaps", [-2, -7, -(1 << 40), -(1 << 63), 3, 1 << 62])

@@ -76,6 +76,17 @@ def test_a_ratio_is_learnt_up_to_its_limit(sign):
     assert kept.ratio[0] == 1.0 + sign * reference.RATIO_LIMIT
 
 
+def test_what_is_off_by_the_gate_is_still_learnt_and_no_drive_behind_the_last():
+    kept, one = Loads(1, 0.0), np.ones(1, dtype=bool)
+    kept.variance[:] = 1.0
+    kept.learn(np.array([5.0]), 1.0, one, relative=False)
+    assert kept.ratio[0] == 1.0 + reference.RATIO_LIMIT, "four standard deviations, not more"
+    kept = Loads(3, SPREAD)
+    kept.ratios["taught"], kept.ratio[2], kept.n = 7, 5.0, 2
+    kept.learn(np.array([0.6, 0.62]), 0.6, np.ones(2, dtype=bool))
+    assert (kept.ratios["taught"].tolist(), kept.ratio[2]) == ([1, 1, 7], 5.0)
+
+
 def test_loads_as_if_the_drives_were_equal():
     rng = np.random.default_rng(11)
     for _ in range(200):
@@ -146,6 +157,26 @@ def test_a_sudden_loss_at_its_limits():
         np.testing.assert_allclose(kept.records["deficit_s"], plain.since_s, **CLOSE)
         freed += plain.since_s[0] > 1e5
     assert freed > 100
+
+
+def test_on_its_limits_a_loss_is_confirmed_and_set_free_and_a_command_steady_or_not():
+    """No load at a command of 0.6; then commands beside one of zero, which a drive may answer."""
+
+    def heard_of(load, command, before, age_s, excess=0.0):
+        one = (np.full(1, x) for x in (load, excess, command, before, age_s))
+        return response.Heard(*one, np.ones(1, dtype=bool))
+
+    for excess, freed in ((0.25 * 0.6, True), (0.2499 * 0.6, False)):
+        lost, _ = Responses(1, SPREAD).respond(heard_of(0.0, 0.6, 0.6, 0.09, excess), DT)
+        assert (lost[0] != response.OPEN) == freed
+    kept = Responses(1, SPREAD)
+    told = [kept.respond(heard_of(0.0, 0.6, 0.6, 0.0), DT)[0][0] for _ in range(2)]
+    assert told[0] == response.OPEN < told[1], "as old as a tick and the filter's lag"
+    near = response.STEADY * response.LEAST_COMMAND
+    for before, age_s, learnt in ((near, 0.0, 1), (1.01 * near, 0.0, 0), (0.0, DT, 0)):
+        kept = Responses(1, SPREAD)
+        kept.learn_response(heard_of(0.0, 0.0, before, age_s), np.ones(1, dtype=bool), DT)
+        assert kept.ratios["seen"].tolist() == [learnt]
 
 
 def test_fusing():

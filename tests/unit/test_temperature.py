@@ -145,3 +145,18 @@ def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor()
     assert sensor_verdict(side, 0, 51 * MS) == (FaultClass.SENSOR_STUCK, FaultSensor.STATOR)
     assert sensor_fault(side, 0, 0, 300 * MS) is FaultClass.SENSOR_STUCK
     assert sensor_fault(side, 0, 0, 301 * MS) is FaultClass.NONE
+
+
+@pytest.mark.parametrize(("before", "after", "silent_ns", "fault"), [
+    (60.0, 90.0, 10_000 * MS, FaultClass.SENSOR_BIAS),
+    (60.0, 90.0, 10_000 * MS + 1, FaultClass.NONE),
+    (280.0, 300.0, 100 * MS, FaultClass.SENSOR_BIAS), (280.1, 300.0, 100 * MS, FaultClass.NONE),
+])  # fmt: skip
+def test_a_step_after_ten_seconds_or_to_the_maximum_from_five_limits_below(
+    before, after, silent_ns, fault
+):
+    side = SensorSide(1, 100 * MS)
+    side.drives["sensor"]["limit_k"] = 4.0
+    for t, value in ((0, before), *((silent_ns + k * 100 * MS, after) for k in range(3))):
+        side.take(Temperatures(0, t, (value,) * 4, (True,) * 4, (round(10 * value),) * 4))
+    assert sensor_fault(side, 0, 0, t) is fault

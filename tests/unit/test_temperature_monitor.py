@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from _traction_core import lib
 
 from dbc.records import FLAG_INPUTS
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
@@ -14,6 +15,7 @@ from gateway.hil.fitting import scenario_thermal
 from gateway.settings import calibration
 from tests.columns import slow_of
 from tests.reference import thermal as reference
+from tests.reference.trend import Trend
 from tests.sender import MS, codec_for
 from tests.stations import (
     Inbox,
@@ -215,26 +217,55 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
 
 def test_a_step_of_a_sensor_is_a_jump_and_blocks_are_observed():
     side, bus, _ = made("model", 3, [FITTED[0]] * 3)
-    inputs, model = np.zeros(3, FLAG_INPUTS), side.model
-    steps, jumps, blocks = model.offsets.copy(), np.zeros(3, int), 0
+    inputs, model, trend = np.zeros(3, FLAG_INPUTS), side.model, Trend(3)
+    steps, jumps, blocks, seconds = model.offsets.copy(), np.zeros(3, int), 0, 0
     for tick in range(3000):
         bus.go_on()
         bus.lost[:], bus.off[:], bus.gone[:], bus.held[:] = False, 0.0, False, False
         if tick % 500 == 7:
-            model.motors["step"]["offset_k"][1, 0] = tick % 1000
-        cycles, position = side.cycles, model.position
+            model.motors["step"]["offset_k"][tick // 500 % 3, 0] = tick % 1000
+        cycles, position, held = side.cycles, model.position, model.motors["held"] != 0
         side.hear(bus.inbox, bus.now, inputs)
         if side.cycles == cycles or side.last is None:
             assert model.position == position
             continue
+        seconds += 1
         jumps += (model.offsets != steps).any(axis=1)
         steps = model.offsets.copy()
-        blocks += model.position == 0
-    assert side.motors["jumps"].tolist() == jumps.tolist()
-    assert jumps[1] >= 5
+        if model.position == 0:
+            blocks += 1
+            beside = np.nanmean(model.motors["off_k"] + model.motors["base_k"], axis=1)
+            trend.take(np.where(held, np.nan, beside), model.block_s / 3600.0)
+            # What the block was compared with may have been learnt anew since, in the same tick.
+            np.testing.assert_allclose(side.motors["trend"]["level_k"], trend.level, atol=1e-3)
+    assert side.motors["jumps"].tolist() == inputs["jumps"].tolist() == jumps.tolist()
+    assert (jumps >= 2).all()
+    assert seconds == side.cycles // 10
+    assert (model.motors["judged"] > 0).any()
     observed = side.motors["trend"]["observed_h"] / (model.block_s / 3600.0)
     assert blocks > 3
     assert 0 < observed.max() <= blocks + 1e-9
+
+
+def test_a_reset_forgets_all_but_the_places():
+    (side, bus, _), (fresh, _, _) = made("none", 5), made("none", 5)
+    for _ in range(205):
+        bus.go_on()
+        side.hear(bus.inbox, bus.now, np.zeros(3, FLAG_INPUTS))
+    assert side.motors.tobytes() != fresh.motors.tobytes()
+    lib.temperatures_reset(side.pointer)
+    assert repr(side.motors.tolist()) == repr(fresh.motors.tolist())
+    names = ("next_ns", "next_report_ns", "cycles", "cycle", "second_complete", "dirty")
+    assert [side.record[name].item() for name in names] == [NEVER, 0, 0, 0, 0, 1]
+
+
+def test_a_motor_is_stale_from_the_first_nanosecond_beyond_its_limit():
+    side, out = ThermalSide(1, 100 * MS, 2.0, None, NODES[:1]), np.zeros(1, FLAG_INPUTS)
+    side.motors["age_limit_ns"] = 50 * MS
+    side.take([Temperatures(0, 0, (50.0,) * 4, (True,) * 4, (500,) * 4)], 0)
+    for now, reason in ((0, Reason.CONFIG), (50 * MS, Reason.CONFIG), (50 * MS + 1, Reason.STALE)):
+        side.tell(now, out)
+        assert out["thermal_reason"][0] == reason
 
 
 def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
@@ -301,3 +332,6 @@ def test_maisd_raises_where_the_fleet_differs_and_a_sensor_of_gain_0_raises_noth
             now,
         )  # fmt: skip
     assert side.report(1, now, 310 * MS).thermal is thermal
+    side.record["window"]["limit_k"] = side.motors["evidence"]["maisd_k"][1]
+    side.motors["valid_until_ns"] = NEVER
+    assert side.report(1, now, 310 * MS).thermal is min(thermal, Flag.GOOD), "no more than that"

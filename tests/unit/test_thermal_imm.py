@@ -58,6 +58,17 @@ def beliefs(modes, seed):
     return rng.dirichlet(np.ones(modes)), mean, cov
 
 
+def test_at_the_start_nothing_is_wrong_and_of_every_fault_its_first_size_is_known():
+    own, fault = imm.started(CONFIG)[0], CONFIG["fault"][0]
+    np.testing.assert_array_equal(own["mode"], [1.0] + [1e-30] * (imm.MODES - 1))
+    np.testing.assert_array_equal(own["mean"][:, :10], 0.0)
+    np.testing.assert_array_equal(own["mean"][:, imm.SIZE], fault["mean_k"])
+    for g in range(imm.MODES):
+        first = [0.3, 5.0, 2.0, 0.3, 0.3, *CONFIG["sigma"][0]]
+        sigma = [*first, fault["sigma_k"][g], fault["creep_k_s"][g]]
+        np.testing.assert_allclose(own["cov"][g], np.diag(np.square(sigma)), rtol=1e-15)
+
+
 @pytest.mark.parametrize("dt", [0.5, 1.0, 16.0, 60.0, 120.0])
 @pytest.mark.parametrize("stiff", [0.01, 1.0, 30.0])
 def test_the_response_is_the_exponential_and_its_integral(dt, stiff):

@@ -106,7 +106,7 @@ def test_drives_that_are_not_usable_count_for_nothing():
 def raw(load, spread, usable, priors=DEFAULT_PRIORS, iterations=5):
     """The C function itself."""
     n = len(load)
-    lost, workspace = np.full(n, 7.0), np.full(5 * n, np.nan)
+    lost, workspace = np.full(n, 7.0), np.full(5 * n, 7.0)
     common = lib.vb_detect(
         ffi.new("struct vb_priors *", priors), iterations,
         *(ffi.from_buffer("double[]", column) for column in (load, spread)),
