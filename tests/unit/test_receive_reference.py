@@ -408,11 +408,11 @@ def test_a_block_that_is_turns_of_its_counter_late():
             feed(box, plain, frame, start + 10 * MS)
         box.receiver.drives["sample_ns"][0] += ahead
         plain.drives[0].sample_ns += ahead
-        box.receiver.room.u[8:] = 77.0
+        box.receiver.workspace.u[8:] = 77.0
         frame = sender.frame(start + 5 * MS, SampleIndex=32, **values)
         feed(box, plain, frame, start + 10 * MS)
         met.add((len(plain.samples), bool(plain.restart)))
-        assert (box.receiver.room.u[8:] == 77.0).all(), "no more than there are"
+        assert (box.receiver.workspace.u[8:] == 77.0).all(), "no more than there are"
     assert met == {(8, False), (8, True), (0, False)}
 
 

@@ -155,8 +155,8 @@ def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor()
 def test_a_step_after_ten_seconds_or_to_the_maximum_from_five_limits_below(
     before, after, silent_ns, fault
 ):
-    side = SensorSide(1, 100 * MS)
+    side = SensorMonitor(1, 100 * MS)
     side.drives["sensor"]["limit_k"] = 4.0
     for t, value in ((0, before), *((silent_ns + k * 100 * MS, after) for k in range(3))):
-        side.take(Temperatures(0, t, (value,) * 4, (True,) * 4, (round(10 * value),) * 4))
+        side.add_reading(Temperatures(0, t, (value,) * 4, (True,) * 4, (round(10 * value),) * 4))
     assert sensor_fault(side, 0, 0, t) is fault

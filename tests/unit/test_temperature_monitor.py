@@ -63,8 +63,6 @@ class Bus:
         slow, state = slow_of(self.inbox.receiver.drives), self.inbox.receiver.channels
         for column in (slow.speed, slow.irms, slow.command):
             column[:] = np.where(rng.random(3) < 0.03, np.nan, rng.normal(0.0, 20.0, 3))
-        # It is sent with the command.
-        slow.irms[:] = np.where(np.isnan(slow.irms), 5.0, slow.irms)
         state["good_ns"] = self.now - rng.choice([0, 10, 5000], len(state)) * MS
         state["reason"] = rng.choice([Reason.NONE] * 9 + [Reason.STALE], len(state))
 
@@ -114,7 +112,7 @@ def loads_of(bus):
     """(N, 2) current and speed that are known and fresh."""
     inbox, out = bus.inbox, np.full((3, 2), np.nan)
     for drive, row, load in zip(inbox.drives, inbox.receiver.drives, out, strict=True):
-        if not np.isnan(row["command"]) and is_fresh(bus.inbox, drive.status.row, bus.now):
+        if not np.isnan(row["irms"]) and is_fresh(bus.inbox, drive.status.row, bus.now):
             load[0] = row["irms"]
         if is_fresh(bus.inbox, drive.motion.row, bus.now):
             load[1] = row["speed"]
@@ -260,9 +258,9 @@ def test_a_reset_forgets_all_but_the_places():
 
 
 def test_a_motor_is_stale_from_the_first_nanosecond_beyond_its_limit():
-    side, out = ThermalSide(1, 100 * MS, 2.0, None, NODES[:1]), np.zeros(1, FLAG_INPUTS)
+    side, out = TemperatureMonitor(1, 100 * MS, 2.0, None, NODES[:1]), np.zeros(1, FLAG_INPUTS)
     side.motors["age_limit_ns"] = 50 * MS
-    side.take([Temperatures(0, 0, (50.0,) * 4, (True,) * 4, (500,) * 4)], 0)
+    side.add_readings([Temperatures(0, 0, (50.0,) * 4, (True,) * 4, (500,) * 4)], 0)
     for now, reason in ((0, Reason.CONFIG), (50 * MS, Reason.CONFIG), (50 * MS + 1, Reason.STALE)):
         side.tell(now, out)
         assert out["thermal_reason"][0] == reason
