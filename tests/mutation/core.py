@@ -138,6 +138,7 @@ JUDGED = (
     "estimators/thermal/imm_predict.c",
     "estimators/thermal/model.c",
     "estimators/thermal/peers.c",
+    "estimators/thermal/step_detector.c",
     "estimators/thermal/trend.c",
     "gateway/core/busload.c",
     "gateway/core/current_plausibility.c",
