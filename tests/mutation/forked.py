@@ -94,8 +94,11 @@ class Judge:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        """The original first, then every mutant."""
-        told = self._forked(lambda: self._run(session.items, None), 3600.0)
+        """The original first, here, so that what tests keep is there for all; then every mutant."""
+        told = self._run(session.items, None)
+        if "failed" not in told:  # once more, as every mutant comes
+            self.durations = told["durations"]
+            told = self._forked(lambda: self._run(session.items, None), 3600.0)
         if "durations" not in told:
             raise pytest.UsageError(f"the original fails: {told or 'a crash'}")
         self.durations = told["durations"]

@@ -44,6 +44,12 @@ def run(load, seconds=2.0, noise=0.0, mechanics=BENCH, seed=0):
     return states
 
 
+def test_a_new_start_knows_nothing_of_the_one_before():
+    state = ffi.new("struct load_observer *", observe(first(1.0, 2.0, BENCH), 5.0, 3.0, DT, BENCH))
+    lib.load_observer_init(state, 30.0, 20.0, ffi.new("struct mechanics *", BENCH))
+    assert values(state) == first(30.0, 20.0, BENCH)
+
+
 def test_constant_load_is_found_without_bias():
     states = run(lambda _t: 14.0)
     assert np.abs(states[-1].T_L - 14.0) < 5e-3

@@ -95,6 +95,27 @@ def test_steps_equal_the_reference_to_the_bit(kind, spacing):
         np.testing.assert_array_equal(got, want)
 
 
+def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
+    rng, found, met = np.random.default_rng(7), step_detector.config(1.0)[0], set()
+    counts = np.array([found["before"], found["after"], found["settled"]])
+    for gap in range(2 * found["settled"] + found["before"]):
+        x = 50.0 + 0.25 * rng.standard_normal((250, 1))
+        x[100:] += 3.0
+        x[100 : 100 + gap] = np.nan
+        want = np.zeros_like(x)
+        reference_steps.follow(x, counts, 1.5, 1.0, 0.1, want)
+        np.testing.assert_array_equal(step_detector.offsets(x[:, :, None], 1.0)[:, :, 0], want)
+        met.add(bool(want[-1, 0]))
+    assert met == {False, True}
+
+
+def test_behind_the_last_sample_nothing_is_written():
+    x, out = np.zeros(50), np.full(50, 7.0)
+    config = pointer("struct step_config", step_detector.config(1.0))
+    lib.step_follow(config, pointer("double", x), 49, pointer("double", out))
+    assert out.tolist() == [0.0] * 49 + [7.0]
+
+
 def test_samples_too_close_together_are_refused():
     with pytest.raises(ValueError, match="too close together"):
         step_detector.offsets(np.zeros((10, 1, 1)), 0.01)

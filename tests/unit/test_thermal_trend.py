@@ -99,6 +99,12 @@ def test_a_jump_moves_the_level_and_not_the_rate():
     assert trend.level[1] == pytest.approx(8.0, abs=0.7)
 
 
+def test_what_is_off_by_three_kelvin_is_no_jump_yet():
+    trend = run(np.array([[0.0, 0.0], [3.0, 3.001]]))
+    assert trend.level[0] < 3.0 < trend.level[1]
+    assert trend.records["rate_k_h"][0] > 0.0 == trend.records["rate_k_h"][1]
+
+
 def test_nothing_is_told_before_enough_was_seen():
     short = round(0.9 * ENOUGH_H / BLOCK_H)
     assert run(course(1.0, 2.0)[:short]).told(0) is None

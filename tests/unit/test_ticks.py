@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from _traction_core import lib
 
 from dbc.frame import MS, SECOND, Frame
 from dbc.frames import EMPTY, block_of, join
@@ -173,8 +174,10 @@ def test_without_a_calibration_it_is_the_same_and_where_one_is_learnt(learning):
     assert gateway.thermal.cycles > 90
 
 
-def test_little_room_for_frames_ends_a_call_sooner(monkeypatch):
-    monkeypatch.setattr(core, "SENT", 30)
+@pytest.mark.parametrize("room", [30, 0])
+def test_little_room_for_frames_ends_a_call_sooner(monkeypatch, room):
+    """There is room for the frames of one tick at least."""
+    monkeypatch.setattr(core, "SENT", room)
     same(config_of(), train(), 2, 400, 1e9)
 
 
@@ -286,6 +289,23 @@ def test_a_tick_is_its_stations_in_their_order(kind, detector):
     whole, stepped = (made(config, train().codec, 0) for made in (Gateway, Stepped))
     assert singly(stepped, blocks) == singly(whole, blocks)
     assert state(stepped) == state(whole)
+
+
+def test_what_stations_have_found_is_evidence_of_the_same_tick():
+    gateway = Gateway(config_of(), train().codec, 0)
+    gateway.motion.motions["implausible"] = implausible = [1, 0, 0]
+    gateway.adhesion.rotors["uncertain"] = uncertain = [0, 1, 0]
+    lib.finish_tick(gateway.pointer, TICK)
+    evidence = gateway.flags.inputs
+    assert evidence["input_implausible"].tolist() == implausible
+    assert evidence["may_spin_up"].tolist() == uncertain
+
+
+def test_a_single_emergency_is_read():
+    gateway = Gateway(config_of(), train().codec, 0)
+    for k in (1, 2):
+        gateway.step([Frame(k, 0x081, b"\x10\x23" + bytes(6))] * (k == 1), k * TICK)
+        assert gateway.supervision.emcy[1].received == 1
 
 
 def test_the_load_of_translated_frames_is_counted_where_they_are_translated():
