@@ -147,25 +147,20 @@ JUDGED = (
     "estimators/thermal/step_detector.c",
     "estimators/thermal/trend.c",
     "gateway/core/busload.c",
-    "gateway/core/current_plausibility.c",
     "gateway/core/estimate.c",
     "gateway/core/flags.c",
     "gateway/core/inputs.c",
     "gateway/core/integrity.c",
     "gateway/core/motion.c",
-    "gateway/core/pairing.c",
-    "gateway/core/plausibility.c",
     "gateway/core/receive.c",
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
     "gateway/core/temperature.c",
-    "gateway/core/thermal.c",
     "gateway/core/thermal_evidence.c",
-    "gateway/core/tick.c",
     "gateway/core/transmit.c",
 )
 NOT_YET = tuple(source for source in TESTS if source not in JUDGED)
-"""Sources whose mutants have not been judged since they became C."""
+"""Sources of which 94 % have not been killed since their text last changed."""
 SAMPLE = 60
 """At most so many of a source, by seed; the same ones until its text changes."""
 SWAPS = {
