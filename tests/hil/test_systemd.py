@@ -30,6 +30,7 @@ FIFO_RESET_ON_FORK = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 BUS = "vcan0"
 PACKAGES = ("dbc", "estimators", "gateway", "sim")
 
+pytestmark = pytest.mark.thorough
 Story = dict[str, Any]
 
 

@@ -26,7 +26,7 @@ from tests.hil.stable import Stable
 if TYPE_CHECKING:
     from conftest import Vcan
 
-pytestmark = [pytest.mark.vcan, pytest.mark.slow]
+pytestmark = [pytest.mark.vcan, pytest.mark.slow, pytest.mark.thorough]
 
 DOWNS, DELETIONS, KILLS, STOPS, SILENCES = 500, 200, 200, 200, 200
 LONGEST_AGE_S = 0.1

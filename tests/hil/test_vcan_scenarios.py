@@ -22,6 +22,8 @@ NAMES = tuple(name for name in builtin_names() if not name.startswith("calibrati
 """All that ship but the fault-free runs to calibrate from, which expect nothing."""
 ON_THE_WIRE = {"silent", "frame_loss", "corrupt"}
 """Events that look like a machine that stalls."""
+LONG = ("bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "tunnel")
+"""Half a minute and more each; off the bus they are for every change: `test_scenarios.py`."""
 
 
 @pytest.fixture
@@ -30,7 +32,9 @@ def folder() -> Iterator[Path]:
         yield path
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.thorough] * (n in LONG)) for n in NAMES]
+)
 def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: str) -> None:
     scenario = builtin(name)
     injected = any(event.kind in ON_THE_WIRE for event in scenario.event)

@@ -38,6 +38,7 @@ def test_what_is_kept_is_of_this_source_and_enough_were_found(source):
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_sample_of_those_that_were_found_still_is(monkeypatch):
     monkeypatch.setattr("sys.argv", ["core", "--sample", "6", "--seed", "5"])
     assert core.main() == 0

@@ -58,6 +58,7 @@ def test_the_books_see_a_leak():
     assert np.isfinite(books.slope(books.rss_mb))
 
 
+@pytest.mark.thorough  # each reading looks at all objects of the process
 def test_the_books_hold_nothing_themselves():
     books = Books(codec=None)
     for hour in range(200):

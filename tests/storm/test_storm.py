@@ -27,11 +27,15 @@ from tests.storm.value_faults import ValueFaults
 SEEDS, TICKS = range(20), 100_000
 FD, FD_TICKS = (6, 7, 8), 30_000
 """Two seeds of several ticks in a call, one of single steps."""
+QUICK = 6
+"""So many of SEEDS are for every change; `make test-all` has the others."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "ticks"), [(s, TICKS) for s in SEEDS] + [(FD_SEEDS + s, FD_TICKS) for s in FD]
+    ("seed", "ticks"),
+    [pytest.param(s, TICKS, marks=[pytest.mark.thorough] * (s >= QUICK)) for s in SEEDS]
+    + [(FD_SEEDS + s, FD_TICKS) for s in FD],
 )
 def test_no_seed_breaks_a_rule(seed, ticks):
     result = weather(seed, ticks)

@@ -123,7 +123,7 @@ def test_numbers_that_are_none_get_neither_in_nor_out(kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("kind", ["ekf", pytest.param("ukf", marks=pytest.mark.thorough)])
 def test_an_hour_of_standstill_leaves_no_trace(kind):
     n = 2
     bank = Bank([BENCH_MOTOR] * n, Estimator(kind=kind), 0.02)

@@ -22,14 +22,19 @@ SETUPS = [
     for drives, kind, fd, speed in product((1, 2, 3), ("ekf", "ukf"), (False, True), (100.0, 290.0))
 ] + [Setup(16, kind, fd, 200.0) for kind, fd in product(("ekf", "ukf"), (False, True))]
 QUICK = {Setup(1, "ekf", False, 290.0), Setup(2, "ukf", True, 100.0)}
+SOME = {*QUICK, Setup(3, "ekf", False, 100.0), Setup(16, "ukf", False, 200.0)}
+
+
+def _marks(setup):
+    """Some are for every change; `make test-all` has them all."""
+    if setup in QUICK:
+        return ()
+    return (pytest.mark.slow,) if setup in SOME else (pytest.mark.slow, pytest.mark.thorough)
 
 
 @pytest.mark.parametrize(
     "setup",
-    [
-        pytest.param(s, marks=() if s in QUICK else pytest.mark.slow, id="-".join(map(str, s[:4])))
-        for s in SETUPS
-    ],
+    [pytest.param(s, marks=_marks(s), id="-".join(map(str, s[:4]))) for s in SETUPS],
 )
 def test_nothing_that_drives_say_raises(setup):
     wanted = stretches(setup)
