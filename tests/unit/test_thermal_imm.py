@@ -58,6 +58,14 @@ def beliefs(modes, seed):
     return rng.dirichlet(np.ones(modes)), mean, cov
 
 
+def test_a_variance_below_zero_is_no_more_than_none():
+    """Of a damaged record: nothing ends in a number that is none."""
+    x, p = np.zeros(12), np.diag(np.full(12, -1.0))
+    assert np.isfinite(imm.update(0, [1.0, np.nan, 2.0], NOISE, 5.0, x, p))
+    assert np.isfinite(x).all()
+    assert np.isfinite(p).all()
+
+
 def test_at_the_start_nothing_is_wrong_and_of_every_fault_its_first_size_is_known():
     own, fault = imm.started(CONFIG)[0], CONFIG["fault"][0]
     np.testing.assert_array_equal(own["mode"], [1.0] + [1e-30] * (imm.MODES - 1))
