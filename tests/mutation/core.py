@@ -111,7 +111,7 @@ TESTS = {
     "sim/physics/plant.c": ("tests/unit/test_sim_plant.py", "tests/unit/test_sim_adhesion.py"),
     "sim/physics/thermal.c": ("tests/unit/test_sim_thermal.py",),
     **dict.fromkeys(("dbc/candump_read.c", "dbc/candump_write.c"), CANDUMP),
-    "dbc/text_read.c": ("tests/unit/test_foreign_logs.py", "tests/unit/test_convert.py"),
+    "dbc/text_read.c": ("tests/unit/test_text_read.py",),
     "gateway/core/loads.c": ("tests/unit/test_adhesion_reference.py",),
     "dbc/socketcan.c": ("tests/unit/test_drivers_batch.py",),
     "gateway/core/estimate.c": ("tests/unit/test_estimate_reference.py",),

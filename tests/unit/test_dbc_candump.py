@@ -106,6 +106,8 @@ LINES = [
     (b"# comment", V.COMMENT),
     (b"; comment", V.COMMENT),
     (b"// comment", V.COMMENT),
+    (b"/ no comment", V.MALFORMED),
+    (b"/", V.MALFORMED),
     (b"DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 12)", V.DROPCOUNT),
     (b"DROPCOUNT: dropped 1 CAN frame on 'can0' socket (total drops 1)", V.DROPCOUNT),
     (b"DROPCOUNT: dropped", V.MALFORMED),

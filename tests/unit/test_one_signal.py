@@ -44,6 +44,18 @@ def test_status(without: str) -> None:
     assert command == pytest.approx(nan if without == "TorqueCommand" else 20.0, nan_ok=True)
 
 
+def test_a_status_without_command_and_current_says_nothing() -> None:
+    codec = codec_for()
+    gateway = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec, 0)
+    sender = Sender(codec, "Drive1_Status")
+    for k in range(1, 30):
+        values = KNOWN["Status"] if k < 20 else {"Irms": None, "TorqueCommand": None, "State": 2}
+        gateway.step([sender.frame(10 * k * MS, **values)], 10 * k * MS)
+    drive = gateway.inbox.receiver.drives[0]
+    assert (drive["irms"], drive["command"]) == (pytest.approx(70.0), pytest.approx(20.0))
+    assert drive["command_ns"] == 190 * MS, "the last that said something"
+
+
 @pytest.mark.parametrize("without", ["Torque", "ElectricalAngle", "Speed"])
 def test_motion(without: str) -> None:
     speed, *_ = received("Motion", without)

@@ -63,6 +63,8 @@ class Bus:
         slow, state = slow_of(self.inbox.receiver.drives), self.inbox.receiver.channels
         for column in (slow.speed, slow.irms, slow.command):
             column[:] = np.where(rng.random(3) < 0.03, np.nan, rng.normal(0.0, 20.0, 3))
+        # Mostly known, so that the model is fed.
+        slow.irms[:] = np.where(np.isnan(slow.irms) & (rng.random(3) < 0.9), 5.0, slow.irms)
         state["good_ns"] = self.now - rng.choice([0, 10, 5000], len(state)) * MS
         state["reason"] = rng.choice([Reason.NONE] * 9 + [Reason.STALE], len(state))
 
