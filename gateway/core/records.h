@@ -754,7 +754,7 @@ struct rotor {
     double slides_s;             /* for how long it has carried more than the others while apart */
     double uncommanded_s;        /* for how long it has carried what it was not asked for */
     double odd_s;                /* for how long its command has been odd */
-    int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: not in doubt */
+    int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: reliable */
     int32_t motor;               /* the first rotor with the same ratings; constant */
     int32_t next_alike;          /* the next one with the same ratings; 0: none */
     uint8_t far;                 /* 1: too far from the others, the diameter not being known */
@@ -1628,7 +1628,7 @@ struct gateway {
     uint8_t detects;       /* 1: the detector is the core's own */
     /* result of a run */
     struct tx_frame *sent; /* frames of its ticks */
-    int64_t sent_capacity; /* how many there is room for: at least those of a tick */
+    int64_t sent_capacity; /* most that fit: at least those of a tick */
     int64_t sent_count;
     double *peak; /* (drive_count) largest probability of loss; NaN: none */
     /* state */
@@ -1712,7 +1712,7 @@ struct switching_drive {
     double fresh_neither;          /* and of `neither` */
     double c;                      /* load over the demand unless it adheres */
     double v_c;                    /* variance of c */
-    double precision;              /* what its load has said of the demand: 1 / variance, */
+    double precision;              /* what its load tells of the demand: 1 / variance, */
     double shift;                  /* and mean / variance */
     struct switching_ratio now;    /* if it adheres */
     struct switching_ratio before; /* if it does not: as it was while it did */
