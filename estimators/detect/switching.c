@@ -39,6 +39,7 @@
 #define NEAR_P        0.2  /* and drives, within so much of their probabilities */
 #define UNLIKELY      20.0 /* logarithm of how much less likely than the best is given up */
 #define HOPELESS      16.0 /* the same before it is weighed */
+#define UNKNOWN_V     0.01 /* variance of a demand that is not known */
 #define LEAST_P       1e-12
 #define LEAST_PRECISION 0.1 /* of a demand by all drives but one */
 #define MOST_M          4.0
@@ -68,7 +69,9 @@ void switching_reset(struct switching *s)
 
 static double noise_of(const struct switching *s, int i)
 {
-    return s->noises[i].variance + square(s->noises[i].lag);
+    const struct switching_load *in = &s->loads[i];
+    return s->noises[i].variance * square(1.0 + in->gain) + square(s->noises[i].lag) +
+           square(in->error);
 }
 
 /* ---- One hypothesis and all loads ---- */
@@ -113,7 +116,7 @@ static struct gaussian sweep_drives(const struct switching *s, struct switching_
             const double precision = without + d[i].precision;
             g = (struct gaussian){(others.m * without + d[i].shift) / precision, 1.0 / precision};
         }
-        switching_drive_update(&d[i], y, noise, others, &from, s->loads[i].apart);
+        switching_drive_update(&d[i], y, noise, others, &from, s->loads[i].unsure);
     }
     return g;
 }
@@ -257,7 +260,9 @@ static int propose_jumps(struct switching *s, const struct switching_hypothesis 
         for (int k = 0; k < 2 && strongest[k] >= 0; k++) {
             const int j = strongest[k];
             const double far = demand_of(s, from, j) - walked->m;
-            if (square(far) < 4.0 * (walked->v_mm + MOVE_SD * MOVE_SD))
+            /* Of a demand that nobody knows any drive may tell, not only the first. */
+            const double near = 4.0 * (walked->v_mm + MOVE_SD * MOVE_SD);
+            if (walked->v_mm < UNKNOWN_V && square(far) < near)
                 continue;
             struct switching_hypothesis h = *walked;
             const double p = larger(from[j].adhering + 0.01 * from[j].lost, LEAST_P);
@@ -431,10 +436,18 @@ static void centre(struct switching_hypothesis *h, struct switching_drive *d, in
     h->m *= mean;
 }
 
+/* Only of loads that are what they seem. */
+static int teaches_noise(const struct switching *s, int i)
+{
+    const struct switching_load *in = &s->loads[i];
+    const int plain = in->gain == 0.0 && in->error == 0.0 && !in->unsure;
+    return may_lead(s, i) && plain && s->adhering[i] >= 0.5;
+}
+
 static void learn(struct switching *s)
 {
     for (int i = 0; i < s->n; i++)
-        if (may_lead(s, i) && s->adhering[i] >= 0.5)
+        if (teaches_noise(s, i))
             learn_noise(s, i);
     for (int k = 0; k < s->kept; k++)
         centre(&s->hypotheses[k], drives_of(s->drives, s, k), s->n);

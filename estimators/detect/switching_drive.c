@@ -236,10 +236,10 @@ static void update_ratio(struct switching_ratio *q, double y, double noise, stru
 }
 
 void switching_drive_update(struct switching_drive *d, double y, double noise, struct gaussian g,
-                            const struct origins *from, int apart)
+                            const struct origins *from, int unsure)
 {
     update_share(d, y, noise, g, from);
-    if (!apart)
+    if (!unsure)
         update_ratio(&d->now, y, noise, g);
     /* (S9) */
     d->adhering = (from->adhering + from->outlier) / from->all;

@@ -47,8 +47,8 @@ struct origins switching_drive_explain(const struct switching_drive *d, double y
 struct gaussian switching_drive_absorb(const struct switching_drive *d, double y, double noise,
                                        struct gaussian g, const struct origins *from);
 
-/* States and share with this load; and the ratio, unless it runs apart from the others. */
+/* States and share with this load; and the ratio, unless the wheel may not adhere (`unsure`). */
 void switching_drive_update(struct switching_drive *d, double y, double noise, struct gaussian g,
-                            const struct origins *from, int apart);
+                            const struct origins *from, int unsure);
 
 #endif

@@ -47,6 +47,7 @@ void adhesion_reset(struct adhesion *a, double spread)
         a->responses[k] = (struct command_response){.usable = 0};
         a->loads[k] = (struct drive_load){
             .command_ratio = 1.0,
+            .asked_ratio = 1.0,
             .last_speed = NAN,
             .flagged_ns = NO_TIME,
             .known_since_ns = NO_TIME,

@@ -80,7 +80,7 @@ static void relate_commands(struct adhesion *a, const struct drive_input *drives
     int steady;
     const double largest = largest_command(a, drives, &steady);
     for (int k = 0; k < a->n; k++)
-        a->loads[k].command_ratio = 1.0;
+        a->loads[k].command_ratio = a->loads[k].asked_ratio = 1.0;
     if (largest <= COASTING)
         return;
     const double common = median_load(a, now_ns);
@@ -90,6 +90,7 @@ static void relate_commands(struct adhesion *a, const struct drive_input *drives
             continue;
         const double ratio = relative_command(a, drives, k) / largest;
         const double load = a->rotors[k].load;
+        mine->asked_ratio = larger(RATIO_FLOOR, ratio);
         /* A command that makes the load less like the others' is not what the drive obeys. */
         const double off = ratio > 0.0 ? fabs(load / ratio - common) : HUGE_VAL;
         if (!(fabs(load - common) < off))

@@ -1427,7 +1427,8 @@ struct motion_monitor {
 /* What is found and remembered of the load of one drive. */
 struct drive_load {
     double load;             /* in the direction of the train; 0: not known */
-    double command_ratio;    /* torque command over the largest of all drives */
+    double command_ratio;    /* torque command over the largest of all drives, */
+    double asked_ratio;       /* the same of one that does not seem to be obeyed, too */
     double p_response;       /* probability of a loss by its own command */
     double last_speed;       /* of the tick before, rad/s; NaN unless the drive is judged alone */
     double last_spin_up;     /* torque that accelerated the rotor in the tick before */
@@ -1731,8 +1732,11 @@ struct switching_hypothesis {
 /* What is known of the load of one drive. */
 struct switching_load {
     double load;
-    uint8_t known; /* 1: `load` is a number */
-    uint8_t apart; /* 1: its wheel runs apart from the others and is no measure for them */
+    double gain;    /* noise is that which is learnt times (1 + gain): more in a scaled load */
+    double error;   /* standard deviation of what is known to be off beside noise */
+    uint8_t known;  /* 1: `load` is a number */
+    uint8_t apart;  /* 1: its wheel runs apart from the others and is no measure for them */
+    uint8_t unsure; /* 1: its wheel may not adhere: nothing is learnt from it */
 };
 
 /* How far loads lie from what is expected of them. */

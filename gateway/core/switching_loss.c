@@ -23,6 +23,23 @@
                        /* at the end of a loss one is slow, not wrong */
 #define COUNTS 0.5 /* drives that adhere with this probability are asked about all; so is a doubt */
 #define ACCUSED 0.7
+/* A drive that follows its own flag changes its torque between two of its `Status`: by so much of the
+ * rated torque in a second, but not by more than this share of its command. */
+#define RETURN_PER_S 1.0
+#define RETURN_MOST  0.3
+
+/* How far the load of a drive that takes its torque back may be off what its last command says,
+ * standard deviation. */
+static double command_error(const struct adhesion *a, int k, double load)
+{
+    const struct drive_load *mine = &a->loads[k];
+    if (!mine->derating_active || mine->asked_ratio >= 1.0)
+        return 0.0;
+    const int obeyed = mine->command_ratio < 1.0;
+    const double moved =
+        obeyed ? RETURN_PER_S * a->responses[k].command_age_s : 1.0 - mine->asked_ratio;
+    return fabs(load) * clamp(moved / mine->asked_ratio, 0.0, RETURN_MOST);
+}
 
 void compare_by_memory(struct adhesion *a)
 {
@@ -33,7 +50,10 @@ void compare_by_memory(struct adhesion *a)
         const double load = a->loads[k].load / a->loads[k].command_ratio;
         in->known = a->known[k] && isfinite(load);
         in->load = in->known ? clamp(load, -MOST_LOAD, MOST_LOAD) : 0.0;
+        in->gain = 1.0 / a->loads[k].command_ratio - 1.0;
+        in->error = command_error(a, k, in->load);
         in->apart = a->rotors[k].away;
+        in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;
     }
     if (a->n > 1) {

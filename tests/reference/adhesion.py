@@ -76,6 +76,7 @@ class Adhesion:
         self.differences, self.own = self._learnt(spread), self._learnt(spread)
         self.flag = np.zeros(1, FLAG)
         self.ratio, self.load = np.ones(n), np.zeros(n)
+        self.asked = np.ones(n)
         self.flagged_ns, self.known_ns = [NEVER] * n, [NEVER] * n
         self.speed, self.gain = [math.nan] * n, [0.0] * n
         self.any_flagged_ns = self.learn_ns = NEVER
@@ -138,7 +139,7 @@ class Adhesion:
         self.flagged_ns = [now if b else t for b, t in zip(bad, self.flagged_ns, strict=True)]
         asked = np.abs(slow.command) / rated
         largest = max([0.0, *asked[fresh].tolist()])
-        self.ratio[:] = 1.0
+        self.ratio[:] = self.asked[:] = 1.0
         if largest > COASTING:
             steady = bool((slow.steady | self.derating).all())
             self._compare_commands(asked / largest, fresh & (steady | self.derating), now)
@@ -168,6 +169,7 @@ class Adhesion:
         common = median_low(counted) if counted else math.nan
         for k in np.flatnonzero(compared).tolist():
             share = shares.item(k)
+            self.asked[k] = max(share, RATIO_FLOOR)
             off = abs(loads[k] / share - common) if share > 0.0 else math.inf
             if not abs(loads[k] - common) < off:
                 self.ratio[k] = share
@@ -190,7 +192,12 @@ class Adhesion:
         load = self.load / self.ratio
         known = self.known & np.isfinite(load)
         model.loads["known"], model.loads["apart"] = known, self.rotors["away"]
+        model.loads["unsure"] = self.rotors["away"] | self.rotors["uncertain"]
         model.loads["load"] = np.clip(np.where(known, load, 0.0), -2.0, 2.0)
+        model.loads["gain"] = 1.0 / self.ratio - 1.0
+        moved = np.where(self.ratio < 1.0, self.responses["command_age_s"], 1.0 - self.asked)
+        error = np.abs(model.loads["load"]) * np.clip(moved / self.asked, 0.0, 0.3)
+        model.loads["error"] = np.where(self.derating & (self.asked < 1.0), error, 0.0)
         if self.n > 1:
             lib.switching_tick(model.pointer)
             self.common = model.record["demand"].item()

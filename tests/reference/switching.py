@@ -134,7 +134,7 @@ def absorb(
 
 
 def update(
-    h: Hypothesis, i: int, y: float, noise: float, m: float, v: float, z: Array, leads: bool
+    h: Hypothesis, i: int, y: float, noise: float, m: float, v: float, z: Array, teaches: bool
 ) -> None:
     """(S9) to (S11), in place."""
     share = z / max(z.sum(), 1e-300)
@@ -150,7 +150,7 @@ def update(
         c = w @ mean
         h.v_c[i] = np.clip(w @ (spread + (mean - c) ** 2), 1e-6, 0.1)
         h.c[i] = c
-    if leads and abs(m) >= 0.05 and v < 0.01:
+    if teaches and abs(m) >= 0.05 and v < 0.01:
         rho, V = h.rho[0, i], h.V[0, i]
         own, other = max(V.sum(), 0.0) * m * m, rho.sum() ** 2 * v + noise
         gain = V @ EYE * m / (own + 3 * other)
@@ -171,10 +171,15 @@ class Switching:
         self.variance, self.lag, self.learnt_s = np.full(n, 0.02**2), np.zeros(n), np.zeros(n)
         self.demand = 0.0
 
-    def step(self, load: Array, known: Array, apart: Array) -> None:
-        """load (N,) per unit; known, apart (N,) bool."""
-        self.y, self.known, self.leads = load, known, known & ~apart
-        self.noise, before = self.variance + self.lag**2, self.demand
+    def step(
+        self, load: Array, known: Array, apart: Array, unsure: Array, gain: Array, error: Array
+    ) -> None:
+        """load, gain, error (N,) per unit; known, apart, unsure (N,) bool."""
+        self.y, self.known = load, known
+        self.leads, self.teaches = known & ~apart, known & ~unsure
+        self.plain = self.leads & self.teaches & (gain == 0) & (error == 0)
+        self.noise = self.variance * (1 + gain) ** 2 + self.lag**2 + error**2
+        before = self.demand
         best = self.all[0].log_weight
         trials: list[Hypothesis] = []
         for h in self.all:
@@ -214,7 +219,7 @@ class Switching:
         for sign in (-1.0, 1.0):
             ranked = [j for j in np.argsort(-sign * ahead, kind="stable") if sign * ahead[j] > 0]
             for j in ranked[:2]:
-                if (ahead[j] - x[0]) ** 2 < 4 * (P[0, 0] + MOVE**2):
+                if P[0, 0] < 0.01 and (ahead[j] - x[0]) ** 2 < 4 * (P[0, 0] + MOVE**2):
                     continue
                 p = max(h.p[j, A] + 0.01 * h.p[j, L], 1e-12) * 0.02 / 3 / h.rho[0, j].sum()
                 one = replace(predict(h, 1e-5 * often), x=x.copy(), P=P)
@@ -259,7 +264,7 @@ class Switching:
                     v = 1 / (1 / v_i + told)
                     m = (m_i / v_i + h.site[i, 1]) * v
                 if sweep:
-                    update(h, i, self.y[i], self.noise[i], m_i, v_i, z, bool(self.leads[i]))
+                    update(h, i, self.y[i], self.noise[i], m_i, v_i, z, bool(self.teaches[i]))
         k = h.P[0, 1] / h.P[0, 0]
         slope = max(h.P[1, 1] - k * k * (h.P[0, 0] - v), 1e-9)
         h.x = np.array([m, h.x[1] + k * (m - h.x[0])])
@@ -317,7 +322,7 @@ class Switching:
     def _learn(self) -> None:
         """(S12), (S20)."""
         h = self.all[0]
-        for i in np.flatnonzero(self.leads & (self.adhering >= 0.5)):
+        for i in np.flatnonzero(self.plain & (self.adhering >= 0.5)):
             left = 1 / h.P[0, 0] - h.site[i, 0]
             if not left > 100:
                 continue

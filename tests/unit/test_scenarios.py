@@ -61,6 +61,26 @@ def test_a_wheel_that_slides_is_not_called_good_for_200_ms(name):
     assert max(longest.values()) <= 200, longest
 
 
+@pytest.mark.parametrize("detector", ["vb", "switching"])
+@pytest.mark.parametrize("seed", range(13, 17))
+def test_a_drive_that_takes_its_torque_back_is_judged_all_the_time(detector, seed):
+    """It says how much it is asked for in every tenth tick only, and the ramp goes on between."""
+    event = {"at_s": 2.5, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 1.0}
+    scenario = parse({
+        "title": "t", "seed": seed, "duration_s": 6.0, "drives": 3, "event": [event],
+        "expect": [{"flag": "adhesion", "is": "bad", "drive": 1, "after_s": 2.5, "within_ms": 50}],
+    })  # fmt: skip
+    seen = []
+    config, codec = prepare(None, thermal=scenario_thermal(), adhesion={"detector": detector})
+    outcome = run_virtual(
+        scenario, config, codec, [lambda now, _rx, _tx, view: seen.append((now, view.drives))]
+    )
+    assert outcome.passed
+    start = seen[0][0]
+    after = [d.adhesion for now, drives in seen if now - start > 3_560 * MS for d in drives]
+    assert set(after) == {Flag.GOOD}
+
+
 def test_a_wrong_expectation_fails():
     table = {
         "title": "t",

@@ -130,6 +130,44 @@ def test_a_step_is_10_ms_whatever_the_ticks():
         assert fast.lost.tolist() == slow.lost.tolist()
 
 
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_loss_that_was_there_before_is_found_whichever_drive_it_is(lost):
+    """Nobody knows the demand yet: the first drive does not say what it is."""
+    share = np.ones(3)
+    share[lost] = 0.0
+    p = run(np.concatenate([train(40, *share, demand=0.77), train(40, 1, 1, 1, demand=0.77)]))
+    assert ((p[10:40] > 0.9) == (share < 1)).all()
+    assert (p[50:] < 0.1).all()
+
+
+def test_a_scaled_load_is_as_uncertain_as_it_is():
+    """The load of a drive at 30 % of the others' torque is divided by that: so is its noise."""
+    accused = []
+    for gain, error in ((0.0, 0.0), (2.3, 0.0), (0.0, 0.1)):
+        model = Switching(3)
+        model.loads["known"] = 1
+        model.loads["gain"][0], model.loads["error"][0] = gain, error
+        for step in range(104):
+            off = 0.1 if step >= 100 else 0.0
+            model.loads["load"] = 0.7 + np.array([-off, 0.0, 0.0])
+            lib.switching_step(model.pointer)
+        accused.append(bool(model.lost[0] > 0.9))
+    assert accused == [True, False, False]
+
+
+def test_a_wheel_that_may_not_adhere_teaches_nothing():
+    """One that finds its grip again carries more than the others while it slows down."""
+    for unsure in (True, False):
+        model = Switching(3)
+        model.loads["known"] = 1
+        for step in range(80):
+            finds_grip = step < 30
+            model.loads["load"] = 0.6 * np.array([1.2 if finds_grip else 1.0, 1.0, 1.0])
+            model.loads["unsure"] = [finds_grip and unsure, 0, 0]
+            lib.switching_step(model.pointer)
+        assert (model.lost[0] > 0.5) is not unsure
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_load_far_beyond_a_small_demand_accuses_nobody(sign):
     loads = np.concatenate(
@@ -149,7 +187,8 @@ def test_damaged_records_give_numbers(seed):
         small = rng.choice([1.0, 0.02, 0.04]) * np.array([1.0, 1.0, rng.choice([1.0, 50.0])])
         model.loads["load"] = np.clip(rng.uniform(-2.0, 2.0, 3) * small, -2.0, 2.0)
         model.loads["known"] = 1
-        model.loads["apart"] = rng.random(3) < 0.1
+        model.loads["apart"], model.loads["unsure"] = rng.random((2, 3)) < 0.1
+        model.loads["gain"], model.loads["error"] = rng.choice([0.0, 0.1, 4.0], (2, 3))
         if tick % 4 == 0:
             drives = model.drives[0]
             for part in (drives, drives["now"], drives["before"]):

@@ -27,14 +27,22 @@ class Both:
     def __init__(self, n):
         self.core, self.plain = Switching(n), reference.Switching(n)
 
-    def step(self, load, known, apart):
-        core, plain = self.core, self.plain
-        core.loads["load"], core.loads["known"], core.loads["apart"] = load, known, apart
+    def step(self, load, rng, known, apart):
+        """known, apart: the share of drives that are so; other inputs at random."""
+        core, plain, n = self.core, self.plain, len(load)
+        given = {
+            "known": rng.random(n) < known, "apart": rng.random(n) < apart,
+            "unsure": rng.random(n) < apart, "gain": rng.choice([0.0, 0.0, 2.5], n),
+            "error": rng.choice([0.0, 0.0, 0.1], n),
+        }  # fmt: skip
+        core.loads["load"] = load
+        for name, value in given.items():
+            core.loads[name] = value
         lib.switching_step(core.pointer)
-        plain.step(np.array(load, dtype=float), np.array(known), np.array(apart))
+        plain.step(np.array(load, dtype=float), **given)
         np.testing.assert_allclose(core.adhering, plain.adhering, rtol=0, atol=1e-7)
         np.testing.assert_allclose(core.lost, plain.lost, rtol=0, atol=1e-7)
-        assert core.record["demand"].item() == pytest.approx(plain.demand, abs=1e-7)
+        assert core.record["demand"].item() == pytest.approx(plain.demand, abs=1e-6)
         np.testing.assert_allclose(core.noises["variance"], plain.variance, rtol=1e-6)
         kept = core.record["kept"].item()
         assert kept == len(plain.all)
@@ -51,7 +59,7 @@ def test_a_train_that_drives(n, noise):
     rng, both = np.random.default_rng(n), Both(n)
     met = set()
     for load in driven(rng, n, 250, noise):
-        both.step(load, rng.random(n) < 0.97, rng.random(n) < 0.03)
+        both.step(load, rng, 0.97, 0.03)
         met |= {*(both.core.lost > 0.9).tolist(), both.core.record["kept"].item()}
     assert {True, False} <= met or n == 1
     assert len(met) > 3, "several numbers of hypotheses"
@@ -65,7 +73,7 @@ def test_any_loads(seed):
         load = rng.choice([0.0, 1e-3, -2.0, 2.0, 0.5, -0.5, rng.uniform(-1.5, 1.5)], n)
         # Of hypotheses that are equally likely either may come first.
         load += rng.uniform(-1e-3, 1e-3, n)
-        both.step(load, rng.random(n) < 0.8, rng.random(n) < 0.2)
+        both.step(load, rng, 0.8, 0.2)
         assert np.isfinite(both.core.adhering).all()
         total = both.core.adhering + both.core.lost
         assert (both.core.lost >= 0).all()
