@@ -31,10 +31,8 @@ from gateway.core.gateway import Gateway
 from gateway.io.workers import workers
 from gateway.reports.scoring import quantile, truth_of
 from gateway.study.evaluation import (
-    EDGE_S,
-    SKIP_S,
+    GatewayOutput,
     Measured,
-    Said,
     listen,
     measure,
     pooled,
@@ -224,14 +222,14 @@ class Danger(NamedTuple):
         return Danger(*(a + b for a, b in zip(self, other, strict=True)))
 
 
-def danger(recording: Recording, said: Said, nodes: Sequence[int]) -> Danger:
+def danger(recording: Recording, said: GatewayOutput, nodes: Sequence[int]) -> Danger:
     """Of one run; edges and the first `SKIP_S` left out."""
     total = Danger()
     for k, node in enumerate(nodes):
         truth = truth_of(recording.truth, node)
         row = truth.at(said.t_s)
         lost = truth.lost[row] & (row >= 0)
-        counted = truth.counted(said.t_s, EDGE_S, SKIP_S)
+        counted = truth.counted(said.t_s)
         onsets = np.concatenate([[-np.inf], truth.t_s[[first for first, _ in truth.losses()]]])
         since = said.t_s - onsets[np.searchsorted(onsets, said.t_s, side="right") - 1]
         late, flag = lost & counted & (since > LATE_S), said.flags[:, k]
