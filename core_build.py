@@ -89,6 +89,7 @@ SOURCES = (
     "estimators/detect/load_reference.c",
     "estimators/detect/command_response.c",
     "estimators/detect/switching_drive.c",
+    "estimators/detect/switching_mixture.c",
     "estimators/detect/switching.c",
     "estimators/elementary.c",
     "estimators/order_statistics.c",

@@ -1,7 +1,8 @@
 """Losses of adhesion by a model with a memory: the records of `switching.c`, and the detector.
 
 Each drive adheres, is lost, or its load means nothing; all share the demand of the train. The
-equations are in `switching.c` and `switching_drive.c`, their derivation in `docs/switching.md`.
+equations are in `switching.c`, `switching_drive.c` and `switching_mixture.c`, their derivation in
+`docs/switching.md`.
 Not in paper `adhesion`.
 """
 

@@ -1428,7 +1428,7 @@ struct motion_monitor {
 struct drive_load {
     double load;             /* in the direction of the train; 0: not known */
     double command_ratio;    /* torque command over the largest of all drives, */
-    double asked_ratio;       /* the same of one that does not seem to be obeyed, too */
+    double asked_ratio;      /* the same of one that does not seem to be obeyed, too */
     double p_response;       /* probability of a loss by its own command */
     double last_speed;       /* of the tick before, rad/s; NaN unless the drive is judged alone */
     double last_spin_up;     /* torque that accelerated the rotor in the tick before */

@@ -1,4 +1,4 @@
-"""`switching.c` and `switching_drive.c` against NumPy: trains that drive, and any loads."""
+"""`switching.c` and its two helpers against NumPy: trains that drive, and any loads."""
 
 import numpy as np
 import pytest
