@@ -56,7 +56,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--detector",
-        help="override [adhesion] detector (vb, switching, median, kmeans, vmp, paper_vb, "
+        help="override [adhesion] detector (switching, vb, median, kmeans, vmp, paper_vb, "
         "paper_vb_reuse)",
     )
     add_line(parser)

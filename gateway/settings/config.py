@@ -160,8 +160,8 @@ class Estimator(Strict):
     """Electrical; below: not observable."""
 
 
-SWITCHING_MS: Final = {"raise_ms": 10, "raise_severe_ms": 0, "clear_ms": 20}
-"""Times of the detector `switching` that are not given."""
+WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 30}
+"""Times of detectors that judge each tick by itself, where they are not given."""
 
 
 class Adhesion(Strict):
@@ -169,7 +169,7 @@ class Adhesion(Strict):
 
     detector: Literal[
         "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
-    ] = "vb"
+    ] = "switching"
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
@@ -184,20 +184,22 @@ class Adhesion(Strict):
     clear_probability: Annotated[
         float, within(0.01, 0.69, "", "0.7 is said of a drive as long as nobody knows")
     ] = 0.5
-    raise_ms: Milliseconds = 20
-    raise_severe_ms: Milliseconds = 10
-    """Where a third of the load is missing; `switching`: where a loss is certain."""
-    clear_ms: Hold = 30
+    raise_ms: Milliseconds = 10
+    """This and the next two: a tick longer with a detector without memory."""
+    raise_severe_ms: Milliseconds = 0
+    """Where a loss is certain; other detectors than `switching`: where a third of the load is
+    missing."""
+    clear_ms: Hold = 20
     good_ms: Hold = 50
     """Good evidence needed before the first `Adhering`."""
 
     @model_validator(mode="before")
     @classmethod
     def _times(cls, given: Any) -> Any:
-        """A detector with a memory has looked more than once: its times are shorter by a tick."""
-        if not isinstance(given, dict) or given.get("detector") != "switching":
+        """A detector with a memory has looked more than once: the others take a tick longer."""
+        if not isinstance(given, dict) or given.get("detector", "switching") == "switching":
             return given
-        return {**SWITCHING_MS, **given}
+        return {**WITHOUT_MEMORY_MS, **given}
 
 
 class Thermal(Strict):

@@ -122,7 +122,7 @@ def test_numbers_that_are_no_motor_are_named_together(change, said, capsys, tmp_
 @pytest.mark.parametrize(
     ("section", "change", "said"),
     [
-        ("adhesion", {"spread_nm": 70.0}, "adhesion.spread_nm = 70 Nm hides it"),
+        ("adhesion", {"detector": "vb", "spread_nm": 70.0}, "adhesion.spread_nm = 70 Nm hides it"),
         ("adhesion", {"raise_ms": 20_000, "raise_severe_ms": 20_000}, "adhesion.raise_ms = 20000"),
         ("estimator", {"process_noise": (5e-324,) * 5}, "estimator.process_noise"),
     ],

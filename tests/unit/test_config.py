@@ -69,7 +69,9 @@ def test_missing_and_broken_files_are_one_clear_error(tmp_path):
 def test_only_the_papers_vb_observes_speed():
     for name in ("paper_vb", "paper_vb_reuse"):
         assert parse({"adhesion": {"detector": name, "observe": "both"}}).adhesion.observe == "both"
-    with pytest.raises(ConfigError, match=r"adhesion.observe: detector 'vb' compares torque only"):
+    with pytest.raises(
+        ConfigError, match=r"adhesion.observe: detector 'switching' compares torque only"
+    ):
         parse({"adhesion": {"observe": "speed"}})
 
 

@@ -19,7 +19,7 @@ SUITE = """
 import pytest
 
 def test_too_fast(inverter, gateway_flags):
-    inverter.lose_adhesion(drive=2)
+    inverter.lose_adhesion(drive=2, depth=0.15)
     gateway_flags.expect_lost(drive=2, within_ms=10)
 
 def test_never(inverter, gateway_flags):
@@ -67,7 +67,9 @@ def failures(tmp_path_factory) -> str:
     folder = tmp_path_factory.mktemp("suite")
     (folder / "test_suite.py").write_text(SUITE)
     scenario = (EXAMPLE / "hil_wet_rail.toml").read_text()
-    (folder / "hil_hasty.toml").write_text(scenario.replace("within_ms = 100", "within_ms = 10"))
+    hasty = scenario.replace("within_ms = 100", "within_ms = 10")
+    hasty = hasty.replace('kind = "rail"\nvalue = "leaves"', 'kind = "adhesion_loss"\ndepth = 0.15')
+    (folder / "hil_hasty.toml").write_text(hasty)
     (folder / "hil_empty.toml").write_text('title = "nothing"\nduration_s = 1\n')
     for name in ("other", "test_data", "a_test", "hill"):
         (folder / f"{name}.toml").write_text("not = 'a scenario'")
