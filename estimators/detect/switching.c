@@ -46,7 +46,7 @@
 enum move { CALM, ONSETS, WOBBLE, TURN, MOVES };
 
 /* Nothing is known of the demand and of the drives. */
-static void begin(struct switching *s)
+static void set_unknown(struct switching *s)
 {
     s->kept = 1;
     s->contradicted = 0;
@@ -59,7 +59,7 @@ static void begin(struct switching *s)
 void switching_reset(struct switching *s)
 {
     s->ticks = 0;
-    begin(s);
+    set_unknown(s);
     for (int i = 0; i < s->n; i++) {
         s->noises[i] = (struct switching_noise){.variance = NOISE_FIRST * NOISE_FIRST};
         s->loads[i] = (struct switching_load){.load = 0.0};
@@ -357,7 +357,7 @@ static void begin_anew_if_contradicted(struct switching *s, int known)
         nothing += s->loads[i].known && s->adhering[i] + s->lost[i] < 0.5;
     s->contradicted = 2 * nothing > known ? s->contradicted + 1 : 0;
     if (s->contradicted >= ANEW_STEPS)
-        begin(s);
+        set_unknown(s);
 }
 
 void switching_step(struct switching *s)
