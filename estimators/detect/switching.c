@@ -1,4 +1,4 @@
-/* Losses of adhesion by a model with a memory: docs/switching.md, equations (S1) to (S20).
+/* Losses of adhesion by a model with a memory: docs/switching.md, equations (S1) to (S21).
  *
  * Each drive adheres, has lost adhesion, or its load means nothing; all share the demand of the
  * train, which walks, wobbles, turns and now and then jumps. Given the demand the drives are
@@ -38,20 +38,29 @@
 #define LAG_KEPT      0.4
 #define HOPELESS      16.0 /* the same before it is weighed */
 #define UNKNOWN_V     0.01 /* variance of a demand that is not known */
+#define ANEW_STEPS    50   /* so long most loads may mean nothing: 0.5 s */
 #define LEAST_P       1e-12
 #define LEAST_PRECISION 0.1 /* of a demand by all drives but one */
 #define MOST_M          4.0
 
 enum move { CALM, ONSETS, WOBBLE, TURN, MOVES };
 
+/* Nothing is known of the demand and of the drives. */
+static void set_unknown(struct switching *s)
+{
+    s->kept = 1;
+    s->contradicted = 0;
+    s->demand = 0.0;
+    s->hypotheses[0] = (struct switching_hypothesis){.v_mm = 1.0, .v_ss = 1e-4};
+    for (int i = 0; i < s->n; i++)
+        s->drives[i] = switching_drive_unknown();
+}
+
 void switching_reset(struct switching *s)
 {
     s->ticks = 0;
-    s->kept = 1;
-    s->demand = 0.0;
-    s->hypotheses[0] = (struct switching_hypothesis){.v_mm = 1.0, .v_ss = 1e-4};
+    set_unknown(s);
     for (int i = 0; i < s->n; i++) {
-        s->drives[i] = switching_drive_unknown();
         s->noises[i] = (struct switching_noise){.variance = NOISE_FIRST * NOISE_FIRST};
         s->loads[i] = (struct switching_load){.load = 0.0};
         s->adhering[i] = s->drives[i].adhering;
@@ -339,6 +348,18 @@ static void learn(struct switching *s)
         centre(&s->hypotheses[k], drives_of(s->drives, s, k), s->n);
 }
 
+/* If most loads mean nothing for long, it is what has been learnt that means nothing, (S21): of a
+ * loss that was there before anything was known, say. */
+static void begin_anew_if_contradicted(struct switching *s, int known)
+{
+    int nothing = 0;
+    for (int i = 0; i < s->n; i++)
+        nothing += s->loads[i].known && s->adhering[i] + s->lost[i] < 0.5;
+    s->contradicted = 2 * nothing > known ? s->contradicted + 1 : 0;
+    if (s->contradicted >= ANEW_STEPS)
+        set_unknown(s);
+}
+
 void switching_step(struct switching *s)
 {
     const double before = s->demand;
@@ -351,6 +372,7 @@ void switching_step(struct switching *s)
     switching_sum_up(s);
     if (known > 1)
         learn(s);
+    begin_anew_if_contradicted(s, known);
     for (int i = 0; i < s->n; i++)
         s->noises[i].lag = larger(LAG_KEPT * s->noises[i].lag, LAG * fabs(s->demand - before));
 }

@@ -1752,6 +1752,7 @@ struct switching {
     int32_t every;                           /* ticks in a step of 10 ms, at least 1 */
     int32_t ticks;                           /* since the last step */
     int32_t kept;                            /* hypotheses */
+    int32_t contradicted;                    /* steps in a row in which most loads meant nothing */
     struct switching_load *loads;            /* (n,) input */
     struct switching_noise *noises;          /* (n,) */
     struct switching_hypothesis *hypotheses; /* (SWITCHING_KEPT,), the first `kept` */

@@ -1,6 +1,6 @@
 """The model with a memory in NumPy, which `switching.c` and `switching_drive.c` are compared with.
 
-Equations (S1) to (S20) of `docs/switching.md`. A hypothesis is a demand with its slope, mean (2,)
+Equations (S1) to (S21) of `docs/switching.md`. A hypothesis is a demand with its slope, mean (2,)
 and covariance (2, 2), and arrays over N drives; ratios are (N, 2) with (N, 2, 2), one each for a
 drive that adheres and for one that does not.
 """
@@ -170,6 +170,7 @@ class Switching:
         self.all = [unknown(n)]
         self.variance, self.lag, self.learnt_s = np.full(n, 0.02**2), np.zeros(n), np.zeros(n)
         self.demand = 0.0
+        self.contradicted = 0
 
     def step(
         self, load: Array, known: Array, apart: Array, unsure: Array, gain: Array, error: Array
@@ -191,6 +192,10 @@ class Switching:
         self.adhering, self.lost = p[:, A], p[:, L]
         if known.sum() > 1:
             self._learn()
+        most = 2 * np.sum(known & (p[:, X] > 0.5)) > known.sum()
+        self.contradicted = self.contradicted + 1 if most else 0
+        if self.contradicted == 50:
+            self.all, self.demand, self.contradicted = [unknown(self.n)], 0.0, 0
         self.lag = np.maximum(0.4 * self.lag, 0.15 * abs(self.demand - before))
 
     def _propose(self, h: Hypothesis, best: float, trials: list[Hypothesis]) -> list[Hypothesis]:

@@ -140,6 +140,34 @@ def test_a_loss_that_was_there_before_is_found_whichever_drive_it_is(lost):
     assert (p[50:] < 0.1).all()
 
 
+def test_what_was_learnt_from_a_loss_that_was_there_before_is_given_up():
+    """Two of three lost at the start look like drives that differ; back, they look like nothing."""
+    detector, rng = SwitchingDetector(), np.random.default_rng(0)
+    loads = np.concatenate([
+        train(60, 1, 0.74, 0.7, demand=-0.72), train(6, 1, 0.74, 1, demand=-0.72),
+        train(150, 1, 1, 1, demand=-0.72),
+    ])  # fmt: skip
+    adhering = []
+    for load in loads:
+        y = load + NOISE * rng.standard_normal(3)
+        detector(Evidence(y, np.full(3, NOISE), np.ones(3, dtype=bool)))
+        adhering.append(detector.model.adhering.copy())
+    assert (np.array(adhering[75:105])[:, 1:] < 0.1).all(), "it contradicts what was learnt"
+    assert (np.array(adhering[135:]) > 0.9).all()
+
+
+def test_one_load_that_means_nothing_is_not_given_up_for():
+    """Of three, whatever the time: the others are right."""
+    loads = np.concatenate([train(60, 1, 1, 1), train(300, 1, 1.6, 1)])
+    detector, rng = SwitchingDetector(), np.random.default_rng(0)
+    for step, load in enumerate(loads):
+        y = load + NOISE * rng.standard_normal(3)
+        detector(Evidence(y, np.full(3, NOISE), np.ones(3, dtype=bool)))
+        if step > 70:
+            assert (detector.model.adhering[[0, 2]] > 0.9).all()
+            assert detector.model.adhering[1] < 0.1
+
+
 def test_a_scaled_load_is_as_uncertain_as_it_is():
     """The load of a drive at 30 % of the others' torque is divided by that: so is its noise."""
     accused = []
