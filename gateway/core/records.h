@@ -1445,7 +1445,7 @@ struct adhesion {
     const struct flag_rules *rules;
     struct vb_priors priors;
     double tick_s;
-    int32_t iterations; /* of the default detector */
+    int32_t iterations; /* of the detector `vb` */
     int32_t n;          /* drives */
     /* of every drive, (n,) */
     struct rotor *rotors;

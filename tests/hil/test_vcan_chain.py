@@ -160,7 +160,7 @@ def test_main_job_and_its_replay(vcan: Vcan, folder: Path) -> None:
     assert "Adhesion1: AdhesionLost" in decoded
     assert "Adhesion2: Adhering" in decoded
     assert "Adhesion2: AdhesionLost" not in decoded
-    assert "Detector: VariationalBayes" in decoded
+    assert "Detector: Switching" in decoded
     # Every tick with new samples was measured, from the kernel's stamp to the flag on the bus.
     with (run.timing / "timing.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["stage"] == "frame to flag"]
