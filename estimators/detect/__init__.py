@@ -6,7 +6,7 @@ A new detector is one module here, one line in `DETECTORS`, its unit test and on
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from estimators.detect import kmeans, message_passing, paper, paper_vb
 from estimators.detect.kmeans import KMeansDetector
@@ -33,18 +33,29 @@ WITH_MEMORY: Final[dict[str, type[Detector]]] = {
 """Detectors whose answer depends on the calls before: one object for one sequence of ticks."""
 
 
-def make(name: str, observe: str = "torque") -> Detector:
-    """A detector by its name; observe: "torque", "speed" or "both", for the paper's VB.
+def make(
+    name: str, observe: str = "torque", tolerance: float = 0.0, reuse: float = 0.0
+) -> Detector:
+    """A detector by its name.
 
-    Raises KeyError for an unknown name, TypeError where another one is to observe speed.
+    Of the paper's VB: observe: "torque", "speed" or "both"; tolerance: of the bound that ends the
+    sweeps, 0: five sweeps; reuse: share of the last posterior in the next prior, 0: none, or what
+    `paper_vb_reuse` has of its own.
+
+    Raises KeyError for an unknown name, TypeError where another detector is given any of these.
     """
     kind = (DETECTORS | WITH_MEMORY)[name]
-    if observe == paper.Observe.TORQUE.value:
-        return kind()
     if not issubclass(kind, PaperVariationalDetector):
-        msg = f"{name} compares torque only"
-        raise TypeError(msg)
-    return kind(observe=paper.Observe(observe))
+        if (observe, tolerance, reuse) != (paper.Observe.TORQUE.value, 0.0, 0.0):
+            msg = f"{name} compares torque only, has no bound and reuses nothing"
+            raise TypeError(msg)
+        return kind()
+    how: dict[str, Any] = {"observe": paper.Observe(observe)}
+    if tolerance > 0.0:
+        how |= {"tolerance": tolerance, "sweeps": paper.MOST_SWEEPS}
+    if reuse > 0.0:
+        kind, how = ReusingVariationalDetector, {**how, "phi": reuse}
+    return kind(**how)
 
 
 GLOBAL_ESTIMATES: Final[dict[str, Callable[[paper.Array], paper.Array]]] = {

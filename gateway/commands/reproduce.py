@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim.scenario import Scenario
 
 HELP = "the two papers' tables and figures"
-STANDING_SEEDS: Final = tuple(range(5, 17))
+STANDING_SEEDS: Final = tuple(range(5, 105))
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
     if options.paper == "thermal":
         return _thermal(options.output)
     from gateway.commands import section5
+    from gateway.study.reproduction import agreement
     from gateway.study.reproduction_text import table_text
     from sim.scenario import builtin
 
@@ -53,8 +54,7 @@ def run(options: argparse.Namespace) -> int:
         scenario = scenario.model_copy(update={"seed": options.seed})
     outcome = reproduce(scenario, options.output)
     print(table_text(outcome.cells))
-    agree = sum(c.agrees for c in outcome.cells)
-    print(f"{agree} of {len(outcome.cells)} numbers agree with the paper")
+    print(agreement(outcome.cells).text())
     print(f"report: {options.output / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD
@@ -89,6 +89,7 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
     from gateway.study import reproduction_network as network
     from gateway.study import reproduction_paths as paths
     from gateway.study import reproduction_report as report
+    from gateway.study import reproduction_variants as variants
 
     folder.mkdir(parents=True, exist_ok=True)
     with _progress(6 + len(section5.BUSES) + len(table_1.METHODS)) as step:
@@ -121,6 +122,7 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
             zero_locked=zero_locked,
             starts=starts,
             strengths=table_1.prior_strengths(main.load),
+            variants=variants.variants(main.load, main.speed),
             networks=networks,
         )
         table_1.write_table(folder / "table1.csv", outcome.cells)

@@ -44,7 +44,7 @@ class AdhesionMonitor(Addressed):
         """rules: of the flags; motors: per drive."""
         self.config, self.rules = config, rules
         self.rated = tuple(motor.T_rated for motor in motors)
-        self.detector = make(config.detector, config.observe)
+        self.detector = make(config.detector, config.observe, config.tolerance, config.reuse)
         self.in_core = isinstance(self.detector, VariationalDetector | SwitchingDetector)
         """Whether the detector is one of those in the core."""
         n = len(motors)

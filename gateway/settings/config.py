@@ -173,6 +173,10 @@ class Adhesion(Strict):
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
+    tolerance: Annotated[float, within(0, 1, "", "the bound is compared with itself")] = 0.0
+    """Of the paper's VB: sweeps end once the bound grows by less; 0: five sweeps."""
+    reuse: Annotated[float, within(0, 0.99, "", "of 1 nothing new would be learnt")] = 0.0
+    """Of the paper's VB: share of the last posterior in the next prior; 0: none."""
     spread_nm: Annotated[
         float,
         within(0.01, 6, "Nm", "for 30 Nm rated; a wider spread hides the loss of half a load"),
@@ -284,6 +288,12 @@ class Config(Strict):
                 f"adhesion.observe: detector {self.adhesion.detector!r} compares torque only; "
                 "'speed' and 'both' need detector = 'paper_vb' or 'paper_vb_reuse'"
             )
+        for key in ("tolerance", "reuse"):
+            if getattr(self.adhesion, key) and "paper_vb" not in self.adhesion.detector:
+                problems.append(
+                    f"adhesion.{key}: detector {self.adhesion.detector!r} has none; leave it at 0, "
+                    "or take detector = 'paper_vb'"
+                )
         if self.bus.on_intruder == "tell" and self.authentication is None:
             problems.append(
                 "bus.on_intruder: 'tell' needs [authentication]: without it no receiver can tell "

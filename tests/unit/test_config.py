@@ -75,6 +75,15 @@ def test_only_the_papers_vb_observes_speed():
         parse({"adhesion": {"observe": "speed"}})
 
 
+@pytest.mark.parametrize("key", ["tolerance", "reuse"])
+def test_only_the_papers_vb_has_a_bound_and_reuses(key):
+    assert getattr(parse({"adhesion": {"detector": "paper_vb", key: 0.5}}).adhesion, key) == 0.5
+    with pytest.raises(ConfigError, match=f"adhesion.{key}: detector 'switching' has none"):
+        parse({"adhesion": {key: 0.5}})
+    with pytest.raises(ConfigError, match=f"adhesion.{key}"):
+        parse({"adhesion": {"detector": "paper_vb", key: -0.5}})
+
+
 def test_example_is_the_default_written_out(pytestconfig):
     example = load(pytestconfig.rootpath / "examples" / "train.toml")
     bare = Config(motor={"bench": example.motor["bench"]})

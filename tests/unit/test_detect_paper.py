@@ -672,3 +672,10 @@ def test_a_detector_is_made_by_name_and_by_what_it_observes():
         make("median", "speed")
     with pytest.raises(KeyError):
         make("oracle")
+    bound = make("paper_vb", tolerance=1e-3)
+    assert bound == PaperVariationalDetector(tolerance=1e-3, sweeps=100)
+    assert make("paper_vb", reuse=0.25) == ReusingVariationalDetector(phi=0.25)
+    assert make("paper_vb_reuse") == ReusingVariationalDetector()
+    for key in ("tolerance", "reuse"):
+        with pytest.raises(TypeError, match="vb compares torque only, has no bound and reuses no"):
+            make("vb", **{key: 0.5})

@@ -80,7 +80,7 @@ def test_everything_stands_on_a_screen_of_80_by_24(log):
         assert len(lines) == 24
         assert {len(line) for line in lines} == {80}
         text = text_of(lines)
-        for part in ("both.log", "GATEWAY", "Running", "VariationalBayes", "BUS ✓active",
+        for part in ("both.log", "GATEWAY", "Running", "Switching", "BUS ✓active",
                      "frames/s", "LOAD Nm of drive 1", "P(lost)", "FLAGS LATE BY",
                      "stator", "? help", "PAUSED"):  # fmt: skip
             assert part in text, part
