@@ -138,6 +138,8 @@ JUDGED = (
     "estimators/adaptation.c",
     "estimators/detect/command_response.c",
     "estimators/detect/load_reference.c",
+    "estimators/detect/switching_drive.c",
+    "estimators/detect/switching_mixture.c",
     "estimators/detect/variational.c",
     "estimators/load_observer.c",
     "estimators/maisd.c",
