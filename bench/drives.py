@@ -26,7 +26,8 @@ from gateway.core.adhesion import AdhesionMonitor
 from gateway.core.gateway import Gateway
 from gateway.core.inputs import places
 from gateway.core.motion import Timebase
-from gateway.settings.config import BENCH_MOTOR, Adhesion, Estimator, shipped_dbc
+from gateway.settings.config import BENCH_MOTOR, shipped_dbc
+from gateway.settings.sections import Adhesion, Estimator
 from tests.receivers import Received
 from tests.stations import Bank, Flags, InputMonitor, MotionMonitor, TemperatureMonitor
 

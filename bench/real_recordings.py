@@ -23,7 +23,7 @@ from gateway.core.gateway import SENSOR
 from gateway.core.inbox import Temperatures
 from gateway.core.thermal import TemperatureMonitor
 from gateway.settings.calibration import POINTS, Calibration, MotorCalibration
-from gateway.settings.config import Thermal
+from gateway.settings.sections import Thermal
 from gateway.study.calibrating import Learner
 from tests.stations import debounce, flag
 

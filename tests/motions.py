@@ -11,7 +11,8 @@ from gateway.core.channel import RPM
 from gateway.core.codes import NEVER
 from gateway.core.estimate import estimates as fresh_estimates
 from gateway.core.motion import Timebase
-from gateway.settings.config import BENCH_MOTOR, Estimator
+from gateway.settings.config import BENCH_MOTOR
+from gateway.settings.sections import Estimator
 from tests.receivers import Received
 from tests.sender import MS
 from tests.stations import MotionMonitor

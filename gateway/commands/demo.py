@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.reports.scoring import judge, summary_table
     from gateway.reports.trace import Trace
     from gateway.reports.truth import Truth
-    from gateway.settings.config import Drive
+    from gateway.settings.sections import Drive
     from sim.scenario import find
 
     scenario = find(options.scenario)

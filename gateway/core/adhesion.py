@@ -29,7 +29,8 @@ from dbc.records import (
 from estimators.detect import Evidence, Opinion, make
 from estimators.detect.switching import Switching, SwitchingDetector
 from estimators.detect.variational import VariationalDetector
-from gateway.settings.config import Adhesion, Motor
+from gateway.settings.config import Motor
+from gateway.settings.sections import Adhesion
 
 BASE_NM: Final = 30.0
 """Rated torque of the motor that `spread_nm` is stated for."""

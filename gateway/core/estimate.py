@@ -30,7 +30,8 @@ from estimators import acquisition, filters
 from estimators.models import pmsm
 from gateway.core.channel import SAMPLE_NS
 from gateway.core.codes import Reason
-from gateway.settings.config import Estimator, Motor
+from gateway.settings.config import Motor
+from gateway.settings.sections import Estimator
 
 SETTLE_STEPS: Final = lib.FILTER_SETTLE_STEPS
 """Sub-steps (60 ms) a new filter runs before its load is valid."""

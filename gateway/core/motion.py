@@ -20,7 +20,8 @@ from dbc.frame import SECOND, Nanos
 from dbc.records import MOTION, MOTION_MONITOR, Addressed, Columns, Records
 from gateway.core import plausibility
 from gateway.core.channel import SAMPLE_NS
-from gateway.settings.config import Estimator, Motor
+from gateway.settings.config import Motor
+from gateway.settings.sections import Estimator
 
 FEWEST_SAMPLES: Final = 10.0
 """Of current per electrical revolution, about the least that the filters need."""

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from gateway.core.adhesion import BASE_NM
 from gateway.fleet.log_result import EVERY_NS, PEAK
 from gateway.fleet.table import DONE, TABLE, metadata_of
-from gateway.settings.config import Adhesion, Config, ConfigError
+from gateway.settings.config import Config, ConfigError
+from gateway.settings.sections import Adhesion
 
 QUANTILE: Final = 0.999
 BINS: Final = 10_000

@@ -30,7 +30,7 @@ def fitting(
     signature: as of `prepare`. Raises ConfigError or DbcMismatch with every problem.
     """
     from dbc.codec import bind
-    from gateway.settings.config import Drive
+    from gateway.settings.sections import Drive
 
     if path is not None:
         config, codec = prepare(path, signature=signature)

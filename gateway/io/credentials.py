@@ -12,7 +12,8 @@ import stat
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.settings.config import Authentication, Config, ConfigError
+from gateway.settings.config import Config, ConfigError
+from gateway.settings.sections import Authentication
 
 if TYPE_CHECKING:
     from dbc.secoc_sender import Authenticator

@@ -19,7 +19,8 @@ from dbc.e2e import Profile
 from dbc.frame import MS, Nanos
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
 from dbc.tolerant import read_any_dbc
-from gateway.settings.config import Config, ConfigError, Drive, Motor
+from gateway.settings.config import Config, ConfigError, Motor
+from gateway.settings.sections import Drive
 from gateway.settings.signal_map import Signals, Source
 
 BASES: Final = {

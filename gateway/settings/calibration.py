@@ -18,7 +18,8 @@ from dbc.bounds import within
 from dbc.text import read_bytes, read_toml
 from estimators.thermal import model
 from estimators.thermal.monitor import Known
-from gateway.settings.config import Config, ConfigError, Strict, check_seal
+from gateway.settings.config import Config, ConfigError, check_seal
+from gateway.settings.sections import Strict
 
 POINTS = ("stator", "drive_end", "non_drive_end")
 

@@ -18,7 +18,8 @@ from dbc.frame import Frame
 from dbc.frames import Block, block_of
 from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
-from gateway.settings.config import Config, ConfigError, Drive, load
+from gateway.settings.config import Config, ConfigError, load
+from gateway.settings.sections import Drive
 from gateway.study.evaluation import Line, Measured, listen, measure
 from gateway.study.scenarios_family import ALL, DEVELOPMENT, REPORTING, draw
 from sim.ground_truth import Truth

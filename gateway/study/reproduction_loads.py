@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimators import adaptation, filters
 from estimators.models import pmsm
-from gateway.settings.config import Estimator
+from gateway.settings.sections import Estimator
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ import pytest
 
 from gateway.core.codes import Health
 from gateway.core.pairing import Samples
-from gateway.settings.config import BENCH_MOTOR, Estimator
+from gateway.settings.config import BENCH_MOTOR
+from gateway.settings.sections import Estimator
 from tests.estimates import step
 from tests.stations import Bank
 from tests.unit.test_est_truth import TICK_S, Rows, Truth, motor, sampled

@@ -8,7 +8,8 @@ import pytest
 from dbc.frame import ERROR, EXTENDED, REMOTE, SECOND, Frame
 from gateway.core.codes import REJECTED, Flag, Health, Reason
 from gateway.core.gateway import Gateway
-from gateway.settings.config import Config, Drive
+from gateway.settings.config import Config
+from gateway.settings.sections import Drive
 from tests.sender import CLASSIC, MS, Sender, SteadyDrive, codec_for
 
 CODEC = codec_for()

@@ -8,7 +8,8 @@ from gateway.core import flags, inputs, pairing
 from gateway.core.adhesion import AdhesionMonitor
 from gateway.core.codes import Flag, Health
 from gateway.core.flags import FlagKind, Timing
-from gateway.settings.config import BENCH_MOTOR, Adhesion
+from gateway.settings.config import BENCH_MOTOR
+from gateway.settings.sections import Adhesion
 from tests import columns
 from tests.judged_loads import detect
 from tests.reference.adhesion import DERATING_NS, RATIO_FLOOR

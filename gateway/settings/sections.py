@@ -1,0 +1,231 @@
+"""Sections of the configuration: every key with its bounds, and why they are there.
+
+May know: numbers. May not know: files, buses, clocks, the DBC's contents.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from dbc.bounds import within
+from gateway.settings.signal_map import Signals
+
+
+class Strict(BaseModel):
+    """Unknown keys are refused; values are frozen after start."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Milliseconds = Annotated[
+    int, within(0, 500, "ms", "a loss that is told half a second late helps no control")
+]
+Hold = Annotated[int, within(0, 5000, "ms", "good evidence is there in every tick: give it in ms")]
+Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
+Bitrate = Annotated[int, within(10_000, 1_000_000, "bit/s", "CAN has up to 1 Mbit/s: in bit/s")]
+SensorName = Literal["stator", "drive_end", "non_drive_end"]
+_NOISE = "far from 1e-4, 1e-4, 1e-5, 1e-6, 0.1 no filter follows the motor: variance per 125 us"
+Variances = tuple[
+    Annotated[float, within(1e-8, 1, "A2", _NOISE)],
+    Annotated[float, within(1e-8, 1, "A2", _NOISE)],
+    Annotated[float, within(1e-9, 0.1, "(rad/s)2", _NOISE)],
+    Annotated[float, within(1e-10, 0.01, "rad2", _NOISE)],
+    Annotated[float, within(1e-5, 1000, "Nm2", _NOISE)],
+]
+
+
+class Bus(Strict):
+    """`[bus]`: python-can's own options; the command line overrides them."""
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate: Bitrate = 1_000_000
+    fd: bool = False
+    data_bitrate: Annotated[
+        int,
+        within(10_000, 20_000_000, "bit/s", "CAN FD has up to 8 Mbit/s, CAN SIC XL 20: in bit/s"),
+    ] = 5_000_000
+    send_on: tuple[str, ...] | None = Field(
+        None, description="channels on which the gateway may send; None: the one it is given"
+    )
+    on_intruder: Literal["unknown", "stop", "go_on", "tell"] | None = Field(
+        None, description="when somebody else sends with the gateway's identifiers"
+    )
+    """None: "unknown"; "tell" where flags are authenticated."""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Those of them that are python-can's and were given."""
+        given = self.model_dump(exclude={"on_intruder", "send_on"})
+        return {key: value for key, value in given.items() if value is not None}
+
+
+class Loop(Strict):
+    """`[loop]`."""
+
+    rate_hz: int = 100
+
+    @field_validator("rate_hz")
+    @classmethod
+    def _divides(cls, rate_hz: int) -> int:
+        if rate_hz not in (100, 200, 500, 1000):
+            msg = "expected 100, 200, 500 or 1000 Hz (a multiple of 100 that divides 1000)"
+            raise ValueError(msg)
+        return rate_hz
+
+    @property
+    def period_ns(self) -> int:
+        """Tick period, ns."""
+        return 1_000_000_000 // self.rate_hz
+
+
+class Dbc(Strict):
+    """`[dbc]`: a shipped file by name, or a path relative to the configuration."""
+
+    file: str = "traction.dbc"
+
+
+class Drive(Strict):
+    """`[[drive]]`: one inverter on the bus."""
+
+    node: Annotated[int, within(1, 16, "", "the n of Drive{n}_PhaseCurrents")]
+    motor: str = "bench"
+    sensors: tuple[SensorName, ...] = get_args(SensorName)
+    """Temperature sensors that the motor has; the others' signals are never looked at."""
+    signals: Signals | None = Field(None, description="of an inverter with messages of its own")
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without signals a configuration has the hash that it had before there were any."""
+        out: dict[str, Any] = handler(self)
+        if self.signals is None:
+            out.pop("signals", None)
+        return out
+
+    @field_validator("sensors")
+    @classmethod
+    def _some_and_each_once(cls, sensors: tuple[SensorName, ...]) -> tuple[SensorName, ...]:
+        if not sensors:
+            msg = f"at least one is needed, of {', '.join(get_args(SensorName))}"
+            raise ValueError(msg)
+        twice = sorted({name for name in sensors if sensors.count(name) > 1})
+        if twice:
+            msg = f"{', '.join(twice)} stands twice; name each sensor once"
+            raise ValueError(msg)
+        return sensors
+
+
+class Estimator(Strict):
+    """`[estimator]`: filter kind and noise, for a motor of 25 A and 30 Nm (scaled to others)."""
+
+    kind: Literal["ekf", "ukf"] = "ekf"
+    current_noise_var: Annotated[
+        float, within(1e-8, 1, "A2", "variance of a sensor's noise for a motor of 25 A")
+    ] = 2e-4
+    """A^2, before quantisation."""
+    process_noise: Variances = (1e-4, 1e-4, 1e-5, 1e-6, 0.1)
+    """Variances added per 125 us: A^2, A^2, (rad/s)^2, rad^2, Nm^2 (adhesion-paper order)."""
+    min_speed_rad_s: Annotated[
+        float, within(1, 300, "rad/s", "electrical; below it flags stay unknown")
+    ] = 20.0
+    """Electrical; below: not observable."""
+
+
+WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 30}
+"""Times of detectors that judge each tick by itself, where they are not given."""
+
+
+class Adhesion(Strict):
+    """`[adhesion]`: detector and the timing of its flag."""
+
+    detector: Literal[
+        "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
+    ] = "switching"
+    observe: Literal["torque", "speed", "both"] = Field(
+        "torque", description="what the paper's VB compares; the others compare torque"
+    )
+    tolerance: Annotated[float, within(0, 1, "", "the bound is compared with itself")] = 0.0
+    """Of the paper's VB: sweeps end once the bound grows by less; 0: five sweeps."""
+    reuse: Annotated[float, within(0, 0.99, "", "of 1 nothing new would be learnt")] = 0.0
+    """Of the paper's VB: share of the last posterior in the next prior; 0: none."""
+    spread_nm: Annotated[
+        float,
+        within(0.01, 6, "Nm", "for 30 Nm rated; a wider spread hides the loss of half a load"),
+    ] = 0.7
+    """Load spread of healthy drives, at 30 Nm."""
+    raise_probability: Annotated[
+        float, within(0.71, 0.999, "", "0.7 is said of a drive as long as nobody knows")
+    ] = 0.9
+    clear_probability: Annotated[
+        float, within(0.01, 0.69, "", "0.7 is said of a drive as long as nobody knows")
+    ] = 0.5
+    raise_ms: Milliseconds = 10
+    """This and the next two: a tick longer with a detector without memory."""
+    raise_severe_ms: Milliseconds = 0
+    """Where a loss is certain; other detectors than `switching`: where a third of the load is
+    missing."""
+    clear_ms: Hold = 20
+    good_ms: Hold = 50
+    """Good evidence needed before the first `Adhering`."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _times(cls, given: Any) -> Any:
+        """A detector with a memory has looked more than once: the others take a tick longer."""
+        if not isinstance(given, dict) or given.get("detector", "switching") == "switching":
+            return given
+        return {**WITHOUT_MEMORY_MS, **given}
+
+
+class Thermal(Strict):
+    """`[thermal]`: without a calibration the thermal flags stay unknown."""
+
+    calibration: str | None = None
+    method: Literal["model", "maisd"] = Field(
+        "model", description="a thermal model of each motor, or only how they differ"
+    )
+    limit_k: Annotated[float, within(0.1, 300, "K", "that a motor may grow warmer")] = 10.0
+    """That a motor may grow warmer than the others."""
+    window_s: Annotated[float, within(0.1, 3600, "s", "of the moving average, in seconds")] = 5.0
+    """Causal moving average."""
+    raise_s: Seconds = 1.0
+    clear_s: Seconds = 5.0
+
+
+class Canopen(Strict):
+    """`[canopen]`: only with `nmt_master` does the gateway ever send NMT, node-addressed."""
+
+    nmt_master: bool = False
+    heartbeat_ms: int | None = Field(
+        None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as it is heard"
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a period a configuration has the hash that it had before there was the key."""
+        out: dict[str, Any] = handler(self)
+        if self.heartbeat_ms is None:
+            out.pop("heartbeat_ms", None)
+        return out
+
+    @property
+    def heartbeat_ns(self) -> int:
+        """Configured period of the drives' heartbeats, ns; 0: as it is heard."""
+        return 1_000_000 * (self.heartbeat_ms or 0)
+
+
+class Authentication(Strict):
+    """`[authentication]`: flags are authenticated if the section is there. Files, never keys."""
+
+    key: str = Field("auth.key", min_length=1, description="credential, or file beside this one")
+    trip: str = Field("trip", min_length=1, description="file that counts the starts")
