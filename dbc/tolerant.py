@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 from dbc.e2e import Profile
 from dbc.entries import Entries, Entry
 from dbc.layout import bits_of
-from dbc.load import message_spec
+from dbc.message_spec import message_spec
 from dbc.spec import DbcMismatch, MessageSpec
 from dbc.text import decoded, read_bytes
 
