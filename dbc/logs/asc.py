@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 from dbc.logs.lines import shape_of
-from dbc.logs.text import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 
 _PLAIN: Final = (
     r"[ \t]*(-?\d+\.\d+)[ \t]+"
@@ -53,7 +53,7 @@ _RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
 
 
 class Asc:
-    """The lines of one log, see `dbc.logs.text.Format`."""
+    """The lines of one log, see `dbc.logs.format.Format`."""
 
     regex = re.compile(rf"^(?:{_PLAIN}|(.*))$", re.MULTILINE)
     order = ()

@@ -22,8 +22,8 @@ from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame
 from dbc.frames import MAX_DATA_BYTES, Block, block_of
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
 from dbc.logs.objects import BLOCK, ObjectReader
-from dbc.logs.text import CLASSIC_BYTES, FD_SIZES
 
 FILE: Final = struct.Struct("<4sLBBBBBBBBQQLL8H8H")
 """Signature, size of the header, versions, sizes of the file, objects, start, stop."""

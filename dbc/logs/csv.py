@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND
-from dbc.logs.text import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
 
 _NAMES: Final = {
     "time": "timestamp time timestampepoch t abstime offset",
@@ -46,7 +46,7 @@ _NOTHING: Final = re.compile(r"^()()()(.*)$", re.MULTILINE)
 
 
 class Csv:
-    """The lines of one log, see `dbc.logs.text.Format`."""
+    """The lines of one log, see `dbc.logs.format.Format`."""
 
     order: tuple[int, ...] = ()
     began = False

@@ -24,9 +24,9 @@ from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
 from dbc.logs.objects import ObjectReader
 from dbc.logs.python_can import mf4_module
-from dbc.logs.text import CLASSIC_BYTES, FD_SIZES
 
 _ROWS: Final = 1 << 14
 """Records of a group that are read at once."""

@@ -15,7 +15,7 @@ from dbc.candump.grammar import Verdict
 from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem
 from dbc.frame import Frame
 from dbc.frames import Block, in_blocks
-from dbc.logs.text import verdict_of
+from dbc.logs.format import verdict_of
 from dbc.text import printable
 
 FRAMES: Final = (Verdict.OK, Verdict.FD, Verdict.REMOTE, Verdict.ERROR_FRAME)

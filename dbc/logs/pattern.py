@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND
-from dbc.logs.text import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
 
 HEADER_LINES: Final = 100
 """Lines before the first frame that may say anything."""
@@ -80,7 +80,7 @@ class _Field(NamedTuple):
 
 
 class Pattern:
-    """The lines of one log, see `dbc.logs.text.Format`."""
+    """The lines of one log, see `dbc.logs.format.Format`."""
 
     began = False
     splits = False

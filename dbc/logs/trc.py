@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 from dbc.logs.lines import shape_of
-from dbc.logs.text import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 
 _EPOCH_DAYS: Final = 25_569
 """From 30 December 1899, where these days count from, to 1970."""
@@ -47,7 +47,7 @@ _KEY: Final = re.compile(r";\$(\w+)=([^;]*)")
 
 
 class Trc:
-    """The lines of one log, see `dbc.logs.text.Format`."""
+    """The lines of one log, see `dbc.logs.format.Format`."""
 
     order: tuple[int, ...]
     began = False

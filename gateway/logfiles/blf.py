@@ -25,7 +25,7 @@ from dbc.logs.blf import (
     FD_MESSAGE,
     FILE,
 )
-from dbc.logs.text import FD_SIZES
+from dbc.logs.format import FD_SIZES
 from gateway.logfiles.text import channel_number
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000

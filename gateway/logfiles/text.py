@@ -17,7 +17,7 @@ import numpy as np
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Nanos
 from dbc.frames import MAX_DATA_BYTES, Block
-from dbc.logs.text import FD_SIZES
+from dbc.logs.format import FD_SIZES
 
 _DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _MONTHS: Final = (
