@@ -19,34 +19,15 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.study.thermal_heat import MEASURED, MOTORS, NODES, Ills, heat_record, no_ills, settled
 from sim.physics.plant import TRACTION_350KW
-from sim.records import ffi, lib, pointer
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
 
-MOTORS: Final = 4
-NODES: Final = 6
-WINDING, CORE, FRAME, BEARING_DE, BEARING_NDE, ROTOR = range(NODES)
-MEASURED: Final = (WINDING, BEARING_DE, BEARING_NDE)
 STREAM: Final = 30
 """Purpose of the random streams; purposes within a train follow."""
 TRAIN, RUN = range(2)
-
-CAPACITY: Final = np.array([31e3, 150e3, 100e3, 9e3, 8e3, 75e3])
-"""J/K: 80 kg of copper, 325 kg of iron, 200 kg of frame, two bearings with their shields, 160 kg of
-rotor: 850 kg in all (paper `thermal`, Table 1)."""
-LINKS: Final = (
-    (WINDING, CORE, 150.0), (CORE, FRAME, 400.0), (FRAME, BEARING_DE, 14.0),
-    (FRAME, BEARING_NDE, 12.0), (CORE, ROTOR, 25.0), (ROTOR, BEARING_DE, 8.0),
-    (ROTOR, BEARING_NDE, 8.0),
-)  # fmt: skip
-"""W/K. Time constants: winding 200 s, bearings 400 s, the whole motor 40 min."""
-AIR_STILL, AIR_PER_SPEED, BEARING_AIR = 40.0, 0.40, 6.0
-"""W/K of frame and, per rad/s of its fan, W/K of bearings to the air."""
-IRON, FRICTION, ROTOR_SHARE = (2.0, 0.028), 0.35, 0.2
-"""W per rad/s and (rad/s)^2 of the rotor; W per rad/s and bearing; of the iron loss."""
-COPPER_SLOPE, COPPER_REFERENCE = 0.0039, 60.0
 
 AIR_SPREAD, LOCAL_AIR_K, FRICTION_SPREAD, CURRENT_SPREAD = 0.03, 1.0, 0.08, 0.01
 READING_NOISE_K: Final = 0.25
@@ -154,7 +135,7 @@ def train(
     friction = _course(own, rng, base, steps, FRICTION_SPREAD)
     local = ambient[:, None] + LOCAL_AIR_K * (_course(own, rng, base, steps, 1.0) - 1.0)
     fault = _fault(rng, base, kind) if kind else None
-    healthy = _heat(base, square, speed, (local, air, friction), _none(steps), at)
+    healthy = heat_record(base.step_s, square, speed, (local, air, friction), no_ills(steps), at)
     real, error = healthy, np.zeros_like(healthy)
     if fault is not None and fault.kind in SENSOR_KINDS:
         error[:, fault.motor, fault.point] = _sensor_error(rng, base, fault)
@@ -162,7 +143,7 @@ def train(
 
         def ill(share: float) -> Array:
             ills = _ills(fault, base, square, speed, share)
-            return _heat(base, square, speed, (local, air, friction), ills, at)
+            return heat_record(base.step_s, square, speed, (local, air, friction), ills, at)
 
         real = ill(1.0) if base is DAYS else _reaching(fault.size_k, ill, healthy)
     offset = OFFSET_K * _clipped(own, (MOTORS, len(MEASURED)))
@@ -252,23 +233,6 @@ def _fault(rng: Rng, base: Base, kind: str) -> Fault:
                  float(rng.uniform(*limits)))  # fmt: skip
 
 
-class _Ills(NamedTuple):
-    """What is wrong with one motor.
-
-    heat (L,) W in `node`; blocked (L,) share of its air; resistance (L,) factor on its winding's.
-    """
-
-    motor: int
-    node: int
-    heat: Array
-    blocked: Array
-    resistance: Array
-
-
-def _none(steps: int) -> _Ills:
-    return _Ills(0, WINDING, np.zeros(steps), np.zeros(steps), np.ones(steps))
-
-
 def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> Array:
     """(K, M, 3) degC with a fault whose largest effect is `size_k`, or as near as it gets.
 
@@ -284,23 +248,23 @@ def _reaching(size_k: float, ill: Callable[[float], Array], healthy: Array) -> A
     return real
 
 
-def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -> _Ills:
+def _ills(fault: Fault, base: Base, square: Array, speed: Array, share: float) -> Ills:
     """Of a fault of heat, by its true effect.
 
     With a share of 1 the point that shows it most is `size_k` warmer at the mean duty, settled.
     """
-    ills = _none(len(speed))._replace(motor=fault.motor)
+    ills = no_ills(len(speed))._replace(motor=fault.motor)
     per = base.sample_s / base.step_s
     when = slice(round(fault.begin * per), round(fault.end * per))
     mean = (float(square[:, fault.motor].mean()), float(np.abs(speed).mean()))
-    healthy = _settled(*mean, 0.0, 1.0, np.zeros(NODES))
+    healthy = settled(*mean, 0.0, 1.0, np.zeros(NODES))
 
     def most(amount: float) -> float:
         """K that the point which shows it most is warmer, for this much of the fault's kind."""
         heat = (amount if fault.kind in ("overheating", "bearing") else 0.0) * np.eye(NODES)
         air = amount if fault.kind == "cooling_loss" else 0.0
         copper = 1.0 + amount if fault.kind == "winding_resistance" else 1.0
-        return float((_settled(*mean, air, copper, heat[ills.node]) - healthy).max())
+        return float((settled(*mean, air, copper, heat[ills.node]) - healthy).max())
 
     if fault.kind == "bearing":
         ills = ills._replace(node=MEASURED[fault.point])
@@ -325,62 +289,6 @@ def _amount(effect: Callable[[float], float], wanted: float, most: float) -> flo
         middle = 0.5 * (low + high)
         low, high = (middle, high) if effect(middle) < wanted else (low, middle)
     return high
-
-
-def _settled(square: float, speed: float, blocked: float, resistance: float, extra: Array) -> Array:
-    """(3,) K above ambient at the measured points, in the steady state of a mean motor."""
-    g = np.zeros((NODES, NODES))
-    for a, b, w in LINKS:
-        g[a, b] = g[b, a] = w
-    matrix = np.diag(g.sum(axis=1)) - g
-    matrix[FRAME, FRAME] += (AIR_STILL + AIR_PER_SPEED * speed) * (1.0 - blocked)
-    matrix[BEARING_DE, BEARING_DE] += BEARING_AIR
-    matrix[BEARING_NDE, BEARING_NDE] += BEARING_AIR
-    copper = 1.5 * TRACTION_350KW.R_s * square * resistance
-    iron = IRON[0] * speed + IRON[1] * speed**2
-    q = extra.copy()
-    q[WINDING] += copper
-    q[CORE] += (1.0 - ROTOR_SHARE) * iron
-    q[ROTOR] += ROTOR_SHARE * iron
-    q[BEARING_DE] += FRICTION * speed
-    q[BEARING_NDE] += FRICTION * speed
-    return np.asarray(np.linalg.solve(matrix, q)[list(MEASURED)])
-
-
-def _heat(
-    base: Base, square: Array, speed: Array, unlike: tuple[Array, Array, Array], ills: _Ills,
-    at: NDArray[np.int64],
-) -> Array:  # fmt: skip
-    """(K, M, 3) degC at the measured points, from a motor that has run for some hours.
-
-    unlike: local air degC, factors on cooling air and friction, each (L, M).
-    """
-    local, air, friction = unlike
-    links = np.zeros((NODES, NODES))
-    for a, b, g in LINKS:
-        links[a, b] = links[b, a] = g
-    start = _settled(float(square.mean()), float(np.abs(speed).mean()), 0.0, 1.0, np.zeros(NODES))
-    state = np.full((MOTORS, NODES), float(local[0].mean() + 0.6 * start.mean()))
-    state[:, WINDING] += 0.4 * start[0]
-    copper = 1.5 * TRACTION_350KW.R_s * square
-    copper[:, ills.motor] *= ills.resistance
-    cooling = (AIR_STILL + AIR_PER_SPEED * np.abs(speed))[:, None] * air
-    cooling[:, ills.motor] *= 1.0 - ills.blocked
-    iron = IRON[0] * np.abs(speed) + IRON[1] * speed**2
-    rub = FRICTION * np.abs(speed)[:, None] * friction
-    out = np.empty((len(at), MOTORS, NODES))
-    held = [np.ascontiguousarray(x, float) for x in (
-        copper, iron, rub, cooling, local, ills.heat, links, CAPACITY,
-    )]  # fmt: skip
-    *courses, link, capacity = (pointer("double", x) for x in held)
-    steps = np.ascontiguousarray(at, np.int64)
-    record = ffi.new("struct sim_heat_record *", [
-        len(copper), MOTORS, len(at), base.step_s, BEARING_AIR, ROTOR_SHARE, COPPER_SLOPE,
-        COPPER_REFERENCE, *courses, ills.motor, ills.node, link, capacity,
-        pointer("int64_t", steps),
-    ])  # fmt: skip
-    lib.sim_heat_record(record, pointer("double", state), pointer("double", out))
-    return out[:, :, list(MEASURED)]
 
 
 def _sensor_error(rng: Rng, base: Base, fault: Fault) -> Array:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gateway.cli import main
-from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, MOTORS, SENSOR_KINDS, SIZE_K, train
+from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, SENSOR_KINDS, SIZE_K, train
+from gateway.study.thermal_heat import MOTORS
 from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score_alarms, spread, table
 from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
 
