@@ -1,7 +1,8 @@
 /* Records of the core: one line per field, with unit and meaning.
  *
  * The compiler, cffi and NumPy (dbc/records.py) all read this file, so a layout stands here once.
- * Only `#define` of a number, `enum` and `struct` are allowed: cffi reads nothing else. */
+ * Only `#define` of a number, `enum` and `struct` are allowed: cffi reads nothing else. Longer than other
+ * files, as every record of the core stands here and nowhere else. */
 #ifndef TRACTION_RECORDS_H
 #define TRACTION_RECORDS_H
 
