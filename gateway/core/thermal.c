@@ -149,6 +149,16 @@ static int cycle_due(struct temperature_monitor *all, int64_t now_ns)
     return 1;
 }
 
+/* What changes by a step is the sensor's, or heat: until that is known, in STEP_READINGS
+ * (temperature.c), the averages go without. One reading of -100 K would make all others hot. */
+static void hold_back_steps(struct temperature_monitor *all)
+{
+    for (int j = 0; j < all->drive_count; j++)
+        for (int k = 0; k < P; k++)
+            if (all->sensors[j].sensor[k].step_count > 0)
+                all->window.value[j * P + k] = NAN;
+}
+
 /* 1 if it completed a second. */
 static int advance_cycle(struct temperature_monitor *all, const struct receiver *receiver,
                          int64_t now_ns)
@@ -158,6 +168,7 @@ static int advance_cycle(struct temperature_monitor *all, const struct receiver 
     temperature_values(all->sensors, all->drive_count, now_ns, all->window.value,
                        all->window.valid);
     const int complete = all->sum_seconds && add_cycle(all, receiver, now_ns);
+    hold_back_steps(all);
     advance_window(&all->window, all->drive_count, all->cycles);
     all->cycles += 1;
     return complete;

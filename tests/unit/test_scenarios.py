@@ -81,6 +81,23 @@ def test_a_drive_that_takes_its_torque_back_is_judged_all_the_time(detector, see
     assert set(after) == {Flag.GOOD}
 
 
+@pytest.mark.parametrize("value", [-100.0, -20.0, 40.0, 100.0])
+@pytest.mark.parametrize("for_s", [0.1, 0.2, 0.6])
+def test_a_reading_that_jumps_for_a_moment_makes_no_motor_hot(value, for_s):
+    """By MAISD: neither this motor nor, from far below, the others (public report 77)."""
+    event = {"at_s": 8.0, "for_s": for_s, "drive": 1, "kind": "sensor_bias", "sensor": "stator",
+             "value": value}  # fmt: skip
+    never = {"flag": "thermal", "is": "bad", "drive": "all", "never": True}
+    scenario = parse({
+        "title": "t", "seed": 41, "duration_s": 22.0, "drives": 3, "traffic": "slow",
+        "event": [event], "expect": [never],
+    })  # fmt: skip
+    config, codec = prepare(None, thermal={**scenario_thermal(), "method": "maisd"})
+    outcome = run_virtual(scenario, config, codec, ())
+    assert outcome.passed, outcome.verdicts
+    assert Flag.GOOD in {drive.thermal for drive in outcome.gateway.view.drives}
+
+
 def test_a_wrong_expectation_fails():
     table = {
         "title": "t",
