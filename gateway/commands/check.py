@@ -34,6 +34,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("config", type=Path, help="the configuration to check")
     add_signature(parser)
+    parser.add_argument("--eds", type=Path, action="append", default=[], metavar="FILE",
+                        help="EDS or DCF of a drive: what it sends, by bit")  # fmt: skip
     parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
 
 
@@ -66,6 +68,10 @@ def run(options: argparse.Namespace) -> int:
     print(f"bus load       {percent:.0f} % with worst-case stuffing, {verdict}")
     tried = _tried(config, codec, timing=not options.no_timing)
     print(f"heartbeats     {_heartbeats(config)}")
+    for path in options.eds:
+        from gateway.commands.check_eds import device_lines
+
+        print("\n".join(device_lines(path, config)))
     unfound = check_loss.print_results(config, tried)
     calibrated = (
         f"calibrated, method {config.thermal.method}"

@@ -1,0 +1,39 @@
+"""`check --eds`: what drives send by their EDS or DCF, to be mapped and supervised by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from dbc.text import printable
+from gateway.mapping.device_file import read
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from gateway.mapping.device_file import Device
+    from gateway.settings.config import Config
+
+
+def device_lines(path: Path, config: Config) -> Iterator[str]:
+    """Of one file. Raises ConfigError where it cannot be read."""
+    device = read(path)
+    at = f"node {device.node}" if device.node else "node 1, as the file names none"
+    yield f"device         {printable(path.name)}: {device.name}, {at}"
+    yield f"  heartbeat    {_heartbeat(device, config)}"
+    for pdo in device.pdos:
+        yield f"  TPDO{pdo.number:<9}0x{pdo.can_id:X}, {len(pdo.objects)} objects"
+        for o in pdo.objects:
+            bits = f"{o.start}|{o.length}"
+            yield f"    {bits:<11}{o.object_index:04X}h.{o.subindex} {o.name}"
+
+
+def _heartbeat(device: Device, config: Config) -> str:
+    if device.heartbeat_ms is None:
+        return "object 1017h is missing: this device is supervised by its messages only"
+    if device.heartbeat_ms == 0:
+        return "off (1017h is 0): write a period, or it is supervised by its messages only"
+    ours = config.canopen.heartbeat_ms
+    if ours and ours != device.heartbeat_ms:
+        return f"{device.heartbeat_ms} ms (1017h), but [canopen] heartbeat_ms = {ours}"
+    return f"{device.heartbeat_ms} ms (1017h)"

@@ -1,0 +1,197 @@
+"""`check --eds`: heartbeat and PDOs of real files, of a DCF, and of files that are none."""
+
+from pathlib import Path
+
+import pytest
+
+from gateway.cli import main
+from gateway.mapping.device_file import Mapped, read
+from gateway.settings.config import ConfigError
+
+DATA = Path(__file__).parents[1] / "data" / "eds"
+TRAIN = str(Path(__file__).parents[2] / "examples" / "train.toml")
+DCF = """[FileInfo]
+FileName=d.dcf
+[DeviceInfo]
+VendorName=
+VendorNumber=
+ProductName=Drive 5
+[DeviceComissioning]
+NodeID=0x05
+NodeName=
+[MandatoryObjects]
+SupportedObjects=1
+1=0x1000
+[1000]
+ParameterName=Device type
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+DefaultValue=0
+[OptionalObjects]
+SupportedObjects=4
+1=0x1017
+2=0x1800
+3=0x1A00
+4=0x1801
+[1017]
+ParameterName=Producer heartbeat time
+ObjectType=0x7
+DataType=0x0006
+AccessType=rw
+DefaultValue=0
+ParameterValue={heartbeat}
+[1800]
+ParameterName=TPDO 1
+ObjectType=0x9
+SubNumber=2
+[1800sub0]
+ParameterName=Entries
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+DefaultValue=1
+[1800sub1]
+ParameterName=COB-ID
+ObjectType=0x7
+DataType=0x0007
+AccessType=rw
+DefaultValue=$NODEID+0x180
+[1801]
+ParameterName=TPDO 2, not in use
+ObjectType=0x9
+SubNumber=2
+[1801sub0]
+ParameterName=Entries
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+DefaultValue=1
+[1801sub1]
+ParameterName=COB-ID
+ObjectType=0x7
+DataType=0x0007
+AccessType=rw
+DefaultValue=0x80000285
+[1A00]
+ParameterName=Mapping
+ObjectType=0x9
+SubNumber=3
+[1A00sub0]
+ParameterName=Entries
+ObjectType=0x7
+DataType=0x0005
+AccessType=rw
+DefaultValue=2
+[1A00sub1]
+ParameterName=First
+ObjectType=0x7
+DataType=0x0007
+AccessType=rw
+DefaultValue=0x60410010
+[1A00sub2]
+ParameterName=Second
+ObjectType=0x7
+DataType=0x0007
+AccessType=rw
+DefaultValue=0x20000220
+[ManufacturerObjects]
+SupportedObjects=1
+1=0x2000
+[2000]
+ParameterName=Motor
+ObjectType=0x9
+SubNumber=2
+[2000sub0]
+ParameterName=Entries
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+DefaultValue=2
+[2000sub2]
+ParameterName=Temperature
+ObjectType=0x7
+DataType=0x0004
+AccessType=ro
+"""
+
+
+@pytest.fixture
+def dcf(tmp_path):
+    def write(heartbeat=250, text=DCF):
+        path = tmp_path / "d.dcf"
+        path.write_text(text.replace("{heartbeat}", str(heartbeat)))
+        return path
+
+    return write
+
+
+def check(capsys, path, train=TRAIN) -> tuple[int, str, str]:
+    code = main(["check", train, "--no-timing", "--eds", str(path)])
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def test_a_real_cia_402_drive():
+    device = read(DATA / "canopen_sample.eds")
+    assert device.heartbeat_ms == 0
+    assert [pdo.can_id for pdo in device.pdos] == [0x190, 0x290, 0x390, 0x490]
+    assert [(o.start, o.length, o.object_index) for o in device.pdos[3].objects] == [
+        (0, 16, 0x6041), (16, 32, 0x606C),
+    ]  # fmt: skip
+
+
+def test_a_maker_without_a_name_or_number(capsys):
+    code, out, _ = check(capsys, DATA / "canopennode_ds301.eds")
+    assert code == 0
+    assert "canopennode_ds301.eds: New Product, node 1, as the file names none" in out
+
+
+def test_what_a_dcf_has_configured_counts(dcf):
+    device = read(dcf())
+    assert (device.name, device.node, device.heartbeat_ms) == ("Drive 5", 5, 250)
+    [pdo] = device.pdos
+    assert (pdo.number, pdo.can_id) == (1, 0x185)
+    assert pdo.objects == (
+        Mapped(0, 16, 0x6041, 0, "not in the file"),
+        Mapped(16, 32, 0x2000, 2, "Motor: Temperature"),
+    )
+
+
+def test_check_says_what_of_it_matters(dcf, capsys, tmp_path):
+    code, out, _ = check(capsys, dcf())
+    assert code == 0
+    assert "device         d.dcf: Drive 5, node 5" in out
+    assert "  heartbeat    250 ms (1017h)\n" in out
+    assert "  TPDO1        0x185, 2 objects\n" in out
+    assert "    16|32      2000h.2 Motor: Temperature\n" in out
+    assert "TPDO2" not in out
+    assert "off (1017h is 0)" in check(capsys, dcf(0))[1]
+    other = tmp_path / "other.toml"
+    other.write_text("[canopen]\nheartbeat_ms = 100\n")
+    assert "250 ms (1017h), but [canopen] heartbeat_ms = 100" in check(capsys, dcf(), str(other))[1]
+    without = DCF.replace("4=0x1801", "").replace("1=0x1017", "1=0x1801").replace("ts=4", "ts=3")
+    assert "1017h is missing" in check(capsys, dcf(text=without))[1]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: "", lambda text: "no file of this kind", lambda text: text[: len(text) // 2],
+        lambda text: text.replace("0x60410010", "twelve"), lambda text: text.replace("[1A00]", "["),
+        lambda text: text.replace("DataType=0x0007", "DataType="),
+        lambda text: text.replace("NodeID=0x05", "NodeID=999999999999"),
+        lambda text: text.replace("=2\n", "=99999999999999999999\n"), lambda text: text * 2,
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_read_or_refused_in_words(damage, dcf, capsys):
+    code, out, err = check(capsys, dcf(text=damage(DCF)))
+    assert code in (0, 2)
+    assert "Traceback" not in out + err
+    if code:
+        assert "d.dcf" in err
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read(tmp_path / "none.eds")
