@@ -169,17 +169,19 @@ static void select_source(const struct motion_monitor *m, int64_t k, int any_ali
         own->load_nm = NAN;
 }
 
-/* Which drives turn too fast for their samples of current; 1 if one does. */
+/* Which drives turn too fast for their samples of current; 1 if one does that can be compared. What
+ * the filter makes of currents that cannot be right is no speed, and changes no other drive's source. */
 static int find_aliasing(const struct motion_monitor *m)
 {
     int any = 0;
     for (int64_t k = 0; k < m->n; k++) {
         struct motion *own = &m->motions[k];
-        const double estimated = known_or(m->estimates[k].speed_rad_s, 0.0);
+        const double estimated =
+            own->implausible ? 0.0 : known_or(m->estimates[k].speed_rad_s, 0.0);
         const double w = known_or(m->inputs[k].speed_rad_s, estimated);
         const double limit = m->max_w_e * (own->aliasing ? 1.0 - HYSTERESIS : 1.0);
         own->aliasing = fabs(own->pole_pairs * w) > limit;
-        any = any || own->aliasing;
+        any = any || (own->aliasing && !own->implausible);
     }
     return any;
 }

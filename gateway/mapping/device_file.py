@@ -6,8 +6,10 @@ and number) is left out before. May know: files. May not know: buses, clocks.
 
 from __future__ import annotations
 
+import configparser
 import io
 import re
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,7 +28,9 @@ MOST_MAPPED: Final = 64
 _UNUSED: Final = 1 << 31
 _SECTION: Final = re.compile(r"^\s*\[([^]]*)\]")
 _EMPTY: Final = re.compile(r"^\s*[^=\s]+\s*=\s*$")
-_FAULTS: Final = (ValueError, KeyError, AttributeError, TypeError, OverflowError, LookupError)
+_FAULTS: Final = (
+    configparser.Error, ValueError, AttributeError, TypeError, OverflowError, LookupError,
+)  # fmt: skip
 """What canopen, and configparser below it, raise for a file that is none."""
 
 
@@ -71,9 +75,13 @@ def read(path: Path, node: int | None = None) -> Device:
     source = io.StringIO(_without_empty_fields(text))
     source.name = f"drive{path.suffix.lower()}"
     try:
-        objects = import_od(source, node_id=_node_of(text) or node or 1)
+        with warnings.catch_warnings():
+            # canopen 2.4 calls a method of `logging` that is going away.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            objects = import_od(source, node_id=_node_of(text) or node or 1)
     except _FAULTS as error:
-        why = f"is no EDS or DCF that can be read: {type(error).__name__}: {printable(str(error))}"
+        said = printable(" ".join(str(error).split()))
+        why = f"is no EDS or DCF that can be read: {type(error).__name__}: {said}"
         raise ConfigError(str(path), [why]) from None
     heartbeat = _number(objects, HEARTBEAT)
     pdos = tuple(pdo for k, index in enumerate(TPDOS, 1) if (pdo := _pdo(objects, k, index)))

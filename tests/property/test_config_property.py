@@ -108,8 +108,10 @@ def refused(raw: dict[str, Any]) -> list[str]:
     return []
 
 
+OF_ANOTHER = ("motor.", "drive.", "adhesion.tolerance", "adhesion.reuse")
+"""Whose numbers must go with others: a motor's, and those of one detector."""
 TOGETHER = ("stands twice", "leaves nothing", "does not belong to I_rated", "a time constant of",
-            "would speed up", "a friction of")  # fmt: skip
+            "would speed up", "a friction of", "has none; leave it at 0")  # fmt: skip
 """What is said of numbers that are good alone, but not together."""
 
 
@@ -142,7 +144,7 @@ def test_at_a_bound_a_number_is_taken_or_does_not_go_with_another(path):
     low, high, whole = BOUNDED[path]
     for value in (low, high):
         lines = refused(with_number(path, int(value) if whole else value))
-        assert not lines or path.startswith(("motor.", "drive.")), lines
+        assert not lines or path.startswith(OF_ANOTHER), lines
         assert all(any(text in line for text in TOGETHER) for line in lines), lines
 
 
@@ -183,6 +185,7 @@ def configurations(draw: st.DrawFn) -> dict[str, Any]:
     motor["J"] = motor["T_rated"] / draw(st.floats(10.0, 1e4))
     noise = [draw(between(f"estimator.process_noise.{k}")) for k in range(5)]
     fd = draw(st.booleans())
+    detector = draw(st.sampled_from(["switching", "vb", "median", "kmeans", "paper_vb"]))
     return {
         "dbc": {"file": "traction_fd.dbc" if fd else "traction.dbc"},
         "loop": {"rate_hz": draw(st.sampled_from(CHOICES["loop.rate_hz"]))},
@@ -191,8 +194,9 @@ def configurations(draw: st.DrawFn) -> dict[str, Any]:
         "motor": {"x": motor},
         "estimator": {**some(*under["estimator"]),
                       **({"process_noise": noise} if draw(st.booleans()) else {})},
-        "adhesion": {**some(*under["adhesion"]),
-                     "detector": draw(st.sampled_from(["vb", "median", "kmeans"]))},
+        "adhesion": {**some(*(path for path in under["adhesion"]
+                              if detector == "paper_vb" or path not in OF_ANOTHER)),
+                     "detector": detector},
         "thermal": some(*under["thermal"]),
     }  # fmt: skip
 

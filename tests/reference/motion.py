@@ -217,10 +217,11 @@ def merge_motion(
     for k in range(measured.shape[0]):
         w = measured[k]
         if math.isnan(w):
-            w = 0.0 if math.isnan(told.speed[k]) else told.speed[k]
+            unknown = memory.wrong[k] or math.isnan(told.speed[k])
+            w = 0.0 if unknown else told.speed[k]
         limit = limits.limit_w_e * (1.0 - limits.hysteresis if memory.beyond[k] else 1.0)
         memory.beyond[k] = abs(limits.pole_pairs[k] * w) > limit
-        any_beyond |= memory.beyond[k]
+        any_beyond |= memory.beyond[k] and not memory.wrong[k]
     for k in range(measured.shape[0]):
         told.reason[k] = _STARTING
         fresh = not math.isnan(measured[k])
