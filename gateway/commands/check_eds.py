@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.mapping.device_file import read
+from gateway.mapping.device_file import device_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def device_lines(path: Path, config: Config) -> Iterator[str]:
     """Of one file. Raises ConfigError where it cannot be read."""
-    device = read(path)
+    device = device_of(path)
     at = f"node {device.node}" if device.node else "node 1, as the file names none"
     yield f"device         {printable(path.name)}: {device.name}, {at}"
     yield f"  heartbeat    {_heartbeat(device, config)}"

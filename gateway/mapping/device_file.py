@@ -53,7 +53,7 @@ class Pdo(NamedTuple):
 
 
 class Device(NamedTuple):
-    """What a file says. node: of a DCF, or None; heartbeat_ms: 0 is none, None: not said."""
+    """What a file says. node: of a DCF, or None; heartbeat_ms: 0 is none, None: not message."""
 
     name: str
     node: int | None
@@ -61,7 +61,7 @@ class Device(NamedTuple):
     pdos: tuple[Pdo, ...]
 
 
-def read(path: Path, node: int | None = None) -> Device:
+def device_of(path: Path, node: int | None = None) -> Device:
     """Of an EDS or DCF. node: for the identifiers, where the file has none.
 
     Raises ConfigError for what cannot be read.
@@ -80,10 +80,10 @@ def read(path: Path, node: int | None = None) -> Device:
             warnings.simplefilter("ignore", DeprecationWarning)
             objects = import_od(source, node_id=_node_of(text) or node or 1)
     except _FAULTS as error:
-        said = printable(" ".join(str(error).split()))
-        why = f"is no EDS or DCF that can be read: {type(error).__name__}: {said}"
+        message = printable(" ".join(str(error).split()))
+        why = f"is no EDS or DCF that can be read: {type(error).__name__}: {message}"
         raise ConfigError(str(path), [why]) from None
-    heartbeat = _number(objects, HEARTBEAT)
+    heartbeat = _configured(objects, HEARTBEAT)
     pdos = tuple(pdo for k, index in enumerate(TPDOS, 1) if (pdo := _pdo(objects, k, index)))
     name = objects.device_information.product_name or path.stem
     return Device(printable(str(name)), _node_of(text), heartbeat, pdos)
@@ -110,7 +110,7 @@ def _node_of(text: str) -> int | None:
     return number if 1 <= number <= 127 else None
 
 
-def _number(objects: ObjectDictionary, index: int, subindex: int | None = None) -> int | None:
+def _configured(objects: ObjectDictionary, index: int, subindex: int | None = None) -> int | None:
     """What a DCF has configured, else the default."""
     entry: Any = objects.get(index)
     if entry is not None and subindex is not None:
@@ -122,13 +122,13 @@ def _number(objects: ObjectDictionary, index: int, subindex: int | None = None) 
 
 
 def _pdo(objects: ObjectDictionary, number: int, index: int) -> Pdo | None:
-    can_id = _number(objects, index, 1)
+    can_id = _configured(objects, index, 1)
     if can_id is None or can_id & _UNUSED:
         return None
     mapped, start = [], 0
-    count = min(_number(objects, index + MAPPING, 0) or 0, MOST_MAPPED)
+    count = min(_configured(objects, index + MAPPING, 0) or 0, MOST_MAPPED)
     for k in range(1, count + 1):
-        entry = _number(objects, index + MAPPING, k) or 0
+        entry = _configured(objects, index + MAPPING, k) or 0
         at, sub, length = entry >> 16 & 0xFFFF, entry >> 8 & 0xFF, entry & 0xFF
         mapped.append(Mapped(start, length, at, sub, _name(objects, at, sub)))
         start += length

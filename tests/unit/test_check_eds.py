@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
-from gateway.mapping.device_file import Mapped, read
+from gateway.mapping.device_file import Mapped, device_of
 from gateway.settings.config import ConfigError
 
 DATA = Path(__file__).parents[1] / "data" / "eds"
@@ -133,7 +133,7 @@ def check(capsys, path, train=TRAIN) -> tuple[int, str, str]:
 
 
 def test_a_real_cia_402_drive():
-    device = read(DATA / "canopen_sample.eds")
+    device = device_of(DATA / "canopen_sample.eds")
     assert device.heartbeat_ms == 0
     assert [pdo.can_id for pdo in device.pdos] == [0x190, 0x290, 0x390, 0x490]
     assert [(o.start, o.length, o.object_index) for o in device.pdos[3].objects] == [
@@ -148,7 +148,7 @@ def test_a_maker_without_a_name_or_number(capsys):
 
 
 def test_what_a_dcf_has_configured_counts(dcf):
-    device = read(dcf())
+    device = device_of(dcf())
     assert (device.name, device.node, device.heartbeat_ms) == ("Drive 5", 5, 250)
     [pdo] = device.pdos
     assert (pdo.number, pdo.can_id) == (1, 0x185)
@@ -194,4 +194,4 @@ def test_a_damaged_file_is_read_or_refused_in_words(damage, dcf, capsys):
 
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
-        read(tmp_path / "none.eds")
+        device_of(tmp_path / "none.eds")
