@@ -53,7 +53,7 @@ class Pdo(NamedTuple):
 
 
 class Device(NamedTuple):
-    """What a file says. node: of a DCF, or None; heartbeat_ms: 0 is none, None: not message."""
+    """What a file says. node: of a DCF, or None; heartbeat_ms: 0 is none, None: not said."""
 
     name: str
     node: int | None
