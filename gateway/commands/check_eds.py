@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.mapping.device_file import device_of
+from gateway.io.device_file import device_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from gateway.mapping.device_file import Device
+    from gateway.io.device_file import Device
     from gateway.settings.config import Config
 
 

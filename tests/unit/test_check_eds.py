@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
-from gateway.mapping.device_file import Mapped, device_of
+from gateway.io.device_file import Mapped, device_of
 from gateway.settings.config import ConfigError
 
 DATA = Path(__file__).parents[1] / "data" / "eds"
