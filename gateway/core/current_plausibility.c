@@ -3,7 +3,7 @@
  * - Repeats: equal current vectors while the rotor turns; one is a late sample, more are held. On
  *   CAN FD also eight samples that are those of the frame before.
  * - Torque: what the currents make at the angle of the rotor, against the torque that the drive
- *   sends.
+ *   sends; where the rotor turns too fast for that, what they could make at any angle.
  * - Angle of the current against ElectricalAngle, where it is sent. Their constant difference is
  *   learnt, so no convention is assumed; a step is a current that is late, or another's.
  *
@@ -168,6 +168,21 @@ static double torque_difference(const struct motion_monitor *m, const struct rea
     return least;
 }
 
+/* 1 if no current of this tick can make the torque that the drive sends, at whatever angle. All that
+ * is known of currents that are sampled too seldom is their length: a drive that has lost its grip and
+ * sends its command as its torque shows here. */
+static int is_torque_beyond_current(const struct motion_monitor *m, const struct reading *reading)
+{
+    double most = 0.0;
+    for (int64_t i = newest_sample(m, reading->k); i >= 0; i = m->receiver->sample_before[i]) {
+        const double *y = &m->receiver->sample_y[2 * i];
+        most = larger(length_of(y[0] + y[1] * I), most);
+    }
+    const double rated = m->checks[reading->k].rated_nm, sent = fabs(reading->torque);
+    const double beyond = sent - fabs(reading->torque_per_a) * most;
+    return beyond > TORQUE_OFF * rated + TORQUE_OFF_RELATIVE * sent;
+}
+
 /* 1 if the currents make another torque than the drive sends, by more than motor data explain; notes
  * a lesser doubt. */
 static int is_torque_off(struct motion_monitor *m, const struct reading *reading, double theta,
@@ -283,8 +298,13 @@ void check_current(struct motion_monitor *m, int64_t r, int64_t now_ns)
         .w_e = m->motions[k].pole_pairs * from->motion_speed[r],
         .torque_per_a = p->torque_per_a * (isnan(flux) ? 1.0 : flux),
     };
-    if (!find_current(m, &reading) || fabs(reading.w_e) * m->period_s > MOST_TURN)
+    if (!find_current(m, &reading))
         return;
+    if (fabs(reading.w_e) * m->period_s > MOST_TURN) {
+        const int beyond = is_torque_beyond_current(m, &reading);
+        count_misfit(m, k, &p->torque_misfits, beyond, &OF_CURRENT, now_ns);
+        return;
+    }
     const double length = length_of(reading.current);
     const int strong_current = length >= LEAST_CURRENT * p->rated_a;
     const int strong_torque = fabs(reading.torque) >= LEAST_TORQUE * p->rated_nm;

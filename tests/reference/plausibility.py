@@ -308,7 +308,14 @@ def _check_reading(
     k, torque, angle = readings.drive[r], readings.torque[r], readings.angle[r]
     row, later = _nearest(k, readings.t_ns[r], newest_ns, samples, limits.dt_s)
     w_e = limits.pole_pairs[k] * readings.speed[r]
-    if row < 0 or abs(later) > 1.5 * limits.period_s or abs(w_e) * limits.period_s > MOST_TURN:
+    if row < 0 or abs(later) > 1.5 * limits.period_s:
+        return
+    if abs(w_e) * limits.period_s > MOST_TURN:
+        most = np.hypot(*samples.y[samples.drive == k].T).max()
+        k_most = abs(limits.k_torque[k] * (1.0 if math.isnan(flux) else flux)) * most
+        beyond = abs(torque) - k_most
+        off = beyond > TORQUE_OFF * limits.rated_nm[k] + TORQUE_OFF_RELATIVE * abs(torque)
+        _count(bool(off), DOUBT_NS, IN_A_ROW, check.torque_off, k, now, check)
         return
     current = complex(samples.y[row, 0], samples.y[row, 1])
     size = abs(current)
