@@ -26,7 +26,7 @@ def shape_of(
 
 
 class Known(NamedTuple):
-    """What a head says of a frame with plain data, see `dbc.logs.text.Head`."""
+    """What a head says of a frame with plain data, see `dbc.logs.format.Head`."""
 
     can_id: int
     flags: int

@@ -29,7 +29,7 @@ Arrays = tuple[Array, ...]
 SWEEPS: Final = 5
 """The paper's fixed number of sweeps, section 5."""
 MOST_SWEEPS: Final = 100
-"""Where the bound ends them."""
+"""Limit of the sweeps where the bound ends them."""
 
 UNIT_NM: Final = 30.0
 """Rated torque of the paper's motor: its priors are in Nm, the gateway's loads per unit."""

@@ -36,7 +36,7 @@
 #define NOISE_CLIP    9.0  /* variances that one error counts */
 #define LAG           0.15 /* noise more for a demand that has moved by 1: not all follow at once */
 #define LAG_KEPT      0.4
-#define HOPELESS      16.0 /* the same before it is weighed */
+#define HOPELESS      16.0 /* logarithm of how much less likely than the best is not weighed */
 #define UNKNOWN_V     0.01 /* variance of a demand that is not known */
 #define ANEW_STEPS    50   /* so long most loads may mean nothing: 0.5 s */
 #define LEAST_P       1e-12
@@ -50,7 +50,6 @@ static void set_unknown(struct switching *s)
 {
     s->kept = 1;
     s->contradicted = 0;
-    s->demand = 0.0;
     s->hypotheses[0] = (struct switching_hypothesis){.v_mm = 1.0, .v_ss = 1e-4};
     for (int i = 0; i < s->n; i++)
         s->drives[i] = switching_drive_unknown();
@@ -59,6 +58,7 @@ static void set_unknown(struct switching *s)
 void switching_reset(struct switching *s)
 {
     s->ticks = 0;
+    s->demand = 0.0;
     set_unknown(s);
     for (int i = 0; i < s->n; i++) {
         s->noises[i] = (struct switching_noise){.variance = NOISE_FIRST * NOISE_FIRST};
@@ -310,9 +310,10 @@ static void learn_noise(struct switching *s, int i)
     const double v = ratio_variance(&d->now) * m * m + rho * rho / without + noise_of(s, i);
     const double z2 = smaller(e * e / v, NOISE_CLIP);
     struct switching_noise *noise = &s->noises[i];
+    const double own = noise->variance * square(1.0 + s->loads[i].gain);
     noise->learnt_s += STEP_S;
     const double tau = clamp(noise->learnt_s, NOISE_FIRST_S, NOISE_S);
-    const double step = 2.0 * STEP_S / tau * (noise->variance / v) * (z2 - 1.0) * s->adhering[i];
+    const double step = 2.0 * STEP_S / tau * (own / v) * (z2 - 1.0) * s->adhering[i];
     noise->variance =
         clamp(noise->variance * (1.0 + step), NOISE_LEAST * NOISE_LEAST, NOISE_MOST * NOISE_MOST);
 }
@@ -335,7 +336,7 @@ static void centre(struct switching_hypothesis *h, struct switching_drive *d, in
 static int teaches_noise(const struct switching *s, int i)
 {
     const struct switching_load *in = &s->loads[i];
-    const int plain = in->gain == 0.0 && in->error == 0.0 && !in->unsure;
+    const int plain = in->error == 0.0 && !in->unsure;
     return may_lead(s, i) && plain && s->adhering[i] >= 0.5;
 }
 

@@ -22,7 +22,7 @@ def device_lines(path: Path, config: Config) -> Iterator[str]:
     yield f"device         {printable(path.name)}: {device.name}, {at}"
     yield f"  heartbeat    {_heartbeat(device, config)}"
     for pdo in device.pdos:
-        yield f"  TPDO{pdo.number:<9}0x{pdo.can_id:X}, {len(pdo.objects)} objects"
+        yield f"  TPDO{pdo.number:<9}0x{pdo.can_id:X}, objects: {len(pdo.objects) or 'none known'}"
         for o in pdo.objects:
             bits = f"{o.start}|{o.length}"
             yield f"    {bits:<11}{o.object_index:04X}h.{o.subindex} {o.name}"

@@ -302,7 +302,7 @@ void check_current(struct motion_monitor *m, int64_t r, int64_t now_ns)
         return;
     if (fabs(reading.w_e) * m->period_s > MOST_TURN) {
         const int beyond = is_torque_beyond_current(m, &reading);
-        count_misfit(m, k, &p->torque_misfits, beyond, &OF_CURRENT, now_ns);
+        count_misfit(m, k, &p->excess_misfits, beyond, &OF_CURRENT, now_ns);
         return;
     }
     const double length = length_of(reading.current);

@@ -1384,6 +1384,7 @@ struct plausibility {
     /* readings in a row that do not fit */
     int64_t angle_misfits;
     int64_t torque_misfits;
+    int64_t excess_misfits; /* more torque than the currents can make */
     int64_t load_misfits;
     int64_t motion_misfits; /* Motion stood still */
     /* Motion as it last changed */
@@ -1429,7 +1430,7 @@ struct motion_monitor {
 struct drive_load {
     double load;             /* in the direction of the train; 0: not known */
     double command_ratio;    /* torque command over the largest of all drives, */
-    double asked_ratio;      /* the same of one that does not seem to be obeyed, too */
+    double asked_ratio;      /* the same, obeyed or not; RATIO_FLOOR or more */
     double p_response;       /* probability of a loss by its own command */
     double last_speed;       /* of the tick before, rad/s; NaN unless the drive is judged alone */
     double last_spin_up;     /* torque that accelerated the rotor in the tick before */

@@ -6,7 +6,7 @@
  *
  * Unknown is an answer: a drive that neither adheres nor is lost for certain has no flag.
  *
- * Nothing here can fail: there is at least one drive, command ratios are RATIO_FLOOR (loads.c) or more, nothing else divides,
+ * Nothing here can fail: there is at least one drive, command ratios, the asked one too, are RATIO_FLOOR (loads.c) or more, nothing else divides,
  * and comparisons with NaN are false, each written so that false is the safe answer. */
 #include "gateway/core/switching_loss.h"
 
@@ -24,7 +24,7 @@
 #define COUNTS 0.5 /* drives that adhere with this probability are asked about all; so is a doubt */
 #define ACCUSED 0.7
 /* A drive that follows its own flag changes its torque between two of its `Status`: by so much of the
- * rated torque in a second, but not by more than this share of its command. */
+ * largest command in a second, but not by more than this share of its own. */
 #define RETURN_PER_S 1.0
 #define RETURN_MOST  0.3
 

@@ -294,9 +294,15 @@ def _false(nodes: Sequence[int], since_ms: float, config: Config) -> str:
     a = config.adhesion
     return (
         f"drive {nodes[0]} is AdhesionLost {when} the loss, without one of its own: "
-        f"adhesion.spread_nm = {a.spread_nm:g} Nm or adhesion.raise_ms = {a.raise_ms} ms is too "
+        f"{_spread(config)}adhesion.raise_ms = {a.raise_ms} ms is too "
         "small for the noise, or a number of [motor] is wrong"
     )
+
+
+def _spread(config: Config, then: str = " or ") -> str:
+    """The key, of detectors that do not learn it."""
+    a = config.adhesion
+    return "" if a.detector == "switching" else f"adhesion.spread_nm = {a.spread_nm:g} Nm{then}"
 
 
 def _unknown(view: DriveView, when: str) -> str:
@@ -322,7 +328,7 @@ def _cause(view: DriveView, most: float, config: Config) -> str:
         )
     return (
         f"its loss probability reaches {most:.3g} of adhesion.raise_probability = "
-        f"{a.raise_probability:g}: adhesion.spread_nm = {a.spread_nm:g} Nm hides it, or "
+        f"{a.raise_probability:g}: {_spread(config, ' hides it, or ')}"
         "estimator.process_noise and estimator.current_noise_var do not suit the motor"
     )
 

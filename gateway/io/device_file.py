@@ -26,8 +26,9 @@ MAPPING: Final = 0x200
 MOST_MAPPED: Final = 64
 """Objects in a PDO (CiA 301)."""
 _UNUSED: Final = 1 << 31
-_SECTION: Final = re.compile(r"^\s*\[([^]]*)\]")
-_EMPTY: Final = re.compile(r"^\s*[^=\s]+\s*=\s*$")
+_SECTION: Final = re.compile(r"[ \t]*\[([^]]*)\]")
+_NODE: Final = re.compile(r"[ \t]*NodeID[ \t]*=[ \t]*(0x[0-9a-f]+|\d+)", re.IGNORECASE)
+_EMPTY: Final = re.compile(r"[ \t]*[^=\s]+\s*=\s*$")
 _FAULTS: Final = (
     configparser.Error, ValueError, AttributeError, TypeError, OverflowError, LookupError,
 )  # fmt: skip
@@ -73,7 +74,7 @@ def device_of(path: Path, node: int | None = None) -> Device:
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     source = io.StringIO(_without_empty_fields(text))
-    source.name = f"drive{path.suffix.lower()}"
+    source.name = "drive.eds"
     try:
         with warnings.catch_warnings():
             # canopen 2.4 calls a method of `logging` that is going away.
@@ -83,6 +84,8 @@ def device_of(path: Path, node: int | None = None) -> Device:
         message = printable(" ".join(str(error).split()))
         why = f"is no EDS or DCF that can be read: {type(error).__name__}: {message}"
         raise ConfigError(str(path), [why]) from None
+    if not len(objects):
+        raise ConfigError(str(path), ["is no EDS or DCF: there is no object in it"])
     heartbeat = _configured(objects, HEARTBEAT)
     pdos = tuple(pdo for k, index in enumerate(TPDOS, 1) if (pdo := _pdo(objects, k, index)))
     name = objects.device_information.product_name or path.stem
@@ -102,12 +105,15 @@ def _without_empty_fields(text: str) -> str:
 
 def _node_of(text: str) -> int | None:
     """Of `[DeviceComissioning]`, which the standard spells so; also in hexadecimal."""
-    found = re.search(
-        r"^\s*\[DeviceComm?issioning\][^\[]*?^\s*NodeID\s*=\s*(0x[0-9a-f]+|\d+)", text,
-        re.IGNORECASE | re.MULTILINE | re.DOTALL,
-    )  # fmt: skip
-    number = int(found[1], 0 if found[1].lower().startswith("0x") else 10) if found else 0
-    return number if 1 <= number <= 127 else None
+    section = ""
+    for line in text.splitlines():
+        found = _SECTION.match(line)
+        section = found[1].lower() if found else section
+        node = _NODE.match(line)
+        if node and section in ("devicecomissioning", "devicecommissioning"):
+            number = int(node[1], 0 if node[1].lower().startswith("0x") else 10)
+            return number if 1 <= number <= 127 else None
+    return None
 
 
 def _configured(objects: ObjectDictionary, index: int, subindex: int | None = None) -> int | None:
@@ -126,7 +132,9 @@ def _pdo(objects: ObjectDictionary, number: int, index: int) -> Pdo | None:
     if can_id is None or can_id & _UNUSED:
         return None
     mapped, start = [], 0
-    count = min(_configured(objects, index + MAPPING, 0) or 0, MOST_MAPPED)
+    count = _configured(objects, index + MAPPING, 0) or 0
+    if count > MOST_MAPPED:
+        count = 0  # 254 and 255: a PDO whose objects are named in itself
     for k in range(1, count + 1):
         entry = _configured(objects, index + MAPPING, k) or 0
         at, sub, length = entry >> 16 & 0xFFFF, entry >> 8 & 0xFF, entry & 0xFF

@@ -154,10 +154,11 @@ class Adhesion(Strict):
     observe: Literal["torque", "speed", "both"] = Field(
         "torque", description="what the paper's VB compares; the others compare torque"
     )
-    tolerance: Annotated[float, within(0, 1, "", "the bound is compared with itself")] = 0.0
+    tolerance: Annotated[float, within(0, 1, "", "a share of the bound: 1 is one sweep")] = 0.0
     """Of the paper's VB: sweeps end once the bound grows by less; 0: five sweeps."""
-    reuse: Annotated[float, within(0, 0.99, "", "of 1 nothing new would be learnt")] = 0.0
-    """Of the paper's VB: share of the last posterior in the next prior; 0: none."""
+    reuse: Annotated[float, within(0, 0.99, "", "with 1 nothing new would be learnt")] = 0.0
+    """Of the paper's VB: share of the last posterior in the next prior; 0: none, or 0.5 with
+    `paper_vb_reuse`."""
     spread_nm: Annotated[
         float,
         within(0.01, 6, "Nm", "for 30 Nm rated; a wider spread hides the loss of half a load"),
@@ -177,6 +178,15 @@ class Adhesion(Strict):
     clear_ms: Hold = 20
     good_ms: Hold = 50
     """Good evidence needed before the first `Adhering`."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without these keys a configuration has the hash that it had before there were any."""
+        out: dict[str, Any] = handler(self)
+        for key in ("tolerance", "reuse"):
+            if getattr(self, key) == 0.0:
+                out.pop(key, None)
+        return out
 
     @model_validator(mode="before")
     @classmethod

@@ -207,8 +207,8 @@ ZERO_START: Final = (
 TRANSIENT: Final = (
     "unexplained. All four methods show it, so it is in the load estimates: PMSM1 once reads 9 to "
     "10 Nm too much. Perhaps the start-up of the paper's filter, whose state and speed the paper "
-    "does not give: of 200 start angles one gives 8.06 Nm on PMSM1, and one 10.7 on PMSM2; most "
-    "give the 0.5 Nm of any start (see Start-up)"
+    "does not give: of 200 start angles (seeds 5 to 204) one gives 8.06 Nm on PMSM1, and one 10.7 "
+    "on PMSM2; most give the 0.5 Nm of any start (the first 100: see Start-up)"
 )
 OTHER_SIDE: Final = (
     "perhaps the same start-up, seen from a healthy drive: the paper's PMSM2 and PMSM3 differ "

@@ -84,8 +84,8 @@ def _head(outcome: Outcome) -> list[str]:
         "Three drives, 20000 samples of 125 us, simulated by this project's plant, filtered by its "
         "EKF, judged by its form of the paper's four methods. Drive 1 (PMSM1) loses its load in "
         "samples 500-1500 and 10000-12000 and a part of it in 17000-18000.",
-        f"Of Table 1, {agreement(outcome.cells).text()} (of the printed value, the larger). "
-        "Load error (root mean square) of drives 1 to 3: "
+        f"Of Table 1, {agreement(outcome.cells).text()}; percent of the printed value, "
+        "the larger counts. Load error (root mean square) of drives 1 to 3: "
         + ", ".join(number(v) for v in outcome.rmse.tolist())
         + " Nm with the paper's Q.",
     ]
@@ -181,9 +181,9 @@ def _starts(outcome: Outcome) -> list[str]:
         "lock right on all drives, and these stand below. While they find the rotor single drives "
         f"read too much: which and by how much is the start angles' choice, PMSM1 up to "
         f"{number(most[0])}, PMSM2 {number(most[1])}, PMSM3 {number(most[2])} Nm. The paper's Max "
-        "of PMSM1 is 8.76 (median) to 9.74 (VB): a transient of that size on that drive was not "
-        "found, so this remains a guess. The other starts end in a stable wrong state, which the "
-        "gateway's start by flux chords prevents.",
+        "of PMSM1 is 8.76 (median) to 9.74 (VB): a start of that size on that drive is a guess. "
+        "The other starts end in a stable wrong state, which the gateway's start by flux "
+        "chords prevents.",
         grid(("Seed", "PMSM1", "PMSM2", "PMSM3"), rows),
     ]
 

@@ -84,8 +84,8 @@ class Plausibility(NamedTuple):
     those of eight before; until_ns (N,): implausible until then; restart (N,): the filter has to
     begin anew after it; doubt_ns (N,): until then nobody is accused by the currents; base (N,):
     learnt angle as a mean unit vector, from learnt (N,) readings; deviation (N,) rad: of late, at
-    angle_ns (N,); off, torque_off, load_off, motion_held (N,): readings in a row that do not fit;
-    off_ns (N,): since when the angle does not.
+    angle_ns (N,); off, torque_off, excess, load_off, motion_held (N,): readings in a row that do
+    not fit; off_ns (N,): since when the angle does not.
 
     Of `Motion`: speed, torque (N,) as last sent, changed_ns (N,) when they last changed, and what
     was so then: own, command (N,), others (N, N) speeds.
@@ -104,6 +104,7 @@ class Plausibility(NamedTuple):
     deviation: Array
     off: Ints
     torque_off: Ints
+    excess: Ints
     load_off: Ints
     motion_held: Ints
     off_ns: Ints
@@ -148,7 +149,7 @@ def start(n: int, doubt_ns: Ints) -> Plausibility:
         block=zero(), until_ns=zero(), restart=np.zeros(n, dtype=np.bool_),
         doubt_ns=doubt_ns,
         base=np.zeros(n, dtype=np.complex128), learnt=zero(),
-        deviation=np.zeros(n), off=zero(), torque_off=zero(), load_off=zero(),
+        deviation=np.zeros(n), off=zero(), torque_off=zero(), excess=zero(), load_off=zero(),
         motion_held=zero(), off_ns=zero(), angle_ns=zero(), speed=none(),
         torque=none(), changed_ns=zero(), own=none(), command=none(),
         others=np.full((n, n), np.nan),
@@ -315,7 +316,7 @@ def _check_reading(
         k_most = abs(limits.k_torque[k] * (1.0 if math.isnan(flux) else flux)) * most
         beyond = abs(torque) - k_most
         off = beyond > TORQUE_OFF * limits.rated_nm[k] + TORQUE_OFF_RELATIVE * abs(torque)
-        _count(bool(off), DOUBT_NS, IN_A_ROW, check.torque_off, k, now, check)
+        _count(bool(off), DOUBT_NS, IN_A_ROW, check.excess, k, now, check)
         return
     current = complex(samples.y[row, 0], samples.y[row, 1])
     size = abs(current)

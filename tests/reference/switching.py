@@ -1,4 +1,4 @@
-"""The model with a memory in NumPy, which `switching.c` and `switching_drive.c` are compared with.
+"""The model with a memory in NumPy, which `switching*.c` are compared with.
 
 Equations (S1) to (S21) of `docs/switching.md`. A hypothesis is a demand with its slope, mean (2,)
 and covariance (2, 2), and arrays over N drives; ratios are (N, 2) with (N, 2, 2), one each for a
@@ -178,8 +178,8 @@ class Switching:
         """load, gain, error (N,) per unit; known, apart, unsure (N,) bool."""
         self.y, self.known = load, known
         self.leads, self.teaches = known & ~apart, known & ~unsure
-        self.plain = self.leads & self.teaches & (gain == 0) & (error == 0)
-        self.noise = self.variance * (1 + gain) ** 2 + self.lag**2 + error**2
+        self.plain, self.scale = self.leads & self.teaches & (error == 0), (1 + gain) ** 2
+        self.noise = self.variance * self.scale + self.lag**2 + error**2
         before = self.demand
         best = self.all[0].log_weight
         trials: list[Hypothesis] = []
@@ -195,7 +195,7 @@ class Switching:
         most = 2 * np.sum(known & (p[:, X] > 0.5)) > known.sum()
         self.contradicted = self.contradicted + 1 if most else 0
         if self.contradicted == 50:
-            self.all, self.demand, self.contradicted = [unknown(self.n)], 0.0, 0
+            self.all, self.contradicted = [unknown(self.n)], 0
         self.lag = np.maximum(0.4 * self.lag, 0.15 * abs(self.demand - before))
 
     def _propose(self, h: Hypothesis, best: float, trials: list[Hypothesis]) -> list[Hypothesis]:
@@ -339,7 +339,8 @@ class Switching:
             z2 = min((self.y[i] - rho * m) ** 2 / v, 9.0)
             self.learnt_s[i] += STEP_S
             tau = np.clip(self.learnt_s[i], 0.1, 1.0)
-            grow = 2 * STEP_S / tau * self.variance[i] / v * (z2 - 1) * self.adhering[i]
+            own = self.variance[i] * self.scale[i]
+            grow = 2 * STEP_S / tau * own / v * (z2 - 1) * self.adhering[i]
             self.variance[i] = np.clip(self.variance[i] * (1 + grow), 0.012**2, 0.2**2)
         for h in self.all:
             mean = h.rho[0, :, 0].mean()

@@ -83,7 +83,9 @@ class Temperatures:
         valid = sensors_valid(self.side.sensors, now)
         values = self.side.sensors.drives["sensor"]["value_c"]
         self._second(valid, values, loads)
-        self.ring = [*self.ring, np.where(valid, values, np.nan)][-self.window :]
+        # What has stepped and is not decided yet stays out of the averages.
+        decided = self.side.sensors.drives["sensor"]["step_count"] == 0
+        self.ring = [*self.ring, np.where(valid & decided, values, np.nan)][-self.window :]
         seen = np.isfinite(self.ring)
         count = seen.sum(axis=0)
         total = np.where(seen, self.ring, 0.0).sum(axis=0)

@@ -163,7 +163,7 @@ def test_check_says_what_of_it_matters(dcf, capsys, tmp_path):
     assert code == 0
     assert "device         d.dcf: Drive 5, node 5" in out
     assert "  heartbeat    250 ms (1017h)\n" in out
-    assert "  TPDO1        0x185, 2 objects\n" in out
+    assert "  TPDO1        0x185, objects: 2\n" in out
     assert "    16|32      2000h.2 Motor: Temperature\n" in out
     assert "TPDO2" not in out
     assert "off (1017h is 0)" in check(capsys, dcf(0))[1]
@@ -175,21 +175,25 @@ def test_check_says_what_of_it_matters(dcf, capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "damage",
+    ("damage", "expected"),
     [
-        lambda text: "", lambda text: "no file of this kind", lambda text: text[: len(text) // 2],
-        lambda text: text.replace("0x60410010", "twelve"), lambda text: text.replace("[1A00]", "["),
-        lambda text: text.replace("DataType=0x0007", "DataType="),
-        lambda text: text.replace("NodeID=0x05", "NodeID=999999999999"),
-        lambda text: text.replace("=2\n", "=99999999999999999999\n"), lambda text: text * 2,
+        (lambda _: "", 2), (lambda _: "no file of this kind", 2), (lambda _: "[a]\nb=1\n", 2),
+        (lambda text: text[: len(text) // 2], 2), (lambda text: text * 2, 2),
+        (lambda text: text.replace("0x60410010", "twelve"), 0),
+        (lambda text: text.replace("DataType=0x0007", "DataType="), 2),
+        (lambda text: text.replace("NodeID=0x05", "NodeID=999999999999"), 0),
+        (lambda text: text.replace("DefaultValue=2\n", "DefaultValue=99999999999999999\n"), 0),
+        (lambda text: text.replace("DefaultValue=2\n", "DefaultValue=254\n"), 0),
+        (lambda text: "\n" * 200_000 + text, 0),
     ],
 )  # fmt: skip
-def test_a_damaged_file_is_read_or_refused_in_words(damage, dcf, capsys):
-    code, out, err = check(capsys, dcf(text=damage(DCF)))
-    assert code in (0, 2)
+@pytest.mark.parametrize("suffix", ["dcf", "eds", "epf", "txt"])
+def test_a_damaged_file_is_read_or_refused_in_words(damage, expected, suffix, dcf, capsys):
+    path = dcf(text=damage(DCF))
+    code, out, err = check(capsys, path.rename(path.with_suffix(f".{suffix}")))
+    assert code == expected, err
     assert "Traceback" not in out + err
-    if code:
-        assert "d.dcf" in err
+    assert (f"d.{suffix}" in err) == (code == 2)
 
 
 def test_a_file_that_is_not_there(tmp_path):

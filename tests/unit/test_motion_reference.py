@@ -22,7 +22,8 @@ FIELDS = {
     "current": "vector", "samples": "samples", "repeats": "equal", "repeated_s": "equal_s",
     "block_repeats": "block", "implausible_until_ns": "until_ns", "restart": "restart",
     "base": "base", "learnt": "learnt", "deviation": "deviation", "angle_misfits": "off",
-    "torque_misfits": "torque_off", "load_misfits": "load_off", "motion_misfits": "motion_held",
+    "torque_misfits": "torque_off", "excess_misfits": "excess", "load_misfits": "load_off",
+    "motion_misfits": "motion_held",
     "angle_fitted_ns": "off_ns", "angle_ns": "angle_ns", "speed": "speed", "torque": "torque",
     "changed_ns": "changed_ns", "own_speed": "own", "command": "command",
 }  # fmt: skip

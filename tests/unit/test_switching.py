@@ -183,6 +183,20 @@ def test_a_scaled_load_is_as_uncertain_as_it_is():
     assert accused == [True, False, False]
 
 
+@pytest.mark.parametrize("ratio", [1.0, 0.99, 0.9, 0.5])
+def test_noise_is_learnt_of_a_scaled_load_too(ratio):
+    rng, model = np.random.default_rng(0), Switching(3)
+    scale = np.array([1.0 / ratio, 1.0, 1.0])
+    model.loads["known"], model.loads["gain"] = 1, scale - 1.0
+    accused = 0
+    for _ in range(1500):
+        model.loads["load"] = 0.7 + 0.06 * scale * rng.standard_normal(3)
+        lib.switching_step(model.pointer)
+        accused += int((model.lost > 0.9).any())
+    assert model.noises["variance"] ** 0.5 == pytest.approx([0.06] * 3, rel=0.35)
+    assert accused < 5
+
+
 def test_a_wheel_that_may_not_adhere_teaches_nothing():
     """One that finds its grip again carries more than the others while it slows down."""
     for unsure in (True, False):
@@ -193,7 +207,7 @@ def test_a_wheel_that_may_not_adhere_teaches_nothing():
             model.loads["load"] = 0.6 * np.array([1.2 if finds_grip else 1.0, 1.0, 1.0])
             model.loads["unsure"] = [finds_grip and unsure, 0, 0]
             lib.switching_step(model.pointer)
-        assert (model.lost[0] > 0.5) is not unsure
+        assert bool(model.lost[0] > 0.5) is not unsure
 
 
 @pytest.mark.parametrize("sign", [1, -1])
