@@ -5,7 +5,7 @@ May know: numbers. May not know: files, buses, clocks, the DBC's contents.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
 from pydantic import (
     BaseModel,
@@ -27,8 +27,22 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class Extended(Strict):
+    """A section to which keys were added: with their defaults it has the hash of before them."""
+
+    ADDED: ClassVar[tuple[str, ...]]
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        out: dict[str, Any] = handler(self)
+        for key in self.ADDED:
+            if getattr(self, key) == type(self).model_fields[key].default:
+                out.pop(key, None)
+        return out
+
+
 Milliseconds = Annotated[
-    int, within(0, 500, "ms", "a loss that is told half a second late helps no control")
+    int, within(0, 500, "ms", "a loss that is found half a second late helps no control")
 ]
 Hold = Annotated[int, within(0, 5000, "ms", "good evidence is there in every tick: give it in ms")]
 Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
@@ -95,22 +109,16 @@ class Dbc(Strict):
     file: str = "traction.dbc"
 
 
-class Drive(Strict):
+class Drive(Extended):
     """`[[drive]]`: one inverter on the bus."""
+
+    ADDED = ("signals",)
 
     node: Annotated[int, within(1, 16, "", "the n of Drive{n}_PhaseCurrents")]
     motor: str = "bench"
     sensors: tuple[SensorName, ...] = get_args(SensorName)
     """Temperature sensors that the motor has; the others' signals are never looked at."""
     signals: Signals | None = Field(None, description="of an inverter with messages of its own")
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without signals a configuration has the hash that it had before there were any."""
-        out: dict[str, Any] = handler(self)
-        if self.signals is None:
-            out.pop("signals", None)
-        return out
 
     @field_validator("sensors")
     @classmethod
@@ -145,8 +153,10 @@ WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 3
 """Times of detectors that judge each tick by itself, where they are not given."""
 
 
-class Adhesion(Strict):
+class Adhesion(Extended):
     """`[adhesion]`: detector and the timing of its flag."""
+
+    ADDED = ("tolerance", "reuse")
 
     detector: Literal[
         "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
@@ -179,15 +189,6 @@ class Adhesion(Strict):
     good_ms: Hold = 50
     """Good evidence needed before the first `Adhering`."""
 
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without these keys a configuration has the hash that it had before there were any."""
-        out: dict[str, Any] = handler(self)
-        for key in ("tolerance", "reuse"):
-            if getattr(self, key) == 0.0:
-                out.pop(key, None)
-        return out
-
     @model_validator(mode="before")
     @classmethod
     def _times(cls, given: Any) -> Any:
@@ -212,21 +213,15 @@ class Thermal(Strict):
     clear_s: Seconds = 5.0
 
 
-class Canopen(Strict):
+class Canopen(Extended):
     """`[canopen]`: only with `nmt_master` does the gateway ever send NMT, node-addressed."""
+
+    ADDED = ("heartbeat_ms",)
 
     nmt_master: bool = False
     heartbeat_ms: int | None = Field(
         None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as it is heard"
     )
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a period a configuration has the hash that it had before there was the key."""
-        out: dict[str, Any] = handler(self)
-        if self.heartbeat_ms is None:
-            out.pop("heartbeat_ms", None)
-        return out
 
     @property
     def heartbeat_ns(self) -> int:
