@@ -74,6 +74,7 @@ class Responses(Loads):
         """Everything but how long deficits have stood."""
         one = self.records
         one["load"], one["acceleration_torque"] = heard.load, heard.excess
+        one["braked_load"] = heard.braked
         one["command"], one["previous_command"] = heard.command, heard.before
         one["command_age_s"], one["usable"] = heard.age_s, heard.usable
 

@@ -76,11 +76,11 @@ int is_asked(const struct command_response *drive)
 /* Probability of a deficit, by the load alone. */
 static double deficit_probability(const struct command_response *drive,
                                   const struct load_spread *all, const struct load_ratio *ratio,
-                                  double least)
+                                  double load, double least)
 {
     const double sign = drive->command > 0.0 ? 1.0 : -1.0;
-    const double missing = least * (1.0 - THRESHOLD) - sign * drive->load / ratio->ratio;
-    const double sigma = normalised_sigma(all, ratio, drive->load, 1.0, 0.0);
+    const double missing = least * (1.0 - THRESHOLD) - sign * load / ratio->ratio;
+    const double sigma = normalised_sigma(all, ratio, load, 1.0, 0.0);
     return 0.5 * erfc(-missing / sigma * SQRT_HALF);
 }
 
@@ -98,7 +98,14 @@ double respond(struct command_response *drive, const struct load_spread *all,
 {
     const double least = least_command(drive);
     *valid = drive->usable && least >= LEAST_COMMAND;
-    const double p = *valid ? deficit_probability(drive, all, ratio, least) : 0.0;
+    double p = *valid ? deficit_probability(drive, all, ratio, drive->load, least) : 0.0;
+    drive->braked = 0;
+    if (p > OPEN) {
+        /* What is missing may slow the rotor, if friction brakes slow its train as much. */
+        const double slowed = deficit_probability(drive, all, ratio, drive->braked_load, least);
+        drive->braked = slowed <= OPEN;
+        p = drive->braked ? slowed : p;
+    }
     const double more = spins_up(drive, least) ? CONFIRMED_S : dt;
     drive->deficit_s = p > STANDS ? drive->deficit_s + more : 0.0;
     if (!*valid)
@@ -109,12 +116,13 @@ double respond(struct command_response *drive, const struct load_spread *all,
 }
 
 /* 1 if the load answers a command that has just come, and is that of before: then it has not changed
- * meanwhile. */
+ * meanwhile. Not while friction brakes may slow the rotor. */
 static int answers(const struct command_response *drive, double dt)
 {
     const double near = STEADY * larger(fabs(drive->command), LEAST_COMMAND);
     const double change = fabs(drive->command - drive->previous_command);
-    return drive->usable && change <= near && drive->command_age_s < dt;
+    const int slowed = fabs(drive->braked_load - drive->load) > near;
+    return drive->usable && change <= near && drive->command_age_s < dt && !slowed;
 }
 
 void learn_responses(const struct command_response *drives, struct load_spread *all,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.util import find_spec
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -68,17 +67,6 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
     import can.cli
 
     can.cli.add_bus_arguments(parser)
-
-
-def need(modules: Sequence[str], extra: str) -> None:
-    """Raises ConfigError that says what to install where any of them is not there."""
-    from gateway.settings.config import ConfigError
-
-    missing = [name for name in modules if find_spec(name) is None]
-    if missing:
-        raise ConfigError(
-            f"needs {', '.join(missing)}", [f"pip install 'traction-gateway[{extra}]'"]
-        )  # fmt: skip
 
 
 def add_line(parser: argparse.ArgumentParser) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gateway.commands.common import GOOD
-from gateway.settings.config import ConfigError
+from gateway.io.extras import need
 
 HELP = "a script for bash, zsh or tcsh that completes this program's words"
 SHELLS = ("bash", "zsh", "tcsh")
@@ -20,12 +20,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print it. Nothing of it is asked of the program again: completing costs no start."""
-    try:
-        import shtab
-    except ImportError:
-        raise ConfigError(
-            "completion", ["needs shtab: pip install 'traction-gateway[completion]'"]
-        ) from None
+    need(("shtab",), "completion", "completion")
+    import shtab
+
     parser = options.whole()
     _files(parser, shtab.FILE)
     print(shtab.complete(parser, shell=options.shell))

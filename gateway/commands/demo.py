@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from gateway.commands.common import GOOD, positive_seconds
+from gateway.io import extras
 from gateway.io.console import console
 from gateway.io.prepare import prepare
+from gateway.settings.config import ConfigError
 
 HELP = "the whole system on an embedded bus"
 CHANNEL = "traction-gateway-demo"
@@ -77,6 +79,11 @@ def run(options: argparse.Namespace) -> int:
         f"frames received {done.gateway.inbox.counts['received']}, "
         f"rejected {done.gateway.view.rejected if done.gateway.view else 0}"
     )
+    try:
+        extras.pictures("no picture")
+    except ConfigError as error:
+        say.print(str(error), markup=False, soft_wrap=True)
+        return GOOD
     options.output.parent.mkdir(parents=True, exist_ok=True)
     spans = [Span(loss.start_s, loss.end_s, loss.node, "lost") for loss in losses]
     loads(options.output, trace, scenario.title, known, spans)

@@ -12,6 +12,7 @@ from pathlib import Path
 from gateway.commands import evaluate_thermal
 from gateway.commands.common import GOOD, add_config
 from gateway.io.console import console
+from gateway.io.extras import pictures
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
     from gateway.study.evaluation_report import table, write
     from gateway.study.evaluation_runs import Plan, evaluate, known_detectors, seeds_of
 
+    if options.output is not None:
+        pictures("--output")
     say = console()
     seeds = seeds_of(options.seeds)
     plan = Plan(_families(options), (), seeds, options.dbc, options.motor, options.config)

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import FAILED, GOOD, add_config, need
+from gateway.commands.common import FAILED, GOOD, add_config
 from gateway.io.console import console
+from gateway.io.extras import need
 
 if TYPE_CHECKING:
     from gateway.fleet.logs import Job

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from gateway.commands.common import GOOD, need
+from gateway.commands.common import GOOD
 from gateway.io.console import console
+from gateway.io.extras import need
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.commands import monitor_web
-from gateway.commands.common import GOOD, add_bus, add_config, need, positive_seconds
+from gateway.commands.common import GOOD, add_bus, add_config, positive_seconds
+from gateway.io.extras import need
 from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:

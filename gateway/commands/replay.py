@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from dbc.text import printable
 from gateway.commands.common import (
+    FAILED,
+    GOOD,
     add_config,
     add_line,
     add_signature,
@@ -22,6 +24,7 @@ from gateway.commands.common import (
 from gateway.io import quick_start as leanstart
 from gateway.io.console import console, note
 from gateway.io.prepare import prepare
+from gateway.reports import known
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -59,6 +62,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="override [adhesion] detector (switching, vb, median, kmeans, vmp, paper_vb, "
         "paper_vb_reuse)",
     )
+    parser.add_argument(
+        "--expect-known", type=known.wanted, action="append", default=[],
+        metavar="[FLAG=]PERCENT",
+        help="exit 1 where a drive's adhesion flag (or FLAG=thermal) knew for less of the time",
+    )  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--strict", action="store_true",
@@ -126,9 +134,30 @@ def run(options: argparse.Namespace) -> int:
     )  # fmt: skip
     if left is not None:
         print(f"report: {_report(options, left, done, log.reader)}")
-    return verdict_of_input(
+    code = verdict_of_input(
         {"time_back": done.dropped, **faults(log.reader)}, done.frames - done.dropped
     )
+    return code or _verdict_of_flags(done, recorder, dict(options.expect_known))
+
+
+def _verdict_of_flags(done: Replayed, recorder: Recorder, wanted: dict[str, float]) -> int:
+    """The exit code for how much the flags knew; says so on stdout, and on stderr what lacks."""
+    from gateway.core.codes import Reason
+    from gateway.reports.record import camel
+
+    gateway = done.gateway
+    shares = known.shares(recorder.changes, gateway.nodes, done.first_ns, done.last_ns)
+    print(f"known: {known.text(shares)}")
+    assert gateway.view is not None
+    for flag in known.silent(shares):
+        reasons = sorted({getattr(drive, f"{flag}_reason") for drive in gateway.view.drives})
+        words = ", ".join(camel(Reason(reason).name) for reason in reasons)
+        cure, how = known.CURES[flag]
+        note(f"{how}: {flag} was never known ({words}), so nothing was flagged; {cure}")
+    short = known.short_of(shares, wanted)
+    for line in short:
+        note(line)
+    return FAILED if short else GOOD
 
 
 def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Reporting | None:

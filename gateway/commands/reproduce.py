@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.commands.common import GOOD, need
+from gateway.commands.common import GOOD
 from gateway.io.console import console
+from gateway.io.extras import need, pictures
 
 if TYPE_CHECKING:
     from gateway.study.reproduction_report import Outcome
@@ -41,6 +42,7 @@ def _seed(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Reproduce; the paper's table beside ours on stdout."""
+    pictures("reproduce")
     if options.paper == "thermal":
         return _thermal(options.output)
     from gateway.commands import section5

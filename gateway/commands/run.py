@@ -13,6 +13,7 @@ from dbc.frame import SECOND
 from gateway.commands.common import GOOD, add_bus, add_config, add_signature, positive_seconds
 from gateway.io import quick_start as leanstart
 from gateway.io.console import console
+from gateway.io.extras import pictures
 from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def _start(options: argparse.Namespace) -> Started:
     authenticator = None if mode is Mode.LISTEN else flag_authenticator(config)
     if options.results:
         # Where nothing can be left is said now, not after the run.
+        pictures("--results")
         options.results.mkdir(parents=True, exist_ok=True)
     if options.realtime is not None:
         be_realtime(options.realtime)

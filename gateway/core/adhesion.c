@@ -18,6 +18,7 @@
 #include "estimators/numbers.h"
 #include "gateway/core/flags.h"
 #include "gateway/core/loads.h"
+#include "gateway/core/rotors.h"
 #include "gateway/core/switching_loss.h"
 #include "gateway/core/train.h"
 
@@ -139,6 +140,7 @@ static int respond_alone(struct adhesion *a)
         /* An odd command accuses nobody. */
         if (a->rotors[k].odd_s > 0.0)
             mine->p_response = smaller(UNDECIDED, mine->p_response);
+        follow_braked(&a->rotors[k], a->responses[k].braked, a->tick_s);
         answered = answered || a->responses[k].command_age_s < a->tick_s;
     }
     return answered;

@@ -145,6 +145,7 @@ void relate_loads(struct adhesion *a, const struct drive_estimate *estimates,
         struct command_response *response = &a->responses[k];
         const double load = known_or_zero(estimates[k].load_nm) / r->rated_nm;
         response->load = load + r->acceleration_torque;
+        response->braked_load = response->load + r->brake_torque;
         response->acceleration_torque =
             spin_up(a, k, alone ? estimates[k].speed_rad_s : (double)NAN);
         response->command = known_or_zero(drives[k].command) / r->rated_nm;

@@ -280,6 +280,7 @@ struct load_observation {
 /* Load of one drive beside its command, positive in the direction of the motor. */
 struct command_response {
     double load;
+    double braked_load; /* the same, if friction brakes slow the train; as `load` in traction */
     double
         acceleration_torque; /* that accelerates the rotor, largest of two ticks; 0: not wanted */
     double command;
@@ -287,6 +288,7 @@ struct command_response {
     double command_age_s;    /* since the command was sent */
     double deficit_s;        /* how long a deficit has stood; 0: none */
     uint8_t usable;          /* 1: load and command are known */
+    uint8_t braked;          /* 1: friction brakes are taken for why load is missing */
 };
 
 /* ---- signals: where their bits are and what they mean (dbc/decode.c, dbc/encode.c) ---- */
@@ -740,21 +742,24 @@ struct filter_settings {
 
 /* One rotor: its ratings, and what is remembered of it. */
 struct rotor {
-    double rated_nm;             /* rated torque */
-    double inertia_kg_m2;        /* of the rotor */
-    double speed;                /* of this tick */
-    double load;                 /* of this tick, in the direction of the train */
-    double slow_speed;           /* smoothed, to find the acceleration */
-    double acceleration_torque;  /* that accelerates the rotor with its train */
-    double diameter;             /* of the wheel over those of the others, as speeds */
-    double learnt_s;             /* for how long `diameter` has been learnt */
-    double creep;                /* speed over that of the others, minus 1 */
-    double followed_s;           /* for how long the filter has tracked */
-    double alone_s;              /* for how long all others have been away */
-    double near_s;               /* for how long it has been within the largest creep */
-    double slides_s;             /* for how long it has carried more than the others while apart */
-    double uncommanded_s;        /* for how long it has carried what it was not asked for */
-    double odd_s;                /* for how long its command has been odd */
+    double rated_nm;            /* rated torque */
+    double inertia_kg_m2;       /* of the rotor */
+    double speed;               /* of this tick */
+    double load;                /* of this tick, in the direction of the train */
+    double slow_speed;          /* smoothed, to find the acceleration, */
+    double quick_speed;         /* and less smoothed */
+    double acceleration_torque; /* that accelerates the rotor with its train */
+    double brake_torque;        /* more of it, if friction brakes slow the train; else 0 */
+    double braked_creep;  /* creep of its wheel if they do not, and it was credited with that */
+    double diameter;      /* of the wheel over those of the others, as speeds */
+    double learnt_s;      /* for how long `diameter` has been learnt */
+    double creep;         /* speed over that of the others, minus 1 */
+    double followed_s;    /* for how long the filter has tracked */
+    double alone_s;       /* for how long all others have been away */
+    double near_s;        /* for how long it has been within the largest creep */
+    double slides_s;      /* for how long it has carried more than the others while apart */
+    double uncommanded_s; /* for how long it has carried what it was not asked for */
+    double odd_s;         /* for how long its command has been odd */
     int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: reliable */
     int32_t motor;               /* the first rotor with the same ratings; constant */
     int32_t next_alike;          /* the next one with the same ratings; 0: none */

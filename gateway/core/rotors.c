@@ -16,12 +16,14 @@
 
 #include "estimators/numbers.h"
 
-#define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor */
+#define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor, */
+#define BRAKE_TAU_S        0.1 /* and where friction brakes may be its cause */
 /* Per unit of rated torque, of what accelerates a rotor: an emergency brake of 1.5 m/s^2 for the
  * 350 kW motor, the wheelset behind its gear included. */
 #define MOST_ACCELERATION 0.15
-/* And never more than a hill's part and this share of the load: what turns is a few percent of the
- * inertia of a train. All wheels that run away together need more. */
+/* By its own motors never more than a hill's part and this share of the load: what turns is a few
+ * percent of the inertia of a train. All wheels that run away together need more; so does a train that
+ * friction brakes slow, and which of the two it is nobody knows. */
 #define ROTATING_FLOOR 0.02
 #define ROTATING_SHARE 0.08
 /* A drive without others that accelerates by more (per unit of rated torque), or is so far from its
@@ -29,6 +31,7 @@
  * when it is not. */
 #define SINGLE_CREDIT 0.05
 #define SINGLE_CHANGE 0.3
+#define GRIPS_S       1.0 /* a wheel that slid has its grip back after so long */
 #define LEAST_SPEED   3.0 /* rad/s at the rotor; below it a share of the speed says nothing */
 /* An estimated speed that differs by more from the measured one, which is up to 10 ms old, is no
  * measure for others: share and rad/s. */
@@ -86,45 +89,78 @@ static void note(struct train_tick *t)
 
 /* ---- Acceleration ---- */
 
-/* Relative rate of the median rotor, 1/s, so that it is the same for all diameters and gears;
- * count: of how many. Follows the smoothed speeds. */
-static double median_rate(struct train_tick *t, int *count)
+/* Relative rate of a rotor, 1/s, so that it is the same for all diameters and gears; NaN where it is
+ * slow. Follows the smoothed speed. */
+static double relative_rate(double *smoothed, double speed, double tick_s, double tau_s)
 {
-    struct ranking rates = {.numbers = t->workspace};
+    const double before = isnan(*smoothed) ? speed : *smoothed;
+    *smoothed = before + tick_s / tau_s * (speed - before);
+    return fabs(before) >= LEAST_SPEED ? (speed - before) / tau_s / before : NAN;
+}
+
+/* Rates of the median rotor, 1/s. */
+struct rates {
+    double steady;
+    double quick; /* the same, less smoothed */
+    int count;    /* of how many rotors */
+};
+
+static struct rates median_rates(struct train_tick *t)
+{
+    struct ranking steady = {.numbers = t->workspace}, quick = {.numbers = t->workspace + t->n};
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         if (isnan(r->speed)) {
             /* Beside a measured speed that is apart the drive is still followed. */
             if (isnan(r->load))
-                r->slow_speed = NAN;
+                r->slow_speed = r->quick_speed = NAN;
             continue;
         }
-        const double slow = isnan(r->slow_speed) ? r->speed : r->slow_speed;
-        r->slow_speed = slow + t->tick_s / ACCELERATION_TAU_S * (r->speed - slow);
-        if (fabs(slow) >= LEAST_SPEED)
-            ranking_add(&rates, (r->speed - slow) / ACCELERATION_TAU_S / slow);
+        ranking_add(&steady,
+                    relative_rate(&r->slow_speed, r->speed, t->tick_s, ACCELERATION_TAU_S));
+        ranking_add(&quick, relative_rate(&r->quick_speed, r->speed, t->tick_s, BRAKE_TAU_S));
     }
-    sort_ascending(rates.numbers, rates.count);
-    *count = rates.count;
-    return median_of_others(&rates, NAN, t->braking);
+    sort_ascending(steady.numbers, steady.count);
+    sort_ascending(quick.numbers, quick.count);
+    return (struct rates){.steady = median_of_others(&steady, NAN, t->braking),
+                          .quick = median_of_others(&quick, NAN, t->braking),
+                          .count = steady.count};
 }
 
-/* What every rotor takes to follow the median of all, per unit of its rated torque. */
+/* Torque, per unit of the rated one, that takes a rotor through its part of a rate; 0: not known. */
+static double torque_at(const struct rotor *r, double rate, double speed)
+{
+    const double torque = r->inertia_kg_m2 * rate * speed / r->rated_nm;
+    return isnan(torque) ? 0.0 : clamp(torque, -MOST_ACCELERATION, MOST_ACCELERATION);
+}
+
+/* What every rotor takes to follow the median of all. */
 static void accelerate(struct train_tick *t)
 {
-    int count = 0;
-    const double rate = median_rate(t, &count);
-    const int quick = fabs(rate) * ACCELERATION_TAU_S > SINGLE_CHANGE;
+    const struct rates rates = median_rates(t);
+    const int quick = fabs(rates.steady) * ACCELERATION_TAU_S > SINGLE_CHANGE;
+    const int slows = t->braking && rates.quick < 0.0;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
-        double torque = r->inertia_kg_m2 * rate * r->slow_speed / r->rated_nm;
-        if (isnan(torque))
-            torque = 0.0;
         const double load = isnan(r->load) ? 0.0 : fabs(r->load);
-        const double share = ROTATING_FLOOR + ROTATING_SHARE * load;
-        const double most = share < MOST_ACCELERATION ? share : MOST_ACCELERATION;
-        r->acceleration_torque = clamp(torque, -most, most);
-        r->uncertain = count < 2 && (fabs(r->acceleration_torque) > SINGLE_CREDIT || quick);
+        const double most = ROTATING_FLOOR + ROTATING_SHARE * load;
+        r->acceleration_torque = clamp(torque_at(r, rates.steady, r->slow_speed), -most, most);
+        r->brake_torque = 0.0;
+        if (slows)
+            r->brake_torque = torque_at(r, rates.quick, r->quick_speed) - r->acceleration_torque;
+        r->uncertain = rates.count < 2 && (fabs(r->acceleration_torque) > SINGLE_CREDIT || quick);
+    }
+}
+
+void follow_braked(struct rotor *r, int braked, double tick_s)
+{
+    const double slow = larger(LEAST_SPEED, fabs(r->quick_speed));
+    const double torque = fabs(r->acceleration_torque + r->brake_torque) * r->rated_nm;
+    const double rate = braked ? torque / (r->inertia_kg_m2 * slow) : -MOST_CREEP / GRIPS_S;
+    r->braked_creep = larger(0.0, r->braked_creep + rate * tick_s);
+    if (r->braked_creep > MOST_CREEP) {
+        r->braked_creep = MOST_CREEP; /* the doubt ends with its cause */
+        r->uncertain = 1;
     }
 }
 

@@ -22,4 +22,8 @@ struct train_tick {
  * diameters of wheels. Needs all of the workspace. */
 void follow_rotors(struct train_tick *t);
 
+/* Whether a load is missing because of friction brakes (`braked`, 1 or 0) nobody knows. If it is a
+ * loss of all wheels, this one has gained so much creep since; beyond MOST_CREEP it may not adhere. */
+void follow_braked(struct rotor *r, int braked, double tick_s);
+
 #endif

@@ -150,6 +150,7 @@ void train_reset(struct rotor *rotors, int n)
             .speed = NAN,
             .load = NAN,
             .slow_speed = NAN,
+            .quick_speed = NAN,
             .creep = NAN,
             .diameter = 1.0,
             .unreliable_until_ns = NO_TIME,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from dbc.codec import Codec
 from dbc.frame import MS
 from dbc.frames import Block
+from gateway.io import extras
 from gateway.io.logtime import LogTime
 from gateway.io.replay import BadLogError, Log, LogError, OneChannel, open_log
 from gateway.io.whole_file import whole
@@ -76,9 +76,8 @@ def out_ending(path: Path, frames: bool) -> str:
 def need(path: Path) -> None:
     """Raises ConfigError that says what to install for a file with this ending."""
     module, extra = _EXTRA.get(ending(path).removesuffix(".gz"), ("", ""))
-    if module and find_spec(module) is None:
-        cure = f"pip install 'traction-gateway[{extra}]'"
-        raise ConfigError(f"{path}: needs {module}", [cure])
+    if module:
+        extras.need((module,), extra, str(path))
 
 
 def open_input(path: Path, strict: bool, line: str = "") -> Log:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Self
 from dbc.codec import Codec
 from gateway.core.gateway import Gateway
 from gateway.core.view import GatewayView
+from gateway.io.extras import pictures
 from gateway.io.whole_file import write_text
 from gateway.reports import run_figures, run_report
 from gateway.reports.figures import loads
@@ -40,7 +41,11 @@ class Reporting:
     """Everything that is kept of one run: a context manager to `add` each tick in, then `run`."""
 
     def __init__(self, folder: Path, config: Config, codec: Codec) -> None:
-        """folder: for tables and pictures; made here, so that one that cannot be is told early."""
+        """folder: for tables and pictures; made here, so that one that cannot be is told early.
+
+        Raises ConfigError where no picture can be drawn, OSError.
+        """
+        pictures("--results")
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.truth: Truth | None = None

@@ -149,32 +149,41 @@ def _verdict(run: Run) -> list[str]:
             middle = delays[(len(delays) - 1) // 2]
             text += f" (delay: median {middle:,.0f} ms, longest {delays[-1]:,.0f} ms)"
         lines.append(f"{text}, {_plural(len(false), 'false flag')}.")
-    share = _unknown_share(run)
-    lines.append(f"Adhesion flags said Unknown for {share:.1f} % of the time.")
     return lines
 
 
 def _summary(intervals: Intervals) -> str:
-    lost = sum(n for (_, _, state), n in intervals.count.items() if state == "AdhesionLost")
-    fault = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == ("thermal", "Fault"))
+    """What was flagged, and for what share of the time the flags could say so."""
     other = sum(1 for _ in intervals.other_bad())
-    if not lost and not fault:
-        text = "No loss of adhesion and no thermal fault was flagged"
-        return f"{text}, but {_plural(other, 'other fault')}." if other else f"{text}."
-    text = (
-        f"{_plural(lost, 'loss', 'losses')} of adhesion and "
-        f"{_plural(fault, 'thermal fault')} were flagged"
-    )
-    return f"{text}, and {_plural(other, 'other fault')}." if other else f"{text}."
+    parts = [
+        _flagged(intervals, "adhesion", "Adhesion", "AdhesionLost", "loss", "losses"),
+        _flagged(intervals, "thermal", "Thermal state", "Fault", "fault"),
+    ]
+    if other:
+        parts.append(f"{_plural(other, 'other fault')} flagged.")
+    return " ".join(parts)
 
 
-def _unknown_share(run: Run) -> float:
-    seconds = run.intervals.seconds
-    all_s = sum(s for (_, flag, _), s in seconds.items() if flag == "adhesion")
-    unknown = sum(
-        s for (_, f, state), s in seconds.items() if (f, state) == ("adhesion", "Unknown")
-    )
-    return 100.0 * unknown / all_s if all_s else 100.0
+def _flagged(
+    intervals: Intervals, flag: str, name: str, state: str, one: str, many: str = ""
+) -> str:
+    seconds = dict(_seconds(intervals, flag))
+    total = sum(seconds.values())
+    known = total - seconds.get("Unknown", 0.0)
+    if not known > 0.0:
+        return f"{name} was never known: nothing can be said of it."
+    count = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == (flag, state))
+    found = _plural(count, one, many) if count else f"no {one}"
+    return f"{name}, known for {100.0 * known / total:.1f} % of the time: {found} flagged."
+
+
+def _seconds(intervals: Intervals, flag: str) -> Iterable[tuple[str, float]]:
+    """Of all drives together, by state."""
+    total: dict[str, float] = {}
+    for (_, f, state), spent in intervals.seconds.items():
+        if f == flag:
+            total[state] = total.get(state, 0.0) + spent
+    return total.items()
 
 
 def _all(runs: Sequence[Run]) -> list[str]:
@@ -256,7 +265,7 @@ def _detections(run: Run) -> list[str]:
     if bad:
         lines += ["", "What was flagged:", *_intervals(bad, start_ns, judged, false, known=known)]
     else:
-        lines += ["", "No loss of adhesion and no thermal fault was flagged."]
+        lines += ["", "Nothing was flagged."]
     others = list(run.intervals.other_bad())
     if others:
         lines += ["", "What else was bad (sensors, communication, estimators, the train):",

@@ -72,9 +72,9 @@ STATE: dict[str, str] = {
     ),
     "motion.others": "",
     "adhesion.rotors": (
-        "speed load slow_speed acceleration_torque diameter learnt_s creep followed_s alone_s"
-        " near_s slides_s uncommanded_s odd_s unreliable_until_ns far apart away uncertain odd"
-        " above"
+        "speed load slow_speed quick_speed acceleration_torque brake_torque diameter learnt_s creep"
+        " followed_s alone_s near_s slides_s uncommanded_s odd_s unreliable_until_ns far apart away"
+        " uncertain odd above"
     ),
     "adhesion.loads": "",
     "adhesion.ratios": "",

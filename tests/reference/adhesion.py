@@ -33,6 +33,7 @@ from estimators.detect.variational import VariationalDetector
 from gateway.core.codes import NEVER, Flag, Health
 from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
+from tests.reference.train import LEAST_SPEED_RAD_S, MOST_CREEP
 
 DERATING_NS: Final = 2_000_000_000
 COASTING: Final = 0.05
@@ -152,6 +153,7 @@ class Adhesion:
         alone = np.count_nonzero(self.known) < ENOUGH_TO_COMPARE
         mine = self.responses
         mine["load"] = load / rated + self.rotors["acceleration_torque"]
+        mine["braked_load"] = mine["load"] + self.rotors["brake_torque"]
         mine["acceleration_torque"] = [
             self._spin_up(k, told.speed.item(k) if alone else math.nan) for k in range(self.n)
         ]
@@ -245,6 +247,17 @@ class Adhesion:
             return float(lib.UNDECIDED)
         return p
 
+    def _follow_brakes(self) -> None:
+        """Creep that each wheel has if not brakes but a loss of all slows its rotor."""
+        r = self.rotors
+        slow = np.fmax(np.abs(r["quick_speed"]), LEAST_SPEED_RAD_S)
+        torque = np.abs(r["acceleration_torque"] + r["brake_torque"]) * r["rated_nm"]
+        gained = torque / (r["inertia_kg_m2"] * slow)
+        braked = self.responses["braked"] == 1
+        creep = r["braked_creep"] + np.where(braked, gained, -MOST_CREEP / 1.0) * self.tick_s
+        r["braked_creep"] = np.clip(creep, 0.0, MOST_CREEP)
+        r["uncertain"][creep > MOST_CREEP] = 1
+
     def _alone(self) -> tuple[list[float], Any, Any]:
         """What every drive says by itself, which of that means something."""
         each, n = pointer("struct command_response", self.responses), self.n
@@ -253,6 +266,7 @@ class Adhesion:
             lib.respond(each + k, self.own.spread, self.own.each + k, self.tick_s, valid + k)
             for k in range(n)
         ]
+        self._follow_brakes()
         odd = self.rotors["odd_s"] > 0.0
         return [min(p, lib.UNDECIDED) if odd[k] else p for k, p in enumerate(alone)], valid, each
 

@@ -59,12 +59,14 @@ SURE: Final = 0.99
 class Heard(NamedTuple):
     """N drives at one instant, per unit of rated torque, positive in the direction of the command.
 
-    load, command, before (the command before that), all (N,); excess (N,): torque that accelerates
+    load, braked (the same if friction brakes slow the train), command, before (the command before
+    that), all (N,); excess (N,): torque that accelerates
     the rotor, largest of the last two ticks, 0 where not wanted; age_s (N,): since the command was
     sent; usable (N,): load and command are known.
     """
 
     load: Array
+    braked: Array
     excess: Array
     command: Array
     before: Array
@@ -73,15 +75,17 @@ class Heard(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """reference: load over command in health; since_s (N,): how long a deficit stands, 0 none."""
+    """reference: load over command in health; since_s (N,): how long a deficit stands, 0 none;
+    braked (N,): friction brakes may be its cause."""
 
     reference: Reference
     since_s: Array
+    braked: Flags
 
 
 def start(n: int, spread: float) -> Memory:
     """Nothing heard yet; `spread` per unit of rated torque."""
-    return Memory(reference.start(n, spread), np.zeros(n))
+    return Memory(reference.start(n, spread), np.zeros(n), np.zeros(n, dtype=np.bool_))
 
 
 def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Flags]:
@@ -90,16 +94,23 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
     Gives the (N,) probabilities that a wheel does not carry its command, and where they mean
     something: not while it coasts, or the command is on its way through zero (`OPEN` there).
     """
-    load = memory.reference.referred(heard.load)
     # Between two messages the command may have been anywhere on its way, or further along it.
     ways = np.stack([heard.command, heard.before, 2.0 * heard.command - heard.before])
     one_sign = np.all(ways > 0.0, axis=0) | np.all(ways < 0.0, axis=0)
     least = np.where(one_sign, np.abs(ways).min(axis=0), 0.0)
-    missing = least * (1.0 - THRESHOLD) - load * np.sign(heard.command)
-    sigma = memory.reference.sigma(heard.load)
-    lost = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (missing / sigma).tolist()])
-    lost = np.where((least >= LEAST_COMMAND) & heard.usable, lost, 0.0)
     sign = np.sign(heard.command)
+
+    def behind(carried: Array) -> Array:
+        missing = least * (1.0 - THRESHOLD) - memory.reference.referred(carried) * sign
+        z = (missing / memory.reference.sigma(carried)).tolist()
+        p = np.array([0.5 * math.erfc(-one / math.sqrt(2.0)) for one in z])
+        return np.where((least >= LEAST_COMMAND) & heard.usable, p, 0.0)
+
+    lost = behind(heard.load)
+    # Friction brakes may slow the rotor, not a loss.
+    slowed = behind(heard.braked)
+    braked = (lost > OPEN) & (slowed <= OPEN)
+    lost = np.where(braked, slowed, lost)
     gone = least - sign * heard.load
     freed = (gone >= LARGE * least) & (sign * heard.excess >= FREED * gone)
     freed &= memory.since_s <= SUDDEN_S
@@ -108,17 +119,18 @@ def respond(memory: Memory, heard: Heard, dt: float) -> tuple[Memory, Array, Fla
     confirmed = heard.age_s + LAG_S + dt <= since
     lost = np.where((lost > OPEN) & ~confirmed, OPEN, lost)
     meant = heard.usable & (least >= LEAST_COMMAND)
-    return Memory(memory.reference, since), np.where(meant, lost, OPEN), meant
+    return Memory(memory.reference, since, braked), np.where(meant, lost, OPEN), meant
 
 
 def learn(memory: Memory, heard: Heard, healthy: Flags, dt: float) -> Memory:
     """Learn spread, and load over command of the `healthy` drives; every tick of `dt` s.
 
     Only in the tick in which a command came that is that of before: then it has not changed
-    meanwhile, and the load is its answer.
+    meanwhile, and the load is its answer; not while friction brakes may slow the rotor.
     """
     near = STEADY * np.maximum(np.abs(heard.command), LEAST_COMMAND)
     steady = heard.usable & (np.abs(heard.command - heard.before) <= near) & (heard.age_s < dt)
+    steady &= np.abs(heard.braked - heard.load) <= near
     if not steady.any():
         return memory
     learnt = reference.watch(memory.reference, heard.load, heard.command, steady, relative=False)

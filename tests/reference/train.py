@@ -15,6 +15,8 @@ from tests.columns import SlowState, Told
 
 ACCELERATION_TAU_S: Final = 0.5
 """Time constant of a rotor's acceleration."""
+BRAKE_TAU_S: Final = 0.1
+"""And where friction brakes may be its cause."""
 MOST_ACCELERATION_TORQUE: Final = 0.15
 """Per unit of rated torque: an emergency brake of 1.5 m/s^2 for the 350 kW motor, the wheelset
 behind its gear included."""
@@ -83,24 +85,26 @@ Ints = NDArray[np.int64]
 class Train(NamedTuple):
     """Memory of N drives, (N,), NaN where a number is not known.
 
-    rated Nm, inertia kg m2, motor: the first with the same ratings; slow_speed: smoothed speed of
-    the rotor, rad/s; taken: what accelerates it with its train, per unit of rated torque;
-    diameter: of the wheel over the others', as speeds, learnt for learnt_s; creep: as last found;
-    followed_s: for how long its currents have been followed; alone_s: for how long all others have
-    been away; far: beyond `MOST_APART` while diameters are not known; apart: beyond `MOST_CREEP`
-    when that was last known, near_s: for how long it has not been, slides_s: for how long it has
-    carried more than the others meanwhile; away: left the others for the side that the effort
-    takes it to, and is not back yet; uncertain: it may be running away, or braked by something
-    else; doubt_ns: until then its currents accuse nobody; uncommanded_s, odd_s: for how long, odd:
-    too long; above: carries more than its command and than the others, in this tick; speed, load:
-    of one tick.
+    rated Nm, inertia kg m2, motor: the first with the same ratings; slow_speed, quick_speed:
+    smoothed speed of the rotor, rad/s; taken: what accelerates it with its train, per unit of rated
+    torque; braked: more of it, if friction brakes slow the train; diameter: of the wheel over the
+    others', as speeds, learnt for learnt_s; creep: as last found; followed_s: for how long its
+    currents have been followed; alone_s: for how long all others have been away; far: beyond
+    `MOST_APART` while diameters are not known; apart: beyond `MOST_CREEP` when that was last known,
+    near_s: for how long it has not been, slides_s: for how long it has carried more than the others
+    meanwhile; away: left the others for the side that the effort takes it to, and is not back yet;
+    uncertain: it may be running away, or braked by something else; doubt_ns: until then its
+    currents accuse nobody; uncommanded_s, odd_s: for how long, odd: too long; above: carries more
+    than its command and than the others, in this tick; speed, load: of one tick.
     """
 
     rated: Array
     inertia: Array
     motor: Ints
     slow_speed: Array
+    quick_speed: Array
     taken: Array
+    braked: Array
     diameter: Array
     learnt_s: Array
     creep: Array
@@ -128,15 +132,15 @@ def start(motors: Sequence[Motor]) -> Train:
     """
     n = len(motors)
     ratings = [(m.pole_pairs, m.T_rated, m.I_rated) for m in motors]
-    unknown = np.full((4, n), np.nan)
+    unknown = np.full((5, n), np.nan)
     far, apart, away, uncertain, odd, above = np.zeros((6, n), dtype=np.bool_)
     doubt_ns = np.full(n, NEVER, dtype=np.int64)
     return Train(
         np.array([m.T_rated for m in motors]), np.array([m.J for m in motors]),
-        np.array([ratings.index(m) for m in ratings], dtype=np.int64), unknown[0], np.zeros(n),
-        np.ones(n), np.zeros(n), unknown[1], np.zeros(n), np.zeros(n), far, apart, np.zeros(n),
-        np.zeros(n), away, uncertain, doubt_ns, np.zeros(n), np.zeros(n), odd, above, unknown[2],
-        unknown[3],
+        np.array([ratings.index(m) for m in ratings], dtype=np.int64), unknown[0],
+        unknown[4], np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), unknown[1], np.zeros(n),
+        np.zeros(n), far, apart, np.zeros(n), np.zeros(n), away, uncertain, doubt_ns, np.zeros(n),
+        np.zeros(n), odd, above, unknown[2], unknown[3],
     )  # fmt: skip
 
 
@@ -185,31 +189,41 @@ def _note(measured: Array, now: int, tick_s: float, told: Told, train: Train) ->
 
 def _accelerate(tick_s: float, braking: bool, train: Train) -> None:
     """What every rotor takes to follow the median of all, per unit of its rated torque."""
-    rates = []
+    smoothed = (train.slow_speed, ACCELERATION_TAU_S), (train.quick_speed, BRAKE_TAU_S)
+    middles = []
+    for kept, tau_s in smoothed:
+        rates = []
+        for k in range(train.speed.shape[0]):
+            speed = train.speed[k]
+            if math.isnan(speed):
+                # Beside `Motion` that is apart the drive is still followed.
+                if math.isnan(train.load[k]):
+                    kept[k] = math.nan
+                continue
+            slow = speed if math.isnan(kept[k]) else kept[k]
+            kept[k] = slow + tick_s / tau_s * (speed - slow)
+            if abs(slow) >= LEAST_SPEED_RAD_S:
+                # Relative, so that it is the same for all diameters and gears.
+                rates.append((speed - slow) / tau_s / slow)
+        known = np.array([rate for rate in rates if not math.isnan(rate)])
+        middles.append((middle(known, braking), len(known)))
+    (rate, count), (quick, _) = middles
     for k in range(train.speed.shape[0]):
-        speed = train.speed[k]
-        if math.isnan(speed):
-            # Beside `Motion` that is apart the drive is still followed.
-            if math.isnan(train.load[k]):
-                train.slow_speed[k] = math.nan
-            continue
-        slow = speed if math.isnan(train.slow_speed[k]) else train.slow_speed[k]
-        train.slow_speed[k] = slow + tick_s / ACCELERATION_TAU_S * (speed - slow)
-        if abs(slow) >= LEAST_SPEED_RAD_S:
-            # Relative, so that it is the same for all diameters and gears.
-            rates.append((speed - slow) / ACCELERATION_TAU_S / slow)
-    known = np.array([rate for rate in rates if not math.isnan(rate)])
-    rate, count = middle(known, braking), len(known)
-    for k in range(train.speed.shape[0]):
-        torque = train.inertia[k] * rate * train.slow_speed[k] / train.rated[k]
-        if math.isnan(torque):
-            torque = 0.0
         load = 0.0 if math.isnan(train.load[k]) else abs(train.load[k])
-        most = min(MOST_ACCELERATION_TORQUE, ROTATING_FLOOR + ROTATING_SHARE * load)
-        train.taken[k] = min(max(torque, -most), most)
+        most = ROTATING_FLOOR + ROTATING_SHARE * load
+        train.taken[k] = min(max(_torque_of(train, k, rate, train.slow_speed[k]), -most), most)
+        credit = _torque_of(train, k, quick, train.quick_speed[k])
+        train.braked[k] = credit - train.taken[k] if braking and quick < 0.0 else 0.0
         train.uncertain[k] = count < 2 and (
             abs(train.taken[k]) > SINGLE_CREDIT or abs(rate) * ACCELERATION_TAU_S > SINGLE_CHANGE
         )
+
+
+def _torque_of(train: Train, k: int, rate: float, speed: float) -> float:
+    torque = train.inertia[k] * rate * speed / train.rated[k]
+    if math.isnan(torque):
+        return 0.0
+    return float(min(max(torque, -MOST_ACCELERATION_TORQUE), MOST_ACCELERATION_TORQUE))
 
 
 def _own_change(k: int, train: Train) -> float:

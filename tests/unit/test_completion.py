@@ -61,4 +61,4 @@ def test_other_shells_have_one_too(shell, capsys):
 def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 2
-    assert "traction-gateway[completion]" in capsys.readouterr().err
+    assert "needs shtab: pip install 'shtab" in capsys.readouterr().err

@@ -24,8 +24,8 @@ from dbc.frames import block_of
 from dbc.load import load
 from dbc.spec import Validity
 from gateway import cli
+from gateway.io import extras
 from gateway.io.replay import open_log
-from gateway.logfiles import convert
 from gateway.logfiles.signals import Decoder
 
 DBC = Path(__file__).parents[2] / "dbc" / "traction.dbc"
@@ -416,16 +416,16 @@ def test_what_is_refused(
     assert {p.name: p.read_bytes() for p in Path().iterdir()} == before
 
 
-@pytest.mark.parametrize(("ending", "extra"), [(".parquet", "parquet"), (".mf4", "mf4")])
+@pytest.mark.parametrize(("ending", "library"), [(".parquet", "pyarrow"), (".mf4", "asammdf")])
 def test_a_library_that_is_not_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture,
-    ending: str, extra: str,
+    ending: str, library: str,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(convert, "find_spec", lambda _name: None)
+    monkeypatch.setattr(extras, "find_spec", lambda _name: None)
     log = log_of(tmp_path / "in.log", KINDS)
     for words in ((log, tmp_path / f"out{ending}"), (tmp_path / f"in{ending}", "out.log")):
         assert run(*words) == 2
-        assert f"pip install 'traction-gateway[{extra}]'" in capsys.readouterr().err
+        assert f"needs {library}: pip install '{library}>=" in capsys.readouterr().err
 
 
 def test_faulty_lines_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

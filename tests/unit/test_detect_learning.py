@@ -81,7 +81,7 @@ def heard(load, command, before=None, age_s=0.0, excess=0.0):
     n = len(load)
     before = command if before is None else before
     return response.Heard(
-        np.array(load, dtype=float),
+        *(np.array(load, dtype=float) for _ in range(2)),
         np.full(n, excess),
         *(np.array(column, dtype=float) for column in (command, before)),
         np.full(n, age_s),
@@ -158,7 +158,7 @@ def test_a_response_outvotes_a_comparison_only_where_it_is_sure():
     )
     alone = np.array([0.01, 0.2, 0.01, 0.99, 0.01, response.OPEN, response.OPEN])
     zero, asked = np.zeros(7), np.full(7, 0.6)
-    everyone = response.Heard(asked, zero, asked, asked, zero, np.ones(7, dtype=bool))
+    everyone = response.Heard(asked, asked, zero, asked, asked, zero, np.ones(7, dtype=bool))
     meant = np.array([True, True, False, True, True, False, False])
     away = np.array([False, False, False, False, False, True, True])
     lost, _ = Responses(7, SPREAD).fuse(everyone, compared, alone, away, meant)
@@ -172,7 +172,7 @@ def test_a_response_outvotes_a_comparison_only_where_it_is_sure():
 def test_a_drive_that_coasts_is_known_by_the_comparison_only():
     compared = Opinion(np.array([0.2, 0.2]), np.array([True, False]), 0.6)
     zero, asked = np.zeros(2), np.full(2, 0.05)
-    coasts = response.Heard(zero, zero, asked, asked, zero, np.ones(2, dtype=bool))
+    coasts = response.Heard(zero, zero, zero, asked, asked, zero, np.ones(2, dtype=bool))
     alone, meant = np.full(2, response.OPEN), np.zeros(2, dtype=bool)
     lost, known = Responses(2, SPREAD).fuse(coasts, compared, alone, meant, meant)
     assert known.tolist() == [True, False]

@@ -352,8 +352,8 @@ def test_what_cannot_be_shown_is_one_line(capsys, log, monkeypatch, tmp_path):
     assert "for a log" in refused(capsys, "-i", "virtual", "-c", "x", "--at", "3")
     assert "name one" in refused(capsys)
     monkeypatch.setitem(sys.modules, "textual", None)
-    monkeypatch.setattr("gateway.commands.common.find_spec", lambda name: None)
-    assert "traction-gateway[monitor]" in refused(capsys, log)
+    monkeypatch.setattr("gateway.io.extras.find_spec", lambda name: None)
+    assert "pip install 'textual>=8' 'textual-plotext" in refused(capsys, log)
 
 
 def test_a_log_that_vanishes_ends_the_view_with_one_line(capsys, monkeypatch, tmp_path):

@@ -112,7 +112,9 @@ def heard(rng, n):
     for tick in range(10):
         load = command * share + rng.normal(0.0, SPREAD, n)
         excess = rng.choice([-1.0, 0.0, 0.4], n) * command
-        yield response.Heard(load, excess, command, before, (age_s + tick * DT) % 0.05, usable)
+        braked = load + rng.choice([0.0, 0.0, 0.1, 0.6], n) * command
+        age = (age_s + tick * DT) % 0.05
+        yield response.Heard(load, braked, excess, command, before, age, usable)
 
 
 @pytest.mark.parametrize("n", [1, 3, 16])
@@ -126,16 +128,17 @@ def test_responding(n):
         np.testing.assert_allclose(mine, lost, **CLOSE)
         np.testing.assert_array_equal(valid, meant)
         np.testing.assert_allclose(kept.records["deficit_s"], plain.since_s, **CLOSE)
+        np.testing.assert_array_equal(kept.records["braked"], plain.braked)
         coasting = [lib.is_coasting(kept.each + k) for k in range(n)]
         np.testing.assert_array_equal(coasting, response.coasting(now))
         met |= {
             "lost" if p > response.CLEAR else "open" if p == response.OPEN else "" for p in lost
-        }
+        } | {"braked" for one in plain.braked if one}
         healthy = lost < 0.5
         plain = response.learn(plain, now, healthy, DT)
         kept.learn_response(now, healthy, DT)
         same(kept, plain.reference)
-    assert met == {"lost", "open", ""}
+    assert met == {"lost", "open", "", "braked"}
 
 
 def test_a_sudden_loss_at_its_limits():
@@ -146,7 +149,8 @@ def test_a_sudden_loss_at_its_limits():
         command = np.array([rng.choice([0.6, -0.6, 0.1])])
         load = command * rng.choice([0.0, 0.3, 0.49, 0.5, 0.51, 0.8])
         excess = command * rng.choice([-0.3, 0.0, 0.1, 0.2, 0.5])
-        one = response.Heard(load, excess, command, command, np.full(1, 0.09), np.ones(1, bool))
+        age_s, usable = np.full(1, 0.09), np.ones(1, dtype=bool)
+        one = response.Heard(load, load, excess, command, command, age_s, usable)
         since = rng.choice([0.0, 0.01, 0.015, 0.016, 0.09])
         plain = response.start(1, SPREAD)._replace(since_s=np.full(1, since))
         kept = Responses(1, SPREAD)
@@ -163,7 +167,7 @@ def test_on_its_limits_a_loss_is_confirmed_and_set_free_and_a_command_steady_or_
     """No load at a command of 0.6; then commands beside one of zero, which a drive may answer."""
 
     def heard_of(load, command, before, age_s, excess=0.0):
-        one = (np.full(1, x) for x in (load, excess, command, before, age_s))
+        one = (np.full(1, x) for x in (load, load, excess, command, before, age_s))
         return response.Heard(*one, np.ones(1, dtype=bool))
 
     for excess, freed in ((0.25 * 0.6, True), (0.2499 * 0.6, False)):
@@ -221,7 +225,7 @@ def test_numbers_that_are_none_teach_nothing_and_are_no_probability_above_one():
     for _ in range(1000):
         n = 3
         kept = Responses(n, SPREAD)
-        one = response.Heard(*rng.choice(odd, (5, n)), rng.random(n) < 0.9)
+        one = response.Heard(*rng.choice(odd, (6, n)), rng.random(n) < 0.9)
         lost, _ = kept.respond(one, DT)
         assert (np.isnan(lost) | ((lost >= 0.0) & (lost <= 1.0))).all()
         kept.learn_response(one, np.ones(n, dtype=bool), DT)

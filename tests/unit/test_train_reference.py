@@ -16,7 +16,8 @@ from tests.same import same_numbers
 TICK_S = 0.01
 OTHER = BENCH_MOTOR.model_copy(update={"T_rated": 2.0 * BENCH_MOTOR.T_rated})
 SAME = {
-    "slow_speed": "slow_speed", "taken": "acceleration_torque", "diameter": "diameter",
+    "slow_speed": "slow_speed", "quick_speed": "quick_speed",
+    "taken": "acceleration_torque", "braked": "brake_torque", "diameter": "diameter",
     "learnt_s": "learnt_s", "creep": "creep", "followed_s": "followed_s", "alone_s": "alone_s",
     "far": "far", "apart": "apart", "near_s": "near_s", "slides_s": "slides_s", "away": "away",
     "uncertain": "uncertain", "doubt_ns": "unreliable_until_ns", "uncommanded_s": "uncommanded_s",

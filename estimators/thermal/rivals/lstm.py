@@ -1,7 +1,7 @@
 """Long short-term memory network (Hochreiter, Schmidhuber 1997): paper `thermal`, Table 2.
 
 It predicts all temperatures from the recent course of the inputs; the statistic is the norm of the
-residual. Needs torch (`pip install traction-gateway[lstm]`); nothing here imports it before `fit`.
+residual. Needs torch; nothing here imports it before `fit`.
 
 With `others` it knows that the motors are alike.
 Tried on seeds 0, 3, 6, 9: 2 to 6 steps, reach 1.5 or 5 %, 8 to 32 units, decay 0 to 0.01, with and
@@ -122,7 +122,7 @@ def _torch() -> Any:
         return importlib.import_module("torch")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "the LSTM needs torch: pip install traction-gateway[lstm]", name="torch"
+            "the LSTM needs torch: pip install torch", name="torch"
         ) from error
 
 

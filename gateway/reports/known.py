@@ -1,0 +1,76 @@
+"""For what share of the time each flag knew: `Unknown` is no news, and none of it is good news."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+FLAGS: Final = ("adhesion", "thermal")
+CURES: Final = {
+    "adhesion": ("wrong channel, DBC or motor? `traction-gateway check`", "warning"),
+    "thermal": ("limits come from `traction-gateway calibrate`", "note"),
+}
+"""Of a flag that was never known: what to do, and how loud it is told."""
+UNKNOWN: Final = "Unknown"
+Shares = Mapping[str, Mapping[int, float]]
+"""Percent of the time, by flag and node."""
+
+
+def shares(
+    changes: Iterable[tuple[int, int, str, str]], nodes: Iterable[int], first_ns: int, last_ns: int
+) -> Shares:
+    """From rows of (when, node, flag, what it says from then on), in the order of their times."""
+    known_ns = {flag: dict.fromkeys(nodes, 0) for flag in FLAGS}
+    since: dict[tuple[str, int], int] = {}
+    for t_ns, node, flag, word in changes:
+        if word != UNKNOWN:
+            since.setdefault((flag, node), t_ns)
+        elif (began := since.pop((flag, node), None)) is not None:
+            known_ns[flag][node] += t_ns - began
+    for (flag, node), began in since.items():
+        known_ns[flag][node] += last_ns - began
+    span = max(last_ns - first_ns, 1)
+    return {
+        flag: {node: min(100.0, 100.0 * ns / span) for node, ns in each.items()}
+        for flag, each in known_ns.items()
+    }
+
+
+def text(known: Shares) -> str:
+    """One line: each flag's share, by drive where they differ."""
+    return "; ".join(f"{flag} {_of(known[flag])}" for flag in FLAGS) + " of the time"
+
+
+def _of(each: Mapping[int, float]) -> str:
+    words = {node: f"{share:.1f} %" for node, share in each.items()}
+    if len(set(words.values())) == 1:
+        return next(iter(words.values()))
+    return ", ".join(f"{word} (drive {node})" for node, word in words.items())
+
+
+def silent(known: Shares) -> list[str]:
+    """Flags that no drive ever knew."""
+    return [flag for flag in FLAGS if not any(known[flag].values())]
+
+
+def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:
+    """A line for each drive's flag that knew for less than is wanted, percent by flag."""
+    return [
+        f"{flag} of drive {node} was known for {share:.1f} % of the time, expected {least_:g} %"
+        for flag, least_ in wanted.items()
+        for node, share in known[flag].items()
+        if share < least_
+    ]
+
+
+def wanted(word: str) -> tuple[str, float]:
+    """`90` or `thermal=90`, for argparse and pytest: which flag, and the least percent."""
+    flag, _, number = word.rpartition("=")
+    try:
+        percent = float(number)
+    except ValueError:
+        percent = -1.0
+    if not 0.0 <= percent <= 100.0 or (flag or FLAGS[0]) not in FLAGS:
+        raise argparse.ArgumentTypeError(f"{word!r} is no percentage, such as 90 or thermal=50")
+    return flag or FLAGS[0], percent

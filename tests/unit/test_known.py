@@ -1,0 +1,93 @@
+"""What share of the time flags knew: `replay` and its report tell, and it can be a gate."""
+
+from __future__ import annotations
+
+import csv
+
+import pytest
+
+from gateway.cli import main
+from gateway.reports import known
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("known") / "drive.log"
+    assert main(["sim", "release", "-o", str(path), "--duration", "4"]) == 0
+    return path
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    """A bus on which no drive of ours speaks."""
+    path = tmp_path / "other.log"
+    path.write_text("".join(f"({k / 100:.6f}) can0 123#00\n" for k in range(200)))
+    return path
+
+
+def replayed(capsys, *words):
+    """Exit code, stdout, stderr."""
+    code = main(["replay", *map(str, words)])
+    return code, *capsys.readouterr()
+
+
+def test_the_shares_are_those_of_the_table_of_flags(capsys, log, tmp_path):
+    code, out, _ = replayed(capsys, log, "--results", tmp_path)
+    assert code == 0
+    with (tmp_path / "flags.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    first = [row for row in rows if row["drive"] == "1"]
+    share = 100.0 * sum(row["adhesion"] != "Unknown" for row in first) / len(first)
+    line = next(line for line in out.splitlines() if line.startswith("known: adhesion "))
+    assert float(line.split()[2]) == pytest.approx(share, abs=0.5)
+    assert "thermal 0.0 % of the time" in line
+    head = (tmp_path / "report.md").read_text().splitlines()[2]
+    assert head.startswith("> **Adhesion, known for 9")
+    assert "1 loss flagged. Thermal state was never known: nothing can be said of it.**" in head
+
+
+def test_where_nothing_was_known_nothing_is_good(capsys, foreign, tmp_path):
+    code, out, err = replayed(capsys, foreign, "--results", tmp_path)
+    assert code == 0
+    assert "known: adhesion 0.0 %; thermal 0.0 % of the time" in out
+    assert "warning: adhesion was never known (Starting), so nothing was flagged; wrong" in err
+    assert "traction-gateway calibrate" in err
+    head = (tmp_path / "report.md").read_text().splitlines()[2]
+    assert head.startswith("> **Adhesion was never known: nothing can be said of it. Thermal")
+    assert "good" not in head.lower()
+
+
+@pytest.mark.parametrize(
+    ("expected", "code"),
+    [(("90",), 0), (("99.9",), 1), (("90", "thermal=1"), 1), (("adhesion=90", "thermal=0"), 0)],
+)
+def test_less_than_is_expected_is_a_failure(capsys, log, expected, code):
+    words = [word for one in expected for word in ("--expect-known", one)]
+    done, _, err = replayed(capsys, log, *words)
+    assert done == code
+    assert ("of the time, expected" in err) == bool(code)
+
+
+def test_of_a_foreign_bus_nothing_is_known(capsys, foreign):
+    code, _, err = replayed(capsys, foreign, "--expect-known", "0.1")
+    assert code == 1
+    assert err.count("was known for 0.0 % of the time, expected 0.1 %") == 3
+
+
+@pytest.mark.parametrize("word", ["101", "-1", "nan", "many", "sensor=90", "=", "thermal="])
+def test_what_is_no_percentage_is_refused(capsys, log, word):
+    with pytest.raises(SystemExit) as ended:
+        replayed(capsys, log, f"--expect-known={word}")
+    assert ended.value.code == 2
+    assert "is no percentage" in capsys.readouterr().err
+
+
+def test_a_flag_that_knew_at_the_end_knew_until_the_end():
+    rows = [(0, 1, "adhesion", "Unknown"), (40, 1, "adhesion", "Adhering"),
+            (60, 1, "adhesion", "AdhesionLost"), (0, 2, "adhesion", "Unknown")]  # fmt: skip
+    shares = known.shares(rows, (1, 2), 0, 100)
+    assert shares == {"adhesion": {1: 60.0, 2: 0.0}, "thermal": {1: 0.0, 2: 0.0}}
+    assert known.text(shares) == (
+        "adhesion 60.0 % (drive 1), 0.0 % (drive 2); thermal 0.0 % of the time"
+    )
+    assert known.silent(shares) == ["thermal"]
