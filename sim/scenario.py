@@ -9,7 +9,7 @@ May know: names and numbers of events. May not know: bits, buses, how anything i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -209,6 +209,7 @@ class Scenario(Strict):
             for k, at in enumerate(times)
             if at >= self.duration_s
         ]
+        wrong += [f"expect[{k}].{problem}" for k, problem in self._vacuous()]
         lists = {f"mismatch.{k}": getattr(self.mismatch, k) for k in ("R_s", "L_s", "psi_pm")}
         lists |= {"load.share": self.load.share, "load.wheel": self.load.wheel}
         wrong += [
@@ -236,6 +237,16 @@ class Scenario(Strict):
         if slides and (self.load.kind != "rail" or self.traffic == "slow"):
             raise ValueError(NEEDS_RAIL)
         return self
+
+    def _vacuous(self) -> Iterator[tuple[int, str]]:
+        """Expectations that would judge nothing, or less than they say: which, and why."""
+        for k, expect in enumerate(self.expect):
+            if expect.drive == "others" and not self.drives_of("others"):
+                yield k, "drive: events name all drives, there are no others"
+            until_s = expect.after_s + (expect.within_ms or 0.0) / 1000.0
+            if until_s > self.duration_s:
+                end = f"the scenario ends at {self.duration_s:g} s"
+                yield k, f"within_ms: until {until_s:g} s, but {end}"
 
     def drives_of(self, who: int | str) -> tuple[int, ...]:
         """Drive numbers 1..n meant by `drive` of an event or an expectation."""

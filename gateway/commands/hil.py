@@ -40,9 +40,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge every scenario; exit 1 if any expectation failed."""
-    from sim.scenario import find
+    from sim.scenario import ScenarioError, find
 
     scenarios = [(name, find(name)) for name in options.scenario]
+    for name, scenario in scenarios:
+        if not scenario.expect:
+            cure = "`sim` runs a scenario without judging it"
+            raise ScenarioError(name, [f"no [[expect]]: nothing would be judged; {cure}"])
     folders = _folders(options.results, options.scenario)
     runs: list[Run] = []
     suites = ET.Element("testsuites")

@@ -115,10 +115,15 @@ def _one(expect: Expectation, seen: list[tuple[int, Flag]], node: int, start_ns:
     text += f" after {expect.after_s:g} s"
     found = first(seen, wanted, after)
     if expect.never:
-        detail = "held" if found is None else f"seen at {(found - start_ns) / 1e9:.3f} s"
-        delay_ms = None if found is None else (found - after) / 1e6
-        held = found is None and bool(seen)
-        return Verdict(text, held, detail if seen else "no flag frame", delay_ms)
+        if found is not None:
+            detail = f"seen at {(found - start_ns) / 1e9:.3f} s"
+            return Verdict(text, False, detail, (found - after) / 1e6)
+        states = [state for t_ns, state in seen if t_ns >= after]
+        if not states:
+            return Verdict(text, False, "no flag frame")
+        known = sum(state is not Flag.UNKNOWN for state in states) / len(states)
+        share = "" if known == 1.0 else f"; the flag was known for {known:.0%} of that time"
+        return Verdict(text, True, f"held{share}")
     limit = None if expect.within_ms is None else expect.within_ms
     if limit is not None:
         text += f" within {limit:g} ms"

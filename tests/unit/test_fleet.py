@@ -111,7 +111,7 @@ def test_the_numbers_are_those_of_replay(logs, ran, capsys, tmp_path):
 
 def test_every_flag_change_has_its_row(logs, ran, capsys):
     main(["replay", str(logs / "logs/deep/lost.log")])
-    said = [line.split() for line in capsys.readouterr().out.splitlines() if "adhesion" in line]
+    said = [line.split() for line in capsys.readouterr().out.splitlines() if "  adhesion  " in line]
     row = rows(ran)[0]
     table = pq.read_table(ran / row["file"]).to_pylist()
     first = row["first_ns"]
