@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
+
+from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
 CURES: Final = {
@@ -35,6 +37,20 @@ def shares(
         flag: {node: min(100.0, 100.0 * ns / span) for node, ns in each.items()}
         for flag, each in known_ns.items()
     }
+
+
+def of_frames(
+    seen: Mapping[tuple[str, int], Sequence[tuple[int, Flag]]], nodes: Iterable[int], since_ns: int
+) -> Shares:
+    """From flags as they stood on the wire, of the frames from `since_ns` on; without any 0."""
+    nodes = tuple(nodes)
+    return {flag: {node: _share(seen.get((flag, node), ()), since_ns) for node in nodes}
+            for flag in FLAGS}  # fmt: skip
+
+
+def _share(seen: Sequence[tuple[int, Flag]], since_ns: int) -> float:
+    states = [state is not Flag.UNKNOWN for t_ns, state in seen if t_ns >= since_ns]
+    return 100.0 * sum(states) / len(states) if states else 0.0
 
 
 def text(known: Shares) -> str:

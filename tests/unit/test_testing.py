@@ -119,6 +119,45 @@ def test_toml_of_another_project_is_none_of_ours_unless_it_says_so(tmp_path):
     assert "test_data.toml" in done.stdout
 
 
+KNOWING = """
+import pytest
+
+def test_all_the_time(hil_bench):
+    hil_bench.run(1.0)
+
+def test_half_of_it(hil_bench, inverter):
+    hil_bench.run(1.0)
+    inverter.silence(drive=1)
+    hil_bench.run(1.0)
+
+@pytest.mark.hil(expect_known=30)
+def test_so_much_is_enough_here(hil_bench, inverter):
+    test_half_of_it(hil_bench, inverter)
+"""
+
+
+def test_flags_that_know_for_less_than_is_expected_are_a_failure(tmp_path):
+    (tmp_path / "test_known.py").write_text(KNOWING)
+    scenario = "hil_wet_rail.toml"
+    (tmp_path / scenario).write_text((EXAMPLE / scenario).read_text())
+    done = run_pytest(tmp_path, "-rA", "--hil-expect-known", "90")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "PASSED test_known.py::test_all_the_time" in done.stdout
+    assert "FAILED test_known.py::test_half_of_it" in done.stdout
+    assert "adhesion of drive 1 was known for 5" in done.stdout
+    assert "adhesion of drive 2 was known" not in done.stdout
+    assert "PASSED test_known.py::test_so_much_is_enough_here" in done.stdout
+    assert f"PASSED {scenario}::0-adhesion-3-bad" in done.stdout
+    done = run_pytest(tmp_path, "-rA", "--hil-expect-known", "thermal=99", scenario)
+    assert done.returncode == 1
+    assert "FAILED" in done.stdout
+    assert "PASSED" not in done.stdout
+    assert "thermal of drive 1 was known for" in done.stdout
+    done = run_pytest(tmp_path, "--hil-expect-known", "most")
+    assert done.returncode == 4
+    assert "--hil-expect-known: 'most' is no percentage" in done.stderr
+
+
 def test_options_that_do_not_go_together_are_refused(tmp_path):
     for words in (["--can-channel", "vcan0"], ["--hil-gateway", "external"]):
         done = run_pytest(tmp_path, *words)

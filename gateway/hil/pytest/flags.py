@@ -9,6 +9,7 @@ from dbc.codec import Codec
 from dbc.frame import MS, Frame, Nanos
 from gateway.core.codes import Flag
 from gateway.hil.pytest import picture
+from gateway.reports import known
 from gateway.reports.expectations import WORDS, FlagTrack
 from gateway.reports.scoring import first
 
@@ -120,6 +121,16 @@ class GatewayFlags:
         """No `AdhesionLost` of this drive for so long from now on."""
         __tracebackhide__ = True
         self.expect_never("adhesion", "bad", drive=drive, for_ms=for_ms)
+
+    def expect_known(self, percent: Mapping[str, float], *, since_ns: Nanos = 0) -> None:
+        """Every drive's flag knew for so much of the time, by flag: `{"adhesion": 90}`.
+
+        Raises AssertionError with a line for each that did not.
+        """
+        __tracebackhide__ = True
+        seen = known.of_frames(self.track.seen, self._bench.nodes, since_ns)
+        if short := known.short_of(seen, percent):
+            raise AssertionError("\n".join([*short, self.show(since_ns)]))
 
     def show(self, began: Nanos) -> str:
         """A picture of the time from shortly before `began` until now, and the last frames."""

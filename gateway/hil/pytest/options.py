@@ -19,3 +19,15 @@ def bus_of(config: pytest.Config) -> dict[str, Any] | None:
         "fd": config.getoption("--can-fd") or None,
     }
     return {key: value for key, value in given.items() if value is not None}
+
+
+def expected_known(config: pytest.Config) -> dict[str, float]:
+    """Least percent of the time by flag, of `--hil-expect-known`. Raises UsageError."""
+    from argparse import ArgumentTypeError
+
+    from gateway.reports.known import wanted
+
+    try:
+        return dict(wanted(word) for word in config.getoption("--hil-expect-known"))
+    except ArgumentTypeError as error:
+        raise pytest.UsageError(f"--hil-expect-known: {error}") from None

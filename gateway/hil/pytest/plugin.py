@@ -6,13 +6,13 @@ a test asks for it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from gateway.hil.pytest.options import bus_of
+from gateway.hil.pytest.options import bus_of, expected_known
 
 if TYPE_CHECKING:
     from gateway.hil.pytest.bench import HilBench
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 MARK = (
     "hil(scenario=NAME or FILE, config=FILE, settle=True, drives=3, motion={..}, load={..}, ..): "
-    "what the bench of the test is: a scenario, or tables of one; settle: run until all is good"
+    "what the bench of the test is: a scenario, or tables of one; settle: run until all is good; "
+    "expect_known=PERCENT: for how much of the test every adhesion flag must know"
 )
 GLOBS = ("hil_*.toml",)
 """Nothing wider: pytest loads this in any project of the environment, which has TOML of its own."""
@@ -38,6 +39,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--can-fd", action="store_true", help="CAN FD")
     group.addoption("--hil-gateway", choices=("own", "external"), default="own",
                     help="external: the gateway under test runs elsewhere on the bus")  # fmt: skip
+    group.addoption("--hil-expect-known", action="append", default=[],
+                    metavar="[FLAG=]PERCENT",
+                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew for "
+                         "less of the time (`hil(expect_known=PERCENT)`: of this test)")  # fmt: skip
     parser.addini("hil_scenarios", "file names of scenarios that are tests", type="args",
                   default=list(GLOBS))  # fmt: skip
 
@@ -48,6 +53,7 @@ def pytest_configure(config: pytest.Config) -> None:
     bus = bus_of(config)
     if bus is None and (config.getoption("--can-channel") or config.getoption("--can-fd")):
         raise pytest.UsageError("--can-channel and --can-fd need --can-interface")
+    expected_known(config)
     if bus is None and config.getoption("--hil-gateway") == "external":
         raise pytest.UsageError("--hil-gateway external needs a bus: --can-interface")
 
@@ -63,6 +69,7 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
     given = dict(mark.kwargs) if mark else {}
     name, settle = given.pop("scenario", None), given.pop("settle", True)
     path = given.pop("config", None)
+    given.pop("expect_known", None)
     try:
         scenario = find(str(name)) if name else scenario_of(given, request.node.nodeid)
     except (ScenarioError, ValueError) as error:
@@ -78,6 +85,20 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
         yield bench
     finally:
         bench.close()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    """A test on a bench fails where its flags knew for less of its time than is expected."""
+    bench = getattr(item, "funcargs", {}).get("hil_bench")
+    began_ns = 0 if bench is None else bench.now_ns
+    outcome = yield
+    if bench is not None:
+        mark = item.get_closest_marker("hil")
+        wanted = (mark.kwargs if mark else {}).get("expect_known")
+        expected = expected_known(item.config) if wanted is None else {"adhesion": float(wanted)}
+        bench.flags.expect_known(expected, since_ns=began_ns)
+    return outcome
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ import pytest
 
 from gateway.hil.fitting import fitting
 from gateway.hil.pytest.bench import HilBench
-from gateway.hil.pytest.options import bus_of
+from gateway.hil.pytest.options import bus_of, expected_known
+from gateway.reports import known
 from gateway.reports.expectations import Verdict
 from sim.scenario import Scenario, ScenarioError, load
 
@@ -27,6 +28,7 @@ class ScenarioFile(pytest.File):
             self.scenario: Scenario = load(self.path)
         except ScenarioError as error:
             raise self.CollectError(str(error)) from None
+        self._short: list[str] = []
         self._outcome: list[list[tuple[Verdict, str]]] | None = None
         for number, expect in enumerate(self.scenario.expect):
             who = f"-{expect.drive}" if expect.flag in ("adhesion", "thermal") else ""
@@ -40,6 +42,11 @@ class ScenarioFile(pytest.File):
         if self._outcome is None:
             self._outcome = self._run()
         return self._outcome[number]
+
+    @property
+    def short(self) -> list[str]:
+        """What knew for less of the scenario than is expected, once it has run."""
+        return self._short
 
     def _run(self) -> list[list[tuple[Verdict, str]]]:
         from gateway.hil.bench import touched_drives
@@ -62,6 +69,8 @@ class ScenarioFile(pytest.File):
             bench.run(max(self.scenario.duration_s - bench.now_s, 0.0))
         finally:
             bench.close()
+        seen = known.of_frames(bench.flags.track.seen, bench.nodes, 0)
+        self._short = known.short_of(seen, expected_known(self.config))
         touched = touched_drives(self.scenario)
         return [
             [(verdict, pictures[k]) for verdict in judge([e], bench.flags.track, touched, 0)]
@@ -82,6 +91,8 @@ class ScenarioItem(pytest.Item):
     def runtest(self) -> None:
         """Raises ScenarioFailure where it did not hold for one of its drives."""
         verdicts = self.parent.verdicts(self.number)
+        if self.parent.short:
+            raise ScenarioFailure("\n".join([*self.parent.short, verdicts[0][1]]))
         wrong = [(v, picture) for v, picture in verdicts if not v.passed]
         if wrong:
             failures = "\n".join(f"{v.text}: {v.detail}" for v, _ in wrong)
