@@ -41,8 +41,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
                     help="external: the gateway under test runs elsewhere on the bus")  # fmt: skip
     group.addoption("--hil-expect-known", action="append", default=[],
                     metavar="[FLAG=]PERCENT",
-                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew for "
-                         "less of the time (`hil(expect_known=PERCENT)`: of this test)")  # fmt: skip
+                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew "
+                         "for less of the time (`hil(expect_known=PERCENT)`: of this test)")  # fmt: skip
     parser.addini("hil_scenarios", "file names of scenarios that are tests", type="args",
                   default=list(GLOBS))  # fmt: skip
 
