@@ -39,10 +39,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--can-fd", action="store_true", help="CAN FD")
     group.addoption("--hil-gateway", choices=("own", "external"), default="own",
                     help="external: the gateway under test runs elsewhere on the bus")  # fmt: skip
-    group.addoption("--hil-expect-known", action="append", default=[],
-                    metavar="[FLAG=]PERCENT",
-                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew "
-                         "for less of the time (`hil(expect_known=PERCENT)`: of this test)")  # fmt: skip
+    group.addoption("--hil-expect-known", action="append", default=[], metavar="[FLAG=]PERCENT",
+                    help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew for "
+                         "less of its time; `hil(expect_known=PERCENT)`: of one test")  # fmt: skip
     parser.addini("hil_scenarios", "file names of scenarios that are tests", type="args",
                   default=list(GLOBS))  # fmt: skip
 
