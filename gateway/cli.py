@@ -26,6 +26,8 @@ VERBS = {
     "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",
     "hil": "run scenarios against the gateway and judge their expectations",
     "check": "configuration against DBC, bus load and timing budget, before deployment",
+    "explain": "what a Reason, Health or FaultClass means, and what to do about it",
+    "dbc": "the message set as a DBC file, classic or CAN FD",
     "keygen": "keys: for signing configurations, or for authenticating flags",
     "sign": "vouch for a configuration, its DBC and its calibration",
     "verify": "whether this configuration is the one that was signed",
@@ -45,7 +47,7 @@ _SERVICES = (["run"], ["monitor"])
 """
 
 
-_BRIEF = {"replay", "check", "convert", "calibrate", "keygen", "sign", "verify"}
+_BRIEF = {"replay", "check", "convert", "explain", "dbc", "calibrate", "keygen", "sign", "verify"}
 """Verbs that leave nothing behind that works on."""
 
 

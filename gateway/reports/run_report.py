@@ -369,4 +369,8 @@ def _glossary(runs: Sequence[Run]) -> list[str]:
     lines = ["## How to read this", "", f"{summary}, the last one with the run."]
     if not rows:
         return lines
-    return [*lines, "A flag that says `Unknown` says why:", *table(("reason", "meaning"), rows)]
+    return [
+        *lines,
+        "A flag that says `Unknown` says why; `traction-gateway explain REASON` says what to do:",
+        *table(("reason", "meaning"), rows),
+    ]

@@ -1,0 +1,29 @@
+"""`dbc`: the message set as a file, out of the installed package."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from gateway.commands.common import GOOD, shown
+from gateway.io.whole_file import write_text
+from gateway.settings.config import ConfigError, shipped_dbc
+
+HELP = "the message set as a DBC file, classic or CAN FD"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.dbc",
+                        help="where it goes; what is there is not overwritten")  # fmt: skip
+    parser.add_argument("--fd", action="store_true", help="the one for CAN FD")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write it. Raises ConfigError where there is a file already, OSError."""
+    if options.output.exists():
+        raise ConfigError(f"{options.output}: is there already", ["name another file"])
+    source = shipped_dbc("traction_fd.dbc" if options.fd else "traction.dbc")
+    write_text(options.output, source.read_text(encoding="utf-8"))
+    print(f"written: {shown(options.output)}")
+    return GOOD

@@ -1,0 +1,33 @@
+"""`explain CODE`: what a code of a flag frame means, and what to do about it."""
+
+from __future__ import annotations
+
+import argparse
+
+from gateway.commands.common import GOOD
+from gateway.reports import explanations
+from gateway.settings.config import ConfigError
+
+HELP = "what a Reason, Health or FaultClass means, and what to do about it"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("code", nargs="*", help="number or name, such as 8 or TooFewDrives")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print them; without a code all. Raises ConfigError for one that there is not."""
+    if not options.code:
+        print(explanations.text(explanations.ALL))
+        return GOOD
+    unknown = [word for word in options.code if not explanations.named(word)]
+    if unknown:
+        from difflib import get_close_matches
+
+        names = [one.name for one in explanations.ALL]
+        near = [match for word in unknown for match in get_close_matches(word, names, 1)]
+        cure = f"did you mean {', '.join(near)}?" if near else "without a code it prints all"
+        raise ConfigError("explain", [f"no code {', '.join(unknown)}", cure])
+    print(explanations.text([one for word in options.code for one in explanations.named(word)]))
+    return GOOD
