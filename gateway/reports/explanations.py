@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from gateway.core.codes import FaultClass, Health, Reason
 from gateway.reports.record import camel
@@ -169,11 +169,9 @@ _FAULTS: Final = {
         "a loose cable shoe",
     ),
 }
-_KINDS: Final[tuple[tuple[str, dict[IntEnum, tuple[str, str, str]]], ...]] = (
-    ("Reason", dict(_REASONS)),
-    ("Health", dict(_HEALTH)),
-    ("FaultClass", dict(_FAULTS)),
-)
+_KINDS: Final[tuple[tuple[str, Mapping[Any, tuple[str, str, str]]], ...]] = (
+    ("Reason", _REASONS), ("Health", _HEALTH), ("FaultClass", _FAULTS),
+)  # fmt: skip
 ALL: Final = tuple(
     Explained(kind, code, Advice(*advice))
     for kind, codes in _KINDS
