@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
-        else "not calibrated: flags stay unknown"
+        else "not calibrated: flags stay unknown; `traction-gateway calibrate` makes limits"
     )
     print(f"thermal        {calibrated}")
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
