@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gateway.study.calibrating import Learner
 
 HELP = "thermal limits from fault-free logs"
+WITHOUT = "nothing was written; --without-model learns how motors differ, for that method"
 MARGIN = 1.5
 """Limits stand this far above the largest value of a fault-free run."""
 
@@ -28,15 +29,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, nargs="+", help="fault-free logs")
     add_config(parser)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml")
+    parser.add_argument("--without-model", action="store_true",
+                        help="limits by how motors differ alone, for [thermal] method = 'maisd'; "
+                        "without it logs that give no thermal model are refused")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if a log has several")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read the temperatures through the gateway's own inbox and write the calibration."""
+    """Read the temperatures through the gateway's own inbox and write the calibration.
+
+    Raises ConfigError, and writes nothing, where the logs do not give what the method needs.
+    """
     from gateway.core.thermal import NO_MODEL
     from gateway.io.replay import OneChannel, open_log
     from gateway.io.whole_file import write_text
     from gateway.settings.calibration import to_toml
+    from gateway.settings.config import ConfigError
     from gateway.study.calibrating import Learner
 
     config, codec = prepare(options.config)
@@ -49,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
         learner.begin()
         _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
     result = learner.finish(MARGIN)
+    if result.heat is None and config.thermal.method == "model" and not options.without_model:
+        raise ConfigError("calibrate", [*learner.lacks(), NO_MODEL, WITHOUT])
     path = options.output
     write_text(path, to_toml(result))
     limits = ", ".join(f"{v:.2f}" for v in result.maisd_limit_k)

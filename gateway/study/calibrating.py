@@ -38,6 +38,12 @@ a motor that was cut for a second, or sits in another draught, differs by this m
 FIT_SHARE = 0.7
 FEWEST_SECONDS = 300
 """Of a run: less says nothing of how motors warm."""
+NEEDED = {
+    "square": "the current (phase currents, or Irms in Status)",
+    "speed": "the speed (Motion)",
+    "ambient": "the ambient temperature (Temperatures)",
+}
+"""Of each second, by the name in `Sample`."""
 SPAN_K = 5.0
 """The fleet's mean must move this much over the logs before a gain is learnt."""
 
@@ -88,6 +94,30 @@ class Learner:
             if self._last is not None:
                 self.step_k = np.maximum(self.step_k, np.abs(values - self._last))
             self._last = values
+
+    def lacks(self) -> list[str]:
+        """Why there is no thermal model: a line for each motor and signal, or for the duty."""
+        seconds = [second for log in self.seconds for second in log]
+        if not seconds:
+            return ["no second with temperatures"]
+        never = [
+            f"drive {node}: {what} was never known"
+            for name, what in NEEDED.items()
+            for j, node in enumerate(self.nodes)
+            if not np.isfinite([getattr(second, name)[j] for second in seconds]).any()
+        ]
+        runs = [record for log in self.seconds if (record := self._record(log)) is not None]
+        if never or not runs:
+            return never or ["no second in which current, speed and ambient of all were known"]
+        if len(runs) == 1:
+            runs = list(split(runs[0], round(FIT_SHARE * len(runs[0].at))))
+        shortest = round(min(len(run.at) for run in runs) * self.dt_s)
+        if shortest < FEWEST_SECONDS * self.dt_s:
+            return [
+                f"{shortest} s of a run with everything known, {FEWEST_SECONDS * self.dt_s:g} s "
+                f"needed (one log is parted: {FIT_SHARE:.0%} of it to fit)"
+            ]
+        return ["the currents never varied: record a changing duty"]
 
     def finish(self, margin: float) -> Calibration:
         """The calibration. Raises ConfigError when the logs cannot give one."""

@@ -234,7 +234,10 @@ def test_calibrate_then_replay_knows_thermal(folder, capsys, tmp_path):
     log = tmp_path / "h.log"
     assert main(["sim", str(healthy), "-o", str(log)]) == 0
     cells = tmp_path / "cells.toml"
-    assert main(["calibrate", str(log), "-o", str(cells)]) == 0
+    said = refused(capsys, "calibrate", log, "-o", cells)
+    assert "s of a run with everything known, 300 s needed" in said, "too short for a model"
+    assert not cells.exists()
+    assert main(["calibrate", str(log), "-o", str(cells), "--without-model"]) == 0
     config = tmp_path / "c.toml"
     config.write_text(f'[thermal]\ncalibration = "{cells.name}"\n')
     assert "no thermal model" in capsys.readouterr().out, "seconds are too short for one"
