@@ -12,13 +12,14 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from dbc.bounds import Within as Bounds
 from dbc.bounds import within
 from sim.physics.adhesion import rail
-from sim.physics.plant import MOTORS
+from sim.physics.plant import MOTORS, Motor
 
 Time = Annotated[float, within(0, 1e7, "s", "give it in seconds from the start")]
 Span = Annotated[
     float, within(0.001, 1e7, "s", "give it in seconds; what is shorter has no effect")
 ]
 Number = Annotated[float, within(-1e6, 1e6, "", "nothing on a train is as large")]
+Positive = Annotated[float, within(1e-7, 1e6, "", "a parameter of the motor, in SI units")]
 Points = Annotated[list[tuple[Time, Number]], Field(min_length=1)]
 Factor = Annotated[float, within(0.01, 100, "", "a factor, 1 leaves the number as it is")]
 Factors = Factor | list[Factor]
@@ -27,6 +28,8 @@ Within = Annotated[float, Field(ge=0, lt=1)]
 """Largest deviation of a factor drawn from the seed."""
 
 
+OWN: Final = ("R_s", "L_s", "psi_pm", "pole_pairs", "J", "I_rated", "T_rated", "U_dc")
+"""What a motor of one's own needs."""
 _BITRATE: Final = Bounds(10_000, 1_000_000, "bit/s", "in bit/s; 0 for a bus without one, as vcan")
 
 
@@ -39,16 +42,49 @@ class Strict(BaseModel):
 
 
 class MotorChoice(Strict):
-    """`[motor]`: one of `sim.physics.plant.MOTORS`."""
+    """`[motor]`: `name`, one of `sim.physics.plant.MOTORS`, or a machine's own parameters.
+
+    Those are in SI units, at the motor's shaft; `U_dc` is the voltage of the dc link. All but `B`
+    (friction) and `k_p` are needed.
+    """
 
     name: str = "bench"
+    R_s: Positive | None = None
+    L_s: Positive | None = None
+    psi_pm: Positive | None = None
+    pole_pairs: int | None = Field(None, ge=1, le=100)
+    J: Positive | None = None
+    I_rated: Positive | None = None
+    T_rated: Positive | None = None
+    U_dc: Positive | None = None
+    B: Annotated[float, within(0, 100, "Nm s", "friction per rad/s of the rotor")] = 0.0
+    k_p: Annotated[float, within(0.5, 3, "", "1.5 for amplitude-invariant values")] = 1.5
 
     @model_validator(mode="after")
     def _known(self) -> Self:
+        given = [key for key in OWN if getattr(self, key) is not None]
+        missing = [key for key in OWN if key not in given]
+        if given and missing:
+            raise ValueError(f"a motor of one's own needs {', '.join(missing)}, too")
+        named = "name" in self.model_fields_set
+        if named and (given or {"B", "k_p"} & self.model_fields_set):
+            raise ValueError("either name or a motor's own parameters")
         if self.name not in MOTORS:
-            msg = f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}"
-            raise ValueError(msg)
+            own = "for another give its parameters"
+            raise ValueError(f"unknown motor {self.name!r}: one of {', '.join(MOTORS)}; {own}")
         return self
+
+    @property
+    def own(self) -> bool:
+        """Whether its parameters are given here."""
+        return self.R_s is not None
+
+    @property
+    def machine(self) -> Motor:
+        """What is simulated."""
+        if not self.own:
+            return MOTORS[self.name]
+        return Motor(**self.model_dump(exclude={"name"}))
 
 
 class Disturbance(Strict):

@@ -26,7 +26,7 @@ from sim.faults import Schedule, WireFaults
 from sim.ground_truth import Truth
 from sim.measurements import SAMPLES_PER_FRAME, VALID, Readings, Values
 from sim.physics import plant as columns
-from sim.physics.plant import MOTORS, TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
+from sim.physics.plant import TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
 from sim.physics.thermal import ThermalTrain
 from sim.profile import Profile
 from sim.scenario import NEEDS_RAIL, Event, Scenario
@@ -74,7 +74,7 @@ class Simulation:
         if len(self.nodes) < n:
             msg = f"{n} drives need as many nodes, got {self.nodes}"
             raise ValueError(msg)
-        motor = motor or MOTORS[scenario.motor.name]
+        motor = motor or scenario.motor.machine
         self._schedule = Schedule(scenario, motor)
         self._profile = Profile(scenario, motor.pole_pairs)
         self._wires = [WireFaults(self._schedule, scenario.seed, k) for k in range(n)]
@@ -348,7 +348,7 @@ def _plant(
         on_rail=scenario.load.kind == "rail",
         w_0=w_ref[0] if rolling else 0.0,
         load_0=load[0],
-        train=TRAINS.get(scenario.motor.name, TRAIN),
+        train=TRAIN if scenario.motor.own else TRAINS.get(scenario.motor.name, TRAIN),
         p=variety.p,
     )
     return full, None

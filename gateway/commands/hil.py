@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
@@ -94,6 +95,10 @@ def _one(
 ) -> tuple[list[Any], int]:
     """Verdicts, and what the configuration is called on the bus. A run for the report, if any."""
     config, codec = fitting(options.config, scenario, options)
+    if options.config is not None:
+        from gateway.hil.own_motor import with_motor_of
+
+        scenario = with_motor_of(config, scenario)
     if folder is None:
         outcome = _outcome(options, name, scenario, config, codec)
     else:
@@ -137,8 +142,16 @@ def _outcome(
 ) -> Outcome:
     if _on_bus(options):
         from gateway.hil.buses import run_on_real_bus
+        from gateway.hil.own_motor import write
+        from sim.scenario import find
 
-        return run_on_real_bus(options, name, scenario, config, codec, left)
+        if scenario == find(name):
+            return run_on_real_bus(options, name, scenario, config, codec, left)
+        # The drives' process reads what is simulated from a file.
+        with TemporaryDirectory(prefix="hil-") as here:
+            path = Path(here) / "scenario.toml"
+            write(scenario, path)
+            return run_on_real_bus(options, str(path), scenario, config, codec, left)
     from gateway.hil.bench import run_virtual
 
     key = None

@@ -74,6 +74,10 @@ def hil_bench(request: pytest.FixtureRequest) -> Iterator[HilBench]:
     except (ScenarioError, ValueError) as error:
         raise pytest.UsageError(str(error)) from None
     config, codec = fitting(Path(path) if path else None, scenario)
+    if path:
+        from gateway.hil.own_motor import with_motor_of
+
+        scenario = with_motor_of(config, scenario)
     bench = HilBench(
         scenario, config, codec, bus_of(request.config),
         own_gateway=request.config.getoption("--hil-gateway") == "own",

@@ -1,0 +1,79 @@
+"""A scenario with the configuration's motors: what is simulated is what the filters believe in."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from gateway.settings.config import Config, ConfigError
+from gateway.settings.motors import BENCH_MOTOR, Motor
+from sim.scenario import Scenario, parse
+
+
+def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
+    """The scenario with the configuration's motor, unless it names one itself.
+
+    Its loads are the bench motor's and scale with rated torque, currents with rated current; speeds
+    stay as they are. Raises ConfigError where the drives' motors are not alike.
+    """
+    names = sorted({drive.motor for drive in config.drive})
+    if "motor" in scenario.model_fields_set or names == ["bench"]:
+        return scenario
+    if len(names) > 1:
+        problem = f"drives have the motors {', '.join(names)}; simulated ones share one"
+        raise ConfigError(
+            "motor", [problem, "name it, or its parameters, in the scenario's [motor]"]
+        )
+    motor = config.motors[names[0]]
+    table = _table(scenario)
+    table["motor"] = {**motor.model_dump(), "U_dc": _link_v(motor, scenario)}
+    _scale(table, scenario, motor)
+    return parse(table, scenario.title)
+
+
+def write(scenario: Scenario, path: Path) -> None:
+    """As a scenario file. Raises OSError."""
+    path.write_text(tomli_w.dumps(_table(scenario)), encoding="utf-8")
+
+
+def _table(scenario: Scenario) -> dict[str, Any]:
+    table: dict[str, Any] = scenario.model_dump(
+        mode="json", by_alias=True, exclude_unset=True, exclude_none=True
+    )
+    return table
+
+
+def _link_v(motor: Motor, scenario: Scenario) -> float:
+    """A dc link that holds the fastest speed with 1.5 times the rated current."""
+    motion = scenario.motion
+    fastest = max(abs(speed) for _, speed in motion.profile or [(0.0, motion.speed)])
+    if motion.unit == "rpm":
+        fastest *= math.pi / 30.0 * motor.pole_pairs
+    i_q = 1.5 * motor.I_rated
+    volts = math.hypot(fastest * motor.L_s * i_q, fastest * motor.psi_pm + motor.R_s * i_q)
+    return max(2.0 * volts, 24.0)
+
+
+def _scale(table: dict[str, Any], scenario: Scenario, motor: Motor) -> None:
+    """Loads by rated torque, currents of the sensors by rated current."""
+    torque = motor.T_rated / BENCH_MOTOR.T_rated
+    current = motor.I_rated / BENCH_MOTOR.I_rated
+    load, sensors = table.setdefault("load", {}), table.setdefault("sensors", {})
+    load["torque_nm"] = scenario.load.torque_nm * torque
+    if scenario.load.profile:
+        load["profile"] = [[t_s, nm * torque] for t_s, nm in scenario.load.profile]
+    for one in load.get("disturbance", ()):
+        one["amplitude_nm"] *= torque
+    if scenario.motion.effort_nm is not None:
+        table["motion"]["effort_nm"] *= torque
+    for event in table.get("event", ()):
+        if event["kind"] == "friction_brake" and "value" in event:
+            event["value"] *= torque
+    of_sensors = scenario.sensors
+    sensors["current_noise_var"] = of_sensors.current_noise_var * current**2
+    sensors["current_range_a"] = of_sensors.current_range_a * max(current, 1.0)
+    sensors["current_offset_a"] = of_sensors.current_offset_a * current
+    sensors["current_offset_within_a"] = of_sensors.current_offset_within_a * current

@@ -1,0 +1,99 @@
+"""Motors of one's own in scenarios: given there, or taken from the configuration."""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway.cli import main
+from gateway.hil.own_motor import with_motor_of, write
+from gateway.settings.config import ConfigError, load, parse
+from gateway.settings.motors import TRACTION_350KW
+from sim.physics.plant import MOTORS
+from sim.scenario import ScenarioError, find
+from sim.scenario import parse as scenario_of
+
+MINE = {
+    "R_s": 0.05, "L_s": 1.2e-3, "psi_pm": 0.45, "pole_pairs": 3, "J": 0.9, "I_rated": 90.0,
+    "T_rated": 180.0,
+}  # fmt: skip
+"""None that ships: 180 Nm from three pole pairs."""
+DRIVES = "".join(f'[[drive]]\nnode = {node}\nmotor = "mine"\n' for node in (1, 2, 3))
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """A configuration whose three drives have that motor."""
+    path = tmp_path / "mine.toml"
+    values = "\n".join(f"{key} = {value}" for key, value in MINE.items())
+    path.write_text(f"[motor.mine]\n{values}\n{DRIVES}")
+    return path
+
+
+def test_the_configurations_motor_is_simulated_and_its_loss_is_found(mine, capsys):
+    """With the bench motor in its place its currents mean something else, and nothing is known."""
+    assert main(["hil", "release", "--config", str(mine)]) == 0, capsys.readouterr().out
+
+
+def test_it_is_that_motor_and_loads_scale_with_it(mine):
+    config, before = load(mine), find("release")
+    after = with_motor_of(config, before)
+    machine = after.motor.machine
+    assert {key: getattr(machine, key) for key in MINE} == MINE
+    assert machine.U_dc > 0.0
+    assert after.load.torque_nm == pytest.approx(before.load.torque_nm * 6.0)
+    assert after.expect == before.expect
+    assert after.event == before.event
+    assert after.sensors.current_noise_var == pytest.approx(
+        before.sensors.current_noise_var * (90.0 / 25.0) ** 2
+    )
+
+
+def test_every_shipped_scenario_can_have_it(mine, tmp_path):
+    from importlib import resources
+
+    config, path = load(mine), tmp_path / "again.toml"
+    for file in resources.files("sim.scenarios").iterdir():
+        if not file.name.endswith(".toml"):
+            continue
+        scenario = with_motor_of(config, find(file.name.removesuffix(".toml")))
+        write(scenario, path)
+        assert find(str(path)) == scenario, file.name
+
+
+def test_a_scenario_that_names_its_motor_keeps_it_and_so_does_the_bench(mine):
+    named = scenario_of({"title": "a", "duration_s": 1.0, "motor": {"name": "traction_350kw"}})
+    assert with_motor_of(load(mine), named) is named
+    plain = find("release")
+    assert with_motor_of(parse({}), plain) is plain
+
+
+def test_drives_that_are_not_alike_are_refused(mine):
+    mine.write_text(mine.read_text().replace('node = 2\nmotor = "mine"', "node = 2"))
+    with pytest.raises(ConfigError, match=r"the motors bench, mine; simulated ones share one"):
+        with_motor_of(load(mine), find("release"))
+
+
+def test_a_motor_in_the_scenario_itself():
+    own = {**MINE, "U_dc": 700.0}
+    scenario = scenario_of({"title": "a", "duration_s": 1.0, "motor": own})
+    assert scenario.motor.machine.U_dc == 700.0
+    assert scenario.motor.machine.pole_pairs == 3
+    big = {key: getattr(TRACTION_350KW, key) for key in MINE} | {"U_dc": 2600.0}
+    same = scenario_of({"title": "a", "duration_s": 1.0, "motor": big})
+    assert same.motor.machine == MOTORS["traction_350kw"]
+
+
+@pytest.mark.parametrize(
+    ("motor", "problem"),
+    [
+        (MINE, "needs U_dc, too"),
+        ({"psi_pm": 0.4}, "needs R_s, L_s, pole_pairs"),
+        ({**MINE, "U_dc": 700.0, "name": "bench"}, "either name or"),
+        ({"name": "bench", "B": 0.1}, "either name or"),
+        ({"name": "mine"}, "for another give its parameters"),
+        ({**MINE, "U_dc": 0.0}, "U_dc"),
+    ],
+)
+def test_half_a_motor_is_refused(motor, problem):
+    with pytest.raises(ScenarioError, match=problem):
+        scenario_of({"title": "a", "duration_s": 1.0, "motor": motor})
