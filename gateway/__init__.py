@@ -1,1 +1,23 @@
-"""The gateway: a pure core `step(frames, now) -> frames` and the drivers around it."""
+"""The gateway: a pure core `step(frames, now) -> frames` and the drivers around it.
+
+`gateway.replay`, `gateway.scenario` and the other names of `gateway.api` are the Python API.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+_API = ("Config", "ConfigError", "Gateway", "detectors", "replay", "scenario")
+
+
+def __getattr__(name: str) -> Any:
+    """The API, loaded when it is asked for: a command imports only what it uses."""
+    if name not in _API:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module("gateway.api"), name)
+
+
+def __dir__() -> list[str]:
+    """For completion in a notebook."""
+    return [*globals(), *_API]

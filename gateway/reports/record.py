@@ -22,6 +22,9 @@ ESTIMATES_HEADER = (
     "hours_to_limit",
 )  # fmt: skip
 
+DIGITS = (0, 4, 4, 4, 4, 3, 0, 2, 3, 4, 4, 1)
+"""After the point, of the columns behind the drive."""
+
 
 def camel(name: str) -> str:
     """`NOT_AVAILABLE` as the DBC writes it: `NotAvailable`."""
@@ -62,19 +65,9 @@ class Recorder:
             if self._flags is None or self._estimates is None:
                 continue
             t_s = f"{view.t_ns // 1_000_000_000}.{view.t_ns % 1_000_000_000:09d}"
-            reason = d.adhesion_reason or d.thermal_reason
-            self._flags.writerow(
-                (t_s, d.node, ADHESION[d.adhesion], FAULT[d.thermal], camel(Reason(reason).name))
-            )
-            self._estimates.writerow(
-                (
-                    t_s, d.node, camel(Health(d.health).name), _text(d.speed_rad_s, 4),
-                    _text(d.load_nm, 4), _text(d.load_sigma_nm, 4),
-                    _text(d.loss_probability, 4), _text(d.nis, 3),
-                    camel(FaultClass(d.fault_class).name), _text(d.mixed_c, 2), _text(d.maisd_k, 3),
-                    _text(d.wear.rate_k_h, 4), _text(d.wear.sigma_k_h, 4), _text(d.wear.hours, 1),
-                )
-            )  # fmt: skip
+            self._flags.writerow((t_s, d.node, *flag_words(d)))
+            numbers = map(_text, estimated(d), DIGITS)
+            self._estimates.writerow((t_s, d.node, *numbers))
 
     def _change(self, t_ns: int, drive: DriveView) -> None:
         adhesion, thermal = self._last.get(drive.node, (None, None))
@@ -101,6 +94,24 @@ class Recorder:
         self._files.__exit__(kind, error, trace)
 
 
-def _text(value: float | None, digits: int) -> str:
-    """A number, or nothing where it is not known."""
+def flag_words(drive: DriveView) -> tuple[str, str, str]:
+    """Adhesion, thermal, and why one of them is unknown, as in `flags.csv`."""
+    reason = drive.adhesion_reason or drive.thermal_reason
+    return ADHESION[drive.adhesion], FAULT[drive.thermal], camel(Reason(reason).name)
+
+
+def estimated(drive: DriveView) -> tuple[str | float | None, ...]:
+    """What follows the drive in `estimates.csv`; None: not known."""
+    wear = drive.wear
+    return (
+        camel(Health(drive.health).name), drive.speed_rad_s, drive.load_nm, drive.load_sigma_nm,
+        drive.loss_probability, drive.nis, camel(FaultClass(drive.fault_class).name),
+        drive.mixed_c, drive.maisd_k, wear.rate_k_h, wear.sigma_k_h, wear.hours,
+    )  # fmt: skip
+
+
+def _text(value: str | float | None, digits: int) -> str:
+    """A word, a number, or nothing where it is not known."""
+    if isinstance(value, str):
+        return value
     return "" if value is None else f"{value:.{digits}f}"

@@ -1,0 +1,201 @@
+"""The Python API: `import gateway`, then `gateway.replay(..)` and the other names of `__all__`.
+
+Everything else is private and may change without notice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from dbc.codec import Codec, bind
+from dbc.frame import Frame
+from estimators.detect import DETECTORS, WITH_MEMORY
+from gateway.core.gateway import Gateway
+from gateway.core.view import GatewayView
+from gateway.io.prepare import prepare
+from gateway.io.replay import OneChannel, open_log
+from gateway.io.replay import replay as run_log
+from gateway.reports import known
+from gateway.reports.record import ESTIMATES_HEADER, FLAGS_HEADER, estimated, flag_words
+from gateway.settings.config import Config, ConfigError
+
+if TYPE_CHECKING:
+    import pandas as pd  # type: ignore[import-untyped]
+    import pyarrow as pa
+
+Path_ = str | PathLike[str]
+
+detectors: Final = (*DETECTORS, *WITH_MEMORY)
+"""Names for `[adhesion] detector`."""
+
+
+class Run:
+    """What the gateway said in a run, every tick: tables, and how much of the time it knew."""
+
+    def __init__(self, title: str, config: Config) -> None:
+        """Empty; `add` takes ticks."""
+        self.title = title
+        self.config = config
+        self.frames: list[Frame] = []
+        """What the gateway sent."""
+        self._flags: list[tuple[object, ...]] = []
+        self._estimates: list[tuple[object, ...]] = []
+        self._events: list[tuple[int, int, str, str]] = []
+        self._said: dict[tuple[int, str], str] = {}
+        self._first_ns = self._last_ns = 0
+
+    def add(self, view: GatewayView, sent: Iterable[Frame]) -> None:
+        """Take one tick."""
+        if not self._flags:
+            self._first_ns = view.t_ns
+        self._last_ns = view.t_ns
+        self.frames += sent
+        for drive in view.drives:
+            at, words = view.t_ns / 1e9, flag_words(drive)
+            self._flags.append((at, drive.node, *words))
+            self._estimates.append((at, drive.node, *estimated(drive)))
+            for flag, word in zip(known.FLAGS, words, strict=False):
+                if self._said.get((drive.node, flag)) != word:
+                    self._said[drive.node, flag] = word
+                    self._events.append((view.t_ns, drive.node, flag, word))
+
+    @cached_property
+    def flags(self) -> pa.Table:
+        """A row for each tick and drive: t_s, drive, adhesion, thermal, reason."""
+        return _table(FLAGS_HEADER, self._flags)
+
+    @cached_property
+    def estimates(self) -> pa.Table:
+        """A row for each tick and drive, as in `estimates.csv`; null: not known."""
+        return _table(ESTIMATES_HEADER, self._estimates)
+
+    @cached_property
+    def events(self) -> pa.Table:
+        """A row for each change of a flag: t_s, drive, flag, state."""
+        rows = [(t_ns / 1e9, node, flag, word) for t_ns, node, flag, word in self._events]
+        return _table(("t_s", "drive", "flag", "state"), rows)
+
+    @property
+    def known(self) -> known.Shares:
+        """Percent of the time in which each flag was not Unknown, by flag and drive."""
+        return known.shares(self._events, self.config.nodes, self._first_ns, self._last_ns)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Flags and estimates side by side, a row for each tick and drive. Needs pandas."""
+        return self.flags.to_pandas().merge(self.estimates.to_pandas(), on=["t_s", "drive"])
+
+    def __repr__(self) -> str:
+        """One line."""
+        seconds = (self._last_ns - self._first_ns) / 1e9
+        return f"<{self.title}: {seconds:.2f} s; known: {known.text(self.known)}>"
+
+    def _repr_html_(self) -> str:
+        """The changes of flags, for a notebook."""
+        first_s = self._first_ns / 1e9
+        rows = "".join(
+            f"<tr><td>{t_ns / 1e9 - first_s:.3f}</td><td>{node}</td><td>{flag}</td>"
+            f"<td>{word}</td></tr>"
+            for t_ns, node, flag, word in self._events
+        )
+        head = "<tr><th>s</th><th>drive</th><th>flag</th><th>says</th></tr>"
+        return f"<p>{escape(repr(self)[1:-1])}</p><table>{head}{rows}</table>"
+
+
+def replay(
+    log: Path_,
+    config: Config | Path_ | None = None,
+    *,
+    channel: str | None = None,
+    detector: str | None = None,
+) -> Run:
+    """The gateway over a recorded log, in any format that `traction-gateway replay` reads.
+
+    config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: of several.
+    Raises ConfigError or BadLogError, whose text says what to do.
+    """
+    used, codec = _prepared(config, detector)
+    run = Run(Path(log).name, used)
+
+    def sink(_now: int, sent: Sequence[Frame], gateway: Gateway) -> None:
+        assert gateway.view is not None
+        run.add(gateway.view, sent)
+
+    blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
+    run_log(blocks, lambda start: Gateway(used, codec, start), used.loop.period_ns, sink)
+    return run
+
+
+class Scenario:
+    """A scenario of drives, events and expectations; `run` judges it on a virtual clock."""
+
+    def __init__(self, name: Path_) -> None:
+        """name: a file, or one that ships. Raises ScenarioError."""
+        from sim.scenario import find
+
+        self.scenario = find(str(name))
+
+    def run(self, config: Path_ | None = None) -> Judged:
+        """The simulated drives against the gateway. Raises ConfigError."""
+        from gateway.hil.bench import run_virtual
+        from gateway.hil.fitting import fitting
+        from gateway.hil.own_motor import with_motor_of
+
+        path = None if config is None else Path(config)
+        used, codec = fitting(path, self.scenario)
+        scenario = self.scenario if path is None else with_motor_of(used, self.scenario)
+        run = Judged(scenario.title, used)
+        outcome = run_virtual(
+            scenario, used, codec, [lambda _now, _received, sent, view: run.add(view, sent)]
+        )
+        run.verdicts = tuple(outcome.verdicts)
+        return run
+
+
+class Judged(Run):
+    """A run with verdicts."""
+
+    verdicts: tuple[Any, ...] = ()
+    """One for each expectation and drive: text, passed, detail, delay_ms, limit_ms."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every expectation held; False without one."""
+        return bool(self.verdicts) and all(verdict.passed for verdict in self.verdicts)
+
+
+def scenario(name: Path_) -> Scenario:
+    """A scenario file, or one that ships: `gateway.scenario("release").run()`."""
+    return Scenario(name)
+
+
+def _prepared(config: Config | Path_ | None, detector: str | None) -> tuple[Config, Codec]:
+    changes: dict[str, Any] = {"adhesion": {"detector": detector}} if detector else {}
+    if not isinstance(config, Config):
+        return prepare(None if config is None else Path(config), **changes)
+    if detector:
+        adhesion = config.adhesion.model_copy(update={"detector": detector})
+        config = config.model_copy(update={"adhesion": adhesion})
+    return config, bind(config.dbc_path, config.nodes)
+
+
+def _table(names: Sequence[str], rows: Sequence[Sequence[object]]) -> pa.Table:
+    from gateway.io.extras import need
+
+    need(("pyarrow",), "parquet", "tables")
+    import pyarrow as pa
+
+    words = {"adhesion", "thermal", "reason", "flag", "state", "health", "fault_class"}
+    columns = zip(*rows, strict=True) if rows else ((),) * len(names)
+    kinds = [pa.string() if n in words else pa.float64() if n != "drive" else pa.int64()
+             for n in names]  # fmt: skip
+    arrays = [pa.array(column, kind) for column, kind in zip(columns, kinds, strict=True)]
+    return pa.table(dict(zip(names, arrays, strict=True)))
+
+
+__all__ = ["Config", "ConfigError", "Gateway", "Judged", "Run", "Scenario", "detectors", "replay",
+           "scenario"]  # fmt: skip

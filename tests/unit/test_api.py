@@ -1,0 +1,100 @@
+"""The Python API as a notebook uses it: `import gateway`, a log, tables."""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import subprocess
+import sys
+
+import pytest
+
+import gateway
+from gateway.cli import main
+
+SIGNATURES = {
+    "replay": "(log: 'Path_', config: 'Config | Path_ | None' = None, *, "
+    "channel: 'str | None' = None, detector: 'str | None' = None) -> 'Run'",
+    "scenario": "(name: 'Path_') -> 'Scenario'",
+}
+"""Public ones: a change of them needs an entry in changelog.d, and this line."""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    path = tmp_path_factory.mktemp("api") / "drive.log"
+    assert main(["sim", "release", "-o", str(path), "--duration", "3"]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(log):
+    return gateway.replay(log)
+
+
+def test_its_tables_are_those_of_the_command(run, log, tmp_path):
+    assert main(["replay", str(log), "--results", str(tmp_path)]) == 0
+    for name, table in (("flags", run.flags), ("estimates", run.estimates)):
+        with (tmp_path / f"{name}.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert table.schema.names == list(rows[0])
+        assert table.num_rows == len(rows)
+        for mine, theirs in zip(table.to_pylist(), rows, strict=True):
+            for column, word in theirs.items():
+                value = mine[column]
+                if isinstance(value, float):
+                    assert value == pytest.approx(float(word), abs=0.06), column
+                else:
+                    assert ("" if value is None else str(value)) == word, column
+
+
+def test_events_are_the_changes_and_pandas_takes_them(run):
+    events = run.events.to_pandas()
+    assert list(events.columns) == ["t_s", "drive", "flag", "state"]
+    assert (events["state"] == "AdhesionLost").sum() == 1
+    frame = run.to_pandas()
+    assert len(frame) == run.flags.num_rows
+    assert {"adhesion", "load_nm"} <= set(frame.columns)
+
+
+def test_what_was_known_stands_first(run):
+    assert "known: adhesion 9" in repr(run)
+    assert "thermal 0.0 % of the time" in repr(run)
+    assert run.known["thermal"] == {1: 0.0, 2: 0.0, 3: 0.0}
+    page = run._repr_html_()
+    assert "AdhesionLost" in page
+    assert "<script" not in page
+
+
+def test_a_configuration_is_a_file_or_an_object(log, run, tmp_path):
+    path = tmp_path / "train.toml"
+    path.write_text('[adhesion]\ndetector = "vb"\n')
+    by_file = gateway.replay(log, path)
+    by_object = gateway.replay(log, gateway.Config(), detector="vb")
+    assert by_file.config.adhesion.detector == by_object.config.adhesion.detector == "vb"
+    assert by_file.flags.num_rows == run.flags.num_rows
+    with pytest.raises(gateway.ConfigError, match="detector"):
+        gateway.replay(log, detector="none")
+
+
+def test_a_scenario_is_judged():
+    run = gateway.scenario("silent").run()
+    assert run.passed
+    assert run.verdicts
+    assert run.flags.num_rows
+    assert run.frames
+
+
+def test_names_are_public_and_signatures_are_kept():
+    assert {"replay", "scenario", "Config", "Gateway", "detectors"} <= set(dir(gateway))
+    assert "switching" in gateway.detectors
+    for name, signature in SIGNATURES.items():
+        assert str(inspect.signature(getattr(gateway, name))) == signature
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = gateway.nothing
+
+
+def test_who_only_imports_the_package_pays_nothing():
+    text = "import sys, gateway; print(sorted({'numpy', 'pydantic', 'can'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
