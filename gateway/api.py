@@ -46,7 +46,7 @@ class Run:
         self._flags: list[tuple[object, ...]] = []
         self._estimates: list[tuple[object, ...]] = []
         self._events: list[tuple[int, int, str, str]] = []
-        self._said: dict[tuple[int, str], str] = {}
+        self._last_words: dict[tuple[int, str], str] = {}
         self._first_ns = self._last_ns = 0
 
     def add(self, view: GatewayView, sent: Iterable[Frame]) -> None:
@@ -60,8 +60,8 @@ class Run:
             self._flags.append((at, drive.node, *words))
             self._estimates.append((at, drive.node, *estimated(drive)))
             for flag, word in zip(known.FLAGS, words, strict=False):
-                if self._said.get((drive.node, flag)) != word:
-                    self._said[drive.node, flag] = word
+                if self._last_words.get((drive.node, flag)) != word:
+                    self._last_words[drive.node, flag] = word
                     self._events.append((view.t_ns, drive.node, flag, word))
 
     @cached_property

@@ -6,8 +6,6 @@ import argparse
 from pathlib import Path
 
 from gateway.commands.common import GOOD, shown
-from gateway.io.whole_file import write_text
-from gateway.settings.config import ConfigError, shipped_dbc
 
 HELP = "the message set as a DBC file, classic or CAN FD"
 
@@ -21,6 +19,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write it. Raises ConfigError where there is a file already, OSError."""
+    from gateway.io.whole_file import write_text
+    from gateway.settings.config import ConfigError, shipped_dbc
+
     if options.output.exists():
         raise ConfigError(f"{options.output}: is there already", ["name another file"])
     source = shipped_dbc("traction_fd.dbc" if options.fd else "traction.dbc")

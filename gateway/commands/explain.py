@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 
 from gateway.commands.common import GOOD
-from gateway.reports import explanations
-from gateway.settings.config import ConfigError
 
 HELP = "what a Reason, Health or FaultClass means, and what to do about it"
 
@@ -18,6 +16,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print them; without a code all. Raises ConfigError for one that there is not."""
+    from gateway.reports import explanations
+    from gateway.settings.config import ConfigError
+
     if not options.code:
         print(explanations.text(explanations.ALL))
         return GOOD

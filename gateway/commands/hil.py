@@ -142,7 +142,7 @@ def _outcome(
 ) -> Outcome:
     if _on_bus(options):
         from gateway.hil.buses import run_on_real_bus
-        from gateway.hil.own_motor import write
+        from gateway.hil.own_motor import save_scenario
         from sim.scenario import find
 
         if scenario == find(name):
@@ -150,7 +150,7 @@ def _outcome(
         # The drives' process reads what is simulated from a file.
         with TemporaryDirectory(prefix="hil-") as here:
             path = Path(here) / "scenario.toml"
-            write(scenario, path)
+            save_scenario(scenario, path)
             return run_on_real_bus(options, str(path), scenario, config, codec, left)
     from gateway.hil.bench import run_virtual
 

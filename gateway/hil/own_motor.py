@@ -34,7 +34,7 @@ def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
     return parse(table, scenario.title)
 
 
-def write(scenario: Scenario, path: Path) -> None:
+def save_scenario(scenario: Scenario, path: Path) -> None:
     """As a scenario file. Raises OSError."""
     path.write_text(tomli_w.dumps(_table(scenario)), encoding="utf-8")
 

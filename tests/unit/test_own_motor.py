@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gateway.cli import main
-from gateway.hil.own_motor import with_motor_of, write
+from gateway.hil.own_motor import save_scenario, with_motor_of
 from gateway.settings.config import ConfigError, load, parse
 from gateway.settings.motors import TRACTION_350KW
 from sim.physics.plant import MOTORS
@@ -56,7 +56,7 @@ def test_every_shipped_scenario_can_have_it(mine, tmp_path):
         if not file.name.endswith(".toml"):
             continue
         scenario = with_motor_of(config, find(file.name.removesuffix(".toml")))
-        write(scenario, path)
+        save_scenario(scenario, path)
         assert find(str(path)) == scenario, file.name
 
 
