@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd  # type: ignore[import-untyped]
     import pyarrow as pa
 
-Path_ = str | PathLike[str]
+FilePath = str | PathLike[str]
 
 detectors: Final = (*DETECTORS, *WITH_MEMORY)
 """Names for `[adhesion] detector`."""
@@ -107,8 +107,8 @@ class Run:
 
 
 def replay(
-    log: Path_,
-    config: Config | Path_ | None = None,
+    log: FilePath,
+    config: Config | FilePath | None = None,
     *,
     channel: str | None = None,
     detector: str | None = None,
@@ -133,13 +133,13 @@ def replay(
 class Scenario:
     """A scenario of drives, events and expectations; `run` judges it on a virtual clock."""
 
-    def __init__(self, name: Path_) -> None:
+    def __init__(self, name: FilePath) -> None:
         """name: a file, or one that ships. Raises ScenarioError."""
         from sim.scenario import find
 
         self.scenario = find(str(name))
 
-    def run(self, config: Path_ | None = None) -> Judged:
+    def run(self, config: FilePath | None = None) -> Judged:
         """The simulated drives against the gateway. Raises ConfigError."""
         from gateway.hil.bench import run_virtual
         from gateway.hil.fitting import fitting
@@ -168,12 +168,12 @@ class Judged(Run):
         return bool(self.verdicts) and all(verdict.passed for verdict in self.verdicts)
 
 
-def scenario(name: Path_) -> Scenario:
+def scenario(name: FilePath) -> Scenario:
     """A scenario file, or one that ships: `gateway.scenario("release").run()`."""
     return Scenario(name)
 
 
-def _prepared(config: Config | Path_ | None, detector: str | None) -> tuple[Config, Codec]:
+def _prepared(config: Config | FilePath | None, detector: str | None) -> tuple[Config, Codec]:
     changes: dict[str, Any] = {"adhesion": {"detector": detector}} if detector else {}
     if not isinstance(config, Config):
         return prepare(None if config is None else Path(config), **changes)

@@ -137,7 +137,8 @@ def run(options: argparse.Namespace) -> int:
     code = verdict_of_input(
         {"time_back": done.dropped, **faults(log.reader)}, done.frames - done.dropped
     )
-    return code or _verdict_of_flags(done, recorder, dict(options.expect_known))
+    known_code = _verdict_of_flags(done, recorder, dict(options.expect_known))
+    return code or known_code
 
 
 def _verdict_of_flags(done: Replayed, recorder: Recorder, wanted: dict[str, float]) -> int:

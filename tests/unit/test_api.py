@@ -13,9 +13,9 @@ import gateway
 from gateway.cli import main
 
 SIGNATURES = {
-    "replay": "(log: 'Path_', config: 'Config | Path_ | None' = None, *, "
+    "replay": "(log: 'FilePath', config: 'Config | FilePath | None' = None, *, "
     "channel: 'str | None' = None, detector: 'str | None' = None) -> 'Run'",
-    "scenario": "(name: 'Path_') -> 'Scenario'",
+    "scenario": "(name: 'FilePath') -> 'Scenario'",
 }
 """Public ones: a change of them needs an entry in changelog.d, and this line."""
 

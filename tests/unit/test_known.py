@@ -74,6 +74,15 @@ def test_of_a_foreign_bus_nothing_is_known(capsys, foreign):
     assert err.count("was known for 0.0 % of the time, expected 0.1 %") == 3
 
 
+def test_it_is_told_of_a_log_of_which_too_much_was_dropped_as_well(capsys, log, tmp_path):
+    half = tmp_path / "half.log"
+    half.write_text(log.read_text() + "no frame\n" * 2000)
+    code, out, err = replayed(capsys, half)
+    assert code == 1
+    assert "known: adhesion 9" in out
+    assert "warning" in err
+
+
 @pytest.mark.parametrize("word", ["101", "-1", "nan", "many", "sensor=90", "=", "thermal="])
 def test_what_is_no_percentage_is_refused(capsys, log, word):
     with pytest.raises(SystemExit) as ended:
