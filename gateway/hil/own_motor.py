@@ -10,6 +10,7 @@ import tomli_w
 
 from gateway.settings.config import Config, ConfigError
 from gateway.settings.motors import BENCH_MOTOR, Motor
+from sim.physics.plant import MOTORS
 from sim.scenario import Scenario, parse
 
 
@@ -20,16 +21,20 @@ def with_motor_of(config: Config, scenario: Scenario) -> Scenario:
     stay as they are. Raises ConfigError where the drives' motors are not alike.
     """
     names = sorted({drive.motor for drive in config.drive})
-    if "motor" in scenario.model_fields_set or names == ["bench"]:
+    motors = {config.motors[name] for name in names}
+    if "motor" in scenario.model_fields_set or motors == {BENCH_MOTOR}:
         return scenario
-    if len(names) > 1:
+    if len(motors) > 1:
         problem = f"drives have the motors {', '.join(names)}; simulated ones share one"
         raise ConfigError(
             "motor", [problem, "name it, or its parameters, in the scenario's [motor]"]
         )
-    motor = config.motors[names[0]]
+    (motor,) = motors
     table = _table(scenario)
-    table["motor"] = {**motor.model_dump(), "U_dc": _link_v(motor, scenario)}
+    if names[0] in MOTORS and motor == Config().motors.get(names[0]):
+        table["motor"] = {"name": names[0]}
+    else:
+        table["motor"] = {**motor.model_dump(), "U_dc": _link_v(motor, scenario)}
     _scale(table, scenario, motor)
     return parse(table, scenario.title)
 

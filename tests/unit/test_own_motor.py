@@ -67,6 +67,14 @@ def test_a_scenario_that_names_its_motor_keeps_it_and_so_does_the_bench(mine):
     assert with_motor_of(parse({}), plain) is plain
 
 
+def test_a_motor_that_ships_is_simulated_with_its_own_train_and_a_changed_one_is_not():
+    drives = [{"node": node, "motor": "traction_350kw"} for node in (1, 2, 3)]
+    assert with_motor_of(parse({"drive": drives}), find("release")).motor.name == "traction_350kw"
+    other = {**MINE, "psi_pm": 0.44}
+    changed = with_motor_of(parse({"motor": {"bench": other}}), find("release"))
+    assert changed.motor.machine.psi_pm == 0.44
+
+
 def test_drives_that_are_not_alike_are_refused(mine):
     mine.write_text(mine.read_text().replace('node = 2\nmotor = "mine"', "node = 2"))
     with pytest.raises(ConfigError, match=r"the motors bench, mine; simulated ones share one"):
