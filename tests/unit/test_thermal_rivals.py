@@ -138,7 +138,7 @@ def test_too_short_a_run_is_refused(name):
 
 def test_without_torch_the_lstm_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install traction-gateway\[lstm\]"):
+    with pytest.raises(ModuleNotFoundError, match=r"pip install torch"):
         Lstm().fit(run("days", 0))
 
 
