@@ -20,7 +20,14 @@ from tests.unit.test_cli import SCENARIO
 
 PROGRAM = [sys.executable, "-m", "gateway"]
 PATIENCE_S = 300
-ENDLESS = 'title = "endless"\nseed = 1\nduration_s = 90000\ndrives = 3\n'
+ENDLESS = """title = "endless"
+seed = 1
+duration_s = 90000
+drives = 3
+[[expect]]
+flag = "adhesion"
+is = "good"
+"""
 
 
 @pytest.fixture(scope="module")
