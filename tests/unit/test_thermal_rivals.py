@@ -137,9 +137,10 @@ def test_too_short_a_run_is_refused(name):
 
 
 def test_without_torch_the_lstm_says_what_to_install(monkeypatch):
+    record = run("days", 0)
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install torch"):
-        Lstm().fit(run("days", 0))
+        Lstm().fit(record)
 
 
 def test_an_unknown_view_is_refused():
