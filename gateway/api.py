@@ -21,7 +21,7 @@ from gateway.io.prepare import prepare
 from gateway.io.replay import OneChannel, open_log
 from gateway.io.replay import replay as run_log
 from gateway.reports import known
-from gateway.reports.record import ESTIMATES_HEADER, FLAGS_HEADER, estimated, flag_words
+from gateway.reports.record import ESTIMATES_HEADER, FLAGS_HEADER, Recorder, estimated, flag_words
 from gateway.settings.config import Config, ConfigError
 
 if TYPE_CHECKING:
@@ -45,8 +45,7 @@ class Run:
         """What the gateway sent."""
         self._flags: list[tuple[object, ...]] = []
         self._estimates: list[tuple[object, ...]] = []
-        self._events: list[tuple[int, int, str, str]] = []
-        self._last_words: dict[tuple[int, str], str] = {}
+        self._recorder = Recorder(None)
         self._first_ns = self._last_ns = 0
 
     def add(self, view: GatewayView, sent: Iterable[Frame]) -> None:
@@ -54,15 +53,12 @@ class Run:
         if not self._flags:
             self._first_ns = view.t_ns
         self._last_ns = view.t_ns
+        self._recorder.add(view)
         self.frames += sent
         for drive in view.drives:
             at, words = view.t_ns / 1e9, flag_words(drive)
             self._flags.append((at, drive.node, *words))
             self._estimates.append((at, drive.node, *estimated(drive)))
-            for flag, word in zip(known.FLAGS, words, strict=False):
-                if self._last_words.get((drive.node, flag)) != word:
-                    self._last_words[drive.node, flag] = word
-                    self._events.append((view.t_ns, drive.node, flag, word))
 
     @cached_property
     def flags(self) -> pa.Table:
@@ -77,13 +73,15 @@ class Run:
     @cached_property
     def events(self) -> pa.Table:
         """A row for each change of a flag: t_s, drive, flag, state."""
-        rows = [(t_ns / 1e9, node, flag, word) for t_ns, node, flag, word in self._events]
+        rows = [(t_ns / 1e9, node, flag, word) for t_ns, node, flag, word in self._recorder.changes]
         return _table(("t_s", "drive", "flag", "state"), rows)
 
     @property
     def known(self) -> known.Shares:
         """Percent of the time in which each flag was not Unknown, by flag and drive."""
-        return known.shares(self._events, self.config.nodes, self._first_ns, self._last_ns)
+        return known.shares(
+            self._recorder.changes, self.config.nodes, self._first_ns, self._last_ns
+        )
 
     def to_pandas(self) -> pd.DataFrame:
         """Flags and estimates side by side, a row for each tick and drive. Needs pandas."""
@@ -100,7 +98,7 @@ class Run:
         rows = "".join(
             f"<tr><td>{t_ns / 1e9 - first_s:.3f}</td><td>{node}</td><td>{flag}</td>"
             f"<td>{word}</td></tr>"
-            for t_ns, node, flag, word in self._events
+            for t_ns, node, flag, word in self._recorder.changes
         )
         head = "<tr><th>s</th><th>drive</th><th>flag</th><th>says</th></tr>"
         return f"<p>{escape(repr(self)[1:-1])}</p><table>{head}{rows}</table>"
