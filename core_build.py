@@ -124,6 +124,7 @@ SOURCES = (
     "gateway/core/temperature.c",
     "gateway/core/supervision.c",
     "gateway/core/sequence.c",
+    "gateway/core/sample_clock.c",
     "gateway/core/pairing.c",
     "gateway/core/receive.c",
     "gateway/core/busload.c",

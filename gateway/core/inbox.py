@@ -120,7 +120,8 @@ class Inbox:
         pointer = self.receiver.pointer
         found = Counter(self.added)
         counters = zip(NAMES, self.receiver.counters.tolist(), strict=True)
-        others = {name: getattr(pointer, name) for name in ("received", "unpaired", "late")}
+        more = ("received", "unpaired", "late", "left_out")
+        others = {name: getattr(pointer, name) for name in more}
         for name, count in (*counters, *others.items()):
             if count:
                 found[name] += count

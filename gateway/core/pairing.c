@@ -1,14 +1,15 @@
 /* Halves of samples to samples, SI units, stationary frame.
  *
  * Currents and voltages with the same counter, received within half a turn of it, belong together.
- * The time between two samples is the counter difference times the period; stamps decide only
- * which turn of the counter it was.
+ * The time between two samples is the counter difference times the period; stamps decide which turn
+ * of the counter it was and, of pairs, whether the sender left some out (gateway/core/sample_clock.c).
  *
  * No function here can fail: counters are masked or compared with their number of values, a period
  * is at least 1 ns (gateway/core/channel.py), and every quotient is bounded before it is converted. */
 #include "gateway/core/pairing.h"
 
 #include "dbc/rounding.h"
+#include "gateway/core/sample_clock.h"
 
 enum { BLOCK_SAMPLES = 8, BLOCK_COUNTERS = 8192 };
 #define SUM_SMOOTHING 0.05
@@ -44,6 +45,8 @@ static int64_t next_sample(struct receiver *receiver, struct drive_input *drive,
     if (missing == START_ANEW) {
         drive->restart = 1;
         receiver->tick.restarts++;
+        receiver->late += drive->clock.waits;
+        start_sample_clock(&drive->clock);
         missing = 0;
     }
     drive->sample_counter = counter;
@@ -85,6 +88,35 @@ static void keep_half(struct drive_input *drive, const struct channel *channel, 
     }
 }
 
+/* The sample of this counter, `passed_ns` after the one before; behind one that had to wait for it,
+ * or itself to wait for the next. */
+static void append_pair(struct receiver *receiver, const struct channel *channel, int64_t counter,
+                        int64_t passed_ns, int64_t missing)
+{
+    struct drive_input *drive = &receiver->drives[channel->drive];
+    struct sample_clock *clock = &drive->clock;
+    const double *u = drive->pending[KIND_VOLTAGES][counter].value;
+    const double *y = drive->pending[KIND_CURRENTS][counter].value;
+    int64_t left_out = 0;
+    if (!drive->restart)
+        left_out = step_sample_clock(clock, passed_ns, missing + 1, channel->period_ns,
+                                     receiver->max_gap_ns);
+    receiver->left_out += left_out;
+    if (clock->waits)
+        append_sample(receiver, channel->drive, clock->u, clock->y, channel->steps,
+                      clock->gap + left_out * channel->steps);
+    clock->waits = (uint8_t)is_out_of_time(clock, channel->period_ns);
+    if (!clock->waits) {
+        append_sample(receiver, channel->drive, u, y, channel->steps, missing * channel->steps);
+        return;
+    }
+    for (int k = 0; k < 2; k++) {
+        clock->u[k] = u[k];
+        clock->y[k] = y[k];
+    }
+    clock->gap = missing * channel->steps;
+}
+
 /* A row of currents or voltages, and the sample that it completes. */
 static void pair_halves(struct receiver *receiver, const struct channel *channel,
                         const double *value, int64_t t_ns, int64_t counter)
@@ -106,13 +138,12 @@ static void pair_halves(struct receiver *receiver, const struct channel *channel
     const int64_t newer_ns = other->t_ns > t_ns ? other->t_ns : t_ns;
     mine->t_ns = -1;
     other->t_ns = -1;
+    const int64_t before_ns = drive->sample_ns;
     const int64_t missing =
         next_sample(receiver, drive, counter, PAIR_COUNTERS, newer_ns, channel->period_ns);
     if (missing == TOO_LATE)
         return;
-    append_sample(receiver, channel->drive, drive->pending[KIND_VOLTAGES][counter].value,
-                  drive->pending[KIND_CURRENTS][counter].value, channel->steps,
-                  missing * channel->steps);
+    append_pair(receiver, channel, counter, newer_ns - before_ns, missing);
 }
 
 /* A row of eight samples: index, then Ia, Ib, Ualpha, Ubeta of each. */

@@ -905,21 +905,33 @@ struct half_sample {
     int64_t t_ns;    /* -1: none waits */
 };
 
+/* When a drive's samples are due, and the one that waits for the next (gateway/core/sample_clock.c). */
+struct sample_clock {
+    int64_t late_ns;  /* how much later than due the last sample came */
+    int64_t usual_ns; /* how late they come as a rule */
+    int64_t samples;  /* since its start, as many as it needs */
+    double u[2];      /* of the sample that waits: V, alpha and beta, */
+    double y[2];      /* A, */
+    int64_t gap;      /* sub-steps missing before it */
+    uint8_t waits;    /* 1: there is one */
+};
+
 /* What one drive has sent; NaN: not yet. */
 struct drive_input {
     struct half_sample pending[2][PAIR_COUNTERS]; /* by enum channel_kind, by counter */
     int64_t sample_ns;                            /* stamp of the last sample */
     int64_t sample_counter;                       /* and its counter */
-    int64_t newest_sample;                        /* its row in this tick; -1: none */
-    double current_sum;                           /* smoothed |Ia + Ib + Ic|, A */
-    double speed;                                 /* rotor speed, rad/s */
-    double command;                               /* torque command, Nm */
-    double previous_command;                      /* the one before, Nm */
-    double irms;                                  /* A, sent with the command */
-    int64_t command_ns;                           /* stamp of the command */
-    uint8_t command_steady;                       /* 1: it hardly differs from the one before */
-    uint8_t operating; /* 1: `State` is Operation, or the drive sends none */
-    uint8_t restart;   /* 1: its filter starts anew in this tick */
+    struct sample_clock clock;
+    int64_t newest_sample;   /* its row in this tick; -1: none */
+    double current_sum;      /* smoothed |Ia + Ib + Ic|, A */
+    double speed;            /* rotor speed, rad/s */
+    double command;          /* torque command, Nm */
+    double previous_command; /* the one before, Nm */
+    double irms;             /* A, sent with the command */
+    int64_t command_ns;      /* stamp of the command */
+    uint8_t command_steady;  /* 1: it hardly differs from the one before */
+    uint8_t operating;       /* 1: `State` is Operation, or the drive sends none */
+    uint8_t restart;         /* 1: its filter starts anew in this tick */
 };
 
 /* Heartbeat of one node (CiA 301); INT64_MIN is no stamp here. */
@@ -1000,6 +1012,7 @@ struct receiver {
     int64_t counters[RX_COUNTERS]; /* what became of them, since the start */
     int64_t unpaired;              /* halves of samples that found no other, since the start */
     int64_t late;                  /* samples that came too late, since the start */
+    int64_t left_out;              /* samples that senders left out without counting them */
     struct received tick;
 };
 

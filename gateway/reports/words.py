@@ -27,9 +27,10 @@ COUNTS: Final = {
     "lost": "frames that never came, by the gaps in their counters (they are not in `received`)",
     "unpaired": "currents without the voltages of the same instant, or the reverse: not used",
     "late": "a sample's second half came too late to be its half: not used",
+    "left_out": "samples that never came though no counter says so: all later ones come later",
 }
 """By the name of the counter."""
-NOT_USED: Final = (*REJECTED, "error_frame", "remote", "lost", "unpaired", "late")
+NOT_USED: Final = (*REJECTED, "error_frame", "remote", "lost", "unpaired", "late", "left_out")
 """Those that say that something was wrong, in the order of the table."""
 REASONS: Final = {
     Reason.STARTING: "not enough was seen yet, since the start or since the drive turns",

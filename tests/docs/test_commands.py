@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,11 @@ ALL = [block for page in pages() for block in blocks(page)]
 REASONS = ("no, ", "vcan")
 
 
-def run_page(page: str, where: str, folder: Path) -> list[str]:
-    """Run the page's blocks of that kind; files are written as they come. Gives what was run."""
+def run_page(page: str, where: str, folder: Path, first: Sequence[str] = ()) -> list[str]:
+    """Run the page's blocks of that kind; files are written as they come. Gives what was run.
+
+    first: what the shell is started by.
+    """
     env = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     ran = []
     for block in blocks(page):
@@ -26,8 +30,8 @@ def run_page(page: str, where: str, folder: Path) -> list[str]:
             (folder / block.file).write_text(block.text, encoding="utf-8")
         elif block.language == "sh" and block.run == where:
             done = subprocess.run(
-                ["bash", "-euc", block.text], cwd=folder, env=env, capture_output=True, text=True,
-                check=False, timeout=550,
+                [*first, "bash", "-euc", block.text], cwd=folder, env=env, capture_output=True,
+                text=True, check=False, timeout=550,
             )  # fmt: skip
             said = f"{page}:{block.line}\n{block.text}\n{done.stdout}\n{done.stderr}"
             assert done.returncode == 0, said

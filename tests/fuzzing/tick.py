@@ -53,7 +53,7 @@ STATE: dict[str, str] = {
         " protection_reason reason was_valid"
     ),
     "inbox.receiver.drives": "",
-    "inbox.receiver.record": "received counters unpaired late",
+    "inbox.receiver.record": "received counters unpaired late left_out",
     "supervision.heartbeats": "",
     "bank.filters": "x P nis r_scale v_q_bias steps active is_finite",
     "bank.chords": "",

@@ -66,10 +66,10 @@ def stale_ns(spec: MessageSpec) -> int:
 def setting(
     vcan: Vcan, folder: Path, drives: int, *, fd: bool = False, slower: bool = False
 ) -> Setting:
-    """The shipped message set, or a copy of the classic one for a slower bus."""
+    """The shipped message set, or a copy of it for a slower bus."""
     dbc = shipped_dbc("traction_fd.dbc" if fd else "traction.dbc")
     if slower:
-        dbc = for_slower_bus(dbc, folder)
+        dbc = for_slower_bus(dbc, folder, FD_SLOWER_MS if fd else SLOWER_MS)
     nodes = tuple(range(1, drives + 1))
     calibration = Path(gateway.__path__[0]) / "bench_calibration.toml"
     config = folder / "train.toml"
@@ -83,13 +83,16 @@ def setting(
     return Setting(codec, config, nodes, bus, drives)
 
 
-def for_slower_bus(dbc: Path, folder: Path) -> Path:
-    """A copy of the classic DBC that says so, as users make it: 40 % of the frames.
+SLOWER_MS = {0x180: 5, 0x280: 5, 0x380: 20}
+"""Cycles of currents and voltages (2 ms as shipped) and of Motion (10): 40 % of the frames."""
+FD_SLOWER_MS = {0x180: 4}
+"""Of the currents (1 ms as shipped)."""
 
-    Currents and voltages every 5 ms instead of 2, Motion every 20 instead of 10.
-    """
+
+def for_slower_bus(dbc: Path, folder: Path, cycles_ms: Mapping[int, int] = SLOWER_MS) -> Path:
+    """A copy of a DBC that says so, as users make it; cycles_ms: by identifier of node 0."""
     text = dbc.read_text(encoding="cp1252")
-    for base, cycle in ((0x180, 5), (0x280, 5), (0x380, 20)):
+    for base, cycle in cycles_ms.items():
         for node in range(1, 17):
             text, count = re.subn(
                 rf'(BA_ "GenMsgCycleTime" BO_ {base + node}) \d+;', rf"\1 {cycle};", text
@@ -110,30 +113,37 @@ def memory_folder() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def program(vcan: Vcan, verb: str, *words: str) -> list[str]:
-    """A command line of ours.
+def favoured(vcan: Vcan, priority: int) -> list[str]:
+    """What a command line begins with.
 
     In a kernel of our own, with one processor, somebody must wait: other work for the drives, and
     they for the gateway (`-R`: those that `hil` starts, too).
     """
-    first = ["chrt", "-R", "-f", "10" if verb == "sim" else "20"] if vcan.own_kernel else []
+    return ["chrt", "-R", "-f", str(priority)] if vcan.own_kernel else []
+
+
+def program(vcan: Vcan, verb: str, *words: str) -> list[str]:
+    """A command line of ours."""
+    first = favoured(vcan, 10 if verb == "sim" else 20)
     return [*first, sys.executable, "-m", "gateway", verb, *words]
 
 
 class Recording:
     """candump beside the others; `end` gives the log. It lives through a link that is down."""
 
-    def __init__(self, vcan: Vcan, folder: Path) -> None:
+    def __init__(self, vcan: Vcan, folder: Path, name: str = "") -> None:
+        """name: the interface, or "any" for those, too, that are not there yet."""
+        name = name or vcan.name
         folder.mkdir(parents=True)
         self._folder = folder
-        before = vcan.listeners()
+        before = vcan.listeners(name)
         # The kernel stamps frames and keeps them, so it can wait until nobody else has work to do.
         idle = ["chrt", "-i", "0"] if vcan.own_kernel else []
         self._process = vcan.start(
-            *(*idle, "candump", "-l", "-D", "-r", str(256 << 20), vcan.name),
+            *(*idle, "candump", "-l", "-D", "-r", str(256 << 20), name),
             cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        wait_for(lambda: vcan.listeners() > before, "candump")
+        wait_for(lambda: vcan.listeners(name) > before, "candump")
 
     def end(self) -> Path:
         """Call it when the bus is quiet: candump has read all once the log does not grow."""

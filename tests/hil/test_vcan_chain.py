@@ -101,12 +101,12 @@ def run_chain(vcan: Vcan, folder: Path, used: Setting, seconds: float) -> Run:
 def checked_run(vcan: Vcan, folder: Path, drives: int, seconds: float, fd: bool) -> Run:
     """A run whose wire and replay are right.
 
-    It is tried again where the machine stalled; classic then at a rate that a slower one carries.
+    It is tried again where the machine stalled, then at a rate that a slower one carries.
     """
     for k in range(ATTEMPTS):
         here = folder / f"run{k}"
         here.mkdir()
-        used = setting(vcan, here, drives, fd=fd, slower=k > 0 and not fd)
+        used = setting(vcan, here, drives, fd=fd, slower=k > 0)
         run = run_chain(vcan, here, used, seconds)
         with excused(run.log, used):
             check_wire(run)

@@ -5,11 +5,13 @@ steps, frames of another kind. The counts are a tenth of what `--counts full` do
 from __future__ import annotations
 
 import itertools
+import os
 import re
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import can
@@ -35,6 +37,8 @@ PATTERNS, PHASES = 60, 60
 CURRENTS = 0x181
 CORRUPTED, SEQUENCE, INTRUDER = 3, 4, 10
 OWN, BATCH = 1_000_000, 200
+TRIES = 10
+"""At most so many rounds for each that counts: not one in which the machine let a sender wait."""
 ATTEMPTS = 3
 """A machine that stands still changes flags, too; a fault of ours does so every time."""
 
@@ -95,22 +99,43 @@ class Imitator:
         self._spec = site.used.drives[CURRENTS]
         only = [{"can_id": CURRENTS, "can_mask": 0x7FF, "extended": False}]
         self._bus = can.Bus(interface="socketcan", channel=site.vcan.name, can_filters=only)
+        self._own_kernel = site.vcan.own_kernel
 
-    def speak(self, seconds: float, offset: int) -> None:
-        """For so long, one frame for each of the drive's, as soon as it is heard."""
+    def speak(self, seconds: float, offset: int) -> bool:
+        """For so long, one frame for each of the drive's, as soon as it is heard.
+
+        False if the machine let one wait for longer than a period: what the two counters then do
+        on the bus may look like one sender's.
+        """
         while self._bus.recv(0) is not None:
             pass
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            message = self._bus.recv(0.05)
-            if message is not None:
-                data = bytearray(message.data)
-                protect(self._spec, data, (data[1] & 0x0F) + offset)
-                message.data = data
-                self._bus.send(message)
+        end, longest_s = time.monotonic() + seconds, 0.0
+        with before_the_drives(self._own_kernel):
+            while time.monotonic() < end:
+                message = self._bus.recv(0.05)
+                if message is not None:
+                    data = bytearray(message.data)
+                    protect(self._spec, data, (data[1] & 0x0F) + offset)
+                    message.data = data
+                    self._bus.send(message)
+                    longest_s = max(longest_s, time.time() - message.timestamp)
+        return longest_s * 1e9 < self._spec.cycle_ns
 
     def close(self) -> None:
         self._bus.shutdown()
+
+
+@contextmanager
+def before_the_drives(own_kernel: bool) -> Iterator[None]:
+    """Before the drives and after the gateway, where all of them share one processor."""
+    if not own_kernel:
+        yield
+        return
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(15))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def first_of(seen: Observer) -> set[int]:
@@ -159,30 +184,34 @@ def test_frames_that_the_kernel_corrupts_are_never_used(site: Site) -> None:
 
 
 def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
-    """In another process, right by itself, at any distance of the counters but the nearest.
-
-    The guard time outlasts any moment in which one of the two has no processor.
-    """
+    """In another process, right by itself, at any distance of the counters but the nearest."""
     imitator = Imitator(site)
     site.run()
     site.drive()
     seen = site.observer()
-    heard = good = 0
-    for k in range(site.count(PHASES)):
+    heard = good = rounds = 0
+    for _ in range(TRIES * site.count(PHASES)):
         seen.until(seen.all_good, "every drive adheres")
         seen.watch(site.rng.uniform(0.0, 0.02))
         offset = site.rng.randint(3, 13)
-        imitator.speak(0.1, offset)
+        in_time = imitator.speak(0.1, offset)
         seen.forget()
-        imitator.speak(site.rng.uniform(0.3, 0.8), offset)
+        in_time &= imitator.speak(site.rng.uniform(0.3, 0.8), offset)
         seen.take()
+        site.check_alive()
+        if not in_time:
+            continue
         heard += len(seen.flags)
         good += sum(said.flags[0] == GOOD for said in seen.flags)
-        assert SEQUENCE in {said.reason for said in seen.flags}, f"round {k}, {offset} ahead"
-        site.check_alive()
+        assert SEQUENCE in {said.reason for said in seen.flags}, f"{offset} ahead"
+        rounds += 1
+        if rounds == site.count(PHASES):
+            break
+    else:
+        raise AssertionError(f"this machine stalls: {rounds} rounds without a delay")
     assert heard > 0
     assert good == 0
-    site.note("second senders", times=site.count(PHASES), flags=heard, good=good)
+    site.note("second senders", times=rounds, flags=heard, good=good)
     seen.close()
     imitator.close()
 

@@ -187,7 +187,7 @@ class Receiver:
         self.drives = [
             Record(pending={}, counter=0, sample_ns=-1, current_sum=0.0, speed=math.nan,
                    command=math.nan, before=math.nan, irms=math.nan, operating=True,
-                   command_ns=0, steady=True)
+                   command_ns=0, steady=True, due=0, usual=0, seen=0, waiting=None)
             for _ in nodes
         ]  # fmt: skip
 
@@ -323,11 +323,46 @@ class Receiver:
             drive.pending.pop(("PhaseCurrents", counter)),
             drive.pending.pop(("StatorVoltages", counter)),
         )
-        missing = self.gap(channel, drive, counter, 16, max(t, other[0]))
+        newer = max(t, other[0])
+        missing = self.gap(channel, drive, counter, 16, newer)
         if missing is not None:
-            self.samples.append(
-                (channel.drive, *u[1], *y[1], channel.steps, missing * channel.steps)
-            )
+            if channel.drive in self.restart:
+                drive.due = newer
+            in_time = self.in_time(channel, drive, (*u[1], *y[1]), missing, newer)
+            self.samples += [
+                (channel.drive, *values, channel.steps, gap * channel.steps)
+                for values, gap in in_time
+            ]
+
+    def in_time(self, channel, drive, values, missing, t):
+        """Samples that are used now, each with the cycles missing before it.
+
+        One that comes later than due waits: a period later than usual, the sender has left one out
+        if the next is not earlier by more than a quarter of a period or what is usual.
+        """
+        period, used = channel.spec.cycle_ns, []
+        if channel.drive not in self.restart:
+            due = drive.due + (missing + 1) * period
+            drive.due = max(min(due, t), t - self.max_gap_ns)
+        if drive.waiting is not None:
+            first, gap, late = drive.waiting
+            if late - (t - drive.due) <= max(period // 4, drive.usual):
+                left_out = (min(late, t - drive.due) + period // 4) // period
+                gap += left_out
+                self.counts["left_out"] += left_out
+                drive.due = min(t, drive.due + left_out * period)
+            used.append((first, gap))
+        if channel.drive not in self.restart:
+            drive.due += (t - drive.due) // 256
+            drive.seen += 1
+        late = t - drive.due
+        if drive.seen >= 16 and late - drive.usual > 3 * period // 4:
+            drive.waiting = (values, missing, late)
+            return used
+        if channel.drive not in self.restart:
+            drive.usual = max(drive.usual - drive.usual // 64, late)
+        drive.waiting = None
+        return [*used, (values, missing)]
 
     def block(self, channel, drive, used, t):
         missing = self.gap(channel, drive, int(used[0]) // 8, 8192, t)
@@ -344,6 +379,8 @@ class Receiver:
         missing = 0
         if drive.sample_ns < 0 or t - drive.sample_ns > self.max_gap_ns:
             self.restart.add(channel.drive)
+            self.counts["late"] += drive.waiting is not None
+            drive.usual, drive.seen, drive.waiting = 0, 0, None
         else:
             delta = (counter - drive.counter) % values
             turns = round(((t - drive.sample_ns) / channel.spec.cycle_ns - delta) / values)

@@ -213,7 +213,7 @@ def test_every_tick_of_a_bus_in_any_weather(path, wrong):
         }
         assert box.supervision.malformed >= plain.supervision.malformed
         assert box.counts["received"] == sum(box.counts.values()) - box.counts["received"] - sum(
-            box.counts[name] for name in ("lost", "unpaired", "late")
+            box.counts[name] for name in ("lost", "unpaired", "late", "left_out")
         )
         seen |= {name for name, n in box.counts.items() if n}
     if wrong == 0.4:

@@ -264,7 +264,7 @@ def test_headings_of_the_same_name_have_names_of_their_own():
 
 def test_every_counter_and_reason_has_words():
     assert set(NAMES) | {
-        "received", "translated", "canopen", "unknown_id", "unpaired", "late",
+        "received", "translated", "canopen", "unknown_id", "unpaired", "late", "left_out",
     } == set(words.COUNTS)  # fmt: skip
     assert set(REJECTED) <= set(words.NOT_USED) <= set(words.COUNTS)
     assert set(words.REASONS) == set(Reason) - {Reason.NONE}

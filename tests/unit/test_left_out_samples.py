@@ -1,0 +1,104 @@
+"""Samples that a sender left out without counting them, and samples that were only delayed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbc.e2e import protect
+from gateway.core.codes import Flag
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse
+from sim.simulation import Simulation
+from tests.sender import MS
+from tests.simrun import TICK, codec, scenario
+
+NODES = (1, 2, 3)
+PERIOD_NS = 2 * MS
+SECONDS, FROM, LOAD_NM = 5.0, 190, 30.0
+"""A tick from which the load is known to 2 Nm."""
+HALVES = {
+    spec.can_id: spec
+    for spec in map(codec(NODES).by_name.get, ("Drive1_PhaseCurrents", "Drive1_StatorVoltages"))
+    if spec is not None
+}
+
+
+def ticks(left_out=(), delays_ns=None):
+    """Frames tick by tick; of drive 1 samples are not sent, by their number, or come later."""
+    run = scenario(
+        seed=3, duration_s=SECONDS, motion={"profile": [[0.0, 200.0]]},
+        load={"kind": "preset", "torque_nm": LOAD_NM},
+    )  # fmt: skip
+    simulation = Simulation(run, codec(NODES), nodes=NODES)
+    taken, sent = dict.fromkeys(HALVES, 0), dict.fromkeys(HALVES, 0)
+    waiting = []
+    for now in range(TICK, round(SECONDS * 1e9) + 1, TICK):
+        for frame in simulation.step((), now):
+            can_id, t_ns, data = frame.can_id, frame.t_ns, bytearray(frame.data)
+            if can_id in HALVES:
+                number = taken[can_id]
+                taken[can_id] += 1
+                if number in left_out:
+                    continue
+                protect(HALVES[can_id], data, sent[can_id])
+                sent[can_id] += 1
+                t_ns += (delays_ns or {}).get(number, 0)
+            waiting.append(frame._replace(t_ns=t_ns, data=bytes(data)))
+        waiting.sort(key=lambda frame: frame.t_ns)
+        yield now, [frame for frame in waiting if frame.t_ns <= now]
+        waiting = [frame for frame in waiting if frame.t_ns > now]
+
+
+def judged(frames):
+    """Flags (ticks, N) and the load of drive 1 from when it is known, and what was counted."""
+    core = Gateway(parse({"drive": [{"node": node} for node in NODES]}), codec(NODES), 0)
+    flags, loads = [], []
+    for now, received in frames:
+        core.step(received, now)
+        flags.append([drive.adhesion for drive in core.view.drives])
+        loads.append(core.view.drives[0].load_nm)
+    return np.array(flags[FROM:]), np.array(loads[FROM:], dtype=float), core.inbox.counts
+
+
+@pytest.mark.parametrize(
+    "left_out",
+    [{1000}, {1000, 1001, 1002}, {1000, 1002}, set(range(1000, 2300, 100))],
+    ids=["one", "three", "every second", "one of a hundred"],
+)
+def test_what_a_sender_leaves_out_without_counting_changes_nothing(left_out):
+    flags, load, counts = judged(ticks(left_out))
+    assert (flags == Flag.GOOD).all()
+    assert np.abs(load - LOAD_NM).max() < 2.0
+    assert counts["left_out"] == len(left_out)
+    assert counts["lost"] == 0
+
+
+def later(stall_ns):
+    """All samples of a pause at its end, from sample 1000 on."""
+    return {1000 + k: stall_ns - k * PERIOD_NS for k in range(stall_ns // PERIOD_NS + 1)}
+
+
+JITTER = np.random.default_rng(11).integers(0, PERIOD_NS * 9 // 10, 2600).tolist()
+
+
+@pytest.mark.parametrize(
+    "delays_ns",
+    [{1000: PERIOD_NS - 1}, later(3 * PERIOD_NS), later(11 * PERIOD_NS // 2), later(7 * PERIOD_NS),
+     dict(enumerate(JITTER))],
+    ids=["one", "three", "five and a half", "seven", "jitter of 0.9 periods"],
+)  # fmt: skip
+def test_what_is_only_delayed_is_not_left_out(delays_ns):
+    """A sender, a bus or a machine that stood still: the next ones are in time again."""
+    flags, load, counts = judged(ticks(delays_ns=delays_ns))
+    assert (flags == Flag.GOOD).all()
+    assert np.abs(load - LOAD_NM).max() < 2.0
+    assert counts["left_out"] == 0
+
+
+def test_a_sample_that_waits_is_used_or_counted():
+    """The next one comes too late to say anything about it."""
+    delays_ns = dict.fromkeys(range(1001, 1201), 400 * MS)
+    delays_ns[1000] = PERIOD_NS - 1
+    _, _, counts = judged(ticks(delays_ns=delays_ns))
+    assert counts["late"] >= 1
