@@ -169,8 +169,9 @@ $(VENV)/.dependencies: requirements.lock requirements-compiler.lock
 	command -v cc >/dev/null || $(PIP) --require-hashes -r requirements-compiler.lock
 	touch $@
 
+# compat: a path in a .pth file; the other way of an editable install costs every start an import.
 $(VENV)/.ready: $(VENV)/.dependencies pyproject.toml setup.py core_build.py $(CORE_C) $(CORE_H)
-	$(PIP) --no-deps --no-build-isolation -e .
+	$(PIP) --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
 	touch $@
 
 clean:

@@ -128,6 +128,13 @@ struct reading {
     double later_s;          /* by which that sample is later */
 };
 
+/* When the newest sample of drive k was taken: its stamp, but for what it was delayed by. */
+static int64_t newest_ns(const struct motion_monitor *m, int64_t k)
+{
+    const struct drive_input *in = &m->receiver->drives[k];
+    return in->sample_ns - in->clock.late_ns;
+}
+
 /* Row of the last sample of drive k in this tick, from which `sample_before` goes on; -1: none. */
 static int64_t newest_sample(const struct motion_monitor *m, int64_t k)
 {
@@ -137,8 +144,7 @@ static int64_t newest_sample(const struct motion_monitor *m, int64_t k)
 /* Fill in the sample of this tick that is nearest to the reading. Returns 0 without any. */
 static int find_current(const struct motion_monitor *m, struct reading *reading)
 {
-    const int64_t newest_ns = m->receiver->drives[reading->k].sample_ns;
-    double later = (double)(newest_ns - reading->t_ns) * 1e-9;
+    double later = (double)(newest_ns(m, reading->k) - reading->t_ns) * 1e-9;
     reading->later_s = INFINITY;
     for (int64_t i = newest_sample(m, reading->k); i >= 0; i = m->receiver->sample_before[i]) {
         const double *y = &m->receiver->sample_y[2 * i];
@@ -202,12 +208,15 @@ static void forget_angle(struct plausibility *p)
 }
 
 /* Angle that a reading may be off because it waited for the bus, rad: it is stamped when it comes,
- * and so is off the grid of its cycle. passed_ns: since the reading before. */
-static double turned_meanwhile(const struct motion_monitor *m, double w_e, int64_t passed_ns)
+ * and so is off the grid of its cycle; and it may have come as late as samples do as a rule.
+ * passed_ns: since the reading before. */
+static double turned_meanwhile(const struct motion_monitor *m, const struct reading *reading,
+                               int64_t passed_ns)
 {
     const int64_t cycle = m->motion_cycle_ns;
     const int64_t off_ns = passed_ns - (passed_ns + cycle / 2) / cycle * cycle;
-    return fabs(w_e) * fabs((double)off_ns * 1e-9);
+    const int64_t usual_ns = m->receiver->drives[reading->k].clock.usual_ns;
+    return fabs(reading->w_e) * (fabs((double)off_ns) + (double)usual_ns) * 1e-9;
 }
 
 /* Follow the deviation of the angle of the current; 1 if it is too large. unit: see is_angle_off. */
@@ -215,7 +224,7 @@ static int deviates(const struct motion_monitor *m, struct plausibility *p,
                     const struct reading *reading, double _Complex unit)
 {
     const int64_t passed_ns = reading->t_ns - p->angle_ns;
-    const double turned = turned_meanwhile(m, reading->w_e, passed_ns);
+    const double turned = turned_meanwhile(m, reading, passed_ns);
     const double angle = angle_of(unit * conj(p->base));
     const double off = angle - clamp(angle, -turned, turned);
     if (passed_ns <= ANGLE_GAP_NS)
@@ -265,8 +274,7 @@ static int check_angle(struct motion_monitor *m, const struct reading *reading, 
     const double length = length_of(reading->current);
     int off = torque_off;
     if (p->learnt >= LEARN) {
-        const int64_t newest_ns = m->receiver->drives[reading->k].sample_ns;
-        const double later = (double)(newest_ns - reading->t_ns) * 1e-9;
+        const double later = (double)(newest_ns(m, reading->k) - reading->t_ns) * 1e-9;
         const double theta = reading->angle + reading->w_e * later + angle_of(p->base);
         off = is_torque_off(m, reading, theta, now_ns) || off;
     }

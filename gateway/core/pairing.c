@@ -2,7 +2,7 @@
  *
  * Currents and voltages with the same counter, received within half a turn of it, belong together.
  * The time between two samples is the counter difference times the period; stamps decide which turn
- * of the counter it was and, of pairs, whether the sender left some out (gateway/core/sample_clock.c).
+ * of the counter it was, and whether the sender has left some out (gateway/core/sample_clock.c).
  *
  * No function here can fail: counters are masked or compared with their number of values, a period
  * is at least 1 ns (gateway/core/channel.py), and every quotient is bounded before it is converted. */
@@ -33,10 +33,12 @@ static int64_t missing_cycles(const struct receiver *receiver, const struct driv
     return cycles > 0 ? cycles - 1 : TOO_LATE;
 }
 
-/* Note the stamp and counter of a new sample. Returns missing cycles before it, or TOO_LATE. */
-static int64_t next_sample(struct receiver *receiver, struct drive_input *drive, int64_t counter,
-                           int64_t values, int64_t t_ns, int64_t period_ns)
+/* Note stamp, counter and voltage of a new sample. Returns missing cycles before it, or TOO_LATE. */
+static int64_t next_sample(struct receiver *receiver, const struct channel *channel,
+                           int64_t counter, int64_t values, int64_t t_ns, const double *u)
 {
+    struct drive_input *drive = &receiver->drives[channel->drive];
+    const int64_t period_ns = channel->period_ns, passed_ns = t_ns - drive->sample_ns;
     int64_t missing = missing_cycles(receiver, drive, counter, values, t_ns, period_ns);
     if (missing == TOO_LATE) {
         receiver->late++;
@@ -45,9 +47,13 @@ static int64_t next_sample(struct receiver *receiver, struct drive_input *drive,
     if (missing == START_ANEW) {
         drive->restart = 1;
         receiver->tick.restarts++;
-        receiver->late += drive->clock.waits;
-        start_sample_clock(&drive->clock);
+        start_sample_clock(&drive->clock, u, period_ns);
         missing = 0;
+    } else {
+        const int64_t left_out = step_sample_clock(&drive->clock, u, passed_ns, missing + 1,
+                                                   period_ns, receiver->max_gap_ns);
+        receiver->left_out += left_out;
+        missing += left_out;
     }
     drive->sample_counter = counter;
     drive->sample_ns = t_ns;
@@ -88,35 +94,6 @@ static void keep_half(struct drive_input *drive, const struct channel *channel, 
     }
 }
 
-/* The sample of this counter, `passed_ns` after the one before; behind one that had to wait for it,
- * or itself to wait for the next. */
-static void append_pair(struct receiver *receiver, const struct channel *channel, int64_t counter,
-                        int64_t passed_ns, int64_t missing)
-{
-    struct drive_input *drive = &receiver->drives[channel->drive];
-    struct sample_clock *clock = &drive->clock;
-    const double *u = drive->pending[KIND_VOLTAGES][counter].value;
-    const double *y = drive->pending[KIND_CURRENTS][counter].value;
-    int64_t left_out = 0;
-    if (!drive->restart)
-        left_out = step_sample_clock(clock, passed_ns, missing + 1, channel->period_ns,
-                                     receiver->max_gap_ns);
-    receiver->left_out += left_out;
-    if (clock->waits)
-        append_sample(receiver, channel->drive, clock->u, clock->y, channel->steps,
-                      clock->gap + left_out * channel->steps);
-    clock->waits = (uint8_t)is_out_of_time(clock, channel->period_ns);
-    if (!clock->waits) {
-        append_sample(receiver, channel->drive, u, y, channel->steps, missing * channel->steps);
-        return;
-    }
-    for (int k = 0; k < 2; k++) {
-        clock->u[k] = u[k];
-        clock->y[k] = y[k];
-    }
-    clock->gap = missing * channel->steps;
-}
-
 /* A row of currents or voltages, and the sample that it completes. */
 static void pair_halves(struct receiver *receiver, const struct channel *channel,
                         const double *value, int64_t t_ns, int64_t counter)
@@ -138,12 +115,11 @@ static void pair_halves(struct receiver *receiver, const struct channel *channel
     const int64_t newer_ns = other->t_ns > t_ns ? other->t_ns : t_ns;
     mine->t_ns = -1;
     other->t_ns = -1;
-    const int64_t before_ns = drive->sample_ns;
-    const int64_t missing =
-        next_sample(receiver, drive, counter, PAIR_COUNTERS, newer_ns, channel->period_ns);
-    if (missing == TOO_LATE)
-        return;
-    append_pair(receiver, channel, counter, newer_ns - before_ns, missing);
+    const double *u = drive->pending[KIND_VOLTAGES][counter].value;
+    const double *y = drive->pending[KIND_CURRENTS][counter].value;
+    const int64_t missing = next_sample(receiver, channel, counter, PAIR_COUNTERS, newer_ns, u);
+    if (missing != TOO_LATE)
+        append_sample(receiver, channel->drive, u, y, channel->steps, missing * channel->steps);
 }
 
 /* A row of eight samples: index, then Ia, Ib, Ualpha, Ubeta of each. */
@@ -157,9 +133,10 @@ static int append_block(struct receiver *receiver, const struct channel *channel
     const int64_t first = (int64_t)index;
     if (first % BLOCK_SAMPLES != 0)
         return 0;
-    struct drive_input *drive = &receiver->drives[channel->drive];
-    const int64_t missing = next_sample(receiver, drive, first / BLOCK_SAMPLES, BLOCK_COUNTERS,
-                                        t_ns, channel->period_ns);
+    const int32_t *last = &columns[1 + 4 * (BLOCK_SAMPLES - 1)];
+    const double newest_u[2] = {value[last[2]], value[last[3]]};
+    const int64_t missing =
+        next_sample(receiver, channel, first / BLOCK_SAMPLES, BLOCK_COUNTERS, t_ns, newest_u);
     if (missing == TOO_LATE)
         return 1;
     for (int k = 0; k < BLOCK_SAMPLES; k++) {

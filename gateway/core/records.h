@@ -905,15 +905,14 @@ struct half_sample {
     int64_t t_ns;    /* -1: none waits */
 };
 
-/* When a drive's samples are due, and the one that waits for the next (gateway/core/sample_clock.c). */
+/* When one drive's samples were taken (gateway/core/sample_clock.c). */
 struct sample_clock {
     int64_t late_ns;  /* how much later than due the last sample came */
+    int64_t mean_ns;  /* mean period */
     int64_t usual_ns; /* how late they come as a rule */
     int64_t samples;  /* since its start, as many as it needs */
-    double u[2];      /* of the sample that waits: V, alpha and beta, */
-    double y[2];      /* A, */
-    int64_t gap;      /* sub-steps missing before it */
-    uint8_t waits;    /* 1: there is one */
+    double u[2];      /* voltage of the last sample, V, alpha and beta */
+    double turn[2];   /* mean product of each with the one before, V^2, as a complex number */
 };
 
 /* What one drive has sent; NaN: not yet. */

@@ -36,6 +36,8 @@ TICK_NS = 10_000_000
 FLAGS_ID = 0x1A0
 MOST_BETWEEN_TICKS_NS = 18_000_000
 """A live loop that was once later than this had no processor: a tick is missing."""
+MOST_LATE = 0.1
+"""Of a message's frames: later than that, stamps say little of when something was measured."""
 ATTEMPTS = 6
 """A failure counts if the machine did not stall; it may do so this often less one."""
 
@@ -234,7 +236,7 @@ def stalled(log: Path, used: Setting, *, injected: bool = False) -> str:
     else:
         for can_id, spec in used.drives.items():
             own = [f for f in heard if f.can_id == can_id]
-            found += [_away(spec.name, own, stale_ns(spec)), _jumped(spec, own)]
+            found += [_away(spec.name, own, stale_ns(spec)), _jumped(spec, own), _late(spec, own)]
     return next(filter(None, found), "")
 
 
@@ -261,6 +263,13 @@ def _jumped(spec: MessageSpec, frames: Sequence[Frame]) -> str:
     steps = [(b - a) % COUNTERS[spec.profile] for a, b in itertools.pairwise(counters)]
     jumps = sum(not 1 <= step <= MAX_DELTA for step in steps)
     return f"{spec.name}: {jumps} jumps of the counter" if jumps else ""
+
+
+def _late(spec: MessageSpec, frames: Sequence[Frame]) -> str:
+    """Too many frames have waited for a processor and come in bursts."""
+    gaps = [b.t_ns - a.t_ns for a, b in itertools.pairwise(frames)]
+    late = sum(gap > 2 * spec.cycle_ns for gap in gaps)
+    return f"{spec.name}: {late} of {len(gaps)} late" if late > MOST_LATE * len(gaps) else ""
 
 
 def drives_ns(log: Path, used: Setting) -> list[int]:

@@ -51,6 +51,17 @@ def test_a_quiet_run_is_one(used: Setting, frames: list[Frame], log: Log) -> Non
     assert stalled(log(frames), used) == ""
 
 
+def test_a_drive_spoke_in_bursts(used: Setting, frames: list[Frame], log: Log) -> None:
+    """Each batch within the time limit of its messages; nothing is missing."""
+    spec = min(used.drives.values(), key=lambda spec: spec.cycle_ns)
+    batch = 4 * spec.cycle_ns
+    late = [
+        f._replace(t_ns=f.t_ns // batch * batch + f.t_ns % spec.cycle_ns)
+        if f.can_id == spec.can_id else f for f in frames
+    ]  # fmt: skip
+    assert stalled(log(sorted(late)), used).startswith(f"{spec.name}: ")
+
+
 def test_the_gateway_was_away(used: Setting, frames: list[Frame], log: Log) -> None:
     left = [f for f in frames if f.can_id != FLAGS_ID or f.t_ns != 400 * MS]
     assert stalled(log(left), used) == "the gateway: away for 20 ms"

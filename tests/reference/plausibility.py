@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
-from dbc.records import Columns
+from dbc.records import Columns, Records
 from gateway.core.pairing import Readings, Samples
 from tests.columns import SlowState, Told
 from tests.reference.motion import Memory
@@ -242,13 +242,14 @@ def _torque_off(
 
 
 def _angle_off(
-    k: int, turned: complex, w_e: float, t_ns: int, right: bool, check: Plausibility,
-    limits: PlausibilityLimits,
+    k: int, turned: complex, w_e: float, t_ns: int, usual_ns: int, right: bool,
+    check: Plausibility, limits: PlausibilityLimits,
 ) -> bool:  # fmt: skip
     """Whether the current's angle has left its learnt place; learns it where it has not.
 
-    turned: unit vector of the current in the rotor's frame, in the torque's direction; right:
-    nothing speaks against it, so that it may be learnt from.
+    turned: unit vector of the current in the rotor's frame, in the torque's direction; usual_ns:
+    how late samples come as a rule, and so perhaps the angle; right: nothing speaks against it, so
+    that it may be learnt from.
     """
     if check.learnt[k] < LEARN:
         if right:
@@ -265,7 +266,7 @@ def _angle_off(
     check.angle_ns[k] = t_ns
     # A frame that waited for the bus is stamped when it came, and so is off the grid of its cycle.
     cycle = limits.motion_ns
-    waited_s = abs(passed - (passed + cycle // 2) // cycle * cycle) * 1e-9
+    waited_s = abs(passed - (passed + cycle // 2) // cycle * cycle) * 1e-9 + usual_ns * 1e-9
     angle = math.atan2(apart.imag, apart.real)
     angle -= min(max(angle, -abs(w_e) * waited_s), abs(w_e) * waited_s)
     before = check.deviation[k]
@@ -302,11 +303,13 @@ def _load_off(k: int, load: float, motion: Memory, settled: int, rated: float) -
 
 
 def _check_reading(
-    r: int, now: int, samples: Samples, newest_ns: int, readings: Readings, health: int,
+    r: int, now: int, samples: Samples, drives: Records, readings: Readings, health: int,
     filters: Columns, flux: float, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """Currents against torque and angle as measured at the same instant."""
     k, torque, angle = readings.drive[r], readings.torque[r], readings.angle[r]
+    clock = drives["clock"][k]
+    newest_ns = drives["sample_ns"][k] - clock["late_ns"]
     row, later = _nearest(k, readings.t_ns[r], newest_ns, samples, limits.dt_s)
     w_e = limits.pole_pairs[k] * readings.speed[r]
     if row < 0 or abs(later) > 1.5 * limits.period_s:
@@ -345,7 +348,9 @@ def _check_reading(
         # What is implausible is not learnt; a small current may have turned over since the torque.
         if LEAST_CURRENT * limits.rated_a[k] <= size < MOST_CURRENT_A:
             right = tracking and not off and now >= check.until_ns[k]
-            apart = _angle_off(k, unit, w_e, readings.t_ns[r], right, check, limits)
+            apart = _angle_off(
+                k, unit, w_e, readings.t_ns[r], clock["usual_ns"], right, check, limits
+            )
             _count(apart, DOUBT_NS, IN_A_ROW, check.off, k, now, check)
     _count(off, DOUBT_NS, IN_A_ROW, check.torque_off, k, now, check)
 
@@ -408,14 +413,14 @@ def _electrical_speed(k: int, measured: Array, chords: Columns, pole_pairs: Arra
 
 
 def check_values(
-    samples: Samples, sample_ns: Ints, readings: Readings, count: int, measured: Array,
+    samples: Samples, drives: Records, readings: Readings, count: int, measured: Array,
     slow: SlowState, now: int, chords: Columns, filters: Columns, told: Told,
     motion: Memory, check: Plausibility, limits: PlausibilityLimits,
 ) -> None:  # fmt: skip
     """A tick's samples and the first `count` readings; sets `check.until_ns`.
 
     Filters begin anew where the input was implausible.
-    sample_ns (N,): stamp of each drive's newest sample; measured (N,): rotor speed of fresh
+    drives (N,) of `struct drive_input`; measured (N,): rotor speed of fresh
     `Motion`, rad/s, NaN without; told: of the filters, before `merge_motion`; motion: after the
     same readings. Never raises on numbers.
     """
@@ -429,7 +434,7 @@ def check_values(
     for r in range(count):
         k = readings.drive[r]
         _check_reading(
-            r, now, samples, sample_ns[k], readings, told.health[k], filters, told.flux[k],
+            r, now, samples, drives, readings, told.health[k], filters, told.flux[k],
             check, limits,
         )  # fmt: skip
         own = _own_speed(k, filters, told, limits)

@@ -16,6 +16,7 @@ from _traction_core import ffi, lib
 from dbc import e2e
 from dbc.e2e import Check, SmState
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, SECOND
+from tests.reference.sample_clock import SampleClock
 
 STARTING, STALE, CORRUPTED, SEQUENCE, RANGE, NOT_AVAILABLE = range(1, 7)
 FAST = ("PhaseCurrents", "StatorVoltages", "Samples")
@@ -187,7 +188,7 @@ class Receiver:
         self.drives = [
             Record(pending={}, counter=0, sample_ns=-1, current_sum=0.0, speed=math.nan,
                    command=math.nan, before=math.nan, irms=math.nan, operating=True,
-                   command_ns=0, steady=True, due=0, usual=0, seen=0, waiting=None)
+                   command_ns=0, steady=True, clock=None)
             for _ in nodes
         ]  # fmt: skip
 
@@ -324,48 +325,15 @@ class Receiver:
             drive.pending.pop(("StatorVoltages", counter)),
         )
         newer = max(t, other[0])
-        missing = self.gap(channel, drive, counter, 16, newer)
+        missing = self.gap(channel, drive, counter, 16, newer, complex(*u[1]))
         if missing is not None:
-            if channel.drive in self.restart:
-                drive.due = newer
-            in_time = self.in_time(channel, drive, (*u[1], *y[1]), missing, newer)
-            self.samples += [
-                (channel.drive, *values, channel.steps, gap * channel.steps)
-                for values, gap in in_time
-            ]
-
-    def in_time(self, channel, drive, values, missing, t):
-        """Samples that are used now, each with the cycles missing before it.
-
-        One that comes later than due waits: a period later than usual, the sender has left one out
-        if the next is not earlier by more than a quarter of a period or what is usual.
-        """
-        period, used = channel.spec.cycle_ns, []
-        if channel.drive not in self.restart:
-            due = drive.due + (missing + 1) * period
-            drive.due = max(min(due, t), t - self.max_gap_ns)
-        if drive.waiting is not None:
-            first, gap, late = drive.waiting
-            if late - (t - drive.due) <= max(period // 4, drive.usual):
-                left_out = (min(late, t - drive.due) + period // 4) // period
-                gap += left_out
-                self.counts["left_out"] += left_out
-                drive.due = min(t, drive.due + left_out * period)
-            used.append((first, gap))
-        if channel.drive not in self.restart:
-            drive.due += (t - drive.due) // 256
-            drive.seen += 1
-        late = t - drive.due
-        if drive.seen >= 16 and late - drive.usual > 3 * period // 4:
-            drive.waiting = (values, missing, late)
-            return used
-        if channel.drive not in self.restart:
-            drive.usual = max(drive.usual - drive.usual // 64, late)
-        drive.waiting = None
-        return [*used, (values, missing)]
+            self.samples.append(
+                (channel.drive, *u[1], *y[1], channel.steps, missing * channel.steps)
+            )
 
     def block(self, channel, drive, used, t):
-        missing = self.gap(channel, drive, int(used[0]) // 8, 8192, t)
+        newest = complex(*used[31:33])
+        missing = self.gap(channel, drive, int(used[0]) // 8, 8192, t, newest)
         if missing is None:
             return
         for k in range(8):
@@ -374,19 +342,21 @@ class Receiver:
             y_b = (a + 2.0 * b) / math.sqrt(3.0)
             self.samples.append((channel.drive, u_a, u_b, a, y_b, 1, gap))
 
-    def gap(self, channel, drive, counter, values, t):
-        """Cycles missing before a sample; None for one that is late."""
-        missing = 0
+    def gap(self, channel, drive, counter, values, t, u):
+        """Cycles missing before a sample of this voltage; None for one that is late."""
+        missing, period = 0, channel.spec.cycle_ns
         if drive.sample_ns < 0 or t - drive.sample_ns > self.max_gap_ns:
             self.restart.add(channel.drive)
-            self.counts["late"] += drive.waiting is not None
-            drive.usual, drive.seen, drive.waiting = 0, 0, None
+            drive.clock = SampleClock(t, u, period, self.max_gap_ns)
         else:
             delta = (counter - drive.counter) % values
-            turns = round(((t - drive.sample_ns) / channel.spec.cycle_ns - delta) / values)
+            turns = round(((t - drive.sample_ns) / period - delta) / values)
             missing = delta + values * turns - 1
             if missing < 0:
                 self.counts["late"] += 1
                 return None
+            left_out = drive.clock.step(t - drive.sample_ns, u, missing + 1)
+            self.counts["left_out"] += left_out
+            missing += left_out
         drive.counter, drive.sample_ns = counter, t
         return missing

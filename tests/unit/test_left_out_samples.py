@@ -10,7 +10,7 @@ from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
 from sim.simulation import Simulation
-from tests.sender import MS
+from tests.sender import CLASSIC, FD_FILE, MS
 from tests.simrun import TICK, codec, scenario
 
 NODES = (1, 2, 3)
@@ -96,9 +96,22 @@ def test_what_is_only_delayed_is_not_left_out(delays_ns):
     assert counts["left_out"] == 0
 
 
-def test_a_sample_that_waits_is_used_or_counted():
-    """The next one comes too late to say anything about it."""
-    delays_ns = dict.fromkeys(range(1001, 1201), 400 * MS)
-    delays_ns[1000] = PERIOD_NS - 1
-    _, _, counts = judged(ticks(delays_ns=delays_ns))
-    assert counts["late"] >= 1
+@pytest.mark.parametrize("path", [CLASSIC, FD_FILE], ids=["classic", "fd"])
+def test_a_drive_that_speaks_in_bursts_has_plausible_currents(path):
+    """As a machine sends that does other things for up to 8 ms."""
+    used, rng = codec(NODES, path), np.random.default_rng(5)
+    run = scenario(seed=3, duration_s=SECONDS, motion={"profile": [[0.0, 200.0]]})
+    simulation = Simulation(run, used, nodes=NODES)
+    core = Gateway(parse({"drive": [{"node": node} for node in NODES]}), used, 0)
+    wakes_ns, waiting, sent, flags = 0, [], [], []
+    for now in range(TICK, round(SECONDS * 1e9) + 1, TICK):
+        waiting += simulation.step((), now)
+        while wakes_ns <= now:
+            due = sum(frame.t_ns <= wakes_ns for frame in waiting)
+            sent += [f._replace(t_ns=wakes_ns + k * 20_000) for k, f in enumerate(waiting[:due])]
+            waiting = waiting[due:]
+            wakes_ns += int(rng.integers(2 * MS, 8 * MS))
+        core.step([frame for frame in sent if frame.t_ns <= now], now)
+        sent = [frame for frame in sent if frame.t_ns > now]
+        flags.append([drive.adhesion for drive in core.view.drives])
+    assert (np.array(flags[FROM:]) == Flag.GOOD).all()

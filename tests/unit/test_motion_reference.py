@@ -79,7 +79,7 @@ class Plain:
 
         reference.observe_motion(readings, count, told.flux, self.memory, self.limits)
         plausibility.check_values(
-            came.samples.first(samples), came.drives["sample_ns"], readings, count, given.speed,
+            came.samples.first(samples), came.drives, readings, count, given.speed,
             columns.slow_of(came.drives), now, drives.bank.chords, self.filters, told,
             self.memory, self.check, self.check_limits,
         )  # fmt: skip
@@ -192,6 +192,9 @@ class Train:
                 samples.append((k, (0.0, 0.0), self.sample(k, age_s, fault), steps, gap))
             motions += self.readings(k, fault)
             drives.came.drives["sample_ns"][k] = self.now - 500_000
+            late = int(rng.choice([0, 0, 0, 300_000, 3_000_000]))
+            drives.came.drives["clock"]["late_ns"][k] = late
+            drives.came.drives["clock"]["usual_ns"][k] = late * rng.integers(0, 2)
         samples.sort(key=lambda row: -(row[0] % 2))
         p = drives.motions["pole_pairs"]
         drives.came.drives["command_ns"] = self.now - rng.choice([50, 250]) * MS

@@ -161,6 +161,9 @@ def assert_same(box, plain, *, came=True):
         )  # fmt: skip
     for record, drive in zip(box.receiver.drives, plain.drives, strict=True):
         assert record["sample_ns"] == drive.sample_ns
+        clock = record["clock"]
+        if drive.clock is not None:
+            assert (clock["late_ns"], clock["usual_ns"]) == (drive.clock.late, drive.clock.usual)
         np.testing.assert_equal(
             [record[name].item() for name in ("current_sum", "speed", "command", "previous_command",
              "irms", "command_ns", "command_steady", "operating")],
