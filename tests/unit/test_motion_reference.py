@@ -18,6 +18,8 @@ from tests.sender import MS
 from tests.stations import MotionMonitor
 
 TICK = 10 * MS
+LATE_NS = (0,) * 30 + (300_000, 3_000_000)
+"""Of samples, in turn."""
 FIELDS = {
     "current": "vector", "samples": "samples", "repeats": "equal", "repeated_s": "equal_s",
     "block_repeats": "block", "implausible_until_ns": "until_ns", "restart": "restart",
@@ -192,9 +194,10 @@ class Train:
                 samples.append((k, (0.0, 0.0), self.sample(k, age_s, fault), steps, gap))
             motions += self.readings(k, fault)
             drives.came.drives["sample_ns"][k] = self.now - 500_000
-            late = int(rng.choice([0, 0, 0, 300_000, 3_000_000]))
-            drives.came.drives["clock"]["late_ns"][k] = late
-            drives.came.drives["clock"]["usual_ns"][k] = late * rng.integers(0, 2)
+            drives.came.drives["clock"]["late_ns"][k] = LATE_NS[
+                (self.now // TICK + k) % len(LATE_NS)
+            ]
+            drives.came.drives["clock"]["usual_ns"][k] = LATE_NS[self.now // TICK % len(LATE_NS)]
         samples.sort(key=lambda row: -(row[0] % 2))
         p = drives.motions["pole_pairs"]
         drives.came.drives["command_ns"] = self.now - rng.choice([50, 250]) * MS
