@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dbc.logs.opening import LogReader
     from gateway.io.replay import Log
 
-GOOD, FAILED, BAD_INPUT = 0, 1, 2
+GOOD, FAILED, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
 """Exit codes of the contract."""
 PATIENCE_S: Final = 3.0
 PROBLEMS_SHOWN: Final = 5

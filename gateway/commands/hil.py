@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
-from gateway.commands.common import FAILED, GOOD, add_bus, add_config, add_signature
+from gateway.commands.common import FAILED, GOOD, INCONCLUSIVE, add_bus, add_config, add_signature
 from gateway.hil.fitting import fitting
 from gateway.io.console import console
 
@@ -40,7 +40,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Judge every scenario; exit 1 if any expectation failed."""
+    """Judge every scenario; exit 1 if any expectation failed.
+
+    3 if it did only where the machine could not keep up with the bus.
+    """
     from sim.scenario import ScenarioError, find
 
     scenarios = [(name, find(name)) for name in options.scenario]
@@ -51,18 +54,21 @@ def run(options: argparse.Namespace) -> int:
     folders = _folders(options.results, options.scenario)
     runs: list[Run] = []
     suites = ET.Element("testsuites")
-    failed = 0
+    failed = inconclusive = 0
     for (name, scenario), folder in zip(scenarios, folders, strict=True):
         began = time.perf_counter()
-        verdicts, word = _one(options, name, scenario, folder, runs)
+        outcome, word = _one(options, name, scenario, folder, runs)
         seconds = time.perf_counter() - began
-        bad = [v for v in verdicts if not v.passed]
-        failed += len(bad)
+        inconclusive += outcome.inconclusive
+        failed += not outcome.passed and not outcome.inconclusive
         summary = f"{seconds:.1f} s, configuration {word:06x}"
-        print(f"{'FAIL' if bad else 'ok  '} {scenario.title}  ({summary})")
-        for v in verdicts:
-            print(f"     {'ok  ' if v.passed else 'FAIL'} {v.text}: {v.detail}")
-        _suite(suites, scenario.title, verdicts, seconds, word)
+        bad = "??  " if outcome.inconclusive else "FAIL"
+        print(f"{'ok  ' if outcome.passed else bad} {scenario.title}  ({summary})")
+        for v in outcome.verdicts:
+            print(f"     {'ok  ' if v.passed else bad} {v.text}: {v.detail}")
+        if outcome.inconclusive:
+            print(f"     inconclusive, this machine could not keep up: {outcome.overload}")
+        _suite(suites, scenario.title, outcome, seconds, word)
     if options.junit:
         from gateway.io.whole_file import whole
 
@@ -73,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
 
         title = runs[0].title if len(runs) == 1 else f"HIL: {len(runs)} scenarios"
         print(f"report: {leave(options.results, title, runs, single=len(runs) == 1)}")
-    return FAILED if failed else GOOD
+    return FAILED if failed else INCONCLUSIVE if inconclusive else GOOD
 
 
 def _folders(results: Path | None, names: Sequence[str]) -> list[Path | None]:
@@ -92,7 +98,7 @@ def _folders(results: Path | None, names: Sequence[str]) -> list[Path | None]:
 
 def _one(
     options: argparse.Namespace, name: str, scenario: Any, folder: Path | None, runs: list[Run]
-) -> tuple[list[Any], int]:
+) -> tuple[Outcome, int]:
     """Verdicts, and what the configuration is called on the bus. A run for the report, if any."""
     config, codec = fitting(options.config, scenario, options)
     if options.config is not None:
@@ -107,7 +113,7 @@ def _one(
         with Reporting(folder, config, codec) as left:
             outcome = _outcome(options, name, scenario, config, codec, left)
         runs.append(_kept(options, name, scenario, left, outcome))
-    return outcome.verdicts, outcome.gateway.outbox.config_hash
+    return outcome, outcome.gateway.outbox.config_hash
 
 
 def _kept(
@@ -125,7 +131,10 @@ def _kept(
         *span_facts(left.trace, outcome.gateway.inbox.counts["received"]),
     ]
     inside = f"{left.folder.name}/"
-    return left.run(scenario.title, facts, inside=inside, verdicts=outcome.verdicts)
+    overload = outcome.overload if outcome.inconclusive else ""
+    return left.run(
+        scenario.title, facts, inside=inside, verdicts=outcome.verdicts, overload=overload
+    )
 
 
 def _on_bus(options: argparse.Namespace) -> bool:
@@ -205,11 +214,15 @@ def _progress(scenario: Any) -> Iterator[list[Any]]:
         yield [look]
 
 
-def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float, word: int) -> None:
+def _suite(parent: ET.Element, title: str, outcome: Outcome, seconds: float, word: int) -> None:
+    """An expectation that failed on a machine that could not keep up is an error, no failure."""
+    verdicts = outcome.verdicts
+    kind = "error" if outcome.inconclusive else "failure"
     suite = ET.SubElement(
-        parent, "testsuite", name=title, tests=str(len(verdicts)),
-        failures=str(sum(not v.passed for v in verdicts)), time=f"{seconds:.3f}",
+        parent, "testsuite", name=title, tests=str(len(verdicts)), failures="0", errors="0",
+        time=f"{seconds:.3f}",
     )  # fmt: skip
+    suite.set(f"{kind}s", str(sum(not v.passed for v in verdicts)))
     properties = ET.SubElement(suite, "properties")
     ET.SubElement(properties, "property", name="config_hash", value=f"{word:06x}")
     for v in verdicts:
@@ -217,4 +230,5 @@ def _suite(parent: ET.Element, title: str, verdicts: list[Any], seconds: float, 
         if v.passed:
             ET.SubElement(case, "system-out").text = v.detail
         else:
-            ET.SubElement(case, "failure", message=v.detail)
+            why = f"inconclusive ({outcome.overload}): " if outcome.inconclusive else ""
+            ET.SubElement(case, kind, message=f"{why}{v.detail}")

@@ -35,11 +35,18 @@ class Outcome(NamedTuple):
     scenario: Scenario
     verdicts: list[Verdict]
     gateway: Gateway
+    overload: str = ""
+    """Why a machine was too slow for a scenario in real time; then no failure counts."""
 
     @property
     def passed(self) -> bool:
         """True when every expectation held."""
         return all(v.passed for v in self.verdicts)
+
+    @property
+    def inconclusive(self) -> bool:
+        """True when an expectation did not hold on a machine that could not keep up."""
+        return bool(self.overload) and not self.passed
 
 
 def touched_drives(scenario: Scenario) -> set[int]:

@@ -11,6 +11,7 @@ from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.core.gateway import Gateway
 from gateway.hil.bench import Outcome, touched_drives
+from gateway.hil.overload import Overload
 from gateway.io.bus import open_transport
 from gateway.io.canopen_node import CanopenNode
 from gateway.io.credentials import flag_authenticator, private_file
@@ -77,12 +78,15 @@ def run_on_real_bus(
     )  # fmt: skip
     first: list[Nanos] = []
     duration = round(scenario.duration_s * SECOND)
+    overload = Overload(scenario, config.loop.period_ns)
 
     def watch(seen: LiveSnapshot) -> None:
         if not first and seen.status.received:
             first.append(seen.now_ns)
         if not first or seen.now_ns - first[0] <= duration:
             track.add(seen.sent)
+            if first:
+                overload.look(gateway, seen)
             if left is not None and first and gateway.view is not None:
                 left.add(gateway.view)
         if child.poll() is not None:
@@ -105,4 +109,4 @@ def run_on_real_bus(
         left.read_truth(left.folder / TRUTH)
     start = first[0] if first else 0
     verdicts = judge(scenario.expect, track, touched_drives(scenario), start)
-    return Outcome(scenario, verdicts, gateway)
+    return Outcome(scenario, verdicts, gateway, str(overload))

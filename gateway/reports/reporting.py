@@ -113,6 +113,7 @@ class Reporting:
         inside: str = "",
         verdicts: Sequence[Verdict] = (),
         notes: Sequence[str] = (),
+        overload: str = "",
     ) -> Run:
         """Draw the pictures; what the report needs. inside: this folder as the report sees it."""
         gateway, config = self._gateway, self._config
@@ -132,6 +133,7 @@ class Reporting:
             title, facts, _configuration(config, self._codec, gateway), as_toml(config), self.trace,
             self.intervals, gateway.inbox.counts, self.truth, verdicts, timed,
             [f"{inside}{name}" for name in names], _bus(config), notes,
+            overload,
         )  # fmt: skip
 
 

