@@ -35,10 +35,10 @@ class Overload:
         self._missed = seen.missed - self._missed_before
         if self._drives:
             drives = gateway.inbox.receiver.drives
-            heard = drives[drives["sample_ns"] >= 0]
+            sampled = drives[drives["sample_ns"] >= 0]
             # A tick old they may be at its end; later ones were due meanwhile.
-            away_ns = seen.now_ns - heard["sample_ns"] - self._tick_ns
-            late_ns = np.maximum(heard["clock"]["usual_ns"], away_ns)
+            away_ns = seen.now_ns - sampled["sample_ns"] - self._tick_ns
+            late_ns = np.maximum(sampled["clock"]["usual_ns"], away_ns)
             self._late_ns = max(self._late_ns, int(late_ns.max(initial=0)))
 
     def __str__(self) -> str:
