@@ -75,8 +75,12 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
         sub.add_argument("--log-format", choices=("text", "json"), default="text",
                          help="of the log on stderr")  # fmt: skip
         if verb in words:
+            from gateway.commands.examples import examples
+
             module = _module(verb)
             module.arguments(sub)
+            sub.epilog = "\n\n".join(filter(None, (sub.epilog, examples(verb))))
+            sub.formatter_class = argparse.RawDescriptionHelpFormatter
             if not plain and hasattr(module, "more_arguments"):
                 module.more_arguments(sub)
     return parser

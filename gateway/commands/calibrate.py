@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from gateway.settings.config import Config
     from gateway.study.calibrating import Learner
 
-HELP = "thermal limits from fault-free logs"
 WITHOUT = "nothing was written; --without-model learns how motors differ, for that method"
 MARGIN = 1.5
 """Limits stand this far above the largest value of a fault-free run."""

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from gateway.mapping.plan import Plan
     from gateway.settings.config import Config
 
-HELP = "configuration against DBC, bus load and timing budget"
 LOAD_LIMIT_PERCENT = 80.0
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from gateway.commands.common import GOOD
 from gateway.io.extras import need
 
-HELP = "a script for bash, zsh or tcsh that completes this program's words"
 SHELLS = ("bash", "zsh", "tcsh")
 
 

@@ -44,7 +44,6 @@ OUTSIDE_SHOWN = 20
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _EPILOG
     parser.add_argument("log", type=Path, metavar="IN",
                         help="candump log (.log, .gz), any python-can format, or .parquet of "

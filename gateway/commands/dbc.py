@@ -7,8 +7,6 @@ from pathlib import Path
 
 from gateway.commands.common import GOOD, shown
 
-HELP = "the message set as a DBC file, classic or CAN FD"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""

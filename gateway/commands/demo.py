@@ -14,7 +14,6 @@ from gateway.io.console import console
 from gateway.io.prepare import prepare
 from gateway.settings.config import ConfigError
 
-HELP = "the whole system on an embedded bus"
 CHANNEL = "traction-gateway-demo"
 SETTLE_NS = 500_000_000
 

@@ -6,8 +6,6 @@ import argparse
 
 from gateway.commands.common import GOOD
 
-HELP = "what a Reason, Health or FaultClass means, and what to do about it"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from gateway.reports.run_report import Run
     from gateway.settings.config import Config
 
-HELP = "run scenarios against the gateway and judge their expectations"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""

@@ -21,8 +21,6 @@ from gateway.io.prepare import prepare
 if TYPE_CHECKING:
     from gateway.monitor.sources import Source
 
-HELP = "a live view of a bus or a log"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""

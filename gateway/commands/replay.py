@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from gateway.reports.reporting import Reporting
     from gateway.settings.config import Config
 
-HELP = "run the gateway over a recorded log, as fast as the machine can"
 SHOWN = 5
 """Faults of one kind of which a line tells."""
 

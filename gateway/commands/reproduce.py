@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from gateway.study.reproduction_report import Outcome
     from sim.scenario import Scenario
 
-HELP = "the two papers' tables and figures"
 STANDING_SEEDS: Final = tuple(range(5, 105))
 
 

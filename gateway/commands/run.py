@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-HELP = "the gateway on a bus"
 DISPLAY_EVERY = 20
 """Ticks between two pictures of the table: the display must never disturb the loop."""
 REHEARSED = 100

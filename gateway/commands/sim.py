@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
 
 log = logging.getLogger(__name__)
-HELP = "simulated inverter ECUs: on a bus in real time, or into a candump log"
 TRUTH_HEADER = (
     "t_s", "drive", "speed_rad_s", "angle_rad", "load_nm", "lost", "fault_class", "true_effect_k",
 )  # fmt: skip

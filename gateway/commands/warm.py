@@ -7,8 +7,6 @@ from pathlib import Path
 
 from gateway.commands.common import GOOD
 
-HELP = "nothing is to be warmed: the core is compiled before it is delivered"
-
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb as they were; none has an effect."""
