@@ -1,7 +1,8 @@
 """The command line: verbs only.
 
 Exit codes: 0 good, 1 an expectation failed or more than 1 % of the input was dropped, 2 bad input,
-130, 143, 141 ended by Ctrl-C, SIGTERM, a broken pipe.
+3 inconclusive (a machine that could not keep up with a bus), 130, 143, 141 ended by Ctrl-C,
+SIGTERM, a broken pipe.
 """
 
 from __future__ import annotations

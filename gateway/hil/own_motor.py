@@ -57,9 +57,7 @@ def _link_v(motor: Motor, scenario: Scenario) -> float:
     fastest = max(abs(speed) for _, speed in motion.profile or [(0.0, motion.speed)])
     if motion.unit == "rpm":
         fastest *= math.pi / 30.0 * motor.pole_pairs
-    i_q = 1.5 * motor.I_rated
-    volts = math.hypot(fastest * motor.L_s * i_q, fastest * motor.psi_pm + motor.R_s * i_q)
-    return max(2.0 * volts, 24.0)
+    return max(2.0 * motor.voltage(fastest, 1.5 * motor.I_rated), 24.0)
 
 
 def _scale(table: dict[str, Any], scenario: Scenario, motor: Motor) -> None:

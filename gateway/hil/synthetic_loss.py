@@ -236,8 +236,7 @@ def _sender(codec: Codec, frame: Frame) -> int:
 def _simulated(motor: Motor, speed: float, load: float) -> plant.Motor:
     """The same motor for the simulator, with a dc link that holds this speed and load."""
     w_e, i_q = motor.pole_pairs * speed, load / (motor.torque_nm / motor.I_rated)
-    volts = math.hypot(w_e * motor.L_s * i_q, w_e * motor.psi_pm + motor.R_s * i_q)
-    link = max(4.0 * volts, math.sqrt(4.0 * load * speed), 24.0)
+    link = max(4.0 * motor.voltage(w_e, i_q), math.sqrt(4.0 * load * speed), 24.0)
     return plant.Motor(**motor.model_dump(), U_dc=link)
 
 

@@ -6,6 +6,7 @@ drives, buses, estimators.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Final, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
@@ -43,6 +44,10 @@ class Motor(BaseModel):
     def torque_nm(self) -> float:
         """What the magnets make of the rated current."""
         return self.k_p * self.pole_pairs * self.psi_pm * self.I_rated
+
+    def voltage(self, w_e: float, i_q: float) -> float:
+        """Amplitude in V at a steady electrical speed in rad/s and q current in A; i_d is 0."""
+        return math.hypot(w_e * self.L_s * i_q, w_e * self.psi_pm + self.R_s * i_q)
 
     @model_validator(mode="after")
     def _one_machine(self) -> Self:
