@@ -98,6 +98,7 @@ TESTS = {
     "estimators/filter_simd.c": ("tests/unit/test_est_filter.py",),
     **dict.fromkeys((
         "gateway/core/receive.c", "gateway/core/pairing.c", "gateway/core/sequence.c",
+        "gateway/core/sample_clock.c",
         "gateway/core/supervision.c",
     ), ("tests/unit/test_receive_reference.py",)),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
