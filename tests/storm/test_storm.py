@@ -27,7 +27,7 @@ from tests.storm.value_faults import ValueFaults
 SEEDS, TICKS = range(20), 100_000
 FD, FD_TICKS = (6, 7, 8), 30_000
 """Two seeds of several ticks in a call, one of single steps."""
-QUICK = 6
+QUICK = 3
 """So many of SEEDS are for every change; `make test-all` has the others."""
 
 

@@ -58,7 +58,8 @@ def words_of(example):
 
 
 @pytest.mark.slow
-def test_they_run(tmp_path):
+def test_they_run(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "examples" / "train.toml", tmp_path)
     for name in FLEET:
         (tmp_path / name).parent.mkdir(parents=True)
@@ -66,8 +67,8 @@ def test_they_run(tmp_path):
     for verb, examples in EXAMPLES.items():
         for example in examples:
             if verb not in SERVES and not example.startswith(MINUTES):
-                output, errors = (run := started(words_of(example), tmp_path)).communicate()
-                assert run.returncode == 0, f"{example}\n{output}\n{errors}"
+                code = cli.main(words_of(example))
+                assert code == 0, f"{example}\n{capfd.readouterr()}"
     for name in ("drive.log", "demo.png", "drive.csv", "thresholds.toml"):
         assert (tmp_path / name).stat().st_size > 0
 
