@@ -68,10 +68,10 @@ def stale_ns(spec: MessageSpec) -> int:
 def setting(
     vcan: Vcan, folder: Path, drives: int, *, fd: bool = False, slower: bool = False
 ) -> Setting:
-    """The shipped message set, or a copy of it for a slower bus."""
+    """The shipped message set, or a copy of the classic one for a slower bus."""
     dbc = shipped_dbc("traction_fd.dbc" if fd else "traction.dbc")
     if slower:
-        dbc = for_slower_bus(dbc, folder, FD_SLOWER_MS if fd else SLOWER_MS)
+        dbc = for_slower_bus(dbc, folder)
     nodes = tuple(range(1, drives + 1))
     calibration = Path(gateway.__path__[0]) / "bench_calibration.toml"
     config = folder / "train.toml"
@@ -85,16 +85,13 @@ def setting(
     return Setting(codec, config, nodes, bus, drives)
 
 
-SLOWER_MS = {0x180: 5, 0x280: 5, 0x380: 20}
-"""Cycles of currents and voltages (2 ms as shipped) and of Motion (10): 40 % of the frames."""
-FD_SLOWER_MS = {0x180: 4}
-"""Of the currents (1 ms as shipped)."""
+def for_slower_bus(dbc: Path, folder: Path) -> Path:
+    """A copy of the classic DBC that says so, as users make it: 40 % of the frames.
 
-
-def for_slower_bus(dbc: Path, folder: Path, cycles_ms: Mapping[int, int] = SLOWER_MS) -> Path:
-    """A copy of a DBC that says so, as users make it; cycles_ms: by identifier of node 0."""
+    Currents and voltages every 5 ms instead of 2, Motion every 20 instead of 10.
+    """
     text = dbc.read_text(encoding="cp1252")
-    for base, cycle in cycles_ms.items():
+    for base, cycle in ((0x180, 5), (0x280, 5), (0x380, 20)):
         for node in range(1, 17):
             text, count = re.subn(
                 rf'(BA_ "GenMsgCycleTime" BO_ {base + node}) \d+;', rf"\1 {cycle};", text
