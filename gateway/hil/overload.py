@@ -11,8 +11,6 @@ from sim.scenario import Scenario
 
 ON_THE_WIRE = ("silent", "frame_loss", "corrupt")
 """Events that make a drive's samples late or lost themselves."""
-MOST_MISSED = 0
-"""Ticks of the gateway that a run with a verdict may miss."""
 MOST_LATE_NS: Nanos = 5 * MS
 """Half a tick, by which samples may come later than due as a rule."""
 
@@ -44,7 +42,7 @@ class Overload:
     def __str__(self) -> str:
         """What was too late; empty if the machine kept up."""
         found = []
-        if self._missed > MOST_MISSED:
+        if self._missed:
             found.append(f"the gateway missed {self._missed} ticks")
         if self._late_ns > MOST_LATE_NS:
             found.append(f"the drives' samples came up to {self._late_ns / MS:.0f} ms late")
