@@ -33,7 +33,8 @@
 #define NOISE_MOST    0.2
 #define NOISE_S       1.0  /* time constant of learning it in the long run, */
 #define NOISE_FIRST_S 0.1  /* and at first */
-#define NOISE_CLIP    9.0  /* variances that one error counts */
+#define NOISE_CLIP    3.0  /* standard deviations that one error counts */
+#define LASTING_S     1.0  /* an error that lasts is no noise: time constant of its mean */
 #define LAG           0.15 /* noise more for a demand that has moved by 1: not all follow at once */
 #define LAG_KEPT      0.4
 #define HOPELESS      16.0 /* logarithm of how much less likely than the best is not weighed */
@@ -308,8 +309,10 @@ static void learn_noise(struct switching *s, int i)
         return;
     const double rho = ratio_of(&d->now), e = s->loads[i].load - rho * m;
     const double v = ratio_variance(&d->now) * m * m + rho * rho / without + noise_of(s, i);
-    const double z2 = smaller(e * e / v, NOISE_CLIP);
     struct switching_noise *noise = &s->noises[i];
+    const double z = clamp(e / sqrt(v), -NOISE_CLIP, NOISE_CLIP);
+    noise->lasting += STEP_S / LASTING_S * (z - noise->lasting) * s->adhering[i];
+    const double z2 = smaller(square(z - noise->lasting), NOISE_CLIP * NOISE_CLIP);
     const double own = noise->variance * square(1.0 + s->loads[i].gain);
     noise->learnt_s += STEP_S;
     const double tau = clamp(noise->learnt_s, NOISE_FIRST_S, NOISE_S);

@@ -16,7 +16,7 @@
 #define RATIO_SD            0.065 /* drives differ by this for good, standard deviation */
 #define CURVE_SD            0.02  /* and by this for a while */
 #define CURVE_S             3.0   /* for so long */
-#define U_MOST              0.07  /* and no further: a loss that grows slowly is no curve */
+#define U_MOST              0.05  /* and no further: a loss that grows slowly is no curve */
 #define TAIL                0.002 /* share of loads whose error is WIDE times larger */
 #define WIDE                5.0
 #define SHARE_MOST          0.9   /* a lost drive carries less of what it carried before */

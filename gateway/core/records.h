@@ -1763,6 +1763,7 @@ struct switching_noise {
     double variance; /* as learnt */
     double lag;      /* standard deviation more while the demand moves */
     double learnt_s; /* for how long `variance` has been learnt */
+    double lasting;  /* mean error of late, in standard deviations: what lasts is no noise */
 };
 
 /* Everything; `switching_reset` makes one that knows nothing. */

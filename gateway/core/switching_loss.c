@@ -23,6 +23,9 @@
                        /* at the end of a loss one is slow, not wrong */
 #define COUNTS 0.5 /* drives that adhere with this probability are asked about all; so is a doubt */
 #define ACCUSED 0.7
+#define NEAR    0.03 /* creep of a wheel that turns with the others; */
+#define STEADY  0.02 /* change of its speed within 0.5 s: no brake slows it */
+#define LITTLE  0.07 /* load, per unit of rated torque, of one that carries nothing */
 /* A drive that follows its own flag changes its torque between two of its `Status`: by so much of the
  * largest command in a second, but not by more than this share of its own. */
 #define RETURN_PER_S 1.0
@@ -87,6 +90,27 @@ static double all_lost(const struct adhesion *a)
     return least >= COUNTS && least <= 1.0 ? least : 0.0;
 }
 
+/* 1 if a drive adheres and turns with the others: beside it they can be lost. If none does, the demand may
+ * be anything; wheels that never turned alike need not carry alike. */
+static int any_adheres(const struct adhesion *a)
+{
+    for (int k = 0; k < a->n; k++)
+        if (a->known[k] && a->switching->adhering[k] >= GRIPS && !a->rotors[k].far)
+            return 1;
+    return 0;
+}
+
+/* 1 if drive k is asked for nothing, carries nothing, and turns with the others at a speed that stays:
+ * it rolls. What slows all of them may be friction brakes, under which all may slide. */
+static int rolls(const struct adhesion *a, int k)
+{
+    const struct rotor *r = &a->rotors[k];
+    const double slow = fabs(r->slow_speed), change = r->speed * r->diameter - slow;
+    const int idle = a->responses[k].usable && !is_asked(&a->responses[k]);
+    const int follows = fabs(r->creep) <= NEAR && !r->apart && !r->away && !r->uncertain;
+    return idle && follows && fabs(change) <= STEADY * slow && fabs(a->loads[k].load) <= LITTLE;
+}
+
 /* 1 if something can be said of drive k at all. */
 static int is_comparable(const struct adhesion *a, int k, double all, int little)
 {
@@ -99,8 +123,9 @@ static int is_comparable(const struct adhesion *a, int k, double all, int little
 }
 
 /* Probability of a loss as the flags take it: above `raise_probability`, below
- * `clear_probability`, or UNDECIDED between them. */
-static double verdict(const struct adhesion *a, int k, double all, int bad, uint8_t *uncertain)
+ * `clear_probability`, or UNDECIDED between them. any: a drive adheres. */
+static double verdict(const struct adhesion *a, int k, double all, int any, int bad,
+                      uint8_t *uncertain)
 {
     const double adhering = a->switching->adhering[k], lost = a->switching->lost[k];
     const struct drive_load *mine = &a->loads[k];
@@ -108,6 +133,11 @@ static double verdict(const struct adhesion *a, int k, double all, int bad, uint
     /* A wheel that has run away and stays behind its command, however slowly it came to that. */
     if (a->rotors[k].away && mine->response_valid)
         p = larger(p, mine->p_response);
+    const int behind = mine->response_valid && mine->p_response >= a->rules->raise_probability;
+    if (p >= a->rules->raise_probability && !any && !behind) {
+        *uncertain = 1;
+        return UNDECIDED;
+    }
     /* On their way through zero drives do not follow at quite the same instant. */
     const int passing = is_asked(&a->responses[k]) && !mine->response_valid;
     if (p >= a->rules->raise_probability)
@@ -123,10 +153,17 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
                      int64_t now_ns)
 {
     const double all = all_lost(a);
+    const int any = any_adheres(a);
     for (int k = 0; k < a->n; k++) {
         struct rotor *r = &a->rotors[k];
+        if (rolls(a, k)) {
+            a->loss_probability[k] = 0.0;
+            a->loss_known[k] = 1;
+            a->loads[k].severe_loss = 0;
+            continue;
+        }
         const int bad = status[k].flag[FLAG_ADHESION].state == FLAG_BAD;
-        double p = verdict(a, k, all, bad, &r->uncertain);
+        double p = verdict(a, k, all, any, bad, &r->uncertain);
         a->loss_known[k] = (uint8_t)is_comparable(a, k, all, little);
         /* Nor is a drive lost that carries more than it is asked to. */
         if ((now_ns < r->unreliable_until_ns || r->uncommanded_s > 0.0) && p > UNDECIDED) {

@@ -219,12 +219,22 @@ class Adhesion:
         everyone = min(asked, default=0.0) if usable[self.known].all() else 0.0
         everyone = everyone if 0.5 <= everyone <= 1.0 else 0.0
         self.lost, self.lost_known, self.severe = [], [], []
+        holding = self.known & (adhering >= 0.5) & (self.rotors["far"] == 0)
         for k in range(self.n):
             rotor, is_asked = self.rotors[k], bool(lib.is_asked(each + k))
+            if usable[k] and not is_asked and self._rolls(k):
+                self.lost.append(0.0)
+                self.lost_known.append(True)
+                self.severe.append(False)
+                continue
             p = lost[k] + adhering[k] * everyone
             if rotor["away"] and valid[k]:
                 p = max(p, alone[k])
-            if p < self.rules.raise_probability:
+            behind = valid[k] and alone[k] >= self.rules.raise_probability
+            if p >= self.rules.raise_probability and not holding.any() and not behind:
+                rotor["uncertain"] = 1
+                p = lib.UNDECIDED
+            elif p < self.rules.raise_probability:
                 if everyone and adhering[k] >= 0.5:
                     p = lib.UNDECIDED
                 elif not (adhering[k] >= 0.5 and (flag[k] == Flag.BAD or lost[k] <= 0.1)):
@@ -239,6 +249,15 @@ class Adhesion:
             self.lost.append(p)
             self.severe.append(bool(self.known[k] and p >= 0.99))
         self.alone, self.each = alone, each
+
+    def _rolls(self, k: int) -> bool:
+        """Whether a drive, asked for nothing, turns on with the others and carries nothing."""
+        rotor = self.rotors[k]
+        apart = rotor["apart"] or rotor["away"] or rotor["uncertain"]
+        slow = abs(rotor["slow_speed"])
+        goes_on = abs(rotor["speed"] * rotor["diameter"] - slow) <= 0.02 * slow
+        near = abs(rotor["creep"]) <= 0.03 and abs(self.load[k]) <= 0.07
+        return bool(goes_on and near and not apart)
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:
         doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0

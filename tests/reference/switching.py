@@ -7,6 +7,7 @@ drive that adheres and for one that does not.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -158,7 +159,7 @@ def update(
         error = np.clip(y - rho.sum() * m, -limit, limit)
         h.V[0, i] = V - np.outer(gain, V @ EYE * m)
         h.V[0, i][[0, 1], [0, 1]] = np.maximum(h.V[0, i][[0, 1], [0, 1]], [1e-6, 1e-7])
-        h.rho[0, i] = np.clip(rho + gain * error, [0.7, -0.07], [1.3, 0.07])
+        h.rho[0, i] = np.clip(rho + gain * error, [0.7, -0.05], [1.3, 0.05])
     h.p[i] = share[0] + share[1], lost, max(share[4] + share[5], 1e-9)
 
 
@@ -168,7 +169,8 @@ class Switching:
     def __init__(self, n: int) -> None:
         self.n = n
         self.all = [unknown(n)]
-        self.variance, self.lag, self.learnt_s = np.full(n, 0.02**2), np.zeros(n), np.zeros(n)
+        self.variance, self.lag = np.full(n, 0.02**2), np.zeros(n)
+        self.learnt_s, self.lasting = np.zeros(n), np.zeros(n)
         self.demand = 0.0
         self.contradicted = 0
 
@@ -336,7 +338,9 @@ class Switching:
                 continue
             rho = h.rho[0, i].sum()
             v = max(h.V[0, i].sum(), 0.0) * m * m + rho**2 / left + self.noise[i]
-            z2 = min((self.y[i] - rho * m) ** 2 / v, 9.0)
+            z = np.clip((self.y[i] - rho * m) / math.sqrt(v), -3.0, 3.0)
+            self.lasting[i] += STEP_S / 1.0 * (z - self.lasting[i]) * self.adhering[i]
+            z2 = min((z - self.lasting[i]) ** 2, 9.0)
             self.learnt_s[i] += STEP_S
             tau = np.clip(self.learnt_s[i], 0.1, 1.0)
             own = self.variance[i] * self.scale[i]

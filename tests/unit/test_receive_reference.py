@@ -486,7 +486,7 @@ def test_an_emergency_is_left_to_python():
 def test_why_a_channel_is_unknown(fields, reason):
     """At 10 ns, with an age limit of 4 ns."""
     box, _ = both(codec_for(NODES))
-    record = box.receiver.channels[0]
+    record, fields = box.receiver.channels[0], dict(fields)
     record["limit_ns"] = 4
     record["e2e_config"]["profile"] = fields.pop("protection", 0)
     record["e2e_state"]["state"] = fields.pop("state", 0)
