@@ -90,6 +90,7 @@ SOURCES = (
     "estimators/detect/command_response.c",
     "estimators/detect/switching_drive.c",
     "estimators/detect/switching_mixture.c",
+    "estimators/detect/switching_noise.c",
     "estimators/detect/switching.c",
     "estimators/elementary.c",
     "estimators/order_statistics.c",

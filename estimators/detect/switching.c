@@ -15,32 +15,24 @@
 
 #include "estimators/detect/switching_drive.h"
 #include "estimators/detect/switching_mixture.h"
+#include "estimators/detect/switching_noise.h"
 #include "estimators/elementary.h"
 #include "estimators/numbers.h"
 
-#define STEP_SD       0.003 /* walk of the demand in a step, standard deviation */
-#define SLOPE_SD      0.003 /* and of its slope */
-#define SLOPE_KEPT    0.9
-#define MOVE_SD       0.04  /* of a wobble, and of a turn: a change of slope */
-#define MOVE          0.04  /* probability of either */
-#define JUMP          0.02  /* probability that the demand jumps anywhere within SPAN */
-#define EVENT         2e-4  /* that drives lose adhesion together, */
-#define PART          0.3   /* each with this probability */
-#define ALONE         1e-5  /* that one drive does, alone */
-#define FULL_LOAD     0.25  /* demand from which on losses are as frequent as this */
-#define NOISE_FIRST   0.02  /* error of a load at the start, standard deviation; */
-#define NOISE_LEAST   0.012 /* the least, the most */
-#define NOISE_MOST    0.2
-#define NOISE_S       1.0  /* time constant of learning it in the long run, */
-#define NOISE_FIRST_S 0.1  /* and at first */
-#define NOISE_CLIP    3.0  /* standard deviations that one error counts */
-#define LASTING_S     1.0  /* an error that lasts is no noise: time constant of its mean */
-#define LAG           0.15 /* noise more for a demand that has moved by 1: not all follow at once */
-#define LAG_KEPT      0.4
-#define HOPELESS      16.0 /* logarithm of how much less likely than the best is not weighed */
-#define UNKNOWN_V     0.01 /* variance of a demand that is not known */
-#define ANEW_STEPS    50   /* so long most loads may mean nothing: 0.5 s */
-#define LEAST_P       1e-12
+#define STEP_SD         0.003 /* walk of the demand in a step, standard deviation */
+#define SLOPE_SD        0.003 /* and of its slope */
+#define SLOPE_KEPT      0.9
+#define MOVE_SD         0.04 /* of a wobble, and of a turn: a change of slope */
+#define MOVE            0.04 /* probability of either */
+#define JUMP            0.02 /* probability that the demand jumps anywhere within SPAN */
+#define EVENT           2e-4 /* that drives lose adhesion together, */
+#define PART            0.3  /* each with this probability */
+#define ALONE           1e-5 /* that one drive does, alone */
+#define FULL_LOAD       0.25 /* demand from which on losses are as frequent as this */
+#define HOPELESS        16.0 /* logarithm of how much less likely than the best is not weighed */
+#define UNKNOWN_V       0.01 /* variance of a demand that is not known */
+#define ANEW_STEPS      50   /* so long most loads may mean nothing: 0.5 s */
+#define LEAST_P         1e-12
 #define LEAST_PRECISION 0.1 /* of a demand by all drives but one */
 #define MOST_M          4.0
 
@@ -62,18 +54,11 @@ void switching_reset(struct switching *s)
     s->demand = 0.0;
     set_unknown(s);
     for (int i = 0; i < s->n; i++) {
-        s->noises[i] = (struct switching_noise){.variance = NOISE_FIRST * NOISE_FIRST};
+        s->noises[i] = switching_noise_unknown();
         s->loads[i] = (struct switching_load){.load = 0.0};
         s->adhering[i] = s->drives[i].adhering;
         s->lost[i] = s->drives[i].lost;
     }
-}
-
-static double noise_of(const struct switching *s, int i)
-{
-    const struct switching_load *in = &s->loads[i];
-    return s->noises[i].variance * square(1.0 + in->gain) + square(s->noises[i].lag) +
-           square(in->error);
 }
 
 /* ---- One hypothesis and all loads ---- */
@@ -87,7 +72,7 @@ static struct gaussian sweep_demand(const struct switching *s, struct switching_
         d[i].precision = d[i].shift = 0.0;
         if (!s->loads[i].known || s->loads[i].apart || i == anchor)
             continue;
-        const double y = s->loads[i].load, noise = noise_of(s, i);
+        const double y = s->loads[i].load, noise = switching_noise_of(s, i);
         const struct origins from = switching_drive_explain(&d[i], y, noise, g);
         const struct gaussian with = switching_drive_absorb(&d[i], y, noise, g, &from);
         h->log_weight += elementary_log(from.all);
@@ -109,7 +94,7 @@ static struct gaussian sweep_drives(const struct switching *s, struct switching_
         /* Never less than the precision of the prior demand, which varies by 1 or so at most. */
         const double without = larger(1.0 / g.v - d[i].precision, LEAST_PRECISION);
         const struct gaussian others = {(g.m / g.v - d[i].shift) / without, 1.0 / without};
-        const double y = s->loads[i].load, noise = noise_of(s, i);
+        const double y = s->loads[i].load, noise = switching_noise_of(s, i);
         const struct origins from = switching_drive_explain(&d[i], y, noise, others);
         if (!s->loads[i].apart) {
             const struct gaussian with = switching_drive_absorb(&d[i], y, noise, others, &from);
@@ -236,7 +221,7 @@ static void jump(const struct switching *s, struct switching_hypothesis *h,
     d[j].lost = 0.0;
     d[j].neither = 1e-9;
     h->m = x;
-    h->v_mm = (noise_of(s, j) + ratio_variance(&d[j].now) * x * x) / (rho * rho);
+    h->v_mm = (switching_noise_of(s, j) + ratio_variance(&d[j].now) * x * x) / (rho * rho);
     h->s = 0.5 * far;
     h->v_ms = 0.0;
     h->v_ss = 1e-4 + square(0.5 * far);
@@ -296,31 +281,6 @@ static int propose(struct switching *s, int k, int tried)
 
 /* ---- What is learnt ---- */
 
-/* (S12): noise of drive i, by the likeliest hypothesis. */
-static void learn_noise(struct switching *s, int i)
-{
-    const struct switching_hypothesis *h = &s->hypotheses[0];
-    const struct switching_drive *d = &s->drives[i];
-    const double without = 1.0 / h->v_mm - d->precision;
-    if (!(without > 100.0))
-        return;
-    const double m = (h->m / h->v_mm - d->shift) / without;
-    if (fabs(m) < 0.05)
-        return;
-    const double rho = ratio_of(&d->now), e = s->loads[i].load - rho * m;
-    const double v = ratio_variance(&d->now) * m * m + rho * rho / without + noise_of(s, i);
-    struct switching_noise *noise = &s->noises[i];
-    const double z = clamp(e / sqrt(v), -NOISE_CLIP, NOISE_CLIP);
-    noise->lasting += STEP_S / LASTING_S * (z - noise->lasting) * s->adhering[i];
-    const double z2 = smaller(square(z - noise->lasting), NOISE_CLIP * NOISE_CLIP);
-    const double own = noise->variance * square(1.0 + s->loads[i].gain);
-    noise->learnt_s += STEP_S;
-    const double tau = clamp(noise->learnt_s, NOISE_FIRST_S, NOISE_S);
-    const double step = 2.0 * STEP_S / tau * (own / v) * (z2 - 1.0) * s->adhering[i];
-    noise->variance =
-        clamp(noise->variance * (1.0 + step), NOISE_LEAST * NOISE_LEAST, NOISE_MOST * NOISE_MOST);
-}
-
 /* (S20): the mean ratio of a hypothesis is 1. */
 static void centre(struct switching_hypothesis *h, struct switching_drive *d, int n)
 {
@@ -335,19 +295,9 @@ static void centre(struct switching_hypothesis *h, struct switching_drive *d, in
     h->m *= mean;
 }
 
-/* Only of loads that are what they seem. */
-static int teaches_noise(const struct switching *s, int i)
-{
-    const struct switching_load *in = &s->loads[i];
-    const int plain = in->error == 0.0 && !in->unsure;
-    return may_lead(s, i) && plain && s->adhering[i] >= 0.5;
-}
-
 static void learn(struct switching *s)
 {
-    for (int i = 0; i < s->n; i++)
-        if (teaches_noise(s, i))
-            learn_noise(s, i);
+    switching_learn_noises(s);
     for (int k = 0; k < s->kept; k++)
         centre(&s->hypotheses[k], drives_of(s->drives, s, k), s->n);
 }
@@ -377,8 +327,7 @@ void switching_step(struct switching *s)
     if (known > 1)
         learn(s);
     begin_anew_if_contradicted(s, known);
-    for (int i = 0; i < s->n; i++)
-        s->noises[i].lag = larger(LAG_KEPT * s->noises[i].lag, LAG * fabs(s->demand - before));
+    switching_note_lag(s, fabs(s->demand - before));
 }
 
 void switching_tick(struct switching *s)

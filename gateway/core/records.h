@@ -1711,6 +1711,7 @@ struct lumped_tuning {
 /* Symbols and equation numbers: docs/switching.md. Torques per unit of rated torque, in the
  * direction of the train. */
 
+#define SWITCHING_PAST  10 /* steps within which the scatter of a load shows: 0.1 s */
 #define SWITCHING_KEPT  6  /* hypotheses that are kept from step to step */
 #define SWITCHING_TRIED 48 /* hypotheses that are weighed in one step: eight from each */
 
@@ -1764,6 +1765,10 @@ struct switching_noise {
     double lag;      /* standard deviation more while the demand moves */
     double learnt_s; /* for how long `variance` has been learnt */
     double lasting;  /* mean error of late, in standard deviations: what lasts is no noise */
+    double scatter;  /* two of three changes of the error within SWITCHING_PAST steps are smaller */
+    double past[SWITCHING_PAST]; /* errors of these steps, */
+    int32_t at;                  /* place of the oldest, */
+    int32_t count;               /* how many there are */
 };
 
 /* Everything; `switching_reset` makes one that knows nothing. */

@@ -67,7 +67,7 @@ TESTS = {
     "estimators/detect/variational.c": ("tests/unit/test_variational_reference.py",),
     **dict.fromkeys((
         "estimators/detect/switching.c", "estimators/detect/switching_drive.c",
-        "estimators/detect/switching_mixture.c",
+        "estimators/detect/switching_mixture.c", "estimators/detect/switching_noise.c",
     ), ("tests/unit/test_switching_reference.py", "tests/unit/test_switching.py")),
     "gateway/core/switching_loss.c": ("tests/unit/test_adhesion_reference.py",),
     "estimators/detect/load_reference.c": RESPONSE,

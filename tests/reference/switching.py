@@ -171,6 +171,8 @@ class Switching:
         self.all = [unknown(n)]
         self.variance, self.lag = np.full(n, 0.02**2), np.zeros(n)
         self.learnt_s, self.lasting = np.zeros(n), np.zeros(n)
+        self.scatter: Array = np.full(n, 0.005)
+        self.past: list[list[float]] = [[] for _ in range(n)]
         self.demand = 0.0
         self.contradicted = 0
 
@@ -181,7 +183,8 @@ class Switching:
         self.y, self.known = load, known
         self.leads, self.teaches = known & ~apart, known & ~unsure
         self.plain, self.scale = self.leads & self.teaches & (error == 0), (1 + gain) ** 2
-        self.noise = self.variance * self.scale + self.lag**2 + error**2
+        self.error = error
+        self.noise = self._noise()
         before = self.demand
         best = self.all[0].log_weight
         trials: list[Hypothesis] = []
@@ -326,19 +329,38 @@ class Switching:
             rho=np.stack([r[0] for r in ratios]), V=np.stack([r[1] for r in ratios]),
         )  # fmt: skip
 
+    def _noise(self) -> Array:
+        """Variances of the errors (N,)."""
+        return self._with(np.maximum(self.variance, (1.05 * self.scatter) ** 2))
+
+    def _with(self, variance: Array) -> Array:
+        return variance * self.scale + self.lag**2 + self.error**2
+
+    def _scatter(self, i: int, error: float) -> None:
+        """(S22), (S23)."""
+        past = self.past[i]
+        if len(past) == 10:
+            step = 0.04 if abs(error - past.pop(0)) > self.scatter[i] else -0.02
+            self.scatter[i] = np.clip(self.scatter[i] * (1 + step), 0.005, 0.15)
+        past.append(error)
+
     def _learn(self) -> None:
-        """(S12), (S20)."""
+        """(S12), (S20), (S22), (S23)."""
         h = self.all[0]
-        for i in np.flatnonzero(self.plain & (self.adhering >= 0.5)):
+        for i in range(self.n):
             left = 1 / h.P[0, 0] - h.site[i, 0]
-            if not left > 100:
+            if not (self.plain[i] and left > 100):
+                self.past[i].clear()
                 continue
             m = (h.x[0] / h.P[0, 0] - h.site[i, 1]) / left
-            if abs(m) < 0.05:
-                continue
             rho = h.rho[0, i].sum()
-            v = max(h.V[0, i].sum(), 0.0) * m * m + rho**2 / left + self.noise[i]
-            z = np.clip((self.y[i] - rho * m) / math.sqrt(v), -3.0, 3.0)
+            error = self.y[i] - rho * m
+            self._scatter(i, error)
+            if not (self.adhering[i] >= 0.5 and abs(m) >= 0.05):
+                continue
+            noise = self._with(self.variance)[i]
+            v = max(h.V[0, i].sum(), 0.0) * m * m + rho**2 / left + noise
+            z = np.clip(error / math.sqrt(v), -3.0, 3.0)
             self.lasting[i] += STEP_S / 1.0 * (z - self.lasting[i]) * self.adhering[i]
             z2 = min((z - self.lasting[i]) ** 2, 9.0)
             self.learnt_s[i] += STEP_S
