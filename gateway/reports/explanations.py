@@ -76,7 +76,7 @@ _REASONS: Final = {
     Reason.TOO_FEW_DRIVES: (
         REASONS[Reason.TOO_FEW_DRIVES],
         "drive with more than a tenth of rated torque; let the drives send `TorqueCommand`",
-        "the train coasts; of two drives one is silent",
+        "the train slows down without load; of two drives one is silent",
     ),
     Reason.OVERRUN: (
         REASONS[Reason.OVERRUN],

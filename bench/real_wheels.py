@@ -1,0 +1,222 @@
+"""`python -m bench.real_wheels`: a robot's driven wheels, judged by the whole gateway.
+
+Three omnidirectional wheels; currents, set and actual speeds every 31 ms (tests/data/README.md).
+Each wheel becomes a drive: its speed is the rotor's, its current over RATED_A the torque over the
+rated one, and phase currents and voltages follow in closed form, as in `bench.held_plant`. So the
+machine is ours; what the wheels carry, how fast they turn, and all the noise of it, are real.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import gzip
+import math
+import sys
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
+
+from dbc.codec import Codec, bind
+from dbc.e2e import protect
+from dbc.frame import MS, SECOND, Frame
+from gateway.core.codes import Flag
+from gateway.core.gateway import Gateway
+from gateway.settings.config import BENCH_MOTOR, parse, shipped_dbc
+
+Array = NDArray[np.float64]
+
+DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "wheels" / "robot.csv.gz"
+RATED_A: Final = 3.0
+"""Taken for the motors' rated current, which the source does not give; the most seen is 2.9 A."""
+INERTIA_KG_M2: Final = 0.005
+"""Of a rotor; small, so that the load is the motor's torque."""
+PERIOD_S: Final = 2e-3
+SPEED_SAMPLES: Final = 7
+"""A wheel's speed is a count of ticks in 31 ms, 2.8 rad/s each: mean of so many, 0.2 s."""
+CURRENT_SAMPLES: Final = 3
+DRIVEN: Final = 1.0
+"""rad/s of set speed from which on a wheel is driven; the third of a straight run rolls along."""
+ALIKE: Final = 1.05
+"""Set speeds within this factor: the wheels turn alike, as those of a train do."""
+ON_DRAG_A: Final = 0.6
+"""Mean current of a wheel from which on the floor drags; on the table it is 0.2 to 0.35 A."""
+SKIP_S: Final = 1.5
+"""Left out at the start: the robot speeds up."""
+
+
+class Run(NamedTuple):
+    """A recording: t_s (T,); of driven wheels (T, N) set speed, speed in rad/s, current in A."""
+
+    name: str
+    t_s: Array
+    wanted: Array
+    speed: Array
+    current: Array
+
+    @property
+    def straight(self) -> bool:
+        """Whether all driven wheels turn alike."""
+        middle = np.abs(self.wanted[len(self.wanted) // 2])
+        return bool(middle.max() <= ALIKE * middle.min())
+
+
+@cache
+def runs() -> dict[str, Run]:
+    """All recordings, by name."""
+    rows: dict[str, list[list[float]]] = {}
+    with gzip.open(DATA, "rt", encoding="utf-8", newline="") as file:
+        for name, *numbers in list(csv.reader(file))[1:]:
+            rows.setdefault(name, []).append([float(x or "nan") for x in numbers])
+    return {name: _run(name, np.array(table)) for name, table in rows.items()}
+
+
+def _run(name: str, table: Array) -> Run:
+    table = table[np.isfinite(table).all(axis=1)]
+    table = table[np.concatenate([[True], np.diff(table[:, 0]) > 0.0])]
+    wanted, speed, current = table[:, 1:4], table[:, 4:7], np.abs(table[:, 7:10])
+    driven = np.abs(wanted[len(wanted) // 2]) >= DRIVEN
+    t_s = (table[:, 0] - table[0, 0]) / 1e3
+    return Run(name, t_s, wanted[:, driven], speed[:, driven], current[:, driven])
+
+
+def frames(run: Run, codec: Codec, rated_a: float = RATED_A) -> list[Frame]:
+    """What the drives would send: currents and voltages every 2 ms, `Motion` every 10 ms."""
+    t = np.arange(0.0, run.t_s[-1], PERIOD_S)
+    out: list[Frame] = []
+    for k in range(run.speed.shape[1]):
+        w = CubicSpline(run.t_s, uniform_filter1d(run.speed[:, k], SPEED_SAMPLES))
+        sign = np.sign(run.wanted[len(run.wanted) // 2, k])
+        amps = uniform_filter1d(run.current[:, k], CURRENT_SAMPLES) / rated_a * BENCH_MOTOR.I_rated
+        i_q = sign * np.interp(t, run.t_s, amps)
+        theta = BENCH_MOTOR.pole_pairs * w.antiderivative()(t) + k
+        out += _drive(k + 1, codec, t, _phasors(theta, i_q), (theta, w(t), i_q))
+    return sorted(out, key=lambda frame: frame.t_ns)
+
+
+def _phasors(theta: Array, i_q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Current at the end of each period and mean voltage over it, one fewer than instants."""
+    motor, along = BENCH_MOTOR, np.exp(1j * theta)
+    current = 1j * i_q * along
+    flux = motor.L_s * current + motor.psi_pm * along
+    voltage = motor.R_s * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / PERIOD_S
+    return current[1:], voltage
+
+
+def _drive(
+    node: int,
+    codec: Codec,
+    t: Array,
+    phasors: tuple[NDArray[np.complex128], NDArray[np.complex128]],
+    motion: tuple[Array, Array, Array],
+) -> list[Frame]:
+    theta, w, i_q = motion
+    out = []
+    for n, (i, u) in enumerate(zip(*phasors, strict=True), 1):
+        b = -0.5 * i.real + math.sqrt(0.75) * i.imag
+        t_ns = round(t[n] * SECOND) + node * 7000
+        sent = {
+            "PhaseCurrents": {"Ia": i.real, "Ib": b, "Ic": -i.real - b},
+            "StatorVoltages": {"Ualpha": u.real, "Ubeta": u.imag, "Udc": 540.0},
+        }
+        if n % 5 == 0:
+            sent["Motion"] = {
+                "ElectricalAngle": math.degrees(theta[n]) % 360.0,
+                "Speed": w[n] * 30.0 / math.pi,
+                "Torque": BENCH_MOTOR.torque_nm / BENCH_MOTOR.I_rated * i_q[n],
+            }
+        for kind, values in sent.items():
+            spec = codec.by_name[f"Drive{node}_{kind}"]
+            payload = codec.encode(spec, {"Quality": 1, **values})
+            protect(spec, payload, n // (5 if kind == "Motion" else 1))
+            out.append(Frame(t_ns, spec.can_id, bytes(payload), 0, "vcan0"))
+    return out
+
+
+def judge(run: Run, rated_a: float = RATED_A) -> NDArray[np.int64]:
+    """Flags of adhesion (ticks, N), one a tick of 10 ms."""
+    motor = {**BENCH_MOTOR.model_dump(), "J": INERTIA_KG_M2}
+    nodes = range(1, run.speed.shape[1] + 1)
+    config = parse({
+        "motor": {"robot": motor}, "drive": [{"node": n, "motor": "robot"} for n in nodes],
+    })  # fmt: skip
+    codec = bind(shipped_dbc("traction.dbc"), list(nodes))
+    gateway, waiting, flags, at = Gateway(config, codec, 0), frames(run, codec, rated_a), [], 0
+    for tick in range(1, round(run.t_s[-1] * 100.0)):
+        now, first = tick * 10 * MS, at
+        while at < len(waiting) and waiting[at].t_ns <= now:
+            at += 1
+        gateway.step(waiting[first:at], now)
+        assert gateway.view is not None
+        flags.append([int(drive.adhesion) for drive in gateway.view.drives])
+    return np.array(flags)
+
+
+def on_drag(run: Run) -> NDArray[np.bool_]:
+    """(ticks, N): which wheels are on the floor that drags, by their current over half a second."""
+    mean = uniform_filter1d(run.current, 16, axis=0) > ON_DRAG_A
+    at = np.searchsorted(run.t_s, 0.01 * np.arange(1, round(run.t_s[-1] * 100.0))) - 1
+    return np.asarray(mean[at])
+
+
+def shares(flags: NDArray[np.int64]) -> str:
+    """Lost, adhering, unknown, in percent of these flags."""
+    if not flags.size:
+        return "- | - | -"
+    each = (Flag.BAD, Flag.GOOD, Flag.UNKNOWN)
+    return " | ".join(f"{100.0 * np.mean(flags == one):.1f}" for one in each)
+
+
+def groups() -> dict[str, list[str]]:
+    """Recordings by what is to be seen in them."""
+    table = [name for name in runs() if name.startswith("table")]
+    return {
+        "table, unlike speeds": [name for name in table if not runs()[name].straight],
+        "table, straight": [name for name in table if runs()[name].straight],
+        "onto another floor": [name for name in runs() if name.startswith("green")],
+    }
+
+
+def lines(rated_a: float) -> list[str]:
+    """The tables of docs/real_wheels.md."""
+    out = [
+        "| recordings | wheels | lost % | adhering % | unknown % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for title, names in groups().items():
+        found: dict[str, list[NDArray[np.int64]]] = {}
+        for name in names:
+            run = runs()[name]
+            flags, drag = judge(run, rated_a), on_drag(run)
+            started = np.arange(len(flags)) * 0.01 >= SKIP_S
+            some = started & drag.any(axis=1) & ~drag.all(axis=1)
+            found.setdefault("none drags", []).append(flags[started & ~drag.any(axis=1)].ravel())
+            found.setdefault("one drags: that one", []).append(flags[some][drag[some]])
+            found.setdefault("one drags: the other", []).append(flags[some][~drag[some]])
+            found.setdefault("all drag", []).append(flags[started & drag.all(axis=1)].ravel())
+        out += [
+            f"| {title}, {len(names)} | {who}, {len(each) / 100:.0f} s | {shares(each)} |"
+            for who, parts in found.items()
+            if len(each := np.concatenate(parts))
+        ]
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table for each rated current."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument("--rated-a", type=float, nargs="+", default=[RATED_A])
+    for rated_a in parser.parse_args(arguments).rated_a:
+        print(f"Rated current {rated_a:g} A\n")
+        print("\n".join(lines(rated_a)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""Recordings of a robot's wheels: what docs/real_wheels.md says of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.real_wheels import SKIP_S, groups, judge, on_drag, runs
+from gateway.core.codes import Flag
+
+UNLIKE = ("table_exp28", "table_exp40")
+"""One wheel of the first was lost for good, against a demand that none carried."""
+
+
+def share(flags: np.ndarray, flag: Flag) -> float:
+    return float(np.mean(flags[round(100 * SKIP_S) :] == flag))
+
+
+@pytest.mark.parametrize("name", UNLIKE)
+def test_wheels_that_never_turn_alike_are_compared_with_nobody(name):
+    assert not runs()[name].straight
+    flags = judge(runs()[name])
+    assert not np.isin(flags, (Flag.BAD, Flag.GOOD)).any()
+
+
+@pytest.mark.parametrize("name", ["table_exp00", "table_exp36"])
+def test_wheels_that_grip_are_mostly_said_to(name):
+    flags = judge(runs()[name])
+    assert share(flags, Flag.BAD) < 0.02
+    assert share(flags, Flag.GOOD) > 0.8
+
+
+def test_what_is_in_the_recordings():
+    """Wheels drag only where they come to the other floor, and then one before the other."""
+    kinds = groups()
+    assert [len(names) for names in kinds.values()] == [12, 6, 6]
+    for names in list(kinds.values())[:2]:
+        assert not any(on_drag(runs()[name])[150:].any() for name in names)
+    crossing = [on_drag(runs()[name]) for name in kinds["onto another floor"]]
+    assert all(drag.all(axis=1).any() for drag in crossing)
+    assert any((drag.any(axis=1) & ~drag.all(axis=1)).any() for drag in crossing)
