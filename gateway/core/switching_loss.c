@@ -107,7 +107,7 @@ static int rolls(const struct adhesion *a, int k)
     const struct rotor *r = &a->rotors[k];
     const double slow = fabs(r->slow_speed), change = r->speed * r->diameter - slow;
     const int idle = a->responses[k].usable && !is_asked(&a->responses[k]);
-    const int follows = fabs(r->creep) <= NEAR && !r->apart && !r->away && !r->uncertain;
+    const int follows = fabs(r->creep) <= NEAR && !r->apart;
     return idle && follows && fabs(change) <= STEADY * slow && fabs(a->loads[k].load) <= LITTLE;
 }
 

@@ -253,11 +253,10 @@ class Adhesion:
     def _rolls(self, k: int) -> bool:
         """Whether a drive, asked for nothing, turns on with the others and carries nothing."""
         rotor = self.rotors[k]
-        apart = rotor["apart"] or rotor["away"] or rotor["uncertain"]
         slow = abs(rotor["slow_speed"])
         goes_on = abs(rotor["speed"] * rotor["diameter"] - slow) <= 0.02 * slow
         near = abs(rotor["creep"]) <= 0.03 and abs(self.load[k]) <= 0.07
-        return bool(goes_on and near and not apart)
+        return bool(goes_on and near and not rotor["apart"])
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:
         doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0

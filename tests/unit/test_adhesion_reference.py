@@ -189,6 +189,18 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
     assert known == both.core.record["common"].item()
 
 
+@pytest.mark.parametrize(("load_nm", "rolls"), [(0.5, True), (2.9, False)])
+def test_who_carries_what_nobody_asked_for_does_not_only_roll(load_nm, rolls):
+    both, numbers = Both([BENCH_MOTOR] * N, detector="switching"), np.full(N, 0.0)
+    health = np.full(N, Health.TRACKING)
+    for tick in range(100):
+        given = (health, numbers + load_nm, numbers + 80.0, numbers, numbers,
+                 (tick * TICK, True), numbers == 0.0, 1.0)  # fmt: skip
+        opinion = both.tick(columns.told(N), given, tick * TICK, True)
+        both.decide(opinion, tick * TICK)
+    assert (opinion.known == rolls).all()
+
+
 @pytest.mark.parametrize("detector", ["vb", "switching"])
 def test_a_copy_goes_on_alone(detector):
     rng, both = np.random.default_rng(7), Both([BENCH_MOTOR] * N, detector=detector)
