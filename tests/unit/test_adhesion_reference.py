@@ -189,12 +189,15 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
     assert known == both.core.record["common"].item()
 
 
-@pytest.mark.parametrize(("load_nm", "rolls"), [(0.5, True), (2.9, False)])
-def test_who_carries_what_nobody_asked_for_does_not_only_roll(load_nm, rolls):
+@pytest.mark.parametrize(
+    ("load_nm", "slows", "rolls"), [(0.5, 0.0, True), (2.9, 0.0, False), (0.5, 0.002, False)]
+)
+def test_who_carries_what_nobody_asked_for_or_slows_down_does_not_only_roll(load_nm, slows, rolls):
     both, numbers = Both([BENCH_MOTOR] * N, detector="switching"), np.full(N, 0.0)
     health = np.full(N, Health.TRACKING)
     for tick in range(100):
-        given = (health, numbers + load_nm, numbers + 80.0, numbers, numbers,
+        speed = 80.0 * (1.0 - slows) ** tick
+        given = (health, numbers + load_nm, numbers + speed, numbers, numbers,
                  (tick * TICK, True), numbers == 0.0, 1.0)  # fmt: skip
         opinion = both.tick(columns.told(N), given, tick * TICK, True)
         both.decide(opinion, tick * TICK)
