@@ -25,7 +25,7 @@
 #define ACCUSED 0.7
 #define NEAR    0.03 /* creep of a wheel that turns with the others; */
 #define STEADY  0.02 /* change of its speed within 0.5 s: no brake slows it */
-#define LITTLE  0.07 /* load, per unit of rated torque, of one that carries nothing */
+#define LITTLE  0.1  /* load, per unit of rated torque, of one that carries nothing */
 /* A drive that follows its own flag changes its torque between two of its `Status`: by so much of the
  * largest command in a second, but not by more than this share of its own. */
 #define RETURN_PER_S 1.0
@@ -100,15 +100,23 @@ static int any_adheres(const struct adhesion *a)
     return 0;
 }
 
-/* 1 if drive k is asked for nothing, carries nothing, and turns with the others at a speed that stays:
- * it rolls. What slows all of them may be friction brakes, under which all may slide. */
+static int any_asked(const struct adhesion *a)
+{
+    for (int k = 0; k < a->n; k++)
+        if (is_asked(&a->responses[k]))
+            return 1;
+    return 0;
+}
+
+/* 1 if drive k, in a train that is asked for nothing, carries nothing and turns with the others at a
+ * speed that stays: it rolls. What slows all of them may be friction brakes, under which all may slide. */
 static int rolls(const struct adhesion *a, int k)
 {
     const struct rotor *r = &a->rotors[k];
     const double slow = fabs(r->slow_speed), change = r->speed * r->diameter - slow;
-    const int idle = a->responses[k].usable && !is_asked(&a->responses[k]);
+    const int usable = a->responses[k].usable;
     const int follows = fabs(r->creep) <= NEAR && !r->apart;
-    return idle && follows && fabs(change) <= STEADY * slow && fabs(a->loads[k].load) <= LITTLE;
+    return usable && follows && fabs(change) <= STEADY * slow && fabs(a->loads[k].load) <= LITTLE;
 }
 
 /* 1 if something can be said of drive k at all. */
@@ -153,10 +161,10 @@ void judge_by_memory(struct adhesion *a, const struct drive_status *status, int 
                      int64_t now_ns)
 {
     const double all = all_lost(a);
-    const int any = any_adheres(a);
+    const int any = any_adheres(a), asked = any_asked(a);
     for (int k = 0; k < a->n; k++) {
         struct rotor *r = &a->rotors[k];
-        if (rolls(a, k)) {
+        if (!asked && rolls(a, k)) {
             a->loss_probability[k] = 0.0;
             a->loss_known[k] = 1;
             a->loads[k].severe_loss = 0;

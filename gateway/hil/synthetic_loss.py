@@ -318,13 +318,13 @@ def _cause(view: DriveView, most: float, config: Config) -> str:
             "its torque stands for the command, and falls with the load: map TorqueCommand to the "
             "torque that the inverter is asked for"
         )
-    if view.adhesion is Flag.UNKNOWN:
-        return _unknown(view, "in the loss")
     if most >= a.raise_probability:
         return (
             f"its loss probability reaches {most:.3g}, but does not hold for "
             f"adhesion.raise_ms = {a.raise_ms} ms: give less"
         )
+    if view.adhesion is Flag.UNKNOWN:
+        return _unknown(view, "in the loss")
     return (
         f"its loss probability reaches {most:.3g} of adhesion.raise_probability = "
         f"{a.raise_probability:g}: {_spread(config, ' hides it, or ')}"

@@ -219,10 +219,11 @@ class Adhesion:
         everyone = min(asked, default=0.0) if usable[self.known].all() else 0.0
         everyone = everyone if 0.5 <= everyone <= 1.0 else 0.0
         self.lost, self.lost_known, self.severe = [], [], []
+        anyone = any(lib.is_asked(each + k) for k in range(self.n))
         holding = self.known & (adhering >= 0.5) & (self.rotors["far"] == 0)
         for k in range(self.n):
             rotor, is_asked = self.rotors[k], bool(lib.is_asked(each + k))
-            if usable[k] and not is_asked and self._rolls(k):
+            if usable[k] and not anyone and self._rolls(k):
                 self.lost.append(0.0)
                 self.lost_known.append(True)
                 self.severe.append(False)
@@ -255,7 +256,7 @@ class Adhesion:
         rotor = self.rotors[k]
         slow = abs(rotor["slow_speed"])
         goes_on = abs(rotor["speed"] * rotor["diameter"] - slow) <= 0.02 * slow
-        near = abs(rotor["creep"]) <= 0.03 and abs(self.load[k]) <= 0.07
+        near = abs(rotor["creep"]) <= 0.03 and abs(self.load[k]) <= 0.1
         return bool(goes_on and near and not rotor["apart"])
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:

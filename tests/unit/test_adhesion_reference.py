@@ -190,7 +190,7 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
 
 
 @pytest.mark.parametrize(
-    ("load_nm", "slows", "rolls"), [(0.5, 0.0, True), (2.9, 0.0, False), (0.5, 0.002, False)]
+    ("load_nm", "slows", "rolls"), [(0.5, 0.0, True), (3.2, 0.0, False), (0.5, 0.002, False)]
 )
 def test_who_carries_what_nobody_asked_for_or_slows_down_does_not_only_roll(load_nm, slows, rolls):
     both, numbers = Both([BENCH_MOTOR] * N, detector="switching"), np.full(N, 0.0)

@@ -78,12 +78,21 @@ def test_a_wheel_lost_at_little_load_is_never_adhering(load):
     assert Flag.BAD not in flags(rows, 1, 0.0, SECONDS) | flags(rows, 2, 0.0, SECONDS)
 
 
-@pytest.mark.parametrize("drives", [1, 3])
-def test_a_train_that_coasts_is_unknown(drives):
-    rows = judged(recorded(0.03, drives), drives)
-    for drive in range(drives):
-        assert flags(rows, drive, 0.5, SECONDS) == {Flag.UNKNOWN}
-        assert rows[-1][drive].adhesion_reason is Reason.TOO_FEW_DRIVES
+def test_a_drive_that_coasts_alone_is_unknown():
+    rows = judged(recorded(0.03, 1), 1)
+    assert flags(rows, 0, 0.5, SECONDS) == {Flag.UNKNOWN}
+    assert rows[-1][0].adhesion_reason is Reason.TOO_FEW_DRIVES
+
+
+def test_drives_that_coast_together_adhere():
+    rows = judged(recorded(0.03, 3), 3)
+    assert all(flags(rows, drive, 0.5, SECONDS) == {Flag.GOOD} for drive in range(3))
+
+
+def test_a_drive_that_is_asked_for_nothing_among_others_is_not_said_to_adhere():
+    """Its own slip control may be what asks for nothing."""
+    rows = judged(with_status(recorded(0.6, 3, lost=True), 0.0, begin=0.0), 3)
+    assert Flag.GOOD not in flags(rows, 0, 1.7, 3.0)
 
 
 @pytest.mark.parametrize("drives", [1, 2, 3])
