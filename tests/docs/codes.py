@@ -12,11 +12,22 @@ HEAD = """# Reasons, health, faults
 What stands in `Gateway_Adhesion`, `Drive{n}_Estimate` and `Drive{n}_Thermal`, why, and what to do.
 In a terminal: `traction-gateway explain 8`, or `explain TooFewDrives`.
 """
+EXITS = """
+## Exit codes
+
+| code | meaning |
+|---|---|
+| 0 | good; also how `run` and `monitor` end on a signal, which is how they are stopped |
+| 1 | an expectation failed, or more than 1 % of a log was dropped |
+| 2 | bad input |
+| 3 | inconclusive: `hil` on a bus that this machine could not keep up with |
+| 130, 143, 141 | ended by Ctrl-C, SIGTERM, a broken pipe |
+"""
 
 
 def page() -> str:
     """The whole of it."""
-    return f"{HEAD}\n{explanations.tables()}\n"
+    return f"{HEAD}\n{explanations.tables()}\n{EXITS}"
 
 
 if __name__ == "__main__":
