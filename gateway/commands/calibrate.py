@@ -12,9 +12,7 @@ from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
-    from dbc.frame import Frame
     from dbc.frames import Block
-    from gateway.core.gateway import Gateway
     from gateway.settings.config import Config
     from gateway.study.calibrating import Learner
 
@@ -69,16 +67,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _learn(blocks: Iterable[Block], config: Config, codec: Codec, learner: Learner) -> None:
-    """One log through the gateway, the learner looking on."""
+    """One log's temperatures, as the gateway receives them, into the learner."""
     from gateway.core.gateway import Gateway
-    from gateway.io.replay import replay
+    from gateway.io.replay import Briefly, replay
+    from gateway.study.temperature_reader import TemperatureReader
 
-    def new_gateway(start: int) -> Gateway:
-        gateway = Gateway(config, codec, start)
-        gateway.thermal.learning = True
-        return gateway
+    def add(gateway: Gateway) -> None:
+        assert isinstance(gateway, TemperatureReader)
+        thermal = gateway.thermal
+        learner.add(gateway.log.drain(), thermal.sensors.configured, thermal.dt_s)
 
-    def look(now: int, _out: list[Frame], gateway: Gateway) -> None:
-        learner.add_second(gateway.thermal, now)
+    def new_gateway(start: int) -> TemperatureReader:
+        return TemperatureReader(config, codec, start)
 
-    replay(blocks, new_gateway, config.loop.period_ns, look)
+    done = replay(blocks, new_gateway, config.loop.period_ns, Briefly(lambda _frames: None, add))
+    add(done.gateway)

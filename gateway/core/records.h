@@ -1240,6 +1240,21 @@ struct temperature_monitor {
     struct thermal_input *input;
 };
 
+/* Temperature cycles of all motors: what a calibration is learnt from (thermal_log.c). */
+struct temperature_log {
+    int64_t capacity, count; /* cycles */
+    int64_t cycles;          /* `cycles` of the monitor, when the last one was noted */
+    /* (capacity) */
+    uint8_t *second_complete; /* 1: the cycle completed a second */
+    /* (capacity, drives, THERMAL_POINTS) */
+    double *value_c;  /* last values, degC */
+    double *mean_c;   /* over the window, degC */
+    uint8_t *known;   /* 1: the mean is known, and the sensor valid */
+    int64_t *held_ns; /* since the sensor's value changed */
+    /* (capacity, drives, THERMAL_QUANTITIES) */
+    double *second; /* means of the last complete second; NaN: no value */
+};
+
 /* ---- candump text (dbc/candump_read.c, dbc/candump_write.c) ---- */
 
 #define CANDUMP_MAX_NAME 21  /* bytes of an interface name in a line */

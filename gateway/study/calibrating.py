@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from dbc.frame import Nanos
 from estimators import maisd
 from estimators.thermal import model
 from estimators.thermal.model_method import learn
 from estimators.thermal.monitor import Known
 from estimators.thermal.record import Record, split
 from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
-from gateway.core.thermal import TemperatureMonitor
 from gateway.core.thermal_model_monitor import Sample
 from gateway.settings.calibration import (
     POINTS,
@@ -29,6 +27,7 @@ from gateway.settings.calibration import (
     problems_of,
 )
 from gateway.settings.config import ConfigError
+from gateway.study.temperature_reader import Cycles
 
 FLOOR_K = (0.5, 1.0)
 """Smallest MAISD and deviation limits, K. A calibration run is never as varied as service:
@@ -49,7 +48,7 @@ SPAN_K = 5.0
 
 
 class Learner:
-    """Collects window averages and sensor behaviour tick by tick."""
+    """Collects window averages and sensor behaviour, cycle by cycle."""
 
     def __init__(self, nodes: tuple[int, ...], window_s: float) -> None:
         """Remember for which motors and which window."""
@@ -65,35 +64,35 @@ class Learner:
         self.seconds: list[list[Sample]] = []
         """Of every log, second by second."""
         self.dt_s = 1.0
-        self._count = 0
         self._last: np.ndarray | None = None
 
     def begin(self) -> None:
         """A new log starts: nothing is compared across the cut."""
         self._last = None
-        self._count = 0
         self.seconds.append([])
 
-    def add_second(self, side: TemperatureMonitor, now: Nanos) -> None:
-        """Look at the thermal side once per temperature cycle."""
-        if side.cycles == self._count:
+    def add(self, cycles: Cycles, fitted: NDArray[np.bool_], dt_s: float) -> None:
+        """The next temperature cycles of the log.
+
+        fitted: (M, P) sensors that there are; dt_s: from one second to the next.
+        """
+        self.dt_s = dt_s
+        for mean in cycles.second[cycles.second_complete]:
+            square, speed, ambient = mean[:, len(POINTS) :].T
+            self.seconds[-1].append(Sample(mean[:, : len(POINTS)], square, speed, ambient))
+        known = cycles.known[:, fitted].all(axis=1)
+        if not known.any():
             return
-        self._count = side.cycles
-        if side.last is not None:
-            self.seconds[-1].append(side.last)
-            self.dt_s = side.dt_s
-        sensors, fitted = side.sensors.drives["sensor"], side.sensors.configured
-        values = sensors["value_c"].copy()
-        if side.window.known[fitted].all():
-            self.fitted = fitted
-            self.means.append(side.window.mean.copy())
-            self.samples += 1
-            for j, k in np.argwhere(fitted).tolist():
-                held = now - sensors["changed_ns"].item(j, k)
-                self.hold_ns[j, k] = max(self.hold_ns[j, k], held)
-            if self._last is not None:
-                self.step_k = np.maximum(self.step_k, np.abs(values - self._last))
-            self._last = values
+        self.fitted = fitted
+        self.means.append(cycles.mean_c[known])
+        self.samples += int(known.sum())
+        held = np.where(fitted, cycles.held_ns[known].max(axis=0), 0)
+        self.hold_ns = np.maximum(self.hold_ns, held)
+        before = [] if self._last is None else [self._last[None]]
+        values = np.concatenate([*before, cycles.value_c[known]])
+        if len(values) > 1:
+            self.step_k = np.maximum(self.step_k, np.abs(np.diff(values, axis=0)).max(axis=0))
+        self._last = values[-1]
 
     def lacks(self) -> list[str]:
         """Why there is no thermal model: a line for each motor and signal, or for the duty."""
@@ -126,7 +125,7 @@ class Learner:
         if self.samples < 10:
             problem = "no stretch with all sensors of all motors; record a longer fault-free run"
             raise ConfigError("calibrate", [problem])
-        means = np.array(self.means)
+        means = np.concatenate(self.means)
         gain, offset = _against_fleet(means, self.fitted)
         centred = (means - offset) / gain
         compared = [maisd.compare(m, self.fitted) for m in centred]

@@ -8,6 +8,7 @@ from gateway.core.inbox import Temperatures
 from gateway.core.temperature import SensorMonitor
 from gateway.settings.calibration import MotorCalibration
 from gateway.study.calibrating import Learner
+from gateway.study.temperature_reader import CycleLog
 from tests.stations import TemperatureMonitor, not_yet_valid, sensor_verdict, sensors_valid
 
 MS = 1_000_000
@@ -156,7 +157,10 @@ def test_motors_with_different_sensors_are_calibrated_and_judged_by_what_they_ha
 
     learner = Learner(nodes, 2.0)
     side = TemperatureMonitor(3, 100 * MS, 2.0, None, nodes, fitted)
-    play(side, 60, 0.0, lambda now: learner.add_second(side, now))
+    log = CycleLog(3)
+    play(side, 60, 0.0, lambda now: log.note(side, now))
+    learner.begin()
+    learner.add(log.drain(), side.sensors.configured, side.dt_s)
     learnt = learner.finish(1.5)
     assert learnt.motor[0].offset_k[1:] == (0.0, 0.0)
     assert learnt.motor[1].offset_k[1] == pytest.approx(1.0, abs=0.1)

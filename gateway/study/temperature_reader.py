@@ -1,0 +1,128 @@
+"""Temperatures of a log, cycle by cycle, without the rest of a tick of the gateway.
+
+A record of slow messages costs what its frames cost: no filter, no detector, no frame goes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from _traction_core import ffi, lib
+from numpy.typing import NDArray
+
+from dbc.codec import Codec
+from dbc.frame import Frame, Nanos
+from dbc.frames import Block, block_of
+from dbc.records import TEMPERATURE_LOG, Addressed, pointer
+from gateway.core.gateway import Gateway
+from gateway.core.thermal import TemperatureMonitor
+from gateway.settings.calibration import POINTS
+from gateway.settings.config import Config
+
+Array = NDArray[np.float64]
+
+CYCLES: Final = 4096
+"""Temperature cycles that there is room for."""
+
+
+class Cycles(NamedTuple):
+    """R temperature cycles of N motors, P points and Q quantities of a second (`thermal_quantity`).
+
+    value_c, mean_c: (R, N, P) degC, last readings and window averages; known: (R, N, P), of which
+    averages; held_ns: (R, N, P) since a reading changed; second: (R, N, Q) means of a second, where
+    `second_complete` (R,).
+    """
+
+    second_complete: NDArray[np.bool_]
+    value_c: Array
+    mean_c: Array
+    known: NDArray[np.bool_]
+    held_ns: NDArray[np.int64]
+    second: Array
+
+
+class CycleLog(Addressed):
+    """Notes cycles (`struct temperature_log`) until they are read."""
+
+    def __init__(self, motors: int, capacity: int = CYCLES) -> None:
+        """capacity: cycles that there is room for."""
+        shape = (capacity, motors, len(POINTS))
+        self._columns = Cycles(
+            np.zeros(capacity, np.bool_), np.zeros(shape), np.zeros(shape),
+            np.zeros(shape, np.bool_), np.zeros(shape, np.int64),
+            np.zeros((capacity, motors, lib.THERMAL_QUANTITIES)),
+        )  # fmt: skip
+        self.record = np.zeros(1, TEMPERATURE_LOG)
+        self.record["capacity"] = capacity
+        self.link()
+
+    def link(self) -> None:
+        """See `Addressed`."""
+        for name, column in self._columns._asdict().items():
+            self.record[name] = column.ctypes.data
+        self.pointer: Any = ffi.from_buffer("struct temperature_log *", self.record)
+
+    @property
+    def full(self) -> bool:
+        """Whether there is room for no other cycle."""
+        return bool(self.pointer.count == self.pointer.capacity)
+
+    def note(self, side: TemperatureMonitor, now: Nanos) -> None:
+        """The monitor's last cycle, if it is not noted yet. There has to be room."""
+        lib.note_temperature_cycle(self.pointer, side.pointer, now)
+
+    def drain(self) -> Cycles:
+        """What was noted since the last call."""
+        count = int(self.pointer.count)
+        self.pointer.count = 0
+        return Cycles._make(column[:count].copy() for column in self._columns)
+
+
+class TemperatureReader(Gateway):
+    """A gateway whose ticks read temperatures, and what thermal models are learnt with."""
+
+    def __init__(self, config: Config, codec: Codec, start_ns: Nanos) -> None:
+        """As `Gateway`. Every tick's cycle is in `log`, which is to be read when it is full."""
+        super().__init__(config, codec, start_ns)
+        self.thermal.learning = True
+        self.log = CycleLog(len(self.nodes))
+
+    def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
+        """One tick; nothing goes out."""
+        block = frames if isinstance(frames, Block) else block_of(frames)
+        self.run(block, np.array([block.size]), now)
+        return []
+
+    def run(self, block: Block, ends: NDArray[np.int64], now: Nanos) -> tuple[int, list[Block]]:
+        """As `Gateway.run`; ends when the log is full."""
+        period_ns = self.config.loop.period_ns
+        block = block.part(0, int(ends[-1]))
+        if self.translator is not None:
+            last = now + (len(ends) - 1) * period_ns
+            block = self.translator.translate(block, last, self.inbox.added)
+        block = block.ordered()
+        nows = now + period_ns * np.arange(len(ends))
+        ends = np.searchsorted(block.t_ns, nows, "right").astype(np.int64)
+        most = int(np.diff(ends, prepend=0).max())
+        if most > self._capacity:
+            self._reserve(most)
+        done: int = lib.run_temperatures(
+            self.pointer, self.log.pointer, block.columns(), pointer("int64_t", ends), len(ends),
+            now,
+        )  # fmt: skip
+        self._now = now + (done - 1) * period_ns
+        return done, []
+
+    @property
+    def changed(self) -> bool:
+        """Whether the log is to be read."""
+        return self.log.full
+
+    @property
+    def says_good(self) -> bool:
+        """Whether any message is still fresh: a hole in a log is skipped once none is."""
+        channels = self.inbox.receiver.channels
+        age = self._now - channels["accepted_ns"]
+        return bool(((channels["accepted_ns"] >= 0) & (age <= channels["limit_ns"])).any())

@@ -1,0 +1,113 @@
+"""`calibrate` reads temperatures alone: the same as the whole gateway, for what the frames cost."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from dbc.frames import Block
+from gateway.cli import main
+from gateway.core.gateway import Gateway
+from gateway.io.prepare import prepare
+from gateway.io.replay import Briefly, OneChannel, open_log, replay
+from gateway.study.temperature_reader import CycleLog, TemperatureReader
+from tests import slow_record
+
+
+def whole(log, config, codec):
+    """Cycles as the whole gateway sees them, tick by tick."""
+    cycles = CycleLog(len(config.nodes), 100_000)
+
+    def make(start):
+        gateway = Gateway(config, codec, start)
+        gateway.thermal.learning = True
+        return gateway
+
+    blocks = OneChannel(open_log(log, strict=False).blocks, None)
+    replay(blocks, make, config.loop.period_ns, lambda now, _, g: cycles.note(g.thermal, now))
+    return cycles.drain()
+
+
+def alone(log, config, codec):
+    """Cycles as `calibrate` reads them."""
+    parts = []
+    blocks = OneChannel(open_log(log, strict=False).blocks, None)
+    done = replay(
+        blocks, lambda start: TemperatureReader(config, codec, start), config.loop.period_ns,
+        Briefly(lambda _: None, lambda gateway: parts.append(gateway.log.drain())),
+    )  # fmt: skip
+    parts.append(done.gateway.log.drain())
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def assert_same(log, config_path):
+    config, codec = prepare(config_path)
+    for one, other in zip(whole(log, config, codec), alone(log, config, codec), strict=True):
+        assert len(one) > 0
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("cycle_ms", [100, 1000])
+def test_a_slow_record_reads_as_the_whole_gateway_reads_it(tmp_path, cycle_ms):
+    config = slow_record.config(tmp_path, 3, cycle_ms)
+    log = tmp_path / "slow.log"
+    slow_record.write(log, config, 300, cycle_ms=cycle_ms, without=[(2, "ElectricalAngle")])
+    assert_same(log, config)
+
+
+def test_slower_than_the_dbc_says_and_with_holes(tmp_path):
+    """1 Hz with a DBC of 10 and 100 ms: most of the time each message is stale."""
+    config = slow_record.config(tmp_path, 2)
+    log = tmp_path / "slow.log"
+    slow_record.write(log, config, 200)
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(lines[k] for k in range(len(lines)) if k % 97 or k < 30))
+    assert_same(log, slow_record.config(tmp_path, 2, 100))
+
+
+def test_samples_beside_the_slow_messages_change_nothing(tmp_path):
+    log = tmp_path / "full.log"
+    scenario = tmp_path / "s.toml"
+    scenario.write_text('title = "t"\nseed = 1\nduration_s = 4\ndrives = 3\n')
+    assert main(["sim", str(scenario), "-o", str(log)]) == 0
+    assert_same(log, None)
+
+
+def test_after_a_hole_the_log_goes_on(tmp_path):
+    config_path = slow_record.config(tmp_path, 2)
+    config, codec = prepare(config_path)
+    log = tmp_path / "slow.log"
+    slow_record.write(log, config_path, 120)
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join([*lines[:240], *lines[480:]]))
+    known = alone(log, config, codec)[3]
+    assert 80 <= known.all(axis=(1, 2)).sum() <= 90, "40 s of the 120 s are missing"
+
+
+def test_an_hour_at_1_hz_costs_what_its_frames_cost(tmp_path):
+    """At most 20 s of processor time for 16 hours."""
+    config_path = slow_record.config(tmp_path, 2)
+    config, codec = prepare(config_path)
+    log = tmp_path / "slow.log"
+    slow_record.write(log, config_path, 3600)
+    began = time.process_time()
+    alone(log, config, codec)
+    assert time.process_time() - began < 20.0 / 16.0
+
+
+def test_a_log_that_is_full_ends_a_call(tmp_path):
+    config_path = slow_record.config(tmp_path, 2, 100)
+    config, codec = prepare(config_path)
+    log = tmp_path / "slow.log"
+    slow_record.write(log, config_path, 30, cycle_ms=100)
+    (block,) = open_log(log, strict=False).blocks
+    assert isinstance(block, Block)
+    reader = TemperatureReader(config, codec, int(block.t_ns[0]))
+    reader.log = CycleLog(2, 5)
+    ends = np.arange(len(block.t_ns) // 10)
+    done, _ = reader.run(block, np.minimum(ends, block.size), int(block.t_ns[0]))
+    assert reader.changed
+    assert done < len(ends)
+    assert len(reader.log.drain().second) == 5
