@@ -127,13 +127,15 @@ static const uint8_t *read_data(const uint8_t *at, const uint8_t *end, uint8_t f
     return is_fd_length(count) ? at : NULL; /* up to 8, any length is */
 }
 
-/* What may stand behind the data, up to the line end; the place of that one. */
-static const uint8_t *read_end(const uint8_t *at, const uint8_t *end)
+/* What may stand behind the data, up to the line end, with the direction; the place of that one. */
+static const uint8_t *read_end(const uint8_t *at, const uint8_t *end, uint8_t *flags)
 {
     if (!at)
         return NULL;
-    if (end - at > 2 && at[0] == ' ' && (at[1] == 'R' || at[1] == 'T'))
+    if (end - at > 2 && at[0] == ' ' && (at[1] == 'R' || at[1] == 'T')) {
+        *flags |= at[1] == 'T' ? FRAME_TX : 0;
         at += 2;
+    }
     if (at < end && *at == '\r')
         at++;
     return at < end && *at == '\n' ? at : NULL;
@@ -176,7 +178,7 @@ static const uint8_t *read_frame(const uint8_t *at, const uint8_t *end,
     at = read_id(at, end, &frames->can_id[row]);
     at = read_flags(at, end, flags);
     at = read_data(at, end, *flags, data, &frames->length[row]);
-    at = read_end(at, end);
+    at = read_end(at, end, flags);
     if (!at)
         return NULL;
     const int channel = find_name(names, name, name_end - name);
@@ -210,7 +212,7 @@ int64_t candump_read(const uint8_t *text, int64_t start, int64_t size, int64_t r
     for (const uint8_t *line = text + start; row < rows; row++) {
         const uint8_t *at = read_frame(line, end, frames, row, names);
         if (at) {
-            kind[row] = frames->flags[row] ? LINE_FD : LINE_CLASSIC;
+            kind[row] = frames->flags[row] & FRAME_FD ? LINE_FD : LINE_CLASSIC;
         } else {
             for (at = line; at < end && *at != '\n';)
                 at++;

@@ -2,7 +2,8 @@
  *
  * Each function that writes a part of a line returns the place behind it. None can fail: only what
  * `fits` is written, and that takes fewer than CANDUMP_MAX_TEXT bytes: 22 of stamp, 22 of name and
- * blank, 9 of identifier, 2 of CAN FD flags, 128 of data, 2 of a raw length, 1 of line end. */
+ * blank, 9 of identifier, 2 of CAN FD flags, 128 of data, 2 of a raw length, 2 of direction, 1 of
+ * line end. */
 #include "dbc/candump_write.h"
 
 #include "dbc/fd_length.h"
@@ -120,7 +121,12 @@ int64_t candump_write_line(int64_t t_ns, int64_t can_id, int32_t flags, int32_t 
     *at++ = ' ';
     at = write_hex(at, flags & FRAME_ERROR ? can_id | ERROR_BIT : can_id, long_id ? 8 : 3);
     *at++ = '#';
-    return write_body(at, flags, dlc, length, data) - text;
+    at = write_body(at, flags, dlc, length, data);
+    if (flags & FRAME_TX) { /* ` R` is left out, as by candump without -x */
+        *at++ = ' ';
+        *at++ = 'T';
+    }
+    return at - text;
 }
 
 int64_t candump_write(const struct frame_columns *frames, int64_t first, int64_t last,

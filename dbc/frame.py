@@ -22,6 +22,8 @@ ERROR: Final[int] = lib.FRAME_ERROR
 FD: Final[int] = lib.FRAME_FD
 BRS: Final[int] = lib.FRAME_BRS
 ESI: Final[int] = lib.FRAME_ESI
+TX: Final[int] = lib.FRAME_TX
+"""Direction in a log: sent by the recorder itself. Without it: received, or not known."""
 
 FD_LENGTHS: Final = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
 """Bytes of data that a CAN FD frame can have; `dbc/fd_length.h` says the same to the core."""

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from _traction_core import ffi, lib
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, TX, Frame
 
 MAX_LINE: Final = 8192
 """Longer than any frame (CAN XL has 4,120 characters): such a line is skipped, not collected."""
@@ -63,7 +63,7 @@ _HEX: Final = rb"[0-9A-Fa-f]"
 # Up to 8,999,999,999 s: as nanoseconds it still fits in 64 bits.
 _STAMP: Final = rb"\((\d{1,9}|[0-8]\d{9})\.(\d{6}|\d{9})\)"
 _NAME: Final = rb"([^\x00-\x20\x7f]{1,21})"
-_END: Final = rb"(?: {1,21}[RT])?[ \t]{0,21}"
+_END: Final = rb"(?: {1,21}([RT]))?[ \t]{0,21}"
 # candump pads interface names to the longest one.
 _GAP: Final = rb" {1,21}"
 _LINE: Final = re.compile(_STAMP + _GAP + _NAME + _GAP + rb"(\S+)" + _END)
@@ -94,12 +94,15 @@ def parse_line(line: bytes) -> tuple[Verdict, Frame | None]:
     match = _LINE.fullmatch(text) if len(text) <= MAX_LINE else None
     if match is None:
         return _no_frame(text), None
-    seconds, fraction, name, body = match.groups()
+    seconds, fraction, name, body, direction = match.groups()
     t_ns = int(seconds) * 1_000_000_000 + int(fraction) * (1000 if len(fraction) == 6 else 1)
     parts = _BODY.fullmatch(body)
     if parts is None:
         return Verdict.XL if _XL.fullmatch(body) else Verdict.MALFORMED, None
-    return _frame(t_ns, name.decode("utf-8", "surrogateescape"), parts)
+    verdict, frame = _frame(t_ns, name.decode("utf-8", "surrogateescape"), parts)
+    if frame is not None and direction == b"T":
+        frame = frame._replace(flags=frame.flags | TX)
+    return verdict, frame
 
 
 def _no_frame(text: bytes) -> Verdict:
@@ -164,8 +167,8 @@ def format_frame(frame: Frame, channel: str = "can0") -> bytes:
     """One line without its end: `(sec.usec) name id#data`; nine decimals where they are needed.
 
     `channel` stands in where the frame has none. Everything `parse_line` reads comes back, the
-    error class and a remote frame's length included. Raises ValueError for what no candump
-    line can say (negative time, impossible id, length or name). See dbc/candump_write.c.
+    error class, a remote frame's length and ` T` (sent) included. Raises ValueError for what no
+    candump line can say (negative time, impossible id, length or name). See dbc/candump_write.c.
     """
     t_ns, can_id, data, flags, own, dlc = frame
     text = ffi.new("char[]", lib.CANDUMP_MAX_TEXT)

@@ -1552,6 +1552,7 @@ enum frame_flag {
     FRAME_FD = 8,
     FRAME_BRS = 16,
     FRAME_ESI = 32,
+    FRAME_TX = 64, /* sent by the node that recorded it; else received, or not known */
 };
 
 /* struct canfd_frame; of struct can_frame (linux/can.h) 8 bytes of data are there. */

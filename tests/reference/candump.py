@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from dbc.candump.grammar import DROPS, Verdict, name_bytes, parse_line, tail_of
 from dbc.candump.reader import Problem
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, TX, Frame
 from dbc.text import printable
 
 NO_LINE_END = frozenset((Verdict.BLANK, Verdict.COMMENT, Verdict.DROPCOUNT))
@@ -86,6 +86,7 @@ def write(frame: Frame, channel: str = "can0") -> bytes | None:
         return None
     seconds, ns = divmod(t_ns, 10**9)
     decimals = f"{ns:09d}" if ns % 1000 else f"{ns // 1000:06d}"
-    return b"(%010d.%b) %b %b#%b" % (
+    return b"(%010d.%b) %b %b#%b%b" % (
         seconds, decimals.encode(), name, digits.encode(), body.encode(),
+        b" T" if flags & TX else b"",
     )  # fmt: skip

@@ -13,7 +13,8 @@ import pytest
 
 from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import LogError, Reader, Writer, format_frame, parse_line
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
+from dbc.frames import block_of
 from tests.reference import candump as reference
 
 V = Verdict
@@ -146,7 +147,8 @@ LINES = [
 @pytest.mark.parametrize(("body", "verdict", "wanted"), GOOD)
 @pytest.mark.parametrize("end", [b"", b"\n", b"\r\n", b" R\n", b" T", b" R\r\n", b"  \n"])
 def test_frames(body: bytes, verdict: Verdict, wanted: Frame, end: bytes) -> None:
-    assert parse_line(T + body + end) == (verdict, wanted)
+    sent = TX if end.startswith(b" T") else 0
+    assert parse_line(T + body + end) == (verdict, wanted._replace(flags=wanted.flags | sent))
 
 
 @pytest.mark.parametrize(("body", "verdict"), BAD)
@@ -466,6 +468,18 @@ def test_real_logs(name: str, count: int, channels: set[str]) -> None:
 @pytest.mark.parametrize(("_body", "_verdict", "wanted"), GOOD)
 def test_written_lines_come_back(_body: bytes, _verdict: Verdict, wanted: Frame) -> None:
     assert parse_line(format_frame(wanted))[1] == wanted
+
+
+def test_the_direction_comes_back(tmp_path: Path) -> None:
+    wanted = [frame._replace(flags=frame.flags | tx) for *_, frame in GOOD for tx in (0, TX)]
+    for one in wanted:
+        line = format_frame(one)
+        assert line.endswith(b" T") == bool(one.flags & TX)
+        assert parse_line(line)[1] == one
+        assert line == reference.write(one)
+    with Writer(tmp_path / "x.log") as writer:
+        writer.write_block(block_of(wanted))
+    assert list(Reader(tmp_path / "x.log")) == wanted
 
 
 def test_how_lines_are_written() -> None:
