@@ -4,12 +4,26 @@
  * where there is room. */
 #include "gateway/core/thermal_log.h"
 
-#include <string.h>
-
 #include "gateway/core/receive.h"
 #include "gateway/core/thermal.h"
 
 enum { P = THERMAL_POINTS };
+
+/* Motor j into its cell: row * motors + j. */
+static void note_motor(struct temperature_log *log, const struct temperature_monitor *all, int j,
+                       int64_t cell, int64_t now_ns)
+{
+    for (int q = 0; q < THERMAL_QUANTITIES; q++)
+        log->second[cell * THERMAL_QUANTITIES + q] = all->motors[j].mean[q];
+    for (int k = 0; k < P; k++) {
+        const struct temperature_sensor *sensor = &all->sensors[j].sensor[k];
+        const int64_t at = cell * P + k;
+        log->mean_c[at] = all->window.mean[j * P + k];
+        log->known[at] = all->window.known[j * P + k];
+        log->value_c[at] = sensor->value_c;
+        log->held_ns[at] = now_ns - sensor->changed_ns;
+    }
+}
 
 void note_temperature_cycle(struct temperature_log *log, const struct temperature_monitor *all,
                             int64_t now_ns)
@@ -20,17 +34,8 @@ void note_temperature_cycle(struct temperature_log *log, const struct temperatur
     const int n = all->drive_count;
     const int64_t row = log->count++;
     log->second_complete[row] = all->second_complete;
-    memcpy(log->mean_c + row * n * P, all->window.mean, sizeof(double) * (size_t)(n * P));
-    memcpy(log->known + row * n * P, all->window.known, (size_t)(n * P));
-    for (int j = 0; j < n; j++) {
-        const int64_t cell = row * n + j;
-        memcpy(log->second + cell * THERMAL_QUANTITIES, all->motors[j].mean,
-               sizeof all->motors[j].mean);
-        for (int k = 0; k < P; k++) {
-            log->value_c[cell * P + k] = all->sensors[j].sensor[k].value_c;
-            log->held_ns[cell * P + k] = now_ns - all->sensors[j].sensor[k].changed_ns;
-        }
-    }
+    for (int j = 0; j < n; j++)
+        note_motor(log, all, j, row * n + j, now_ns);
 }
 
 int64_t run_temperatures(struct gateway *g, struct temperature_log *log,
