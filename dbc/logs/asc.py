@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 from dbc.logs.lines import shape_of
 
@@ -114,7 +114,8 @@ class Asc:
         if dlc > _MOST_RAW:
             return Head(0, verdict=Verdict.BAD_LENGTH)
         raw = dlc if dlc > CLASSIC_BYTES else -1
-        return Head(*found, min(dlc, CLASSIC_BYTES), _channel(channel), raw, request)
+        number, flags = found[0], found[1] | _sent(direction)
+        return Head(number, flags, min(dlc, CLASSIC_BYTES), _channel(channel), raw, request)
 
     def _id(self, text: str) -> tuple[int, int] | None:
         digits = text.rstrip("xX")
@@ -170,7 +171,7 @@ class Asc:
             found = int(match[1]), EXTENDED if match[2] else 0
         if found is None:
             return Line(Verdict.BAD_ID, None, t_ns)
-        number, flags = found
+        number, flags = found[0], found[1] | _sent(words[2])
         if words[3].lower() == "r":
             asked = words[4] if len(words) > 4 else ""
             dlc = int(asked, self._base) if asked.isalnum() and len(asked) < 3 else 0
@@ -195,6 +196,7 @@ class Asc:
         if words[2].lower() == "txrq":
             return Line(Verdict.REQUEST, None, t_ns)
         number, flags = int(words[3].rstrip("xX"), 16), EXTENDED if words[3][-1] in "xX" else 0
+        flags |= _sent(words[2])
         # A name may stand there, of any form.
         at = 4 if words[4] in ("0", "1") and _fits(words, 6) else 5
         brs, esi, dlc, size = words[at], words[at + 1], int(words[at + 2], 16), int(words[at + 3])
@@ -217,6 +219,10 @@ def _fits(words: list[str], at: int) -> bool:
         return int(words[at + 1]) in (0, FD_SIZES[int(words[at], 16)])
     except (ValueError, IndexError):
         return False
+
+
+def _sent(direction: str) -> int:
+    return TX if direction.lower() == "tx" else 0
 
 
 def _channel(text: str) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Frame
 from dbc.frames import MAX_DATA_BYTES, Block, block_of
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
 from dbc.logs.objects import BLOCK, ObjectReader
@@ -51,7 +51,7 @@ CLASSIC_FIELDS: Final = [
 _CLASSIC_OBJECT: Final = {
     48: np.dtype(CLASSIC_FIELDS), 56: np.dtype([*CLASSIC_FIELDS, ("more", "u1", 8)]),
 }  # fmt: skip
-_LONG_ID, _REMOTE_FLAG = 0x8000_0000, 0x80
+_LONG_ID, _REMOTE_FLAG, SENT_FLAG = 0x8000_0000, 0x80, 1
 
 
 class Blf(ObjectReader):
@@ -228,17 +228,17 @@ class Blf(ObjectReader):
         body = at + header
         if kind in _MESSAGES:
             channel, bits, dlc, can_id, content = CLASSIC.unpack_from(data, body)
-            long = EXTENDED if can_id & _LONG_ID else 0
+            kept = (EXTENDED if can_id & _LONG_ID else 0) | (TX if bits & SENT_FLAG else 0)
             can_id &= 0x1FFF_FFFF
             if bits & _REMOTE_FLAG:
-                return _checked(Frame(t_ns, can_id, b"", long | REMOTE, _name(channel), dlc or -1))
+                return _checked(Frame(t_ns, can_id, b"", kept | REMOTE, _name(channel), dlc or -1))
             raw_dlc = dlc if dlc > CLASSIC_BYTES else -1
-            return _checked(Frame(t_ns, can_id, content[:dlc], long, _name(channel), raw_dlc))
+            return _checked(Frame(t_ns, can_id, content[:dlc], kept, _name(channel), raw_dlc))
         if kind == FD_KIND:
             channel, bits, dlc, can_id, _, _, fd, valid, content = FD_MESSAGE.unpack_from(
                 data, body
             )
-            words = (fd & 1, fd & 2, fd & 4, bits & _REMOTE_FLAG)
+            words = (fd & 1, fd & 2, fd & 4, bits & _REMOTE_FLAG, bits & SENT_FLAG)
             return _fd(t_ns, channel, can_id, words, dlc, content[:valid])
         if kind == _FD_64_KIND:
             return self._fd_64(t_ns, data[at : at + size], header)
@@ -261,7 +261,7 @@ class Blf(ObjectReader):
         # `valid` may be more than there is: CANoe then fills up with zeros.
         start = header + _FD_64.size
         content = data[start : min(start + valid, fields[13] or len(data))].ljust(valid, b"\0")
-        words = (bits & 0x1000, bits & 0x2000, bits & 0x4000, bits & 0x10)
+        words = (bits & 0x1000, bits & 0x2000, bits & 0x4000, bits & 0x10, fields[12])
         return _fd(t_ns, channel, can_id, words, dlc, content)
 
 
@@ -292,6 +292,7 @@ def _classic(objects: NDArray[np.void], start_ns: int) -> Block:
     rows[:, :CLASSIC_BYTES] = objects["data"]
     rows[:, :CLASSIC_BYTES][np.arange(CLASSIC_BYTES) >= length[:, None]] = 0
     flags = np.where(objects["can_id"] & _LONG_ID, EXTENDED, 0) | np.where(remote, REMOTE, 0)
+    flags |= np.where(objects["bits"] & SENT_FLAG, TX, 0)
     known = (remote & (dlc > 0)) | (~remote & (dlc > CLASSIC_BYTES))
     numbers, places = np.unique(objects["channel"], return_inverse=True)
     unit = np.where(objects["flags"] == 1, 10_000, 1)
@@ -303,11 +304,14 @@ def _classic(objects: NDArray[np.void], start_ns: int) -> Block:
 
 
 def _fd(
-    t_ns: int, channel: int, can_id: int, words: tuple[int, int, int, int], dlc: int, data: bytes
+    t_ns: int, channel: int, can_id: int, words: tuple[int, ...], dlc: int, data: bytes
 ) -> Frame | Verdict:
-    """A frame of the CAN FD objects, which hold classic ones, too. words: FD, BRS, ESI, remote."""
-    fd, brs, esi, remote = words
-    flags = EXTENDED if can_id & _LONG_ID else 0
+    """A frame of the CAN FD objects, which hold classic ones, too.
+
+    words: FD, BRS, ESI, remote, sent.
+    """
+    fd, brs, esi, remote, sent = words
+    flags = (EXTENDED if can_id & _LONG_ID else 0) | (TX if sent else 0)
     can_id &= 0x1FFF_FFFF
     if remote:
         return _checked(Frame(t_ns, can_id, b"", flags | REMOTE, _name(channel), dlc or -1))

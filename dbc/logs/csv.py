@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
 
 _NAMES: Final = {
@@ -31,6 +31,7 @@ _NAMES: Final = {
     "esi": "esi errorstateindicator",
     "dlc": "dlc",
     "length": "len length datalength size",
+    "direction": "dir direction",
     "channel": "bus channel buschannel interface",
     "data": "data databytes payload bytes",
 }
@@ -42,6 +43,7 @@ _WORDS: Final = {"true": True, "false": False, "1": True, "0": False, "": False,
                  "no": False, "1.0": True, "0.0": False, "y": True, "n": False}  # fmt: skip
 _FLAGS: Final = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": FD, "brs": BRS,
                  "esi": ESI}  # fmt: skip
+_SENT: Final = {"tx": TX, "t": TX, "1": TX, "true": TX}
 _NOTHING: Final = re.compile(r"^()()()(.*)$", re.MULTILINE)
 
 
@@ -170,6 +172,7 @@ class Csv:
             flags |= FD
         if flags & ERROR:
             flags = ERROR
+        flags |= _SENT.get(cells.get("direction", "").lower(), 0)
         channel = cells.get("channel", "")
         if flags & REMOTE:
             return Head(number, flags, 0, channel, max(code, size) or -1)

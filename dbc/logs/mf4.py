@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
 from dbc.logs.objects import ObjectReader
@@ -187,6 +187,7 @@ class _Group:
             flags &= np.where(flags & FD, 0xFF, ~(BRS | ESI))
         if kind == ERROR:
             flags[:] = ERROR
+        flags |= np.where(or_zero("Dir") != 0, TX, 0)
         dlc, data = or_zero("DLC"), np.zeros((count, MAX_DATA_BYTES), np.uint8)
         length = np.zeros(count, np.int64)
         if kind != REMOTE and f"{self._name}.DataBytes" in present:

@@ -8,7 +8,8 @@ least one. Fields:
     {id} {id:d}         identifier, hexadecimal or decimal, `:x8` of eight digits; 29 bits from 800
                         on, or with an x behind it
     {type}              s, x, 11, 29, R11, T29: 11 or 29 bits; r in sr and xr: remote
-    {channel} {dir} {dlc}
+    {channel} {dlc}
+    {dir}               sent where it begins with T, as Tx does
     {data} {data:d}     bytes, hexadecimal or decimal, with anything between them
     {skip}              one word; what comes behind the last field does not matter
 """
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND
+from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
 
 HEADER_LINES: Final = 100
@@ -169,6 +170,7 @@ class Pattern:
         kind = found.get("type", "").lower()
         flags = EXTENDED if number > 0x7FF or found["id"][-1] in "xX" or "29" in kind else 0
         flags |= EXTENDED if kind.startswith("x") else 0
+        flags |= TX if found.get("dir", "")[:1] in "Tt" and "dir" in found else 0
         if kind in ("sr", "xr"):
             flags |= REMOTE
         size = (

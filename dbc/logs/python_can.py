@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.logs.objects import ObjectReader
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def from_message(message: can.Message) -> Frame:
             flags |= FD
             flags |= BRS if message.bitrate_switch else 0
             flags |= ESI if message.error_state_indicator else 0
+    flags |= 0 if message.is_rx else TX
     data = b"" if message.is_remote_frame else bytes(message.data)
     dlc = message.dlc if message.is_remote_frame and message.dlc else -1
     channel = "" if message.channel is None else str(message.channel)
@@ -82,6 +83,7 @@ def to_message(frame: Frame) -> can.Message:
         is_extended_id=bool(flags & EXTENDED),
         is_remote_frame=remote,
         is_error_frame=bool(flags & ERROR),
+        is_rx=not flags & TX,
         is_fd=bool(flags & FD),
         bitrate_switch=bool(flags & BRS),
         error_state_indicator=bool(flags & ESI),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 from dbc.logs.lines import shape_of
 
@@ -36,7 +36,7 @@ _WORD: Final = r"([^ \t\n]+)"
 _BLANK: Final = r"[ \t]+"
 _TYPES: Final = {
     "DT": 0, "FD": FD, "FB": FD | BRS, "FE": FD | BRS | ESI, "BI": FD | ESI, "RR": REMOTE,
-    "RX": 0, "TX": 0,
+    "RX": 0, "TX": TX,
 }  # fmt: skip
 _ERRORS, _STATES = frozenset({"ER", "ERROR"}), frozenset({"ST", "EC", "EV", "WARNG"})
 _NO_ID: Final = re.compile(r"[^0-9A-Fa-f]|^.{0,3}$|.{9}")
@@ -108,11 +108,12 @@ class Trc:
             return Head(0, verdict=Verdict.EVENT)
         bus = parts.get("B", "1")
         channel = str(max(int(bus) - 1, 0)) if bus.isdecimal() else bus
+        sent = TX if parts.get("d", parts.get("R", "")).upper() == "TX" else 0
         if kind in _ERRORS:
-            return Head(0, ERROR, 0, channel, verdict=Verdict.ERROR_FRAME)
+            return Head(0, ERROR | sent, 0, channel, verdict=Verdict.ERROR_FRAME)
         if kind not in _TYPES:
             return Head(0, verdict=Verdict.MALFORMED)
-        flags = _TYPES[kind] | (EXTENDED if len(name) > 4 else 0)
+        flags = _TYPES[kind] | sent | (EXTENDED if len(name) > 4 else 0)
         code = int(code_text)
         if flags & FD and "L" in parts:
             size = FD_SIZES[code] if code < len(FD_SIZES) else -1

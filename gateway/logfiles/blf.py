@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Nanos
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame, Nanos
 from dbc.frames import Block
 from dbc.logs.blf import (
     BASE,
@@ -24,6 +24,7 @@ from dbc.logs.blf import (
     FD_KIND,
     FD_MESSAGE,
     FILE,
+    SENT_FLAG,
 )
 from dbc.logs.format import FD_SIZES
 from gateway.logfiles.text import channel_number
@@ -44,6 +45,8 @@ class BlfFile:
         """Creates the file."""
         self.written = 0
         self.left_out: Counter[str] = Counter()
+        self.reduced: Counter[str] = Counter()
+        """Frames of which something is not kept, by what."""
         self._file = path.open("wb")
         self._file.write(bytes(_HEADER_BYTES))
         self._first_ns: Nanos | None = None
@@ -63,6 +66,8 @@ class BlfFile:
             block = block.pick(~early)
         self._last_ns = max(self._last_ns, int(block.t_ns.max(initial=0)))
         self.written += block.size
+        lost = block.flags & (ERROR | TX) == ERROR | TX
+        self.reduced["direction"] += int(np.count_nonzero(lost))
         for first in range(0, block.size, _AT_ONCE):
             part = block.part(first, min(first + _AT_ONCE, block.size))
             if (part.flags & (ERROR | FD)).any():
@@ -85,7 +90,8 @@ class BlfFile:
         numbers = np.array([channel_number(name) + 1 for name in block.names], np.uint16)
         objects["channel"] = numbers[block.channel]
         remote = block.flags & REMOTE != 0
-        objects["bits"] = np.where(remote, _REMOTE_FLAG, 0)
+        sent = block.flags & TX != 0
+        objects["bits"] = np.where(remote, _REMOTE_FLAG, 0) | np.where(sent, SENT_FLAG, 0)
         dlc = np.where(remote, block.dlc.clip(min=0), block.length)
         objects["dlc"] = np.where(~remote & (block.dlc >= 0), block.dlc, dlc)
         long = np.where(block.flags & EXTENDED, np.uint32(_LONG_ID), np.uint32(0))
@@ -97,6 +103,7 @@ class BlfFile:
         channel = channel_number(frame.channel) + 1
         flags, data = frame.flags, frame.data
         can_id = frame.can_id | (_LONG_ID if flags & EXTENDED else 0)
+        sent = SENT_FLAG if flags & TX else 0
         dlc = frame.dlc if frame.dlc >= 0 else len(data)
         if flags & ERROR:
             kind = ERROR_EXT_KIND
@@ -105,11 +112,11 @@ class BlfFile:
             kind = FD_KIND
             bits = 1 | (2 if flags & BRS else 0) | (4 if flags & ESI else 0)
             size = len(data)
-            body = FD_MESSAGE.pack(channel, 0, _CODES[size], can_id, 0, 0, bits, size, data)
+            body = FD_MESSAGE.pack(channel, sent, _CODES[size], can_id, 0, 0, bits, size, data)
         else:
             kind = _MESSAGE
             remote = _REMOTE_FLAG if flags & REMOTE else 0
-            body = CLASSIC.pack(channel, remote, max(dlc, 0), can_id, data)
+            body = CLASSIC.pack(channel, remote | sent, max(dlc, 0), can_id, data)
         size = BASE.size + _STAMP.size + len(body)
         head = BASE.pack(b"LOBJ", BASE.size + _STAMP.size, 1, size, kind)
         stamp = _STAMP.pack(_NANOSECONDS, 0, 0, frame.t_ns - self._start_ns)

@@ -14,7 +14,7 @@ import numpy as np
 
 from dbc.candump.reader import Writer
 from dbc.candump.writer import NotWritableError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import Block
 from dbc.logs.objects import ObjectReader
 
@@ -76,7 +76,10 @@ class Candump:
 
 _FLAGS: Final = {
     "extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": FD, "brs": BRS, "esi": ESI,
+    "tx": TX,
 }  # fmt: skip
+_ADDED: Final = frozenset({"tx"})
+"""Columns that files of earlier versions do not have."""
 
 
 class ParquetFrames:
@@ -154,7 +157,7 @@ def read_parquet(path: Path) -> Iterator[Frame]:
 
     try:
         with pq.ParquetFile(path) as file:
-            missing = {"time", "channel", "id", "dlc", "data", *_FLAGS}
+            missing = {"time", "channel", "id", "dlc", "data", *_FLAGS} - _ADDED
             missing -= set(file.schema_arrow.names)
             if missing:
                 what = "holds no frames (write them with `convert --frames`); no column "
@@ -171,6 +174,8 @@ def _frames(batch: Any) -> Iterator[Frame]:
 
     flags = np.zeros(batch.num_rows, dtype=np.int64)
     for name, flag in _FLAGS.items():
+        if name in _ADDED and name not in batch.schema.names:
+            continue
         flags |= np.where(batch[name].to_numpy(zero_copy_only=False), flag, 0)
     rows = zip(
         batch["time"].cast(pa.timestamp("ns", "UTC")).cast(pa.int64()).to_pylist(),

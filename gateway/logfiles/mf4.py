@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX
 from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
 from gateway.logfiles.signal_files import Comments, labels_of
@@ -206,6 +206,7 @@ def _records(name: str, block: Block) -> NDArray[np.void]:
     out[f"{name}.ID"] = block.can_id
     out[f"{name}.IDE"] = block.flags & EXTENDED != 0
     out[f"{name}.DLC"] = dlc
+    out[f"{name}.Dir"] = block.flags & TX != 0
     out[f"{name}.DataLength"] = np.where(remote, 0, length)
     if not remote:
         out[f"{name}.DataBytes"] = block.data

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, Nanos
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Nanos
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import FD_SIZES
 
@@ -60,6 +60,8 @@ class TextFile:
     """Flags of frames that the format has no room for."""
     has_channel = True
     has_error_class = False
+    undirected = 0
+    """Flags of frames whose direction is not kept."""
     as_hex = True
     counts_from_first = True
     """Whether its times have no sign."""
@@ -126,6 +128,8 @@ class TextFile:
         if not self.has_error_class:
             described = (block.can_id != 0) | (block.length != 0)
             self.reduced["error_class"] += int(np.count_nonzero((flags & ERROR != 0) & described))
+        lost = (flags & TX != 0) & (flags & self.undirected != 0)
+        self.reduced["direction"] += int(np.count_nonzero(lost))
         if not self.has_channel:
             named = np.array([bool(name) for name in block.names])[block.channel]
             self.reduced["channel"] += int(np.count_nonzero(named))
@@ -163,6 +167,8 @@ class TextFile:
 class AscFile(TextFile):
     """ASC; its date is that of the first frame, in UTC."""
 
+    undirected = ERROR
+
     def _head(self, first_ns: Nanos) -> Iterator[str]:
         date = _date(first_ns)
         yield f"date {date}\nbase hex  timestamps absolute\ninternal events logged\n"
@@ -171,13 +177,13 @@ class AscFile(TextFile):
     def _form(self, can_id: int, flags: int, length: int, dlc: int, channel: int) -> Form:
         if flags & ERROR:
             return Form(f" {channel}  ErrorFrame", "\n", has_data=False)
-        name = f"{can_id:X}{'x' if flags & EXTENDED else ''}"
+        name, way = f"{can_id:X}{'x' if flags & EXTENDED else ''}", _way(flags)
         if flags & FD:
-            return self._fd_form(flags, length, f" CANFD {channel:>3} Rx   {name:>8}")
+            return self._fd_form(flags, length, f" CANFD {channel:>3} {way}   {name:>8}")
         if flags & REMOTE:
             asked = max(dlc, 0)
-            return Form(f" {channel}  {name:<15} Rx   r {asked:x}", "\n", has_data=False)
-        return Form(f" {channel}  {name:<15} Rx   d {dlc if dlc >= 0 else length:x} ", "\n")
+            return Form(f" {channel}  {name:<15} {way}   r {asked:x}", "\n", has_data=False)
+        return Form(f" {channel}  {name:<15} {way}   d {dlc if dlc >= 0 else length:x} ", "\n")
 
     def _fd_form(self, flags: int, length: int, start: str) -> Form:
         brs, esi = bool(flags & BRS), bool(flags & ESI)
@@ -218,7 +224,7 @@ class TrcFile(TextFile):
             kind, code = "RR", max(dlc, 0)
         elif flags & FD:
             kind = {0: "FD", BRS: "FB", BRS | ESI: "FE", ESI: "BI"}[flags & (BRS | ESI)]
-        before = f" {kind} {channel:>2} {name:>8} Rx -  {code:<4} "
+        before = f" {kind} {channel:>2} {name:>8} {_way(flags)} -  {code:<4} "
         return Form(before, "\r\n", has_data=not flags & (ERROR | REMOTE))
 
     def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
@@ -234,6 +240,7 @@ class CsvFrames(TextFile):
 
     not_held = FD
     has_channel = False
+    undirected = TX
     has_error_class = True
     as_hex = False
     counts_from_first = False
@@ -252,6 +259,10 @@ class CsvFrames(TextFile):
         sign, size = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
         text = b2a_base64(data, newline=False).decode()
         return f"{sign}{size // SECOND}.{size % SECOND:09d}{form.before}{text}\n"
+
+
+def _way(flags: int) -> str:
+    return "Tx" if flags & TX else "Rx"
 
 
 def channel_number(channel: str) -> int:

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import block_of
 from gateway.logfiles.convert import frame_sink, open_input
 
@@ -29,6 +29,12 @@ PARTS: Final = {
     "raw DLC 9 to 15": [
         Frame(0, 0x187, b"\6" * 8, 0, "", 15), Frame(0, 0x188, b"\7" * 8, 0, "", 9),
     ],
+    "sent": [
+        Frame(0, 0x189, b"\1", TX), Frame(0, 0x18FEF100, b"\2", EXTENDED | TX),
+        Frame(0, 0x18A, b"\3", 0), Frame(0, 0x18B, b"", REMOTE | TX, "", 2),
+    ],
+    "sent, FD": [Frame(0, 0x18C, b"\4" * 12, FD | TX), Frame(0, 0x18D, b"\5" * 12, FD)],
+    "sent, error": [Frame(0, 0, b"", ERROR | TX), Frame(0, 0, b"", ERROR)],
 }  # fmt: skip
 
 
