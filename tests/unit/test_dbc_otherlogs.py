@@ -10,9 +10,11 @@ import can
 import pytest
 
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
+from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, TX, Frame
+from dbc.frames import block_of
 from dbc.logs.opening import read_any
-from dbc.logs.python_can import from_message
+from dbc.logs.python_can import from_message, to_message
+from gateway.logfiles.convert import frame_sink
 
 T0 = 1_700_000_000.0
 MESSAGES = [
@@ -41,6 +43,32 @@ def test_formats(tmp_path: Path, suffix: str) -> None:
     steps = [b.t_ns - a.t_ns for a, b in itertools.pairwise(frames)]
     assert all(abs(step - 2_000_000) <= 1_000_000 for step in steps)
     assert all(isinstance(f.t_ns, int) for f in frames)
+
+
+SENT = [
+    Frame(round(T0) * SECOND, 0x181, b"\1", TX, "0"),
+    Frame(round(T0) * SECOND + MS, 0x182, b"\2", 0, "0"),
+    Frame(round(T0) * SECOND + 2 * MS, 0x18FEF100, b"\3", EXTENDED | TX, "0"),
+    Frame(round(T0) * SECOND + 3 * MS, 0x183, bytes(12), FD | TX, "0"),
+    Frame(round(T0) * SECOND + 4 * MS, 0x184, b"", REMOTE | TX, "0", 2),
+]
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4"])
+def test_python_can_and_we_mean_the_same_by_sent(tmp_path: Path, suffix: str) -> None:
+    ours, theirs = tmp_path / f"ours{suffix}", tmp_path / f"theirs{suffix}"
+    sink = frame_sink(ours, suffix)
+    sink.add(block_of(SENT))
+    sink.close()
+    with can.LogReader(ours) as reader:
+        seen = sorted((m.arbitration_id, m.is_rx) for m in reader)
+    assert seen == sorted((f.can_id, not f.flags & TX) for f in SENT)
+    with can.Logger(theirs) as logger:
+        for frame in SENT[:4]:
+            logger(to_message(frame))
+    assert sorted((f.can_id, f.flags) for f in read_any(theirs)) == sorted(
+        (f.can_id, f.flags) for f in SENT[:4]
+    )
 
 
 def test_error_frames_are_never_data() -> None:

@@ -54,7 +54,7 @@ TEXTS = [
     ("a.asc", EVENTS + "0.1 1 201 TxRq d 2 AA 01\n0.2 1 201 Tx d 2 AA 01 Length = 0 BitCount = 64\n"
      "0.3 1 Engine Rx d 1 55 Length = 0 BitCount = 64 ID = 513\n0.4 1 123 Rx r 4\n0.5 1 ErrorFrame\n"
      "0.6 1 123 Rx d 2 AA\n0.7 1 FFF Rx d 1 AA\n0.8 LIN1 something\n0.9 1 xyz\n",
-     ["0.2 201#AA01", "0.3 201#55", "0.4 123#R4", "0.5 20000000#"],
+     ["0.2 201#AA01 T", "0.3 201#55", "0.4 123#R4", "0.5 20000000#"],
      {"header": 3, "request": 1, "bad_length": 1, "bad_id": 1, "event": 1, "malformed": 1}),
     ("a.asc", EVENTS + "0.3 1  201  Rx  d 2 01 7F\n0.4 1  201  Rx  d 2 01 7", ["0.3 201#017F"],
      {"header": 3, "cut": 1}),
@@ -69,7 +69,7 @@ TEXTS = [
      ["1048507201.0599 300#0004", "1048507201.3492 20000000#", "1048507201.3527 100#R3"],
      {"header": 2, "event": 1, "bad_length": 1}),
     ("a.trc", TRC.format("1.2") + " 1) 1059.900 1 Rx 0300 1 11\n 2) 1298.945 2 Tx 18FEF100 1 22\n",
-     ["1048507201.0599 300#11", "1048507201.298945 18FEF100#22"], {"header": 2}),
+     ["1048507201.0599 300#11", "1048507201.298945 18FEF100#22 T"], {"header": 2}),
     ("a.trc", TRC.format("2.1") + ";$COLUMNS=N,O,T,B,I,d,R,L,D\n"
      " 1 0.100 DT 1 0123 Rx - 2 AA BB\n 2 0.2 ER 1 - Rx - 5 04 00 02 00 00\n 3 0.3 ST 1 - Rx - 4 0 0 0 8\n"
      " 4 0.4 EC 1 - Rx - 2 7F 80\n 5 0.5 RR 1 0123 Rx - 8\n"
@@ -84,7 +84,7 @@ TEXTS = [
      {"header": 1, "cut": 1}),
     ("a.csv", "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
      "166064000,0000021A,false,Rx,0,3,FE,36,12,\n166065000,18FEF100,true,Tx,1,2,FE,36,,,,,,\n",
-     ["166.064 21A#FE3612", "166.065 18FEF100#FE36"], {"header": 1}),
+     ["166.064 21A#FE3612", "166.065 18FEF100#FE36 T"], {"header": 1}),
     ("a.csv", "TimestampEpoch;BusChannel;ID;IDE;DLC;DataLength;Dir;EDL;BRS;ESI;RTR;DataBytes\n"
      "1.5;1;7FF;0;1;1;0;0;0;0;0;AA\n1.6;1;00000000;1;9;12;0;1;1;0;0;AAAAAAAAAAAAAAAAAAAAAAAA\n"
      "1.7;1;7FF;0;4;0;0;0;0;0;1;\n1.8;1;7FF;0;2;2;0;0;0;0;0;A\n",
@@ -114,7 +114,7 @@ def lines_of(path: Path) -> tuple[list[str], dict[str, int]]:
     for frame in frames:
         whole, part = divmod(frame.t_ns, 10**9)
         time = f"{whole}.{part:09}".rstrip("0").rstrip(".")
-        found.append(f"{time} {format_frame(frame).decode().split()[-1]}")
+        found.append(f"{time} {format_frame(frame).decode().split(maxsplit=2)[-1]}")
     return found, {name: n for name, n in counts.items() if name not in good}
 
 
