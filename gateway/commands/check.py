@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dbc.text import printable
-from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_signature
+from gateway.commands.common import BAD_INPUT, GOOD, add_bus, add_line, add_signature
 from gateway.io import quick_start as leanstart
 from gateway.io.console import note
 from gateway.io.prepare import prepare
@@ -35,6 +35,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_signature(parser)
     parser.add_argument("--eds", type=Path, action="append", default=[], metavar="FILE",
                         help="EDS or DCF of a drive: what it sends, by bit")  # fmt: skip
+    parser.add_argument("--log", type=Path, metavar="FILE",
+                        help="a recording: which units, signs and parameters of the motors fit its "
+                        "first minute; exit 2 where one does not")  # fmt: skip
+    add_line(parser)
+    parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
 
 
@@ -71,6 +76,11 @@ def run(options: argparse.Namespace) -> int:
         from gateway.commands.check_eds import device_lines
 
         print("\n".join(device_lines(path, config)))
+    unfit: list[str] = []
+    if options.log is not None:
+        from gateway.commands.check_log import print_findings
+
+        unfit = print_findings(options.log, options.line, options.log_channel, config, codec)
     unfound = check_loss.print_results(config, tried)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
@@ -89,7 +99,9 @@ def run(options: argparse.Namespace) -> int:
         )  # fmt: skip
     if unfound:
         note("no loss would be told: " + "; ".join(unfound))
-    return BAD_INPUT if unfound or percent > LOAD_LIMIT_PERCENT else GOOD
+    if unfit:
+        note(f"{options.log}: " + "; ".join(unfit))
+    return BAD_INPUT if unfound or unfit or percent > LOAD_LIMIT_PERCENT else GOOD
 
 
 def _tried(config: Config, codec: Codec, *, timing: bool) -> Tried:

@@ -11,6 +11,8 @@ EXAMPLES: Final = {
     "demo": ("demo --duration 5", "demo --headless --duration 5 -o demo.png"),
     "sim": ("sim wet_one -o drive.log", "sim healthy -i socketcan -c vcan0 --duration 5"),
     "hil": ("hil release", "hil release silent --junit report.xml --results results"),
+    "init": ("init --drives 2 -o train.toml",
+             "init --drives 2 --dbc inverter.dbc --id-step 0x20 -o train.toml"),
     "check": ("check train.toml", "check train.toml --no-timing"),
     "replay": ("replay drive.log -o flags.log",
                "replay drive.log --config train.toml --results results"),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -17,6 +18,7 @@ from pydantic import (
 )
 
 from dbc.text import TomlError, printable, read_bytes, read_toml
+from gateway.settings.inverters import share
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import (
     Adhesion,
@@ -156,11 +158,17 @@ def shipped_dbc(name: str) -> Path:
 _KEY: Final = re.compile(r"[A-Za-z]\w*: ")
 
 
-def _lines(error: ValidationError) -> list[str]:
-    """One line per problem: path, what is wrong, what was given."""
+def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
+    """One line per problem: path, what is wrong, what was given.
+
+    shared: names of inverters by position of the drive that has one's signals.
+    """
     lines = []
     for item in error.errors():
-        path = ".".join(str(p) for p in item["loc"])
+        loc = item["loc"]
+        if loc[:1] == ("drive",) and loc[2:3] == ("signals",) and loc[1] in shared:
+            loc = ("inverter", shared[int(loc[1])], *loc[3:])
+        path = ".".join(str(p) for p in loc)
         text = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
             text = "unknown key; remove it or correct its name"
@@ -168,15 +176,19 @@ def _lines(error: ValidationError) -> list[str]:
             # A model names its key, or speaks of itself.
             joint = "." if _KEY.match(part) else ": "
             lines.append(f"{path}{joint}{part}" if path else part)
-    return lines
+    return list(dict.fromkeys(lines))
 
 
 def parse(raw: dict[str, Any], source: str = "configuration", base: Path = Path()) -> Config:
     """Validate a parsed TOML document. Raises ConfigError with every problem."""
+    document, shared, problems = share(raw)
     try:
-        return Config.model_validate({**raw, "base": base})
+        config = Config.model_validate({**document, "base": base})
     except ValidationError as error:
-        raise ConfigError(source, _lines(error)) from None
+        raise ConfigError(source, problems + _lines(error, shared)) from None
+    if problems:
+        raise ConfigError(source, problems)
+    return config
 
 
 def check_seal(path: Path, content: bytes, sealed: str) -> None:

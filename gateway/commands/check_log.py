@@ -1,0 +1,134 @@
+"""What `check --log` says: which units, signs and motor parameters fit a recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.mapping import fit
+from gateway.mapping.plan import fitted, plans
+from gateway.mapping.translate import Translator
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from dbc.codec import Codec
+    from dbc.frames import Block
+    from dbc.spec import MessageSpec
+    from gateway.settings.config import Config
+
+LOOKED_AT_S: Final = 60.0
+SUB_SAMPLES: Final = 8
+_RPM: Final = np.pi / 30.0
+_Array = NDArray[np.float64]
+_Vector = NDArray[np.complex128]
+Columns = dict[str, _Array]
+
+
+def print_findings(
+    path: Path, line: str, channel: str | None, config: Config, codec: Codec
+) -> list[str]:
+    """A line for each thing compared; returns what does not fit. Raises as a replay does."""
+    from dbc.logs.opening import open_reader
+    from gateway.commands.common import pattern_of
+    from gateway.io.replay import OneChannel
+
+    reader = open_reader(path, strict=False, line=pattern_of(path, line))
+    values = _Values(config, codec)
+    values.add_all(OneChannel(reader.blocks(), channel))
+    problems = []
+    for drive in config.drive:
+        lines = fit.findings(values.of_drive(drive.node), config.motors[drive.motor])
+        for k, found in enumerate(lines):
+            verdict = {True: "fits", False: "DOES NOT FIT", None: "unknown"}[found.fits]
+            print(f"{f'drive {drive.node}' if k == 0 else '':<14} {verdict}: {found.text}")
+            if found.fits is False:
+                problems.append(f"drive {drive.node}: {found.text}")
+    return problems
+
+
+class _Values:
+    """Decoded columns of the first minute, by message of ours."""
+
+    def __init__(self, config: Config, codec: Codec) -> None:
+        planned = plans(config)
+        self._codec = fitted(codec, planned)
+        self._translator = Translator(planned, self._codec) if planned else None
+        self._parts: dict[int, list[tuple[_Array, _Array]]] = {}
+        self._counts: Counter[str] = Counter()
+
+    def add_all(self, blocks: Iterable[Block]) -> None:
+        first_ns: int | None = None
+        for block in blocks:
+            if not block.size:
+                continue
+            first_ns = block.t_ns.item(0) if first_ns is None else first_ns
+            self._add(block)
+            if block.t_ns.item(-1) - first_ns > LOOKED_AT_S * 1e9:
+                break
+
+    def _add(self, block: Block) -> None:
+        if self._translator is not None:
+            block = self._translator.translate(block, int(block.t_ns.max()), self._counts)
+        for spec in self._codec.messages:
+            if spec.is_gateway or not spec.node:
+                continue
+            rows = np.flatnonzero((block.can_id == spec.can_id) & (block.length == spec.length))
+            if rows.size:
+                index = np.full(len(rows), spec.index, np.int32)
+                value, validity = self._codec.decode_rows(index, block.data[rows])
+                value = np.where(validity == 0, value, np.nan)
+                self._parts.setdefault(spec.index, []).append((block.t_ns[rows] / 1e9, value))
+
+    def _columns(self, node: int, kind: str) -> tuple[MessageSpec | None, Columns]:
+        spec = self._codec.by_name.get(f"Drive{node}_{kind}")
+        parts = self._parts.get(spec.index, []) if spec is not None else []
+        if spec is None or not parts:
+            return spec, {}
+        value = np.concatenate([part[1] for part in parts])
+        columns = {signal.name: value[:, k] for k, signal in enumerate(spec.signals)}
+        return spec, {"t": np.concatenate([part[0] for part in parts]), **columns}
+
+    def of_drive(self, node: int) -> fit.Measured:
+        """SI; empty where nothing came."""
+        t, current, phase_sum, voltage = self._electrical(node)
+        _, motion = self._columns(node, "Motion")
+        _, status = self._columns(node, "Status")
+        none = np.zeros(0)
+        speed = motion.get("Speed", none) * _RPM
+        good = np.isfinite(speed)
+        torque = motion.get("Torque", none)
+        irms = status.get("Irms", none)
+        return fit.Measured(
+            t, current, phase_sum, voltage, motion.get("t", none)[good], speed[good], torque[good],
+            status.get("t", none)[np.isfinite(irms)], irms[np.isfinite(irms)],
+        )  # fmt: skip
+
+    def _electrical(self, node: int) -> tuple[_Array, _Vector, _Array, _Vector]:
+        """Times, current, sum of the phases, voltage."""
+        none = np.zeros(0)
+        spec, samples = self._columns(node, "Samples")
+        if spec is not None and samples:
+            columns = {
+                name: np.stack([samples[f"{name}_{k}"] for k in range(SUB_SAMPLES)], 1).ravel()
+                for name in ("Ia", "Ib", "Ualpha", "Ubeta")
+            }
+            back = np.arange(1 - SUB_SAMPLES, 1) * spec.cycle_ns / 1e9 / SUB_SAMPLES
+            t = (samples["t"][:, None] + back).ravel()
+            current = fit.space_vector(columns["Ia"], columns["Ib"])
+            good = np.isfinite(current)
+            return t[good], current[good], none, (columns["Ualpha"] + 1j * columns["Ubeta"])[good]
+        spec, phases = self._columns(node, "PhaseCurrents")
+        if spec is None or not phases:
+            return none, none.astype(complex), none, none.astype(complex)
+        current = fit.space_vector(phases["Ia"], phases["Ib"])
+        good = np.isfinite(current)
+        t, total = phases["t"][good], (phases["Ia"] + phases["Ib"] + phases["Ic"])[good]
+        _, volts = self._columns(node, "StatorVoltages")
+        vector = volts.get("Ualpha", none) + 1j * volts.get("Ubeta", none)
+        voltage = fit.joined(t, volts.get("t", none), vector, 0.5 * spec.cycle_ns / 1e9)
+        return t, current[good], total[np.isfinite(total)], voltage

@@ -1,0 +1,136 @@
+"""A first configuration as text, with a comment where a person has to look."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+from gateway.mapping.guess import SURE, Guess
+from gateway.mapping.plan import given
+from gateway.settings.signal_map import UNITS, Signals, Source
+
+_SENSORS: Final = {"Tstator": "stator", "Tde": "drive_end", "Tnde": "non_drive_end"}
+_OTHERS: Final = 3
+_MOTOR: Final = """
+# Parameters of the motor, from its data sheet, in SI units. Until they are here, the drives above
+# have the bench motor of this project, and `check --log` says what does not fit.
+# [motor.mine]
+# R_s = 0.28           # ohm, of a phase
+# L_s = 3.465e-3       # H, of a phase
+# psi_pm = 0.1989      # Wb, flux linkage of the magnets
+# pole_pairs = 4
+# J = 0.04             # kg m2, rotor and wheel at the motor shaft
+# I_rated = 25.0       # A, amplitude of the phase current
+# T_rated = 30.0       # Nm, at the motor shaft
+"""
+
+
+class Shared(NamedTuple):
+    """What all drives with one message set of another maker have in common.
+
+    dbc: path as the configuration has it. cycle_ms: by message, where the file has none; measured:
+    whether those are of a log. offset: of the first drive's identifiers; step: by how much those of
+    the next drive differ; source: by what that is known, empty for a guess.
+    """
+
+    name: str
+    dbc: str
+    chosen: Sequence[Guess]
+    found: Mapping[str, Sequence[Guess]]
+    cycle_ms: Mapping[str, float]
+    measured: bool
+    offset: int
+    step: int
+    source: str
+
+
+def ours(drives: int, dbc: str) -> str:
+    """Drives that speak our own message set. dbc: file, or empty for the shipped one."""
+    lines = ["# Drives that speak the message set of this project.", ""]
+    if dbc:
+        lines += ["[dbc]", f'file = "{dbc}"', ""]
+    for node in range(1, drives + 1):
+        lines += ["[[drive]]", f"node = {node}", 'motor = "bench"    # or "mine", see below', ""]
+    return "\n".join(lines).rstrip("\n") + "\n" + _MOTOR
+
+
+def mapped(drives: int, shared: Shared) -> str:
+    """Drives with messages of their own."""
+    use = {guess.quantity: guess for guess in shared.chosen if is_sure(guess)}
+    lines = [
+        f"# Written from names and units in {shared.dbc}: a guess. Look at every signal before",
+        "# you believe a flag; `traction-gateway check THIS.toml --log FILE` compares with a log.",
+        "",
+    ]
+    if not _can_model(use):
+        lines += ["[thermal]", 'method = "maisd"    # the model needs an ambient temperature,'
+                  " torque, speed and current", ""]  # fmt: skip
+    sensors = [name for quantity, name in _SENSORS.items() if quantity in use]
+    for number in range(drives):
+        lines += ["[[drive]]", f"node = {number + 1}", f'inverter = "{shared.name}"']
+        offset = shared.offset + shared.step * number
+        why = (shared.source or "GUESSED: correct it") if number else "as --id-offset says"
+        lines += [f"id_offset = {offset:#x}    # {why}"] if offset else []
+        lines += ['motor = "bench"    # or "mine", see below']
+        if sensors:
+            lines += [f"sensors = [{', '.join(map(repr, sensors))}]".replace("'", '"')]
+        lines += [""]
+    lines += [f"[inverter.{shared.name}]", f'dbc = "{shared.dbc}"', *_cycles(shared, use), ""]
+    lines += [f"[inverter.{shared.name}.use]", *_signals(shared, use)]
+    return "\n".join(lines) + "\n" + _MOTOR
+
+
+def is_sure(guess: Guess) -> bool:
+    """Whether it is used; a guess that is less likely stands in a comment."""
+    return guess.score >= SURE - 1e-9
+
+
+def _can_model(use: Mapping[str, Guess]) -> bool:
+    signals = Signals(dbc="x", use={name: Source(signal=g.name) for name, g in use.items()})
+    kinds = given(signals)
+    return "Tambient" in use and {"Temperatures", "Motion", "Status"} <= set(kinds)
+
+
+def _cycles(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
+    messages = dict.fromkeys(guess.message.name for guess in use.values())
+    without = {name: shared.cycle_ms[name] for name in messages if name in shared.cycle_ms}
+    if not without:
+        return []
+    comment = "as in the log" if shared.measured else "GUESSED, the file has none: correct it"
+    cycles = ", ".join(f"{name} = {cycle:g}" for name, cycle in without.items())
+    return [f"cycle_ms = {{ {cycles} }}    # ms; {comment}"]
+
+
+def _signals(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
+    lines = []
+    for quantity, guesses in shared.found.items():
+        best = next((g for g in shared.chosen if g.quantity == quantity), None)
+        if best is None:
+            continue
+        unit = best.signal.unit.strip() or f"the file says no unit: {UNITS[quantity]}?"
+        sign = "" if quantity in use else "# "
+        lines.append(f"{sign}{quantity} = {_value(best)}    # {printed(unit)}")
+        names = [g.name for g in guesses if g.name != best.name and not _other_node(g, best)]
+        if names[:_OTHERS]:
+            lines.append(f"#   or {', '.join(names[:_OTHERS])}")
+    return lines
+
+
+def _other_node(guess: Guess, best: Guess) -> bool:
+    """Whether it is the same signal of another drive: names differ in a number only."""
+    return re.sub(r"\d+", "#", guess.name) == re.sub(r"\d+", "#", best.name)
+
+
+def _value(guess: Guess) -> str:
+    if (guess.scale, guess.offset) == (1.0, 0.0):
+        return f'"{guess.name}"'
+    parts = [f'signal = "{guess.name}"']
+    parts += [f"scale = {guess.scale:g}"] if guess.scale != 1.0 else []
+    parts += [f"offset = {guess.offset:g}"] if guess.offset else []
+    return f"{{ {', '.join(parts)} }}"
+
+
+def printed(text: str) -> str:
+    """Of a file: one line, nothing that ends a comment."""
+    return "".join(c if c.isprintable() else "?" for c in text)

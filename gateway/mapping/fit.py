@@ -1,0 +1,287 @@
+"""Whether measured signals and a motor's parameters belong together: units, signs, phases, flux.
+
+Complex numbers are alpha + j beta, amplitudes. Nothing here needs a filter or a threshold of one:
+each finding is a ratio of two things that were measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.settings.motors import Motor
+
+Array = NDArray[np.float64]
+
+SLOW: Final = (0.3, 1.5)
+"""Electrical angle between two samples, rad, up to which they show the sense of rotation: the first
+leaves room for a speed that is ten times too small."""
+CLOSEST_S: Final = 1e-3
+LEAST: Final = 30
+"""Samples of which a ratio is taken."""
+LEAST_CURRENT: Final = 0.1
+"""Of the rated one: below, noise turns as well."""
+FAST: Final = 0.3
+"""Of the highest speed: above, flux shows in the voltages."""
+SUM: Final = 0.2
+"""Of the amplitude, for the sum of three phases."""
+SCATTER: Final = 0.3
+"""Of a median, for the median distance from it: with more, samples do not agree on anything."""
+APART: Final = 0.4
+"""Of a torque, for what the other one of which a ratio is taken does not explain (RMS)."""
+WITHIN: Final = {"turns": 0.04, "flux": 0.2, "torque": 0.3, "rms": 0.15}
+"""How far a ratio may be from 1."""
+_NAMED: Final = (
+    (2.0, "twice"), (0.5, "half"), (9.549, "rpm for rad/s"), (0.10472, "rad/s for rpm"),
+    (60.0, "1/s for rpm"), (1 / 60.0, "rpm for 1/s"), (10.0, "ten times"), (0.1, "a tenth"),
+    (1000.0, "a thousand times"), (0.001, "a thousandth"),
+    (math.sqrt(3.0), "line to line for phase"), (1 / math.sqrt(3.0), "phase for line to line"),
+    (math.sqrt(2.0), "amplitude for RMS"), (math.sqrt(0.5), "RMS for amplitude"),
+    (math.sqrt(1.5), "power-invariant for amplitude-invariant"),
+    (math.sqrt(1 / 1.5), "amplitude-invariant for power-invariant"),
+)  # fmt: skip
+_NAME_WITHIN: Final = 0.06
+
+
+class Measured(NamedTuple):
+    """Of one drive, SI; empty arrays where it does not send something.
+
+    t, current (L,), and the sum of the phases (L,) where three are measured; voltage (L,), NaN
+    where there is none at that sample; motion_t, speed, torque (M,): rad/s of the rotor, Nm;
+    status_t, irms (K,).
+    """
+
+    t: Array
+    current: NDArray[np.complex128]
+    phase_sum: Array
+    voltage: NDArray[np.complex128]
+    motion_t: Array
+    speed: Array
+    torque: Array
+    status_t: Array
+    irms: Array
+
+
+class Finding(NamedTuple):
+    """What one comparison says. fits: None where it cannot be told."""
+
+    fits: bool | None
+    text: str
+
+
+def findings(data: Measured, motor: Motor) -> list[Finding]:
+    """Everything that these signals show.
+
+    At most one for each of: sum of the phases, RMS current, sense of rotation, pole pairs, flux,
+    torque.
+    """
+    if len(data.t) < LEAST:
+        return [Finding(None, f"{len(data.t)} samples of current: nothing can be compared")]
+    turns = None
+    if len(data.speed) >= LEAST:
+        turns = _turns(data.t, data.current, data, motor, LEAST_CURRENT * motor.I_rated)
+    # What pole pairs or speed have wrong is said once.
+    scale = 1.0 if turns is None else abs(turns)
+    return [
+        *_sum(data),
+        *_rms(data),
+        *_rotation(data, motor, turns),
+        *_flux(data, motor, scale),
+    ]
+
+
+def named(ratio: float) -> str:
+    """A ratio, with the mistake in which it often is found."""
+    size = abs(ratio)
+    k, word = min(_NAMED, key=lambda one: abs(size / one[0] - 1.0))
+    word = word if abs(size / k - 1.0) < _NAME_WITHIN else ""
+    sign = ", of the other sign" if ratio < 0 else ""
+    return f"{size:.3g} times{f' ({word})' if word else ''}{sign}"
+
+
+def _sum(data: Measured) -> Iterator[Finding]:
+    if not len(data.phase_sum):
+        return
+    big = np.abs(data.current) > 0.3 * np.abs(data.current).max()
+    share = float(np.median(np.abs(data.phase_sum[big]) / np.abs(data.current[big])))
+    yield Finding(
+        share <= SUM,
+        f"phase currents add up to {100 * share:.0f} % of their amplitude"
+        + ("" if share <= SUM else ": one of them is another signal, or has another scale"),
+    )
+
+
+def _rms(data: Measured) -> Iterator[Finding]:
+    if len(data.irms) < 3:
+        return
+    mean_square = np.interp(data.status_t, data.t, _smooth(np.abs(data.current) ** 2))
+    ratio = _slope(np.sqrt(mean_square / 2.0), data.irms)
+    if math.isnan(ratio):
+        return
+    fits = abs(ratio - 1.0) <= WITHIN["rms"]
+    yield Finding(fits, f"RMS current: {named(ratio)} that of the phase currents")
+
+
+def _smooth(values: Array) -> Array:
+    """Mean over 50 samples."""
+    width = min(50, len(values))
+    return np.convolve(values, np.ones(width) / width, mode="same")
+
+
+def _slope(x: Array, y: Array) -> float:
+    """Of y over x, without an offset; NaN where x is nothing."""
+    good = np.isfinite(x) & np.isfinite(y)
+    square = float(np.dot(x[good], x[good]))
+    return float(np.dot(x[good], y[good])) / square if square > 0 else math.nan
+
+
+def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Finding]:
+    """Sense of rotation and pole pairs: of currents and voltages against the measured speed."""
+    if len(data.speed) < LEAST:
+        yield Finding(None, "no measured speed: sense of rotation and pole pairs cannot be told")
+        return
+    if turns is None:
+        yield Finding(
+            None,
+            "sense of rotation and pole pairs cannot be told: no part of the log is slow enough "
+            "for its samples, with current and a measured speed that they keep step with",
+        )
+        return
+    volts = np.abs(data.voltage[np.isfinite(data.voltage)])
+    by_voltage = None
+    if len(volts):
+        by_voltage = _turns(data.t, data.voltage, data, motor, 0.1 * float(volts.max()))
+    if turns < 0:
+        if by_voltage is not None and by_voltage > 0:
+            yield Finding(False, "the currents turn against speed and voltages: two phases are "
+                          "swapped, or Iq has the other sign")  # fmt: skip
+        else:
+            yield Finding(False, "currents turn against the speed: Speed has the other sign "
+                          "(scale = -1, for Torque and TorqueCommand, too), or two phases of "
+                          "currents and voltages are swapped")  # fmt: skip
+    elif by_voltage is not None and by_voltage < 0:
+        yield Finding(False, "the voltages turn against speed and currents: Ubeta or Uq has the "
+                      "other sign")  # fmt: skip
+    ratio = abs(turns)
+    fits = abs(ratio - 1.0) <= WITHIN["turns"]
+    text = f"pole pairs: {ratio * motor.pole_pairs:.3g} by currents and speed, "
+    if fits:
+        yield Finding(True, f"{text}as configured")
+        return
+    yield Finding(
+        False,
+        f"{text}the configuration says {motor.pole_pairs}: correct pole_pairs (half the number of "
+        f"poles), or the scale of Speed, which then is {named(ratio)} what it should be",
+    )
+
+
+def _turns(
+    t: Array, vector: NDArray[np.complex128], data: Measured, motor: Motor, least: float
+) -> float | None:
+    """Median of a vector's speed over p times the rotor's.
+
+    None where the log does not show it: too few samples, or samples that do not agree.
+    """
+    # Of samples that are closer than that, noise would turn more than the vector.
+    stride = max(1, round(CLOSEST_S / float(np.median(np.diff(t)))))
+    t, vector = t[::stride], vector[::stride]
+    dt = np.diff(t)
+    usual = float(np.median(dt))
+    step = np.angle(vector[1:] * np.conj(vector[:-1]))
+    speed = np.interp(0.5 * (t[1:] + t[:-1]), data.motion_t, data.speed)
+    expected = motor.pole_pairs * speed * dt
+    there = (np.abs(vector[1:]) > least) & (np.abs(vector[:-1]) > least) & (dt < 1.5 * usual)
+    there &= np.abs(expected) > 0.02
+    for most in SLOW:
+        used = there & (np.abs(expected) < most)
+        if np.count_nonzero(used) >= LEAST:
+            return _agreed(step[used] / expected[used])
+    return None
+
+
+def _agreed(ratios: Array) -> float | None:
+    """Their median; None where they scatter."""
+    middle = float(np.median(ratios))
+    distance = float(np.median(np.abs(ratios - middle)))
+    return middle if distance <= SCATTER * abs(middle) else None
+
+
+def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
+    """Flux linkage from what the voltages have beyond R i + jwL i, and the torque it makes.
+
+    scale: of the electrical speed over that by the configuration.
+    """
+    usable = np.isfinite(data.voltage)
+    if len(data.speed) < LEAST or np.count_nonzero(usable) < LEAST:
+        return
+    t, current, voltage = data.t[usable], data.current[usable], data.voltage[usable]
+    speed = np.interp(t, data.motion_t, data.speed)
+    w = scale * motor.pole_pairs * speed
+    fast = np.abs(w) > max(FAST * float(np.abs(w).max()), 20.0)
+    if np.count_nonzero(fast) < LEAST:
+        yield Finding(None, "flux linkage cannot be told: the log has no part that is fast enough")
+        return
+    dt = float(np.median(np.diff(data.t)))
+    # The voltage is the mean since the sample before.
+    half = 0.5 * dt * w
+    u = voltage * np.exp(1j * half) / np.sinc(half / np.pi)
+    emf = u - (motor.R_s + 1j * w * motor.L_s) * current
+    linkage = _agreed(np.abs(emf[fast]) / np.abs(w[fast]))
+    if linkage is None:
+        yield Finding(None, "flux linkage cannot be told: voltages and speed do not agree")
+        return
+    ratio = linkage / motor.psi_pm
+    fits = abs(ratio - 1.0) <= WITHIN["flux"]
+    text = f"flux linkage: {ratio * motor.psi_pm:.3g} Wb by voltages and speed, "
+    yield Finding(
+        fits,
+        f"{text}as configured"
+        if fits
+        else f"{text}the configuration says {motor.psi_pm:g}, {named(ratio)} that: correct psi_pm, "
+        "or the scale of the voltages, or of Speed",
+    )
+    yield from _torque(data, motor, t[fast], np.real(current * np.conj(emf))[fast] * 1.5)
+
+
+def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Finding]:
+    """power: in the air gap, W."""
+    known = np.isfinite(data.torque)
+    if np.count_nonzero(known) < LEAST:
+        return
+    speed = np.interp(t, data.motion_t, data.speed)
+    torque = np.interp(t, data.motion_t[known], data.torque[known])
+    made = power / speed
+    if float(np.abs(made).max()) < 0.1 * motor.T_rated:
+        yield Finding(None, "torque cannot be told: the log has no part with a tenth of T_rated")
+        return
+    ratio = _slope(made, torque)
+    if np.linalg.norm(torque - ratio * made) > APART * np.linalg.norm(torque):
+        yield Finding(None, "torque cannot be told: it does not follow currents and voltages")
+        return
+    fits = abs(ratio - 1.0) <= WITHIN["torque"]
+    text = f"torque: {named(ratio)} that of currents, voltages and speed"
+    yield Finding(fits, text if fits else f"{text}: correct sign or scale of Torque")
+
+
+def joined(
+    t: Array, other_t: Array, values: NDArray[np.complex128], within: float
+) -> NDArray[np.complex128]:
+    """Of each t the value whose time is nearest, NaN where none is within so many seconds."""
+    out = np.full(len(t), complex(math.nan, math.nan))
+    if not len(other_t):
+        return out
+    at = np.clip(np.searchsorted(other_t, t), 1, max(len(other_t) - 1, 1))
+    before, after = at - 1, np.minimum(at, len(other_t) - 1)
+    nearer = np.where(t - other_t[before] <= other_t[after] - t, before, after)
+    good = np.abs(other_t[nearer] - t) <= within
+    out[good] = values[nearer[good]]
+    return out
+
+
+def space_vector(ia: Array, ib: Array) -> NDArray[np.complex128]:
+    """Of two phases of three without a neutral."""
+    return ia + 1j * (ia + 2.0 * ib) / math.sqrt(3.0)

@@ -1,0 +1,138 @@
+"""`check --log`: which unit, sign, phase order, pole pair number or flux fits a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbc.candump.reader import Writer
+from gateway.cli import main
+from gateway.mapping.fit import Measured, findings
+from gateway.settings.config import shipped_dbc
+from gateway.settings.motors import BENCH_MOTOR
+from sim.simulation import Simulation
+from tests.inverters import spoken
+from tests.simrun import codec, run, scenario
+from tests.unit.test_foreign import mapped
+
+SCENARIO = {"seed": 5, "duration_s": 4.0, "drives": 2}
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return run(Simulation(scenario(**SCENARIO), codec()), 4.0)
+
+
+def log_of(path, frames):
+    with Writer(path) as writer:
+        for frame in sorted(frames, key=lambda f: f.t_ns):
+            writer.write(frame, "can0")
+    return str(path)
+
+
+def check(tmp_path, text, log, capsys, *more):
+    (tmp_path / "t.toml").write_text(text)
+    code = main(["check", str(tmp_path / "t.toml"), "--no-timing", "--log", log, *more])
+    lines = capsys.readouterr().out.splitlines()
+    verdicts = "fits: ", "DOES NOT FIT: ", "unknown: "
+    return code, [line for line in lines if any(word in line for word in verdicts)]
+
+
+def motor(**changes):
+    values = BENCH_MOTOR.model_dump() | changes
+    values["T_rated"] = values["k_p"] * values["pole_pairs"] * values["psi_pm"] * 25.0
+    rows = "".join(f"{key} = {value}\n" for key, value in values.items())
+    return f'[[drive]]\nnode = 1\nmotor = "mine"\n[motor.mine]\n{rows}'
+
+
+def test_what_is_right_fits(tmp_path, frames, capsys):
+    log = log_of(tmp_path / "d.log", frames)
+    code, lines = check(tmp_path, "[[drive]]\nnode = 1\n[[drive]]\nnode = 2\n", log, capsys)
+    assert code == 0
+    assert len(lines) == 10
+    assert all("fits: " in line for line in lines)
+    assert lines[5].startswith("drive 2 ")
+
+
+@pytest.mark.parametrize(("changes", "said"), [
+    ({"psi_pm": 2 * BENCH_MOTOR.psi_pm}, "flux linkage: 0.199 Wb by voltages and speed, the "
+     "configuration says 0.3978, 0.5 times (half)"),
+    ({"pole_pairs": 8}, "pole pairs: 4 by currents and speed, the configuration says 8"),
+    ({"pole_pairs": 2}, "pole pairs: 4 by currents and speed, the configuration says 2"),
+])  # fmt: skip
+def test_a_wrong_parameter_is_named(tmp_path, frames, capsys, changes, said):
+    log = log_of(tmp_path / "d.log", frames)
+    code, lines = check(tmp_path, motor(**changes), log, capsys)
+    assert code == 2
+    (wrong,) = [line for line in lines if "DOES NOT FIT" in line]
+    assert said in wrong
+
+
+def test_can_fd_fits(tmp_path, capsys):
+    fd = run(Simulation(scenario(**SCENARIO), codec(path=shipped_dbc("traction_fd.dbc"))), 4.0)
+    log = log_of(tmp_path / "d.log", fd)
+    text = '[dbc]\nfile = "traction_fd.dbc"\n[bus]\nfd = true\n[[drive]]\nnode = 1\n'
+    code, lines = check(tmp_path, text, log, capsys)
+    assert code == 0
+    assert [line for line in lines if "pole pairs: 4 by" in line]
+    assert all("fits: " in line for line in lines)
+
+
+WRONG = {
+    "rad/s for rpm": ({"Speed": ("scale", 0.10472)}, "(rad/s for rpm)"),
+    "speed of the other sign": ({"Speed": ("scale", -1.0)}, "Speed has the other sign"),
+    "torque of the other sign": ({"Torque": ("scale", -1.0)},
+                                 "of the other sign that of currents"),
+    "torque ten times": ({"Torque": ("scale", 10.0)}, "(ten times) that of currents"),
+    "voltages line to line": ({"Ualpha": ("scale", 3**0.5), "Ubeta": ("scale", 3**0.5)},
+                              "correct psi_pm, or the scale of the voltages"),
+    "voltages turn back": ({"Ubeta": ("scale", -1.0)}, "the voltages turn against"),
+    "phases swapped": ({"Ia": ("signal", "Cur.Ib"), "Ib": ("signal", "Cur.Ia")},
+                       "two phases are swapped"),
+    "another signal": ({"Ic": ("signal", "Cur.Ia")}, "one of them is another signal"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", list(WRONG))
+def test_a_wrong_mapping_is_named(tmp_path, frames, capsys, mistake):
+    config = mapped(tmp_path, drives=1)
+    only = [frame for frame in frames if frame.can_id & 0xF == 1]
+    log = log_of(tmp_path / "d.log", spoken(config, only))
+    changes, said = WRONG[mistake]
+    rows = []
+    for name, source in config.drive[0].signals.use.items():
+        value = {"signal": source.signal, "scale": 1.0}
+        if name in changes:
+            key, to = changes[name]
+            value[key] = to
+        rows.append(f'{name} = {{ signal = "{value["signal"]}", scale = {value["scale"]} }}\n')
+    text = (
+        f'[[drive]]\nnode = 1\n[drive.signals]\ndbc = "1.dbc"\n[drive.signals.use]\n{"".join(rows)}'
+    )
+    code, lines = check(tmp_path, text, log, capsys)
+    assert code == 2
+    assert any("DOES NOT FIT" in line and said in line for line in lines), lines
+
+
+def test_what_a_log_does_not_show_is_unknown(tmp_path, frames, capsys):
+    log = log_of(tmp_path / "d.log", [f for f in frames if f.can_id & 0x780 != 0x380])
+    code, lines = check(tmp_path, "[[drive]]\nnode = 1\n", log, capsys)
+    assert code == 0
+    assert any("unknown: no measured speed" in line for line in lines)
+    log = log_of(tmp_path / "e.log", [f for f in frames if f.can_id & 0x780 != 0x180])
+    _, lines = check(tmp_path, "[[drive]]\nnode = 1\n", log, capsys)
+    assert any("unknown: 0 samples of current" in line for line in lines)
+
+
+def test_signals_that_do_not_agree_say_nothing():
+    rng = np.random.default_rng(1)
+    t, motion_t = np.arange(4000) * 2e-3, np.arange(800) * 1e-2
+    noise = rng.normal(0.0, 10.0, (4, 4000))
+    data = Measured(
+        t, noise[0] + 1j * noise[1], np.zeros(0), noise[2] + 1j * noise[3],
+        motion_t, rng.uniform(5.0, 60.0, 800), rng.normal(0.0, 10.0, 800),
+        np.zeros(0), np.zeros(0),
+    )  # fmt: skip
+    found = findings(data, BENCH_MOTOR)
+    assert len(found) == 2
+    assert all(one.fits is None for one in found)

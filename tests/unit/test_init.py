@@ -1,0 +1,169 @@
+"""`init`: a first configuration from a DBC's names and units, and from a recording."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from dbc.candump.reader import Writer
+from gateway.cli import main
+from gateway.settings.config import ConfigError, load, parse
+from sim.simulation import Simulation
+from tests.inverters import spoken, write_dbc
+from tests.simrun import codec, run, scenario
+
+ROOT = Path(__file__).parents[2]
+LAYOUTS = sorted((ROOT / "examples" / "inverters").glob("*.toml"))
+MOTOR = {
+    "Currents": (0x600, 10, ['PhaseA_Current : 0|16@1- (0.1,0) [0|0] "A"',
+                             'PhaseB_Current : 16|16@1- (0.1,0) [0|0] "A"']),
+    "Motor": (0x601, 10, ['MotorSpeed : 0|16@1- (0.1,0) [0|0] "rad/s"',
+                          'TorqueFeedback : 16|16@1- (0.1,0) [0|0] "Nm"',
+                          'TorqueRequest : 32|16@1- (0.1,0) [0|0] "Nm"']),
+    "Others": (0x602, 100, ['StatorTemp : 0|16@1- (0.1,0) [0|0] "K"',
+                            'SteeringAngle : 16|16@1- (0.1,0) [0|0] "deg"',
+                            'VehicleSpeed : 32|16@1- (0.1,0) [0|0] "km/h"']),
+}  # fmt: skip
+
+
+def made(path: Path) -> dict:
+    return tomllib.loads(path.read_text())
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=lambda path: path.stem)
+def test_it_chooses_what_a_person_has_chosen(tmp_path, monkeypatch, capsys, layout):
+    monkeypatch.chdir(tmp_path)
+    main(["init", "--dbc", str(layout.with_suffix(".dbc")), "-o", "train.toml"])
+    mine = load(Path("train.toml")).drive[0].signals.use
+    wanted = load(layout).drive[0].signals.use
+    assert {k: v.signal for k, v in mine.items()} == {
+        k: v.signal for k, v in wanted.items() if v.signal != "Mcu_523.InverterTemperature"
+    }
+
+
+def test_units_are_converted_and_other_quantities_are_left(tmp_path, capsys):
+    write_dbc(tmp_path / "m.dbc", MOTOR)
+    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    use = load(tmp_path / "t.toml").drive[0].signals.use
+    assert use["Speed"].signal == "Motor.MotorSpeed"
+    assert use["Speed"].scale == pytest.approx(30 / 3.14159265, rel=1e-4)
+    assert use["Tstator"].offset == -273.15
+    assert use["Torque"].signal == "Motor.TorqueFeedback"
+    assert use["TorqueCommand"].signal == "Motor.TorqueRequest"
+    assert "ElectricalAngle" not in use
+
+
+def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys):
+    write_dbc(tmp_path / "m.dbc", MOTOR | {
+        "Motor": (0x601, 10, ['MotorSpeed : 0|16@1- (0.1,0) [0|0] ""'])})  # fmt: skip
+    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    assert "Speed" not in load(tmp_path / "t.toml").drive[0].signals.use
+    assert '# Speed = "Motor.MotorSpeed"' in (tmp_path / "t.toml").read_text()
+    assert "Speed            may be Motor.MotorSpeed" in capsys.readouterr().out
+
+
+def test_a_dbc_without_anything_of_a_motor_is_refused(tmp_path, capsys):
+    write_dbc(tmp_path / "m.dbc", {"Seat": (5, 10, ['SeatHeight : 0|8@1+ (1,0) [0|0] "mm"'])})
+    code = main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    assert code == 2
+    assert "no signal has the name and the unit" in capsys.readouterr().err
+    assert not (tmp_path / "t.toml").exists()
+
+
+def test_our_message_set_needs_no_signals_and_check_is_good(tmp_path, capsys):
+    assert main(["init", "--drives", "2", "-o", str(tmp_path / "t.toml")]) == 0
+    assert load(tmp_path / "t.toml").nodes == (1, 2)
+    main(["dbc", "-o", str(tmp_path / "own.dbc")])
+    words = ["init", "--dbc", str(tmp_path / "own.dbc"), "-o", str(tmp_path / "u.toml")]
+    assert main(words) == 0
+    assert made(tmp_path / "u.toml")["dbc"] == {"file": "own.dbc"}
+
+
+def test_what_is_there_is_not_overwritten(tmp_path, capsys):
+    (tmp_path / "t.toml").write_text("mine")
+    assert main(["init", "-o", str(tmp_path / "t.toml")]) == 2
+    assert (tmp_path / "t.toml").read_text() == "mine"
+
+
+def test_drives_share_one_block_and_a_guessed_step_is_marked(tmp_path, capsys):
+    write_dbc(tmp_path / "m.dbc", MOTOR)
+    words = ["init", "--drives", "3", "--dbc", str(tmp_path / "m.dbc"), "-o"]
+    main([*words, str(tmp_path / "t.toml")])
+    text = (tmp_path / "t.toml").read_text()
+    assert list(made(tmp_path / "t.toml")["inverter"]) == ["m"]
+    assert text.count("GUESSED") == 2
+    main([*words, str(tmp_path / "u.toml"), "--id-step", "0x20", "--id-offset", "1"])
+    offsets = [d.signals.id_offset for d in load(tmp_path / "u.toml").drive]
+    assert offsets == [1, 0x21, 0x41]
+    assert "GUESSED" not in (tmp_path / "u.toml").read_text()
+
+
+def test_the_step_is_found_where_the_dbc_has_all_drives(tmp_path, capsys):
+    every = {}
+    for drive, (name, (can_id, cycle, signals)) in itertools.product(range(2), MOTOR.items()):
+        every[f"{name}{drive + 1}"] = (can_id + 0x10 * drive, cycle, signals)
+    write_dbc(tmp_path / "m.dbc", every)
+    main(["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"),
+          "-o", str(tmp_path / "t.toml")])  # fmt: skip
+    first, second = (drive.signals for drive in load(tmp_path / "t.toml").drive)
+    assert (first.id_offset, second.id_offset) == (0, 0x10)
+    assert first.use["Speed"].signal == "Motor1.MotorSpeed"
+
+
+def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
+    """A DBC without cycle times, and a recording of two such drives."""
+    signals = ["Ia", "Ib", "Ic"], ["Ualpha", "Ubeta"], ["MotorSpeed", "MotorTorque"]
+    units = "A", "V", "rpm"
+    scale = 0.02, 0.1, 0.5
+    messages = {}
+    for k, (name, cycle) in enumerate((("Cur", 2), ("Vol", 2), ("Mot", 10))):
+        texts = [
+            f"{s} : {16 * j}|16@1- ({0.1 if s == 'MotorTorque' else scale[k]},0) [0|0] "
+            f'"{"Nm" if s == "MotorTorque" else units[k]}"'
+            for j, s in enumerate(signals[k])
+        ]
+        messages[name] = (0x600 + k, cycle, texts)
+    write_dbc(tmp_path / "with.dbc", messages)
+    use = {name: f"Cur.{name}" for name in signals[0]}
+    use |= {name: f"Vol.{name}" for name in signals[1]}
+    use |= {"Speed": "Mot.MotorSpeed", "Torque": "Mot.MotorTorque"}
+    tables = [
+        {"node": n, "signals": {"dbc": "with.dbc", "id_offset": 0x10 * n, "use": use}}
+        for n in (1, 2)
+    ]
+    config = parse({"drive": tables}, base=tmp_path)
+    frames = run(Simulation(scenario(seed=3, duration_s=2.0, drives=2), codec()), 2.0)
+    with Writer(tmp_path / "d.log") as writer:
+        for frame in sorted(spoken(config, frames), key=lambda f: f.t_ns):
+            writer.write(frame, "can0")
+    write_dbc(tmp_path / "m.dbc", {n: (i, 0, s) for n, (i, _, s) in messages.items()})
+    code = main(["init", "--drives", "2", "--dbc", str(tmp_path / "m.dbc"), "--id-offset", "16",
+                 "--log", str(tmp_path / "d.log"), "-o", str(tmp_path / "t.toml")])  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 0, said
+    first, second = (drive.signals for drive in load(tmp_path / "t.toml").drive)
+    assert first.cycle_ms == {"Cur": 2.0, "Vol": 2.0, "Mot": 10.0}
+    assert {k: v.signal for k, v in first.use.items()} == use
+    assert (first.id_offset, second.id_offset) == (0x10, 0x20)
+    assert "drive 2        fits: phase currents add up" in said.out
+    assert "DOES NOT FIT" not in said.out
+
+
+@pytest.mark.parametrize(("raw", "problem"), [
+    ({"drive": [{"node": 1, "inverter": "mime"}], "inverter": {"mine": {}}},
+     "drive.0.inverter: no [inverter.mime]; did you mean 'mine'?"),
+    ({"drive": [{"node": 1, "id_offset": 3}]}, "drive.0.id_offset: belongs to an `inverter`"),
+    ({"drive": [{"node": 1, "inverter": "a", "signals": {}}], "inverter": {"a": {}}},
+     "drive.0: has an `inverter` and `signals`"),
+    ({"inverter": {"a": {}}}, "inverter: no [[drive]] names one"),
+    ({"inverter": 3}, "inverter: expected a table"),
+    ({"drive": [{"node": 1, "inverter": "a"}, {"node": 2, "inverter": "a"}],
+      "inverter": {"a": {"dbc": "x", "use": {"Speeed": "A.B"}}}}, "inverter.a.use.Speeed"),
+])  # fmt: skip
+def test_mistakes_with_inverters_are_said_once(raw, problem):
+    with pytest.raises(ConfigError) as caught:
+        parse(raw)
+    assert len([line for line in caught.value.problems if problem in line]) == 1
