@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.commands.common import GOOD
 from gateway.io.console import console
 from gateway.io.extras import need, pictures
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from gateway.study.reproduction_report import Outcome
@@ -31,6 +32,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder for tables, figures, logs and report")  # fmt: skip
     parser.add_argument("--seed", type=_seed, metavar="N",
                         help="adhesion: of noise and start angles")  # fmt: skip
+    parser.add_argument("--resume", action="store_true",
+                        help="thermal: go on where a run into this folder was stopped")  # fmt: skip
 
 
 def _seed(text: str) -> int:
@@ -43,7 +46,9 @@ def run(options: argparse.Namespace) -> int:
     """Reproduce; the paper's table beside ours on stdout."""
     pictures("reproduce")
     if options.paper == "thermal":
-        return _thermal(options.output)
+        return _thermal(options.output, resume=options.resume)
+    if options.resume:
+        raise ConfigError("--resume", ["is for `reproduce thermal`"])
     from gateway.commands import section5
     from gateway.study.reproduction import agreement
     from gateway.study.reproduction_text import table_text
@@ -61,19 +66,21 @@ def run(options: argparse.Namespace) -> int:
     return GOOD
 
 
-def _thermal(folder: Path) -> int:
+def _thermal(folder: Path, *, resume: bool) -> int:
     need(("pywt", "sklearn"), "papers")
     from gateway.commands import reproduce_thermal as thermal
-    from gateway.study.thermal_report import table
 
     began = time.perf_counter()
     with _progress(2 * thermal.TRAINS + thermal.STEPS) as step:
-        outcome = thermal.reproduce(folder, step)
-    for base in thermal.BASES:
-        print(table(outcome, base))
+        thermal.reproduce(folder, step, resume=resume, show=_print_now)
     print(f"report: {folder / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD
+
+
+def _print_now(text: str) -> None:
+    """On stdout, although the rest takes minutes."""
+    print(text, flush=True)
 
 
 def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_SEEDS) -> Outcome:
@@ -147,13 +154,17 @@ def _progress(total: int) -> Iterator[Callable[[str], None]]:
     say = console()
     with Progress(console=say, transient=True, disable=not watched) as progress:
         task = progress.add_task("starting", total=total)
-        begun = 0
+        begun, began_s = 0, time.monotonic()
 
         def step(what: str) -> None:
             nonlocal begun
             progress.update(task, description=what, completed=begun)
+            left = ""
+            if begun:
+                left_s = (time.monotonic() - began_s) / begun * (total - begun)
+                left = f" (about {left_s:.0f} s left)"
             begun += 1
             if not watched:
-                say.print(f"{begun}/{total} {what}", markup=False, highlight=False)
+                say.print(f"{begun}/{total} {what}{left}", markup=False, highlight=False)
 
         yield step

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
@@ -26,27 +27,45 @@ STEPS: Final = 4
 MOST_JOBS: Final = 4
 
 
-def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -> Outcome:
+def reproduce(
+    folder: Path,
+    step: Callable[[str], None],
+    trains: int = TRAINS,
+    *,
+    resume: bool = False,
+    show: Callable[[str], None] = lambda _table: None,
+) -> Outcome:
     """Everything into `folder`; `step(what comes next)` is called 2 `trains` + STEPS times.
 
-    Raises OSError where `folder` cannot be written.
+    A base's table is written, and given to `show`, before the next base begins. resume: trains
+    that `folder` has results of are not run again. Raises OSError where `folder` cannot be written.
     """
     from gateway.study import thermal_figures as figures
     from gateway.study import thermal_report as report
+    from gateway.study.thermal_resume import FILE, Done
     from gateway.study.thermal_trials import NAMES, evaluate
 
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(FIRST_SEED, FIRST_SEED + trains)
     jobs = min(os.cpu_count() or 1, MOST_JOBS, trains)
     scores: dict[str, dict[str, list[Score]]] = {}
+    done = Done(folder / FILE, version("traction-gateway"), resume=resume)
+    outcome = Outcome(KIND, list(seeds), scores, [])
     for base in BASES:
-        scores[base] = {name: [] for name in NAMES}
-        step(f"{base} base: {trains} trains, {len(NAMES)} methods, {jobs} processes")
-        found = evaluate(seeds, base, (KIND,), NAMES, jobs)
-        for seed, rows in zip(seeds, found, strict=True):
+        left = done.missing(base, seeds)
+        step(f"{base} base: {len(left)} trains, {len(NAMES)} methods, {jobs} processes")
+        for seed in seeds:
+            if seed not in left:
+                step(f"train {seed}, {base} base: done before")
+        for seed, rows in zip(left, evaluate(left, base, (KIND,), NAMES, jobs), strict=True):
             step(f"train {seed}, {base} base")
-            for row in rows:
-                scores[base][row.method].append(row.score)
+            done.add(base, seed, ((row.method, row.score) for row in rows))
+        scores[base] = done.scores(base, seeds, NAMES)
+        missing = [name for name, own in scores[base].items() if not own]
+        outcome = outcome._replace(missing=missing)
+        text = report.table(outcome, base)
+        (folder / f"table2_{base}.md").write_text(text + "\n", encoding="utf-8")
+        show(text)
     step("figures")
     train, flags = picture(FIRST_SEED)
     figures.states(folder / "figure4", train)
@@ -55,8 +74,6 @@ def reproduce(folder: Path, step: Callable[[str], None], trains: int = TRAINS) -
     figures.motors(folder / "figure7", train)
     figures.detection(folder / "figure8", train, flags)
     step("report")
-    missing = [name for name, own in scores[BASE].items() if not own]
-    outcome = Outcome(KIND, list(seeds), scores, missing)
     report.write(folder, outcome)
     return outcome
 

@@ -169,9 +169,20 @@ def test_the_paper_reproduced(tmp_path):
     ours = float(table["calibrated model and hypotheses (the product's)"][1].split()[0])
     causal = float(table["the paper's method, causal"][1].split()[0])
     assert ours > causal
-    again = reproduce_thermal.reproduce(tmp_path / "again", steps.append, trains=1)
-    timeless = [s._replace(seconds=0.0) for s in again.scores["days"]["model"]]
-    assert timeless == [s._replace(seconds=0.0) for s in outcome.scores["days"]["model"]]
+    assert (tmp_path / "table2_days.md").read_text().strip() in text
+    # Stopped behind its first base: what is done is not done again, and all comes out the same.
+    (tmp_path / "again").mkdir()
+    lines = (tmp_path / "trains.jsonl").read_text().splitlines(keepends=True)
+    assert len(lines) == len(reproduce_thermal.BASES)
+    (tmp_path / "again" / "trains.jsonl").write_text(lines[0] + lines[1][:99])
+    shown = []
+    again = reproduce_thermal.reproduce(
+        tmp_path / "again", steps.append, trains=1, resume=True, show=shown.append
+    )
+    assert again.scores["days"] == outcome.scores["days"]
+    assert len(shown) == 2
+    timeless = [s._replace(seconds=0.0) for s in again.scores["bench"]["model"]]
+    assert timeless == [s._replace(seconds=0.0) for s in outcome.scores["bench"]["model"]]
     for name in FIGURES:
         first, second = (p / f"{name}.svg" for p in (tmp_path, tmp_path / "again"))
         assert first.read_bytes() == second.read_bytes()
