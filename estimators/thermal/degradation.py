@@ -10,12 +10,12 @@ maximum likelihood from the increments dy without the jumps,
     mu = m'C^-1 dy / m'C^-1 m,   m = tau;
 
 (27) as printed is no estimate, and without r the diffusion is that of the readings' noise. A drift
-of a power of time, mu t^b, by Nelder-Mead.
+that is a power of time, mu t^b, or an exponential, mu (e^(bt) - 1) / b (Remark 3), by Nelder-Mead.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,29 +25,50 @@ Flags = NDArray[np.bool_]
 
 GAUSS: Final = 1.4826
 """Standard deviation over median absolute deviation."""
+MOST_GROWTH: Final = 30.0
+"""Times e over the readings: more is a jump at their end."""
 JUMP: Final = 5.0
 """A difference of more standard deviations is a jump."""
+
+
+Form = Literal["linear", "power", "exponential"]
+
+
+class Course(NamedTuple):
+    """How a drift of 1 goes over time: t, t^b, or (e^(bt) - 1) / b with b per s."""
+
+    form: Form = "linear"
+    b: float = 1.0
+
+    def at(self, t: Array) -> Array:
+        """(K,) at t (K,) s, from 0 on."""
+        if self.form == "power":
+            return np.asarray(t**self.b)
+        if self.form == "exponential" and self.b != 0.0:
+            return np.asarray(np.expm1(self.b * t) / self.b)
+        return t
 
 
 class Degradation(NamedTuple):
     """What was found.
 
-    drift per s and its standard error; diffusion per sqrt(s); noise of a reading; power of t in the
-    drift; jumps (k,): their sizes; jump_rate per s; loglik: logarithm of the likelihood.
+    drift: what `course` is multiplied by, per s where that is linear, and its standard error;
+    diffusion per sqrt(s); noise of a reading; jumps (k,): their sizes; jump_rate per s; loglik:
+    logarithm of the likelihood.
     """
 
     drift: float
     drift_sigma: float
     diffusion: float
     noise: float
-    power: float
+    course: Course
     jumps: Array
     jump_rate: float
     loglik: float
 
     def ahead(self, now: float, seconds: float) -> tuple[float, float]:
         """Mean and standard deviation of the change `seconds` after `now` s."""
-        mean = self.drift * ((now + seconds) ** self.power - now**self.power)
+        mean = self.drift * float(np.diff(self.course.at(np.array([now, now + seconds])))[0])
         mean += self.jump_rate * seconds * (float(self.jumps.mean()) if len(self.jumps) else 0.0)
         square = self.diffusion**2 * seconds + (self.drift_sigma * seconds) ** 2
         square += self.jump_rate * seconds * float(np.sum(self.jumps**2)) / max(len(self.jumps), 1)
@@ -78,12 +99,10 @@ def outliers(differences: Array, threshold: float = JUMP) -> Flags:
     return off > threshold * max(sigma, 1e-12)
 
 
-def fit(
-    y: Array, t: Array, jumps: Flags | None = None, *, power: float | None = 1.0
-) -> Degradation:
+def fit(y: Array, t: Array, jumps: Flags | None = None, *, form: Form = "linear") -> Degradation:
     """Maximum likelihood from readings y (K,) at times t (K,) s, ascending, from 0 on.
 
-    jumps (K - 1,): increments to leave out, default `jump_points`; power: of t in the drift, None:
+    jumps (K - 1,): increments to leave out, default `jump_points`; form: of the drift, whose b is
     found as well. Raises ValueError with fewer than 5 increments.
     """
     from scipy.optimize import minimize
@@ -96,24 +115,32 @@ def fit(
     unit = float(np.median(tau))
 
     def value(v: Array) -> float:
-        b = power if power is not None else float(np.exp(v[2]))
-        parts = _likelihood(dy, tau, _shape(t, b), cut, scale * np.exp(v[:2]) / (unit**0.5, 1.0))
+        shape = np.diff(_course(form, v, t).at(t))
+        parts = _likelihood(dy, tau, shape, cut, scale * np.exp(v[:2]) / (unit**0.5, 1.0))
         return -parts[0]
 
-    begin = np.array([-0.7, -0.7] if power is not None else [-0.7, -0.7, 0.0])
-    found = minimize(value, begin, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
+    begins = [[-0.7, -0.7]] if form == "linear" else [[-0.7, -0.7, 0.0], [-4.0, -0.7, 0.0]]
+    tried = [
+        minimize(value, b, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
+        for b in begins
+    ]
+    found = min(tried, key=lambda one: float(one.fun))
     sigma, r = scale * np.exp(found.x[:2]) / (unit**0.5, 1.0)
-    b = power if power is not None else float(np.exp(found.x[2]))
-    loglik, drift, error = _likelihood(dy, tau, _shape(t, b), cut, (sigma, r))
-    sizes = dy[cut] - drift * _shape(t, b)[cut]
+    course = _course(form, found.x, t)
+    shape = np.diff(course.at(t))
+    loglik, drift, error = _likelihood(dy, tau, shape, cut, (sigma, r))
+    sizes = dy[cut] - drift * shape[cut]
     rate = len(sizes) / float(tau.sum())
-    return Degradation(drift, error, float(sigma), float(r), b, sizes, rate, loglik)
+    return Degradation(drift, error, float(sigma), float(r), course, sizes, rate, loglik)
 
 
-def _shape(t: Array, power: float) -> Array:
-    """(K - 1,) increments of t^power."""
-    out: Array = np.diff(t) if power == 1.0 else np.diff(t**power)
-    return out
+def _course(form: Form, v: Array, t: Array) -> Course:
+    """v[2]: logarithm of a power; how often an exponential grows by e over the readings."""
+    if form == "power":
+        return Course(form, float(np.exp(v[2])))
+    if form == "exponential":
+        return Course(form, float(np.clip(v[2], -MOST_GROWTH, MOST_GROWTH)) / float(t[-1]))
+    return Course()
 
 
 def _likelihood(

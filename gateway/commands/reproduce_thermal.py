@@ -83,6 +83,7 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
     from estimators.thermal import degradation
     from estimators.thermal.maisd_method import LIMIT as QUANTILE
     from estimators.thermal.maisd_method import maisd, moving_average
+    from estimators.thermal.rivals.dpca import Either
     from estimators.thermal.sigma_mixed import SigmaMixedFilter, lumps
     from gateway.study.thermal_dataset import BASES
     from gateway.study.thermal_trials import LIMIT, METHODS, fit, record_of, runs_of
@@ -111,7 +112,8 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
         state=estimates.state,
         mixed=estimates.mixed,
         beyond=beyond,
-        detail=np.diff(beyond),
+        # Level 1 of the undecimated transform is the first difference, over the root of 2.
+        detail=np.diff(beyond) / np.sqrt(2.0),
         jumps=degradation.jump_points(beyond),
         maisd=spreads[1],
         limit=np.quantile(spreads[0], QUANTILE, axis=0),
@@ -122,5 +124,10 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
             score = fit(method, healthy)
         except ModuleNotFoundError:
             continue
-        found[name] = score(record), float(np.nanquantile(score(limiting), LIMIT))
+        limit = float(np.nanquantile(score(limiting), LIMIT))
+        if isinstance(score, Either):
+            for part, values in zip(score.names, score.each(record).T, strict=True):
+                found[f"{name} {part}"] = values, limit
+        else:
+            found[name] = score(record), limit
     return shown, found

@@ -25,7 +25,8 @@ class Train(NamedTuple):
 
     days (K,); fault: first and last day; odd: the motor with the fault; reading, true, state (K, M,
     3) degC; mixed (K, M) degC; jumps (K - 1,) of `beyond` (K,): the odd motor's stator less the
-    motors' mean; detail (K - 1,): its undecimated Haar details; maisd (K, 3) K and its limits (3,).
+    motors' mean; detail (K - 1,): its undecimated Haar details of level 1;
+    maisd (K, 3) K and its limits (3,).
     """
 
     days: Array
@@ -60,13 +61,22 @@ def states(stem: Path, train: Train) -> None:
 
 
 def errors(stem: Path, train: Train) -> None:
-    """Figure 5: estimates less what a sensor without noise would read."""
-    figure, axes = subplots(3, 1, (11.0, 7.0), sharex=True, sharey=True)
+    """Figure 5: estimates less what a sensor without noise would read.
+
+    Of the mixed state, less the mean of the three points.
+    """
+    figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True, sharey=True)
     for p in range(3):
         error = train.state[:, train.odd, p] - train.true[:, train.odd, p]
         axes[p, 0].plot(train.days, error, color=BLUE, lw=0.9)
         axes[p, 0].axhline(0.0, color=GREY, lw=0.8)
         axes[p, 0].set_ylabel(f"{NAMES[p]}\nerror / K")
+    axes[3, 0].plot(
+        train.days, train.mixed[:, train.odd] - train.true[:, train.odd].mean(axis=1),
+        color=BLUE, lw=0.9,
+    )  # fmt: skip
+    axes[3, 0].axhline(0.0, color=GREY, lw=0.8)
+    axes[3, 0].set_ylabel("sigma-mixed\nerror / K")
     _finish(axes, train)
     figure.suptitle(f"Figure 5: errors of the states, coach {train.odd + 1}")
     save(figure, stem)
@@ -88,7 +98,7 @@ def jumps(stem: Path, train: Train) -> None:
     axes[2, 0].plot(train.days[1:], train.detail, color=GREY, lw=0.9)
     where = np.flatnonzero(train.jumps)
     axes[2, 0].plot(train.days[1:][where], train.detail[where], "o", color=ORANGE, label="jump")
-    axes[2, 0].set_ylabel("difference / K")
+    axes[2, 0].set_ylabel("Haar detail, level 1\n(difference / √2) / K")
     if len(where):
         axes[2, 0].legend(loc="upper right")
     _finish(axes, train, shade=False)

@@ -23,6 +23,19 @@ Scorer = Callable[[Record], Array]
 
 
 @dataclass(frozen=True)
+class Either:
+    """A scorer of two statistics; the larger one counts. each: (K, 2) over the fit's limits."""
+
+    names: tuple[str, str]
+    each: Scorer
+
+    def __call__(self, record: Record) -> Array:
+        """(K,)."""
+        larger: Array = self.each(record).max(axis=1)
+        return larger
+
+
+@dataclass(frozen=True)
 class Dpca:
     """Tuning of dynamic PCA.
 
@@ -55,13 +68,13 @@ class Dpca:
 
         limits = quantiles(statistics(rows))
 
-        def score(record: Record) -> Array:
+        def each(record: Record) -> Array:
             seen = lagged(moving(view.see(record), window), self.lags)
-            out = np.full(len(seen), np.nan)
-            out[self.lags :] = (statistics(seen[self.lags :]) / limits).max(axis=1)
+            out = np.full((len(seen), 2), np.nan)
+            out[self.lags :] = statistics(seen[self.lags :]) / limits
             return out
 
-        return score
+        return Either(("T²", "SPE"), each)
 
 
 TINY = 1e-9

@@ -19,6 +19,7 @@ import numpy as np
 from estimators.thermal.record import Array, Record
 from estimators.thermal.rivals.dpca import (
     TINY,
+    Either,
     Scorer,
     View,
     lagged,
@@ -64,13 +65,13 @@ class Dsfa:
 
         limits = quantiles(statistics(rows))
 
-        def score(record: Record) -> Array:
+        def each(record: Record) -> Array:
             seen = lagged(moving(view.see(record), window), self.lags)
-            out = np.full(len(seen), np.nan)
-            out[self.lags :] = (statistics(seen[self.lags :]) / limits).max(axis=1)
+            out = np.full((len(seen), 2), np.nan)
+            out[self.lags :] = statistics(seen[self.lags :]) / limits
             return out
 
-        return score
+        return Either(("S²", "S²e"), each)
 
 
 class Slow(NamedTuple):
