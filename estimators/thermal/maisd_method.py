@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from estimators.thermal import degradation
 from estimators.thermal.record import Record
-from estimators.thermal.sigma_mixed import Estimates, Lumps, SigmaMixedFilter, lumps
+from estimators.thermal.rivals.dpca import filled, usual
+from estimators.thermal.sigma_mixed import MIXING, Estimates, Lumps, SigmaMixedFilter, lumps
 
 Array = NDArray[np.float64]
 LIMIT: float = 0.99
@@ -49,27 +50,40 @@ class Learnt(NamedTuple):
 
 @dataclass(frozen=True)
 class PaperMethod:
-    """window: samples of the moving average."""
+    """window: samples of the moving average.
+
+    For an ablation: filtered: False takes the readings themselves; mixing: see `SigmaMixedFilter`;
+    noise: times the variance of a reading, with which the filter follows it the less.
+    """
 
     window: int = 7
     causal: bool = False
     centred: bool = False
     weighted: bool = False
     degrades: bool = True
+    filtered: bool = True
+    mixing: float = MIXING
+    noise: float = 1.0
 
     name: ClassVar[str] = "paper"
 
     @property
-    def learning(self) -> tuple[bool, bool]:
+    def learning(self) -> tuple[float, ...]:
         """Methods that are alike in this learn the same."""
-        return self.weighted, self.degrades
+        return self.weighted, self.degrades, self.filtered, self.mixing, self.noise
 
     def learn(self, healthy: Record) -> Learnt:
         """What is the same for every window and limit, and takes the time."""
         known = lumps(healthy)
-        plain = SigmaMixedFilter(self.weighted)
-        drift = self._drift(healthy, plain.run(healthy, known)) if self.degrades else None
-        return Learnt(known, drift, plain.run(healthy, known, drift))
+        known = known._replace(r=known.r * self.noise)
+        drift = self._drift(healthy, self._run(healthy, known, None)) if self.degrades else None
+        return Learnt(known, drift, self._run(healthy, known, drift))
+
+    def _run(self, record: Record, known: Lumps, drift: Array | None) -> Estimates:
+        if self.filtered:
+            return SigmaMixedFilter(self.weighted, self.mixing).run(record, known, drift)
+        readings = filled(record.temperature, usual(record.temperature))
+        return Estimates(readings, readings.mean(axis=2))
 
     def fit(self, healthy: Record, learnt: Learnt | None = None) -> Callable[[Record], Array]:
         """Learn from one fault-free run; what comes back gives (K,) statistics of a record.
@@ -78,12 +92,11 @@ class PaperMethod:
         `learning` has learnt of this run before.
         """
         known, drift, first = learnt or self.learn(healthy)
-        plain = SigmaMixedFilter(self.weighted)
         centre = first.state.mean(axis=0) if self.centred else np.zeros(first.state.shape[1:])
         limit = np.quantile(self._points(first, centre), LIMIT, axis=0)
 
         def score(record: Record) -> Array:
-            points = self._points(plain.run(record, known, drift), centre)
+            points = self._points(self._run(record, known, drift), centre)
             return np.asarray((points / limit).max(axis=1))
 
         return score

@@ -32,6 +32,7 @@ SIGMA_MIXED_CONFIG: Final = records.SIGMA_MIXED_CONFIG
 SIGMA_MIXED_SAMPLE: Final = records.SIGMA_MIXED_SAMPLE
 KAPPA: Final = 0.0
 """n + kappa = 3: the sigma points match the kurtosis of a Gaussian."""
+MIXING: Final = 0.2
 READING_VAR: Final = 0.1
 """K^2: noise and resolution of a temperature."""
 LOSSES: Final = 1.0 / np.geomspace(200.0, 7200.0, 15)
@@ -102,7 +103,7 @@ class SigmaMixedFilter:
     """
 
     weighted: bool = False
-    mixing: float = 0.2
+    mixing: float = MIXING
 
     def run(self, record: Record, known: Lumps, drift: Array | None = None) -> Estimates:
         """Algorithm 1 over a record; drift (M, 3) K/s of the degradation, in the prediction.

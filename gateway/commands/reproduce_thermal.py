@@ -43,7 +43,7 @@ def reproduce(
     from gateway.study import thermal_figures as figures
     from gateway.study import thermal_report as report
     from gateway.study.thermal_resume import FILE, Done
-    from gateway.study.thermal_trials import NAMES, evaluate
+    from gateway.study.thermal_trials import ABLATION, NAMES, evaluate
 
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(FIRST_SEED, FIRST_SEED + trains)
@@ -52,18 +52,21 @@ def reproduce(
     done = Done(folder / FILE, version("traction-gateway"), resume=resume)
     outcome = Outcome(KIND, list(seeds), scores, [])
     for base in BASES:
+        names = (*NAMES, *ABLATION) if base == BASE else NAMES
         left = done.missing(base, seeds)
-        step(f"{base} base: {len(left)} trains, {len(NAMES)} methods, {jobs} processes")
+        step(f"{base} base: {len(left)} trains, {len(names)} methods, {jobs} processes")
         for seed in seeds:
             if seed not in left:
                 step(f"train {seed}, {base} base: done before")
-        for seed, rows in zip(left, evaluate(left, base, (KIND,), NAMES, jobs), strict=True):
+        for seed, rows in zip(left, evaluate(left, base, (KIND,), names, jobs), strict=True):
             step(f"train {seed}, {base} base")
             done.add(base, seed, ((row.method, row.score) for row in rows))
-        scores[base] = done.scores(base, seeds, NAMES)
+        scores[base] = done.scores(base, seeds, names)
         missing = [name for name, own in scores[base].items() if not own]
         outcome = outcome._replace(missing=missing)
         text = report.table(outcome, base)
+        if base == BASE:
+            text += f"\n\n{report.ablation(outcome)}"
         (folder / f"table2_{base}.md").write_text(text + "\n", encoding="utf-8")
         show(text)
     step("figures")
@@ -86,7 +89,7 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
     from estimators.thermal.rivals.dpca import Either
     from estimators.thermal.sigma_mixed import SigmaMixedFilter, lumps
     from gateway.study.thermal_dataset import BASES
-    from gateway.study.thermal_trials import LIMIT, METHODS, fit, record_of, runs_of
+    from gateway.study.thermal_trials import LIMIT, METHODS, NAMES, fit, record_of, runs_of
 
     base = BASES[BASE]
     healthy, limiting, judged = runs_of(seed, base, (KIND,))
@@ -119,7 +122,8 @@ def picture(seed: int) -> tuple[Train, dict[str, tuple[NDArray[np.float64], floa
         limit=np.quantile(spreads[0], QUANTILE, axis=0),
     )
     found: dict[str, tuple[NDArray[np.float64], float]] = {}
-    for name, method in METHODS[BASE].items():
+    for name in NAMES:
+        method = METHODS[BASE][name]
         try:
             score = fit(method, healthy)
         except ModuleNotFoundError:

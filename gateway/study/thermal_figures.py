@@ -65,7 +65,7 @@ def errors(stem: Path, train: Train) -> None:
 
     Of the mixed state, less the mean of the three points.
     """
-    figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True, sharey=True)
+    figure, axes = subplots(4, 1, (11.0, 9.0), sharex=True)
     for p in range(3):
         error = train.state[:, train.odd, p] - train.true[:, train.odd, p]
         axes[p, 0].plot(train.days, error, color=BLUE, lw=0.9)

@@ -32,19 +32,28 @@ REPORTING: Final = range(1000, 1024)
 FIT_RUNS: Final = {"days": 1, "bench": 4}
 """Fault-free runs to learn from; the next one sets the limit."""
 HEALTHY: Final = "none"
+ABLATION: Final[dict[str, dict[str, Any]]] = {
+    "paper_raw": {"filtered": False, "degrades": False},
+    "paper_ukf": {"mixing": 0.0, "degrades": False},
+    "paper_mixed": {"degrades": False},
+    "paper_acting": {"mixing": 1.0, "noise": 100.0},
+}
+"""Of the paper's method as printed: readings alone, with the filter, with mixing too; and a reading
+in which the parts act: mixing in full, a filter that follows the readings little."""
 METHODS: Final[dict[str, dict[str, Any]]] = {
     base: {
         "model": ModelMethod(),
         "paper": PaperMethod(window),
         "paper_causal": PaperMethod(window, causal=True),
         "paper_sound": PaperMethod(window, causal=True, weighted=True, centred=True),
+        **{name: PaperMethod(window, **parts) for name, parts in ABLATION.items()},
         **RIVALS[base],
     }
     for base, window in (("days", 3), ("bench", 60))
 }
 """By time base: the product's; the paper's as printed (it looks ahead), causal, and with the
 mixture's own mean and centred motors; the paper's rivals. Tuned by `bench.thermal_rivals`."""
-NAMES: Final = tuple(METHODS["days"])
+NAMES: Final = tuple(name for name in METHODS["days"] if name not in ABLATION)
 """Of the methods, on every base."""
 SHOWS: Final = {
     "overheating": ("overheating",),
@@ -119,7 +128,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
     at = BASES[base]
     healthy, limiting, runs = runs_of(seed, at, kinds)
     out = []
-    learnt: dict[tuple[bool, bool], Learnt] = {}
+    learnt: dict[tuple[float, ...], Learnt] = {}
     for name in methods:
         try:
             fitted = fit(METHODS[base][name], healthy, learnt)
@@ -131,7 +140,7 @@ def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -
 
 
 def fit(
-    method: Any, healthy: Sequence[Record], learnt: dict[tuple[bool, bool], Learnt] | None = None
+    method: Any, healthy: Sequence[Record], learnt: dict[tuple[float, ...], Learnt] | None = None
 ) -> Callable[[Record], Array]:
     """All methods learn from the same runs; those without a model see them one after another.
 

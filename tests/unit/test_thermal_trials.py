@@ -165,6 +165,7 @@ def test_the_paper_reproduced(tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/svg+xml;base64") == len(FIGURES)
     assert "<title>Paper thermal, reproduced</title>" in page
+    assert "| readings, no filter |" in text
     table = {row[0]: row for row in rows(outcome)}
     ours = float(table["calibrated model and hypotheses (the product's)"][1].split()[0])
     causal = float(table["the paper's method, causal"][1].split()[0])
