@@ -62,14 +62,15 @@ def run(options: argparse.Namespace) -> int:
 
     if options.output.exists():
         raise ConfigError(f"{options.output}: is there already", ["name another file with -o"])
-    dbc = options.dbc or _asked_dbc()
-    drives = options.drives or _asked_drives()
+    dbc = _asked_dbc() if options.dbc is None else options.dbc
+    drives = _asked_drives() if options.drives is None else options.drives
     if not 1 <= drives <= MOST_DRIVES:
         raise ConfigError("--drives", [f"{drives}: expected 1 to {MOST_DRIVES}"])
     text = _of_dbc(dbc, drives, options) if dbc else first_config.ours(drives, "")
     write_text(options.output, text)
     print(f"written: {shown(options.output)}")
-    return _check(options.output, ["--log", str(options.log)] if options.log else [])
+    log = ["--log", str(options.log), "--line", options.line] if options.log else []
+    return _check(options.output, log)
 
 
 def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
@@ -80,7 +81,7 @@ def _of_dbc(dbc: Path, drives: int, options: argparse.Namespace) -> str:
     specs, left_out = read_any_dbc(dbc)
     if left_out:
         note(f"{dbc.name}: {len(left_out)} entries cannot be used; `convert` lists them")
-    named = os.path.relpath(dbc, options.output.parent)
+    named = Path(os.path.relpath(dbc, options.output.parent)).as_posix()
     if guess.of_this_project(specs):
         return first_config.ours(drives, named)
     periods = _periods(options.log, options.line) if options.log else {}
@@ -152,11 +153,15 @@ def _say(shared: Shared, drives: int) -> None:
 
 
 def _periods(log: Path, line: str) -> dict[int, float]:
-    """Median period in ms of every identifier in a log's first frames."""
+    """Median period in ms of every identifier in a log's first frames.
+
+    Raises ConfigError where none comes a few times.
+    """
     import numpy as np
 
     from dbc.frame import EXTENDED
     from dbc.logs.opening import open_reader
+    from gateway.settings.config import ConfigError
 
     parts, seen = [], 0
     for block in open_reader(log, strict=False, line=pattern_of(log, line)).blocks():
@@ -166,8 +171,9 @@ def _periods(log: Path, line: str) -> dict[int, float]:
         seen += block.size
         if seen >= FRAMES:
             break
+    none = ConfigError(str(log), ["no message comes several times: cycle times cannot be read"])
     if not parts:
-        return {}
+        raise none
     keys, times = (np.concatenate(column) for column in zip(*parts, strict=True))
     out = {}
     for key in np.unique(keys).tolist():
@@ -175,6 +181,8 @@ def _periods(log: Path, line: str) -> dict[int, float]:
         if len(steps) >= _LEAST_FRAMES:
             ms = float(np.median(steps)) / 1e6
             out[key] = max(round(ms) if ms >= 2 else round(ms, 1), 0.1)
+    if not out:
+        raise none
     return out
 
 

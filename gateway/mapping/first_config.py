@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
@@ -49,7 +50,7 @@ def ours(drives: int, dbc: str) -> str:
     """Drives that speak our own message set. dbc: file, or empty for the shipped one."""
     lines = ["# Drives that speak the message set of this project.", ""]
     if dbc:
-        lines += ["[dbc]", f'file = "{dbc}"', ""]
+        lines += ["[dbc]", f"file = {_quoted(dbc)}", ""]
     for node in range(1, drives + 1):
         lines += ["[[drive]]", f"node = {node}", 'motor = "bench"    # or "mine", see below', ""]
     return "\n".join(lines).rstrip("\n") + "\n" + _MOTOR
@@ -59,8 +60,9 @@ def mapped(drives: int, shared: Shared) -> str:
     """Drives with messages of their own."""
     use = {guess.quantity: guess for guess in shared.chosen if is_sure(guess)}
     lines = [
-        f"# Written from names and units in {shared.dbc}: a guess. Look at every signal before",
-        "# you believe a flag; `traction-gateway check THIS.toml --log FILE` compares with a log.",
+        f"# Written from names and units in {printed(shared.dbc)}: a guess.",
+        "# Look at every signal before you believe a flag; `traction-gateway check THIS.toml --log FILE`",
+        "# compares them with a recording.",
         "",
     ]
     if not _can_model(use):
@@ -76,7 +78,8 @@ def mapped(drives: int, shared: Shared) -> str:
         if sensors:
             lines += [f"sensors = [{', '.join(map(repr, sensors))}]".replace("'", '"')]
         lines += [""]
-    lines += [f"[inverter.{shared.name}]", f'dbc = "{shared.dbc}"', *_cycles(shared, use), ""]
+    own = [f"dbc = {_quoted(shared.dbc)}", *_cycles(shared, use), ""]
+    lines += [f"[inverter.{shared.name}]", *own]
     lines += [f"[inverter.{shared.name}.use]", *_signals(shared, use)]
     return "\n".join(lines) + "\n" + _MOTOR
 
@@ -129,6 +132,11 @@ def _value(guess: Guess) -> str:
     parts += [f"scale = {guess.scale:g}"] if guess.scale != 1.0 else []
     parts += [f"offset = {guess.offset:g}"] if guess.offset else []
     return f"{{ {', '.join(parts)} }}"
+
+
+def _quoted(text: str) -> str:
+    """A string of TOML, which has JSON's escapes."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def printed(text: str) -> str:

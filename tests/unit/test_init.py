@@ -82,6 +82,24 @@ def test_our_message_set_needs_no_signals_and_check_is_good(tmp_path, capsys):
     assert made(tmp_path / "u.toml")["dbc"] == {"file": "own.dbc"}
 
 
+def test_a_log_without_cycles_and_no_drives_are_refused(tmp_path, capsys):
+    write_dbc(tmp_path / "m.dbc", MOTOR)
+    (tmp_path / "one.log").write_text("(1.000000) can0 600#0000000000000000\n")
+    words = ["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")]
+    assert main([*words, "--log", str(tmp_path / "one.log")]) == 2
+    assert main([*words, "--drives", "0"]) == 2
+    said = capsys.readouterr().err
+    assert "no message comes several times" in said
+    assert "0: expected 1 to 16" in said
+    assert not (tmp_path / "t.toml").exists()
+
+
+def test_any_name_of_a_file_is_a_name_in_the_configuration(tmp_path, capsys):
+    write_dbc(tmp_path / 'a "b" c.dbc', MOTOR)
+    main(["init", "--dbc", str(tmp_path / 'a "b" c.dbc'), "-o", str(tmp_path / "t.toml")])
+    assert load(tmp_path / "t.toml").drive[0].signals.dbc == 'a "b" c.dbc'
+
+
 def test_what_is_there_is_not_overwritten(tmp_path, capsys):
     (tmp_path / "t.toml").write_text("mine")
     assert main(["init", "-o", str(tmp_path / "t.toml")]) == 2
