@@ -61,8 +61,8 @@ def mapped(drives: int, shared: Shared) -> str:
     use = {guess.quantity: guess for guess in shared.chosen if is_sure(guess)}
     lines = [
         f"# Written from names and units in {printed(shared.dbc)}: a guess.",
-        "# Look at every signal before you believe a flag; `traction-gateway check THIS.toml --log FILE`",
-        "# compares them with a recording.",
+        "# Look at every signal before you believe a flag. `traction-gateway check THIS.toml --log",
+        "# FILE` compares them with a recording.",
         "",
     ]
     if not _can_model(use):
