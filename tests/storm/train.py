@@ -8,6 +8,7 @@ in 80 s, while the train stands.
 from __future__ import annotations
 
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from sim.physics.adhesion import SPEED_FLOOR_M_S
 from sim.physics.plant import TRAIN
 from sim.scenario import parse
 from sim.simulation import Simulation
+from tests.recorded import ROOT, recorded
 from tests.simrun import CLASSIC, codec
 
 TICK = 10 * MS
@@ -102,7 +104,18 @@ class Train(NamedTuple):
 
 @cache
 def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
-    """Recorded once per process. creeps: no drive limits its slip, so wheels run away."""
+    """creeps: no drive limits its slip, so wheels run away."""
+    sources = ROOT / "dbc", ROOT / "sim", Path(__file__), ROOT / "tests" / "simrun.py"
+    kept = recorded("train", lambda: _record(dbc, creeps), sources, dbc.name, creeps)
+    frames = Block(*(kept[name] for name in Block._fields[:-1]), [""])
+    ends = kept["ends"].tolist()
+    blocks = [frames.part(a, b) for a, b in pairwise([0, *ends])]
+    more = (kept[name] for name in ("speed", "lost", "load", "creep", "phase"))
+    return Train(codec(NODES, dbc), blocks, *more)
+
+
+def _record(dbc: Path, creeps: bool) -> dict[str, np.ndarray]:
+    """From the simulator; frames tick by tick, and the ends of the ticks among them."""
     bound = codec(NODES, dbc)
     simulation = Simulation(_scenario(creeps), bound, nodes=NODES)
     frames, rolling = [], []
@@ -120,7 +133,15 @@ def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
     v = np.array(rolling[LOOP_TICKS:])[:, None]
     creep = np.abs(speed - v) / np.maximum(np.abs(v), LEAST_RAD_S)
     phase = _phases(speed, lost)
-    return Train(bound, frames[LOOP_TICKS:], speed, lost, of("load_nm", float), creep, phase)
+    frames = frames[LOOP_TICKS:]
+    assert all(block.names in ([], [""]) for block in frames)
+    columns = {
+        name: np.concatenate([getattr(block, name) for block in frames])
+        for name in Block._fields[:-1]
+    }
+    ends = np.cumsum([block.size for block in frames])
+    truth = {"speed": speed, "lost": lost, "load": of("load_nm", float), "creep": creep}
+    return {**columns, "ends": ends, **truth, "phase": phase}
 
 
 def _phases(speed: np.ndarray, lost: np.ndarray) -> np.ndarray:
