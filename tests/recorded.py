@@ -1,4 +1,4 @@
-"""Arrays that take long to make, kept in `out/recorded` as long as what they are made of is the same.
+"""Arrays that take long to make, kept in `out/recorded` while what they are made of is the same.
 
 A pure function of its sources gives the same arrays as long as these are the same: their digest is
 in the file's name.
