@@ -25,6 +25,7 @@ from gateway.core.thermal import TemperatureMonitor
 from gateway.settings.calibration import POINTS, Calibration, MotorCalibration
 from gateway.settings.sections import Thermal
 from gateway.study.calibrating import Learner
+from gateway.study.temperature_reader import CycleLog
 from tests.stations import debounce, flag
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "temperatures"
@@ -140,6 +141,7 @@ def judge(
     thermal, sensor = ([flag(start) for _ in nodes] for _ in range(2))
     newest = np.full(drives, np.nan)
     rows: list[tuple[object, ...]] = []
+    log = CycleLog(drives)
     at = 0
     for tick in range((readings[-1].t_ns - start) // TICK_NS + 1):
         now = start + tick * TICK_NS
@@ -149,7 +151,9 @@ def judge(
             at += 1
         side.add_readings(readings[first:at], now)
         if learner is not None:
-            learner.add_second(side, now)
+            log.note(side, now)
+            if log.full:
+                learner.add(log.drain(), side.sensors.configured, side.dt_s)
         reports = [side.report(k, now, STALE_NS) for k in range(drives)]
         for k, report in enumerate(reports):
             debounce(thermal[k], report.thermal, heat, TICK_NS, now)
@@ -161,6 +165,8 @@ def judge(
                 [r.fault_sensor for r in reports], [r.reason for r in reports],
                 side.window.deviation[:, 0].copy(), side.spread[0],
             ))  # fmt: skip
+    if learner is not None:
+        learner.add(log.drain(), side.sensors.configured, side.dt_s)
     return Said(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

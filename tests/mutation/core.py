@@ -128,6 +128,7 @@ TESTS = {
         "estimators/detect/paper.c", "estimators/detect/paper_vb.c",
         "estimators/detect/message_passing.c",
     ), ("tests/unit/test_detect_paper.py",)),
+    "gateway/core/thermal_log.c": ("tests/unit/test_temperature_reader.py",),
     "estimators/thermal/rivals/ekf.c": ("tests/unit/test_thermal_rivals.py",),
 }  # fmt: skip
 """Those that answer for a source."""
