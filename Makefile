@@ -73,7 +73,7 @@ campaign: $(VENV)/.ready
 
 # Every line and branch of what decides a flag is run by its own tests; a gate in CI.
 coverage: out/core/coverage/sitecustomize.py
-	$(BIN)/python -m tests.core_variants coverage -n auto --dist worksteal
+	$(BIN)/python -m tests.core_variants coverage -n auto --dist worksteal -m "not thorough"
 	$(BIN)/python -m tests.mutation.coverage_gate
 
 # Hostile input to the core under AddressSanitizer and UndefinedBehaviorSanitizer.

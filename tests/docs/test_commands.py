@@ -56,9 +56,14 @@ def test_what_a_sentence_names_exists(page):
         assert options <= known, f"{page}: {verb} {options - known}"
 
 
-@pytest.mark.parametrize(
-    "page", sorted({b.page for b in ALL if b.language == "sh" and b.run == "here"})
-)
+FIRST = ("README.md", "docs/inverters.md", "docs/tutorials/")
+"""Pages that a new user follows: for every change. `make test-all` has the others."""
+
+
+@pytest.mark.parametrize("page", [
+    pytest.param(page, marks=[pytest.mark.thorough] * (not page.startswith(FIRST)))
+    for page in sorted({b.page for b in ALL if b.language == "sh" and b.run == "here"})
+])  # fmt: skip
 @pytest.mark.slow
 def test_what_a_page_shows_works(page, tmp_path):
     assert run_page(page, "here", folder_for(tmp_path))

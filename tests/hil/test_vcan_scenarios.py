@@ -22,8 +22,8 @@ pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
 NAMES = tuple(name for name in builtin_names() if not name.startswith("calibration_"))
 """All that ship but the fault-free runs to calibrate from, which expect nothing."""
-LONG = ("bearing", "cold_start", "cooling_loss", "duty_change", "hot_restart", "tunnel")
-"""Half a minute and more each; off the bus they are for every change: `test_scenarios.py`."""
+QUICK = ("demo", "lossy_bus", "silent", "stuck_sensor")
+"""For every change; `make test-all` has the others. Off the bus all are: `test_scenarios.py`."""
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def folder() -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.thorough] * (n in LONG)) for n in NAMES]
+    "name", [pytest.param(n, marks=[pytest.mark.thorough] * (n not in QUICK)) for n in NAMES]
 )
 def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: str) -> None:
     scenario = builtin(name)

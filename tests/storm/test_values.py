@@ -28,7 +28,7 @@ RUNAWAY_SEED = next(s for s in VALUE_SEEDS if campaign.creeps(s) and not campaig
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [
-    pytest.param(seed, marks=[pytest.mark.thorough] * (k >= 16))
+    pytest.param(seed, marks=[pytest.mark.thorough] * (k >= 8))
     for k, seed in enumerate(VALUE_SEEDS[:96])
 ])  # fmt: skip
 def test_no_seed_with_wrong_values_breaks_a_rule(seed):

@@ -119,7 +119,7 @@ class Storm:
 
 
 def test_a_storm_of_everything_is_a_few_lines_a_minute(clock: Clock, written: io.StringIO) -> None:
-    minutes = 3
+    minutes = 1
     storm, stop = Storm(), Stop()
     config = parse({})
     core = Gateway(config, bind(config.dbc_path, config.nodes), clock.now)

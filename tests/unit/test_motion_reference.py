@@ -218,8 +218,10 @@ class Train:
         return len(motions), len(samples)
 
 
-@pytest.mark.parametrize("n", [1, 2, 4])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("seed", "n"), [
+    (0, 1), (0, 4), (1, 2),
+    *(pytest.param(*one, marks=pytest.mark.thorough) for one in ((0, 2), (1, 1), (1, 4))),
+])  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
 def test_any_course_of_a_train(seed, n):
     train = Train(seed, n, fd=seed == 1)

@@ -38,10 +38,10 @@ def told(kind, value, sensor, seed):
     ("kind", "watts", "sensor"),
     [
         ("overheating", 300.0, None),
-        ("overheating", 1000.0, None),
-        ("overheating", 5000.0, None),
         ("bearing", 240.0, "drive_end"),
-        ("bearing", 1000.0, "non_drive_end"),
+        pytest.param("overheating", 1000.0, None, marks=pytest.mark.thorough),
+        pytest.param("overheating", 5000.0, None, marks=pytest.mark.thorough),
+        pytest.param("bearing", 1000.0, "non_drive_end", marks=pytest.mark.thorough),
     ],
 )
 def test_quick_heat_is_no_sensors(kind, watts, sensor):
@@ -51,6 +51,8 @@ def test_quick_heat_is_no_sensors(kind, watts, sensor):
     assert not others
 
 
-@pytest.mark.parametrize(("kelvins", "sensor"), [(3.0, "stator"), (40.0, "drive_end")])
+@pytest.mark.parametrize(("kelvins", "sensor"), [
+    (3.0, "stator"), pytest.param(40.0, "drive_end", marks=pytest.mark.thorough),
+])  # fmt: skip
 def test_a_sensor_that_steps_is_not_heat(kelvins, sensor):
     assert told("sensor_bias", kelvins, sensor, 32) == ({FaultClass.SENSOR_BIAS}, set())
