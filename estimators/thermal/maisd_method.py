@@ -76,10 +76,10 @@ class PaperMethod:
         """What is the same for every window and limit, and takes the time."""
         known = lumps(healthy)
         known = known._replace(r=known.r * self.noise)
-        drift = self._drift(healthy, self._run(healthy, known, None)) if self.degrades else None
-        return Learnt(known, drift, self._run(healthy, known, drift))
+        drift = self._drift(healthy, self._states(healthy, known, None)) if self.degrades else None
+        return Learnt(known, drift, self._states(healthy, known, drift))
 
-    def _run(self, record: Record, known: Lumps, drift: Array | None) -> Estimates:
+    def _states(self, record: Record, known: Lumps, drift: Array | None) -> Estimates:
         if self.filtered:
             return SigmaMixedFilter(self.weighted, self.mixing).run(record, known, drift)
         readings = filled(record.temperature, usual(record.temperature))
@@ -96,7 +96,7 @@ class PaperMethod:
         limit = np.quantile(self._points(first, centre), LIMIT, axis=0)
 
         def score(record: Record) -> Array:
-            points = self._points(self._run(record, known, drift), centre)
+            points = self._points(self._states(record, known, drift), centre)
             return np.asarray((points / limit).max(axis=1))
 
         return score

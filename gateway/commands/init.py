@@ -41,15 +41,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", type=Path, metavar="FILE",
                         help="a recording of that bus: cycle times and identifiers")  # fmt: skip
     add_line(parser)
-    parser.add_argument("--id-offset", type=_number, metavar="N", default=0,
+    parser.add_argument("--id-offset", type=_whole_number, metavar="N", default=0,
                         help="of the first drive's identifiers over those of the DBC")  # fmt: skip
-    parser.add_argument("--id-step", type=_number, metavar="N",
+    parser.add_argument("--id-step", type=_whole_number, metavar="N",
                         help="difference of identifiers from one drive to the next")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, default=Path("train.toml"), metavar="FILE",
                         help="default: train.toml; what is there is not overwritten")  # fmt: skip
 
 
-def _number(text: str) -> int:
+def _whole_number(text: str) -> int:
     """Decimal, or hexadecimal with 0x in front. Raises ValueError."""
     return int(text, 0)
 

@@ -35,7 +35,7 @@ def share(raw: Mapping[str, Any]) -> tuple[dict[str, Any], dict[int, str], list[
         elif "signals" in own:
             problems.append(f"{where}: has an `inverter` and `signals`; leave one of them")
         elif name not in inverters or not isinstance(inverters[name], dict):
-            problems.append(f"{where}.inverter: no [inverter.{name}]{_known(name, inverters)}")
+            problems.append(f"{where}.inverter: no [inverter.{name}]{_near_names(name, inverters)}")
         else:
             moved = {"id_offset": drive["id_offset"]} if "id_offset" in drive else {}
             own["signals"] = {**inverters[name], **moved}
@@ -43,7 +43,7 @@ def share(raw: Mapping[str, Any]) -> tuple[dict[str, Any], dict[int, str], list[
     return {**out, "drive": shared}, names, problems
 
 
-def _known(name: Any, inverters: Mapping[str, Any]) -> str:
+def _near_names(name: Any, inverters: Mapping[str, Any]) -> str:
     near = difflib.get_close_matches(str(name), inverters, 1)
     if near:
         return f"; did you mean {near[0]!r}?"

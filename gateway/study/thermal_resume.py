@@ -23,10 +23,10 @@ class Done:
         self._rows: dict[tuple[str, int], list[Row]] = {}
         if resume and path.is_file():
             for line in path.read_text(encoding="utf-8").splitlines():
-                self._take(line)
-        path.write_text("".join(map(self._line, self._rows)), encoding="utf-8")
+                self._read_line(line)
+        path.write_text("".join(map(self._as_json, self._rows)), encoding="utf-8")
 
-    def _take(self, line: str) -> None:
+    def _read_line(self, line: str) -> None:
         """A line; one that is cut, or of another program, is left out."""
         try:
             found = json.loads(line)
@@ -37,7 +37,7 @@ class Done:
         if found.get("program") == self._program:
             self._rows[key] = rows
 
-    def _line(self, key: tuple[str, int]) -> str:
+    def _as_json(self, key: tuple[str, int]) -> str:
         base, seed = key
         row: dict[str, Any] = {"program": self._program, "base": base, "seed": seed}
         row["rows"] = [[method, [*score]] for method, score in self._rows[key]]
@@ -52,7 +52,7 @@ class Done:
         key = base, seed
         self._rows[key] = list(rows)
         with self._path.open("a", encoding="utf-8") as file:
-            file.write(self._line(key))
+            file.write(self._as_json(key))
 
     def scores(
         self, base: str, seeds: Sequence[int], names: Sequence[str]
