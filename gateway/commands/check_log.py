@@ -131,4 +131,5 @@ class _Values:
         _, volts = self._columns(node, "StatorVoltages")
         vector = volts.get("Ualpha", none) + 1j * volts.get("Ubeta", none)
         voltage = fit.joined(t, volts.get("t", none), vector, 0.5 * spec.cycle_ns / 1e9)
-        return t, current[good], total[np.isfinite(total)], voltage
+        total = total if np.isfinite(total).any() else none
+        return t, current[good], total, voltage

@@ -23,6 +23,8 @@ leaves room for a speed that is ten times too small."""
 CLOSEST_S: Final = 1e-3
 LEAST: Final = 30
 """Samples of which a ratio is taken."""
+LEAST_STATUS: Final = 3
+"""RMS currents of which a ratio is taken."""
 LEAST_CURRENT: Final = 0.1
 """Of the rated one: below, noise turns as well."""
 FAST: Final = 0.3
@@ -50,9 +52,9 @@ _NAME_WITHIN: Final = 0.06
 class Measured(NamedTuple):
     """Of one drive, SI; empty arrays where it does not send something.
 
-    t, current (L,), and the sum of the phases (L,) where three are measured; voltage (L,), NaN
-    where there is none at that sample; motion_t, speed, torque (M,): rad/s of the rotor, Nm;
-    status_t, irms (K,).
+    t, current (L,), and the sum of the phases (L,) where three are measured, NaN where one is not
+    known; voltage (L,), NaN where there is none at that sample; motion_t, speed, torque (M,): rad/s
+    of the rotor, Nm; status_t, irms (K,).
     """
 
     t: Array
@@ -87,8 +89,8 @@ def findings(data: Measured, motor: Motor) -> list[Finding]:
     # What pole pairs or speed have wrong is said once.
     scale = 1.0 if turns is None else abs(turns)
     return [
-        *_sum(data),
-        *_rms(data),
+        *_sum(data, motor),
+        *_rms(data, motor),
         *_rotation(data, motor, turns),
         *_flux(data, motor, scale),
     ]
@@ -103,10 +105,18 @@ def named(ratio: float) -> str:
     return f"{size:.3g} times{f' ({word})' if word else ''}{sign}"
 
 
-def _sum(data: Measured) -> Iterator[Finding]:
+def _sum(data: Measured, motor: Motor) -> Iterator[Finding]:
     if not len(data.phase_sum):
         return
-    big = np.abs(data.current) > 0.3 * np.abs(data.current).max()
+    size = np.abs(data.current)
+    big = size > max(0.3 * float(size.max()), LEAST_CURRENT * motor.I_rated)
+    big &= np.isfinite(data.phase_sum)
+    if np.count_nonzero(big) < LEAST:
+        yield Finding(
+            None,
+            "the sum of the phases cannot be told: the log has no part with a tenth of I_rated",
+        )
+        return
     share = float(np.median(np.abs(data.phase_sum[big]) / np.abs(data.current[big])))
     yield Finding(
         share <= SUM,
@@ -115,13 +125,12 @@ def _sum(data: Measured) -> Iterator[Finding]:
     )
 
 
-def _rms(data: Measured) -> Iterator[Finding]:
-    if len(data.irms) < 3:
+def _rms(data: Measured, motor: Motor) -> Iterator[Finding]:
+    amplitude = np.sqrt(np.interp(data.status_t, data.t, _smooth(np.abs(data.current) ** 2)))
+    big = amplitude > LEAST_CURRENT * motor.I_rated
+    if np.count_nonzero(big) < LEAST_STATUS:
         return
-    mean_square = np.interp(data.status_t, data.t, _smooth(np.abs(data.current) ** 2))
-    ratio = _slope(np.sqrt(mean_square / 2.0), data.irms)
-    if math.isnan(ratio):
-        return
+    ratio = _slope(amplitude[big] / math.sqrt(2.0), data.irms[big])
     fits = abs(ratio - 1.0) <= WITHIN["rms"]
     yield Finding(fits, f"RMS current: {named(ratio)} that of the phase currents")
 
@@ -133,10 +142,8 @@ def _smooth(values: Array) -> Array:
 
 
 def _slope(x: Array, y: Array) -> float:
-    """Of y over x, without an offset; NaN where x is nothing."""
-    good = np.isfinite(x) & np.isfinite(y)
-    square = float(np.dot(x[good], x[good]))
-    return float(np.dot(x[good], y[good])) / square if square > 0 else math.nan
+    """Of y over x, which is not zero throughout, without an offset."""
+    return float(np.dot(x, y) / np.dot(x, x))
 
 
 def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Finding]:
@@ -186,8 +193,11 @@ def _turns(
 
     None where the log does not show it: too few samples, or samples that do not agree.
     """
+    closest = float(np.median(np.diff(t)))
+    if closest <= 0.0:
+        return None
     # Of samples that are closer than that, noise would turn more than the vector.
-    stride = max(1, round(CLOSEST_S / float(np.median(np.diff(t)))))
+    stride = max(1, round(CLOSEST_S / closest))
     t, vector = t[::stride], vector[::stride]
     dt = np.diff(t)
     usual = float(np.median(dt))

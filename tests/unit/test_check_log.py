@@ -124,6 +124,24 @@ def test_what_a_log_does_not_show_is_unknown(tmp_path, frames, capsys):
     assert any("unknown: 0 samples of current" in line for line in lines)
 
 
+@pytest.mark.parametrize("step_s", [2e-3, 0.0])
+@pytest.mark.parametrize("noise_a", [0.05, 0.0])
+def test_drives_that_stand_say_nothing(step_s, noise_a):
+    """Currents of noise, or none; and stamps that are all the same."""
+    rng = np.random.default_rng(1)
+    t, motion_t = np.arange(4000) * step_s, np.arange(800) * 5 * step_s
+    phases = rng.normal(0.0, noise_a, (3, 4000))
+    phases[2, ::7] = np.nan
+    still = np.zeros(800)
+    data = Measured(
+        t, phases[0] + 1j * phases[1], phases.sum(axis=0), np.zeros(4000, complex),
+        motion_t, still, still, motion_t[::10], np.full(80, noise_a),
+    )  # fmt: skip
+    found = findings(data, BENCH_MOTOR)
+    assert len(found) == 3
+    assert all(one.fits is None for one in found)
+
+
 def test_signals_that_do_not_agree_say_nothing():
     rng = np.random.default_rng(1)
     t, motion_t = np.arange(4000) * 2e-3, np.arange(800) * 1e-2
