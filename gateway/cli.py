@@ -73,9 +73,11 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
     for verb in asked:
         text = VERBS[verb]
         sub = verbs.add_parser(verb, help=text, description=text[0].upper() + text[1:] + ".")
-        sub.add_argument("-v", "--verbose", action="count", default=0, help="more on stderr")
+        sub.add_argument(
+            "-v", "--verbose", action="count", default=0, help="more messages on stderr"
+        )
         sub.add_argument("--log-format", choices=("text", "json"), default="text",
-                         help="of the log on stderr")  # fmt: skip
+                         help="format of the log on stderr")  # fmt: skip
         if verb in words:
             from gateway.commands.examples import examples
 

@@ -40,7 +40,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         "first minute; exit 2 where one does not")  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
-    parser.add_argument("--no-timing", action="store_true", help="skip the self-measurement")
+    parser.add_argument(
+        "--no-timing", action="store_true", help="do not measure the timing of this machine"
+    )
 
 
 def more_arguments(parser: argparse.ArgumentParser) -> None:

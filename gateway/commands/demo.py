@@ -22,7 +22,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("--headless", action="store_true", help="no live display")
     parser.add_argument(
-        "--duration", type=positive_seconds, metavar="S", help="instead of the scenario's"
+        "--duration",
+        type=positive_seconds,
+        metavar="S",
+        help="duration in s (default: the scenario's)",
     )
     parser.add_argument("--scenario", default="demo", help="a scenario file or shipped name")
     parser.add_argument("-o", "--output", type=Path, default=Path("demo.png"), metavar="PNG",

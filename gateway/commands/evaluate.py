@@ -31,8 +31,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor", default="bench", metavar="NAME",
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
-                        help="evaluation.md, evaluation.csv, pictures")  # fmt: skip
-    parser.add_argument("-j", "--jobs", type=_jobs, default=1, metavar="N", help="processes")
+                        help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
+    parser.add_argument(
+        "-j", "--jobs", type=_jobs, default=1, metavar="N", help="number of processes"
+    )
     evaluate_thermal.arguments(parser)
     add_config(parser)
 

@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="Dask scheduler instead, tls://HOST:PORT")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
-    parser.add_argument("--force", action="store_true", help="do again what is done")
+    parser.add_argument("--force", action="store_true", help="repeat logs that are done")
 
 
 def _jobs(text: str) -> int:

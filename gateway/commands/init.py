@@ -37,14 +37,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--drives", type=int, metavar="N", help=f"1 to {MOST_DRIVES}; default 1")
     parser.add_argument("--dbc", type=Path, metavar="FILE",
-                        help="of the inverters; without it: our own message set")  # fmt: skip
+                        help="DBC of the inverters (default: our own message set)")  # fmt: skip
     parser.add_argument("--log", type=Path, metavar="FILE",
                         help="a recording of that bus: cycle times and identifiers")  # fmt: skip
     add_line(parser)
     parser.add_argument("--id-offset", type=_whole_number, metavar="N", default=0,
-                        help="of the first drive's identifiers over those of the DBC")  # fmt: skip
+                        help="added to the identifiers of the DBC for the first drive")  # fmt: skip
     parser.add_argument("--id-step", type=_whole_number, metavar="N",
-                        help="difference of identifiers from one drive to the next")  # fmt: skip
+                        help="added to the identifiers again for each further drive")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, default=Path("train.toml"), metavar="FILE",
                         help="default: train.toml; what is there is not overwritten")  # fmt: skip
 

@@ -29,9 +29,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--at", type=_seconds, default=0.0, metavar="S",
-                        help="where in the log to begin")  # fmt: skip
+                        help="start time in the log")  # fmt: skip
     parser.add_argument("--speed", type=positive_seconds, default=1.0, metavar="X",
-                        help="of a log, times real time")  # fmt: skip
+                        help="speed of a log, as a multiple of real time")  # fmt: skip
     parser.add_argument(
         "--shadow", action="store_true",
         help="where no gateway is heard: show what one would say, marked as such",

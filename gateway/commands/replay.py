@@ -47,14 +47,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_signature(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="OUT.log",
-                        help="the gateway's own frames, as candump -L writes them")  # fmt: skip
+                        help="frames that the gateway sends, as candump -L writes")  # fmt: skip
     parser.add_argument(
         "--results", type=Path, metavar="DIR",
         help="folder for report.html, flags.csv, estimates.csv and pictures",
     )  # fmt: skip
     parser.add_argument(
         "--truth", type=Path, metavar="CSV",
-        help="what was really so, as `sim --truth` writes it, for the report",
+        help="ground truth as `sim --truth` writes it, for the report",
     )  # fmt: skip
     parser.add_argument(
         "--detector",

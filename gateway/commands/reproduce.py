@@ -31,7 +31,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", required=True,
                         help="folder for tables, figures, logs and report")  # fmt: skip
     parser.add_argument("--seed", type=_seed, metavar="N",
-                        help="adhesion: of noise and start angles")  # fmt: skip
+                        help="adhesion: seed of noise and start angles")  # fmt: skip
     parser.add_argument("--resume", action="store_true",
                         help="thermal: go on where a run into this folder was stopped")  # fmt: skip
 

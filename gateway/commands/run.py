@@ -37,12 +37,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     add_signature(parser)
     parser.add_argument("--listen-only", action="store_true",
-                        help="send nothing at all: look at a bus that others work on")  # fmt: skip
+                        help="send nothing: only listen to the bus")  # fmt: skip
     parser.add_argument(
         "--duration", type=positive_seconds, metavar="S", help="stop after this long"
     )
     parser.add_argument("--results", type=Path, metavar="DIR",
-                        help="report of the timing: lateness, latency by stage")  # fmt: skip
+                        help="folder for the timing report (lateness, latency)")  # fmt: skip
     parser.add_argument("--quiet", action="store_true", help="no live table")
     parser.add_argument(
         "--realtime", type=int, metavar="PRIORITY",

@@ -11,7 +11,7 @@ from gateway.io.prepare import prepare
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.add_argument("config", type=Path, help="the configuration; it has to be usable")
+    parser.add_argument("config", type=Path, help="the configuration; it must be valid")
     parser.add_argument("--key", type=Path, required=True, metavar="PRIVATE.pem",
                         help="private ed25519 key, from 'keygen'")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="FILE.sig",

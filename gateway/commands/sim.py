@@ -31,9 +31,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", help="a scenario file, or the name of a shipped one")
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
                         help="write a candump log, faster than real time")  # fmt: skip
-    parser.add_argument("--truth", type=Path, metavar="FILE", help="CSV of what is really so")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="CSV file for the ground truth")
     parser.add_argument(
-        "--duration", type=positive_seconds, metavar="S", help="instead of the scenario's"
+        "--duration",
+        type=positive_seconds,
+        metavar="S",
+        help="duration in s (default: the scenario's)",
     )
     parser.add_argument("--dbc", default="traction.dbc", metavar="FILE",
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
