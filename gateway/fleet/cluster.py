@@ -88,6 +88,9 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
             return
         if not scheduler.startswith(SECURE):
             log.warning("%s: not encrypted; whoever reaches it can run code there", scheduler)
+        if scheduler.startswith("tls://") and not _has_certificate():
+            # A `Client` that fails in its making waits for itself for ever when it is collected.
+            raise ConfigError("--scheduler", [f"{scheduler}: {CERTIFICATE}"])
         try:
             client = stack.enter_context(Client(scheduler, timeout=PATIENCE_S))
         except ValueError as error:
@@ -100,6 +103,11 @@ def _client(jobs: int, scheduler: str | None) -> Iterator[Client]:
             msg = f"{scheduler}: no worker within {PATIENCE_S} s"
             raise OSError(msg) from None
         yield client
+
+
+def _has_certificate() -> bool:
+    """Whether Dask's configuration names one. Raises OSError for files that cannot be used."""
+    return Security().get_connection_args("client").get("ssl_context") is not None
 
 
 def send(
