@@ -23,7 +23,7 @@ _CONVERSIONS: Final[dict[str, dict[str, tuple[float, float]]]] = {
     "Nm": {"nm": (1, 0), "n*m": (1, 0), "mnm": (1e-3, 0), "knm": (1e3, 0)},
     "degC": {"c": (1, 0), "degc": (1, 0), "celsius": (1, 0), "k": (1, -273.15),
              "f": (0.55556, -17.778), "degf": (0.55556, -17.778)},
-    "deg": {"deg": (1, 0), "degree": (1, 0), "degrees": (1, 0), "": (1, 0), "rad": (57.2958, 0)},
+    "deg": {"deg": (1, 0), "degree": (1, 0), "degrees": (1, 0), "rad": (57.2958, 0)},
 }  # fmt: skip
 """By our unit: (scale, offset) from others, written without blanks, points and signs."""
 _TARGET: Final = (
@@ -164,7 +164,7 @@ def _converted(quantity: str, unit: str) -> tuple[float, float] | None:
     """Scale and offset from a unit to ours; None if it is another quantity's."""
     ours = UNITS[quantity]
     plain = _UNIT.sub("", unit.lower().rpartition(":")[2].replace("°", "deg"))
-    if not unit.strip():
+    if not unit.strip() or (quantity == "Irms" and plain == "arms"):
         return 1.0, 0.0
     return _CONVERSIONS[ours].get(plain)
 

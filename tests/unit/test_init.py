@@ -56,6 +56,17 @@ def test_units_are_converted_and_other_quantities_are_left(tmp_path, capsys):
     assert "ElectricalAngle" not in use
 
 
+def test_an_rms_current_is_no_amplitude(tmp_path, capsys):
+    """A unit of RMS makes an amplitude of a phase current, and nothing else of `Irms`."""
+    write_dbc(tmp_path / "m.dbc", {"Cur": (0x600, 10, [
+        f'{name} : {16 * k}|16@1- (0.1,0) [0|0] "Arms"'
+        for k, name in enumerate(("PhaseA_Current", "PhaseB_Current", "Irms"))
+    ])})  # fmt: skip
+    main(["init", "--dbc", str(tmp_path / "m.dbc"), "-o", str(tmp_path / "t.toml")])
+    use = load(tmp_path / "t.toml").drive[0].signals.use
+    assert [use[name].scale for name in ("Ia", "Ib", "Irms")] == [1.4142, 1.4142, 1.0]
+
+
 def test_a_signal_without_a_unit_is_proposed_in_a_comment_only(tmp_path, capsys):
     write_dbc(tmp_path / "m.dbc", MOTOR | {
         "Motor": (0x601, 10, ['MotorSpeed : 0|16@1- (0.1,0) [0|0] ""'])})  # fmt: skip
