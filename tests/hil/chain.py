@@ -142,7 +142,8 @@ class Recording:
             *(*idle, "candump", "-l", "-D", "-r", str(256 << 20), name),
             cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        wait_for(lambda: vcan.listeners(name) > before, "candump")
+        # It makes its file once it listens; a gateway that comes to a late link listens, too.
+        wait_for(lambda: any(folder.iterdir()) and vcan.listeners(name) > before, "candump")
 
     def end(self) -> Path:
         """Call it when the bus is quiet: candump has read all once the log does not grow."""
