@@ -21,7 +21,7 @@ from gateway.io.prepare import prepare
 from gateway.io.replay import OneChannel, open_log
 from gateway.io.replay import replay as run_log
 from gateway.reports import known
-from gateway.reports.record import ESTIMATES_HEADER, FLAGS_HEADER, Recorder, estimated, flag_words
+from gateway.reports.record import ESTIMATES_HEADER, FLAGS_HEADER, Changes, estimated, flag_words
 from gateway.settings.config import Config, ConfigError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Run:
         """What the gateway sent."""
         self._flags: list[tuple[object, ...]] = []
         self._estimates: list[tuple[object, ...]] = []
-        self._recorder = Recorder(None)
+        self._recorder = Changes()
         self._first_ns = self._last_ns = 0
 
     def add(self, view: GatewayView, sent: Iterable[Frame]) -> None:

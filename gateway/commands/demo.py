@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.reports.figures import Span, loads
     from gateway.reports.intervals import Intervals
     from gateway.reports.scoring import judge, summary_table
+    from gateway.reports.ticks import TickLog
     from gateway.reports.trace import Trace
     from gateway.reports.truth import Truth
     from gateway.settings.sections import Drive
@@ -48,7 +49,8 @@ def run(options: argparse.Namespace) -> int:
     drives = tuple({"node": n} for n in range(1, scenario.drives + 1))
     config, codec = prepare(None, thermal=scenario_thermal())
     config = config.model_copy(update={"drive": tuple(Drive(**d) for d in drives)})
-    intervals, trace = Intervals(), Trace(config.nodes)
+    intervals, trace = Intervals(config.nodes), Trace(config.nodes)
+    ticks = TickLog((intervals.add, trace.add))
     seconds = scenario.duration_s if options.duration is None else options.duration
     say = console()
     say.print(f"{scenario.title}: {scenario.drives} drives, {seconds:g} s", markup=False)
@@ -58,13 +60,14 @@ def run(options: argparse.Namespace) -> int:
 
         live = Live(console=say, auto_refresh=True, refresh_per_second=8)
 
-    def watch(tick: int, view: Any) -> None:
-        intervals.add(view)
-        trace.add(view)
+    def watch(tick: int, gateway: Any) -> None:
+        ticks.note(gateway)
         if live is not None and tick % 10 == 0:
             from gateway.reports.live_table import render
 
-            live.update(render(view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s"))
+            live.update(
+                render(gateway.view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s")
+            )
 
     rehearse(scenario, config, codec)
     with live or nullcontext():
@@ -72,6 +75,7 @@ def run(options: argparse.Namespace) -> int:
     known = Truth()
     known.add(done.truth)
     known.close()
+    ticks.flush()
     intervals.close()
     losses = [event for event in known.events if event.flag == "adhesion"]
     print(summary_table(judge(losses, intervals.kept, 0)[0], config.nodes))

@@ -172,7 +172,7 @@ def _outcome(
             watch.append(stack.enter_context(_recording(options.output, paired=key is not None)))
         if left is None:
             return run_virtual(scenario, config, codec, watch, key=key)
-        watch.append(lambda _now, _received, _sent, view: left.add(view))
+        watch.append(lambda *_tick: left.add())
         return run_virtual(
             scenario, config, codec, watch, key=key, begin=left.begin, truth=left.add_truth
         )

@@ -28,12 +28,13 @@ from gateway.reports import known
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from dbc.codec import Codec
-    from dbc.frame import Frame
     from dbc.frames import Block
     from dbc.logs.opening import LogReader
     from gateway.io.replay import Replayed
-    from gateway.reports.record import Recorder
+    from gateway.reports.record import Change
     from gateway.reports.reporting import Reporting
     from gateway.settings.config import Config
 
@@ -76,12 +77,18 @@ def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
     with leanstart.unsearched():
         from dbc.candump.reader import Reader, Writer
-        from dbc.frames import block_of
         from dbc.prefetch import ahead
         from gateway.core.gateway import Gateway
-        from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
+        from gateway.io.replay import (
+            BadLogError,
+            Briefly,
+            EachTick,
+            OneChannel,
+            open_log,
+            replay,
+        )
         from gateway.io.whole_file import whole
-        from gateway.reports.record import Recorder
+        from gateway.reports.record import Changes
 
         changes: dict[str, Any] = (
             {"adhesion": {"detector": options.detector}} if options.detector else {}
@@ -94,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
         log = log._replace(blocks=ahead(iter(log.blocks)))
     blocks = OneChannel(track_file(log, options.log, "replaying"), options.log_channel)
     left = _reporting(options, config, codec)
-    recorder = Recorder(None) if left is None else left.recorder
+    noted = Changes()
     writer: Writer | None = None
 
     def new_gateway(start: int) -> Gateway:
@@ -103,30 +110,26 @@ def run(options: argparse.Namespace) -> int:
             left.begin(gateway)
         return gateway
 
-    def every(_now: int, out: list[Frame], gateway: Gateway) -> None:
-        assert gateway.view is not None
-        assert left is not None
-        left.add(gateway.view)
-        write(block_of(out))
-
     def write(out: Block) -> None:
         if writer is not None:
             writer.write_block(out, blocks.name or "")
 
     def changed(gateway: Gateway) -> None:
         assert gateway.view is not None
-        recorder.add(gateway.view)
+        noted.add(gateway.view)
 
-    sink = Briefly(write, changed) if left is None else every
+    sink = Briefly(write, changed) if left is None else EachTick(write, lambda _gateway: left.add())
     began = time.perf_counter()
     with ExitStack() as stack:
-        stack.enter_context(recorder)
+        if left is not None:
+            stack.enter_context(left)
         if options.output:
             writer = stack.enter_context(Writer(stack.enter_context(whole(options.output))))
         done = replay(blocks, new_gateway, config.loop.period_ns, sink)
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
-    _summary(log.reader, done, recorder)
+    flags = noted.changes if left is None else left.changes
+    _summary(log.reader, done, flags)
     note(
         f"replayed {span:.2f} s of {printable(done.channel) or 'the log'} in {seconds:.2f} s "
         f"({span / max(seconds, 1e-9):.0f} times real time), {done.ticks} ticks", wrap=True,
@@ -136,17 +139,17 @@ def run(options: argparse.Namespace) -> int:
     code = verdict_of_input(
         {"time_back": done.dropped, **faults(log.reader)}, done.frames - done.dropped
     )
-    known_code = _verdict_of_flags(done, recorder, dict(options.expect_known))
+    known_code = _verdict_of_flags(done, flags, dict(options.expect_known))
     return code or known_code
 
 
-def _verdict_of_flags(done: Replayed, recorder: Recorder, wanted: dict[str, float]) -> int:
+def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[str, float]) -> int:
     """The exit code for how much the flags knew; says so on stdout, and on stderr what lacks."""
     from gateway.core.codes import Reason
     from gateway.reports.record import camel
 
     gateway = done.gateway
-    shares = known.shares(recorder.changes, gateway.nodes, done.first_ns, done.last_ns)
+    shares = known.shares(changes, gateway.nodes, done.first_ns, done.last_ns)
     print(f"known: {known.text(shares)}")
     assert gateway.view is not None
     for flag in known.silent(shares):
@@ -196,7 +199,7 @@ def _report(
     return leave(options.results, f"Replay of {options.log.name}", [run], single=True)
 
 
-def _summary(reader: LogReader, done: Replayed, recorder: Recorder) -> None:
+def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> None:
     """What the log held and what the gateway said, on stdout."""
     report_log(reader)
     print(f"configuration: {done.gateway.outbox.config_hash:06x}")
@@ -209,6 +212,6 @@ def _summary(reader: LogReader, done: Replayed, recorder: Recorder) -> None:
         console().print(f"and {done.clock.steps - SHOWN} times more")
     counts = done.gateway.inbox.counts
     print("frames: " + ", ".join(f"{k} {v}" for k, v in sorted(counts.items()) if v))
-    for t_ns, node, what, word in recorder.changes:
+    for t_ns, node, what, word in changes:
         seconds = (t_ns - done.first_ns) / 1e9
         print(f"{seconds:12.3f} s  drive {node}  {what:8}  {word}")

@@ -151,15 +151,24 @@ class Gateway(Addressed):
 
     def step(self, frames: Iterable[Frame] | Block, now: Nanos) -> list[Frame]:
         """Take the frames of one tick, give the frames to send. Never raises on wire data."""
-        block = frames if isinstance(frames, Block) else block_of(frames)
-        if self.translator is not None:
-            block = self._translated(self.translator, block, now)
-        self._run_one(block, now)
-        self._now, self._view = now, None
+        self._tick(frames if isinstance(frames, Block) else block_of(frames), now)
         out = self.outbox.frames_of(self.sent[: self.pointer.sent_count])
         if self.outbox.authenticator is not None:
             self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
         return out
+
+    def step_block(self, block: Block, now: Nanos) -> Block:
+        """As `step`, block by block."""
+        if self.outbox.authenticator is not None:
+            return block_of(self.step(block, now))
+        self._tick(block, now)
+        return self.outbox.block_of(self.sent[: self.pointer.sent_count])
+
+    def _tick(self, block: Block, now: Nanos) -> None:
+        if self.translator is not None:
+            block = self._translated(self.translator, block, now)
+        self._run_one(block, now)
+        self._now, self._view = now, None
 
     def _run_one(self, block: Block, now: Nanos) -> None:
         """One tick, of all frames of a block."""
@@ -251,6 +260,11 @@ class Gateway(Addressed):
     def changed(self) -> bool:
         """Whether a flag of any drive is another than in the tick before; so it is at first."""
         return bool(self.pointer.changed)
+
+    @property
+    def now_ns(self) -> Nanos:
+        """Time of the last tick."""
+        return self._now
 
     @property
     def silent(self) -> bool:

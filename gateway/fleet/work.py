@@ -14,7 +14,7 @@ from gateway.fleet.log_result import Estimates
 from gateway.fleet.logs import FOLDER, Job, Settings, fingerprint, shown
 from gateway.fleet.table import Row, per_drive
 from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
-from gateway.reports.record import Recorder
+from gateway.reports.record import Changes
 from gateway.settings.config import ConfigError
 
 
@@ -52,7 +52,7 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
     mark = fingerprint(one.path, settings)
     codec = _codec(config.dbc_path, config.nodes)
     blocks = OneChannel(log.blocks, settings.log_channel)
-    recorder = Recorder(None)
+    recorder = Changes()
     with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
 
         def changed(gateway: Gateway) -> None:

@@ -88,7 +88,7 @@ def run_on_real_bus(
             if first:
                 overload.look(gateway, seen)
             if left is not None and first and gateway.view is not None:
-                left.add(gateway.view)
+                left.add()
         if child.poll() is not None:
             stop()
 

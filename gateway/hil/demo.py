@@ -14,7 +14,6 @@ from typing import NamedTuple
 from dbc.codec import Codec
 from dbc.frame import SECOND, Nanos
 from gateway.core.gateway import Gateway
-from gateway.core.view import GatewayView
 from gateway.io.canopen_node import CanopenNode
 from gateway.io.pythoncan import PythonCan
 from gateway.io.transport import Allow, Guarded
@@ -46,7 +45,7 @@ def run_demo(
     codec: Codec,
     channel: str,
     seconds: float,
-    watch: Callable[[int, GatewayView], None],
+    watch: Callable[[int, Gateway], None],
     began_s: float,
 ) -> Done:
     """Run for `seconds` from time 0; `watch` sees every tick. Truth rows are the simulator's.
@@ -85,8 +84,7 @@ def run_demo(
             for frame in gateway.step(received, now) + node.step(received, now):
                 ours.send(frame)
             first_flag_s = first_flag_s or time.monotonic() - began_s
-            assert gateway.view is not None
-            watch(tick, gateway.view)
+            watch(tick, gateway)
     finally:
         ours.close()
         theirs.close()

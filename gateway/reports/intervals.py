@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gateway.core.codes import SENSOR_FAULTS, FaultClass, FaultSensor, Flag, Reason
-from gateway.core.view import DriveView, GatewayView
-from gateway.reports.record import ADHESION, FAULT, camel
+from gateway.core.flags import FlagKind
+from gateway.core.view import DriveView
+from gateway.reports.record import ADHESION, FAULT, NEITHER, camel
+
+if TYPE_CHECKING:
+    from gateway.reports.ticks import Ticks
 
 KEPT: Final = 5000
 """Intervals of each kind (flag and state) that are kept; further ones are only counted."""
@@ -16,6 +23,8 @@ COMMON: Final = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NotDetected", Flag.BAD: "A
 BAD: Final = frozenset({"AdhesionLost", "Fault", "AllDrives"})
 OF_DRIVE: Final = ("adhesion", "thermal")
 """Those in `flags.csv`."""
+_WORDS: Final = ("adhesion_reason", "thermal_reason", "fault_class", "fault_sensor")
+_TRAIN: Final = ("common_mode", "overrun")
 OTHERS: Final = ("sensor", "comm", "estimator", "common mode", "overrun")
 
 
@@ -52,40 +61,56 @@ class _Running:
 class Intervals:
     """Collects them tick by tick; `close` ends the last ones."""
 
-    def __init__(self) -> None:
-        """Empty."""
+    def __init__(self, nodes: Sequence[int]) -> None:
+        """nodes: in the order of the ticks' drives."""
+        self.nodes = nodes
         self.kept: list[Interval] = []
         self.count: Counter[tuple[int, str, str]] = Counter()
         """How many there were, by node, flag and state."""
         self.seconds: defaultdict[tuple[int, str, str], float] = defaultdict(float)
         self._kinds: Counter[tuple[str, str]] = Counter()
         self._running: dict[tuple[int, str], _Running] = {}
-        self._before: dict[int, tuple[object, ...]] = {}
-        """What each drive said a tick ago: mostly the same."""
+        self._before: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+        """What the drives, and all together, said a tick ago: mostly the same."""
         self._last_ns = 0
 
-    def add(self, view: GatewayView) -> None:
-        """Take one tick."""
-        now = self._last_ns = view.t_ns
-        for d in view.drives:
-            status = (
-                d.adhesion, d.adhesion_reason, d.thermal, d.thermal_reason, d.sensor, d.comm,
-                d.estimator, d.fault_class, d.fault_sensor,
-            )  # fmt: skip
-            if self._before.get(d.node) == status:
-                continue
-            self._before[d.node] = status
-            adhesion = self._note(d.node, "adhesion", ADHESION[d.adhesion], now)
-            _because(adhesion, d.adhesion_reason)
-            thermal = self._note(d.node, "thermal", FAULT[d.thermal], now)
-            _ill(thermal, d)
-            sensor = self._note(d.node, "sensor", FAULT[d.sensor], now)
-            if d.sensor is Flag.BAD and d.fault_class in SENSOR_FAULTS:
-                sensor.causes[_fault(d)] = None
-            self._note(d.node, "comm", FAULT[d.comm], now)
-            self._note(d.node, "estimator", FAULT[d.estimator], now)
-        self._note(0, "common mode", COMMON[view.common_mode], now)
-        self._note(0, "overrun", FAULT[view.overrun], now)
+    def add(self, ticks: Ticks) -> None:
+        """Take ticks."""
+        self._last_ns = ticks.t_ns.item(-1)
+        drives, train = ticks.drives, ticks.train
+        own = np.concatenate(
+            [drives["flag"]["state"], *(drives[name][:, :, None] for name in _WORDS)], axis=2
+        ).astype(np.int64)
+        common = np.stack([train[name] for name in _TRAIN], axis=1).astype(np.int64)
+        if self._before is None:
+            self._before = np.full_like(own[:1], NEITHER), np.full_like(common[:1], NEITHER)
+        changed = (own != np.concatenate([self._before[0], own[:-1]])).any(axis=2)
+        all_changed = (common != np.concatenate([self._before[1], common[:-1]])).any(axis=1)
+        self._before = own[-1:], common[-1:]
+        for k in np.flatnonzero(changed.any(axis=1) | all_changed).tolist():
+            now = ticks.t_ns.item(k)
+            for j in np.flatnonzero(changed[k]).tolist():
+                self._add_drive(self.nodes[j], own[k, j].tolist(), now)
+            together, overrun = common[k].tolist()
+            self._note(0, "common mode", COMMON[Flag(together)], now)
+            self._note(0, "overrun", FAULT[Flag(overrun)], now)
+
+    def _add_drive(self, node: int, status: Sequence[int], now: int) -> None:
+        """status: the flags by `FlagKind`, then `_WORDS`."""
+        flags = [Flag(state) for state in status[: len(FlagKind)]]
+        why, why_thermal, kind, whose = status[len(FlagKind) :]
+        d = DriveView(
+            node, thermal=flags[FlagKind.THERMAL], thermal_reason=Reason(why_thermal),
+            fault_class=FaultClass(kind), fault_sensor=FaultSensor(whose),
+        )  # fmt: skip
+        adhesion = self._note(node, "adhesion", ADHESION[flags[FlagKind.ADHESION]], now)
+        _because(adhesion, Reason(why))
+        _ill(self._note(node, "thermal", FAULT[d.thermal], now), d)
+        sensor = self._note(node, "sensor", FAULT[flags[FlagKind.SENSOR]], now)
+        if flags[FlagKind.SENSOR] is Flag.BAD and d.fault_class in SENSOR_FAULTS:
+            sensor.causes[_fault(d)] = None
+        self._note(node, "comm", FAULT[flags[FlagKind.COMM]], now)
+        self._note(node, "estimator", FAULT[flags[FlagKind.ESTIMATOR]], now)
 
     def _note(self, node: int, flag: str, state: str, now: int) -> _Running:
         running = self._running.get((node, flag))

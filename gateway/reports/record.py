@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-import csv
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gateway.core.codes import FaultClass, Flag, Health, Reason
+from gateway.core.flags import FlagKind
 from gateway.core.view import DriveView, GatewayView
 from gateway.io.whole_file import whole
 
+if TYPE_CHECKING:
+    from gateway.reports.ticks import Ticks
+
 ADHESION = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "Adhering", Flag.BAD: "AdhesionLost"}
 FAULT = {Flag.UNKNOWN: "Unknown", Flag.GOOD: "NoFault", Flag.BAD: "Fault"}
+Change = tuple[int, int, str, str]
+"""Time in ns, node, flag, what it says from then on."""
 FLAGS, ESTIMATES = "flags.csv", "estimates.csv"
 FLAGS_HEADER = ("t_s", "drive", "adhesion", "thermal", "reason")
 ESTIMATES_HEADER = (
@@ -22,8 +31,11 @@ ESTIMATES_HEADER = (
     "hours_to_limit",
 )  # fmt: skip
 
-DIGITS = (0, 4, 4, 4, 4, 3, 0, 2, 3, 4, 4, 1)
-"""After the point, of the columns behind the drive."""
+_LINE: Final = "%s,%d,%s,%.4f,%.4f,%.4f,%.4f,%.3f,%s,%.2f,%.3f,%.4f,%.4f,%.1f\n"
+_NUMBERS: Final = ("speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability", "nis", "mixed_c",
+                   "maisd_k")  # fmt: skip
+NEITHER: Final = -1
+"""No flag says this."""
 
 
 def camel(name: str) -> str:
@@ -31,50 +43,89 @@ def camel(name: str) -> str:
     return "".join(part.capitalize() for part in name.split("_"))
 
 
-class Recorder:
-    """Collects views tick by tick; writes both tables while it goes. Context manager.
+_ADHESION: Final = {int(flag): word for flag, word in ADHESION.items()}
+_FAULT: Final = {int(flag): word for flag, word in FAULT.items()}
+_REASONS, _HEALTH, _CLASSES = (
+    {int(one): camel(one.name) for one in kind} for kind in (Reason, Health, FaultClass)
+)
 
-    The tables get their names when it is left; after an exception there are none.
-    """
 
-    def __init__(self, folder: Path | None) -> None:
-        """folder: where the tables go, None for none."""
-        self.changes: list[tuple[int, int, str, str]] = []
+class Changes:
+    """When the flags of the drives changed, and their first values."""
+
+    def __init__(self) -> None:
+        """None yet."""
+        self.changes: list[Change] = []
         self._last: dict[int, tuple[Flag, Flag]] = {}
-        self._files = ExitStack()
-        self._flags = self._estimates = None
-        if folder is not None:
-            parts = [self._files.enter_context(whole(folder / n)) for n in (FLAGS, ESTIMATES)]
-            self._flags, self._estimates = (
-                csv.writer(
-                    self._files.enter_context(part.open("w", newline="", encoding="utf-8")),
-                    lineterminator="\n",
-                )
-                for part in parts
-            )
-            self._flags.writerow(FLAGS_HEADER)
-            self._estimates.writerow(ESTIMATES_HEADER)
 
     def add(self, view: GatewayView) -> None:
         """Take one tick."""
         for d in view.drives:
-            flags = d.adhesion, d.thermal
-            if self._last.get(d.node) != flags:
-                self._change(view.t_ns, d)
-                self._last[d.node] = flags
-            if self._flags is None or self._estimates is None:
-                continue
-            t_s = f"{view.t_ns // 1_000_000_000}.{view.t_ns % 1_000_000_000:09d}"
-            self._flags.writerow((t_s, d.node, *flag_words(d)))
-            numbers = map(_text, estimated(d), DIGITS)
-            self._estimates.writerow((t_s, d.node, *numbers))
+            self.note(view.t_ns, d.node, d.adhesion, d.thermal)
 
-    def _change(self, t_ns: int, drive: DriveView) -> None:
-        adhesion, thermal = self._last.get(drive.node, (None, None))
-        if drive.adhesion is not adhesion:
-            self.changes.append((t_ns, drive.node, "adhesion", ADHESION[drive.adhesion]))
-        if drive.thermal is not thermal:
-            self.changes.append((t_ns, drive.node, "thermal", FAULT[drive.thermal]))
+    def note(self, t_ns: int, node: int, adhesion: Flag, thermal: Flag) -> None:
+        """What a drive's flags say in a tick."""
+        before = self._last.get(node, (None, None))
+        self._last[node] = adhesion, thermal
+        if adhesion is not before[0]:
+            self.changes.append((t_ns, node, "adhesion", ADHESION[adhesion]))
+        if thermal is not before[1]:
+            self.changes.append((t_ns, node, "thermal", FAULT[thermal]))
+
+
+class Recorder:
+    """Writes both tables while ticks come. Context manager.
+
+    The tables get their names when it is left; after an exception there are none.
+    """
+
+    def __init__(self, folder: Path, nodes: Sequence[int]) -> None:
+        """folder: where the tables go; nodes: in the order of the ticks' drives."""
+        self.nodes = nodes
+        self.noted = Changes()
+        self._files = ExitStack()
+        parts = [self._files.enter_context(whole(folder / n)) for n in (FLAGS, ESTIMATES)]
+        self._flags, self._estimates = (
+            self._files.enter_context(part.open("w", newline="", encoding="utf-8"))
+            for part in parts
+        )
+        self._flags.write(",".join(FLAGS_HEADER) + "\n")
+        self._estimates.write(",".join(ESTIMATES_HEADER) + "\n")
+        self._before = np.full((1, len(nodes), 2), NEITHER, np.int64)
+
+    def add(self, ticks: Ticks) -> None:
+        """Take ticks."""
+        states = ticks.drives["flag"]["state"][:, :, [FlagKind.ADHESION, FlagKind.THERMAL]]
+        self._note_changes(ticks.t_ns, states.astype(np.int64))
+        times = [f"{t // 1_000_000_000}.{t % 1_000_000_000:09d}" for t in ticks.t_ns.tolist()]
+        stamps = [(time, node) for time in times for node in self.nodes]
+        drives = ticks.drives.reshape(-1)
+        reasons = np.where(
+            drives["adhesion_reason"], drives["adhesion_reason"], drives["thermal_reason"]
+        )
+        says = zip(stamps, states.reshape(-1, 2).tolist(), reasons.tolist(), strict=True)
+        self._flags.write("".join(
+            f"{time},{node},{_ADHESION[a]},{_FAULT[t]},{_REASONS[why]}\n"
+            for (time, node), (a, t), why in says
+        ))  # fmt: skip
+        numbers = np.column_stack(
+            [*(drives[name] for name in _NUMBERS), ticks.wear.reshape(-1, ticks.wear.shape[2])]
+        )
+        healths, kinds = drives["health"].tolist(), drives["fault_class"].tolist()
+        rows = zip(stamps, numbers.tolist(), healths, kinds, strict=True)
+        text = "".join(
+            _LINE % (time, node, _HEALTH[health], *n[:5], _CLASSES[kind], *n[5:])
+            for (time, node), n, health, kind in rows
+        )
+        self._estimates.write(text.replace(",nan", ","))
+
+    def _note_changes(self, t_ns: NDArray[np.int64], states: NDArray[np.int64]) -> None:
+        """states: (K, N, 2)."""
+        before = np.concatenate([self._before, states[:-1]])
+        self._before = states[-1:]
+        for k, j in np.argwhere((states != before).any(axis=2)).tolist():
+            adhesion, thermal = states[k, j].tolist()
+            self.noted.note(t_ns.item(k), self.nodes[j], Flag(adhesion), Flag(thermal))
 
     def close(self) -> None:
         """Finish the tables. Raises OSError."""
@@ -108,10 +159,3 @@ def estimated(drive: DriveView) -> tuple[str | float | None, ...]:
         drive.loss_probability, drive.nis, camel(FaultClass(drive.fault_class).name),
         drive.mixed_c, drive.maisd_k, wear.rate_k_h, wear.sigma_k_h, wear.hours,
     )  # fmt: skip
-
-
-def _text(value: str | float | None, digits: int) -> str:
-    """A word, a number, or nothing where it is not known."""
-    if isinstance(value, str):
-        return value
-    return "" if value is None else f"{value:.{digits}f}"

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Self
 
 from dbc.codec import Codec
 from gateway.core.gateway import Gateway
-from gateway.core.view import GatewayView
 from gateway.io.extras import pictures
 from gateway.io.whole_file import write_text
 from gateway.reports import run_figures, run_report
@@ -20,8 +19,9 @@ from gateway.reports.figures import loads
 from gateway.reports.intervals import Intervals
 from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
-from gateway.reports.record import Recorder
+from gateway.reports.record import Change, Recorder
 from gateway.reports.run_report import Run, Timed
+from gateway.reports.ticks import TickLog
 from gateway.reports.timing import tables
 from gateway.reports.trace import Trace
 from gateway.reports.truth import Truth, rows
@@ -50,9 +50,10 @@ class Reporting:
         self.folder = folder
         self.truth: Truth | None = None
         self.timed: Timed | None = None
-        self.recorder = Recorder(folder)
+        self.recorder = Recorder(folder, config.nodes)
         self.trace = Trace(config.nodes)
-        self.intervals = Intervals()
+        self.intervals = Intervals(config.nodes)
+        self._ticks = TickLog((self.recorder.add, self.trace.add, self.intervals.add))
         self._config = config
         self._codec = codec
         self._gateway: Gateway | None = None
@@ -61,12 +62,16 @@ class Reporting:
         """The gateway whose ticks follow."""
         self._gateway = gateway
 
-    def add(self, view: GatewayView) -> None:
-        """Take one tick of it."""
+    def add(self) -> None:
+        """Take its last tick."""
         assert self._gateway is not None
-        self.recorder.add(view)
-        self.trace.add(view, self._gateway.inbox.temperatures)
-        self.intervals.add(view)
+        self._ticks.note(self._gateway)
+
+    @property
+    def changes(self) -> list[Change]:
+        """When flags changed so far, see `Changes`."""
+        self._ticks.flush()
+        return self.recorder.noted.changes
 
     def add_truth(self, rows: Iterable[Row]) -> None:
         """Take rows of truth, whose 0 is the first tick."""
@@ -90,6 +95,7 @@ class Reporting:
 
     def close(self) -> None:
         """Finish the tables. Raises OSError."""
+        self._ticks.flush()
         self.recorder.close()
 
     def __enter__(self) -> Self:
@@ -103,6 +109,8 @@ class Reporting:
         trace: TracebackType | None,
     ) -> None:
         """Finish the tables, or take them away. Raises OSError."""
+        if error is None:
+            self._ticks.flush()
         self.recorder.__exit__(kind, error, trace)
 
     def run(
@@ -118,6 +126,7 @@ class Reporting:
         """Draw the pictures; what the report needs. inside: this folder as the report sees it."""
         gateway, config = self._gateway, self._config
         assert gateway is not None
+        self._ticks.flush()
         self.intervals.close()
         if self.truth is not None:
             self.truth.close()

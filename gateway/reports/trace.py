@@ -7,16 +7,16 @@ picture.
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.core.codes import Flag
-from gateway.core.inbox import Temperatures
-from gateway.core.view import GatewayView
+from gateway.core.flags import FlagKind
+
+if TYPE_CHECKING:
+    from gateway.reports.ticks import Ticks
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ POINTS: Final = COLUMNS[-4:]
 RANK: Final = {Flag.GOOD: 1.0, Flag.UNKNOWN: 2.0, Flag.BAD: 3.0}
 """Of a stretch with several flags the largest is shown: bad hides nothing that matters more."""
 _NAN: Final = float("nan")
-_NO_POINTS: Final = (_NAN,) * len(POINTS)
+_RANKS: Final = np.array([RANK[flag] for flag in Flag])
 
 
 class Curve(NamedTuple):
@@ -62,17 +62,19 @@ class Envelope:
         self._columns = columns + 1
         self._low = np.full((most, self._columns), _NAN)
         self._high = np.full((most, self._columns), _NAN)
-        self._raw = array("d")
+        self._held: list[Array] = []
         self._rows = 0
         self._open = 0
         """Chunks in the last stretch, where it takes several and is not full yet."""
 
-    def add(self, row: Sequence[float]) -> None:
-        """Take one row: seconds, then the columns; NaN where a value is not known."""
-        self._raw.extend(row)
-        self._rows += 1
-        if self._rows == CHUNK:
-            self._put()
+    def add(self, rows: Array) -> None:
+        """Take rows (K, 1 + C): seconds, then the columns; NaN where a value is not known."""
+        while len(rows):
+            part, rows = np.split(rows, [CHUNK - self._rows])
+            self._held.append(part)
+            self._rows += len(part)
+            if self._rows == CHUNK:
+                self._put()
 
     def curve(self, column: int) -> Curve:
         """One column of what came so far, counted from 0 without the time."""
@@ -91,7 +93,7 @@ class Envelope:
         """Put the chunk together with what is there."""
         if not self._rows:
             return
-        rows = np.frombuffer(self._raw).reshape(self._rows, self._columns)
+        rows = np.concatenate(self._held)
         if not self._open:
             while self.used + -(-self._rows // self.width) > self._most:
                 self._halve()
@@ -108,7 +110,7 @@ class Envelope:
             self.used += len(low)
         self._low[at], self._high[at] = low, high
         self._open = (self._open + 1) % max(self.width // CHUNK, 1)
-        self._raw = array("d")
+        self._held = []
         self._rows = 0
 
     def _halve(self) -> None:
@@ -132,34 +134,31 @@ class Trace:
         self._envelope = Envelope(len(OF_ALL) + len(COLUMNS) * len(nodes))
         self._loads = (float("inf"), float("-inf"), 0.0, 0)
 
-    def add(self, view: GatewayView, readings: Iterable[Temperatures] = ()) -> None:
-        """Take one tick; readings: of the temperatures that came in it."""
+    def add(self, ticks: Ticks) -> None:
+        """Take ticks."""
+        count, drives = len(ticks.t_ns), ticks.drives
         if self.first_ns is None:
-            self.first_ns = view.t_ns
-        self.last_ns = view.t_ns
-        self.ticks += 1
-        load = view.bus_load_percent
-        if load is not None:
-            least, most, total, count = self._loads
-            self._loads = min(least, load), max(most, load), total + load, count + 1
-        row = [(view.t_ns - self.first_ns) / 1e9, _NAN if load is None else load]
-        points = {reading.drive: reading.celsius for reading in readings}
-        for k, d in enumerate(view.drives):
-            middle = d.load_nm
-            band = 2.0 * (d.load_sigma_nm or 0.0)
-            row += (
-                _NAN if middle is None else middle,
-                _NAN if middle is None else middle - band,
-                _NAN if middle is None else middle + band,
-                _NAN if d.loss_probability is None else d.loss_probability,
-                _NAN if d.speed_rad_s is None else d.speed_rad_s,
-                RANK[d.adhesion],
-                RANK[d.thermal],
-                _NAN if d.mixed_c is None else d.mixed_c,
-                _NAN if d.maisd_k is None else d.maisd_k,
-                *points.get(k, _NO_POINTS),
-            )
-        self._envelope.add(row)
+            self.first_ns = ticks.t_ns.item(0)
+        self.last_ns = ticks.t_ns.item(-1)
+        self.ticks += count
+        known = ticks.bus_load_percent[np.isfinite(ticks.bus_load_percent)]
+        if len(known):
+            least, most, total, before = self._loads
+            self._loads = (
+                min(least, float(known.min())), max(most, float(known.max())),
+                total + float(known.sum()), before + len(known),
+            )  # fmt: skip
+        band = 2.0 * np.nan_to_num(drives["load_sigma_nm"])
+        load, states = drives["load_nm"], drives["flag"]["state"]
+        columns = np.stack([
+            load, load - band, load + band, drives["loss_probability"], drives["speed_rad_s"],
+            _RANKS[states[:, :, FlagKind.ADHESION]], _RANKS[states[:, :, FlagKind.THERMAL]],
+            drives["mixed_c"], drives["maisd_k"], *np.moveaxis(ticks.celsius, 2, 0),
+        ], axis=2)  # fmt: skip
+        seconds = (ticks.t_ns - self.first_ns) / 1e9
+        self._envelope.add(
+            np.column_stack([seconds, ticks.bus_load_percent, columns.reshape(count, -1)])
+        )
 
     @property
     def width(self) -> int:

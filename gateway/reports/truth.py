@@ -12,9 +12,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
+import numpy as np
+
 from gateway.core.codes import SENSOR_FAULTS, FaultClass
 from gateway.reports.record import camel
-from gateway.reports.trace import Curve, Envelope
+from gateway.reports.trace import CHUNK, Curve, Envelope
 from gateway.settings.config import ConfigError
 
 HEADER: Final = (
@@ -74,10 +76,18 @@ class _Drive:
 
     def __init__(self) -> None:
         self.envelope = Envelope(2)
+        self.rows: list[tuple[float, float, float]] = []
+        """That are not in it yet."""
         self.last_s = 0.0
         self.before: tuple[int, int] | None = None
         """`lost` and `fault_class` of the last row: mostly the same."""
         self.running: dict[str, tuple[str, float]] = {}
+
+    def put(self) -> None:
+        """All rows into the envelope."""
+        if self.rows:
+            self.envelope.add(np.array(self.rows))
+            self.rows.clear()
 
 
 class Truth:
@@ -96,7 +106,9 @@ class Truth:
             if drive is None:
                 drive = self._drives[row.drive] = _Drive()
             t_s = drive.last_s = row.t_s + self.offset_s
-            drive.envelope.add((t_s, row.load_nm, row.speed_rad_s))
+            drive.rows.append((t_s, row.load_nm, row.speed_rad_s))
+            if len(drive.rows) == CHUNK:
+                drive.put()
             if drive.before == (row.lost, row.fault_class):
                 continue
             drive.before = row.lost, row.fault_class
@@ -137,7 +149,10 @@ class Truth:
 
     def _curve(self, node: int, column: int) -> Curve | None:
         drive = self._drives.get(node)
-        return None if drive is None else drive.envelope.curve(column)
+        if drive is None:
+            return None
+        drive.put()
+        return drive.envelope.curve(column)
 
 
 class _Text(NamedTuple):

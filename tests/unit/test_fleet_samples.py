@@ -17,7 +17,7 @@ from gateway.fleet.logs import FOLDER, job, settings_for
 from gateway.fleet.table import per_drive
 from gateway.fleet.work import prepare, replayed
 from gateway.io.replay import OneChannel, open_log, replay
-from gateway.reports.record import ADHESION, FAULT, Recorder, camel
+from gateway.reports.record import ADHESION, FAULT, Changes, camel
 from gateway.settings.config import load
 from tests.storm.campaign import CALIBRATION
 
@@ -73,7 +73,7 @@ def same(log, folder, config=None):
     one = job(log)
     row = replayed(one, settings, 0.0)
     table = pq.read_table(folder / FOLDER / one.name).to_pylist()
-    plain, recorder = Plain(), Recorder(None)
+    plain, recorder = Plain(), Changes()
 
     def sink(_now, _out, gateway):
         plain.add(gateway.view)

@@ -25,6 +25,7 @@ from gateway.reports.scoring import Judged, first, judge, summary_table
 from gateway.reports.trace import CHUNK, MOST, Envelope, Trace
 from gateway.reports.truth import HEADER, Event, read, rows
 from gateway.settings.config import Config, ConfigError, load, parse
+from tests.ticked import ticks
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 
@@ -42,8 +43,10 @@ def test_an_envelope_keeps_every_smallest_and_largest_value(ticks):
     values = random.normal(size=(ticks, 2))
     values[random.random(ticks) < 0.3, 1] = np.nan
     envelope = Envelope(2)
-    for k, row in enumerate(values.tolist()):
-        envelope.add((float(k), *row))
+    rows = np.column_stack([np.arange(float(ticks)), values])
+    # A few at a time, and many.
+    for part in np.split(rows, sorted(random.integers(0, ticks + 1, 20))):
+        envelope.add(part)
     width = envelope.width if envelope.curve(0) else 0
     for column in (0, 1):
         curve = envelope.curve(column)
@@ -62,8 +65,9 @@ def test_an_envelope_of_days_is_no_larger_than_one_of_minutes():
     """Stretches of several chunks as well; the one tick that differs is still there."""
     envelope = Envelope(1)
     ticks, spike = 5 * MOST * CHUNK // 2 + 3, 1_000_003
-    for k in range(ticks):
-        envelope.add((float(k), 9.0 if k == spike else 0.0))
+    for begin in range(0, ticks, 1000):
+        t_s = np.arange(begin, min(begin + 1000, ticks), dtype=float)
+        envelope.add(np.column_stack([t_s, 9.0 * (t_s == spike)]))
     curve = envelope.curve(0)
     assert envelope.width > CHUNK
     assert len(curve.t_s) <= MOST
@@ -76,7 +80,8 @@ def test_an_envelope_of_days_is_no_larger_than_one_of_minutes():
 def test_a_trace_may_be_looked_at_while_it_grows():
     trace = Trace((4, 2))
     for k in range(5):
-        trace.add(view(k * 10**7, DriveView(4, load_nm=1.0 * k), DriveView(2, mixed_c=30.0)))
+        both = DriveView(4, load_nm=1.0 * k), DriveView(2, mixed_c=30.0)
+        trace.add(ticks(view(k * 10**7, *both)))
         assert trace.curve(4, "load_nm").high.tolist() == [float(n) for n in range(k + 1)]
     assert not trace.curve(2, "load_nm").known
     assert trace.curve(2, "mixed_c").known
@@ -89,9 +94,15 @@ flags = st.lists(st.sampled_from(list(Flag)), min_size=1, max_size=60)
 
 @given(flags)
 def test_intervals_cover_the_run_without_gap_or_overlap(said):
-    intervals = Intervals()
-    for k, flag in enumerate(said):
-        intervals.add(view(k, DriveView(1, adhesion=flag, adhesion_reason=Reason.STALE)))
+    intervals = Intervals((1,))
+    views = [
+        view(k, DriveView(1, adhesion=flag, adhesion_reason=Reason.STALE))
+        for k, flag in enumerate(said)
+    ]
+    # Several ticks at once and one by one are the same.
+    intervals.add(ticks(*views[: len(views) // 2 + 1]))
+    for one in views[len(views) // 2 + 1 :]:
+        intervals.add(ticks(one))
     intervals.close()
     mine = [i for i in intervals.kept if i.flag == "adhesion"]
     assert mine[0].start_ns == 0
@@ -106,12 +117,13 @@ def test_intervals_cover_the_run_without_gap_or_overlap(said):
 
 
 def test_a_flag_that_never_rests_is_counted_but_not_kept_for_ever():
-    intervals = Intervals()
-    ticks = 2 * KEPT + 20
-    for k in range(ticks):
-        intervals.add(view(k, DriveView(1, adhesion=Flag.BAD if k % 2 else Flag.UNKNOWN)))
+    intervals = Intervals((1,))
+    count = 2 * KEPT + 20
+    intervals.add(ticks(*(
+        view(k, DriveView(1, adhesion=Flag.BAD if k % 2 else Flag.UNKNOWN)) for k in range(count)
+    )))  # fmt: skip
     intervals.close()
-    assert intervals.count[1, "adhesion", "AdhesionLost"] == ticks // 2
+    assert intervals.count[1, "adhesion", "AdhesionLost"] == count // 2
     assert intervals.left_out() == {
         ("adhesion", "AdhesionLost"): 10, ("adhesion", "Unknown"): 10,
     }  # fmt: skip

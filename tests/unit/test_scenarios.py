@@ -8,7 +8,7 @@ from gateway.core.codes import Flag
 from gateway.hil.bench import run_virtual
 from gateway.hil.fitting import scenario_thermal
 from gateway.io.prepare import prepare
-from gateway.reports.record import Recorder
+from gateway.reports.record import Changes
 from sim.scenario import builtin, builtin_names, parse
 
 NAMES = [name for name in builtin_names() if not name.startswith("calibration_")]
@@ -123,7 +123,7 @@ def test_the_same_scenario_gives_the_same_bytes():
 def test_a_cut_drive_is_released_and_comes_back_to_full_torque():
     """The loop closed on the bus: lost, cut to 30 %, regained, released within a second, ramped."""
     commands = []
-    recorder = Recorder(None)
+    recorder = Changes()
 
     def watch(now, _rx, _tx, view):
         recorder.add(view)
