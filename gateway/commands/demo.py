@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         live = Live(console=say, auto_refresh=True, refresh_per_second=8)
 
     def watch(tick: int, gateway: Any) -> None:
-        ticks.note(gateway)
+        ticks.append(gateway)
         if live is not None and tick % 10 == 0:
             from gateway.reports.live_table import render
 

@@ -65,7 +65,7 @@ class Reporting:
     def add(self) -> None:
         """Take its last tick."""
         assert self._gateway is not None
-        self._ticks.note(self._gateway)
+        self._ticks.append(self._gateway)
 
     @property
     def changes(self) -> list[Change]:
