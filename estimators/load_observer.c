@@ -15,7 +15,10 @@
 
 #include "estimators/numbers.h"
 
-#define FIRST_S 0.1 /* time in which the load may have changed before the first reading */
+#define SPREAD_STEP 0.05 /* share of the newest reading in the mean of the innovations, */
+#define NIS_MOST    8.0  /* which counts as at most this */
+#define LOAD_SURE   0.01 /* of the load: what no innovation shows */
+#define FIRST_S     0.1  /* time in which the load may have changed before the first reading */
 
 void load_observer_init(struct load_observer *state, double w, double torque,
                         const struct mechanics *m)
@@ -28,6 +31,7 @@ void load_observer_init(struct load_observer *state, double w, double torque,
     state->P_LL = square(sigma);
     state->torque = torque;
     state->nis = 1.0;
+    state->spread = 1.0;
 }
 
 void load_observer_update(struct load_observer *state, double w, double torque, double dt,
@@ -56,4 +60,10 @@ void load_observer_update(struct load_observer *state, double w, double torque, 
     state->P_LL = P_LL - k_L * P_wL;
     state->torque = torque;
     state->nis = nu * nu / S;
+    state->spread += SPREAD_STEP * (smaller(state->nis, NIS_MOST) - state->spread);
+}
+
+double load_observer_sigma(const struct load_observer *state)
+{
+    return sqrt(state->spread * state->P_LL + square(LOAD_SURE * state->T_L));
 }

@@ -13,4 +13,8 @@ void load_observer_init(struct load_observer *state, double w, double torque,
 void load_observer_update(struct load_observer *state, double w, double torque, double dt,
                           const struct mechanics *m);
 
+/* Standard deviation of the load, Nm. P allows for a wheel that slips; innovations that are smaller
+ * than it expects show that the load is known better, larger ones that it is not. */
+double load_observer_sigma(const struct load_observer *state);
+
 #endif

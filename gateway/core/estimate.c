@@ -35,6 +35,15 @@
 #define SIGMA_LIMIT 2.0
 #define SIGMA_RISE  1.01
 #define MOVING      0.07 /* of the rated torque in a tick: more than the noise of a steady load */
+/* How far a load is off shows in how far it moves from tick to tick: the medians of an error and of
+ * the change of two have this ratio. P allows for a wheel that slips, and is four times too wide. */
+#define CHANGE_OF_ERROR 0.954 /* median of |a - b|, of a and b normal with standard deviation 1 */
+#define SPREAD_STEP     0.03
+#define SPREAD_FIRST    0.5 /* over the number of ticks: faster at the start, for */
+#define SPREAD_SLOW     100 /* ticks at most */
+#define SPREAD_LEAST    0.01
+#define SPREAD_MOST     4.0
+#define LOAD_SURE       0.005 /* of the load: an error that lasts moves nothing */
 /* What the chords say of the flux is used beyond FLUX_SURE of it, and beyond what an R_s that is off
  * by RESISTANCE_SURE would make of it. */
 #define FLUX_TAU_S      0.5
@@ -48,7 +57,8 @@ void estimator_reset(struct estimator *e)
         filter_reset(&e->filters[k]);
         acquisition_restart(&e->chords[k]);
         e->sensors[k] = (struct current_calibration){.turns = 0};
-        e->tracks[k] = (struct filter_track){.diverged_ns = -1, .best_sigma_nm = HUGE_VAL};
+        e->tracks[k] =
+            (struct filter_track){.diverged_ns = -1, .best_sigma_nm = HUGE_VAL, .spread = 1.0};
     }
 }
 
@@ -66,6 +76,7 @@ static void restart(struct estimator *e, int k, struct drive_estimate *estimate)
     filter_reset(&e->filters[k]);
     acquisition_restart(&e->chords[k]);
     e->sensors[k] = (struct current_calibration){.turns = 0};
+    e->tracks[k].flux_unsure = 0.0;
     estimate->flux_ratio = NAN;
 }
 
@@ -114,6 +125,18 @@ static void drop_not_finite(struct estimator *e)
 
 /* ---- What is remembered beside the filters ---- */
 
+/* Learn from the last change of a settled load how far loads are off: the median, by small steps. */
+static void learn_spread(struct filter_track *t, const struct filter *filter)
+{
+    if (!filter->active || filter->steps < FILTER_SETTLE_STEPS)
+        return;
+    const double step = larger(SPREAD_STEP, SPREAD_FIRST / (2.0 + (double)t->spread_ticks));
+    const double middle = CHANGE_OF_ERROR * t->spread * sqrt(filter->P[T_L][T_L]);
+    const double factor = t->load_change_nm > middle ? 1.0 + step : 1.0 / (1.0 + step);
+    t->spread = clamp(t->spread * factor, SPREAD_LEAST, SPREAD_MOST);
+    t->spread_ticks += t->spread_ticks < SPREAD_SLOW;
+}
+
 /* How far the load of every drive with samples in this tick has moved. */
 static void note_changes(struct estimator *e, int m)
 {
@@ -127,13 +150,14 @@ static void note_changes(struct estimator *e, int m)
             continue;
         t->load_change_nm = fabs(e->filters[k].x[T_L] - t->load_nm);
         t->load_nm = e->filters[k].x[T_L];
+        learn_spread(t, &e->filters[k]);
     }
 }
 
 /* Flux of the magnets over that of the data sheet, by the length of the chords. Errors of R_s lengthen
  * a chord, too: what they can explain is not taken for flux. Chords reach further than filters, and
  * what they have found survives a new start. */
-static void learn_flux(const struct estimator *e, int k, double *flux_ratio)
+static void learn_flux(struct estimator *e, int k, double *flux_ratio)
 {
     const struct acquisition *a = &e->chords[k];
     const struct pmsm *motor = &e->motors[k];
@@ -143,8 +167,11 @@ static void learn_flux(const struct estimator *e, int k, double *flux_ratio)
     const double sure = FLUX_SURE * motor->psi_f + by_resistance;
     const double off = a->psi - motor->psi_f;
     const double beyond = copysign(larger(0.0, fabs(off) - sure), off) / motor->psi_f;
+    const double within = smaller(fabs(off), sure) / motor->psi_f;
     const double before = isnan(*flux_ratio) ? beyond : *flux_ratio - 1.0;
-    *flux_ratio = 1.0 + before + e->tick_s / FLUX_TAU_S * (beyond - before);
+    const double share = e->tick_s / FLUX_TAU_S;
+    *flux_ratio = 1.0 + before + share * (beyond - before);
+    e->tracks[k].flux_unsure += share * (within - e->tracks[k].flux_unsure);
 }
 
 /* ---- What is known of a drive ---- */
@@ -180,11 +207,13 @@ static void start(struct estimator *e, int k)
     filter->steps = 0;
     filter->nis = 2.0;
     e->tracks[k].diverged_ns = -1;
+    e->tracks[k].spread = 1.0;
+    e->tracks[k].spread_ticks = 0;
     if (filter->v_q_bias == 0.0)
         filter->v_q_bias = first_q_bias(a, &e->motors[k], e->rated_a[k]);
 }
 
-/* Numbers of an active filter. Returns the standard deviation of its load, at data sheet flux. */
+/* Numbers of an active filter. Returns the standard deviation of its load by P, at data sheet flux. */
 static double fill_numbers(const struct estimator *e, int k, struct drive_estimate *out)
 {
     const struct filter *filter = &e->filters[k];
@@ -192,7 +221,10 @@ static double fill_numbers(const struct estimator *e, int k, struct drive_estima
     const double flux = isnan(out->flux_ratio) ? 1.0 : out->flux_ratio;
     out->speed_rad_s = filter->x[W_E] / e->motors[k].p;
     out->load_nm = filter->x[T_L] * flux;
-    out->load_sigma_nm = sigma * flux;
+    const struct filter_track *t = &e->tracks[k];
+    const double scatter = t->spread * sigma;
+    const double lasting = (LOAD_SURE + t->flux_unsure) * filter->x[T_L];
+    out->load_sigma_nm = sqrt(square(scatter) + square(lasting)) * flux;
     out->nis = filter->nis;
     return sigma;
 }

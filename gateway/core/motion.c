@@ -130,7 +130,7 @@ static void estimate_by_observer(const struct motion *own, const struct input_st
         estimate->health = in->sample_fresh ? HEALTH_TRACKING : HEALTH_PREDICTING;
         estimate->speed_rad_s = own->observer.w;
         estimate->load_nm = own->observer.T_L;
-        estimate->load_sigma_nm = sqrt(own->observer.P_LL);
+        estimate->load_sigma_nm = load_observer_sigma(&own->observer);
         estimate->nis = own->observer.nis;
     }
 }

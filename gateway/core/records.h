@@ -1375,6 +1375,7 @@ struct load_observer {
     double P_LL;   /* Nm^2 */
     double torque; /* of the last reading, Nm */
     double nis;    /* normalised innovation squared of the last reading */
+    double spread; /* its slow mean: variance of the errors over what P says */
 };
 
 /* Measured speed and torque of one drive beside its estimate. */
@@ -1517,6 +1518,9 @@ struct filter_track {
     double best_sigma_nm;   /* standard deviation of the load when it was known best of late */
     double load_nm;         /* after the last tick with samples, at the flux of the data sheet */
     double load_change_nm;  /* by how much it had changed in that tick */
+    double spread;          /* error of the load over its standard deviation by P: learnt */
+    int64_t spread_ticks;   /* that it was learnt from */
+    double flux_unsure;     /* what the chords say the flux is off by and R_s may explain, of it */
     int64_t diverged_ns;    /* since when the drive is reported as diverged; -1: it is not */
     int64_t disagree_ticks; /* in a row that the chords have contradicted the filter */
     uint8_t silent;         /* 1: no samples in this tick */

@@ -26,6 +26,8 @@ SETTLE_STEPS: Final = 480
 SIGMA_LIMIT: Final = 2.0
 SIGMA_RISE: Final = 1.01
 MOVING: Final = 0.07
+MEDIAN_CHANGE: Final = 0.954
+LASTING: Final = 0.005
 FLUX_TAU_S: Final = 0.5
 FLUX_SURE: Final = 0.03
 RESISTANCE_SURE: Final = 0.25
@@ -47,6 +49,7 @@ class Estimates:
         self.disagree, self.diverged_ns = [0] * n, [-1] * n
         self.best, self.silent = [math.inf] * n, [False] * n
         self.load, self.change = [0.0] * n, [0.0] * n
+        self.spread, self.learnt, self.unsure = [1.0] * n, [0] * n, [0.0] * n
 
     def tick(
         self, samples: Samples, restarts: set[int], inputs: Records, now: int
@@ -56,7 +59,7 @@ class Estimates:
             self._forget(k)
             acquisition.restart(self.chords, k)
             current_calibration.restart(self.sensors, k)
-            self.out["flux_ratio"][k] = math.nan
+            self.out["flux_ratio"][k], self.unsure[k] = math.nan, 0.0
         for k, steps, gap in zip(samples.drive, samples.steps, samples.gap, strict=True):
             if gap > max(steps, LONGEST_GAP):
                 self._forget(k)
@@ -99,6 +102,18 @@ class Estimates:
         if not silent:
             load = self.filters.x.item(k, T_L)
             self.change[k], self.load[k] = abs(load - self.load[k]), load
+            self._learn(k)
+
+    def _learn(self, k: int) -> None:
+        """Half of the changes of a settled load are larger than the median."""
+        if not self.filters.active[k] or self.filters.steps[k] < SETTLE_STEPS:
+            return
+        step = max(0.03, 0.5 / (2 + self.learnt[k]))
+        sigma = self.spread[k] * math.sqrt(self.filters.P.item(k, T_L, T_L))
+        more = self.change[k] > MEDIAN_CHANGE * sigma
+        self.spread[k] *= 1.0 + step if more else 1.0 / (1.0 + step)
+        self.spread[k] = min(max(self.spread[k], 0.01), 4.0)
+        self.learnt[k] += 1
 
     def _flux(self, k: int) -> None:
         a, flux = self.chords[k], self.out["flux_ratio"]
@@ -108,6 +123,8 @@ class Estimates:
         length = math.sqrt(a.i_last.real**2 + a.i_last.imag**2)
         sure = FLUX_SURE * psi_f + RESISTANCE_SURE * resistance * length / abs(a.w)
         more = math.copysign(max(abs(a.psi - psi_f) - sure, 0.0), a.psi - psi_f) / psi_f
+        within = min(abs(a.psi - psi_f), sure) / psi_f
+        self.unsure[k] += self.tick_s / FLUX_TAU_S * (within - self.unsure[k])
         before = more if math.isnan(flux[k]) else flux[k] - 1.0
         flux[k] = 1.0 + before + self.tick_s / FLUX_TAU_S * (more - before)
 
@@ -140,6 +157,7 @@ class Estimates:
         acquisition.start_filter(self.chords, k, self.motors, self.noise.R, rated, mine)
         mine.active[k], mine.steps[k], mine.nis[k] = 1, 0, 2.0
         self.diverged_ns[k], self.disagree[k] = -1, 0
+        self.spread[k], self.learnt[k] = 1.0, 0
         if mine.v_q_bias[k] == 0.0:
             mine.v_q_bias[k] = lib.first_q_bias(
                 pointer("struct acquisition", self.chords[k:]),
@@ -157,7 +175,10 @@ class Estimates:
         sigma = math.sqrt(mine.P.item(k, T_L, T_L))
         flux = 1.0 if math.isnan(out["flux_ratio"][k]) else out["flux_ratio"][k]
         out["speed_rad_s"][k] = mine.x[k, W_E] / self.motors[k, 3]
-        out["load_nm"][k], out["load_sigma_nm"][k] = mine.x[k, T_L] * flux, sigma * flux
+        load = mine.x.item(k, T_L)
+        out["load_nm"][k] = load * flux
+        scatter, lasting = self.spread[k] * sigma, (LASTING + self.unsure[k]) * load
+        out["load_sigma_nm"][k] = math.sqrt(scatter * scatter + lasting * lasting) * flux
         out["nis"][k] = mine.nis[k]
         if not fresh:
             return Health.PREDICTING

@@ -34,12 +34,18 @@ class LoadState(NamedTuple):
     P_LL: float
     torque: float
     nis: float
+    spread: float
+
+    @property
+    def sigma(self) -> float:
+        """Of the load, Nm: by innovations, and 1 % of the load that none shows."""
+        return float((self.spread * self.P_LL + (0.01 * self.T_L) ** 2) ** 0.5)
 
 
 def first(w: float, torque: float, mechanics: Mechanics) -> LoadState:
     """A train is heavy: until its acceleration is known the load is the torque, give or take."""
     sigma = 0.5 * abs(torque) + (mechanics.load_rate * 0.1) ** 0.5
-    return LoadState(w, torque, mechanics.speed_var, 0.0, sigma * sigma, torque, 1.0)
+    return LoadState(w, torque, mechanics.speed_var, 0.0, sigma * sigma, torque, 1.0, 1.0)
 
 
 def observe(state: LoadState, w: float, torque: float, dt: float, m: Mechanics) -> LoadState:
@@ -63,4 +69,5 @@ def observe(state: LoadState, w: float, torque: float, dt: float, m: Mechanics) 
         P_LL - k_L * P_wL,
         torque,
         nu * nu / S,
+        state.spread + 0.05 * (min(nu * nu / S, 8.0) - state.spread),
     )

@@ -41,7 +41,7 @@ _SECOND = 1_000_000_000
 class Memory(NamedTuple):
     """What is remembered of every drive, (N,).
 
-    observer (N, 7): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
+    observer (N, 8): its `LoadState`, once it has begun; last_ns: stamp of the last reading;
     readings: since it began; beyond: the drive turns too fast for its current samples; load: what
     was told in the tick before, NaN if it was unknown, observed: by whom; offset: what is left of
     the difference where that changed; apart: ticks in a row that the two speeds have been;
@@ -93,13 +93,11 @@ def memory(n: int) -> Memory:
 
 
 def _keep(k: int, load: LoadState, memory: Memory) -> None:
-    for j in range(7):
-        memory.observer[k, j] = load[j]
+    memory.observer[k] = load
 
 
 def _kept(k: int, memory: Memory) -> LoadState:
-    row = memory.observer
-    return LoadState(row[k, 0], row[k, 1], row[k, 2], row[k, 3], row[k, 4], row[k, 5], row[k, 6])
+    return LoadState(*memory.observer[k].tolist())
 
 
 def observe_motion(
@@ -163,7 +161,7 @@ def _by_observer(k: int, fresh: bool, told: Told, memory: Memory, limits: Limits
         load = _kept(k, memory)
         told.health[k] = _TRACKING
         told.speed[k], told.load[k] = load.w, load.T_L
-        told.sigma[k], told.nis[k] = math.sqrt(load.P_LL), load.nis
+        told.sigma[k], told.nis[k] = load.sigma, load.nis
 
 
 def _fade(k: int, observed: bool, told: Told, memory: Memory, limits: Limits) -> None:

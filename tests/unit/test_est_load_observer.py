@@ -62,11 +62,25 @@ def test_a_step_is_followed_within_three_readings():
     assert at[102] == pytest.approx(6.0, abs=1.0)
 
 
+def sigma_of(state):
+    """`load_observer_sigma`."""
+    return lib.load_observer_sigma(ffi.new("struct load_observer *", state))
+
+
 def test_its_own_sigma_is_honest():
     states = run(lambda _t: 18.0, seconds=20.0, noise=BENCH.speed_var**0.5)[50:]
     errors = np.array([s.T_L - 18.0 for s in states])
     assert np.sqrt(np.mean(errors**2)) < np.sqrt(states[-1].P_LL)
+    inside = np.abs(errors) <= 2.0 * np.array([sigma_of(s) for s in states])
+    assert np.mean(inside) > 0.93
     assert np.mean([s.nis for s in states]) < 1.5
+
+
+def test_a_quieter_sensor_narrows_the_band_and_a_load_that_swings_widens_it():
+    quiet = run(lambda _t: 18.0, seconds=10.0, noise=0.1 * BENCH.speed_var**0.5)[-1]
+    swinging = run(lambda t: 18.0 + 15.0 * np.sin(40.0 * t), seconds=10.0)
+    assert sigma_of(quiet) < 0.5 * np.sqrt(quiet.P_LL)
+    assert sigma_of(swinging[-1]) > np.sqrt(swinging[-1].P_LL)
 
 
 def test_it_equals_filterpy():
@@ -106,3 +120,4 @@ def test_it_equals_the_reference(seed):
             given = rng.normal(0.0, 30.0), rng.normal(0.0, 30.0), DT * (1 + k % 5), m
             mine, plain = observe(plain, *given), reference.observe(plain, *given)
             assert mine == plain
+            assert sigma_of(mine) == pytest.approx(plain.sigma, rel=1e-12)

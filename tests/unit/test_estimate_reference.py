@@ -49,6 +49,8 @@ class Both:
             (self.bank.sensors, self.plain.sensors),
             (self.bank.tracks.load_change_nm, self.plain.change),
             (self.bank.tracks.best_sigma_nm, self.plain.best),
+            (self.bank.tracks.spread, self.plain.spread),
+            (self.bank.tracks.flux_unsure, self.plain.unsure),
             (self.bank.tracks.disagree_ticks, self.plain.disagree),
             (self.bank.tracks.diverged_ns, self.plain.diverged_ns),
         ):  # fmt: skip
