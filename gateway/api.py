@@ -12,16 +12,26 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from dbc.codec import Codec, bind
 from dbc.frame import Frame
 from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
-from gateway.core.view import GatewayView
 from gateway.io.prepare import prepare
 from gateway.io.replay import OneChannel, open_log
 from gateway.io.replay import replay as run_log
 from gateway.reports import known
-from gateway.reports.record import ESTIMATES_HEADER, FLAGS_HEADER, Changes, estimated, flag_words
+from gateway.reports.record import (
+    ESTIMATES_HEADER,
+    FLAGS_HEADER,
+    Change,
+    Changes,
+    Column,
+    estimate_columns,
+    flag_columns,
+)
+from gateway.reports.ticks import TickLog, Ticks
 from gateway.settings.config import Config, ConfigError
 
 if TYPE_CHECKING:
@@ -43,45 +53,56 @@ class Run:
         self.config = config
         self.frames: list[Frame] = []
         """What the gateway sent."""
-        self._flags: list[tuple[object, ...]] = []
-        self._estimates: list[tuple[object, ...]] = []
-        self._recorder = Changes()
-        self._first_ns = self._last_ns = 0
+        self._flags: list[tuple[Column, ...]] = []
+        self._estimates: list[tuple[Column, ...]] = []
+        self._noted = Changes()
+        self._ticks = TickLog((self._add_ticks,))
+        self._first_ns: int | None = None
+        self._last_ns = 0
 
-    def add(self, view: GatewayView, sent: Iterable[Frame]) -> None:
-        """Take one tick."""
-        if not self._flags:
-            self._first_ns = view.t_ns
-        self._last_ns = view.t_ns
-        self._recorder.add(view)
+    def add(self, gateway: Gateway, sent: Iterable[Frame]) -> None:
+        """Take its last tick, and what it sent in it."""
+        self._last_ns = gateway.now_ns
+        if self._first_ns is None:
+            self._first_ns = self._last_ns
         self.frames += sent
-        for drive in view.drives:
-            at, words = view.t_ns / 1e9, flag_words(drive)
-            self._flags.append((at, drive.node, *words))
-            self._estimates.append((at, drive.node, *estimated(drive)))
+        self._ticks.append(gateway)
+
+    def _add_ticks(self, ticks: Ticks) -> None:
+        nodes = self.config.nodes
+        self._noted.add_ticks(ticks, nodes)
+        row = np.repeat(ticks.t_ns / 1e9, len(nodes)), np.tile(nodes, len(ticks.t_ns))
+        self._flags.append((*row, *flag_columns(ticks)))
+        self._estimates.append((*row, *estimate_columns(ticks)))
+
+    @property
+    def _changes(self) -> list[Change]:
+        self._ticks.flush()
+        return self._noted.changes
 
     @cached_property
     def flags(self) -> pa.Table:
         """A row for each tick and drive: t_s, drive, adhesion, thermal, reason."""
-        return _table(FLAGS_HEADER, self._flags)
+        self._ticks.flush()
+        return _table(FLAGS_HEADER, _joined(self._flags))
 
     @cached_property
     def estimates(self) -> pa.Table:
         """A row for each tick and drive, as in `estimates.csv`; null: not known."""
-        return _table(ESTIMATES_HEADER, self._estimates)
+        self._ticks.flush()
+        return _table(ESTIMATES_HEADER, _joined(self._estimates))
 
     @cached_property
     def events(self) -> pa.Table:
         """A row for each change of a flag: t_s, drive, flag, state."""
-        rows = [(t_ns / 1e9, node, flag, word) for t_ns, node, flag, word in self._recorder.changes]
-        return _table(("t_s", "drive", "flag", "state"), rows)
+        rows = [(t_ns / 1e9, node, flag, word) for t_ns, node, flag, word in self._changes]
+        return _table(("t_s", "drive", "flag", "state"), list(zip(*rows, strict=True)))
 
     @property
     def known(self) -> known.Shares:
         """Percent of the time in which each flag was not Unknown, by flag and drive."""
-        return known.shares(
-            self._recorder.changes, self.config.nodes, self._first_ns, self._last_ns
-        )
+        first_ns = self._first_ns or 0
+        return known.shares(self._changes, self.config.nodes, first_ns, self._last_ns)
 
     def to_pandas(self) -> pd.DataFrame:
         """Flags and estimates side by side, a row for each tick and drive. Needs pandas."""
@@ -89,16 +110,16 @@ class Run:
 
     def __repr__(self) -> str:
         """One line."""
-        seconds = (self._last_ns - self._first_ns) / 1e9
+        seconds = (self._last_ns - (self._first_ns or 0)) / 1e9
         return f"<{self.title}: {seconds:.2f} s; known: {known.text(self.known)}>"
 
     def _repr_html_(self) -> str:
         """The changes of flags, for a notebook."""
-        first_s = self._first_ns / 1e9
+        first_s = (self._first_ns or 0) / 1e9
         rows = "".join(
             f"<tr><td>{t_ns / 1e9 - first_s:.3f}</td><td>{node}</td><td>{flag}</td>"
             f"<td>{word}</td></tr>"
-            for t_ns, node, flag, word in self._recorder.changes
+            for t_ns, node, flag, word in self._changes
         )
         head = "<tr><th>s</th><th>drive</th><th>flag</th><th>says</th></tr>"
         return f"<p>{escape(repr(self)[1:-1])}</p><table>{head}{rows}</table>"
@@ -120,8 +141,7 @@ def replay(
     run = Run(Path(log).name, used)
 
     def sink(_now: int, sent: Sequence[Frame], gateway: Gateway) -> None:
-        assert gateway.view is not None
-        run.add(gateway.view, sent)
+        run.add(gateway, sent)
 
     blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
     run_log(blocks, lambda start: Gateway(used, codec, start), used.loop.period_ns, sink)
@@ -148,7 +168,7 @@ class Scenario:
         scenario = self.scenario if path is None else with_motor_of(used, self.scenario)
         run = Judged(scenario.title, used)
         outcome = run_virtual(
-            scenario, used, codec, [lambda _now, _received, sent, view: run.add(view, sent)]
+            scenario, used, codec, [lambda _now, _received, sent, gateway: run.add(gateway, sent)]
         )
         run.verdicts = tuple(outcome.verdicts)
         return run
@@ -181,17 +201,25 @@ def _prepared(config: Config | FilePath | None, detector: str | None) -> tuple[C
     return config, bind(config.dbc_path, config.nodes)
 
 
-def _table(names: Sequence[str], rows: Sequence[Sequence[object]]) -> pa.Table:
+def _joined(parts: Sequence[tuple[Column, ...]]) -> list[Column]:
+    return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+
+
+def _table(names: Sequence[str], columns: Sequence[Column | tuple[object, ...]]) -> pa.Table:
     from gateway.io.extras import need
 
     need(("pyarrow",), "parquet", "tables")
     import pyarrow as pa
 
     words = {"adhesion", "thermal", "reason", "flag", "state", "health", "fault_class"}
-    columns = zip(*rows, strict=True) if rows else ((),) * len(names)
+    columns = columns or ((),) * len(names)
     kinds = [pa.string() if n in words else pa.float64() if n != "drive" else pa.int64()
              for n in names]  # fmt: skip
-    arrays = [pa.array(column, kind) for column, kind in zip(columns, kinds, strict=True)]
+    # NaN, of which arrays are full, is null.
+    arrays = [
+        pa.array(column, kind, from_pandas=True)
+        for column, kind in zip(columns, kinds, strict=True)
+    ]
     return pa.table(dict(zip(names, arrays, strict=True)))
 
 

@@ -52,10 +52,10 @@ def recorded() -> Run:
     config = config_of()
     drives, own, views = [], [], []
 
-    def watch(_now, received, sent, view):
+    def watch(_now, received, sent, gateway):
         drives.extend(received)
         own.extend(sent)
-        views.append(view)
+        views.append(gateway.view)
 
     run_virtual(world, config, codec(), [watch])
     return Run(config, drives, own, views)

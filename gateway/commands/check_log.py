@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.mapping import fit
+from gateway.mapping import command_fit, fit
 from gateway.mapping.plan import fitted, plans
 from gateway.mapping.translate import Translator
 
@@ -41,8 +41,13 @@ def print_findings(
     values = _Values(config, codec)
     values.add_all(OneChannel(reader.blocks(), channel))
     problems = []
-    for drive in config.drive:
-        lines = fit.findings(values.of_drive(drive.node), config.motors[drive.motor])
+    motors = {drive.node: config.motors[drive.motor] for drive in config.drive}
+    asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
+    alone = command_fit.fell_alone(asked)
+    for drive, one in zip(config.drive, asked, strict=True):
+        lines = fit.findings(values.of_drive(drive.node), motors[drive.node])
+        lines += command_fit.repeats_torque(one)
+        lines += [alone[drive.node]] if drive.node in alone else []
         for k, found in enumerate(lines):
             verdict = {True: "fits", False: "DOES NOT FIT", None: "unknown"}[found.fits]
             print(f"{f'drive {drive.node}' if k == 0 else '':<14} {verdict}: {found.text}")
@@ -107,6 +112,20 @@ class _Values:
             t, current, phase_sum, voltage, motion.get("t", none)[good], speed[good], torque[good],
             status.get("t", none)[np.isfinite(irms)], irms[np.isfinite(irms)],
         )  # fmt: skip
+
+    def commanded(self, node: int, rated_nm: float) -> command_fit.Commanded:
+        """Nothing in it where nothing came."""
+        none = np.zeros(0)
+        _, motion = self._columns(node, "Motion")
+        _, status = self._columns(node, "Status")
+        t, command = status.get("t", none), status.get("TorqueCommand", none)
+        motion_t, torque = motion.get("t", none), motion.get("Torque", none)
+        made = np.full(len(t), np.nan)
+        if len(motion_t):
+            # The last one before the command: an echo repeats what was measured.
+            at = np.searchsorted(motion_t, t, side="right") - 1
+            made[at >= 0] = torque[at[at >= 0]]
+        return command_fit.Commanded(node, t, command, made, rated_nm)
 
     def _electrical(self, node: int) -> tuple[_Array, _Vector, _Array, _Vector]:
         """Times, current, sum of the phases, voltage."""

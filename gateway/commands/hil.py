@@ -184,7 +184,7 @@ def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
     from dbc.candump.reader import Writer
     from gateway.io.whole_file import whole
 
-    def record(_now: int, received: list[Any], sent: list[Any], _view: Any) -> None:
+    def record(_now: int, received: list[Any], sent: list[Any], _gateway: Any) -> None:
         ours = sent if paired else sorted(sent)
         for frame in sorted([*received, *ours], key=lambda frame: frame.t_ns):
             writer.write(frame._replace(channel="vcan0"))

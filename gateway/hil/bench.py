@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from gateway.core.gateway import Gateway
-from gateway.core.view import GatewayView
 from gateway.io.canopen_node import CanopenNode
 from gateway.reports.expectations import FlagTrack, Verdict, judge
 from gateway.settings.config import Config
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
     from dbc.secoc_sender import Authenticator
 
-Watch = Callable[[Nanos, list[Frame], list[Frame], GatewayView], None]
-"""(now, frames from the drives, frames from the gateway, what the gateway thinks)"""
+Watch = Callable[[Nanos, list[Frame], list[Frame], Gateway], None]
+"""(now, frames from the drives, frames from the gateway, the gateway)"""
 
 
 class Outcome(NamedTuple):
@@ -108,8 +107,7 @@ def run_virtual(
             truth(rows)
         sent = gateway.step(received, now) + node.step(received, now)
         track.add(sent)
-        assert gateway.view is not None
         for look in watch:
-            look(now, received, sent, gateway.view)
+            look(now, received, sent, gateway)
     verdicts = judge(scenario.expect, track, touched_drives(scenario), 0)
     return Outcome(scenario, verdicts, gateway)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.core.codes import FaultClass, Flag, Health, Reason
 from gateway.core.flags import FlagKind
-from gateway.core.view import DriveView, GatewayView
+from gateway.core.view import GatewayView
 from gateway.io.whole_file import whole
 
 if TYPE_CHECKING:
@@ -31,9 +31,8 @@ ESTIMATES_HEADER = (
     "hours_to_limit",
 )  # fmt: skip
 
+_FLAGS_LINE: Final = "%s,%d,%s,%s,%s\n"
 _LINE: Final = "%s,%d,%s,%.4f,%.4f,%.4f,%.4f,%.3f,%s,%.2f,%.3f,%.4f,%.4f,%.1f\n"
-_NUMBERS: Final = ("speed_rad_s", "load_nm", "load_sigma_nm", "loss_probability", "nis", "mixed_c",
-                   "maisd_k")  # fmt: skip
 NEITHER: Final = -1
 """No flag says this."""
 
@@ -43,11 +42,41 @@ def camel(name: str) -> str:
     return "".join(part.capitalize() for part in name.split("_"))
 
 
-_ADHESION: Final = {int(flag): word for flag, word in ADHESION.items()}
-_FAULT: Final = {int(flag): word for flag, word in FAULT.items()}
+Column = NDArray[Any]
+
+
+def _by_code(words: Mapping[int, str]) -> Column:
+    """(256,): the word of each code."""
+    made = np.full(256, None, dtype=object)
+    for code, word in words.items():
+        made[code] = word
+    return made
+
+
+_ADHESION, _FAULT = _by_code(ADHESION), _by_code(FAULT)
 _REASONS, _HEALTH, _CLASSES = (
-    {int(one): camel(one.name) for one in kind} for kind in (Reason, Health, FaultClass)
+    _by_code({one: camel(one.name) for one in kind}) for kind in (Reason, Health, FaultClass)
 )
+
+
+def flag_columns(ticks: Ticks) -> tuple[Column, ...]:
+    """What follows the drive in `flags.csv`, each (K N,)."""
+    drives = ticks.drives.reshape(-1)
+    states, why = drives["flag"]["state"], drives["adhesion_reason"]
+    return (
+        _ADHESION[states[:, FlagKind.ADHESION]], _FAULT[states[:, FlagKind.THERMAL]],
+        _REASONS[np.where(why, why, drives["thermal_reason"])],
+    )  # fmt: skip
+
+
+def estimate_columns(ticks: Ticks) -> tuple[Column, ...]:
+    """What follows the drive in `estimates.csv`, each (K N,); NaN: not known."""
+    drives, wear = ticks.drives.reshape(-1), ticks.wear.reshape(-1, ticks.wear.shape[2])
+    return (
+        _HEALTH[drives["health"]], drives["speed_rad_s"], drives["load_nm"],
+        drives["load_sigma_nm"], drives["loss_probability"], drives["nis"],
+        _CLASSES[drives["fault_class"]], drives["mixed_c"], drives["maisd_k"], *wear.T,
+    )  # fmt: skip
 
 
 class Changes:
@@ -57,6 +86,7 @@ class Changes:
         """None yet."""
         self.changes: list[Change] = []
         self._last: dict[int, tuple[Flag, Flag]] = {}
+        self._before: NDArray[np.int64] | None = None
 
     def add(self, view: GatewayView) -> None:
         """Take one tick."""
@@ -71,6 +101,17 @@ class Changes:
             self.changes.append((t_ns, node, "adhesion", ADHESION[adhesion]))
         if thermal is not before[1]:
             self.changes.append((t_ns, node, "thermal", FAULT[thermal]))
+
+    def add_ticks(self, ticks: Ticks, nodes: Sequence[int]) -> None:
+        """Take ticks; nodes: in the order of their drives."""
+        states = ticks.drives["flag"]["state"][:, :, [FlagKind.ADHESION, FlagKind.THERMAL]]
+        states = states.astype(np.int64)
+        first = np.full_like(states[:1], NEITHER) if self._before is None else self._before
+        before = np.concatenate([first, states[:-1]])
+        self._before = states[-1:]
+        for k, j in np.argwhere((states != before).any(axis=2)).tolist():
+            adhesion, thermal = states[k, j].tolist()
+            self.note(ticks.t_ns.item(k), nodes[j], Flag(adhesion), Flag(thermal))
 
 
 class Recorder:
@@ -91,41 +132,17 @@ class Recorder:
         )
         self._flags.write(",".join(FLAGS_HEADER) + "\n")
         self._estimates.write(",".join(ESTIMATES_HEADER) + "\n")
-        self._before = np.full((1, len(nodes), 2), NEITHER, np.int64)
 
     def add(self, ticks: Ticks) -> None:
         """Take ticks."""
-        states = ticks.drives["flag"]["state"][:, :, [FlagKind.ADHESION, FlagKind.THERMAL]]
-        self._note_changes(ticks.t_ns, states.astype(np.int64))
+        self.noted.add_ticks(ticks, self.nodes)
         times = [f"{t // 1_000_000_000}.{t % 1_000_000_000:09d}" for t in ticks.t_ns.tolist()]
-        stamps = [(time, node) for time in times for node in self.nodes]
-        drives = ticks.drives.reshape(-1)
-        reasons = np.where(
-            drives["adhesion_reason"], drives["adhesion_reason"], drives["thermal_reason"]
-        )
-        says = zip(stamps, states.reshape(-1, 2).tolist(), reasons.tolist(), strict=True)
-        self._flags.write("".join(
-            f"{time},{node},{_ADHESION[a]},{_FAULT[t]},{_REASONS[why]}\n"
-            for (time, node), (a, t), why in says
-        ))  # fmt: skip
-        numbers = np.column_stack(
-            [*(drives[name] for name in _NUMBERS), ticks.wear.reshape(-1, ticks.wear.shape[2])]
-        )
-        healths, kinds = drives["health"].tolist(), drives["fault_class"].tolist()
-        rows = zip(stamps, numbers.tolist(), healths, kinds, strict=True)
-        text = "".join(
-            _LINE % (time, node, _HEALTH[health], *n[:5], _CLASSES[kind], *n[5:])
-            for (time, node), n, health, kind in rows
-        )
-        self._estimates.write(text.replace(",nan", ","))
-
-    def _note_changes(self, t_ns: NDArray[np.int64], states: NDArray[np.int64]) -> None:
-        """states: (K, N, 2)."""
-        before = np.concatenate([self._before, states[:-1]])
-        self._before = states[-1:]
-        for k, j in np.argwhere((states != before).any(axis=2)).tolist():
-            adhesion, thermal = states[k, j].tolist()
-            self.noted.note(t_ns.item(k), self.nodes[j], Flag(adhesion), Flag(thermal))
+        times = [time for time in times for _ in self.nodes]
+        nodes = [*self.nodes] * len(ticks.t_ns)
+        says = zip(times, nodes, *(c.tolist() for c in flag_columns(ticks)), strict=True)
+        self._flags.write("".join(_FLAGS_LINE % row for row in says))
+        rows = zip(times, nodes, *(c.tolist() for c in estimate_columns(ticks)), strict=True)
+        self._estimates.write("".join(_LINE % row for row in rows).replace(",nan", ","))
 
     def close(self) -> None:
         """Finish the tables. Raises OSError."""
@@ -143,19 +160,3 @@ class Recorder:
     ) -> None:
         """Finish the tables, or take them away. Raises OSError."""
         self._files.__exit__(kind, error, trace)
-
-
-def flag_words(drive: DriveView) -> tuple[str, str, str]:
-    """Adhesion, thermal, and why one of them is unknown, as in `flags.csv`."""
-    reason = drive.adhesion_reason or drive.thermal_reason
-    return ADHESION[drive.adhesion], FAULT[drive.thermal], camel(Reason(reason).name)
-
-
-def estimated(drive: DriveView) -> tuple[str | float | None, ...]:
-    """What follows the drive in `estimates.csv`; None: not known."""
-    wear = drive.wear
-    return (
-        camel(Health(drive.health).name), drive.speed_rad_s, drive.load_nm, drive.load_sigma_nm,
-        drive.loss_probability, drive.nis, camel(FaultClass(drive.fault_class).name),
-        drive.mixed_c, drive.maisd_k, wear.rate_k_h, wear.sigma_k_h, wear.hours,
-    )  # fmt: skip

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dbc.candump.reader import Writer
+from dbc.frame import Frame
 from gateway.cli import main
 from gateway.mapping.fit import Measured, findings
 from gateway.settings.config import shipped_dbc
@@ -112,6 +113,26 @@ def test_a_wrong_mapping_is_named(tmp_path, frames, capsys, mistake):
     code, lines = check(tmp_path, text, log, capsys)
     assert code == 2
     assert any("DOES NOT FIT" in line and said in line for line in lines), lines
+
+
+def test_a_command_that_repeats_the_torque_is_named(tmp_path, frames, capsys):
+    """Torque as noisy as a cheap sensor's, sent as both."""
+    rng = np.random.default_rng(4)
+    mine = codec()
+    motion, status = mine.by_name["Drive1_Motion"], mine.by_name["Drive1_Status"]
+    sent = [f for f in frames if f.can_id not in (motion.can_id, status.can_id)]
+    for frame in frames:
+        if frame.can_id == motion.can_id:
+            torque = 18.0 + round(rng.normal(0.0, 1.0), 1)
+            speed = mine.decode(motion, frame.data)["Speed"].value
+            data = mine.encode(motion, {"Speed": speed, "Torque": torque})
+            sent.append(frame._replace(data=bytes(data)))
+            data = mine.encode(status, {"TorqueCommand": torque, "Irms": 12.0})
+            sent.append(Frame(frame.t_ns + 1000, status.can_id, bytes(data)))
+    log = log_of(tmp_path / "d.log", sent)
+    code, lines = check(tmp_path, "[[drive]]\nnode = 1\n", log, capsys)
+    assert code == 2
+    assert any("DOES NOT FIT: TorqueCommand repeats Torque" in line for line in lines), lines
 
 
 def test_what_a_log_does_not_show_is_unknown(tmp_path, frames, capsys):

@@ -44,11 +44,11 @@ def test_a_wheel_that_slides_is_not_called_good_for_200_ms(name):
     def really(rows):
         speed.update((row.drive, row.speed_rad_s) for row in rows)
 
-    def watch(now, _rx, _tx, view):
+    def watch(now, _rx, _tx, gateway):
         if not speed:
             return
         train = float(np.median(list(speed.values())))
-        for drive in view.drives:
+        for drive in gateway.view.drives:
             slides = abs(speed[drive.node] - train) > 0.1 * abs(train)
             if not (slides and drive.adhesion is Flag.GOOD):
                 since[drive.node] = now
@@ -114,7 +114,7 @@ def test_a_wrong_expectation_fails():
 def test_the_same_scenario_gives_the_same_bytes():
     def frames():
         seen = []
-        run(builtin("release"), [lambda _now, rx, tx, _view: seen.extend((*rx, *tx))])
+        run(builtin("release"), [lambda _now, rx, tx, _gateway: seen.extend((*rx, *tx))])
         return seen
 
     assert frames() == frames()
@@ -125,9 +125,9 @@ def test_a_cut_drive_is_released_and_comes_back_to_full_torque():
     commands = []
     recorder = Changes()
 
-    def watch(now, _rx, _tx, view):
-        recorder.add(view)
-        commands.append((now / 1e9, view))
+    def watch(now, _rx, _tx, gateway):
+        recorder.add(gateway.view)
+        commands.append((now / 1e9, gateway.view))
 
     outcome = run(builtin("release"), [watch])
     changes = [(t / 1e9, word) for t, node, what, word in recorder.changes

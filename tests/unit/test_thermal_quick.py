@@ -26,8 +26,8 @@ def told(kind, value, sensor, seed):
     tables = {"seed": seed, "duration_s": 30, "drives": 3, "event": [event]}
     ill, others = set(), set()
 
-    def look(now, received, sent, view):
-        for drive in view.drives:
+    def look(now, received, sent, gateway):
+        for drive in gateway.view.drives:
             (ill if drive.node == 2 else others).add(drive.fault_class)
 
     run_virtual(scenario_of(tables, kind), CONFIG, CODEC, [look])

@@ -1,0 +1,102 @@
+"""Whether `TorqueCommand` is what the train asks for, or what its drive has made of that.
+
+A loss is found by a load that its drive does not carry though it is asked to. A command that is
+taken behind the drive's own slip control, or that repeats the measured torque, falls with the load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.mapping.fit import Finding
+
+Array = NDArray[np.float64]
+
+LEAST: Final = 30
+"""Commands that are compared."""
+NOISY: Final = 0.3
+"""Share of them at which the torque must have a noise of its own."""
+NOISE: Final = 3.0
+"""Resolutions of the torque, beyond which a bend of its course is noise."""
+REPEATED: Final = 0.8
+"""Share of the noise that is in the command, too."""
+STEP_S: Final = 0.1
+FALL_S: Final = 0.3
+FALL: Final = 0.2
+"""Of rated torque, that a command falls by in FALL_S while those of the other drives do not."""
+OTHERS: Final = 0.05
+FEWEST: Final = 3
+"""Drives, of which one can be alone."""
+
+
+class Commanded(NamedTuple):
+    """Of one drive: t s and command Nm (K,), its torque Nm at these times, rated torque Nm."""
+
+    node: int
+    t: Array
+    command: Array
+    torque: Array
+    rated_nm: float
+
+
+def repeats_torque(one: Commanded) -> Iterator[Finding]:
+    """At most one: a command that has the noise of the measured torque."""
+    known = np.isfinite(one.command) & np.isfinite(one.torque)
+    if np.count_nonzero(known) < LEAST:
+        return
+    asked, made = np.diff(one.command[known], 2), np.diff(one.torque[known], 2)
+    levels = np.diff(np.unique(one.torque[known]))
+    if not len(levels):
+        return
+    noisy = np.abs(made) > NOISE * float(levels.min())
+    if np.count_nonzero(noisy) < NOISY * len(made):
+        return
+    same = np.abs(asked - made)[noisy] < 0.3 * np.abs(made[noisy])
+    if np.mean(same) > REPEATED:
+        yield Finding(
+            False,
+            "TorqueCommand repeats Torque with its noise: map what the train asks for, before the "
+            "drive's slip control, or leave it out",
+        )
+
+
+def fell_alone(drives: Sequence[Commanded]) -> dict[int, Finding]:
+    """By node: the first time a drive's command and torque fell, those of the others not."""
+    used = [one for one in drives if np.count_nonzero(np.isfinite(one.command)) >= LEAST]
+    if len(used) < FEWEST:
+        return {}
+    t = np.arange(max(one.t[0] for one in used), min(one.t[-1] for one in used), STEP_S)
+    back = round(FALL_S / STEP_S)
+    if len(t) <= back:
+        return {}
+    # Of rated torque, and of what is asked for either way.
+    command = np.array([_on(t, one.t, np.abs(one.command)) / one.rated_nm for one in used])
+    torque = np.array([_on(t, one.t, np.abs(one.torque)) / one.rated_nm for one in used])
+    fall = command[:, :-back] - command[:, back:]
+    with_it = (torque[:, :-back] - torque[:, back:]) > 0.5 * fall
+    found = {}
+    for k, one in enumerate(used):
+        others = np.median(np.delete(fall, k, axis=0), axis=0)
+        alone = np.flatnonzero((fall[k] > FALL) & (others < OTHERS) & with_it[k])
+        if len(alone):
+            at = alone[0]
+            found[one.node] = Finding(
+                None,
+                f"TorqueCommand fell alone {t[at] - t[0]:.1f} s after the start, from "
+                f"{command[k, at] * one.rated_nm:.3g} to {command[k, at + back] * one.rated_nm:.3g}"
+                " Nm, and Torque with it. If the drive's slip control did that, map the command "
+                "before it; if the train's control did, all is well",
+            )
+    return found
+
+
+def _on(grid: Array, t: Array, values: Array) -> Array:
+    """Values at times of a grid, those that are not known left out."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(len(grid), np.nan)
+    return np.interp(grid, t[known], values[known])
