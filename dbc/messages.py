@@ -211,7 +211,11 @@ def drive_messages(fd: bool) -> tuple[Entry, ...]:
                     "Irms", 16, 16, "Root mean square of the phase current, last 100 ms.",
                     "A", "0.02",
                 ),
-                measured("TorqueCommand", 32, 16, "Commanded torque.", "Nm", "0.1", signed=True),
+                measured(
+                    "TorqueCommand", 32, 16,
+                    "Torque that the train asks for, before the drive's own slip control and limits.",
+                    "Nm", "0.1", signed=True,
+                ),
                 chosen("State", 48, 4, "State of the drive.",
                        "Off", "Ready", "Operation", "Fault"),
                 measured("FaultCode", 52, 12, "The drive's own fault code.", "", "1"),
