@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Nanos
 from dbc.frames import MAX_DATA_BYTES, Block
@@ -41,8 +42,14 @@ _CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
 _DAY_NS: Final = 86_400 * SECOND
 _DAY_DIGITS: Final = 14
 _FORMS_KEPT: Final = 100_000
+_MICRO: Final = np.uint64(1_000_000)
+_CHANNEL_BITS: Final = 11
+_ALL_BUT_CHANNEL: Final = (1 << (64 - _CHANNEL_BITS)) - 1
 _EARLIEST, _LATEST = -62_000_000_000 * SECOND, 250_000_000_000 * SECOND
 _FLAG_EDL, _FLAG_BRS, _FLAG_ESI = 0x1000, 0x2000, 0x4000
+
+
+Times = NDArray[np.int64]
 
 
 class Form(NamedTuple):
@@ -73,7 +80,7 @@ class TextFile:
         self.reduced: Counter[str] = Counter()
         """Frames of which something is not kept, by what."""
         self._first_ns: Nanos | None = None
-        self._forms: dict[tuple[int, ...], Form] = {}
+        self._forms: dict[tuple[int, int], Form] = {}
         self._file = path.open("w", encoding="ascii", newline="")
 
     def add(self, block: Block) -> None:
@@ -81,28 +88,45 @@ class TextFile:
         block = self._representable(block)
         if not block.size:
             return
+        for part in _with_few_channels(block):
+            self._file.write("".join(self._text(part)))
+        self.written += block.size
+        self._count_reduced(block)
+
+    def _text(self, block: Block) -> Iterator[str]:
+        """Its lines."""
         size = min(int(block.length.max()), MAX_DATA_BYTES)
         # All bytes of the block in one text, of which each line takes its part.
         content = block.data[:, :size].tobytes()
-        text, width = (content.hex(" ").upper() + " ", 3) if self.as_hex else (content, 1)
-        channels = [self._channel(name) for name in block.names]
-        numbers = [channels[k] for k in block.channel.tolist()]
-        rows = zip(
-            block.t_ns.tolist(), block.can_id.tolist(), block.flags.tolist(),
-            block.length.tolist(), block.dlc.tolist(), numbers, strict=True,
-        )  # fmt: skip
-        known, lines = self._forms, []
-        for k, (t_ns, *key) in enumerate(rows):
-            form = known.get(parts := tuple(key))
-            if form is None:
-                if len(known) > _FORMS_KEPT:
-                    known.clear()
-                form = known[parts] = self._form(*key)
-            start = k * size * width
-            lines.append(self._line(t_ns, form, text[start : start + key[2] * width]))
-        self._file.write("".join(lines))
-        self.written += block.size
-        self._count_reduced(block)
+        text, width = (content.hex(" ").upper(), 3) if self.as_hex else (content, 1)
+        kinds, first, kind = np.unique(_kinds(block), return_index=True, return_inverse=True)
+        forms = [
+            self._form_of(one, block, at) for one, at in zip(kinds.tolist(), first, strict=True)
+        ]
+        starts = size * width * np.arange(block.size)
+        shown = np.maximum(width * block.length.astype(np.int64) - (width - 1) // 2, 0)
+        shown *= np.array([form.has_data for form in forms])[kind]
+        parts = zip(starts.tolist(), (starts + shown).tolist(), strict=True)
+        number = kind.tolist()
+        return self._lines(
+            block.t_ns,
+            [forms[k].before for k in number],
+            [text[start:end] for start, end in parts],
+            [forms[k].behind for k in number],
+        )
+
+    def _form_of(self, kind: int, block: Block, at: int) -> Form:
+        """Of the frames of one kind, of which one is at `at`."""
+        channel = self._channel(block.names[block.channel[at]])
+        key = kind & _ALL_BUT_CHANNEL, channel
+        form = self._forms.get(key)
+        if form is None:
+            if len(self._forms) > _FORMS_KEPT:
+                self._forms.clear()
+            fields = (block.can_id, block.flags, block.length, block.dlc)
+            form = self._form(*(int(field[at]) for field in fields), channel)
+            self._forms[key] = form
+        return form
 
     def _representable(self, block: Block) -> Block:
         """The frames for which there is room; the others are counted."""
@@ -150,9 +174,16 @@ class TextFile:
         """What stands before and behind the data of frames of one kind."""
         raise NotImplementedError
 
-    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
-        """data: in hexadecimal with a blank behind each byte, or as bytes."""
+    def _lines(
+        self, t_ns: Times, before: list[str], data: list[Any], behind: list[str]
+    ) -> Iterator[str]:
+        """data: in hexadecimal with a blank between two bytes, or as bytes; empty where none is."""
         raise NotImplementedError
+
+    def _since_first(self, t_ns: Times) -> NDArray[np.uint64]:
+        """Microseconds, rounded. Without a sign no difference is too large."""
+        first = np.uint64(self._start_ns % 2**64)
+        return (t_ns.view(np.uint64) - first + np.uint64(500)) // np.uint64(1000)
 
     def _tail(self) -> str:
         return ""
@@ -193,10 +224,11 @@ class AscFile(TextFile):
         end = f" {zero} {0:>4} {bits:>8X} {zero} {zero} {zero} {zero} {zero}\n"
         return Form(start + middle, end)
 
-    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
-        us = (t_ns - self._start_ns + 500) // 1000
-        shown = data[:-1] if form.has_data else ""
-        return f"{us // 1_000_000:>2}.{us % 1_000_000:06d}{form.before}{shown}{form.behind}"
+    def _lines(
+        self, t_ns: Times, before: list[str], data: list[Any], behind: list[str]
+    ) -> Iterator[str]:
+        whole, part = (each.tolist() for each in divmod(self._since_first(t_ns), _MICRO))
+        return map("%2d.%06d%s%s%s".__mod__, zip(whole, part, before, data, behind, strict=True))
 
     def _tail(self) -> str:
         return "End TriggerBlock\n"
@@ -227,12 +259,14 @@ class TrcFile(TextFile):
         before = f" {kind} {channel:>2} {name:>8} {_way(flags)} -  {code:<4} "
         return Form(before, "\r\n", has_data=not flags & (ERROR | REMOTE))
 
-    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
-        us = (t_ns - self._start_ns + 500) // 1000
-        self._numbered += 1
-        stamp = f"{us // 1000}.{us % 1000:03d}"
-        shown = data[:-1] if form.has_data else ""
-        return f"{self._numbered:>7} {stamp:>13}{form.before}{shown}{form.behind}"
+    def _lines(
+        self, t_ns: Times, before: list[str], data: list[Any], behind: list[str]
+    ) -> Iterator[str]:
+        whole, part = (each.tolist() for each in divmod(self._since_first(t_ns), np.uint64(1000)))
+        numbers = range(self._numbered + 1, self._numbered + 1 + len(whole))
+        self._numbered += len(whole)
+        rows = zip(numbers, whole, part, before, data, behind, strict=True)
+        return map("%7d %9d.%03d%s%s%s".__mod__, rows)
 
 
 class CsvFrames(TextFile):
@@ -255,10 +289,39 @@ class CsvFrames(TextFile):
         size = max(dlc, 0) if flags & REMOTE else length
         return Form(f",{can_id:#x},{bits},{size},", "\n")
 
-    def _line(self, t_ns: Nanos, form: Form, data: Any) -> str:
-        sign, size = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
-        text = b2a_base64(data, newline=False).decode()
-        return f"{sign}{size // SECOND}.{size % SECOND:09d}{form.before}{text}\n"
+    def _lines(
+        self, t_ns: Times, before: list[str], data: list[Any], behind: list[str]
+    ) -> Iterator[str]:
+        del behind
+        size, negative = t_ns.view(np.uint64), t_ns < 0
+        size = np.where(negative, np.uint64(0) - size, size)
+        whole, part = (each.tolist() for each in divmod(size, np.uint64(SECOND)))
+        sign = ["-" if one else "" for one in negative.tolist()]
+        # Each ends with its line's end.
+        shown = [b2a_base64(one).decode() for one in data]
+        return map("%s%d.%09d%s%s".__mod__, zip(sign, whole, part, before, shown, strict=True))
+
+
+def _kinds(block: Block) -> NDArray[np.uint64]:
+    """(n,): equal for frames that differ in nothing but time and data."""
+    made = block.channel.astype(np.uint64)
+    fields = (block.dlc.view(np.uint8), 8), (block.length, 8), (block.flags, 8), (block.can_id, 29)
+    for field, bits in fields:
+        made = made << np.uint64(bits) | field.astype(np.uint64)
+    return made
+
+
+def _with_few_channels(block: Block) -> Iterator[Block]:
+    """In parts whose channels have numbers that `_kinds` has room for."""
+    most = 1 << _CHANNEL_BITS
+    if block.channel.max() < most:
+        yield block
+        return
+    for first in range(0, block.size, most):
+        part = block.part(first, min(first + most, block.size))
+        used, number = np.unique(part.channel, return_inverse=True)
+        names = [block.names[k] for k in used.tolist()]
+        yield part._replace(channel=number.astype(np.uint16), names=names)
 
 
 def _way(flags: int) -> str:
