@@ -489,7 +489,7 @@ def test_capitals_are_the_same_ending(tmp_path: Path) -> None:
 def test_any_number_of_channels_keeps_the_order_of_its_frames(tmp_path):
     log = tmp_path / "many.log"
     log.write_text("".join(f"({k}.000000) can{k} 123#{k % 256:02X}\n" for k in range(5000)))
-    assert main(["convert", str(log), str(tmp_path / "many.asc")]) == 0
+    assert cli.main(["convert", str(log), str(tmp_path / "many.asc")]) == 0
     lines = [line.split() for line in (tmp_path / "many.asc").read_text().splitlines()]
     rows = [line for line in lines if line[2:3] == ["123"]]
     assert [(float(row[0]), int(row[1]), row[-1]) for row in rows] == [
