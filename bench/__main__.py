@@ -13,6 +13,7 @@ from pathlib import Path
 from bench import (
     adhesion,
     authentication,
+    convert,
     drives,
     filters,
     fleet,
@@ -33,6 +34,7 @@ PARTS = {
     "stages": stages,
     "wire": wire,
     "replay": replay,
+    "convert": convert,
     "live": live,
     "authentication": authentication,
     "fleet": fleet,
@@ -49,6 +51,7 @@ TITLES = {
     "stages": "Where a tick's time goes",
     "wire": "Reading and decoding",
     "replay": "Replay against the libraries",
+    "convert": "Convert against python-can",
     "live": "Live: frames, ticks, punctuality",
     "authentication": "Authenticated flags",
     "fleet": "A fleet of logs",
