@@ -29,6 +29,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--without-model", action="store_true",
                         help="limits by how motors differ alone, for [thermal] method = 'maisd'; "
                         "without it logs that give no thermal model are refused")  # fmt: skip
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="a picture of each motor: "
+                        "measured, and by its model")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if a log has several")
 
 
@@ -38,12 +40,16 @@ def run(options: argparse.Namespace) -> int:
     Raises ConfigError, and writes nothing, where the logs do not give what the method needs.
     """
     from gateway.core.thermal import NO_MODEL
+    from gateway.io.extras import pictures
     from gateway.io.replay import OneChannel, open_log
     from gateway.io.whole_file import write_text
     from gateway.settings.calibration import to_toml
     from gateway.settings.config import ConfigError
+    from gateway.study import calibration_fit
     from gateway.study.calibrating import Learner
 
+    if options.pictures is not None:
+        pictures("--pictures")
     config, codec = prepare(options.config)
     # Whatever was learnt before says nothing now.
     thermal = config.thermal.model_copy(update={"calibration": None})
@@ -63,6 +69,10 @@ def run(options: argparse.Namespace) -> int:
     motors = len(config.nodes)
     seen = f"{learner.samples} samples of {motors} motors"
     print(f"{shown(path)}: {seen}; MAISD limits {limits} K; {model}")
+    if learner.fits:
+        print("\n".join(calibration_fit.lines(learner.fits)))
+        if options.pictures is not None:
+            calibration_fit.draw(options.pictures, learner.fits)
     return GOOD
 
 

@@ -27,6 +27,7 @@ from gateway.settings.calibration import (
     problems_of,
 )
 from gateway.settings.config import ConfigError
+from gateway.study.calibration_fit import Fit, fits
 from gateway.study.temperature_reader import Cycles
 
 FLOOR_K = (0.5, 1.0)
@@ -64,6 +65,8 @@ class Learner:
         self.seconds: list[list[Sample]] = []
         """Of every log, second by second."""
         self.dt_s = 1.0
+        self.fits: list[Fit] = []
+        """Of every motor, once a model was learnt."""
         self._last: np.ndarray | None = None
 
     def begin(self) -> None:
@@ -174,7 +177,9 @@ class Learner:
             return None
         if np.ptp(np.concatenate([run.current_square.mean(axis=1) for run in runs])) <= 0.0:
             return None
-        return learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
+        known = learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
+        self.fits = fits(known, runs[-1], self.nodes)
+        return known
 
     def _record(self, log: list[Sample]) -> Record | None:
         """A log's seconds from the first with everything known; None without one.

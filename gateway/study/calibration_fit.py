@@ -1,0 +1,134 @@
+"""How far a calibration explains its motors, on fault-free data that its parameters have not seen.
+
+The model runs by itself over the held-back part, from its first readings on. The first half of
+what is left says how far off it usually is; the second half shows whether that is true later, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal.model import inputs_of, predict
+from estimators.thermal.monitor import Known
+from estimators.thermal.record import POINTS, Record
+from estimators.thermal.system_identification import first_readings
+
+Array = NDArray[np.float64]
+
+LEAST_INSIDE: Final = 0.8
+"""Of the second half; normal errors would be inside for 95 % of it."""
+
+
+class Fit(NamedTuple):
+    """Of one motor, on K seconds; NaN: it has no such sensor.
+
+    t_s (K,); measured_c and modelled_c (K, 3) at `POINTS`; sigma_k (3,) of the first half; error_k
+    (3,): root mean square over both; inside (3,): share of the second half within two sigma.
+    """
+
+    node: int
+    t_s: Array
+    measured_c: Array
+    modelled_c: Array
+    sigma_k: Array
+    error_k: Array
+    inside: Array
+
+    @property
+    def explained(self) -> bool:
+        """Whether each sensor stays where the first half says."""
+        return bool((np.nan_to_num(self.inside, nan=1.0) >= LEAST_INSIDE).all())
+
+
+def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
+    """One for each motor."""
+    modelled = predict(known.parameters, inputs_of(held_back), first_readings(held_back))
+    off = held_back.temperature - modelled
+    half = len(off) // 2
+    with np.errstate(all="ignore"):
+        centre = _mean(off[:half])
+        sigma = np.sqrt(_mean((off[:half] - centre) ** 2))
+        error = np.sqrt(_mean(off**2))
+        later = np.where(
+            np.isfinite(off[half:]), np.abs(off[half:] - centre) <= 2.0 * sigma, np.nan
+        )
+        inside = _mean(later)
+    t_s = held_back.at * held_back.step_s
+    return [
+        Fit(
+            node, t_s, held_back.temperature[:, j], modelled[:, j] + centre[j], sigma[j], error[j],
+            inside[j],
+        )
+        for j, node in enumerate(nodes)
+    ]  # fmt: skip
+
+
+def _mean(values: Array) -> Array:
+    """Along the first axis, of what is known; NaN where nothing is."""
+    known = np.isfinite(values)
+    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0))
+
+
+def lines(found: Sequence[Fit]) -> list[str]:
+    """A line for each motor, and what follows from those that the model does not explain."""
+    hours = (found[0].t_s[-1] - found[0].t_s[0]) / 3600.0
+    out = [
+        f"On {hours:.2f} h that the fit has not seen: error of the model, and for how much of the "
+        "second half it stayed within two sigma of the first"
+    ]
+    for fit in found:
+        parts = [
+            f"{name} {error:.2f} K, {100.0 * inside:.0f} %"
+            for name, error, inside in zip(POINTS, fit.error_k, fit.inside, strict=True)
+            if np.isfinite(error)
+        ]
+        out.append(f"drive {fit.node}: {'; '.join(parts)}")
+    badly = [str(fit.node) for fit in found if not fit.explained]
+    if badly:
+        out.append(
+            f"note: the model does not explain drive {', '.join(badly)} as well later as at first; "
+            "record more duties, or longer ones, or limits will be too tight"
+        )
+    return out
+
+
+def draw(folder: Path, found: Sequence[Fit]) -> list[Path]:
+    """`drive<n>.svg` of each: measured and modelled, and what is left, with its band."""
+    from gateway.reports.figures import (
+        BLUE,
+        GREEN,
+        GREY,
+        ORANGE,
+        Panel,
+        legend,
+        panels,
+        save,
+        styled,
+    )
+
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    with styled():
+        for fit in found:
+            figure, (above, below) = panels(
+                [Panel(2.2, "temperature / degC", True), Panel(1.4, "measured - model / K", False)]
+            )
+            for p, color in enumerate((BLUE, ORANGE, GREEN)):
+                if not np.isfinite(fit.error_k[p]):
+                    continue
+                above.plot(fit.t_s, fit.measured_c[:, p], color=color, lw=1.0, label=POINTS[p])
+                above.plot(fit.t_s, fit.modelled_c[:, p], color=color, lw=1.0, ls="--")
+                left = fit.measured_c[:, p] - fit.modelled_c[:, p]
+                below.plot(fit.t_s, left, color=color, lw=0.8)
+                for sign in (-2.0, 2.0):
+                    below.axhline(sign * fit.sigma_k[p], color=color, lw=0.6, ls=":")
+            above.plot([], [], color=GREY, ls="--", label="model")
+            legend(above)
+            paths.append(folder / f"drive{fit.node}.svg")
+            save(figure, paths[-1])
+    return paths
