@@ -213,7 +213,7 @@ def drive_messages(fd: bool) -> tuple[Entry, ...]:
                 ),
                 measured(
                     "TorqueCommand", 32, 16,
-                    "Torque that the train asks for, before the drive's own slip control and limits.",
+                    "Torque that the train asks for, before the drive's slip control and limits.",
                     "Nm", "0.1", signed=True,
                 ),
                 chosen("State", 48, 4, "State of the drive.",

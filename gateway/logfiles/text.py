@@ -123,8 +123,10 @@ class TextFile:
         if form is None:
             if len(self._forms) > _FORMS_KEPT:
                 self._forms.clear()
-            fields = (block.can_id, block.flags, block.length, block.dlc)
-            form = self._form(*(int(field[at]) for field in fields), channel)
+            can_id, flags, length, dlc = (
+                field.item(at) for field in (block.can_id, block.flags, block.length, block.dlc)
+            )
+            form = self._form(can_id, flags, length, dlc, channel)
             self._forms[key] = form
         return form
 

@@ -45,7 +45,7 @@ def camel(name: str) -> str:
 Column = NDArray[Any]
 
 
-def _by_code(words: Mapping[int, str]) -> Column:
+def _by_code(words: Mapping[Any, str]) -> Column:
     """(256,): the word of each code."""
     made = np.full(256, None, dtype=object)
     for code, word in words.items():

@@ -52,8 +52,8 @@ def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
     half = len(off) // 2
     with np.errstate(all="ignore"):
         centre = _mean(off[:half])
-        sigma = np.sqrt(_mean((off[:half] - centre) ** 2))
-        error = np.sqrt(_mean(off**2))
+        sigma: Array = np.sqrt(_mean((off[:half] - centre) ** 2))
+        error: Array = np.sqrt(_mean(off**2))
         later = np.where(
             np.isfinite(off[half:]), np.abs(off[half:] - centre) <= 2.0 * sigma, np.nan
         )
