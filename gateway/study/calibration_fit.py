@@ -58,7 +58,7 @@ def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
             np.isfinite(off[half:]), np.abs(off[half:] - centre) <= 2.0 * sigma, np.nan
         )
         inside = _mean(later)
-    t_s = held_back.at * held_back.step_s
+    t_s = (held_back.at * held_back.step_s).astype(np.float64)
     return [
         Fit(
             node, t_s, held_back.temperature[:, j], modelled[:, j] + centre[j], sigma[j], error[j],
@@ -71,7 +71,8 @@ def fits(known: Known, held_back: Record, nodes: Sequence[int]) -> list[Fit]:
 def _mean(values: Array) -> Array:
     """Along the first axis, of what is known; NaN where nothing is."""
     known = np.isfinite(values)
-    return np.asarray(np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0))
+    mean: Array = np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
+    return mean
 
 
 def lines(found: Sequence[Fit]) -> list[str]:
