@@ -90,7 +90,7 @@ def test_everything_stands_on_a_screen_of_80_by_24(log):
         assert "✓Adhering" in rows["3"]
         assert "Tracking" in rows["2"]
         assert "100 %" in rows["2"]
-        assert "±1.7" in rows["1"]
+        assert "±0." in rows["1"]
         assert "✗ drive 2  adhesion AdhesionLost" in text
         assert "?Unknown" in rows["1"]  # thermal: no calibration
 

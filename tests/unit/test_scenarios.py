@@ -73,11 +73,11 @@ def test_a_drive_that_takes_its_torque_back_is_judged_all_the_time(detector, see
     seen = []
     config, codec = prepare(None, thermal=scenario_thermal(), adhesion={"detector": detector})
     outcome = run_virtual(
-        scenario, config, codec, [lambda now, _rx, _tx, view: seen.append((now, view.drives))]
+        scenario, config, codec, [lambda now, _rx, _tx, gateway: seen.append((now, gateway.view))]
     )
     assert outcome.passed
     start = seen[0][0]
-    after = [d.adhesion for now, drives in seen if now - start > 3_560 * MS for d in drives]
+    after = [d.adhesion for now, view in seen if now - start > 3_560 * MS for d in view.drives]
     assert set(after) == {Flag.GOOD}
 
 
