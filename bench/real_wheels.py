@@ -1,9 +1,11 @@
 """`python -m bench.real_wheels`: a robot's driven wheels, judged by the whole gateway.
 
 Three omnidirectional wheels; currents, set and actual speeds every 31 ms (tests/data/README.md).
-Each wheel becomes a drive: its speed is the rotor's, its current over RATED_A the torque over the
-rated one, and phase currents and voltages follow in closed form, as in `bench.held_plant`. So the
-machine is ours; what the wheels carry, how fast they turn, and all the noise of it, are real.
+`--terrain`: a vehicle of four wheels on asphalt and on ice; current and speed of its two sides at
+6.5 Hz. Each wheel, or side, becomes a drive: its speed is the rotor's, its current over RATED_A the
+torque over the rated one, and phase currents and voltages follow in closed form, as in
+`bench.held_plant`. So the machine is ours; what the wheels carry, how fast they turn, and all the
+noise of it, are real.
 """
 
 from __future__ import annotations
@@ -33,6 +35,15 @@ from gateway.settings.config import BENCH_MOTOR, parse, shipped_dbc
 Array = NDArray[np.float64]
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "wheels" / "robot.csv.gz"
+TERRAIN: Final = DATA.parent / "terrain"
+TERRAIN_A: Final = 15.0
+"""Taken for the rated current of a side of the vehicle; the most seen is 22 A."""
+RAD_PER_M: Final = 40.0
+"""Of a rotor, for a metre that its side rolls: gears and wheels are not known. 31 rad/s at most."""
+TURNS_RAD_S: Final = 5.0
+"""Of both rotors, from which on the vehicle is taken to drive."""
+STRAIGHT: Final = 0.05
+"""Difference of the rotors' speeds, of the faster one, up to which it drives straight."""
 RATED_A: Final = 3.0
 """Taken for the motors' rated current, which the source does not give; the most seen is 2.9 A."""
 INERTIA_KG_M2: Final = 0.005
@@ -52,13 +63,17 @@ SKIP_S: Final = 1.5
 
 
 class Run(NamedTuple):
-    """A recording: t_s (T,); of driven wheels (T, N) set speed, speed in rad/s, current in A."""
+    """A recording: t_s (T,); of driven wheels (T, N) set speed and speed in rad/s, current in A.
+
+    effort (T, N): the current with the sign of the torque, its noise as far as it is used.
+    """
 
     name: str
     t_s: Array
     wanted: Array
     speed: Array
     current: Array
+    effort: Array
 
     @property
     def straight(self) -> bool:
@@ -83,7 +98,11 @@ def _run(name: str, table: Array) -> Run:
     wanted, speed, current = table[:, 1:4], table[:, 4:7], np.abs(table[:, 7:10])
     driven = np.abs(wanted[len(wanted) // 2]) >= DRIVEN
     t_s = (table[:, 0] - table[0, 0]) / 1e3
-    return Run(name, t_s, wanted[:, driven], speed[:, driven], current[:, driven])
+    wanted, speed, current = wanted[:, driven], speed[:, driven], current[:, driven]
+    return Run(
+        name, t_s, wanted, uniform_filter1d(speed, SPEED_SAMPLES, axis=0), current,
+        np.sign(wanted[len(wanted) // 2]) * uniform_filter1d(current, CURRENT_SAMPLES, axis=0),
+    )  # fmt: skip
 
 
 def frames(run: Run, codec: Codec, rated_a: float = RATED_A) -> list[Frame]:
@@ -91,13 +110,46 @@ def frames(run: Run, codec: Codec, rated_a: float = RATED_A) -> list[Frame]:
     t = np.arange(0.0, run.t_s[-1], PERIOD_S)
     out: list[Frame] = []
     for k in range(run.speed.shape[1]):
-        w = CubicSpline(run.t_s, uniform_filter1d(run.speed[:, k], SPEED_SAMPLES))
-        sign = np.sign(run.wanted[len(run.wanted) // 2, k])
-        amps = uniform_filter1d(run.current[:, k], CURRENT_SAMPLES) / rated_a * BENCH_MOTOR.I_rated
-        i_q = sign * np.interp(t, run.t_s, amps)
+        w = CubicSpline(run.t_s, run.speed[:, k])
+        i_q = np.interp(t, run.t_s, run.effort[:, k]) / rated_a * BENCH_MOTOR.I_rated
         theta = BENCH_MOTOR.pole_pairs * w.antiderivative()(t) + k
         out += _drive(k + 1, codec, t, _phasors(theta, i_q), (theta, w(t), i_q))
     return sorted(out, key=lambda frame: frame.t_ns)
+
+
+@cache
+def terrain() -> dict[str, Run]:
+    """All recordings of the vehicle, by name. Its currents have no sign: that of the speed."""
+    found = {}
+    for path in sorted(TERRAIN.glob("*.csv.gz")):
+        with gzip.open(path, "rt", encoding="utf-8", newline="") as file:
+            table = np.array([[float(x) for x in row] for row in list(csv.reader(file))[1:]])
+        speed, current = RAD_PER_M * table[:, 3:], table[:, 1:3]
+        name = path.name.partition(".")[0]
+        effort = np.sign(speed) * current
+        found[name] = Run(name, table[:, 0] - table[0, 0], speed, speed, current, effort)
+    return found
+
+
+def drives_straight(run: Run) -> NDArray[np.bool_]:
+    """(ticks,): both sides turn, and alike."""
+    t_s = 0.01 * np.arange(1, round(run.t_s[-1] * 100.0))
+    left, right = (np.abs(np.interp(t_s, run.t_s, run.speed[:, k])) for k in (0, 1))
+    faster, slower = np.maximum(left, right), np.minimum(left, right)
+    return np.asarray((slower > TURNS_RAD_S) & (faster - slower <= STRAIGHT * faster))
+
+
+def terrain_lines() -> list[str]:
+    """The table of the vehicle in docs/real_wheels.md."""
+    out = [
+        "| recording | straight | lost % | adhering % | unknown % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, run in terrain().items():
+        flags, straight = judge(run, TERRAIN_A), drives_straight(run)
+        seconds = np.count_nonzero(straight) / 100.0
+        out.append(f"| {name} | {seconds:.0f} s | {shares(flags[straight].ravel())} |")
+    return out
 
 
 def _phasors(theta: Array, i_q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -211,8 +263,13 @@ def lines(rated_a: float) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table for each rated current."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+    parser.add_argument("--terrain", action="store_true", help="the vehicle, not the robot")
     parser.add_argument("--rated-a", type=float, nargs="+", default=[RATED_A])
-    for rated_a in parser.parse_args(arguments).rated_a:
+    options = parser.parse_args(arguments)
+    if options.terrain:
+        print("\n".join(terrain_lines()))
+        return 0
+    for rated_a in options.rated_a:
         print(f"Rated current {rated_a:g} A\n")
         print("\n".join(lines(rated_a)))
     return 0

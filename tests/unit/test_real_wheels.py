@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.real_wheels import SKIP_S, groups, judge, on_drag, runs
+from bench.real_wheels import SKIP_S, drives_straight, groups, judge, on_drag, runs, terrain
 from gateway.core.codes import Flag
 
 UNLIKE = ("table_exp28", "table_exp40")
@@ -39,3 +39,15 @@ def test_what_is_in_the_recordings():
     crossing = [on_drag(runs()[name]) for name in kinds["onto another floor"]]
     assert all(drag.all(axis=1).any() for drag in crossing)
     assert any((drag.any(axis=1) & ~drag.all(axis=1)).any() for drag in crossing)
+
+
+def test_what_is_in_the_recordings_of_the_vehicle():
+    """Both sides turn alike on asphalt for minutes, and never carry alike: nothing slips there."""
+    found = terrain()
+    assert sorted(found) == ["ASPHALT_pro_00", "ASPHALT_pro_01", "ICE_pro_00", "ICE_pro_01"]
+    run = found["ASPHALT_pro_01"]
+    straight = drives_straight(run)
+    assert 120.0 < straight.sum() / 100.0 < 180.0
+    at = np.searchsorted(run.t_s, 0.01 * np.flatnonzero(straight)) - 1
+    left, right = run.current[at].T
+    assert 0.5 < np.median(left) / np.median(right) < 0.7
