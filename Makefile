@@ -10,7 +10,7 @@ CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h 
 WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
 
 .PHONY: demo test test-all fuzz fuzz-deep fuzz-tick soak campaign coverage sanitize mutation lint clang format docs bench calibration changelog dist lock clean
-demo: $(VENV)/.ready
+demo: $(VENV)/.program
 	$(BIN)/traction-gateway demo $(ARGS)
 
 # The tests that need a real SocketCAN interface (tests/hil) run natively, or in user-mode-linux
@@ -158,24 +158,36 @@ changelog:
 		out/towncrier/bin/pip install -q towncrier==26.9.0; }
 	out/towncrier/bin/towncrier build --yes --version $$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 
-# Only with a new dependency: needs uv (pip install uv). Extras stay in the lock: what is asked for with
-# one, and pinned without, pip takes in its newest version, of which there is no hash.
+# Only with a new dependency: needs uv (pip install uv). The demo's lock is a part of the whole one. Extras
+# stay in a lock: what is asked for with one, and pinned without, pip takes in its newest version, of which
+# there is no hash.
+COMPILE := uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
+	--no-strip-extras --no-emit-index-url --quiet
 lock:
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
-		--generate-hashes --no-strip-extras --no-emit-index-url --quiet --output-file requirements.lock
+	$(COMPILE) --extra dev --output-file requirements.lock
+	$(COMPILE) --extra pictures --group build --constraints requirements.lock \
+		--output-file requirements-demo.lock
 
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
 # A machine without a C compiler gets one from pip.
-$(VENV)/.dependencies: requirements.lock requirements-compiler.lock
+$(VENV)/.libraries: requirements-demo.lock requirements-compiler.lock
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) --require-hashes -r requirements.lock
+	$(PIP) --require-hashes -r requirements-demo.lock
 	command -v cc >/dev/null || $(PIP) --require-hashes -r requirements-compiler.lock
 	touch $@
 
 # compat: a path in a .pth file; the other way of an editable install costs every start an import.
-$(VENV)/.ready: $(VENV)/.dependencies pyproject.toml setup.py core_build.py $(CORE_C) $(CORE_H)
+$(VENV)/.program: $(VENV)/.libraries pyproject.toml setup.py core_build.py $(CORE_C) $(CORE_H)
 	$(PIP) --no-deps --no-build-isolation --config-settings editable_mode=compat -e .
+	touch $@
+
+$(VENV)/.tools: requirements.lock | $(VENV)/.program
+	$(PIP) --require-hashes -r requirements.lock
+	touch $@
+
+# What the program needs is enough for `make demo`; all else has the tests' tools beside it.
+$(VENV)/.ready: $(VENV)/.tools $(VENV)/.program
 	touch $@
 
 clean:

@@ -26,10 +26,15 @@ def theirs(source: Path, target: Path) -> None:
             writer.on_message_received(message)
 
 
+def options(target: Path) -> list[str]:
+    """Of the command: MF4 and CSV of frames, as theirs are."""
+    return ["--frames"] if target.suffix in (".csv", ".mf4") else []
+
+
 def ours(source: Path, target: Path) -> None:
-    """The command; MF4 of frames, as theirs is."""
+    """The command."""
     target.unlink(missing_ok=True)
-    quiet("convert", str(source), str(target), *(["--frames"] if target.suffix == ".mf4" else []))
+    quiet("convert", str(source), str(target), *options(target))
 
 
 def rows() -> list[tuple[str, ...]]:

@@ -91,7 +91,7 @@ def test_the_sdist_has_what_a_packager_needs(built):
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert {
         "LICENSE", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "Makefile", "requirements.lock",
-        "core_build.py", "dbc/e2e.c", "gateway/core/records.h", "docs/deploy.md",
+        "requirements-demo.lock", "core_build.py", "dbc/e2e.c", "gateway/core/records.h", "docs/deploy.md",
         "examples/train.toml", "tests/unit/test_packaging.py",
         "tests/golden/loss.log.gz",
     } <= names  # fmt: skip
@@ -148,10 +148,22 @@ def test_what_it_asks_for_is_what_is_locked(built):
     extras = {line.partition(": ")[2] for line in said.splitlines()
               if line.startswith("Provides-Extra")}  # fmt: skip
     assert extras == set(project["optional-dependencies"])
-    locked = (ROOT / "requirements.lock").read_text().lower().replace("_", "-")
-    names = {re.split(r"[\[=]", line)[0] for line in locked.splitlines() if "==" in line}
-    missing = [line for line in plain if _name(line) not in names]
-    assert not missing, json.dumps(missing)
+    for lock in ("requirements.lock", "requirements-demo.lock"):
+        missing = [line for line in plain if _name(line) not in _pins(lock)]
+        assert not missing, json.dumps(missing)
+
+
+def test_what_the_demo_needs_is_locked_as_for_the_tests():
+    """Same versions, and far fewer of them: `make demo` installs no tools."""
+    few, all_of_them = _pins("requirements-demo.lock"), _pins("requirements.lock")
+    assert few.items() <= all_of_them.items()
+    assert not {"pytest", "mypy", "mkdocs", "numba"} & few.keys()
+
+
+def _pins(lock: str) -> dict[str, str]:
+    """Versions by name."""
+    text = (ROOT / lock).read_text().lower().replace("_", "-")
+    return dict(re.findall(r"^([\w.-]+)(?:\[[^\]]*\])?==(\S+)", text, re.MULTILINE))
 
 
 def _name(requirement: str) -> str:
