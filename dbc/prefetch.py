@@ -23,7 +23,7 @@ def ahead(items: Iterator[T]) -> Iterator[T]:
         while wanted.get():
             try:
                 made.put(next(items, None))
-            except BaseException as error:  # noqa: BLE001 raised where the item is asked for
+            except BaseException as error:  # raised where the item is asked for
                 made.put(error)
 
     worker = threading.Thread(target=make, name="ahead", daemon=True)

@@ -91,7 +91,8 @@ def test_the_sdist_has_what_a_packager_needs(built):
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert {
         "LICENSE", "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "Makefile", "requirements.lock",
-        "requirements-demo.lock", "core_build.py", "dbc/e2e.c", "gateway/core/records.h", "docs/deploy.md",
+        "requirements-demo.lock", "core_build.py", "dbc/e2e.c", "gateway/core/records.h",
+        "docs/deploy.md",
         "examples/train.toml", "tests/unit/test_packaging.py",
         "tests/golden/loss.log.gz",
     } <= names  # fmt: skip
