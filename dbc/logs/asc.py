@@ -18,33 +18,25 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX
+from dbc.logs.asc_dates import date_of, nanoseconds_between
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
 from dbc.logs.lines import shape_of
 
 _PLAIN: Final = (
     r"[ \t]*(-?\d+\.\d+)[ \t]+"
     r"(\d{1,3}[ \t]+[0-9A-Fa-f]{1,10}[xX]?[ \t]+(?:[RT]x|TxRq)[ \t]+d[ \t]+[0-9A-Fa-f]{1,2})"
-    r"(?![^ \t\n])([ \t0-9A-Fa-f]*).*"
+    r"(?![^ \t\n])((?:[ \t]+[0-9A-Fa-f]{1,3}(?![^ \t\n]))*).*"
 )
 _TIMED: Final = re.compile(r"(-?\d+(?:\.\d*)?)\s+(\S.*)")
 _BASE: Final = re.compile(r"base\s+(hex|dec)\b(?:.*\btimestamps\s+(absolute|relative))?", re.I)
 _TRIGGER: Final = re.compile(r"begin\s+triggerblock\b(.*)", re.I)
 _HEADER: Final = re.compile(r"date\b|end\s+triggerblock|(?:no\s+)?internal\s+events", re.I)
-_DATE: Final = re.compile(
-    r"(\S+)\s+(\d{1,2})\s+(\d{1,2}):(\d\d):(\d\d)(?:\.(\d{1,9}))?\s*([ap]m)?\s*(\d{4})\b", re.I
+_NUMBER: Final = re.compile(r"\bID\s*=\s*(\d+)(x?)", re.I)
+"""Of a frame, decimal; behind its data, where it may have a name."""
+_NAMED: Final = re.compile(
+    r"^\s*[\d.-]+\s+\d+\s+([A-Za-z_]\w*)\s+(?:[RT]x|TxRq)\b.*\bID\s*=\s*(\d+)(x?)", re.I | re.M
 )
-_SYMBOLIC: Final = re.compile(r"\bID\s*=\s*(\d+)(x?)", re.I)
 _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
-_MONTHS: Final = {
-    name: number
-    for number, names in enumerate(
-        ("jan jän ene gen", "feb fév fev", "mar mär mrz", "apr avr abr", "may mai mag",
-         "jun jui giu", "jul lug", "aug aoû ago", "sep set", "oct okt ott out", "nov",
-         "dec dez déc dic"), 1,
-    )
-    for name in names.split()
-}  # fmt: skip
-"""By the first three letters, as Windows writes months in several languages."""
 _MOST_RAW: Final = 15
 _SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
 """Channel, identifier, direction, `d`, length."""
@@ -69,6 +61,15 @@ class Asc:
         self._block: datetime | None = None
         self._offset_ns = 0
         self._latest_ns = 0
+        self._blocks, self._begins = 0, False
+        self._numbers: dict[str, tuple[int, int]] = {}
+        self.notes: list[str] = []
+
+    def learn(self, text: str) -> None:
+        """What names stand for that could be read as hexadecimal numbers."""
+        if "ID =" in text:
+            for name, number, extended in _NAMED.findall(text):
+                self._numbers[name] = int(number), EXTENDED if extended else 0
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
         """Of seconds."""
@@ -82,12 +83,19 @@ class Asc:
             times = np.cumsum(np.where(timed, times, 0)) + self._latest_ns
         else:
             first = times[timed].item(0)
-            if self._block and self._first and first + self._offset_ns < self._latest_ns:
-                self._offset_ns = _between(self._first, self._block)
+            if self._begins and first + self._offset_ns < self._latest_ns:
+                self._offset_ns = self._block_ns(first)
             times = times + self._offset_ns
-        self._block = None
+        self._block, self._begins = None, False
         self._latest_ns = times[timed].item(-1)
         return times
+
+    def _block_ns(self, first_ns: int) -> int:
+        """How much later than the first block this one began, whose times begin anew."""
+        if self._first and self._block:
+            return nanoseconds_between(self._first, self._block)
+        self.notes.append("times begin anew at a date that is not understood: they go on at once")
+        return self._latest_ns - first_ns
 
     def data(self, text: str, length: int) -> bytes:
         """Bytes with blanks between, in the log's base."""
@@ -104,7 +112,7 @@ class Asc:
         if not channel.isdecimal() or direction not in ("Rx", "Tx", "TxRq"):
             return Head(0, verdict=Verdict.MALFORMED)
         request = Verdict.REQUEST if direction == "TxRq" else Verdict.OK
-        found = self._id(name)
+        found = self._numbers.get(name) or self._id(name)
         if found is None:
             return Head(0, verdict=Verdict.BAD_ID)
         try:
@@ -136,19 +144,22 @@ class Asc:
         if text.startswith(("//", "#", ";")):
             return Line(Verdict.COMMENT)
         if match := _TIMED.fullmatch(text):
+            t_ns = None
             try:
                 t_ns = nanoseconds([match[1]]).item()
                 return self._timed(t_ns, match[2].split(), text)
             except (ValueError, OverflowError, IndexError):
-                return Line(Verdict.MALFORMED)
+                # With its time: those of other lines may count from it.
+                return Line(Verdict.MALFORMED, None, t_ns)
         if match := _BASE.match(text):
             self._base = 16 if match[1].lower() == "hex" else 10
             self.shape = _SHAPE if self._base == 16 else None
             self._relative = (match[2] or "").lower() == "relative"
             return Line(Verdict.HEADER)
         if match := _TRIGGER.match(text):
-            self._block = _date(match[1])
-            self._first = self._first or self._block
+            self._block, self._begins = date_of(match[1]), self._blocks > 0
+            self._first = self._first if self._begins else self._block
+            self._blocks += 1
             return Line(Verdict.HEADER)
         return Line(Verdict.HEADER if _HEADER.match(text) else Verdict.MALFORMED)
 
@@ -161,21 +172,26 @@ class Asc:
         if words[1].lower().startswith("errorframe"):
             return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)
         if len(words) < 3 or words[2].lower() not in _DIRECTIONS:
-            word = words[1].rstrip(":")
-            event = len(words) > 2 and word.isalpha() and self._id(word) is None
+            event = len(words) > 2 and words[1][0].isalpha() and self._id(words[1]) is None
+            event = event or words[1].lower() == "overloadframe"
             return Line(Verdict.EVENT if event else Verdict.MALFORMED, None, t_ns)
         if words[2].lower() == "txrq":
             return Line(Verdict.REQUEST, None, t_ns)
-        found = self._id(words[1])
-        if (match := _SYMBOLIC.search(text)) and found is None:
-            found = int(match[1]), EXTENDED if match[2] else 0
+        found = self._numbers.get(words[1]) or self._id(words[1])
+        sure = True
+        if match := _NUMBER.search(text):
+            number, flags = int(match[1]), EXTENDED if match[2] else 0
+            # At the end of the line digits may be missing.
+            sure = match.end() < len(text) or flags != 0 or (number, flags) == found
+            found = number, flags
         if found is None:
             return Line(Verdict.BAD_ID, None, t_ns)
         number, flags = found[0], found[1] | _sent(words[2])
         if words[3].lower() == "r":
             asked = words[4] if len(words) > 4 else ""
             dlc = int(asked, self._base) if asked.isalnum() and len(asked) < 3 else 0
-            return framed(Head(number, flags | REMOTE, 0, channel, dlc or -1), t_ns, sure=True)
+            head = Head(number, flags | REMOTE, 0, channel, dlc or -1)
+            return framed(head, t_ns, sure=sure and asked != "")
         if words[3].lower() != "d":
             return Line(Verdict.MALFORMED, None, t_ns)
         dlc = int(words[4], self._base)
@@ -184,7 +200,8 @@ class Asc:
         size = min(dlc, CLASSIC_BYTES)
         data = self.data(" ".join(words[5 : 5 + size]), size)
         raw = dlc if dlc > CLASSIC_BYTES else -1
-        return framed(Head(number, flags, size, channel, raw), t_ns, data, sure=self._base == 16)
+        head = Head(number, flags, size, channel, raw)
+        return framed(head, t_ns, data, sure=sure and self._base == 16)
 
     def _fd(self, t_ns: int, words: list[str]) -> Line:
         """`CANFD channel direction id [name] brs esi dlc length data duration bits flags ..`."""
@@ -204,13 +221,15 @@ class Asc:
         data = bytes.fromhex(" ".join(body))
         behind = words[at + 4 + size :]
         bits = int(behind[2], 16) if len(behind) > 2 else _EDL
+        sure = len(behind) > 3
         if bits & _RTR:
-            return framed(Head(number, flags | REMOTE, 0, channel, dlc or -1), t_ns, sure=True)
-        if bits & _EDL:
+            return framed(Head(number, flags | REMOTE, 0, channel, dlc or -1), t_ns, sure=sure)
+        # Some recorders leave the flag out.
+        if bits & _EDL or size > CLASSIC_BYTES or "1" in (brs, esi):
             flags |= FD | (BRS if brs == "1" else 0) | (ESI if esi == "1" else 0)
         if FD_SIZES[dlc & 15] != size and (flags & FD or min(dlc, CLASSIC_BYTES) != size):
             return Line(Verdict.BAD_LENGTH, None, t_ns)
-        return framed(Head(number, flags, size, channel), t_ns, data, sure=len(behind) > 0)
+        return framed(Head(number, flags, size, channel), t_ns, data, sure=sure)
 
 
 def _fits(words: list[str], at: int) -> bool:
@@ -228,27 +247,3 @@ def _sent(direction: str) -> int:
 def _channel(text: str) -> str:
     """Vector counts from 1."""
     return str(max(int(text) - 1, 0))
-
-
-def _date(text: str) -> datetime | None:
-    """Of a trigger; None where it is in no language or order that is known."""
-    match = _DATE.search(text)
-    if match is None:
-        return None
-    word, day, hour, minute, second, fraction, half, year = match.groups()
-    month = _MONTHS.get(word[:3].lower(), 0)
-    hours = int(hour)
-    if half:
-        hours = hours % 12 + (12 if half.lower() == "pm" else 0) if hours <= 12 else hours
-    try:
-        us = int((fraction or "0").ljust(6, "0")[:6])
-        return datetime(int(year), month, int(day), hours, int(minute), int(second), us)  # noqa: DTZ001 only differences are used
-    except ValueError:
-        return None
-
-
-def _between(first: datetime, later: datetime) -> int:
-    """Nanoseconds, at least none."""
-    span = later - first
-    us = (span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds
-    return max(us, 0) * 1000

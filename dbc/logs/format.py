@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,17 @@ class Format(Protocol):
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """The frames' times of those that stand in consecutive lines; 0 in lines without one."""
+
+
+@runtime_checkable
+class Named(Protocol):
+    """A format whose frames may have names, of which a line says behind its data what they are."""
+
+    notes: list[str]
+    """What a person is told when the log has been read."""
+
+    def learn(self, text: str) -> None:
+        """Names in these lines; before any of their heads is asked for."""
 
 
 def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[np.int64]:

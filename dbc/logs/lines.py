@@ -46,8 +46,8 @@ class Scan(NamedTuple):
 class Scanner:
     """Scans texts of one log; remembers its heads."""
 
-    def __init__(self, learn: Callable[[str], Known | None]) -> None:
-        """learn: what a head says; None where its lines are none of plain data."""
+    def __init__(self, learn: Callable[[str, str], Known | None]) -> None:
+        """learn: what a head says, and a line with it; None where such lines are no plain data."""
         self._learn = learn
         self._heads = zeros(lib.TEXT_HEADS, TEXT_HEAD)
         count = len(self._heads)
@@ -70,16 +70,18 @@ class Scanner:
         head, rows = head[:n], rows.part(0, n)
         found = head >= 0
         mine = np.where(found, head, 0)
-        for place in np.unique(mine[found & (self._state[mine] == _UNKNOWN)]).tolist():
-            self._enter(place)
+        unknown = np.flatnonzero(found & (self._state[mine] == _UNKNOWN))
+        for new, row in zip(*np.unique(mine[unknown], return_index=True), strict=True):
+            line = places[unknown[row] : unknown[row] + 2] + start
+            self._enter(int(new), text[line[0] : line[1]].decode("latin-1"))
         plain = found & (self._state[mine] == _PLAIN) & (rows.length == self._length[mine])
         rows.can_id[:], rows.flags[:] = self._can_id[mine], self._flags[mine]
         rows.dlc[:], rows.channel[:] = self._dlc[mine], self._channel[mine]
         return Scan(rows, plain, places[: n + 1] + start)
 
-    def _enter(self, place: int) -> None:
+    def _enter(self, place: int, line: str) -> None:
         text, length = self._heads[place].item()
-        known = self._learn(bytes(text[:length]).decode("latin-1"))
+        known = self._learn(bytes(text[:length]).decode("latin-1"), line)
         self._state[place] = _OTHER if known is None else _PLAIN
         if known is None:
             return

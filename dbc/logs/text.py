@@ -20,7 +20,7 @@ from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import LogError, Problem, Reader
 from dbc.frame import FD
 from dbc.frames import MAX_DATA_BYTES, Block
-from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, checked, verdict_with
+from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, Named, checked, verdict_with
 from dbc.logs.lines import Known, Scan, Scanner
 from dbc.text import printable
 
@@ -48,6 +48,8 @@ class TextReader(Reader):
 
     def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
         self._format = self._make()
+        if isinstance(self._format, Named):
+            self._format.notes = self.notes
         self._recent: list[tuple[str, ...]] = []
         self._shift_ns: int | None = None
         self._scanner = Scanner(self._known)
@@ -96,8 +98,12 @@ class TextReader(Reader):
     def _last_line(self, text: str) -> Iterator[Block]:
         form = self._format
         row = self._matches(text)[0]
-        line = self._plain(row) if row[0] else form.line(text)
-        if line.head is None and not line.verdict.is_fault:
+        # What a name stands for is at the end of a line.
+        plain = row[0] and not isinstance(form, Named)
+        line = self._plain(row) if plain else form.line(text)
+        # The start of a frame may look like an event.
+        known = not line.verdict.is_fault and line.verdict is not Verdict.EVENT
+        if line.head is None and known:
             self._one(text, line.verdict)
         elif self.truncated or line.verdict.is_fault or not line.sure or line.t_ns is None:
             self._one(f"{self.truncated}: {text}" if self.truncated else text, Verdict.CUT)
@@ -159,9 +165,11 @@ class TextReader(Reader):
         times = self._format.clock(rows.t_ns, np.ones(rows.size, dtype=np.bool_))
         return rows._replace(t_ns=self._moved(times))
 
-    def _known(self, text: str) -> Known | None:
+    def _known(self, text: str, line: str) -> Known | None:
         """What a head says of plain data frames; None for all else."""
         parts = tuple(text.split()) if self._format.splits else (text,)
+        if isinstance(self._format, Named):
+            self._format.learn(line)
         head = checked(self._format.head(parts))
         if head.verdict not in (Verdict.OK, Verdict.FD) or head.length < 0:
             return None
@@ -171,6 +179,8 @@ class TextReader(Reader):
         """Whole lines; again from the line behind one that has changed what plain lines are."""
         while text:
             rows = self._recent = self._matches(text[:-1])
+            if isinstance(self._format, Named):
+                self._format.learn(text)
             lines, taken = self._others(rows)
             block, fault = self._rows(rows[:taken], lines)
             if block is not None:

@@ -148,23 +148,26 @@ class Trc:
             return Line(Verdict.COMMENT)
         words = text.split()
         names = self._columns[:-1]
-        if not _LINE.match(text) or len(words) < 1 + len(names):
-            return Line(Verdict.MALFORMED)
         parts = dict(zip(names, words[1:], strict=False))
         body = words[1 + len(names) :]
+        state = parts.get("T", "").upper() in _STATES
+        if not _LINE.match(text) or (len(parts) < len(names) and not state):
+            return Line(Verdict.MALFORMED)
         try:
             t_ns = nanoseconds([parts["O"]], MS).item()
-            if parts.get("T", "").upper() in _STATES:
+            if state:
                 return Line(Verdict.EVENT, None, t_ns)
             if parts.get("T", "").upper() in _ERRORS:
                 return framed(self._of(parts | {"I": "0000"}), t_ns, sure=True)
             head = self._of(parts)
+            if head.verdict is Verdict.EVENT:
+                return Line(Verdict.EVENT, None, t_ns)
             if body[:1] == ["RTR"]:
                 asked = head.dlc if head.dlc >= 0 else head.length
                 head = head._replace(flags=head.flags | REMOTE, length=0, dlc=asked or -1)
                 return framed(head, t_ns, sure=True)
             return framed(head, t_ns, bytes.fromhex(" ".join(body)), sure=True)
-        except (ValueError, OverflowError):
+        except (KeyError, ValueError, OverflowError):
             return Line(Verdict.MALFORMED)
 
     def _key(self, key: str, value: str) -> Verdict:

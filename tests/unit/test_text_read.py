@@ -38,7 +38,7 @@ def read(lines: list[bytes], unit_ns: int) -> list[tuple[int, bytes, bytes] | No
         heads: list[bytes] = []
         wanted = expected(line, unit_ns)
 
-        def learn(head: str, heads: list[bytes] = heads, wanted: object = wanted) -> Known:
+        def learn(head: str, _: str, heads: list[bytes] = heads, wanted: object = wanted) -> Known:
             heads.append(head.encode("latin-1"))
             size = len(wanted[2]) if isinstance(wanted, tuple) else 0
             return Known(1, 0, size, "", -1)
@@ -83,7 +83,8 @@ def test_more_heads_than_the_table_holds() -> None:
     """Heads beyond it are left to Python, the others are found again."""
     met: list[str] = []
 
-    def learn(head: str) -> Known:
+    def learn(head: str, line: str) -> Known:
+        assert line == f"1 {head}\n"
         met.append(head)
         return Known(1, 0, 0, "", -1)
 
@@ -98,16 +99,16 @@ def test_more_heads_than_the_table_holds() -> None:
 
 def test_a_shape_without_a_head_has_no_plain_lines() -> None:
     shape = shape_of(SECOND, 0, 0, "", -1)
-    assert not Scanner(lambda _: None).scan(b"1 01 02\n", 0, shape).plain.any()
+    assert not Scanner(lambda _, __: None).scan(b"1 01 02\n", 0, shape).plain.any()
 
 
 def test_a_line_that_does_not_end_waits_and_a_scan_has_an_end() -> None:
     shape = shape_of(SECOND, 0, 1, "", -1)
     line = b"1 a\n"
-    scan = Scanner(lambda _: None).scan(line + b"2 b", 0, shape)
+    scan = Scanner(lambda _, __: None).scan(line + b"2 b", 0, shape)
     assert scan.start.tolist() == [0, 4]
     assert not scan.plain.any()
-    scan = Scanner(lambda _: None).scan(line * (ROWS + 1), 4, shape)
+    scan = Scanner(lambda _, __: None).scan(line * (ROWS + 1), 4, shape)
     assert len(scan.plain) == ROWS
     assert scan.start[-1] == 4 * (ROWS + 1)
-    assert len(Scanner(lambda _: None).scan(line, 4, shape).plain) == 0
+    assert len(Scanner(lambda _, __: None).scan(line, 4, shape).plain) == 0

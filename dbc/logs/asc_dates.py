@@ -1,0 +1,70 @@
+"""Dates behind `Begin Triggerblock` of an ASC: in the language and order of the machine."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from datetime import datetime
+from typing import Final
+
+_MONTHS: Final = {
+    name: number
+    for number, names in enumerate(
+        ("jan jän ene gen", "feb fév fev", "mar mär mrz", "apr avr abr", "may mai mag",
+         "jun jui giu", "jul lug juil", "aug aoû ago", "sep set", "oct okt ott out", "nov",
+         "dec dez déc dic"), 1,
+    )
+    for name in names.split()
+}  # fmt: skip
+"""By the first letters, as Windows writes months in several languages."""
+_TIME: Final = re.compile(r"\b(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?\b")
+_NUMBERS: Final = (
+    ("ymd", re.compile(r"\b(\d{4})[-./](\d{1,2})[-./](\d{1,2})\b")),
+    ("dmy", re.compile(r"\b(\d{1,2})[-.](\d{1,2})[-.](\d{4})\b")),
+    ("mdy", re.compile(r"\b(\d{1,2})/(\d{1,2})/(\d{4})\b")),
+)
+_DAY: Final = re.compile(r"(?<!\S)(\d{1,2})\.?(?!\S)")
+_YEAR: Final = re.compile(r"(?<!\S)(\d{4})(?!\S)")
+_AFTERNOON: Final = re.compile(r"(?<!\S)(?:p\.? ?m\b|nachm)", re.I)
+_FORENOON: Final = re.compile(r"(?<!\S)(?:a\.? ?m\b|vorm)", re.I)
+
+
+def date_of(text: str) -> datetime | None:
+    """Without a zone; None where it is in no language or order that is known."""
+    with suppress(UnicodeError):  # else cp1252, in which letters are those of latin-1
+        text = text.encode("latin-1").decode("utf-8")
+    clock = _TIME.search(text)
+    day = _day_of(text[: clock.start()] + " " + text[clock.end() :]) if clock else None
+    if clock is None or day is None:
+        return None
+    hour, minute, second = int(clock[1]), int(clock[2]), int(clock[3])
+    if hour <= 12 and _AFTERNOON.search(text):
+        hour = hour % 12 + 12
+    elif hour <= 12 and _FORENOON.search(text):
+        hour %= 12
+    try:
+        return datetime(*day, hour, minute, second, int((clock[4] or "0").ljust(6, "0")[:6]))  # noqa: DTZ001 only differences are used
+    except ValueError:
+        return None
+
+
+def _day_of(text: str) -> tuple[int, int, int] | None:
+    """Year, month and day of a date."""
+    for order, pattern in _NUMBERS:
+        if match := pattern.search(text):
+            parts = dict(zip(order, map(int, match.groups()), strict=True))
+            return parts["y"], parts["m"], parts["d"]
+    words = text.lower().split()
+    months = [m for w in words if (m := _MONTHS.get(w[:4]) or _MONTHS.get(w[:3]))]
+    day, year = _DAY.search(text), _YEAR.search(text)
+    if not (months and day and year):
+        return None
+    # The last one: `mar` is also a day of the week.
+    return int(year[1]), months[-1], int(day[1])
+
+
+def nanoseconds_between(first: datetime, later: datetime) -> int:
+    """At least 0."""
+    span = later - first
+    us = (span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds
+    return max(us, 0) * 1000
