@@ -23,6 +23,9 @@
                        /* at the end of a loss one is slow, not wrong */
 #define COUNTS 0.5 /* drives that adhere with this probability are asked about all; so is a doubt */
 #define ACCUSED 0.7
+/* Common load, per unit of rated torque, from which on the others alone accuse: with less, what each
+ * wheel's own friction takes is as large as a loss. */
+#define ACCUSING_LOAD 0.2
 #define NEAR    0.03 /* creep of a wheel that turns with the others; */
 #define STEADY  0.02 /* change of its speed within 0.5 s: no brake slows it */
 #define LITTLE  0.1  /* load, per unit of rated torque, of one that carries nothing */
@@ -124,8 +127,11 @@ static int is_comparable(const struct adhesion *a, int k, double all, int little
 {
     const int asked = is_asked(&a->responses[k]);
     const int idle = a->responses[k].usable && !asked;
+    const struct drive_load *mine = &a->loads[k];
+    const int behind = mine->response_valid && mine->p_response > COUNTS;
+    const int low = !(fabs(a->common_smoothed) >= ACCUSING_LOAD) && !behind;
     /* Who is asked for nothing has nothing to lose. */
-    if (a->switching->lost[k] >= ACCUSED && (idle || (little && all == 0.0)))
+    if (a->switching->lost[k] >= ACCUSED && (idle || ((little || low) && all == 0.0)))
         return 0;
     return a->known[k] && ((a->loss_known[k] && a->comparable) || asked);
 }

@@ -42,6 +42,7 @@ RATIO_UNKNOWN: Final = 0.1
 ENOUGH_TO_COMPARE: Final = 2
 LEAST_LOAD: Final = 0.07
 MORE_LOAD: Final = 0.10
+ACCUSING_LOAD: Final = 0.2
 LOAD_TAU_S: Final = 0.2
 LEARN_NS: Final = 50_000_000
 PROBABLY_GOOD: Final = 0.5
@@ -244,7 +245,8 @@ class Adhesion:
                 p = lib.UNDECIDED
             idle = usable[k] and not is_asked
             said = self.known[k] and (compared[k] or is_asked)
-            bare = idle or (little and everyone == 0.0)
+            slow = not (valid[k] and alone[k] > 0.5) and not abs(self.smoothed) >= ACCUSING_LOAD
+            bare = idle or ((little or slow) and everyone == 0.0)
             self.lost_known.append(bool(said and not (bare and lost[k] >= 0.7)))
             p = self._doubted(rotor, p, now)
             self.lost.append(p)
