@@ -69,9 +69,11 @@ void maisd_compare(const double *mean, const uint8_t *known, int motors, int poi
             if (!known[c])
                 continue;
             squares += (mean[c] - centre) * (mean[c] - centre);
-            /* The plain mean is pulled by the fault itself; the median of the others is not. */
+            /* The plain mean is pulled by the fault itself; the median of the others is not. Of an
+             * even number of others: the nearer of the middle two, else one of two would pull. */
             const struct middle_pair middle = middle_of_others(workspace, n - 1, mean[c]);
-            deviation[c] = mean[c] - 0.5 * (middle.below + middle.above);
+            const double above = mean[c] > middle.above ? middle.above : mean[c];
+            deviation[c] = mean[c] - (above < middle.below ? middle.below : above);
         }
         spread[p] = sqrt(squares / n);
     }

@@ -16,8 +16,8 @@ void maisd_average(const double *ring, int window, int cells, double *mean, int6
                    uint8_t *known);
 
 /* (31): spread (points) of the known motors' means (motors, points) around their mean, NaN of fewer
- * than two; deviation (motors, points) of each known motor from the median of the other known ones,
- * NaN without one. workspace: one number per motor. */
+ * than two; deviation (motors, points) of each known motor from the median of the other known ones
+ * (0 between the middle two of an even number), NaN without one. workspace: one number per motor. */
 void maisd_compare(const double *mean, const uint8_t *known, int motors, int points,
                    double *workspace, double *spread, double *deviation);
 

@@ -19,6 +19,7 @@ static const int STEP_READINGS = 3; /* beyond the limit, before it is a step */
  * heat's: a small motor's winding may warm by kelvins within a second. */
 static const double SUDDEN = 0.4;
 static const double MOST_C = 300.0; /* degC, the signal's maximum: a motor may be hotter */
+static const double LEAST_C = -50.0; /* degC; no train runs in such cold (EN 50125-1: -40) */
 /* Limits of a step; a sensor that was further below the maximum has jumped there. */
 static const double MOST_STEPS = 5.0;
 static const double FOLLOW = 0.2;       /* share that averages take of a new value */
@@ -93,17 +94,30 @@ static void end_step(const struct temperature_drive *drive, struct temperature_s
     s->step_k = 0.0;
 }
 
+/* No motor is so cold, and one that is hotter than the signal's maximum has been seen to warm up: an
+ * open or a shorted sensor, from the start on. */
+static void note_impossible(const struct temperature_drive *drive, struct temperature_sensor *s,
+                            int again, double value_c)
+{
+    const int was = s->impossible;
+    s->impossible = value_c < LEAST_C || (value_c >= MOST_C && (again || was));
+    if (s->impossible && !was)
+        s->step_index = drive->readings;
+}
+
 void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns, double value_c,
                            int64_t raw)
 {
     struct temperature_sensor *s = &drive->sensor[k];
     const struct change now = change_of(drive, s, t_ns, value_c);
+    s->moved |= s->seen && raw != s->raw;
     if (raw != s->raw || now.again) {
         s->raw = raw;
         s->changed_ns = t_ns;
     }
     if (now.again && s->bias_k == 0.0)
         s->level_c = value_c;
+    note_impossible(drive, s, now.again, value_c);
     s->saturated = value_c >= MOST_C && !now.again && fabs(now.step_k) < MOST_STEPS * s->limit_k;
     if (fabs(now.step_k) > s->limit_k && !s->saturated) {
         s->step_count += 1;
@@ -137,7 +151,7 @@ int temperature_sensor_fault(const struct temperature_drive *drive, int k, int64
     const int stale = now_ns - drive->received_ns > STALE_CYCLES * drive->period_ns;
     if (now_ns - s->changed_ns > s->stuck_after_ns && !s->saturated && !stale)
         return FAULT_SENSOR_STUCK;
-    return s->bias_k != 0.0 ? FAULT_SENSOR_BIAS : FAULT_NONE;
+    return s->bias_k != 0.0 || s->impossible ? FAULT_SENSOR_BIAS : FAULT_NONE;
 }
 
 /* FAULT_SENSOR_BIAS or FAULT_SENSOR_LOST where all sensors of the drive, at least two, are since the

@@ -159,6 +159,16 @@ static unsigned hot_points(const struct temperature_window *window, int j)
     return hot;
 }
 
+/* 1 if point k of motor j, and of another motor, have given two values: what has stood still since the
+ * start may be no sensor at all, and is called stuck later. */
+static int has_moved(const struct temperature_monitor *all, int j, int k)
+{
+    int others = 0;
+    for (int i = 0; i < all->drive_count; i++)
+        others += i != j && all->window.known[i * P + k] && all->sensors[i].sensor[k].moved;
+    return all->sensors[j].sensor[k].moved && others > 0;
+}
+
 /* enum reason why motor j cannot be compared with others; REASON_NONE if it can. */
 static uint8_t compare_reason(const struct temperature_monitor *all, int j)
 {
@@ -180,7 +190,15 @@ static void judge_by_maisd(const struct temperature_monitor *all, int j,
     out->reason = compare_reason(all, j);
     if (out->reason != REASON_NONE)
         return;
-    const unsigned hot = hot_points(&all->window, j);
+    const unsigned hotter = hot_points(&all->window, j);
+    unsigned hot = hotter;
+    for (int k = 0; k < P; k++)
+        if (!has_moved(all, j, k))
+            hot &= ~(1u << k);
+    if (hotter && !hot) {
+        out->reason = REASON_STARTING;
+        return;
+    }
     out->thermal = hot ? FLAG_BAD : FLAG_GOOD;
     out->fault_class = FAULT_NONE;
     if (hot)

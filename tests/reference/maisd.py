@@ -63,7 +63,8 @@ def maisd(mean: Array, known: NDArray[np.bool_]) -> Array:
 def deviation(mean: Array, known: NDArray[np.bool_]) -> Array:
     """Each motor against the median of the *other* known motors, (M, P); NaN if none.
 
-    The plain mean is pulled by the fault itself; the median of the others is not.
+    The plain mean is pulled by the fault itself; the median of the others is not. An even number of
+    others has two medians, and what lies between: the nearest one counts.
     """
     out = np.full(mean.shape, np.nan)
     for p in range(mean.shape[1]):
@@ -75,5 +76,5 @@ def deviation(mean: Array, known: NDArray[np.bool_]) -> Array:
                 middle = len(others) // 2
                 even = len(others) % 2 == 0
                 low = others[middle - 1] if even else others[middle]
-                out[j, p] = mean[j, p] - 0.5 * (low + others[middle])
+                out[j, p] = mean[j, p] - np.clip(mean[j, p], low, others[middle])
     return out

@@ -23,6 +23,8 @@ SUDDEN = 0.4
 heat's: a small motor's winding may warm by kelvins within a second."""
 FULL_C = 300.0
 """The most that a reading can say: a motor that has warmed up to it is as hot or hotter."""
+COLDEST_C = -50.0
+"""No train runs in such cold."""
 FULL_STEPS = 5.0
 """A sensor that was further below it, in limits of a step, has jumped there."""
 FORGET_NS = 10 * _SECOND
@@ -55,6 +57,8 @@ class Points(NamedTuple):
     heard_ns: Ints
     first_ns: Ints
     readings: Ints
+    moved: Bools
+    wrong: Bools
     period_ns: int
 
 
@@ -73,7 +77,7 @@ def start(configured: Bools, limit_k: Array, hold_ns: Ints, period_ns: int) -> P
     return Points(
         ints(-1), ints(), ints(_NEVER), value, level, ints(), jump, slope, flags(), bias_k, ints(),
         ints(), flags(), configured, limit_k, hold_ns, heard_ns, first_ns,
-        np.zeros(shape[0], dtype=np.int64), period_ns,
+        np.zeros(shape[0], dtype=np.int64), flags(), flags(), period_ns,
     )  # fmt: skip
 
 
@@ -89,6 +93,7 @@ def take_point(j: int, k: int, t: int, value: float, raw: int, points: Points) -
     """A valid value, degC, of a configured point; raw: in tenths."""
     valid, bias = points.valid_ns[j, k], points.bias_k[j, k]
     back = valid == _NEVER or t - valid > FORGET_NS
+    points.moved[j, k] |= points.seen[j, k] and raw != points.raw[j, k]
     if raw != points.raw[j, k] or back:
         points.raw[j, k], points.changed_ns[j, k] = raw, t
     # An offset once found stays: silence does not clear it.
@@ -96,6 +101,11 @@ def take_point(j: int, k: int, t: int, value: float, raw: int, points: Points) -
         points.level[j, k] = value
     step = value - points.level[j, k] - bias
     limit = points.limit_k[j, k]
+    hot_at_once = value >= FULL_C and (back or points.wrong[j, k])
+    wrong = value < COLDEST_C or hot_at_once
+    if wrong and not points.wrong[j, k]:
+        points.jumped_at[j, k] = points.readings[j]
+    points.wrong[j, k] = wrong
     full = value >= FULL_C and not back and abs(step) < FULL_STEPS * limit
     points.full[j, k] = full
     change, passed = 0.0, 1
@@ -142,7 +152,7 @@ def fault(j: int, k: int, now: int, points: Points) -> int:
     held = now - points.changed_ns[j, k] > points.hold_ns[j, k] and not points.full[j, k]
     if held and now - heard <= STALE_CYCLES * points.period_ns:
         return _STUCK
-    return _BIAS if points.bias_k[j, k] != 0.0 else _NONE
+    return _BIAS if points.bias_k[j, k] != 0.0 or points.wrong[j, k] else _NONE
 
 
 def believe(now: int, points: Points, out: Bools) -> None:

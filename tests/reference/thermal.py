@@ -152,6 +152,11 @@ class Temperatures:
             return Flag.UNKNOWN, None, Reason.TOO_FEW_DRIVES, *NOTHING
         learnt = self.calibration
         hot = (self.deviation[j] > learnt.deviation_limit_k) & (self.spread > learnt.maisd_limit_k)
+        moved = self.side.sensors.drives["sensor"]["moved"] == 1
+        beside = (moved & self.known).sum(axis=0) - (moved & self.known)[j]
+        if hot.any() and not (hot & moved[j] & (beside > 0)).any():
+            return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
+        hot = hot & moved[j] & (beside > 0)
         kind = FaultClass.BEARING if hot.any() else FaultClass.NONE
         if hot[0]:
             kind = FaultClass.COOLING_LOSS if hot[1:].any() else FaultClass.OVERHEATING

@@ -111,15 +111,13 @@ def test_the_hot_half_bridge_is_named_and_the_others_are_silent(bridges, label):
     assert not (said.sensor == Flag.BAD).any()
     for k, name in enumerate(BRIDGES):
         wanted = Flag.BAD if name == hot else Flag.GOOD
-        assert (said.thermal[said.t_s > 5.0, k] == wanted).mean() > 0.94
+        assert (said.thermal[said.t_s > 5.0, k] == wanted).mean() > 0.9
         assert kinds(said, k) == ({FaultClass.OVERHEATING} if name == hot else set())
 
 
-def test_limits_from_one_recording_alone_are_not_silent_on_f3(learnt):
-    """A known weakness, held so that a change of it is seen."""
-    assert learnt.deviation_limit_k[0] == pytest.approx(2.1, abs=0.1)
+def test_limits_from_one_recording_alone_find_what_is_hot_and_nothing_else(learnt):
+    assert learnt.deviation_limit_k[0] == pytest.approx(2.0, abs=0.1)
     hot = {label: hot_bridges(said) for label, said in judged(learnt).items()}
-    assert hot.pop("F3") == ["HB2"]
     assert {label: found for label, found in hot.items() if found} == {
         "F6": ["HB1"],
         "F8": ["HB3"],

@@ -324,8 +324,8 @@ def test_maisd_raises_where_the_fleet_differs_and_a_sensor_of_gain_0_raises_noth
         side.add_readings(
             [
                 Temperatures(
-                    j, now, (60.0, 50.0 + warm * (j == 1), 50.0, 20.0), (True,) * 4,
-                    (600, round(500 + 10 * warm * (j == 1)), 500, 200),
+                    j, now, (60.0, 50.0 + warm * (j == 1) + 0.1 * (k % 2), 50.0, 20.0), (True,) * 4,
+                    (600, round(500 + 10 * warm * (j == 1)) + k % 2, 500, 200),
                 )
                 for j in range(3)
             ],

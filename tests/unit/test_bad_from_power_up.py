@@ -1,0 +1,92 @@
+"""Sensors that are bad from the first reading on, among motors that are compared: never heat."""
+
+from __future__ import annotations
+
+import pytest
+
+from gateway.core.codes import FaultClass, Flag
+from gateway.core.inbox import Temperatures
+from gateway.settings.calibration import Calibration, MotorCalibration
+from tests.sender import MS
+from tests.stations import TemperatureMonitor
+
+PERIOD = 100 * MS
+
+
+def learnt(nodes):
+    motors = (
+        MotorCalibration(node=node, gain=(1.0,) * 3, offset_k=(0.0,) * 3,
+                         longest_hold_s=(0.2,) * 3, largest_step_k=(0.5,) * 3)
+        for node in nodes
+    )  # fmt: skip
+    return Calibration(
+        window_s=2.0, maisd_limit_k=(1.0,) * 3, deviation_limit_k=(3.0,) * 3, motor=tuple(motors)
+    )
+
+
+def replayed(drives, stator, readings=300):
+    """Reports of every drive after each reading. stator(j, k): drive j's winding, degC."""
+    nodes = tuple(range(1, drives + 1))
+    monitor = TemperatureMonitor(drives, PERIOD, 2.0, learnt(nodes), nodes)
+    out = []
+    for k in range(readings):
+        now = k * PERIOD
+        rows = []
+        for j in range(drives):
+            celsius = (stator(j, k), 50.0 + 0.1 * (k % 2), 48.0 + 0.1 * (k % 2), 20.0)
+            raw = tuple(round(10.0 * value) for value in celsius)
+            rows.append(Temperatures(j, now, celsius, (True,) * 4, raw))
+        monitor.add_readings(rows, now)
+        out.append([monitor.report(j, now, 310 * MS) for j in range(drives)])
+    return out
+
+
+def sound(k):
+    return 40.0 + 0.1 * (k % 3)
+
+
+@pytest.mark.parametrize("drives", [2, 3, 4, 5])
+@pytest.mark.parametrize("value", [-273.2, -56.7, -40.0, 214.0, 300.0])
+def test_a_value_that_stands_from_the_start_makes_no_motor_hot(value, drives):
+    """What no motor has is a sensor's; what one may have is stuck, 10 s later."""
+    reports = replayed(drives, lambda j, k: value if j == 0 else sound(k))
+    assert not any(one.thermal is Flag.BAD for row in reports for one in row)
+    told = {row[0].fault_class for row in reports[3:60] if row[0].sensor is Flag.BAD}
+    impossible = value < -50.0 or value >= 300.0
+    assert told == ({FaultClass.SENSOR_BIAS} if impossible else set())
+    assert reports[-1][0].sensor is Flag.BAD
+    if drives > 2:
+        assert all(one.thermal is Flag.GOOD for one in reports[-1][1:])
+
+
+@pytest.mark.parametrize("value", [-70.0, 300.0])
+def test_all_sensors_of_a_drive_are_named_as_one_and_come_back(value):
+    """An open connector from power-up; plugged in, the values are a motor's again."""
+
+    def stator(j, k):
+        return value if j == 0 and k < 40 else sound(k)
+
+    reports = replayed(3, stator, 42)
+    assert reports[39][0].fault_class is FaultClass.SENSOR_BIAS
+    assert reports[39][0].sensor is Flag.BAD
+
+
+@pytest.mark.parametrize("drives", [3, 4, 5])
+@pytest.mark.parametrize("rise_k", [-20.0, 20.0])
+def test_the_one_that_differs_is_the_one_that_is_named(drives, rise_k):
+    """A sensor that is low accuses no other motor; a winding that is hot accuses itself."""
+
+    def stator(j, k):
+        return sound(k) + (rise_k * min(k / 200.0, 1.0) if j == 0 else 0.0)
+
+    reports = replayed(drives, stator)
+    hot = {j for row in reports for j, one in enumerate(row) if one.thermal is Flag.BAD}
+    assert hot == ({0} if rise_k > 0.0 else set())
+
+
+def test_a_motor_that_has_been_seen_to_warm_up_to_the_maximum_is_hot():
+    def stator(j, k):
+        return min(sound(k) + (3.0 * k if j == 0 else 0.0), 300.0)
+
+    last = replayed(3, stator, 200)[-1][0]
+    assert (last.thermal, last.sensor) == (Flag.BAD, Flag.GOOD)
