@@ -57,8 +57,6 @@ class TextReader(Reader):
 
     def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
         self._format = self._make()
-        if isinstance(self._format, Named):
-            self._format.notes = self.notes
         self._recent: list[tuple[str, ...]] = []
         self._shift_ns: int | None = None
         self._scanner = Scanner(self._known)
