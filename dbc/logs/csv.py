@@ -2,7 +2,8 @@
 
 Columns are found by their names, in any order; those that nobody knows are passed over. Time is in
 seconds where it has a decimal point, in what its column's name says, or in microseconds (SavvyCAN's
-`Time Stamp`); a whole number of 12 digits and more is ms, us or ns since 1970.
+`Time Stamp`); a whole number of 12 digits and more is ms, us or ns since 1970. CSS Electronics'
+CL1000 and CL2000 (`Timestamp;Type;ID;Data`) have stamps and types of their own.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import binascii
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Final
+from decimal import Decimal, InvalidOperation
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
+from dbc.logs.times import date_ns, logger_ns
 
 _NAMES: Final = {
     "time": "timestamp time timestampepoch t abstime offset",
@@ -34,6 +37,7 @@ _NAMES: Final = {
     "direction": "dir direction",
     "channel": "bus channel buschannel interface",
     "data": "data databytes payload bytes",
+    "type": "type",
 }
 _KIND: Final = {name: kind for kind, names in _NAMES.items() for name in names.split()}
 _BYTE: Final = re.compile(r"(?:d|b|data|byte)(\d{1,2})")
@@ -45,6 +49,35 @@ _FLAGS: Final = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": F
                  "esi": ESI}  # fmt: skip
 _SENT: Final = {"tx": TX, "t": TX, "1": TX, "true": TX}
 _NOTHING: Final = re.compile(r"^()()()(.*)$", re.MULTILINE)
+_LOGGER: Final = {"timestamp", "lost", "type", "id", "length", "data"}
+"""Columns of a CL1000 or CL2000. `Type`: 0 and 8 are 11 bits, 1 and 9 are 29; 8 and 9 were sent."""
+_LOGGER_TYPES: Final = {"0": 0, "1": EXTENDED, "8": TX, "9": EXTENDED | TX}
+_LOGGER_START: Final = re.compile(r"# *Time: *(\d{8}T\d{6})\s*")
+_SECONDS: Final = re.compile(r"-?\d+\.\d*|\d{10}")
+_BAD_TIMES: Final = 100
+"""Times that are remembered for the words of an error."""
+NO_DATE: Final = "stamps name a day but no month: it is taken for January 1970"
+_LATEST_NS: Final = 9_000_000_000_000_000_000
+
+
+class _Columns(NamedTuple):
+    """What a header says. kinds: of each column, see `_NAMES`; empty for unknown ones."""
+
+    separator: str
+    titles: list[str]
+    plain: list[str]
+    kinds: list[str]
+
+
+def _columns(text: str) -> _Columns | None:
+    """Of a header; None for any other line."""
+    separator = max(",;\t", key=text.count)
+    titles = [title.strip().strip('"').lower() for title in text.split(separator)]
+    plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", title)) for title in titles]
+    kinds = [_KIND.get(name, "byte" if _BYTE.fullmatch(name) else "") for name in plain]
+    if not {"time", "id"} <= set(kinds) or not {"data", "byte"} & set(kinds):
+        return None
+    return _Columns(separator, titles, plain, kinds)
 
 
 class Csv:
@@ -62,47 +95,38 @@ class Csv:
         self._unit_ns = 0
         self._base64 = False
         self._split = False
+        self._logger = False
+        self._start: datetime | None = None
+        self._bad_times: set[str] = set()
+        self.notes: list[str] = []
 
     def changes(self, text: str) -> bool:
         """Names of columns, at the start, or again where files were put together."""
-        return text.lstrip(' "')[:1].isalpha()
+        return _columns(text) is not None
 
     def line(self, text: str) -> Line:
         """The header; or a line that has not its columns."""
         if not text.strip():
             return Line(Verdict.BLANK)
-        if text.startswith(("#", ";", "//", "sep=")):
+        if (columns := _columns(text)) is not None:
+            self._use(columns)
+            return Line(Verdict.HEADER)
+        if text.lstrip(' "').startswith(("#", ";", "//", "sep=")):
+            if started := _LOGGER_START.match(text):
+                self._start = _moment(started[1])
             return Line(Verdict.COMMENT)
-        return Line(Verdict.HEADER if self._read_header(text) else Verdict.MALFORMED)
+        return Line(Verdict.MALFORMED)
 
-    def _read_header(self, text: str) -> bool:
-        """Whether it is one."""
-        separator = max(",;\t", key=text.count)
-        titles = [title.strip().strip('"').lower() for title in text.split(separator)]
-        plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", title)) for title in titles]
-        kinds = [_KIND.get(name, "byte" if _BYTE.fullmatch(name) else "") for name in plain]
-        if not {"time", "id"} <= set(kinds) or not {"data", "byte"} & set(kinds):
-            return False
+    def _use(self, columns: _Columns) -> None:
+        """Read lines by this header from now on."""
+        separator, titles, plain, kinds = columns
         self._base64 = "arbitrationid" in plain and "data" in plain
         self._split = "data" not in kinds
+        self._logger = "type" in titles and set(titles) <= _LOGGER
         title = titles[kinds.index("time")]
         unit = _UNIT.search(title)
         self._unit_ns = _UNITS_NS.get(unit[1], SECOND) if unit else 1000 * (title == "time stamp")
-        cell, groups, seen = rf"[^{separator}\n]*", [], set()
-        pattern = []
-        for kind in kinds:
-            if kind == "byte" and self._split:
-                if "data" not in seen:
-                    pattern.append(r"((?:[^\n])*)")
-                    groups.append("data")
-                seen.add("data")
-                break
-            if not kind or kind in seen or kind == "byte":
-                pattern.append(cell)
-                continue
-            seen.add(kind)
-            groups.append(kind)
-            pattern.append(f"({cell})" if kind != "time" else rf"([^{separator}\n]+)")
+        pattern, groups = _row_pattern(separator, kinds, self._split)
         tail = "" if self._split else rf"(?:{separator}[^\n]*)?"
         self.regex = re.compile(rf"^(?:{separator.join(pattern)}{tail}|(.*))$", re.MULTILINE)
         self._head = [kind for kind in groups if kind not in ("time", "data")]
@@ -110,21 +134,62 @@ class Csv:
                   groups.index("data"), len(groups)]  # fmt: skip
         self.order = () if places == sorted(places) else tuple(places)
         self._separator = separator
-        return True
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
         """In the unit that the header or the first number says."""
+        texts = [text.strip() for text in texts]
+        if self._logger:
+            return np.array([self._logger_ns(text) for text in texts], dtype=np.int64)
         if texts and not self._unit_ns:
-            digits = len(texts[0].strip().lstrip("-")) if "." not in texts[0] else 0
+            digits = len(texts[0].lstrip("-")) if "." not in texts[0] else 0
             self._unit_ns = (
                 1 if digits > 17 else 1000 if digits > 14 else MS if digits > 11 else SECOND
             )
+        unit_ns = self._unit_ns
+        if any("." in text for text in texts[:1]) and unit_ns == 1000:
+            unit_ns = SECOND
         try:
-            if any("." in text for text in texts[:1]) and self._unit_ns == 1000:
-                return nanoseconds(texts, SECOND)
-            return nanoseconds(texts, self._unit_ns)
+            return nanoseconds(texts, unit_ns)
         except ValueError:
-            return np.array([_date_ns(text) for text in texts], dtype=np.int64)
+            return np.array([self._time_ns(text, unit_ns) for text in texts], dtype=np.int64)
+
+    def _time_ns(self, text: str, unit_ns: int) -> int:
+        """A number, also with an exponent, or a date. Raises ValueError."""
+        try:
+            exact = Decimal(text) * unit_ns
+        except InvalidOperation:
+            return self._date_ns(text)
+        if not abs(exact) <= _LATEST_NS:
+            raise ValueError(text)
+        return int(exact)
+
+    def _date_ns(self, text: str) -> int:
+        """A date, or a stamp of a CL1000 or CL2000. Raises ValueError, and remembers it."""
+        try:
+            if not self._logger or "-" in text:
+                return date_ns(text)
+            return logger_ns(text, self._start)
+        except ValueError:
+            if len(self._bad_times) < _BAD_TIMES:
+                self._bad_times.add(text)
+            raise
+
+    def _logger_ns(self, text: str) -> int:
+        """Of a CL1000 or CL2000. Raises ValueError for a number that may mean anything."""
+        if _SECONDS.fullmatch(text):
+            return nanoseconds([text]).item()
+        stamp = self._date_ns(text)
+        if self._start is None and text.find("T") == len("15") and NO_DATE not in self.notes:
+            self.notes.append(NO_DATE)
+        return stamp
+
+    def explain(self, text: str) -> str:
+        """That its time is none, where that is the reason."""
+        bad = next((time for time in self._bad_times if text.startswith(time)), "")
+        if not bad:
+            return ""
+        known = "15T100000250 or seconds" if self._logger else "a number or an ISO date"
+        return f"unknown time {bad!r}, not {known}"
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """As they are."""
@@ -161,10 +226,13 @@ class Csv:
         flags = 0
         for name, flag in _FLAGS.items():
             flags |= flag if _WORDS[cells.get(name, "").lower()] else 0
-        if "extended" not in cells and (number > 0x7FF or len(cells["id"].removeprefix("0x")) > 4):
-            flags |= EXTENDED
-        code = int(cells["dlc"], 0) if cells.get("dlc") else -1
-        size = int(cells["length"]) if cells.get("length") else -1
+        if self._logger:
+            flags |= _LOGGER_TYPES[cells["type"]] | (EXTENDED if number > 0x7FF else 0)
+        elif "extended" not in cells:
+            long = number > 0x7FF or len(cells["id"].removeprefix("0x")) > 4
+            flags |= EXTENDED if long else 0
+        code = _whole(cells["dlc"]) if cells.get("dlc") else -1
+        size = _whole(cells["length"]) if cells.get("length") else -1
         if size < 0 <= code:
             # python-can's dlc is the number of bytes; a code where CAN FD has its own column.
             size = FD_SIZES[code] if flags & FD else code
@@ -180,14 +248,37 @@ class Csv:
         return Head(number, flags, size, channel, raw)
 
 
+def _row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[str], list[str]]:
+    """Of the columns up to the last one that is needed, and the kinds of its groups."""
+    cell = rf'(?:"[^"\n]*"|[^"{separator}\n][^{separator}\n]*|)'
+    pattern: list[str] = []
+    groups: list[str] = []
+    for kind in kinds:
+        if kind == "byte" and split:
+            pattern.append(r"([^\n]*)")
+            return pattern, [*groups, "data"]
+        if not kind or kind in groups or kind == "byte":
+            pattern.append(cell)
+            continue
+        groups.append(kind)
+        # Times begin with a digit: the names of columns, which may come again, do not.
+        time = rf'[ ]*"?([-+]?\d[^{separator}"\n]*)"?[ ]*'
+        pattern.append(time if kind == "time" else f"({cell})")
+    return pattern, groups
+
+
 def is_header(text: str) -> bool:
     """Whether a line names the columns of a log."""
-    return Csv().line(text).verdict is Verdict.HEADER
+    return _columns(text) is not None
 
 
-def _date_ns(text: str) -> int:
-    """ISO 8601; UTC where it names no zone."""
-    moment = datetime.fromisoformat(text.strip().strip('"'))
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    span = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return (span.days * 86_400 + span.seconds) * SECOND + span.microseconds * 1000
+def _whole(text: str) -> int:
+    """A whole number; pandas writes `8.0` where some are missing."""
+    return int(text.removesuffix(".0"), 16 if text[:2].lower() == "0x" else 10)
+
+
+def _moment(text: str) -> datetime | None:
+    try:
+        return datetime.strptime(text, "%Y%m%dT%H%M%S").replace(tzinfo=UTC)
+    except ValueError:
+        return None

@@ -170,3 +170,18 @@ def framed(head: Head, t_ns: int, data: bytes = b"", *, sure: bool = False) -> L
     """A line with a frame, checked."""
     head = checked(head)
     return Line(verdict_with(head, data), head, t_ns, data, sure)
+
+
+@runtime_checkable
+class Noting(Protocol):
+    """A format that has something to say of a whole log."""
+
+    notes: list[str]
+    """What a person is told when the log has been read."""
+
+
+def with_notes(form: Format, notes: list[str]) -> Format:
+    """The format, whose notes go into this list from now on."""
+    if isinstance(form, Noting):
+        form.notes = notes
+    return form

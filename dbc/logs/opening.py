@@ -13,13 +13,13 @@ from dbc.candump.grammar import Verdict, parse_line
 from dbc.candump.reader import Problem, Reader
 from dbc.frame import Frame
 from dbc.frames import Block
+from dbc.logs.format import Format
 from dbc.logs.text import TextReader
 from dbc.text import without_mark
 
 _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
 """By which a format is recognised."""
-_SCREEN: Final = re.compile(rb"\s*\S{1,21}\s+[0-9A-Fa-f]{3,8}\s+\[\d{1,2}\](?:\s+[0-9A-Fa-f]{2})*")
 _ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
 TEXT: Final = (".asc", ".trc", ".csv")
 OTHERS: Final = (".blf", ".mf4", ".db")
@@ -54,21 +54,27 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
     Raises PatternError, or LogError where no reader fits.
     """
     if line:
-        from dbc.logs.pattern import Pattern
-
-        Pattern(line)
-        return TextReader(path, lambda: Pattern(line), strict=strict)
+        return TextReader(path, _by_pattern(line, path), strict=strict)
     kind = ending(path)
     if kind not in TEXT + OTHERS:
         kind = _by_content(path)
-    if (form := _format(kind)) is not None:
+    if (form := _format(kind, path)) is not None:
         return TextReader(path, form, strict=strict)
     if kind in OTHERS:
         return _binary(path, kind, strict)
     return Reader(path, strict=strict)
 
 
-def _format(kind: str) -> Callable[[], Any] | None:
+def _by_pattern(pattern: str, path: Path) -> Callable[[], Format]:
+    """Makes formats for lines of this pattern. Raises PatternError."""
+    from dbc.logs.dialects import format_of
+
+    lines = [line.decode("latin-1") for line in first_lines(path)]
+    format_of(pattern)
+    return lambda: format_of(pattern, lines)
+
+
+def _format(kind: str, path: Path) -> Callable[[], Any] | None:
     if kind == ".asc":
         from dbc.logs.asc import Asc
 
@@ -82,9 +88,7 @@ def _format(kind: str) -> Callable[[], Any] | None:
 
         return Csv
     if "{" in kind:
-        from dbc.logs.pattern import Pattern
-
-        return lambda: Pattern(kind)
+        return _by_pattern(kind, path)
     return None
 
 
@@ -132,18 +136,16 @@ def _by_content(path: Path) -> str:
     if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):
         return ".trc"
     from dbc.logs.csv import is_header
-    from dbc.logs.pattern import DIALECTS, proposed
+    from dbc.logs.dialects import BUSMASTER, BUSMASTER_MARK, DIALECTS
+    from dbc.logs.proposals import proposed
 
     texts = [line.decode("latin-1") for line in lines]
-    if any(is_header(text) for text in texts[:5]):
+    if any(is_header(text) for text in texts):
         return ".csv"
+    if any(line.startswith(BUSMASTER_MARK) for line in lines[:5]):
+        return BUSMASTER
     found = proposed(texts, tuple(DIALECTS.values()))
     return found[0] if found is not None and found[1] > found[2] else ""
-
-
-def is_screen_form(text: str) -> bool:
-    """Whether a line is what candump shows on a screen without `-L`: it has no time."""
-    return _SCREEN.fullmatch(text.encode("latin-1", "replace").strip()) is not None
 
 
 def read_any(path: Path) -> Iterator[Frame]:

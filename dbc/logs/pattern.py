@@ -7,7 +7,8 @@ least one. Fields:
     {clock} {date}      time of day, `22:20:14.992`; ISO 8601, UTC where no zone is named
     {id} {id:d}         identifier, hexadecimal or decimal, `:x8` of eight digits; 29 bits from 800
                         on, or with an x behind it
-    {type}              s, x, 11, 29, R11, T29: 11 or 29 bits; r in sr and xr: remote
+    {type}              s, x, 11, 29, R11, T29: 11 or 29 bits; r in sr and xr: remote; s-fd, x-fd:
+                        CAN FD
     {channel} {dlc}
     {dir}               sent where it begins with T, as Tx does
     {data} {data:d}     bytes, hexadecimal or decimal, with anything between them
@@ -18,7 +19,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
+from dbc.logs.times import DayTimes, clock_ns, date_ns
 
 HEADER_LINES: Final = 100
 """Lines before the first frame that may say anything."""
@@ -36,38 +37,13 @@ _FORMS: Final = {
     "s": r"-?\d+(?:\.\d*)?", "ms": r"-?\d+(?:\.\d*)?", "us": r"-?\d+(?:\.\d*)?", "ns": r"-?\d+",
     "clock": r"\d{1,2}:\d\d:\d\d(?:[.:,]\d{1,9})?",
     "date": r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,9})?(?:Z|[+-]\d\d:?\d\d)?",
-    "id": r"(?:0[xX])?[0-9A-Fa-f]{1,8}[xXhH]?", "type": r"[A-Za-z0-9]{1,4}",
+    "id": r"(?:0[xX])?[0-9A-Fa-f]{1,8}[xXhH]?", "type": r"[A-Za-z0-9]{1,4}(?:-fd)?",
     "channel": r"[^\s,;]{1,21}", "dir": r"[A-Za-z]{1,4}", "dlc": r"[0-9A-Fa-f]{1,2}",
     "data": r"[0-9A-Fa-fxX \t,;:.\-]*", "skip": r"[^\s,;]+",
 }  # fmt: skip
 _CLEAN: Final = re.compile(r"0[xX]")
 _TOKEN: Final = re.compile(r"[0-9A-Fa-f]+")
 _COMMENT: Final = ("#", ";", "//", "***")
-_NOTE: Final = re.compile(r"\d+\.\d+ +\d?C[A-Z]{2}\b")
-"""CRTD's lines that are none of a frame."""
-DIALECTS: Final = {
-    "Cascadia Motion": "{ms:x8}x{id:x8}{data}",
-    "CRTD": "{s} {type} {id} {data}",
-    "Microchip CAN BUS Analyzer": "{ms};{dir};{id};{dlc};{data}",
-    "BusMaster": "{clock} {dir} {channel} {id} {type} {dlc} {data}",
-    "candump on a screen, with times": "({s}) {channel} {id} [{dlc}] {data}",
-    "GVRET": "{us} - {id} {type} {channel} {dlc} {data}",
-}
-"""Formats that are recognised by their lines."""
-GUESSES: Final = (
-    *DIALECTS.values(),
-    "{s} {id} {dir} {dlc} {data}", "{s} {channel} {id} {dir} {dlc} {data}",
-    "{s} {id} {dlc} {data}", "{s} {channel} {id} {dlc} {data}", "{s} {id} {data}",
-    "{s} {channel} {id} {data}", "{s} {id}#{data}", "{s} {channel} {id}#{data}",
-    "{s},{id},{dlc},{data}", "{s},{channel},{id},{dlc},{data}", "{s},{id},{data}",
-    "{s};{id};{dlc};{data}", "{s};{channel};{id};{dlc};{data}", "{s};{id};{data}",
-    "[{s}] {channel} {id} {dlc} {data}", "[{s}] {id} {dlc} {data}", "[{s}] {id} {data}",
-    "[{clock}] {id} {data}", "{clock} {channel} {id} {dlc} {data}", "{clock} {id} {dlc} {data}",
-    "{clock} {id} {data}", "{date} {channel} {id} {dlc} {data}", "{date} {id} {dlc} {data}",
-    "{date} {id} {data}", "{date},{id},{dlc},{data}", "{date},{id},{data}",
-    "{ms:x} {id:x} {data}", "{ms:x},{id:x},{data}", "{ms:x8}{id:x8}{data}",
-)  # fmt: skip
-"""What `--line auto` tries, in this order among those that match equally many lines."""
 
 
 class PatternError(ValueError):
@@ -89,6 +65,12 @@ class Pattern:
 
     def __init__(self, pattern: str) -> None:
         """Raises PatternError."""
+        self._headers = 0
+        self._day_times = DayTimes()
+        self._compile(pattern)
+
+    def _compile(self, pattern: str) -> None:
+        """Read lines by this pattern from now on. Raises PatternError."""
         self.pattern = pattern
         parts = _parts(pattern)
         fields = [part for part in parts if isinstance(part, _Field)]
@@ -113,34 +95,21 @@ class Pattern:
                   names.index("data"), len(names)]  # fmt: skip
         self.order = () if places == sorted(places) else tuple(places)
         self._parts = parts
-        self._headers = 0
-        self._days = 0
-        self._last_ns = 0
 
     def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
         """In the pattern's unit."""
         unit = _UNITS[self._time.name]
         if self._time.name == "clock":
-            return self._of_day([_clock_ns(text) for text in texts])
+            return np.array([clock_ns(text) for text in texts], dtype=np.int64)
         if self._time.name == "date":
-            return np.array([_date_ns(text) for text in texts], dtype=np.int64)
+            return np.array([date_ns(text) for text in texts], dtype=np.int64)
         if self._time.base == 16:
             return np.array([int(text, 16) for text in texts], dtype=np.int64) * unit
         return nanoseconds(texts, unit)
 
-    def _of_day(self, stamps: list[int]) -> NDArray[np.int64]:
-        """Midnight is a step back by more than half a day."""
-        for k, t_ns in enumerate(stamps):
-            if t_ns < self._last_ns - 43_200 * SECOND:
-                self._days += 1
-            self._last_ns = t_ns
-            stamps[k] = t_ns + self._days * 86_400 * SECOND
-        return np.array(stamps, dtype=np.int64)
-
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """As they are."""
-        del timed
-        return times
+        """As they are; a time of day goes on behind midnight."""
+        return self._day_times.add(times, timed) if self._time.name == "clock" else times
 
     def data(self, text: str, length: int) -> bytes:
         """Bytes with anything between them."""
@@ -154,9 +123,11 @@ class Pattern:
             return b"".join(bytes.fromhex(w if len(w) > 1 else f"0{w}") for w in words)
 
     def whole(self, text: str) -> bool:
-        """Hexadecimal, and no byte of one digit at the end."""
+        """No hexadecimal byte of one digit at the end, no decimal one of less than three."""
         last = _TOKEN.findall(_CLEAN.sub("", text))[-1:] or [""]
-        return self._bases["data"] == 16 and len(last[0]) % 2 == 0
+        if self._bases["data"] == 10:
+            return len(last[0]) == len("255")
+        return len(last[0]) % 2 == 0
 
     def head(self, parts: tuple[str, ...]) -> Head:
         """Of the other fields."""
@@ -178,7 +149,7 @@ class Pattern:
             if CLASSIC_BYTES < code < len(FD_SIZES) and self._bases["dlc"] == 16
             else code
         )
-        if size > CLASSIC_BYTES:
+        if size > CLASSIC_BYTES or kind.endswith("-fd"):
             flags |= FD
         channel = found.get("channel", "")
         if flags & REMOTE:
@@ -195,7 +166,7 @@ class Pattern:
         text = text.strip()
         if not text:
             return Line(Verdict.BLANK)
-        if text.startswith(_COMMENT) or ("type" in self._head and _NOTE.match(text)):
+        if text.startswith(_COMMENT):
             return Line(Verdict.COMMENT)
         if not self.began and self._headers < HEADER_LINES:
             self._headers += 1
@@ -203,7 +174,9 @@ class Pattern:
         return Line(Verdict.MALFORMED)
 
     def explain(self, text: str) -> str:
-        """Where a line stops to be as the pattern says."""
+        """Where a line stops to be as the pattern says; empty if it does not."""
+        if (match := self.regex.match(text)) and match[self.regex.groups] is None:
+            return ""
         best, k = 0, 0
         for k in range(len(self._pieces) + 1):
             match = re.match(r"[ \t]*" + "".join(self._pieces[:k]), text)
@@ -253,59 +226,3 @@ def _regex(part: _Field | str, following: _Field | str) -> str:
         return r"(?:[ \t]+|(?=\n|$))"
     return "".join(r"[ \t]+" if piece.isspace() else re.escape(piece)
                    for piece in re.split(r"(\s+)", part) if piece)  # fmt: skip
-
-
-def _clock_ns(text: str) -> int:
-    hours, minutes, rest = text.split(":", 2)
-    seconds, _, fraction = rest.replace(":", ".").replace(",", ".").partition(".")
-    whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
-    return whole * SECOND + int(fraction.ljust(9, "0"))
-
-
-def _date_ns(text: str) -> int:
-    moment = datetime.fromisoformat(
-        text.replace(",", ".")[:26] if len(text) > 32 else text.replace(",", ".")
-    )
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    span = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return (span.days * 86_400 + span.seconds) * SECOND + span.microseconds * 1000
-
-
-def share(pattern: str, lines: Sequence[str]) -> tuple[int, int]:
-    """How many of these lines are frames by a pattern, and how many neither that nor comments."""
-    form = Pattern(pattern)
-    good = bad = 0
-    for line in lines:
-        if not line.strip() or line.lstrip().startswith(_COMMENT):
-            continue
-        rows = form.regex.findall(line)
-        row = rows[0] if rows else ("",)
-        if form.order:
-            row = tuple(row[k] for k in form.order)
-        good += _is_frame(form, row)
-        bad += not _is_frame(form, row)
-    return good, bad
-
-
-def _is_frame(form: Pattern, row: tuple[str, ...]) -> bool:
-    if not row[0]:
-        return False
-    try:
-        head = form.head(row[1:-2])
-        data = form.data(row[-2], head.length)
-        form.times([row[0]])
-    except (ValueError, OverflowError):
-        return False
-    limit = 0x1FFF_FFFF if head.flags & EXTENDED else 0x7FF
-    fits = len(data) in FD_SIZES if head.length < 0 else len(data) == head.length
-    return head.verdict is Verdict.OK and fits and head.can_id <= limit
-
-
-def proposed(lines: Sequence[str], among: Sequence[str] = GUESSES) -> tuple[str, int, int] | None:
-    """The pattern that reads most of these lines, with their number and that of the others."""
-    best: tuple[str, int, int] | None = None
-    for pattern in among:
-        good, bad = share(pattern, lines)
-        if good and (best is None or good > best[1]):
-            best = pattern, good, bad
-    return best

@@ -20,7 +20,16 @@ from dbc.candump.grammar import MAX_LINE, Verdict
 from dbc.candump.reader import LogError, Problem, Reader
 from dbc.frame import FD
 from dbc.frames import MAX_DATA_BYTES, Block
-from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, Named, checked, verdict_with
+from dbc.logs.format import (
+    CLASSIC_BYTES,
+    Format,
+    Head,
+    Line,
+    Named,
+    checked,
+    verdict_with,
+    with_notes,
+)
 from dbc.logs.lines import Known, Scan, Scanner
 from dbc.text import printable
 
@@ -44,12 +53,10 @@ class TextReader(Reader):
     ) -> None:
         """`make` gives the format as it is at the start of a log."""
         super().__init__(source, strict=strict)
-        self._make = make
+        self._make: Callable[[], Format] = lambda: with_notes(make(), self.notes)
 
     def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
         self._format = self._make()
-        if isinstance(self._format, Named):
-            self._format.notes = self.notes
         self._recent: list[tuple[str, ...]] = []
         self._shift_ns: int | None = None
         self._scanner = Scanner(self._known)
@@ -301,8 +308,9 @@ class TextReader(Reader):
 
     def _report(self, line: int, verdict: Verdict, text: str) -> None:
         text = text[:MAX_LINE].strip()
-        if verdict is Verdict.MALFORMED and (explain := getattr(self._format, "explain", None)):
-            text = f"{explain(text)}: {text}"
+        explain = getattr(self._format, "explain", None)
+        if verdict is Verdict.MALFORMED and explain and (reason := explain(text)):
+            text = f"{reason}: {text}"
         self._fault(Problem(line, verdict, printable(text[:120])))
 
     def _head(self, parts: tuple[str, ...]) -> Head:

@@ -80,7 +80,8 @@ def add_line(parser: argparse.ArgumentParser) -> None:
 def pattern_of(log: Path, line: str) -> str:
     """The pattern that `--line` names; of `auto` the proposal, printed. Raises ConfigError."""
     from dbc.logs.opening import first_lines
-    from dbc.logs.pattern import Pattern, PatternError, proposed
+    from dbc.logs.pattern import Pattern, PatternError
+    from dbc.logs.proposals import proposed
     from gateway.settings.config import ConfigError
 
     if line != "auto":

@@ -20,7 +20,8 @@ from dbc.candump.grammar import Verdict, format_frame
 from dbc.candump.reader import LogError
 from dbc.logs.blf import Blf
 from dbc.logs.opening import open_reader
-from dbc.logs.pattern import Pattern, PatternError, proposed
+from dbc.logs.pattern import Pattern, PatternError
+from dbc.logs.proposals import proposed
 
 HEAD = "date Mon May 15 10:00:00.000 am 2023\nbase hex  timestamps absolute\n"
 EVENTS = HEAD + "internal events logged\n"

@@ -1,0 +1,119 @@
+"""Text logs of recorders that are recognised by their lines, and who reads them.
+
+Each has a pattern (`dbc.logs.pattern`). Where lines say more than a pattern can, a format of its
+own reads them, also if the pattern was given by hand.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.grammar import Verdict
+from dbc.frame import ERROR, TX
+from dbc.logs.format import Format, Head, Line, framed
+from dbc.logs.pattern import Pattern
+from dbc.logs.screen import Screen
+from dbc.logs.times import Differences, clock_ns
+
+CRTD: Final = "{s} {type} {id} {data}"
+BUSMASTER: Final = "{clock} {dir} {channel} {id} {type} {dlc} {data}"
+SCREEN: Final = "({s}) {channel} {id} [{dlc}] {data}"
+_SCREEN_DATES: Final = "({date}) {channel} {id} [{dlc}] {data}"
+DIALECTS: Final = {
+    "Cascadia Motion": "{ms:x8}x{id:x8}{data}",
+    "CRTD": CRTD,
+    "Microchip CAN BUS Analyzer": "{ms};{dir};{id};{dlc};{data}",
+    "BusMaster": BUSMASTER,
+    "candump on a screen, with times": SCREEN,
+    "GVRET": "{us} - {id} {type} {channel} {dlc} {data}",
+}
+"""Formats that are recognised by their lines."""
+BUSMASTER_MARK: Final = b"***BUSMASTER"
+"""How the first line of BUSMASTER starts."""
+_DECIMAL: Final = "{clock} {dir} {channel} {id:d} {type} {dlc} {data:d}"
+_MODE: Final = re.compile(r"\*{3}(?:(HEX|DEC)|(RELATIVE|ABSOLUTE|SYSTEM) MODE)\*{3}")
+_ERROR: Final = re.compile(
+    r"(\d{1,2}:\d\d:\d\d:\d{1,9})\s+([RT]x)\s+(\S{1,21})\s+(?:[0-9A-Fa-fxX]+\s+)?ERR\b.*"
+)
+_STAMP: Final = re.compile(r"\d{1,2}:\d\d:\d\d:\d{1,9}(?=\s)")
+_NOTE: Final = re.compile(r"\d+\.\d+ +\d*C[A-Z]{2}\b")
+"""CRTD's lines that are none of a frame."""
+_KIND: Final = re.compile(r"(\d*)([RT])(11|29)")
+
+
+class BusMaster(Pattern):
+    """BUSMASTER: its header names the base of numbers, and whether times are differences."""
+
+    def __init__(self) -> None:
+        """At the start of a log: hexadecimal, times of day."""
+        super().__init__(BUSMASTER)
+        self._differences: Differences | None = None
+
+    def changes(self, text: str) -> bool:
+        """`***DEC***`, `***RELATIVE MODE***` and their like; each session has them again."""
+        return _MODE.match(text.strip()) is not None
+
+    def line(self, text: str) -> Line:
+        """A line of the header, an error frame."""
+        text = text.strip()
+        if mode := _MODE.match(text):
+            base, times = mode.groups()
+            if base:
+                self._compile(_DECIMAL if base == "DEC" else BUSMASTER)
+            if times:
+                self._differences = Differences() if times == "RELATIVE" else None
+            return Line(Verdict.COMMENT)
+        if error := _ERROR.fullmatch(text):
+            stamp, direction, channel = error.groups()
+            flags = ERROR | (TX if direction == "Tx" else 0)
+            return framed(Head(0, flags, 0, channel), clock_ns(stamp))
+        if stamp := _STAMP.match(text):
+            # Malformed, with its time: the next one may count from it.
+            return Line(Verdict.MALFORMED, None, clock_ns(stamp[0]))
+        return super().line(text)
+
+    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Times of day; differences added up."""
+        if self._differences is not None:
+            return self._differences.add(times, timed)
+        return super().clock(times, timed)
+
+
+class Crtd(Pattern):
+    """OVMS' CRTD: `1R11` is 11 bits, received on bus 1; `T29` 29 bits, sent."""
+
+    def __init__(self) -> None:
+        """At the start of a log."""
+        super().__init__(CRTD)
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """`type id`."""
+        kind = _KIND.fullmatch(parts[0])
+        if kind is None:
+            return Head(0, verdict=Verdict.MALFORMED)
+        head = super().head(parts)
+        flags = head.flags | (TX if kind[2] == "T" else 0)
+        return head._replace(channel=kind[1], flags=flags)
+
+    def line(self, text: str) -> Line:
+        """Comments, events and statistics of the recorder, too."""
+        return Line(Verdict.COMMENT) if _NOTE.match(text.strip()) else super().line(text)
+
+
+_OWN: Final[dict[str, Callable[[], Format]]] = {CRTD: Crtd, BUSMASTER: BusMaster}
+
+
+def format_of(pattern: str, lines: Sequence[str] = ()) -> Format:
+    """Who reads lines of this pattern, at the start of a log. Raises PatternError.
+
+    lines: the first ones of the log, where its lines do not say how they are to be read.
+    """
+    if pattern in (SCREEN, _SCREEN_DATES):
+        return Screen(lines)
+    own = _OWN.get(pattern)
+    return own() if own is not None else Pattern(pattern)

@@ -1,0 +1,165 @@
+"""What candump shows on a screen, with times: ` (1684144800.123456)  can0  123   [2]  01 02`.
+
+As can-utils' lib.c prints it: an identifier of eight digits has 29 bits, a length of two digits is
+CAN FD's, `{9}` (`-8`) is a raw length. Behind the channel `RX B E` (`-x`): direction, BRS, ESI; at
+the end `remote request`, `ERRORFRAME`, or the bytes as text (`-a`).
+
+Times: seconds since 1970 (`-ta`, ten digits), dates (`-tA`), since the start (`-tz`) or since the
+frame before (`-td`). The last two look alike; only differences go down as often as up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.candump.grammar import DROPS, Verdict
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
+from dbc.logs.format import CLASSIC_BYTES, Head, Line, hex_bytes, nanoseconds
+from dbc.logs.times import Differences, date_ns
+
+HEADER_LINES: Final = 100
+"""Lines before the first frame that may say anything."""
+SINCE_START: Final = "times are since the start of the log (candump -tz); none of them is a date"
+DIFFERENCES: Final = "times are differences (candump -td): they are added up from 0"
+LOCAL: Final = "times are dates without a zone (candump -tA): read as UTC"
+_DATE: Final = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.(?:\d{9}|\d{6})"
+_STAMP: Final = rf"(?:\d{{1,10}}\.(?:\d{{9}}|\d{{6}})|{_DATE})"
+_FRAME: Final = (
+    r"(\S{1,21})(?:[ \t]+(RX|TX)[ \t]+([B-])[ \t]+([E-]))?"
+    r"[ \t]+([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})[ \t]+(\[\d{1,2}\]|\{[0-9A-F]\})"
+    r"((?:[ \t]+[0-9A-Fa-f]{2})*)(?:[ \t]+(remote request|ERRORFRAME))?(?:[ \t]+'[^\n]*')?[ \t]*"
+)
+_LINE: Final = re.compile(rf"^(?:[ \t]*\(({_STAMP})\)[ \t]+{_FRAME}|(.*))$", re.MULTILINE)
+_SHOWN: Final = re.compile(rf"(?:\({_STAMP}\)[ \t]+)?{_FRAME}")
+_TIME: Final = re.compile(rf"\(({_STAMP})\)")
+_XL: Final = re.compile(rf"\({_STAMP}\)[ \t]+\S+.*\[\d{{4}}\][ \t]+\([0-9A-F]{{2}}\|.*")
+_SINCE_1970: Final = 10
+"""Digits of candump's seconds since 1970; of those that count from the start it prints fewer."""
+_ERROR_BIT: Final = 0x2000_0000
+_STEPS_BACK: Final = 10
+"""One step in so many, or more, goes back: differences. Times since the start do not go back, but
+for frames of several channels that come in another order."""
+
+
+class Screen:
+    """The lines of one log, see `dbc.logs.format.Format`."""
+
+    regex = _LINE
+    order: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 6, 8, 7, 9)
+    began = False
+    splits = False
+    shape = None
+
+    def __init__(self, lines: Sequence[str] = ()) -> None:
+        """lines: the first ones of the log, by which differences are recognised."""
+        self.notes: list[str] = []
+        self._headers = 0
+        self._from_start = False
+        self._differences = Differences() if _are_differences(_stamps_of(lines)) else None
+
+    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
+        """Seconds with a point, or dates."""
+        if not texts:
+            return np.zeros(0, dtype=np.int64)
+        if "-" in texts[0]:
+            self._note(LOCAL)
+            return np.array([date_ns(text) for text in texts], dtype=np.int64)
+        self._from_start = texts[0].index(".") < _SINCE_1970
+        return nanoseconds(texts)
+
+    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """As they are; differences added up."""
+        if not self._from_start:
+            return times
+        self._note(DIFFERENCES if self._differences else SINCE_START)
+        return self._differences.add(times, timed) if self._differences else times
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def data(self, text: str, length: int) -> bytes:
+        """Bytes of two digits."""
+        return hex_bytes(text, length)
+
+    def whole(self, text: str) -> bool:
+        """A byte has two digits here."""
+        del text
+        return True
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """`channel direction brs esi id length kind`, as far as they are there."""
+        channel, direction, brs, esi, digits, length, kind = parts
+        number, long = int(digits, 16), len(digits) == len("00000123")
+        flags = TX if direction == "TX" else 0
+        if long and number & _ERROR_BIT:
+            number, flags = number & ~_ERROR_BIT, flags | ERROR
+        elif long:
+            flags |= EXTENDED
+        raw = length[0] == "{"
+        size = int(length[1:-1], 16 if raw else 10)
+        if kind == "remote request":
+            return Head(number, flags | REMOTE, 0, channel, size or -1)
+        if (kind == "ERRORFRAME") != bool(flags & ERROR) and kind:
+            return Head(0, verdict=Verdict.MALFORMED)
+        if len(length) == len("[08]"):
+            flags |= FD | (BRS if brs == "B" else 0) | (ESI if esi == "E" else 0)
+        if raw and size > CLASSIC_BYTES:
+            return Head(number, flags, CLASSIC_BYTES, channel, size)
+        # `remote request` may have been cut off behind `[0]`: such a last line is not whole.
+        return Head(number, flags, size if size or flags & FD else -1, channel)
+
+    def changes(self, text: str) -> bool:
+        """None does."""
+        del text
+        return False
+
+    def line(self, text: str) -> Line:
+        """Anything else: a frame of CAN XL, frames that were lost, what a shell said before."""
+        text = text.strip()
+        if not text:
+            return Line(Verdict.BLANK)
+        if text.startswith(("#", ";", "//")):
+            return Line(Verdict.COMMENT)
+        if stamp := _TIME.match(text):
+            # With its time: the next one may count from it.
+            verdict = Verdict.XL if _XL.fullmatch(text) else Verdict.MALFORMED
+            return Line(verdict, None, _stamp_ns(stamp[1]))
+        if DROPS.fullmatch(text.encode("latin-1", "replace")):
+            return Line(Verdict.DROPCOUNT)
+        if not self.began and self._headers < HEADER_LINES and not text.startswith("("):
+            self._headers += 1
+            return Line(Verdict.HEADER)
+        return Line(Verdict.MALFORMED)
+
+
+def _stamp_ns(text: str) -> int | None:
+    try:
+        return date_ns(text) if "-" in text else nanoseconds([text]).item()
+    except (ValueError, OverflowError):
+        return None
+
+
+def _stamps_of(lines: Sequence[str]) -> NDArray[np.int64]:
+    """Of these lines, those that count from the start or from the frame before."""
+    found = [match[1] for line in lines if (match := _TIME.match(line.strip()))]
+    early = [text for text in found if "-" not in text and text.index(".") < _SINCE_1970]
+    return nanoseconds(early)
+
+
+def _are_differences(stamps: NDArray[np.int64]) -> bool:
+    """Whether stamps count from the one before: they go down, or are always the same."""
+    steps = np.diff(stamps)
+    back = np.count_nonzero(steps < 0)
+    alike = steps.size > 1 and stamps.item(1) > 0 and not steps[1:].any()
+    return bool(alike or (back and back * _STEPS_BACK >= steps.size))
+
+
+def is_screen_form(text: str) -> bool:
+    """Whether a line is what candump shows on a screen, with or without a time."""
+    return _SHOWN.fullmatch(text.strip()) is not None

@@ -1,0 +1,102 @@
+"""Times of log lines: dates, times of day, and stamps that count from the one before."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, timedelta
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.frame import SECOND
+
+_DATE: Final = re.compile(r"(.*?)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?", re.DOTALL)
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_DAY_NS: Final = 86_400 * SECOND
+_CSS: Final = re.compile(
+    r"(?:(\d{4})[-/.]?(\d\d)[-/.]?)?(\d\d)T(\d\d)[:.]?(\d\d)[:.]?(\d\d)[:.,]?(\d{3})?"
+)
+
+
+def clock_ns(text: str) -> int:
+    """A time of day, `22:20:14.992`; a colon or a comma may stand for the point."""
+    hours, minutes, rest = text.split(":", 2)
+    seconds, _, fraction = rest.replace(":", ".").replace(",", ".").partition(".")
+    whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
+    return whole * SECOND + int(fraction.ljust(9, "0"))
+
+
+def date_ns(text: str) -> int:
+    """ISO 8601, exact to the nanosecond; UTC where it names no zone. Raises ValueError."""
+    match = _DATE.fullmatch(text.strip())
+    date, fraction, zone = match.groups() if match else (text, None, None)
+    if ":" not in date:
+        # A year and a month would pass for a number with a zone.
+        date, fraction, zone = text.strip(), None, None
+    moment = datetime.fromisoformat(date + (zone or ""))
+    return epoch_ns(moment) + int((fraction or "").ljust(9, "0"))
+
+
+def epoch_ns(moment: datetime) -> int:
+    """Nanoseconds since 1970; UTC where the moment has no zone."""
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    span = moment - _EPOCH
+    return (span.days * 86_400 + span.seconds) * SECOND + span.microseconds * 1000
+
+
+class DayTimes:
+    """Times of day, which go on behind midnight: a step back by more than half a day."""
+
+    def __init__(self) -> None:
+        """At the start of a log."""
+        self._days = 0
+        self._last_ns = 0
+
+    def add(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Of consecutive lines; those that are not `timed` have no time."""
+        stamps = times[timed]
+        if not stamps.size:
+            return times
+        back = np.diff(stamps, prepend=self._last_ns) < -_DAY_NS // 2
+        days = self._days + np.cumsum(back)
+        self._days, self._last_ns = days.item(-1), stamps.item(-1)
+        moved = times.copy()
+        moved[timed] = stamps + days * _DAY_NS
+        return moved
+
+
+class Differences:
+    """Stamps that count from the line before, added up."""
+
+    def __init__(self, last_ns: int = 0) -> None:
+        """last_ns: the time of the line before the first one."""
+        self._last_ns = last_ns
+
+    def add(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Of consecutive lines; those that are not `timed` have no time."""
+        if not timed.any():
+            return times
+        total: NDArray[np.int64] = np.cumsum(np.where(timed, times, 0)) + self._last_ns
+        self._last_ns = total.item(-1)
+        return total
+
+
+def logger_ns(text: str, start: datetime | None) -> int:
+    """A stamp of a CL1000 or CL2000: `20230515T100000250`, or `15T100000250` with the day alone.
+
+    start: when the log was started, whose month the day is of, or of the next one. Without it, of
+    January 1970. Raises ValueError.
+    """
+    match = _CSS.fullmatch(text)
+    if match is None:
+        raise ValueError(text)
+    year, month, *rest = match.groups()
+    day, hour, minute, second, ms = (int(part or 0) for part in rest)
+    if year is None:
+        month_start = (start or _EPOCH).replace(day=1, hour=0, minute=0, second=0)
+        if start is not None and day < start.day:
+            month_start = (month_start + timedelta(days=31)).replace(day=1)
+        year, month = month_start.year, month_start.month
+    moment = datetime(int(year), int(month), day, hour, minute, second, ms * 1000, UTC)
+    return epoch_ns(moment)
