@@ -19,14 +19,14 @@ def ahead(items: Iterator[T]) -> Iterator[T]:
     wanted: SimpleQueue[bool] = SimpleQueue()
     made: SimpleQueue[T | BaseException | None] = SimpleQueue()
 
-    def make() -> None:
+    def prefetch() -> None:
         while wanted.get():
             try:
                 made.put(next(items, None))
             except BaseException as error:  # raised where the item is asked for
                 made.put(error)
 
-    worker = threading.Thread(target=make, name="ahead", daemon=True)
+    worker = threading.Thread(target=prefetch, name="ahead", daemon=True)
     worker.start()
     wanted.put(True)
     try:

@@ -44,6 +44,7 @@ _STAMP: Final = re.compile(r"\d{1,2}:\d\d:\d\d:\d{1,9}(?=\s)")
 _NOTE: Final = re.compile(r"\d+\.\d+ +\d*C[A-Z]{2}\b")
 """CRTD's lines that are none of a frame."""
 _KIND: Final = re.compile(r"(\d*)([RT])(11|29)")
+_BUSMASTER_KIND: Final = re.compile(r"[sx](?:r|-fd)?")
 
 
 class BusMaster(Pattern):
@@ -53,6 +54,12 @@ class BusMaster(Pattern):
         """At the start of a log: hexadecimal, times of day."""
         super().__init__(BUSMASTER)
         self._differences: Differences | None = None
+
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """`dir channel id type dlc`."""
+        if _BUSMASTER_KIND.fullmatch(parts[3]) is None:
+            return Head(0, verdict=Verdict.MALFORMED)
+        return super().head(parts)
 
     def changes(self, text: str) -> bool:
         """`***DEC***`, `***RELATIVE MODE***` and their like; each session has them again."""

@@ -30,7 +30,7 @@ Columns = dict[str, _Array]
 
 
 def print_findings(
-    path: Path, line: str, channel: str | None, config: Config, codec: Codec
+    path: Path, line: str | None, channel: str | None, config: Config, codec: Codec
 ) -> list[str]:
     """A line for each thing compared; returns what does not fit. Raises as a replay does."""
     from dbc.logs.opening import open_reader

@@ -72,13 +72,16 @@ def add_bus(parser: argparse.ArgumentParser) -> None:
 def add_line(parser: argparse.ArgumentParser) -> None:
     """`--line`."""
     parser.add_argument(
-        "--line", metavar="PATTERN", default="",
+        "--line", metavar="PATTERN",
         help="how a line of the log looks, '{ms:x} {id:x} {data}' for one; 'auto' proposes it",
     )  # fmt: skip
 
 
-def pattern_of(log: Path, line: str) -> str:
-    """The pattern that `--line` names; of `auto` the proposal, printed. Raises ConfigError."""
+def pattern_of(log: Path, line: str | None) -> str:
+    """The pattern that `--line` names, "" without it; of `auto` the proposal, printed.
+
+    Raises ConfigError, for an empty pattern too.
+    """
     from dbc.logs.opening import first_lines
     from dbc.logs.pattern import Pattern, PatternError
     from dbc.logs.proposals import proposed
@@ -86,7 +89,7 @@ def pattern_of(log: Path, line: str) -> str:
 
     if line != "auto":
         try:
-            return Pattern(line).pattern if line else ""
+            return "" if line is None else Pattern(line).pattern
         except PatternError as error:
             cure = "docs/files.md has the fields, and examples"
             raise ConfigError("--line", [str(error), cure]) from None

@@ -69,7 +69,8 @@ def run(options: argparse.Namespace) -> int:
     text = _of_dbc(dbc, drives, options) if dbc else first_config.ours(drives, "")
     write_text(options.output, text)
     print(f"written: {shown(options.output)}")
-    log = ["--log", str(options.log), "--line", options.line] if options.log else []
+    log = ["--log", str(options.log)] if options.log else []
+    log += ["--line", options.line] if options.log and options.line is not None else []
     return _check(options.output, log)
 
 
@@ -152,7 +153,7 @@ def _say(shared: Shared, drives: int) -> None:
         note("the DBC has no cycle times; they are guessed: give --log, or correct cycle_ms")
 
 
-def _periods(log: Path, line: str) -> dict[int, float]:
+def _periods(log: Path, line: str | None) -> dict[int, float]:
     """Median period in ms of every identifier in a log's first frames.
 
     Raises ConfigError where none comes a few times.

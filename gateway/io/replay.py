@@ -277,6 +277,8 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
             msg += (
                 "; candump shows this on a screen: record with `candump -L IF` or `candump -l IF`"
             )
+        elif candump:
+            msg += "; for text of another program, `--line auto` proposes a pattern of its lines"
         raise BadLogError(msg)
 
 
