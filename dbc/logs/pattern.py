@@ -11,8 +11,11 @@ least one. Fields:
                         CAN FD
     {channel} {dlc}
     {dir}               sent where it begins with T, as Tx does
-    {data} {data:d}     bytes, hexadecimal or decimal, with anything between them
-    {skip}              one word; what comes behind the last field does not matter
+    {data} {data:d}     bytes, hexadecimal or decimal; between two of them blanks and one of , ; : . -
+    {skip}              one word
+
+Behind {data} at the end of a pattern nothing else may stand in a line; behind anything else at its
+end there may be more.
 """
 
 from __future__ import annotations
@@ -33,16 +36,20 @@ HEADER_LINES: Final = 100
 """Lines before the first frame that may say anything."""
 _FIELD: Final = re.compile(r"\{(\w+)(?::([xd])(\d{1,2})?)?\}")
 _UNITS: Final = {"s": SECOND, "ms": MS, "us": 1000, "ns": 1, "clock": SECOND, "date": SECOND}
+_BYTES: Final = r"[0-9A-Fa-f \t,;:.\-]"
 _FORMS: Final = {
     "s": r"-?\d+(?:\.\d*)?", "ms": r"-?\d+(?:\.\d*)?", "us": r"-?\d+(?:\.\d*)?", "ns": r"-?\d+",
     "clock": r"\d{1,2}:\d\d:\d\d(?:[.:,]\d{1,9})?",
     "date": r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,9})?(?:Z|[+-]\d\d:?\d\d)?",
     "id": r"(?:0[xX])?[0-9A-Fa-f]{1,8}[xXhH]?", "type": r"[A-Za-z0-9]{1,4}(?:-fd)?",
     "channel": r"[^\s,;]{1,21}", "dir": r"[A-Za-z]{1,4}", "dlc": r"[0-9A-Fa-f]{1,2}",
-    "data": r"[0-9A-Fa-fxX \t,;:.\-]*", "skip": r"[^\s,;]+",
+    "data": rf"{_BYTES}*(?:(?<=(?<![0-9A-Fa-f])0)[xX](?=[0-9A-Fa-f]){_BYTES}*)*", "skip": r"[^\s,;]+",
 }  # fmt: skip
 _CLEAN: Final = re.compile(r"0[xX]")
 _TOKEN: Final = re.compile(r"[0-9A-Fa-f]+")
+_WORD: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]+)")
+_MISSING: Final = re.compile(r"[,;:.\-][ \t]*[,;:.\-][ \t,;:.\-]*(?=[0-9A-Fa-f])")
+"""Between two separators there is no byte, and behind them one."""
 _COMMENT: Final = ("#", ";", "//", "***")
 
 
@@ -88,7 +95,7 @@ class Pattern:
         self._pieces = [_regex(p, n) for p, n in zip(parts, behind_it, strict=True)]
         plain = r"[ \t]*" + "".join(self._pieces)
         ends_in_data = isinstance(parts[-1], _Field) and parts[-1].name == "data"
-        tail = r"(?![^\s]).*" if ends_in_data else ".*"
+        tail = "" if ends_in_data else ".*"
         self.regex = re.compile(rf"^(?:{plain}{tail}|(.*))$", re.MULTILINE)
         self._head = [name for name in names if name not in _UNITS and name != "data"]
         places = [names.index(self._time.name), *(names.index(name) for name in self._head),
@@ -112,15 +119,16 @@ class Pattern:
         return self._day_times.add(times, timed) if self._time.name == "clock" else times
 
     def data(self, text: str, length: int) -> bytes:
-        """Bytes with anything between them."""
+        """Bytes with separators between them. Raises ValueError, also where one is missing."""
         del length
-        if self._bases["data"] == 10:
-            return bytes(map(int, _TOKEN.findall(text)))
+        decimal = self._bases["data"] == 10
         try:
-            return bytes.fromhex(text)
+            return bytes(map(int, text.split())) if decimal else bytes.fromhex(text)
         except ValueError:
-            words = _TOKEN.findall(_CLEAN.sub("", text))
-            return b"".join(bytes.fromhex(w if len(w) > 1 else f"0{w}") for w in words)
+            if _MISSING.search(text):
+                raise
+        words = _TOKEN.findall(_CLEAN.sub("", text))
+        return b"".join(_byte(word, decimal=decimal) for word in words)
 
     def whole(self, text: str) -> bool:
         """No hexadecimal byte of one digit at the end, no decimal one of less than three."""
@@ -176,16 +184,45 @@ class Pattern:
     def explain(self, text: str) -> str:
         """Where a line stops to be as the pattern says; empty if it does not."""
         if (match := self.regex.match(text)) and match[self.regex.groups] is None:
+            at, wanted = self._wrong_byte(match), "a byte of {data}"
+        else:
+            at, wanted = self._end_of_match(text)
+        if at < 0:
             return ""
-        best, k = 0, 0
+        found = text[at : at + 12].strip()
+        return f"column {at + 1}: {wanted} expected, {repr(found) if found else 'nothing'} found"
+
+    def _wrong_byte(self, match: re.Match[str]) -> int:
+        """Where in a line that is as the pattern says a byte is missing or none; -1: nowhere."""
+        group = (self.order[-2] if self.order else self.regex.groups - 2) + 1
+        start, decimal = match.start(group), self._bases["data"] == 10
+        for word in _WORD.finditer(match[group]):
+            try:
+                _byte(word[1], decimal=decimal)
+            except ValueError:
+                return start + word.start()
+        missing = _MISSING.search(match[group])
+        return start + missing.start() + 1 if missing else -1
+
+    def _end_of_match(self, text: str) -> tuple[int, str]:
+        """How far the pattern matches a line, and what should stand there."""
+        at, k = 0, 0
         for k in range(len(self._pieces) + 1):
             match = re.match(r"[ \t]*" + "".join(self._pieces[:k]), text)
             if match is None:
                 break
-            best = match.end()
-        part = self._parts[min(max(k - 1, 0), len(self._parts) - 1)]
-        wanted = f"{{{part.name}}}" if isinstance(part, _Field) else repr(part)
-        return f"column {best + 1}: {wanted} expected, {text[best : best + 12].strip()!r} found"
+            at = match.end()
+        else:
+            return at, "a byte of {data}, or the end of the line,"
+        part = self._parts[k - 1]
+        return at, f"{{{part.name}}}" if isinstance(part, _Field) else repr(part)
+
+
+def _byte(word: str, *, decimal: bool) -> bytes:
+    """One byte, or several in hexadecimal. Raises ValueError."""
+    if decimal:
+        return bytes([int(word)])
+    return bytes.fromhex(word if len(word) > 1 else f"0{word}")
 
 
 def _parts(pattern: str) -> list[_Field | str]:

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import MAX_LINE, Verdict
-from dbc.candump.reader import LogError, Problem, Reader
-from dbc.frame import FD
+from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem, Reader
+from dbc.frame import EXTENDED, FD
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import (
     CLASSIC_BYTES,
@@ -58,6 +58,7 @@ class TextReader(Reader):
     def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
         self._format = self._make()
         self._recent: list[tuple[str, ...]] = []
+        self._text = ""
         self._shift_ns: int | None = None
         self._scanner = Scanner(self._known)
         self._heads: dict[tuple[str, ...], Head] = {}
@@ -132,9 +133,15 @@ class TextReader(Reader):
             return Line(Verdict.MALFORMED)
         sure = head.length == len(data) and (not data or self._format.whole(row[-2]))
         if head.length < 0:
-            same = (r for r in reversed(self._recent) if r[1:-2] == row[1:-2])
+            same = (r for r in reversed(self._recent) if r[0] and self._alike(r, head))
             sure = len(next(same, ("", ""))[-2]) == len(row[-2]) > 0
         return Line(verdict_with(head, data), head, t_ns, data, sure)
+
+    def _alike(self, row: tuple[str, ...], head: Head) -> bool:
+        """Whether a plain line is of this identifier, whatever else its head says."""
+        other = self._head(row[1:-2])
+        same = other.can_id == head.can_id and other.length == head.length
+        return same and not (other.flags ^ head.flags) & EXTENDED
 
     def _piece(self, text: str) -> Iterator[Block]:
         """Whole lines: runs of plain ones at once, where their format allows it."""
@@ -186,6 +193,7 @@ class TextReader(Reader):
         """Whole lines; again from the line behind one that has changed what plain lines are."""
         while text:
             rows = self._recent = self._matches(text[:-1])
+            self._text = text
             if isinstance(self._format, Named):
                 self._format.learn(text)
             lines, taken = self._others(rows)
@@ -263,7 +271,7 @@ class TextReader(Reader):
             if line.head is not None and kept[k]:
                 heads[k], bodies[k] = line.head, line.data
             elif line.verdict.is_fault:
-                text = texts.get(k) or " ".join(rows[k][:-1])
+                text = texts.get(k) or self._line_of(rows[k], k)
                 try:
                     self._report(self.lines + k + 1, line.verdict, text)
                 except LogError as raised:
@@ -278,6 +286,11 @@ class TextReader(Reader):
         if len(frames) != len(rows):
             heads, bodies = [heads[k] for k in frames], [bodies[k] for k in frames]
         return self._block(times[kept], heads, bodies), fault
+
+    def _line_of(self, row: tuple[str, ...], k: int) -> str:
+        """The line of a row, the k-th of those being read; its groups where nobody will see it."""
+        shown = self.strict or len(self.problems) < PROBLEMS_KEPT
+        return self._text.split("\n", k + 1)[k] if shown else " ".join(row[:-1])
 
     def _times(
         self, rows: list[tuple[str, ...]], lines: dict[int, Line]

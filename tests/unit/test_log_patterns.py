@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from dbc.candump.reader import LogError
+from dbc.logs.opening import open_reader
 from gateway.cli import main
 from tests.unit.test_foreign_logs import lines_of
 
@@ -46,3 +48,50 @@ def test_crtd_needs_its_types(tmp_path: Path, bus: str) -> None:
     path = tmp_path / "a.txt"
     path.write_text(f"1.0 {bus}R11 181 01\n1.1 {bus}T29 182 02\n1.2 {bus}R12 183 03\n")
     assert lines_of(path) == (["1 181#01", "1.1 00000182#02 T"], {"malformed": 1})
+
+
+def faults_of(path: Path, line: str, *, strict: bool = False) -> tuple[list[str], list[str]]:
+    """Frames as `id#data`, faults with their lines."""
+    reader = open_reader(path, strict=strict, line=line)
+    frames = [f"{f.can_id:03X}#{f.data.hex()}" for b in reader.blocks() for f in b.frames()]
+    return frames, [f"{problem.line}: {problem.text}" for problem in reader.problems]
+
+
+@pytest.mark.parametrize("separator", [" ", ";"])
+@pytest.mark.parametrize(
+    ("data", "column", "found"),
+    [("01 zz 03 04", 12, "zz 03 04"), ("01 0g 04", 13, "g 04"), ("01 xx 04", 12, "xx 04"),
+     ("01 0x 04", 13, "x 04"), ("01;;04", 12, ";04"), ("01 012 04", 12, "012 04"),
+     ("01 02 // 03", 15, "// 03"), ("01 -- 04", 13, "- 04")],
+)  # fmt: skip
+def test_a_damaged_byte_never_shortens_a_frame(
+    tmp_path: Path, separator: str, data: str, column: int, found: str
+) -> None:
+    path = tmp_path / "a.txt"
+    lines = ["1.0 181 01 02", f"2.0 181 {data}", "3.0 181 0x01,0x2 ,3,", "4.0 181 "]
+    path.write_text("".join(line.replace(" ", separator, 2) + "\n" for line in lines))
+    pattern = separator.join(["{s}", "{id}", "{data}"])
+    frames, faults = faults_of(path, pattern)
+    assert frames == ["181#0102", "181#010203", "181#"]
+    assert len(faults) == 1
+    assert faults[0].startswith(f"2: column {column}: a byte of {{data}}")
+    assert f"expected, {found!r} found" in faults[0]
+    with pytest.raises(LogError, match=f":2: malformed: column {column}"):
+        faults_of(path, pattern, strict=True)
+
+
+def test_a_comment_behind_the_data_that_the_pattern_names(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("1.0 181 01 02 // 03\n2.0 181 01 zz // 03\n")
+    frames, faults = faults_of(path, "{s} {id} {data} // {skip}")
+    assert frames == ["181#0102"]
+    assert [fault.split(":")[1] for fault in faults] == [" column 12"]
+
+
+@pytest.mark.parametrize("data", ["300 02", "AA 3", "17,,3", "17x3"])
+def test_decimal_bytes(tmp_path: Path, data: str) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(f"1.0 181 17-3\n2.0 181 {data}\n3.0 181 255 008\n")
+    frames, faults = faults_of(path, "{s} {id} {data:d}")
+    assert frames == ["181#1103", "181#ff08"]
+    assert [fault.split()[0] for fault in faults] == ["2:"]
