@@ -18,7 +18,7 @@ from dbc.frame import ERROR, TX
 from dbc.logs.format import Format, Head, Line, framed
 from dbc.logs.pattern import Pattern
 from dbc.logs.screen import Screen
-from dbc.logs.times import Differences, clock_ns
+from dbc.logs.times import DAY_NS, Differences, clock_ns
 
 CRTD: Final = "{s} {type} {id} {data}"
 BUSMASTER: Final = "{clock} {dir} {channel} {id} {type} {dlc} {data}"
@@ -49,6 +49,9 @@ _BUSMASTER_KIND: Final = re.compile(r"[sx](?:r|-fd)?")
 
 class BusMaster(Pattern):
     """BUSMASTER: its header names the base of numbers, and whether times are differences."""
+
+    clock_end_ns = 100 * DAY_NS
+    """Times may count from the start of the log: hours have two digits."""
 
     def __init__(self) -> None:
         """At the start of a log: hexadecimal, times of day."""

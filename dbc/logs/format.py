@@ -94,6 +94,22 @@ class Named(Protocol):
         """Names in these lines; before any of their heads is asked for."""
 
 
+@runtime_checkable
+class Explaining(Protocol):
+    """A format that can say what is wrong with a line."""
+
+    def explain(self, text: str) -> str:
+        """What is wrong with this line, and in which column; "" if nothing is known."""
+
+
+@runtime_checkable
+class Matching(Explaining, Protocol):
+    """A format that can say how far a line is like a frame."""
+
+    def matched_columns(self, text: str) -> int:
+        """How far this line is as it should be."""
+
+
 def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[np.int64]:
     """Decimal numbers of a unit, exact. Raises ValueError for what is none or has no room.
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND, TX
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
-from dbc.logs.times import DayTimes, clock_ns, date_ns
+from dbc.logs.times import DAY_NS, DayTimes, clock_ns, date_ns
 
 HEADER_LINES: Final = 100
 """Lines before the first frame that may say anything."""
@@ -66,6 +66,8 @@ class _Field(NamedTuple):
 class Pattern:
     """The lines of one log, see `dbc.logs.format.Format`."""
 
+    clock_end_ns = DAY_NS
+    """No `{clock}` is as late."""
     began = False
     splits = False
     shape = None
@@ -107,11 +109,14 @@ class Pattern:
         """In the pattern's unit."""
         unit = _UNITS[self._time.name]
         if self._time.name == "clock":
-            return np.array([clock_ns(text) for text in texts], dtype=np.int64)
+            times = np.array([clock_ns(text) for text in texts], dtype=np.int64)
+            if times.size and times.max() >= self.clock_end_ns:
+                raise ValueError(texts)
+            return times
         if self._time.name == "date":
             return np.array([date_ns(text) for text in texts], dtype=np.int64)
         if self._time.base == 16:
-            return np.array([int(text, 16) for text in texts], dtype=np.int64) * unit
+            return nanoseconds([str(int(text, 16)) for text in texts], unit)
         return nanoseconds(texts, unit)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -184,7 +189,7 @@ class Pattern:
     def explain(self, text: str) -> str:
         """Where a line stops to be as the pattern says; empty if it does not."""
         if (match := self.regex.match(text)) and match[self.regex.groups] is None:
-            at, wanted = self._wrong_byte(match), "a byte of {data}"
+            at, wanted = self._wrong_value(match)
         else:
             at, wanted = self._end_of_match(text)
         if at < 0:
@@ -192,8 +197,20 @@ class Pattern:
         found = text[at : at + 12].strip()
         return f"column {at + 1}: {wanted} expected, {repr(found) if found else 'nothing'} found"
 
+    def matched_columns(self, text: str) -> int:
+        """How far the pattern matches a line."""
+        return self._end_of_match(text)[0]
+
+    def _wrong_value(self, match: re.Match[str]) -> tuple[int, str]:
+        """Where in a line of the pattern's form a time or a byte is none, -1: nowhere; and what."""
+        group = (self.order[0] if self.order else 0) + 1
+        try:
+            self.times([match[group]])
+        except (ValueError, OverflowError):
+            return match.start(group), f"{{{self._time.name}}}"
+        return self._wrong_byte(match), "a byte of {data}"
+
     def _wrong_byte(self, match: re.Match[str]) -> int:
-        """Where in a line that is as the pattern says a byte is missing or none; -1: nowhere."""
         group = (self.order[-2] if self.order else self.regex.groups - 2) + 1
         start, decimal = match.start(group), self._bases["data"] == 10
         for word in _WORD.finditer(match[group]):

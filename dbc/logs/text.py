@@ -22,9 +22,11 @@ from dbc.frame import EXTENDED, FD
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import (
     CLASSIC_BYTES,
+    Explaining,
     Format,
     Head,
     Line,
+    Matching,
     Named,
     checked,
     verdict_with,
@@ -59,6 +61,7 @@ class TextReader(Reader):
         self._format = self._make()
         self._recent: list[tuple[str, ...]] = []
         self._text = ""
+        self._headers: list[tuple[int, str]] = []
         self._shift_ns: int | None = None
         self._scanner = Scanner(self._known)
         self._heads: dict[tuple[str, ...], Head] = {}
@@ -270,6 +273,8 @@ class TextReader(Reader):
             kept[k] = line.verdict <= Verdict.ERROR_FRAME
             if line.head is not None and kept[k]:
                 heads[k], bodies[k] = line.head, line.data
+            elif line.verdict is Verdict.HEADER:
+                self._keep_header(self.lines + k + 1, texts[k])
             elif line.verdict.is_fault:
                 text = texts.get(k) or self._line_of(rows[k], k)
                 try:
@@ -316,15 +321,37 @@ class TextReader(Reader):
         """Count a line that gives no frame."""
         self.lines += 1
         self.counts[verdict] += 1
+        if verdict is Verdict.HEADER:
+            self._keep_header(self.lines, text)
         if verdict.is_fault:
             self._report(self.lines, verdict, text)
 
+    def nearest_header(self) -> Problem | None:
+        """Of the lines that were taken for a header, the one that is most like a frame.
+
+        None where the format of the log cannot say that.
+        """
+        form = self._format
+        if not isinstance(form, Matching) or not self._headers:
+            return None
+        number, text = max(self._headers, key=lambda header: form.matched_columns(header[1]))
+        return Problem(number, Verdict.HEADER, self._explained(text))
+
+    def _keep_header(self, line: int, text: str) -> None:
+        if len(self._headers) < PROBLEMS_KEPT:
+            self._headers.append((line, text[:MAX_LINE].rstrip()))
+
     def _report(self, line: int, verdict: Verdict, text: str) -> None:
-        text = text[:MAX_LINE].strip()
-        explain = getattr(self._format, "explain", None)
-        if verdict is Verdict.MALFORMED and explain and (reason := explain(text)):
-            text = f"{reason}: {text}"
-        self._fault(Problem(line, verdict, printable(text[:120])))
+        malformed = verdict is Verdict.MALFORMED
+        shown = self._explained(text) if malformed else printable(text[:MAX_LINE].strip()[:120])
+        self._fault(Problem(line, verdict, shown))
+
+    def _explained(self, text: str) -> str:
+        """A line, behind what is wrong with it as far as its format can say that."""
+        text = text[:MAX_LINE].rstrip()
+        reason = self._format.explain(text) if isinstance(self._format, Explaining) else ""
+        text = text.lstrip()
+        return printable((f"{reason}: {text}" if reason else text)[:120])
 
     def _head(self, parts: tuple[str, ...]) -> Head:
         if len(self._heads) > _HEADS_KEPT:

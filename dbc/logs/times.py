@@ -13,16 +13,21 @@ from dbc.frame import SECOND
 
 _DATE: Final = re.compile(r"(.*?)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?", re.DOTALL)
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_DAY_NS: Final = 86_400 * SECOND
+DAY_NS: Final = 86_400 * SECOND
 _CSS: Final = re.compile(
     r"(?:(\d{4})[-/.]?(\d\d)[-/.]?)?(\d\d)T(\d\d)[:.]?(\d\d)[:.]?(\d\d)[:.,]?(\d{3})?"
 )
 
 
 def clock_ns(text: str) -> int:
-    """A time of day, `22:20:14.992`; a colon or a comma may stand for the point."""
+    """A time of day, `22:20:14.992`; a colon or a comma may stand for the point.
+
+    Hours may be many, as of a time since a start. Raises ValueError.
+    """
     hours, minutes, rest = text.split(":", 2)
     seconds, _, fraction = rest.replace(":", ".").replace(",", ".").partition(".")
+    if int(minutes) >= 60 or int(seconds) >= 60:
+        raise ValueError(text)
     whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
     return whole * SECOND + int(fraction.ljust(9, "0"))
 
@@ -58,11 +63,11 @@ class DayTimes:
         stamps = times[timed]
         if not stamps.size:
             return times
-        back = np.diff(stamps, prepend=self._last_ns) < -_DAY_NS // 2
+        back = np.diff(stamps, prepend=self._last_ns) < -DAY_NS // 2
         days = self._days + np.cumsum(back)
         self._days, self._last_ns = days.item(-1), stamps.item(-1)
         moved = times.copy()
-        moved[timed] = stamps + days * _DAY_NS
+        moved[timed] = stamps + days * DAY_NS
         return moved
 
 

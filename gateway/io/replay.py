@@ -264,8 +264,9 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
     for block in reader.blocks():
         found = found or block.size > 0
         yield block
-    if not found and reader.problems:
-        line, verdict, text = reader.problems[0]
+    header = reader.nearest_header() if isinstance(reader, TextReader) and not found else None
+    if not found and (reader.problems or header):
+        line, verdict, text = header or reader.problems[0]
         candump = isinstance(reader, Reader) and not isinstance(reader, TextReader)
         name = "frame as candump -L writes them" if candump else "frame"
         what = "" if candump else "cannot be read: "

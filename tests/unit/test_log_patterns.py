@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.logs.opening import open_reader
 from gateway.cli import main
@@ -34,9 +35,7 @@ def test_text_that_no_reader_knows_is_refused_and_the_cure_named(
     assert not (tmp_path / "out.log").exists()
 
 
-def test_an_empty_pattern_is_no_pattern(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_pattern_is_no_pattern(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.log"
     path.write_text("(1.000000) can0 181#01\n")
     assert convert(path, "--line", "") == 2
@@ -95,3 +94,60 @@ def test_decimal_bytes(tmp_path: Path, data: str) -> None:
     frames, faults = faults_of(path, "{s} {id} {data:d}")
     assert frames == ["181#1103", "181#ff08"]
     assert [fault.split()[0] for fault in faults] == ["2:"]
+
+
+@pytest.mark.parametrize(
+    ("stamp", "t_ns"),
+    [("10:00:00.1234567+02:00", 1684137600_123456700), ("10:00:00,123456789Z", 1684144800_123456789),
+     ("10:00:00.123456789", 1684144800_123456789), ("10:00:00.12345678901+02:00", None),
+     ("10:61:00+02:00", None)],
+)  # fmt: skip
+def test_dates_to_the_nanosecond_with_their_zone(
+    tmp_path: Path, stamp: str, t_ns: int | None
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(f"2023-05-15T08:00:00Z 181 00\n2023-05-15T{stamp} 181 01\n")
+    reader = open_reader(path, strict=False, line="{date} {id} {data}")
+    found = [frame.t_ns for block in reader.blocks() for frame in block.frames()]
+    assert found[1:] == ([] if t_ns is None else [t_ns])
+    assert [problem.line for problem in reader.problems] == ([2] if t_ns is None else [])
+
+
+@pytest.mark.parametrize(
+    ("pattern", "good", "bad"),
+    [("{ms:x}", "3E8", "FFFFFFFFFFFFFFF"), ("{us:x}", "F4240", "7FFFFFFFFFFFFFF"),
+     ("{s:x}", "1", "FFFFFFFFF"), ("{s}", "1", "99999999999"), ("{clock}", "0:00:01", "25:61:61.5"),
+     ("{clock}", "0:00:01", "24:00:00"), ("{clock}", "0:00:01", "10:00:60")],
+)  # fmt: skip
+def test_times_that_are_none_are_malformed(
+    tmp_path: Path, pattern: str, good: str, bad: str
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(f"{good} 181 01\n {bad} 181 02\n")
+    reader = open_reader(path, strict=False, line=f"{pattern} {{id}} {{data}}")
+    frames = [frame for block in reader.blocks() for frame in block.frames()]
+    assert [frame.t_ns for frame in frames] == [10**9]
+    field = pattern.replace(":x", "")
+    assert reader.problems[0].text.startswith(f"column 2: {field} expected, '{bad[:9]}")
+
+
+@pytest.mark.parametrize("end", ["\n", ""])
+def test_a_pattern_that_fits_no_line_names_line_and_column(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], end: str
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("a header\n" + "1.0;181;2;01 02\n" * 2 + "the end" + end)
+    assert convert(path, "--line", "{s};{id},{data}") == 2
+    words = " ".join(capsys.readouterr().err.split())
+    assert "not one of its 4 lines is a frame; line 2: header: column 8: ',' expected" in words
+
+
+@pytest.mark.parametrize(("last", "cut"), [("3.0 Tx 181 03", 0), ("3.0 Tx 182 03", 1)])
+def test_a_last_line_is_compared_with_others_of_its_identifier(
+    tmp_path: Path, last: str, cut: int
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(f"1.0 Rx 181 01\n2.0 Rx 181 02\n{last}")
+    reader = open_reader(path, strict=False, line="{s} {dir} {id} {data}")
+    assert sum(block.size for block in reader.blocks()) == 3 - cut
+    assert reader.counts[Verdict.CUT] == cut
