@@ -185,7 +185,7 @@ class Csv:
 
     def explain(self, text: str) -> str:
         """That its time is none, where that is the reason."""
-        bad = next((time for time in self._bad_times if text.startswith(time)), "")
+        bad = next((time for time in self._bad_times if time and time in text), "")
         if not bad:
             return ""
         known = "15T100000250 or seconds" if self._logger else "a number or an ISO date"

@@ -136,16 +136,16 @@ def _by_content(path: Path) -> str:
     if any(line.startswith(b";$FILEVERSION") for line in lines[:5]):
         return ".trc"
     from dbc.logs.csv import is_header
-    from dbc.logs.dialects import BUSMASTER, BUSMASTER_MARK, DIALECTS
-    from dbc.logs.proposals import proposed
+    from dbc.logs.dialects import BUSMASTER, BUSMASTER_MARK
+    from dbc.logs.proposals import recognised
 
     texts = [line.decode("latin-1") for line in lines]
     if any(is_header(text) for text in texts):
         return ".csv"
     if any(line.startswith(BUSMASTER_MARK) for line in lines[:5]):
         return BUSMASTER
-    found = proposed(texts, tuple(DIALECTS.values()))
-    return found[0] if found is not None and found[1] > found[2] else ""
+    found = recognised(texts)
+    return found.pattern if found is not None else ""
 
 
 def read_any(path: Path) -> Iterator[Frame]:

@@ -3,7 +3,8 @@
 What stands outside of braces stands so in the line; a blank is any number of blanks and tabs, at
 least one. Fields:
 
-    {s} {ms} {us} {ns}  time, decimal; `:x` whole hexadecimal, `:x8` of eight digits
+    {s} {ms} {us} {ns}  time, decimal, with a point or (where no comma follows in the pattern) a
+                        comma; `:x` whole hexadecimal, `:x8` of eight digits
     {clock} {date}      time of day, `22:20:14.992`; ISO 8601, UTC where no zone is named
     {id} {id:d}         identifier, hexadecimal or decimal, `:x8` of eight digits; 29 bits from 800
                         on, or with an x behind it
@@ -11,7 +12,7 @@ least one. Fields:
                         CAN FD
     {channel} {dlc}
     {dir}               sent where it begins with T, as Tx does
-    {data} {data:d}     bytes, hexadecimal or decimal; between two of them blanks and one of , ; : . -
+    {data} {data:d}     bytes, hexadecimal or decimal; blanks and one of , ; : . - between them
     {skip}              one word
 
 Behind {data} at the end of a pattern nothing else may stand in a line; behind anything else at its
@@ -36,21 +37,24 @@ HEADER_LINES: Final = 100
 """Lines before the first frame that may say anything."""
 _FIELD: Final = re.compile(r"\{(\w+)(?::([xd])(\d{1,2})?)?\}")
 _UNITS: Final = {"s": SECOND, "ms": MS, "us": 1000, "ns": 1, "clock": SECOND, "date": SECOND}
+_NUMBER: Final = r"-?\d+(?:\.\d*)?"
 _BYTES: Final = r"[0-9A-Fa-f \t,;:.\-]"
 _FORMS: Final = {
-    "s": r"-?\d+(?:\.\d*)?", "ms": r"-?\d+(?:\.\d*)?", "us": r"-?\d+(?:\.\d*)?", "ns": r"-?\d+",
+    "s": _NUMBER, "ms": _NUMBER, "us": _NUMBER, "ns": r"-?\d+",
     "clock": r"\d{1,2}:\d\d:\d\d(?:[.:,]\d{1,9})?",
     "date": r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,9})?(?:Z|[+-]\d\d:?\d\d)?",
     "id": r"(?:0[xX])?[0-9A-Fa-f]{1,8}[xXhH]?", "type": r"[A-Za-z0-9]{1,4}(?:-fd)?",
     "channel": r"[^\s,;]{1,21}", "dir": r"[A-Za-z]{1,4}", "dlc": r"[0-9A-Fa-f]{1,2}",
-    "data": rf"{_BYTES}*(?:(?<=(?<![0-9A-Fa-f])0)[xX](?=[0-9A-Fa-f]){_BYTES}*)*", "skip": r"[^\s,;]+",
+    "data": rf"{_BYTES}*(?:(?<=(?<![0-9A-Fa-f])0)[xX](?=[0-9A-Fa-f]){_BYTES}*)*",
+    "skip": r"[^\s,;]+",
 }  # fmt: skip
 _CLEAN: Final = re.compile(r"0[xX]")
+_NUMBER_OR_COMMA: Final = r"(-?\d+(?:[.,]\d*)?)"
 _TOKEN: Final = re.compile(r"[0-9A-Fa-f]+")
 _WORD: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]+)")
 _MISSING: Final = re.compile(r"[,;:.\-][ \t]*[,;:.\-][ \t,;:.\-]*(?=[0-9A-Fa-f])")
 """Between two separators there is no byte, and behind them one."""
-_COMMENT: Final = ("#", ";", "//", "***")
+COMMENT: Final = ("#", ";", "//", "***")
 
 
 class PatternError(ValueError):
@@ -117,7 +121,7 @@ class Pattern:
             return np.array([date_ns(text) for text in texts], dtype=np.int64)
         if self._time.base == 16:
             return nanoseconds([str(int(text, 16)) for text in texts], unit)
-        return nanoseconds(texts, unit)
+        return nanoseconds([text.replace(",", ".") for text in texts], unit)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """As they are; a time of day goes on behind midnight."""
@@ -179,7 +183,7 @@ class Pattern:
         text = text.strip()
         if not text:
             return Line(Verdict.BLANK)
-        if text.startswith(_COMMENT):
+        if text.startswith(COMMENT):
             return Line(Verdict.COMMENT)
         if not self.began and self._headers < HEADER_LINES:
             self._headers += 1
@@ -275,6 +279,8 @@ def _parts(pattern: str) -> list[_Field | str]:
 def _regex(part: _Field | str, following: _Field | str) -> str:
     """Of a part of the pattern. A frame without data may end before the blank in front of them."""
     if isinstance(part, _Field):
+        if part.form == _NUMBER and not str(following).startswith(","):
+            return _NUMBER_OR_COMMA
         return f"(?:{part.form})" if part.name == "skip" else f"({part.form})"
     if part.isspace() and isinstance(following, _Field) and following.name == "data":
         return r"(?:[ \t]+|(?=\n|$))"

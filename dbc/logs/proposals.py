@@ -2,68 +2,140 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import EXTENDED
 from dbc.logs.dialects import DIALECTS, format_of
 from dbc.logs.format import FD_SIZES, Format
+from dbc.logs.guesses import NUMBER, guesses, unit_of, variants
+from dbc.logs.pattern import COMMENT
 
-GUESSES: Final = (
-    *DIALECTS.values(),
-    "{s} {id} {dir} {dlc} {data}", "{s} {channel} {id} {dir} {dlc} {data}",
-    "{s} {id} {dlc} {data}", "{s} {channel} {id} {dlc} {data}", "{s} {id} {data}",
-    "{s} {channel} {id} {data}", "{s} {id}#{data}", "{s} {channel} {id}#{data}",
-    "{s},{id},{dlc},{data}", "{s},{channel},{id},{dlc},{data}", "{s},{id},{data}",
-    "{s};{id};{dlc};{data}", "{s};{channel};{id};{dlc};{data}", "{s};{id};{data}",
-    "[{s}] {channel} {id} {dlc} {data}", "[{s}] {id} {dlc} {data}", "[{s}] {id} {data}",
-    "[{clock}] {id} {data}", "{clock} {channel} {id} {dlc} {data}", "{clock} {id} {dlc} {data}",
-    "{clock} {id} {data}", "{date} {channel} {id} {dlc} {data}", "{date} {id} {dlc} {data}",
-    "{date} {id} {data}", "{date},{id},{dlc},{data}", "{date},{id},{data}",
-    "{ms:x} {id:x} {data}", "{ms:x},{id:x},{data}", "{ms:x8}{id:x8}{data}",
-)  # fmt: skip
-"""What `--line auto` tries, in this order among those that match equally many lines."""
+_WRONG_LENGTHS: Final = 20
+"""A column is no length if it differs from the number of bytes in one of so many lines, or more."""
+_LENGTH_BEFORE: Final = re.compile(r"\s*[0-9A-Fa-f][\s,;]+(?:0[xX])?[0-9A-Fa-f]{2}\b")
+
+_IDENTIFIER: Final = re.compile(r"[0-9A-Fa-f]{3,}")
+"""No name of a channel."""
 
 
-def share(pattern: str, lines: Sequence[str]) -> tuple[int, int]:
-    """How many of these lines are frames by a pattern, and how many neither that nor comments."""
+class Fit(NamedTuple):
+    """How many lines are frames by a pattern, and how many neither that nor comments.
+
+    wrong_length: of the latter, frames but for their length. length_in_data: frames whose data
+    begin with one digit and go on with two, as behind a length that the pattern has no place for.
+    header: of the lines that are none, those before the first frame. stamps: times of the frames.
+    """
+
+    good: int
+    bad: int
+    header: int
+    wrong_length: int
+    length_in_data: int
+    stamps: tuple[str, ...]
+
+    @property
+    def possible(self) -> bool:
+        """Whether most lines behind a header fit, and the length is where the pattern has it."""
+        most = self.good > self.bad - self.header
+        lengths = self.wrong_length * _WRONG_LENGTHS < self.good + self.wrong_length
+        return most and self.good > 0 and lengths and self.length_in_data * 2 <= self.good
+
+
+class Proposal(NamedTuple):
+    """A pattern, the numbers of lines that it fits and does not, and what was assumed."""
+
+    pattern: str
+    good: int
+    bad: int
+    assumed: str = ""
+
+
+def fit(pattern: str, lines: Sequence[str]) -> Fit:
+    """How these lines fit a pattern."""
     form = format_of(pattern)
-    good = bad = 0
+    good = bad = header = wrong_length = length_in_data = 0
+    stamps = []
     for line in lines:
         rows = form.regex.findall(line)
-        row = rows[0] if rows else ("",)
+        row: tuple[str, ...] = rows[0] if rows else ("",)
         if form.order:
             row = tuple(row[k] for k in form.order)
         if row[0]:
-            frame = _is_frame(form, row)
+            frame, length = _is_frame(form, row)
+            wrong_length += frame and not length
+            frame = frame and length
+            length_in_data += frame and _LENGTH_BEFORE.match(row[-2]) is not None
+            stamps += [row[0]] if frame else []
         else:
             verdict = form.line(line).verdict
             if verdict in (Verdict.BLANK, Verdict.COMMENT):
                 continue
             frame = verdict <= Verdict.ERROR_FRAME
+        header = bad if frame and not good else header
         good += frame
         bad += not frame
-    return good, bad
+    return Fit(good, bad, header, wrong_length, length_in_data, tuple(stamps))
 
 
-def _is_frame(form: Format, row: tuple[str, ...]) -> bool:
+def _is_frame(form: Format, row: tuple[str, ...]) -> tuple[bool, bool]:
+    """Whether a line is a frame but for its length, and whether its length is right."""
     try:
         head = form.head(row[1:-2])
         data = form.data(row[-2], head.length)
         form.times([row[0]])
     except (ValueError, OverflowError):
-        return False
+        return False, False
     limit = 0x1FFF_FFFF if head.flags & EXTENDED else 0x7FF
     fits = len(data) in FD_SIZES if head.length < 0 else len(data) == head.length
-    return head.verdict is Verdict.OK and fits and head.can_id <= limit
+    frame = head.verdict is Verdict.OK and head.can_id <= limit
+    return frame and _IDENTIFIER.fullmatch(head.channel) is None, fits
 
 
-def proposed(lines: Sequence[str], among: Sequence[str] = GUESSES) -> tuple[str, int, int] | None:
-    """The pattern that reads most of these lines, with their number and that of the others."""
-    best: tuple[str, int, int] | None = None
-    for pattern in among:
-        good, bad = share(pattern, lines)
-        if good and (best is None or good > best[1]):
-            best = pattern, good, bad
+def best_of(patterns: Iterable[str], lines: Sequence[str]) -> tuple[str, Fit] | None:
+    """The possible pattern that fits most of these lines, the first one of several."""
+    best: tuple[str, Fit] | None = None
+    for pattern in patterns:
+        found = fit(pattern, lines)
+        if found.possible and (best is None or found.good > best[1].good):
+            best = pattern, found
+            if not found.bad:
+                break
     return best
+
+
+def recognised(lines: Sequence[str]) -> Proposal | None:
+    """The pattern of a recorder that is known, if it fits most of these lines."""
+    found = [(pattern, fit(pattern, lines)) for pattern in DIALECTS.values()]
+    pattern, fits = max(found, key=lambda item: item[1].good)
+    return Proposal(pattern, fits.good, fits.bad) if fits.good > fits.bad else None
+
+
+def proposed(lines: Sequence[str]) -> Proposal | None:
+    """The pattern that fits most of these lines, of a recorder that is known or another one."""
+    if (known := recognised(lines)) is not None:
+        return known
+    texts = [line for line in lines if line.strip() and not line.strip().startswith(COMMENT)]
+    patterns = list(dict.fromkeys(guesses(texts)))
+    found = best_of((*DIALECTS.values(), *patterns), texts)
+    if found is None or found[1].bad:
+        more = [variant for pattern in patterns for variant in variants(pattern)]
+        other = best_of(more, texts)
+        if other and (found is None or other[1].good > found[1].good):
+            found = other
+    return None if found is None else _with_words(*found)
+
+
+def _with_words(pattern: str, fits: Fit) -> Proposal:
+    """A pattern that fits, with the unit of its time, and what was assumed."""
+    assumed = []
+    if NUMBER in pattern and pattern not in DIALECTS.values():
+        unit, why = unit_of(fits.stamps)
+        pattern = pattern.replace(NUMBER, f"{{{unit}}}")
+        assumed += [why] if why else []
+    if "{data:d}" in pattern:
+        base = "decimal" if "{id:d}" in pattern else "hexadecimal"
+        assumed.append(f"bytes are decimal, identifiers {base}")
+    return Proposal(pattern, fits.good, fits.bad, "; ".join(assumed))

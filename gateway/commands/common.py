@@ -104,9 +104,11 @@ def pattern_of(log: Path, line: str | None) -> str:
                 "write one: docs/files.md has the fields, and examples",
             ],
         )
-    pattern, good, bad = found
-    print(f"--line '{pattern}': fits {good} of {good + bad} lines looked at")
-    return pattern
+    total = found.good + found.bad
+    print(f"--line '{found.pattern}': fits {found.good} of {total} lines looked at")
+    if found.assumed:
+        print(f"assumed: {found.assumed}; if that is wrong, correct the pattern")
+    return found.pattern
 
 
 def faults(reader: LogReader) -> dict[str, int]:

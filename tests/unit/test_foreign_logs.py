@@ -273,7 +273,7 @@ def test_patterns_that_cannot_be_used(pattern: str, why: str) -> None:
 @pytest.mark.parametrize(
     ("lines", "pattern"),
     [(["12.5 0x181 2 01 02", "12.6 0x181 2 01 03"], "{s} {id} {dlc} {data}"),
-     (["1F4 181 01 02 03", "1F5 181 01 02 03"], "{ms:x} {id:x} {data}"),
+     (["1F4 181 01 02 03", "1F5 181 01 02 03"], "{ms:x} {id} {data}"),
      (["12.5,181,0102", "12.6,181,0103"], "{s},{id},{data}"),
      (["nothing of that kind"], None)],
 )  # fmt: skip

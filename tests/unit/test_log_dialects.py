@@ -167,7 +167,8 @@ def test_a_proposed_pattern_is_read_as_the_recorder_wrote_it(
     tmp_path: Path, text: str, pattern: str
 ) -> None:
     found = proposed(text.splitlines())
-    assert found == (pattern, 1, 0)
+    assert found is not None
+    assert found[:3] == (pattern, 1, 0)
     path = tmp_path / "a.dat"
     path.write_text(text)
     by_hand, by_content = (

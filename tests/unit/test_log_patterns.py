@@ -9,6 +9,7 @@ import pytest
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
 from dbc.logs.opening import open_reader
+from dbc.logs.proposals import proposed
 from gateway.cli import main
 from tests.unit.test_foreign_logs import lines_of
 
@@ -98,7 +99,8 @@ def test_decimal_bytes(tmp_path: Path, data: str) -> None:
 
 @pytest.mark.parametrize(
     ("stamp", "t_ns"),
-    [("10:00:00.1234567+02:00", 1684137600_123456700), ("10:00:00,123456789Z", 1684144800_123456789),
+    [("10:00:00.1234567+02:00", 1684137600_123456700),
+     ("10:00:00,123456789Z", 1684144800_123456789),
      ("10:00:00.123456789", 1684144800_123456789), ("10:00:00.12345678901+02:00", None),
      ("10:61:00+02:00", None)],
 )  # fmt: skip
@@ -151,3 +153,74 @@ def test_a_last_line_is_compared_with_others_of_its_identifier(
     reader = open_reader(path, strict=False, line="{s} {dir} {id} {data}")
     assert sum(block.size for block in reader.blocks()) == 3 - cut
     assert reader.counts[Verdict.CUT] == cut
+
+
+@pytest.mark.parametrize(
+    ("line", "step", "pattern", "assumed"),
+    [(f"0.0{{}} 181 8 {BYTES}", 1, "{s} {id} {dlc} {data}", ""),
+     (f"0.0{{}}\t181\t8\t{BYTES}", 1, "{s} {id} {dlc} {data}", ""),
+     (f"0.0{{}} 181 {BYTES}", 1, "{s} {id} {data}", ""),
+     ("0.0{} 1 181 3 02 A0 03", 1, "{s} {channel} {id} {dlc} {data}", ""),
+     ("0.0{} can0 181 02-A0-03", 1, "{s} {channel} {id} {data}", ""),
+     (f"170000000{{}}00 181 8 {BYTES}", 1, "{ms} {id} {dlc} {data}", "13 digits"),
+     (f"170000000{{}}00000;181;8;{BYTES}", 1, "{us};{id};{dlc};{data}", "16 digits"),
+     (f"1700000000{{}}0000000 181 8 {BYTES}", 1, "{ns} {id} {dlc} {data}", ""),
+     ("{}0 181 3 02 A0 03", 1, "{ms} {id} {dlc} {data}", "mostly 10 apart: taken for ms"),
+     ("{}0 181 3 02 A0 03", 100, "{us} {id} {dlc} {data}", "mostly 1000 apart: taken for us"),
+     ("{} 181 3 02 A0 03", 1, "{s} {id} {dlc} {data}", "mostly 1 apart: taken for s"),
+     (f"0,0{{}};181;8;{BYTES}", 1, "{s};{id};{dlc};{data}", ""),
+     (f"[0.0{{}}] 0x181 [8] {BYTES}", 1, "[{s}] {id} [{dlc}] {data}", ""),
+     ("t=0.0{} id=181 data=02 A0 03", 1, "t={s} id={id} data={data}", ""),
+     ("time: 0.0{}, id: 0x181, len: 3, flags: 7, data: 02 A0 03", 1,
+      "time: {s}, id: {id}, len: {dlc}, flags: {skip}, data: {data}", ""),
+     ("0.0{} 385 4 2 160 3 255", 1, "{s} {id:d} {dlc} {data:d}", "identifiers decimal"),
+     ("0.0{} 0x181 4 2 160 3 255", 1, "{s} {id} {dlc} {data:d}", "identifiers hexadecimal"),
+     (f"0.0{{}} 1 181 Rx d 8 {BYTES}", 1, "{s} {channel} {id} {dir} d {dlc} {data}", ""),
+     ("0.0{} 1 Rx 181 3 02 A0 03", 1, "{s} {channel} {dir} {id} {dlc} {data}", ""),
+     ("10:00:00.0{} can0 181 3 02 A0 03", 1, "{clock} {channel} {id} {dlc} {data}", ""),
+     ("0.0{} 181 3 02 A0 03 .x.", 1, "{s} {id} {dlc} {data} {skip}", "")],
+)  # fmt: skip
+def test_patterns_of_common_dialects_are_proposed(
+    line: str, step: int, pattern: str, assumed: str
+) -> None:
+    lines = [line.format(10 + k * step) for k in range(12)]
+    found = proposed(["# a comment", "some header", *lines])
+    assert found is not None
+    assert found.pattern == pattern
+    assert (found.good, found.bad) == (12, 1)
+    assert assumed in found.assumed
+    assert bool(assumed) == bool(found.assumed)
+
+
+@pytest.mark.parametrize("separator", [" ", ";", ", "])
+def test_numbers_of_lines_are_no_times(separator: str) -> None:
+    lines = [f"{k};0.0{10 + k};181;3;02 A0 03".replace(";", separator) for k in range(12)]
+    found = proposed(lines)
+    assert found is not None
+    assert found.pattern == separator.join(["{skip}", "{s}", "{id}", "{dlc}", "{data}"])
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [["1.0 181 2 01 02", "2.0 181 3 01 02", "3.0 181 4 01 02", "4.0 181 1 01 02"],
+     ["hello world", "nothing of that kind"], ["1.0 oops 181 01 0", "", "xyz 02"], [], [""]],
+)  # fmt: skip
+def test_nothing_is_proposed_where_nothing_fits(lines: list[str]) -> None:
+    assert proposed(lines) is None
+
+
+def test_a_damaged_line_does_not_change_the_proposal() -> None:
+    lines = [f"0.0{k} 181 3 02 A0 03" for k in range(10, 60)]
+    lines[20:22] = ["0.030 181 3 02 A0", "0.031 181 3 02 A0 zz"]
+    found = proposed(lines)
+    assert found is not None
+    assert found[:3] == ("{s} {id} {dlc} {data}", 48, 2)
+
+
+def test_what_was_assumed_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("".join(f"{k}0 181 3 02 A0 03\n" for k in range(12)))
+    assert convert(path, "--line", "auto") == 0
+    out = capsys.readouterr().out
+    assert "--line '{ms} {id} {dlc} {data}': fits 12 of 12 lines looked at" in out
+    assert "assumed: times are whole numbers, mostly 10 apart: taken for ms" in out
