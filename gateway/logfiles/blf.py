@@ -13,7 +13,7 @@ import numpy as np
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame, Nanos
 from dbc.frames import Block
-from dbc.logs.blf import (
+from dbc.logs.blf_objects import (
     BASE,
     CLASSIC,
     CLASSIC_FIELDS,
