@@ -36,6 +36,7 @@ from dbc.logs.blf_objects import (
     MOST_OF,
     RESTORE_POINT_KIND,
     SIGNATURE,
+    find_container,
     find_object,
     frame_of,
     frames_of_run,
@@ -158,14 +159,27 @@ class Blf(ObjectReader):
                 self.truncated = "in the middle of a container"
             padding = self._read(stream, size % 4)
             this, head = head, self._read(stream, BASE.size)
-            if kind == CONTAINER_KIND:
+            followed = not is_cut and is_followed(padding + head, len(padding))
+            if not followed and (at := find_container(body)) >= 0:
+                self._lose(f"an object of {size} bytes has another one in it")
+                yield from self._go_back(stream, len(body) - at + len(padding + head), at)
+                head = self._read(stream, BASE.size)
+            elif kind == CONTAINER_KIND:
                 self._containers_read += 1
                 yield from self._unpacked(body, is_cut=is_cut)
-            elif is_followed(padding + head, len(padding)):
+            elif followed or is_cut:
                 yield this + body + bytes(-size % 4)
             else:
                 self._lose("an object that no other one follows", size)
                 yield None
+
+    def _go_back(self, stream: IO[bytes], back: int, packed: int) -> Iterator[None]:
+        """Over the end of a hole of so many bytes of the file."""
+        stream.seek(-back, 1)
+        self.bytes_read -= back
+        self._lost_bytes += self._when_unpacked(packed)
+        self.truncated = ""
+        yield None
 
     def _resume(self, stream: IO[bytes]) -> Iterator[None]:
         """Go from a head that is none to the next object, or to the end."""
@@ -312,37 +326,36 @@ class Blf(ObjectReader):
     def _end(self) -> None:
         """Count the objects that are lost, by the header's count where that can be."""
         read = self.lines - self._holes
-        missing = self._promised_objects - (read - self._restore_points)
-        missing = missing if self._promised_objects else 0
-        in_holes = self._objects_in_holes(read, missing)
-        if in_holes > self._holes:
-            self._skip(Verdict.MALFORMED, in_holes - self._holes)
-        if self.truncated:
-            left = missing - max(in_holes, self._holes)
-            bytes_left = max(self._promised_bytes - self.bytes_read, 0)
-            if 0 < left <= bytes_left * _MOST_PACKED:
-                self.truncated += f"; {left} of {self._promised_objects} objects are missing"
-                self._skip(Verdict.CUT, left - 1)
-        elif not self._holes and missing > 0:
-            usual = (self._restore_points, self._containers_read)
-            if missing not in (*usual, sum(usual)):
+        missing = self._missing(read)
+        if self._holes:
+            usual = self._object_bytes / read if read else _USUAL_BYTES
+            lost = round(self._lost_bytes / max(usual, 1))
+            if missing is not None:
+                lost = min(lost, missing - 1) if self.truncated else missing
+            lost = max(lost, 1)
+            self._skip(Verdict.MALFORMED, lost - self._holes)
+            missing = None if missing is None else missing - lost
+        if self.truncated and missing is not None and missing > 0:
+            self.truncated += f"; {missing} of {self._promised_objects} objects are missing"
+            self._skip(Verdict.CUT, missing - 1)
+        elif missing and not self._holes:
+            usual_counts = (self._restore_points, self._containers_read)
+            if missing not in (*usual_counts, sum(usual_counts)):
                 self.notes.append(
                     f"the file's header says {self._promised_objects} objects; it has {read}"
                 )
         super()._end()
 
-    def _objects_in_holes(self, read: int, missing: int) -> int:
-        """By the count of the header, or by bytes where there is none or it cannot be right.
+    def _missing(self, read: int) -> int | None:
+        """Objects of the header's count that are not there; None where it cannot be right.
 
         Some writers leave it at 0, and some count otherwise.
         """
-        if not self._holes:
-            return 0
-        most = max(self._lost_bytes // _LEAST_BYTES, read) + self._holes
-        if self._promised_objects and not self.truncated and 0 <= missing <= most:
-            return missing
-        usual = self._object_bytes / read if read else _USUAL_BYTES
-        return round(self._lost_bytes / max(usual, 1))
+        missing = self._promised_objects - (read - self._restore_points)
+        bytes_left = max(self._promised_bytes - self.bytes_read, 0)
+        most = max(self._lost_bytes // _LEAST_BYTES, read) + bytes_left * _MOST_PACKED
+        is_likely = self._promised_objects and 0 <= missing <= most + self._holes
+        return missing if is_likely else None
 
 
 def _system_time_ns(fields: tuple[int, ...]) -> int:

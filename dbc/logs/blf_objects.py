@@ -63,7 +63,9 @@ _DIRECTION, SENT_FLAG, _REQUESTED = 0x0F, 1, 2
 def is_followed(data: bytes, end: int) -> bool:
     """Whether an object, padding or the end of the data comes where an object ends."""
     after = data[end : end + _GAP]
-    return len(after) < _GAP or SIGNATURE in after or not any(after)
+    if len(after) < _GAP or SIGNATURE in after:
+        return True
+    return not any(after) and not data[end:].strip(b"\0")
 
 
 def find_object(data: bytes, at: int) -> int:
@@ -78,6 +80,17 @@ def find_object(data: bytes, at: int) -> int:
             and header <= size <= MOST_OF.get(kind, MOST_BYTES)
             and is_followed(data, at + size)
         ):
+            return at
+        at += len(SIGNATURE)
+    return -1
+
+
+def find_container(data: bytes) -> int:
+    """The start of another container in the content of one; -1 if there is none."""
+    at = 0
+    while (at := data.find(SIGNATURE, at)) >= 0 and len(data) - at >= BASE.size:
+        _, header, version, size, kind = BASE.unpack_from(data, at)
+        if (header, version, kind) == (BASE.size, 1, CONTAINER_KIND) and size <= MOST_BYTES:
             return at
         at += len(SIGNATURE)
     return -1
