@@ -55,7 +55,9 @@ class Mf4(ObjectReader):
             with ExitStack() as stack:
                 source = self._whole(stack)
                 try:
-                    yield from self._read(stack.enter_context(module.MDF(source)))
+                    # asammdf's own table of all identifiers is half a gigabyte of a long log.
+                    mdf = module.MDF(source, process_bus_logging=False)
+                    yield from self._read(stack.enter_context(mdf))
                 except Exception as error:
                     if part := missing_part(source):
                         raise LogError(self.name, 0, f"cannot be read{self._where}: {part}") from (
