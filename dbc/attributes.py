@@ -26,6 +26,7 @@ _AS_NUMBER: Final = ("GenSigStartValue", "GenMsgCycleTime", "SPN")
 """cantools takes nothing but a number for them."""
 _INDEXED: Final = ("VFrameFormat", "GenMsgSendType")
 """cantools looks for their values among those of the definition."""
+_FRAME_FORMATS: Final = 16
 _LONGEST: Final = 300
 
 
@@ -107,10 +108,17 @@ def _value(entry: Entry, match: re.Match[str], kinds: dict[str, Kind]) -> Iterat
         return
     if why := _misfit(kind, value):
         yield Fault(entry, why, None)
-    elif name in _INDEXED and kind.choices and not 0 <= Decimal(text) < len(kind.choices):
-        yield Fault(entry, f"{text} is none of its {len(kind.choices)} values, from 0 on", None)
+    elif name in _INDEXED and not 0 <= Decimal(text) < (count := _count(name, kind)):
+        yield Fault(entry, f"{text} is none of its {count} values, from 0 on", None)
     elif name in _AS_NUMBER and kind.type_name not in (*_NUMBERS, "ENUM"):
         yield Fault(entry, f"{name} is a number; it is defined as {kind.type_name}", None)
+
+
+def _count(name: str, kind: Kind) -> float:
+    """How many values an attribute has that is looked up by its number."""
+    if name == "VFrameFormat" and kind.type_name == "INT":
+        return _FRAME_FORMATS
+    return len(kind.choices) if kind.choices else float("inf")
 
 
 def _misfit(kind: Kind, value: str) -> str:

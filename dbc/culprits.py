@@ -40,19 +40,18 @@ def _load_rest(path: Path, entries: Entries) -> Database:
         return found
     first = found
     if _SYNTAX.search(found):
-        for entry, why in _malformed(entries.entries):
-            entries.drop([entry], why)
+        entries.drop(_malformed(entries.entries))
     for _ in range(_MOST_LOADS // (len(entries.entries).bit_length() + 1)):
         found = _load(entries.entries)
         if not isinstance(found, str):
             return found
         entry, why = _first_not_taken(entries.entries)
-        entries.drop([entry], f"cannot be used ({why})")
+        entries.drop([(entry, f"cannot be used ({why})")])
     for keywords in (_MEANING | {"VAL_"}, _MEANING):
         found = _load(entries.entries)
         if not isinstance(found, str):
             return found
-        entries.drop([e for e in entries.entries if e.keyword not in keywords], found)
+        entries.drop([(e, found) for e in entries.entries if e.keyword not in keywords])
     found = _load(entries.entries)
     if isinstance(found, str):
         raise DbcMismatch(path, [first])

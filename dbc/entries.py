@@ -92,19 +92,19 @@ class Entries:
         found = (_LONG.fullmatch(e.text) for e in self.entries if e.keyword == "BA_")
         return {(number_of(m[1]), m[2]): m[3][1:-1] for m in found if m}
 
-    def drop(self, entries: Sequence[Entry], why: str) -> None:
-        """Leave these out, each listed.
+    def drop(self, found: Sequence[tuple[Entry, str]]) -> None:
+        """Leave entries out, each listed with why.
 
         With a message go its signals, with the definition of an attribute its values.
         """
-        undefined = {name for entry in entries if (name := attributes.defined_by(entry))}
-        places = {id(entry) for entry in entries}
+        undefined = {name for entry, _ in found if (name := attributes.defined_by(entry))}
+        reasons = {id(entry): why for entry, why in found}
         kept: list[Entry] = []
         gone = False
         for entry in self.entries:
-            gone = id(entry) in places if entry.keyword != "SG_" else gone
-            if id(entry) in places:
-                self._list(entry, why)
+            gone = id(entry) in reasons if entry.keyword != "SG_" else gone
+            if id(entry) in reasons:
+                self._list(entry, reasons[id(entry)])
             elif not (gone and entry.keyword == "SG_") and (
                 attributes.named_by(entry) not in undefined
             ):
@@ -244,5 +244,8 @@ class Entries:
 
 
 def text_of(entries: Sequence[Entry]) -> str:
-    """Entries as a file; never empty, which cantools would not read."""
-    return "BS_:\n" + "".join(f"{entry.text}\n" for entry in entries)
+    """Entries as a file.
+
+    Never empty; with an end, without which cantools takes half an entry.
+    """
+    return "\n".join(["BS_:", *(entry.text for entry in entries), "BS_:", ""])
