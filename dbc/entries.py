@@ -189,11 +189,9 @@ class Entries:
 
     def _checked(self, entry: Entry) -> Entry | None:
         """An entry that is about a message or signal; None if it is left out."""
-        if entry.keyword in ENDED and not entry.text.endswith(";"):
+        bare = re.sub(TEXT, "", entry.text)
+        if entry.keyword in ENDED and not (bare.endswith(";") and '"' not in bare):
             self._list(entry, "does not end in a semicolon, or its quotes do not match")
-            return None
-        if _DIGITS.search(re.sub(TEXT, "", entry.text)):
-            self._list(entry, "a number with more than 300 digits")
             return None
         if match := _ABOUT.match(entry.text):
             signals = self._known.get(number_of(match[2] or match[4]))
@@ -201,9 +199,12 @@ class Entries:
             # About what the file does not have: of no use to anybody.
             return None if signals is None or (named and match[3] not in signals) else entry
         match = _REFERENCE.match(entry.text)
-        if match is None or entry.keyword == "SIG_GROUP_":
-            return entry
-        return self._of_signal(entry, number_of(match[1]), match[2])
+        if match is not None and entry.keyword != "SIG_GROUP_":
+            return self._of_signal(entry, number_of(match[1]), match[2])
+        if entry.keyword != "SG_" and _DIGITS.search(bare):
+            self._list(entry, "a number with more than 300 digits")
+            return None
+        return entry
 
     def _of_signal(self, entry: Entry, number: int, name: str) -> Entry | None:
         """A VAL_, SIG_VALTYPE_ or SG_MUL_VAL_."""

@@ -244,25 +244,25 @@ def test_an_identifier_in_every_form(text, dcf):
 def test_an_identifier_that_is_none_is_said(text, dcf, capsys):
     path = dcf(text=DCF.replace("$NODEID+0x180", text))
     assert device_of(path).pdos == ()
-    told = f"TPDO1 is left out: [1800sub1] DefaultValue = {text!r} is no identifier"
-    assert told in check(capsys, path)[1]
+    note = f"TPDO1 is left out: [1800sub1] DefaultValue = {text!r} is no identifier"
+    assert note in check(capsys, path)[1]
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "note"),
     [("", "1017h is empty, which"), ("1000.0", "1017h is '1000.0', which"),
      ("-1", "1017h is '-1', which"), ("70000", "1017h is '70000', which")],
 )  # fmt: skip
-def test_a_heartbeat_that_is_no_time_is_said(text, told, dcf, capsys):
+def test_a_heartbeat_that_is_no_time_is_said(text, note, dcf, capsys):
     path = dcf(heartbeat=text, text=DCF.replace("rw\nDefaultValue=0\n", "rw\n"))
     assert device_of(path).heartbeat_ms is None
     out = check(capsys, path)[1]
-    assert f"{told} is no number of ms from 0 to 65535" in out
+    assert f"{note} is no number of ms from 0 to 65535" in out
     assert "missing" not in out
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "note"),
     [
         ("[2000]\n", "[1017]\nDefaultValue=9\n[2000]\n", "section [1017] is there twice"),
         ("Name=Drive 5\n", "Name=Drive 5\nProductName=6\n", "[DeviceInfo] ProductName is there"),
@@ -271,9 +271,9 @@ def test_a_heartbeat_that_is_no_time_is_said(text, told, dcf, capsys):
         ("NodeName=\n", "what is this\n", "'what is this' is no key and no section"),
     ],
 )  # fmt: skip
-def test_one_fault_costs_itself(old, new, told, dcf):
+def test_one_fault_costs_itself(old, new, note, dcf):
     device = device_of(dcf(text=DCF.replace(old, new)))
     assert (device.name, device.node, device.heartbeat_ms) == ("Drive 5", 5, 250)
     assert device.pdos[0].objects[0].object_index == 0x6041
     assert len(device.faults) == 1
-    assert told in device.faults[0]
+    assert note in device.faults[0]
