@@ -112,19 +112,19 @@ class Entries:
         self.entries = kept
 
     def _list(self, entry: Entry, why: str) -> None:
-        """Add to the list; what the entry says of a signal is missing now."""
+        """Add to the list; with what says how a signal is read goes the signal."""
         what = " ".join(entry.text.split(":")[0].split()[:3])
         self.left_out.append(LeftOut(entry.line, what[:80], why))
         if entry.keyword in _READING:
             self._lose_signal(entry)
 
     def _lose_signal(self, entry: Entry) -> None:
-        words = re.findall(r"\w+", entry.text)[1:]
-        number = next(
-            (n for w in words if w.isdecimal() and (n := number_of(w)) in self._known), -1
-        )
-        name = next((word for word in words if word in self._known.get(number, {})), None)
-        if name is not None:
+        """The signal that such an entry names is read as something else without it."""
+        _, digits, *words = [*re.findall(r"\w+", entry.text), "", ""]
+        number = number_of(digits) if digits.isdecimal() else -1
+        signals = self._known.get(number, {})
+        name = next((word for word in words if word), "")
+        if name in signals:
             why = f"its {entry.keyword} (line {entry.line}) cannot be used"
             self.unusable.setdefault((number, name), why)
 

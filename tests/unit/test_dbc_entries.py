@@ -186,6 +186,17 @@ def test_a_signal_goes_with_its_type(tmp_path: Path, entry: str) -> None:
     assert "its SIG_VALTYPE_ (line " in codec.left_out[1]
 
 
+@pytest.mark.parametrize(
+    "entry", ["SG_MUL_VAL_ 256 Nope M 1-2;", "SIG_VALTYPE_ 999 P : 1;", "SIG_VALTYPE_ 9 256 P;"]
+)
+def test_an_entry_of_another_signal_costs_none(tmp_path: Path, entry: str) -> None:
+    selector = ' SG_ M M : 0|8@1+ (1,0) [0|0] "" A\n'
+    codec = codec_of(tmp_path, D + selector + MUX + entry + "\n")
+    assert sorted(signals(codec)) == ["D.M", "D.P", "D.X", "D.Y"]
+    (note,) = codec.left_out
+    assert "of a signal that the file does not have" in note
+
+
 # ---- identifiers and names ---------------------------------------------------------------------
 
 
