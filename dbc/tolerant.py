@@ -39,7 +39,7 @@ def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
             continue
         spec, faults, unusable = message_spec(database, message, 0)
         notes += [_placed(lines, f"{fault}; ignored") for fault in faults]
-        known, listed = reasons.of(spec)
+        known, listed = reasons.for_message(spec)
         spec, dropped = _usable(spec, known | unusable, listed)
         notes += [_placed(lines, fault) for fault in dropped]
         if (spec.can_id, spec.is_extended) in specs:
@@ -79,7 +79,7 @@ class _Reasons:
         self._listed = self._by_message(dict.fromkeys(entries.listed, ""))
         self._multiplexed = self._by_message(dict.fromkeys(entries.multiplexed, ""))
 
-    def of(self, spec: MessageSpec) -> tuple[dict[str, str], frozenset[str]]:
+    def for_message(self, spec: MessageSpec) -> tuple[dict[str, str], frozenset[str]]:
         """By name the reasons; names of those that are listed already."""
         reasons = dict(self._unusable.get(spec.key, {}))
         marked = self._multiplexed.get(spec.key, {})

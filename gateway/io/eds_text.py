@@ -111,12 +111,12 @@ def text_of(data: bytes) -> tuple[str, list[str]]:
 def number_of(text: str, node: int) -> int | None:
     """`384`, `0x180`, `180h`, `0600`, `$NODEID+0x180`, with parentheses; None for anything else."""
     words = text.upper().replace(" ", "").replace("(", "").replace(")", "").split("+")
-    numbers = [node if word == _NODE else _number(word) for word in words]
+    numbers = [node if word == _NODE else _word_value(word) for word in words]
     known = [number for number in numbers if number is not None]
     return sum(known) if len(known) == len(numbers) else None
 
 
-def _number(word: str) -> int | None:
+def _word_value(word: str) -> int | None:
     if not word.isascii() or len(word) > _LONGEST:
         return None
     sign = -1 if word.startswith("-") else 1
