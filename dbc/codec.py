@@ -23,6 +23,7 @@ from dbc.load import load, specs_of
 from dbc.spec import (
     ABSENT,
     EXTENDED_KEY,
+    NOT_A_NUMBER,
     NOT_AVAILABLE,
     RANGE,
     SATURATED,
@@ -61,6 +62,7 @@ class Codec:
         self.fd = any(m.is_fd for m in self.messages)
         self.tables = CodecTables(self.messages)
         self.width = self.tables.width
+        self._has_floats = any(s.is_float for m in self.messages for s in m.signals)
         self._columns = [{s.name: k for k, s in enumerate(m.signals)} for m in self.messages]
 
     def match(self, frame: Frame) -> tuple[Match, MessageSpec | None]:
@@ -98,7 +100,7 @@ class Codec:
         lib.decode_frames(self.tables.pointer, 1, number, data, value, validity)
         lib.raw_values(self.tables.pointer, spec.index, data, raw)
         return {
-            s.name: Reading(_raw(s, raw, k), value[k], Validity(validity[k]))
+            s.name: Reading(_raw(s, raw, k), value[k], _validity(validity[k], value[k]))
             for k, s in enumerate(spec.signals)
         }
 
@@ -122,6 +124,8 @@ class Codec:
             ffi.from_buffer("uint8_t[]", payload), ffi.from_buffer("double[]", value),
             ffi.from_buffer("uint8_t[]", validity),
         )  # fmt: skip
+        if self._has_floats:
+            validity[(validity == RANGE) & ~np.isfinite(value)] = NOT_A_NUMBER
         return value, validity
 
     def encode(self, spec: MessageSpec, values: Mapping[str, float | int | None]) -> bytearray:
@@ -157,6 +161,12 @@ class Codec:
             ffi.from_buffer("uint8_t[]", given), ffi.from_buffer("uint8_t[]", payload),
         )  # fmt: skip
         return [bytearray(row[: spec.length]) for row in payload]
+
+
+def _validity(code: int, value: float) -> Validity:
+    """Of the core's code, which has none of its own for a float that is no number."""
+    lost = code == RANGE and not math.isfinite(value)
+    return Validity.NOT_A_NUMBER if lost else Validity(code)
 
 
 def _raw(signal: SignalSpec, raw: Any, k: int) -> int | float:
@@ -198,6 +208,7 @@ def _digest(path: Path) -> str:
 __all__ = [
     "ABSENT",
     "NOT_AVAILABLE",
+    "NOT_A_NUMBER",
     "PAYLOAD",
     "RANGE",
     "SATURATED",

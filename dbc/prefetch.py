@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
-from queue import SimpleQueue
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -16,25 +14,11 @@ def ahead(items: Iterator[T]) -> Iterator[T]:
     What making one raises is raised in its place. Pays where making them leaves Python to others,
     as compiled loops and zlib do.
     """
-    wanted: SimpleQueue[bool] = SimpleQueue()
-    made: SimpleQueue[T | BaseException | None] = SimpleQueue()
+    # Here, because a live gateway starts without.
+    from concurrent.futures import ThreadPoolExecutor
 
-    def prefetch() -> None:
-        while wanted.get():
-            try:
-                made.put(next(items, None))
-            except BaseException as error:  # raised where the item is asked for
-                made.put(error)
-
-    worker = threading.Thread(target=prefetch, name="ahead", daemon=True)
-    worker.start()
-    wanted.put(True)
-    try:
-        while (item := made.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            wanted.put(True)
+    with ThreadPoolExecutor(1) as pool:
+        following = pool.submit(next, items, None)
+        while (item := following.result()) is not None:
+            following = pool.submit(next, items, None)
             yield item
-    finally:
-        wanted.put(False)
-        worker.join()

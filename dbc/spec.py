@@ -20,6 +20,7 @@ NOT_AVAILABLE: Final[int] = lib.SIGNAL_NOT_AVAILABLE
 RANGE: Final[int] = lib.SIGNAL_OUT_OF_RANGE
 SATURATED: Final[int] = lib.SIGNAL_SATURATED
 ABSENT: Final[int] = lib.SIGNAL_ABSENT
+NOT_A_NUMBER: Final[int] = ABSENT + 1
 
 EXTENDED_KEY: Final = 1 << 31
 """Or-ed to a 29-bit id where ids are keys, as in a DBC: 0x123 and 0x00000123 differ."""
@@ -29,8 +30,9 @@ class Validity(IntEnum):
     """What a raw value says of itself, before any scaling.
 
     VALID a number in range; NOT_AVAILABLE the sender's own code for "none"; RANGE outside the
-    DBC's range (or a non-finite float); SATURATED at the end of a signed range, so the true
-    value may lie beyond; ABSENT not in this frame (multiplexed away, or an unused column).
+    DBC's range; SATURATED at the end of a signed range, so the true value may lie beyond; ABSENT
+    not in this frame (multiplexed away, or an unused column); NOT_A_NUMBER a float that is NaN or
+    infinite, which the core takes for RANGE.
     """
 
     VALID = VALID
@@ -38,6 +40,7 @@ class Validity(IntEnum):
     RANGE = RANGE
     SATURATED = SATURATED
     ABSENT = ABSENT
+    NOT_A_NUMBER = NOT_A_NUMBER
 
 
 class Match(IntEnum):

@@ -6,16 +6,15 @@ For DBCs of others: one entry that is wrong costs that entry. Our own message se
 
 from __future__ import annotations
 
-import logging
-import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from dbc.culprits import load_rest
 from dbc.e2e import Profile
-from dbc.entries import Entries, Entry
+from dbc.entries import Entries
 from dbc.layout import bits_of
 from dbc.message_spec import message_spec
 from dbc.spec import DbcMismatch, MessageSpec
@@ -24,14 +23,6 @@ from dbc.text import decoded, read_bytes
 if TYPE_CHECKING:
     from cantools.database import Database
 
-_PLACE: Final = re.compile(r"line (\d+), column \d+")
-_UNUSED: Final = re.compile(r"VAL_ (\d+) (\w+)")
-_TRIES: Final = 24
-_MEANING: Final = frozenset(
-    {"VERSION", "NS_", "BS_", "BU_", "BO_", "SG_", "SIG_VALTYPE_", "SG_MUL_VAL_"}
-)
-_ATTRIBUTES: Final = frozenset({"BA_DEF_", "BA_DEF_DEF_", "BA_"})
-
 
 def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
     """Messages that can be used, numbered, and what is left out or changed of the others.
@@ -39,15 +30,17 @@ def read_any_dbc(path: Path) -> tuple[tuple[MessageSpec, ...], list[str]]:
     Raises DbcMismatch if there is no such file, or nothing of a DBC in it.
     """
     database, entries = _read(path)
-    lines = _lines_of(entries.text)
+    lines = entries.lines()
     notes = [str(left) for left in sorted(entries.left_out)]
+    reasons = _Reasons(entries)
     specs: dict[tuple[int, bool], MessageSpec] = {}
     for message in database.messages:
         if not hasattr(message, "frame_id"):
             continue
         spec, faults, unusable = message_spec(database, message, 0)
         notes += [_placed(lines, f"{fault}; ignored") for fault in faults]
-        spec, dropped = _usable(spec, unusable)
+        known, listed = reasons.for_message(spec)
+        spec, dropped = _usable(spec, known | unusable, listed)
         notes += [_placed(lines, fault) for fault in dropped]
         if (spec.can_id, spec.is_extended) in specs:
             other = specs.pop((spec.can_id, spec.is_extended))
@@ -72,55 +65,44 @@ def _read(path: Path) -> tuple[Database, Entries]:
         reason = error.strerror if isinstance(error, OSError) else error
         raise DbcMismatch(path, [f"cannot be read: {reason}"]) from None
     entries = Entries(text.replace("\r\n", "\n").replace("\r", "\n"))
-    return _loaded(path, entries), entries
+    if not entries.entries:
+        raise DbcMismatch(path, ["is no DBC: there is no entry of one in it"])
+    return load_rest(path, entries), entries
 
 
-def _loaded(path: Path, entries: Entries) -> Database:
-    """By cantools; entries that it does not take are left out one by one."""
-    from cantools.database import load_string
-    from cantools.database.errors import Error
+class _Reasons:
+    """Why signals cannot be used, by what their file says of them."""
 
-    quiet = logging.getLogger("cantools.database.can.database")
-    before = quiet.level
-    quiet.setLevel(logging.ERROR)
-    first = ""
-    try:
-        for _ in range(_TRIES):
-            try:
-                return load_string(entries.text, "dbc", strict=False)  # type: ignore[return-value]
-            except Error as error:
-                why = " ".join(str(error).split()).removeprefix("DBC: ").strip('"')
-            except Exception as error:  # cantools lets bare KeyErrors and others escape
-                why = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            first = first or why
-            unused = frozenset(_UNUSED.findall(why))
-            if unused and entries.drop_all(
-                partial(_is_table_of, unused), "of no signal", each=True
-            ):
-                continue
-            place = _PLACE.search(why)
-            if place and entries.drop_line(int(place[1]), f"cannot be read ({why})"):
-                continue
-            if entries.drop_all(lambda e: e.keyword in _ATTRIBUTES, f"attributes: {why}"):
-                continue
-            if entries.drop_all(lambda e: e.keyword not in _MEANING | {"VAL_"}, why):
-                continue
-            if entries.drop_all(lambda e: e.keyword not in _MEANING, why):
-                continue
-            break
-    finally:
-        quiet.setLevel(before)
-    raise DbcMismatch(path, [first])
+    def __init__(self, entries: Entries) -> None:
+        self._long = entries.long_names()
+        self._unusable = self._by_message(entries.unusable)
+        self._listed = self._by_message(dict.fromkeys(entries.listed, ""))
+        self._multiplexed = self._by_message(dict.fromkeys(entries.multiplexed, ""))
+
+    def for_message(self, spec: MessageSpec) -> tuple[dict[str, str], frozenset[str]]:
+        """By name the reasons; names of those that are listed already."""
+        reasons = dict(self._unusable.get(spec.key, {}))
+        marked = self._multiplexed.get(spec.key, {})
+        for signal in spec.signals:
+            if signal.name in marked and signal.mux_parent is None:
+                why = "is multiplexed, and the file does not say by which signal"
+                reasons.setdefault(signal.name, why)
+        return reasons, frozenset(self._listed.get(spec.key, ()))
+
+    def _by_message(self, found: Mapping[tuple[int, str], str]) -> dict[int, dict[str, str]]:
+        out: dict[int, dict[str, str]] = {}
+        for (number, name), why in found.items():
+            out.setdefault(number, {})[self._long.get((number, name), name)] = why
+        return out
 
 
-def _is_table_of(names: frozenset[tuple[str, str]], entry: Entry) -> bool:
-    """Whether it is a value table of one of these messages and signals."""
-    match = re.match(r"\s*VAL_\s+(\d+)\s+(\w+)", entry.text)
-    return match is not None and (match[1], match[2]) in names
+def _usable(
+    spec: MessageSpec, unusable: dict[str, str], listed: frozenset[str]
+) -> tuple[MessageSpec, list[str]]:
+    """The message without signals that cannot be decoded, and those that hang on them.
 
-
-def _usable(spec: MessageSpec, unusable: dict[str, str]) -> tuple[MessageSpec, list[str]]:
-    """The message without signals that cannot be decoded, and those that hang on them."""
+    listed: those of them that need not be listed again.
+    """
     reasons = dict(unusable)
     for name, count in Counter(signal.name for signal in spec.signals).items():
         if count > 1:
@@ -135,7 +117,8 @@ def _usable(spec: MessageSpec, unusable: dict[str, str]) -> tuple[MessageSpec, l
         if not lost:
             break
         reasons |= {name: f"is multiplexed by {parent}" for name, parent in lost.items()}
-    problems = [f"{spec.name}.{name}: {why}" for name, why in reasons.items()]
+    problems = [f"{spec.name}.{name}: {why}" for name, why in reasons.items()
+                if name not in listed]  # fmt: skip
     # What protects it may be among them; nothing is checked in a file of others.
     return replace(spec, signals=tuple(kept), profile=Profile.NONE, data_ids=b""), problems
 
@@ -165,19 +148,6 @@ def _named(specs: list[MessageSpec]) -> tuple[list[MessageSpec], list[str]]:
         taken.add(name)
         out.append(spec if name == spec.name else replace(spec, name=name, kind=name))
     return out, notes
-
-
-def _lines_of(text: str) -> dict[str, int]:
-    """Line of `Message` and `Message.Signal`."""
-    found: dict[str, int] = {}
-    message = ""
-    for number, line in enumerate(text.split("\n"), 1):
-        if match := re.match(r"\s*BO_\s+\d+\s+(\w+)", line):
-            message = match[1]
-            found.setdefault(message, number)
-        elif match := re.match(r"\s*SG_\s+(\w+)", line):
-            found.setdefault(f"{message}.{match[1]}", number)
-    return found
 
 
 def _placed(lines: dict[str, int], fault: str) -> str:

@@ -2,8 +2,12 @@
 
 Own, because python-can's reader takes times before the trigger for the year 2554 and ends in a
 traceback, has them as floats, and passes over objects and a cut file in silence
-(docs/upstream/blf.md). The layout of the objects is that of python-can. The clock of the file's
-start is that of the recording machine, in no named zone: it is read as UTC.
+(docs/upstream/blf.md). The clock of the file's start is that of the recording machine, in no named
+zone: it is read as UTC.
+
+An object may begin in one container and end in the next. Where a container is damaged, or bytes are
+missing, nothing is carried across: reading goes on with the next object that is whole, and what is
+lost is counted.
 """
 
 from __future__ import annotations
@@ -20,38 +24,35 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Frame
-from dbc.frames import MAX_DATA_BYTES, Block, block_of
-from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
+from dbc.frame import SECOND, Frame
+from dbc.frames import Block, block_of
+from dbc.logs.blf_objects import (
+    BASE,
+    CONTAINER,
+    CONTAINER_KIND,
+    FILE,
+    MESSAGES,
+    MOST_BYTES,
+    MOST_OF,
+    RESTORE_POINT_KIND,
+    SIGNATURE,
+    find_container,
+    find_object,
+    frame_of,
+    frames_of_run,
+    is_followed,
+    run_of,
+)
 from dbc.logs.objects import BLOCK, ObjectReader
 
-FILE: Final = struct.Struct("<4sLBBBBBBBBQQLL8H8H")
-"""Signature, size of the header, versions, sizes of the file, objects, start, stop."""
-BASE: Final = struct.Struct("<4sHHLL")
-"""Signature, size of the header, its version, size and kind of the object."""
-_STAMP: Final = {1: struct.Struct("<LHHQ"), 2: struct.Struct("<LBxHQ")}
-CONTAINER: Final = struct.Struct("<H6xL4x")
-CLASSIC: Final = struct.Struct("<HBBL8s")
-FD_MESSAGE: Final = struct.Struct("<HBBLLBBB5x64s")
-_FD_64: Final = struct.Struct("<BBBBLLLLLLLHBBL")
-ERROR_EXT: Final = struct.Struct("<HHLBBBxLLH2x8s")
-_MESSAGES, ERROR_EXT_KIND, CONTAINER_KIND = (1, 86), 73, 10
-FD_KIND, _FD_64_KIND, _ERRORS = 100, 101, (2, 104)
-_MOST_BYTES: Final = 1 << 26
-"""Of a container: real ones have 128 kB, and a size that is damaged must not become memory."""
 _SEARCH: Final = 1 << 16
-_SIGNATURE, _MANY = int.from_bytes(b"LOBJ", "little"), 8
-_SOON: Final = 1 << 60
-CLASSIC_FIELDS: Final = [
-    ("signature", "<u4"), ("header", "<u2"), ("version", "<u2"), ("size", "<u4"), ("kind", "<u4"),
-    ("flags", "<u4"), ("client", "<u2"), ("object", "<u2"), ("stamp", "<i8"), ("channel", "<u2"),
-    ("bits", "u1"), ("dlc", "u1"), ("can_id", "<u4"), ("data", "u1", 8),
-]  # fmt: skip
-"""An object of a classic frame, with a header of version 1."""
-_CLASSIC_OBJECT: Final = {
-    48: np.dtype(CLASSIC_FIELDS), 56: np.dtype([*CLASSIC_FIELDS, ("more", "u1", 8)]),
-}  # fmt: skip
-_LONG_ID, _REMOTE_FLAG, SENT_FLAG = 0x8000_0000, 0x80, 1
+_PADDING: Final = 3
+"""The most bytes behind an object."""
+_USUAL_BYTES: Final = 48
+"""Of an object: one with a classic frame."""
+_LEAST_BYTES: Final = 16
+_MOST_PACKED: Final = 1032 // _LEAST_BYTES
+"""Objects in a byte of a file, at most: zlib packs 1032 bytes into one."""
 
 
 class Blf(ObjectReader):
@@ -64,7 +65,9 @@ class Blf(ObjectReader):
         for item in self._items():
             if isinstance(item, Frame):
                 held.append(item)
-            if held and (len(held) == BLOCK or not isinstance(item, Frame)):
+                if len(held) < BLOCK:
+                    continue
+            if held:
                 yield self._held(held)
             if isinstance(item, Block):
                 self._count(item)
@@ -72,6 +75,14 @@ class Blf(ObjectReader):
         if held:
             yield self._held(held)
         self._end()
+
+    def _reset(self) -> None:
+        super()._reset()
+        self._start_ns = self._promised_bytes = self._promised_objects = 0
+        self._holes = self._lost_bytes = self._object_bytes = 0
+        self._containers_read = self._restore_points = 0
+        self._packed_bytes = self._unpacked_bytes = 0
+        self._synchronised = True
 
     def _held(self, held: list[Frame]) -> Block:
         block = block_of(held)
@@ -86,28 +97,34 @@ class Blf(ObjectReader):
 
     def _items(self) -> Iterator[Frame | Block]:
         """Frames, and runs of them. Raises LogError for what is no BLF."""
+        rest = b""
         with ExitStack() as stack:
             stream = self._open(stack)
-            self._start_ns, promised = self._header(stream)
-            rest = b""
-            for data in self._containers(stream):
-                rest = yield from self._objects(rest + data)
+            self._header(stream)
+            for data in self._contents(stream):
+                if data is not None:
+                    rest = yield from self._objects(rest + data)
+                    continue
+                self._lost_bytes += len((yield from self._unfinished(rest)))
+                rest, self._synchronised = b"", False
+            rest = yield from self._unfinished(rest)
         if rest.strip(b"\0"):
             self.truncated = self.truncated or "in the middle of an object"
-        elif self.bytes_read < promised:
-            self.truncated = self.truncated or f"{self.bytes_read} of {promised} bytes"
+        elif self.bytes_read < self._promised_bytes:
+            found = f"{self.bytes_read} of {self._promised_bytes} bytes"
+            self.truncated = self.truncated or found
 
-    def _header(self, stream: IO[bytes]) -> tuple[int, int]:
-        """Nanoseconds since 1970 of the start, and how long the file should be."""
+    def _header(self, stream: IO[bytes]) -> None:
+        """Of the file: its start, how long it should be, and how many objects it should have."""
         head = self._read(stream, FILE.size)
         if len(head) < FILE.size or head[:4] != b"LOGG":
             raise LogError(self.name, 0, "cannot be read: no BLF (it does not begin with LOGG)")
         fields = FILE.unpack(head)
         self._read(stream, max(min(fields[1], _SEARCH) - FILE.size, 0))
-        start_ns = _system_time_ns(fields[14:22])
-        if not start_ns:
+        self._start_ns = _system_time_ns(fields[14:22])
+        if not self._start_ns:
             self.notes.append("the file has no start time: its times count from 0")
-        return start_ns, fields[10]
+        self._promised_bytes, self._promised_objects = fields[10], fields[12]
 
     def _read(self, stream: IO[bytes], size: int) -> bytes:
         try:
@@ -120,218 +137,225 @@ class Blf(ObjectReader):
         self.bytes_read += len(data)
         return data
 
-    def _containers(self, stream: IO[bytes]) -> Iterator[bytes]:
-        """What is inside of them, and objects that stand outside, as they are."""
-        while head := self._read(stream, BASE.size):
+    # ---- the file: containers, and objects that stand outside of them ------------------------
+
+    def _contents(self, stream: IO[bytes]) -> Iterator[bytes | None]:
+        """Bytes of objects. None: bytes are missing here."""
+        head = self._read(stream, BASE.size)
+        while head:
             if len(head) < BASE.size:
                 if head.strip(b"\0"):
                     self.truncated = "in the middle of a container's header"
                 return
             signature, _, _, size, kind = BASE.unpack(head)
-            if signature != b"LOBJ" or not BASE.size <= size <= _MOST_BYTES:
-                if not head.strip(b"\0"):
-                    continue
-                self._fault(Verdict.MALFORMED, f"no object at byte {self.bytes_read - BASE.size}")
-                if not self._resume(stream):
-                    return
+            if signature != SIGNATURE or not BASE.size <= size <= MOST_BYTES:
+                if head.strip(b"\0"):
+                    yield from self._resume(stream)
+                head = self._read(stream, BASE.size)
                 continue
             body = self._read(stream, size - BASE.size)
-            if len(body) < size - BASE.size:
+            is_cut = len(body) < size - BASE.size
+            if is_cut:
                 self.truncated = "in the middle of a container"
-            self._read(stream, size % 4)
-            if kind != CONTAINER_KIND:
-                yield head + body + bytes(-size % 4)
-            elif len(body) >= CONTAINER.size:
-                yield self._unpacked(body)
+            padding = self._read(stream, size % 4)
+            this, head = head, self._read(stream, BASE.size)
+            followed = not is_cut and is_followed(padding + head, len(padding))
+            if not followed and (at := find_container(body)) >= 0:
+                self._lose(f"an object of {size} bytes has another one in it")
+                yield from self._go_back(stream, len(body) - at + len(padding + head), at)
+                head = self._read(stream, BASE.size)
+            elif kind == CONTAINER_KIND:
+                self._containers_read += 1
+                yield from self._unpacked(body, is_cut=is_cut)
+            elif followed or is_cut:
+                yield this + body + bytes(-size % 4)
+            else:
+                self._lose("an object that no other one follows", size)
+                yield None
 
-    def _resume(self, stream: IO[bytes]) -> bool:
-        """Go to the next object. False at the end."""
-        window = b""
+    def _go_back(self, stream: IO[bytes], back: int, packed: int) -> Iterator[None]:
+        """Over the end of a hole of so many bytes of the file."""
+        stream.seek(-back, 1)
+        self.bytes_read -= back
+        self._lost_bytes += self._when_unpacked(packed)
+        self.truncated = ""
+        yield None
+
+    def _resume(self, stream: IO[bytes]) -> Iterator[None]:
+        """Go from a head that is none to the next object, or to the end."""
+        at, back = self.bytes_read - BASE.size, BASE.size + _PADDING
+        stream.seek(-back, 1)
+        self.bytes_read -= back
+        window, first, skipped = b"", True, 0
         while piece := self._read(stream, _SEARCH):
-            window = window[-3:] + piece
-            if (at := window.find(b"LOBJ")) >= 0:
-                back = len(window) - at
-                stream.seek(-back, 1)
-                self.bytes_read -= back
-                return True
-        return False
+            window += piece
+            found = find_object(window, 0)
+            if found >= 0:
+                stream.seek(found - len(window), 1)
+                self.bytes_read += found - len(window)
+                if first and found <= 2 * _PADDING:  # padded in another way
+                    return
+                skipped += found
+                break
+            kept = min(len(window), BASE.size - 1)
+            skipped += len(window) - kept
+            window, first = window[-kept:], False
+        self._lose(f"no object at byte {at}", self._when_unpacked(skipped))
+        yield None
 
-    def _unpacked(self, body: bytes) -> bytes:
-        method, _ = CONTAINER.unpack_from(body)
+    def _unpacked(self, body: bytes, *, is_cut: bool) -> Iterator[bytes | None]:
+        """Content of a container, if its checksum is right or the file ends in it."""
+        if len(body) < CONTAINER.size:
+            return
+        method, declared = CONTAINER.unpack_from(body)
         data = body[CONTAINER.size :]
-        if method == 0:
-            return data
-        if method != 2:
-            self._fault(Verdict.MALFORMED, f"a container of unknown compression {method}")
-            return b""
-        unpack = zlib.decompressobj()
-        try:
-            return unpack.decompress(data, _MOST_BYTES)
-        except zlib.error as error:
-            self._fault(Verdict.MALFORMED, f"a container is damaged ({error})")
-            return b""
+        packed, size, why = len(data), min(declared, MOST_BYTES), ""
+        if method == 2:
+            unpack = zlib.decompressobj()
+            try:
+                data = unpack.decompress(data, MOST_BYTES)
+            except zlib.error as error:
+                why = f"a container is damaged ({error})"
+            else:
+                why = "" if unpack.eof or is_cut else "a container is damaged (it ends early)"
+        elif method:
+            why = f"a container of unknown compression {method}"
+        if not why:
+            yield data
+            self._packed_bytes += packed
+            self._unpacked_bytes += len(data)
+            if is_cut or not len(data) < declared <= MOST_BYTES:
+                return
+            why = f"a container has {len(data)} of {declared} bytes"
+            size -= len(data)
+        self._lose(why, size or self._when_unpacked(packed))
+        yield None
+
+    def _when_unpacked(self, packed: int) -> int:
+        """So many bytes of the file, as the containers so far are packed."""
+        return packed * self._unpacked_bytes // max(self._packed_bytes, 1) or packed
+
+    # ---- objects ------------------------------------------------------------------------------
 
     def _objects(self, data: bytes) -> Generator[Frame | Block, None, bytes]:
         """Frames of complete objects; returns what is left."""
-        at = 0
+        at = 0 if self._synchronised else self._skip_to_object(data, 0)
+        following = data.find(SIGNATURE, at, at + 8)
         while True:
-            found = data.find(b"LOBJ", at, at + 8)
-            if found < 0:
-                if len(data) - at < 8:
-                    return data[at:]
-                found = data.find(b"LOBJ", at)
-                self._fault(Verdict.MALFORMED, "bytes between objects that are none")
-                if found < 0:
-                    return b""
-            at = found
+            if following < 0:
+                if len(data) - at < 8 or not data[at:].strip(b"\0"):
+                    return data[at:].lstrip(b"\0")
+                self._lose("bytes between objects that are none")
+                following = at = self._skip_to_object(data, at)
+            at = following
             if at + BASE.size > len(data):
                 return data[at:]
             _, header, version, size, kind = BASE.unpack_from(data, at)
-            if not BASE.size <= size <= _MOST_BYTES:
-                self._fault(Verdict.MALFORMED, f"an object of {size} bytes")
-                at += 4
+            end = at + size
+            if size < BASE.size or size > MOST_OF.get(kind, MOST_BYTES):
+                self._lose(f"an object of {size} bytes")
+                following = at = self._skip_to_object(data, at, 4)
                 continue
-            if at + size > len(data):
+            if end > len(data):
                 return data[at:]
-            if kind in _MESSAGES and (objects := _run(data, at, size)) is not None:
-                yield _classic(objects, self._start_ns)
+            if kind in MESSAGES and (objects := run_of(data, at, size)) is not None:
+                yield from self._run(objects)
                 at += size * len(objects)
+                following = data.find(SIGNATURE, at, at + 8)
                 continue
-            try:
-                frame = self._frame(data, at, (header, version, size, kind))
-            except (struct.error, ValueError, IndexError):
-                self._fault(Verdict.MALFORMED, f"an object of kind {kind} that is too short")
-            else:
-                if isinstance(frame, Frame):
-                    yield frame
-                elif frame is not None and frame.is_fault:
-                    self._fault(frame, f"an object of kind {kind} that is no frame")
-                elif frame is not None:
-                    self._skip(frame)
-            at += size
+            following = data.find(SIGNATURE, end, end + 8)
+            if following < 0 and not is_followed(data, end):
+                self._lose("an object that no other one follows")
+                following = at = self._skip_to_object(data, at, 4)
+                continue
+            found = self._one(data[at:end], (header, version, size, kind))
+            if found is not None:
+                yield found
+            at = end
 
-    def _frame(
-        self, data: bytes, at: int, fields: tuple[int, int, int, int]
-    ) -> Frame | Verdict | None:
-        """Of an object; why it is none. None: it was a fault."""
-        header, version, size, kind = fields
-        if version not in _STAMP:
-            self._fault(Verdict.MALFORMED, f"an object with a header of version {version}")
-            return None
-        flags, _, _, raw = _STAMP[version].unpack_from(data, at + BASE.size)
-        raw -= 1 << 64 if raw >> 63 else 0
-        t_ns = self._start_ns + raw * (10_000 if flags == 1 else 1)
-        if not -(1 << 62) < t_ns < 1 << 62:
-            return Verdict.MALFORMED
-        if header < BASE.size + 16:
-            header = BASE.size + (16 if version == 1 else 24)
-        body = at + header
-        if kind in _MESSAGES:
-            channel, bits, dlc, can_id, content = CLASSIC.unpack_from(data, body)
-            kept = (EXTENDED if can_id & _LONG_ID else 0) | (TX if bits & SENT_FLAG else 0)
-            can_id &= 0x1FFF_FFFF
-            if bits & _REMOTE_FLAG:
-                return _checked(Frame(t_ns, can_id, b"", kept | REMOTE, _name(channel), dlc or -1))
-            raw_dlc = dlc if dlc > CLASSIC_BYTES else -1
-            return _checked(Frame(t_ns, can_id, content[:dlc], kept, _name(channel), raw_dlc))
-        if kind == FD_KIND:
-            channel, bits, dlc, can_id, _, _, fd, valid, content = FD_MESSAGE.unpack_from(
-                data, body
-            )
-            words = (fd & 1, fd & 2, fd & 4, bits & _REMOTE_FLAG, bits & SENT_FLAG)
-            return _fd(t_ns, channel, can_id, words, dlc, content[:valid])
-        if kind == _FD_64_KIND:
-            return self._fd_64(t_ns, data[at : at + size], header)
-        if kind == ERROR_EXT_KIND:
-            members = ERROR_EXT.unpack_from(data, body)
-            content = members[9][: min(members[5], CLASSIC_BYTES)]
-            return Frame(t_ns, members[7] & 0x1FFF_FFFF, content, ERROR, _name(members[0]))
-        if kind in _ERRORS:
-            number = (
-                data[body]
-                if kind != _ERRORS[0]
-                else int.from_bytes(data[body : body + 2], "little")
-            )
-            return Frame(t_ns, 0, b"", ERROR, _name(number))
-        return Verdict.EVENT
+    def _run(self, objects: NDArray[np.void]) -> Iterator[Block]:
+        """Frames of a run of objects."""
+        block = frames_of_run(objects, self._start_ns)
+        self._object_bytes += objects.nbytes
+        if block.size < len(objects):
+            self._skip(Verdict.REQUEST, len(objects) - block.size)
+        if block.size:
+            yield block
 
-    def _fd_64(self, t_ns: int, data: bytes, header: int) -> Frame | Verdict:
-        fields = _FD_64.unpack_from(data, header)
-        channel, dlc, valid, _, can_id, _, bits = fields[:7]
-        # `valid` may be more than there is: CANoe then fills up with zeros.
-        start = header + _FD_64.size
-        content = data[start : min(start + valid, fields[13] or len(data))].ljust(valid, b"\0")
-        words = (bits & 0x1000, bits & 0x2000, bits & 0x4000, bits & 0x10, fields[12])
-        return _fd(t_ns, channel, can_id, words, dlc, content)
-
-
-def _run(data: bytes, at: int, size: int) -> NDArray[np.void] | None:
-    """Objects of classic frames of one size that follow one another, if there are many."""
-    if size not in _CLASSIC_OBJECT:
+    def _one(self, data: bytes, fields: tuple[int, int, int, int]) -> Frame | None:
+        """The frame of an object, if it has one."""
+        self._object_bytes += len(data)
+        try:
+            found = frame_of(data, fields, self._start_ns)
+        except (struct.error, IndexError):
+            found = f"an object of kind {fields[3]} that is too short"
+        if isinstance(found, Frame):
+            return found
+        self._restore_points += fields[3] == RESTORE_POINT_KIND
+        if isinstance(found, str):
+            self._fault(Verdict.MALFORMED, found)
+        elif found.is_fault:
+            self._fault(found, f"an object of kind {fields[3]} that is no frame")
+        else:
+            self._skip(found)
         return None
-    objects = np.frombuffer(data, _CLASSIC_OBJECT[size], (len(data) - at) // size, at)
-    long = objects["can_id"] & _LONG_ID != 0
-    stamps = np.where(objects["flags"] == 1, _SOON // 10_000, _SOON)
-    same = (
-        (objects["signature"] == _SIGNATURE) & (objects["size"] == size)
-        & np.isin(objects["kind"], _MESSAGES) & (objects["version"] == 1)
-        & (objects["dlc"] <= 15) & (long | (objects["can_id"] <= 0x7FF))
-        & (objects["stamp"] < stamps) & (objects["stamp"] > -stamps)
-    )  # fmt: skip
-    count = len(same) if same.all() else int(np.argmin(same))
-    return objects[:count] if count >= _MANY else None
 
+    # ---- what is lost -------------------------------------------------------------------------
 
-def _classic(objects: NDArray[np.void], start_ns: int) -> Block:
-    """Their frames."""
-    count = len(objects)
-    dlc = objects["dlc"].astype(np.int8)
-    remote = objects["bits"] & _REMOTE_FLAG != 0
-    length = np.where(remote, 0, np.minimum(dlc, CLASSIC_BYTES)).astype(np.uint8)
-    rows = np.zeros((count, MAX_DATA_BYTES), np.uint8)
-    rows[:, :CLASSIC_BYTES] = objects["data"]
-    rows[:, :CLASSIC_BYTES][np.arange(CLASSIC_BYTES) >= length[:, None]] = 0
-    flags = np.where(objects["can_id"] & _LONG_ID, EXTENDED, 0) | np.where(remote, REMOTE, 0)
-    flags |= np.where(objects["bits"] & SENT_FLAG, TX, 0)
-    known = (remote & (dlc > 0)) | (~remote & (dlc > CLASSIC_BYTES))
-    numbers, places = np.unique(objects["channel"], return_inverse=True)
-    unit = np.where(objects["flags"] == 1, 10_000, 1)
-    return Block(
-        start_ns + objects["stamp"] * unit, objects["can_id"] & np.uint32(0x1FFF_FFFF),
-        flags.astype(np.uint8), length, rows, np.where(known, dlc, -1).astype(np.int8),
-        places.astype(np.uint16), [_name(number) for number in numbers.tolist()],
-    )  # fmt: skip
+    def _lose(self, text: str, size: int = 0) -> None:
+        """Count a hole of so many bytes. How many objects it had is known at the end."""
+        self._holes += 1
+        self._lost_bytes += size
+        self._fault(Verdict.MALFORMED, text)
 
+    def _skip_to_object(self, data: bytes, at: int, least: int = 0) -> int:
+        """Where the next object begins, `least` bytes on or later; the end if there is none."""
+        found = find_object(data, at + least)
+        self._synchronised = found >= 0
+        end = found if found >= 0 else len(data)
+        self._lost_bytes += end - at
+        return end
 
-def _fd(
-    t_ns: int, channel: int, can_id: int, words: tuple[int, ...], dlc: int, data: bytes
-) -> Frame | Verdict:
-    """A frame of the CAN FD objects, which hold classic ones, too.
+    def _unfinished(self, rest: bytes) -> Generator[Frame | Block, None, bytes]:
+        """Objects in what a damaged size makes look like the start of one; returns what is left."""
+        while (at := find_object(rest, len(SIGNATURE))) >= 0:
+            self._lose("an object that does not end", at)
+            rest = yield from self._objects(rest[at:])
+        return rest
 
-    words: FD, BRS, ESI, remote, sent.
-    """
-    fd, brs, esi, remote, sent = words
-    flags = (EXTENDED if can_id & _LONG_ID else 0) | (TX if sent else 0)
-    can_id &= 0x1FFF_FFFF
-    if remote:
-        return _checked(Frame(t_ns, can_id, b"", flags | REMOTE, _name(channel), dlc or -1))
-    if fd:
-        flags |= FD | (BRS if brs else 0) | (ESI if esi else 0)
-    return _checked(Frame(t_ns, can_id, data, flags, _name(channel)))
+    def _end(self) -> None:
+        """Count the objects that are lost, by the header's count where that can be."""
+        read = self.lines - self._holes
+        missing = self._missing(read)
+        if self._holes:
+            usual = self._object_bytes / read if read else _USUAL_BYTES
+            lost = round(self._lost_bytes / max(usual, 1))
+            if missing is not None:
+                lost = min(lost, missing - 1) if self.truncated else missing
+            lost = max(lost, 1)
+            self._skip(Verdict.MALFORMED, lost - self._holes)
+            missing = None if missing is None else missing - lost
+        if self.truncated and missing is not None and missing > 0:
+            self.truncated += f"; {missing} of {self._promised_objects} objects are missing"
+            self._skip(Verdict.CUT, missing - 1)
+        elif missing and not self._holes:
+            usual_counts = (self._restore_points, self._containers_read)
+            if missing not in (*usual_counts, sum(usual_counts)):
+                self.notes.append(
+                    f"the file's header says {self._promised_objects} objects; it has {read}"
+                )
+        super()._end()
 
+    def _missing(self, read: int) -> int | None:
+        """Objects of the header's count that are not there; None where it cannot be right.
 
-def _checked(frame: Frame) -> Frame | Verdict:
-    if frame.can_id > 0x7FF and not frame.flags & EXTENDED:
-        return Verdict.BAD_ID
-    size = len(frame.data)
-    if not (size in FD_SIZES if frame.flags & FD else size <= CLASSIC_BYTES) or frame.dlc > 15:
-        return Verdict.BAD_LENGTH
-    return frame
-
-
-def _name(channel: int) -> str:
-    """Vector counts from 1."""
-    return str(channel - 1 if channel else 0)
+        Some writers leave it at 0, and some count otherwise.
+        """
+        missing = self._promised_objects - (read - self._restore_points)
+        bytes_left = max(self._promised_bytes - self.bytes_read, 0)
+        most = max(self._lost_bytes // _LEAST_BYTES, read) + bytes_left * _MOST_PACKED
+        is_likely = self._promised_objects and 0 <= missing <= most + self._holes
+        return missing if is_likely else None
 
 
 def _system_time_ns(fields: tuple[int, ...]) -> int:

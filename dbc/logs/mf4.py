@@ -25,6 +25,7 @@ from dbc.candump.reader import LogError
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
+from dbc.logs.mf4_blocks import missing_part
 from dbc.logs.objects import ObjectReader
 from dbc.logs.python_can import mf4_module
 
@@ -52,18 +53,32 @@ class Mf4(ObjectReader):
         _calm(module)
         try:
             with ExitStack() as stack:
-                mdf = stack.enter_context(module.MDF(self._whole(stack)))
-                if mdf.header.time_flags & _LOCAL_TIME:
-                    self.notes.append(
-                        "the file's clock is local time of no named zone, read as UTC"
-                    )
-                yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
+                source = self._whole(stack)
+                try:
+                    # asammdf's own table of all identifiers is half a gigabyte of a long log.
+                    mdf = module.MDF(source, process_bus_logging=False)
+                    yield from self._read(stack.enter_context(mdf))
+                except Exception as error:
+                    if part := missing_part(source):
+                        raise LogError(self.name, 0, f"cannot be read{self._where}: {part}") from (
+                            error
+                        )
+                    raise
         except LogError:
             raise
         except Exception as error:  # asammdf raises anything from KeyError to struct.error
             text = " ".join(str(error).split()) or type(error).__name__
-            where = f" after {self.lines} frames" if self.lines else ""
-            raise LogError(self.name, 0, f"cannot be read{where}: {text}") from error
+            raise LogError(self.name, 0, f"cannot be read{self._where}: {text}") from error
+
+    @property
+    def _where(self) -> str:
+        return f" after {self.lines} frames" if self.lines else ""
+
+    def _read(self, mdf: Any) -> Iterator[Block]:
+        """Frames of a file that is open."""
+        if mdf.header.time_flags & _LOCAL_TIME:
+            self.notes.append("the file's clock is local time of no named zone, read as UTC")
+        yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
 
     def _whole(self, stack: ExitStack) -> Path | IO[bytes]:
         """The file, unpacked on disk where it is gzip: asammdf goes to and fro in it."""

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from dbc.text import printable
-from gateway.io.device_file import device_of
+from gateway.io.device_file import LONGEST_MS, device_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from gateway.io.device_file import Device
     from gateway.settings.config import Config
+
+
+MOST_FAULTS: Final = 20
 
 
 def device_lines(path: Path, config: Config) -> Iterator[str]:
@@ -26,9 +29,18 @@ def device_lines(path: Path, config: Config) -> Iterator[str]:
         for o in pdo.objects:
             bits = f"{o.start}|{o.length}"
             yield f"    {bits:<11}{o.object_index:04X}h.{o.subindex} {o.name}"
+    for fault in device.faults[:MOST_FAULTS]:
+        yield f"  not read     {fault}"
+    if len(device.faults) > MOST_FAULTS:
+        yield f"  not read     and {len(device.faults) - MOST_FAULTS} more"
 
 
 def _heartbeat(device: Device, config: Config) -> str:
+    if device.heartbeat_fault:
+        return (
+            f"1017h {device.heartbeat_fault}, which is no number of ms from 0 to {LONGEST_MS}: "
+            "this device is supervised by its messages only"
+        )
     if device.heartbeat_ms is None:
         return "object 1017h is missing: this device is supervised by its messages only"
     if device.heartbeat_ms == 0:

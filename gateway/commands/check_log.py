@@ -62,7 +62,10 @@ class _Values:
     def __init__(self, config: Config, codec: Codec) -> None:
         planned = plans(config)
         self._codec = fitted(codec, planned)
-        self._translator = Translator(planned, self._codec) if planned else None
+        self._derived: dict[int, list[int]] = {drive.node: [] for drive in config.drive}
+        """Times of samples of which one phase is minus the sum of the others, by node."""
+        note = self._note_derived
+        self._translator = Translator(planned, self._codec, note) if planned else None
         self._parts: dict[int, list[tuple[_Array, _Array]]] = {}
         self._counts: Counter[str] = Counter()
 
@@ -75,6 +78,9 @@ class _Values:
             self._add(block)
             if block.t_ns.item(-1) - first_ns > LOOKED_AT_S * 1e9:
                 break
+
+    def _note_derived(self, node: int, t_ns: int) -> None:
+        self._derived[node].append(t_ns)
 
     def _add(self, block: Block) -> None:
         if self._translator is not None:
@@ -150,5 +156,7 @@ class _Values:
         _, volts = self._columns(node, "StatorVoltages")
         vector = volts.get("Ualpha", none) + 1j * volts.get("Ubeta", none)
         voltage = fit.joined(t, volts.get("t", none), vector, 0.5 * spec.cycle_ns / 1e9)
+        # What was made of the sum cannot show that it is none.
+        total[np.isin(t, np.array(self._derived[node]) / 1e9)] = np.nan
         total = total if np.isfinite(total).any() else none
         return t, current[good], total, voltage

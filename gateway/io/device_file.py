@@ -1,23 +1,17 @@
 """What a CANopen drive sends, by its EDS or DCF: heartbeat and PDOs.
 
-canopen reads the file; what it refuses although nothing is wrong (empty fields of the maker's name
-and number) is left out before. May know: files. May not know: buses, clocks.
+A file is read as far as it can be, and what cannot be is listed. May know: files. May not know:
+buses, clocks.
 """
 
 from __future__ import annotations
 
-import configparser
-import io
-import re
-import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
-from dbc.text import decoded, printable, read_bytes
+from dbc.text import printable, read_bytes
+from gateway.io.eds_text import EdsText, Value, number_of, text_of
 from gateway.settings.config import ConfigError
-
-if TYPE_CHECKING:
-    from canopen import ObjectDictionary
 
 HEARTBEAT: Final = 0x1017
 TPDOS: Final = range(0x1800, 0x1A00)
@@ -25,14 +19,9 @@ MAPPING: Final = 0x200
 """From a PDO's communication to its mapping."""
 MOST_MAPPED: Final = 64
 """Objects in a PDO (CiA 301)."""
+LONGEST_MS: Final = 0xFFFF
 _UNUSED: Final = 1 << 31
-_SECTION: Final = re.compile(r"[ \t]*\[([^]]*)\]")
-_NODE: Final = re.compile(r"[ \t]*NodeID[ \t]*=[ \t]*(0x[0-9a-f]+|\d+)", re.IGNORECASE)
-_EMPTY: Final = re.compile(r"[ \t]*[^=\s]+\s*=\s*$")
-_FAULTS: Final = (
-    configparser.Error, ValueError, AttributeError, TypeError, OverflowError, LookupError,
-)  # fmt: skip
-"""What canopen, and configparser below it, raise for a file that is none."""
+_LISTS: Final = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 
 
 class Mapped(NamedTuple):
@@ -54,97 +43,124 @@ class Pdo(NamedTuple):
 
 
 class Device(NamedTuple):
-    """What a file says. node: of a DCF, or None; heartbeat_ms: 0 is none, None: not said."""
+    """What a file says.
+
+    node: of a DCF, or None; heartbeat_ms: 0 is none, None: not known; heartbeat_fault: what stands
+    there instead of a number of ms; faults: what of the file is left out, and why.
+    """
 
     name: str
     node: int | None
     heartbeat_ms: int | None
     pdos: tuple[Pdo, ...]
+    heartbeat_fault: str = ""
+    faults: tuple[str, ...] = ()
 
 
 def device_of(path: Path, node: int | None = None) -> Device:
-    """Of an EDS or DCF. node: for the identifiers, where the file has none.
+    """Of an EDS or DCF, plain or gzip. node: for the identifiers, where the file has none.
 
     Raises ConfigError for what cannot be read.
     """
-    from canopen import import_od
-
     try:
-        text = decoded(read_bytes(path))
+        text, cut = text_of(read_bytes(path))
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
-    source = io.StringIO(_without_empty_fields(text))
-    source.name = "drive.eds"
-    try:
-        with warnings.catch_warnings():
-            # canopen 2.4 calls a method of `logging` that is going away.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            objects = import_od(source, node_id=_node_of(text) or node or 1)
-    except _FAULTS as error:
-        message = printable(" ".join(str(error).split()))
-        why = f"is no EDS or DCF that can be read: {type(error).__name__}: {message}"
-        raise ConfigError(str(path), [why]) from None
-    if not len(objects):
+    except ValueError as error:
+        raise ConfigError(str(path), [str(error)]) from None
+    eds = EdsText(text)
+    if not eds.objects:
         raise ConfigError(str(path), ["is no EDS or DCF: there is no object in it"])
-    heartbeat = _configured(objects, HEARTBEAT)
-    pdos = tuple(pdo for k, index in enumerate(TPDOS, 1) if (pdo := _pdo(objects, k, index)))
-    name = objects.device_information.product_name or path.stem
-    return Device(printable(str(name)), _node_of(text), heartbeat, pdos)
+    own, faults = _node_of(eds)
+    faults = [*cut, *eds.faults, *faults, *_missing(eds)]
+    heartbeat, heartbeat_fault = _heartbeat(eds)
+    pdos = []
+    for number, index in enumerate(TPDOS, 1):
+        if index in eds.objects:
+            pdo, problems = _pdo(eds, number, index, own or node or 1)
+            pdos += [pdo] if pdo else []
+            faults += problems
+    product = eds.get("DeviceInfo", "ProductName")
+    name = product.text if product and product.text else path.stem
+    return Device(
+        printable(name), own, heartbeat, tuple(pdos), printable(heartbeat_fault),
+        tuple(map(printable, faults)),
+    )  # fmt: skip
 
 
-def _without_empty_fields(text: str) -> str:
-    """The file without what `[DeviceInfo]` leaves empty."""
-    section, kept = "", []
-    for line in text.splitlines():
-        found = _SECTION.match(line)
-        section = found[1].lower() if found else section
-        if not (section == "deviceinfo" and _EMPTY.match(line)):
-            kept.append(line)
-    return "\n".join(kept)
-
-
-def _node_of(text: str) -> int | None:
+def _node_of(eds: EdsText) -> tuple[int | None, list[str]]:
     """Of `[DeviceComissioning]`, which the standard spells so; also in hexadecimal."""
-    section = ""
-    for line in text.splitlines():
-        found = _SECTION.match(line)
-        section = found[1].lower() if found else section
-        node = _NODE.match(line)
-        if node and section in ("devicecomissioning", "devicecommissioning"):
-            number = int(node[1], 0 if node[1].lower().startswith("0x") else 10)
-            return number if 1 <= number <= 127 else None
-    return None
+    found = eds.get("DeviceComissioning", "NodeID") or eds.get("DeviceCommissioning", "NodeID")
+    if found is None or not found.text:
+        return None, []
+    number = number_of(found.text, 0)
+    if number is not None and 1 <= number <= 127:
+        return number, []
+    return None, [f"{_quoted(found)} is no number of a node, 1 to 127"]
 
 
-def _configured(objects: ObjectDictionary, index: int, subindex: int | None = None) -> int | None:
-    """What a DCF has configured, else the default."""
-    entry: Any = objects.get(index)
-    if entry is not None and subindex is not None:
-        entry = entry.get(subindex) if hasattr(entry, "get") else None
-    for name in ("value", "default"):
-        if isinstance(found := getattr(entry, name, None), int):
-            return found
-    return None
+def _missing(eds: EdsText) -> list[str]:
+    """Objects that the lists name and the file does not have: it was cut, or they are damaged."""
+    named = [value for name in _LISTS for key, value in eds.sections.get(name.lower(), {}).items()
+             if key.isdecimal()]  # fmt: skip
+    indexes = [number_of(value.text, 0) for value in named]
+    there = set(eds.objects)
+    lost = [f"{index:04X}h" for index in indexes if index is not None and index not in there]
+    if not lost:
+        return []
+    more = f" and {len(lost) - 10} more" if len(lost) > 10 else ""
+    return [f"listed, but not in the file: {', '.join(lost[:10])}{more}"]
 
 
-def _pdo(objects: ObjectDictionary, number: int, index: int) -> Pdo | None:
-    can_id = _configured(objects, index, 1)
-    if can_id is None or can_id & _UNUSED:
-        return None
-    mapped, start = [], 0
-    count = _configured(objects, index + MAPPING, 0) or 0
-    if count > MOST_MAPPED:
-        count = 0  # 254 and 255: a PDO whose objects are named in itself
+def _heartbeat(eds: EdsText) -> tuple[int | None, str]:
+    """Its period in ms, or None; what stands there instead."""
+    found = eds.configured(HEARTBEAT)
+    if found is None:
+        fault = "has no value" if HEARTBEAT in eds.objects else ""
+        return None, fault
+    number = number_of(found.text, 0)
+    if number is not None and 0 <= number <= LONGEST_MS:
+        return number, ""
+    return None, f"is {found.text!r}" if found.text else "is empty"
+
+
+def _pdo(eds: EdsText, number: int, index: int, node: int) -> tuple[Pdo | None, list[str]]:
+    """A TPDO, or None if it is not in use or its identifier cannot be read; what is wrong."""
+    found = eds.configured(index, 1)
+    if found is None:
+        return None, [f"TPDO{number} is left out: [{index:04X}sub1] has no value"]
+    can_id = number_of(found.text, node)
+    if can_id is None or not 0 <= can_id < 1 << 32:
+        return None, [f"TPDO{number} is left out: {_quoted(found)} is no identifier"]
+    if can_id & _UNUSED:
+        return None, []
+    objects, faults = _mapped(eds, index + MAPPING, node)
+    return Pdo(number, can_id & 0x1FFF_FFFF, objects), faults
+
+
+def _mapped(eds: EdsText, index: int, node: int) -> tuple[tuple[Mapped, ...], list[str]]:
+    """The objects of a PDO, up to the first that cannot be read: where others lie is not known."""
+    first = eds.configured(index, 0)
+    count = number_of(first.text, node) if first else 0
+    if first and count is None:
+        return (), [f"{_quoted(first)} is no number of objects"]
+    if not count or not 0 <= count <= MOST_MAPPED:
+        return (), []  # 254 and 255: a PDO whose objects are named in itself
+    out: list[Mapped] = []
+    start = 0
     for k in range(1, count + 1):
-        entry = _configured(objects, index + MAPPING, k) or 0
-        at, sub, length = entry >> 16 & 0xFFFF, entry >> 8 & 0xFF, entry & 0xFF
-        mapped.append(Mapped(start, length, at, sub, _name(objects, at, sub)))
+        found = eds.configured(index, k)
+        entry = number_of(found.text, node) if found else None
+        if entry is None or not 0 <= entry < 1 << 32:
+            what = f"[{index:04X}sub{k:X}] has no value"
+            what = f"{_quoted(found)} is no mapped object" if found else what
+            return tuple(out), [f"{what}; mapped objects from it on are left out"]
+        at, sub, length = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        name = printable(eds.name_of(at, sub) or "not in the file")
+        out.append(Mapped(start, length, at, sub, name))
         start += length
-    return Pdo(number, can_id & 0x1FFF_FFFF, tuple(mapped))
+    return tuple(out), []
 
 
-def _name(objects: ObjectDictionary, index: int, subindex: int) -> str:
-    entry: Any = objects.get(index)
-    inner = entry.get(subindex) if hasattr(entry, "get") else None
-    words = [getattr(one, "name", None) for one in (entry, inner)]
-    return printable(": ".join(word for word in words if word) or "not in the file")
+def _quoted(value: Value) -> str:
+    return f"{value.where} = {value.text!r}"

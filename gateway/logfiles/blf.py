@@ -13,7 +13,7 @@ import numpy as np
 
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame, Nanos
 from dbc.frames import Block
-from dbc.logs.blf import (
+from dbc.logs.blf_objects import (
     BASE,
     CLASSIC,
     CLASSIC_FIELDS,
@@ -27,12 +27,14 @@ from dbc.logs.blf import (
     SENT_FLAG,
 )
 from dbc.logs.format import FD_SIZES
-from gateway.logfiles.text import channel_number
+from gateway.logfiles.channels import ChannelNumbers
 
 _HEADER_BYTES, _CONTAINER_BYTES, _MS = 144, 128 * 1024, 1_000_000
 _STAMP: Final = struct.Struct("<LHHQ")
 _NANOSECONDS, _LONG_ID, _REMOTE_FLAG = 2, 0x8000_0000, 0x80
 _MESSAGE: Final = 1
+_MOST_CHANNEL: Final = 0xFFFE
+"""Channels count from 1, in 16 bits."""
 _LOBJ, _AT_ONCE = int.from_bytes(b"LOBJ", "little"), 2048
 _CODES: Final = {size: code for code, size in enumerate(FD_SIZES)}
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -47,6 +49,7 @@ class BlfFile:
         self.left_out: Counter[str] = Counter()
         self.reduced: Counter[str] = Counter()
         """Frames of which something is not kept, by what."""
+        self._channels = ChannelNumbers(_MOST_CHANNEL)
         self._file = path.open("wb")
         self._file.write(bytes(_HEADER_BYTES))
         self._first_ns: Nanos | None = None
@@ -68,6 +71,7 @@ class BlfFile:
         self.written += block.size
         lost = block.flags & (ERROR | TX) == ERROR | TX
         self.reduced["direction"] += int(np.count_nonzero(lost))
+        self.reduced["channel"] += self._channels.lost(block)
         for first in range(0, block.size, _AT_ONCE):
             part = block.part(first, min(first + _AT_ONCE, block.size))
             if (part.flags & (ERROR | FD)).any():
@@ -87,7 +91,7 @@ class BlfFile:
             _NANOSECONDS,
         )
         objects["stamp"] = block.t_ns - self._start_ns
-        numbers = np.array([channel_number(name) + 1 for name in block.names], np.uint16)
+        numbers = np.array([self._channels.number(name) + 1 for name in block.names], np.uint16)
         objects["channel"] = numbers[block.channel]
         remote = block.flags & REMOTE != 0
         sent = block.flags & TX != 0
@@ -100,7 +104,7 @@ class BlfFile:
         return objects.tobytes()
 
     def _object(self, frame: Frame) -> bytes:
-        channel = channel_number(frame.channel) + 1
+        channel = self._channels.number(frame.channel) + 1
         flags, data = frame.flags, frame.data
         can_id = frame.can_id | (_LONG_ID if flags & EXTENDED else 0)
         sent = SENT_FLAG if flags & TX else 0

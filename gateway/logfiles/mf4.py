@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX
 from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
+from gateway.logfiles.channels import ChannelNumbers
 from gateway.logfiles.signal_files import Comments, labels_of
 from gateway.logfiles.signals import Decoded, Decoder, is_exact
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _BUS, _CAN = 2, 2
 """MF4's numbers of a source that is a bus, and of CAN."""
+_MOST_CHANNEL: Final = 0xFF
+"""ASAM's BusChannel has 8 bits."""
 
 
 class _Mf4:
@@ -159,6 +162,13 @@ def _names(signal: SignalSpec) -> dict[str, Any] | None:
 class Mf4Frames(_Mf4):
     """Bus logging: what MF4 tools decode with a DBC of their own, and python-can reads."""
 
+    def __init__(self, path: Path) -> None:
+        """Nothing is at `path` before `close`."""
+        super().__init__(path)
+        self.reduced: Counter[str] = Counter()
+        """Frames of which something is not kept, by what."""
+        self._channels = ChannelNumbers(_MOST_CHANNEL)
+
     def add(self, block: Block) -> None:
         """Append."""
         if block.size:
@@ -175,7 +185,8 @@ class Mf4Frames(_Mf4):
         from asammdf import Signal, Source
 
         times = self._seconds(block.t_ns)
-        records = _records(name, block)
+        records = _records(name, block, [self._channels.number(each) for each in block.names])
+        self.reduced["channel"] += self._channels.lost(block)
         if name in self._groups:
             self._mdf.extend(self._groups[name], [(times, None), (records, None)])
         else:
@@ -185,9 +196,9 @@ class Mf4Frames(_Mf4):
         self.written += block.size
 
 
-def _records(name: str, block: Block) -> NDArray[np.void]:
-    """ASAM's record of a frame; remote frames have no data."""
-    from can.util import channel2int, len2dlc
+def _records(name: str, block: Block, numbers: list[int]) -> NDArray[np.void]:
+    """ASAM's record of a frame; remote frames have no data. numbers: of the block's channels."""
+    from can.util import len2dlc
 
     from dbc.logs.python_can import mf4_module
 
@@ -196,13 +207,12 @@ def _records(name: str, block: Block) -> NDArray[np.void]:
     remote = name == "CAN_RemoteFrame"
     kinds = {"CAN_DataFrame": mf4.STD_DTYPE, "CAN_ErrorFrame": mf4.ERR_DTYPE}
     out = np.zeros(block.size, dtype=mf4.RTR_DTYPE if remote else kinds[name])
-    numbers = np.array([channel2int(channel) or 0 for channel in block.names], dtype=np.uint8)
     codes = np.array([len2dlc(n) for n in range(65)], dtype=np.uint8)
     fd = block.flags & FD != 0
     length = block.length.clip(max=64)
     dlc = np.where(fd, codes[length], length)
     dlc = np.where((block.dlc >= 0) & ~fd, block.dlc, dlc)
-    out[f"{name}.BusChannel"] = numbers[block.channel]
+    out[f"{name}.BusChannel"] = np.array(numbers, np.uint8)[block.channel]
     out[f"{name}.ID"] = block.can_id
     out[f"{name}.IDE"] = block.flags & EXTENDED != 0
     out[f"{name}.DLC"] = dlc

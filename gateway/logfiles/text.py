@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX, Nanos
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import FD_SIZES
+from gateway.logfiles.channels import ChannelNumbers
 
 _DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 _MONTHS: Final = (
@@ -80,6 +81,7 @@ class TextFile:
         self.reduced: Counter[str] = Counter()
         """Frames of which something is not kept, by what."""
         self._first_ns: Nanos | None = None
+        self._channels = ChannelNumbers()
         self._forms: dict[tuple[int, int], Form] = {}
         self._file = path.open("w", encoding="ascii", newline="")
 
@@ -156,7 +158,9 @@ class TextFile:
             self.reduced["error_class"] += int(np.count_nonzero((flags & ERROR != 0) & described))
         lost = (flags & TX != 0) & (flags & self.undirected != 0)
         self.reduced["direction"] += int(np.count_nonzero(lost))
-        if not self.has_channel:
+        if self.has_channel:
+            self.reduced["channel"] += self._channels.lost(block)
+        else:
             named = np.array([bool(name) for name in block.names])[block.channel]
             self.reduced["channel"] += int(np.count_nonzero(named))
             raw = (block.dlc > block.length) & (flags & REMOTE == 0)
@@ -167,7 +171,7 @@ class TextFile:
         return self._first_ns or 0
 
     def _channel(self, name: str) -> int:
-        return channel_number(name) + 1
+        return self._channels.number(name) + 1
 
     def _head(self, first_ns: Nanos) -> Iterator[str]:
         raise NotImplementedError
@@ -328,12 +332,6 @@ def _with_few_channels(block: Block) -> Iterator[Block]:
 
 def _way(flags: int) -> str:
     return "Tx" if flags & TX else "Rx"
-
-
-def channel_number(channel: str) -> int:
-    """The digits of a channel's name; 0 where it has none."""
-    digits = "".join(filter(str.isdecimal, channel))
-    return int(digits) if digits and len(digits) < 6 else 0
 
 
 def _date(t_ns: Nanos) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from dbc.codec import Codec
@@ -40,6 +40,9 @@ _CAUSES: Final = {
 }  # fmt: skip
 
 
+Phases = tuple[float | None, float | None, float | None]
+
+
 class Held(NamedTuple):
     """Last value of a quantity; None: the message came and had none."""
 
@@ -50,9 +53,17 @@ class Held(NamedTuple):
 class Translator:
     """All mapped drives of one gateway. `take` is the only mutator."""
 
-    def __init__(self, planned: list[Plan], codec: Codec) -> None:
-        """codec: as the core takes frames in, see `foreign.fitted`."""
-        self._drives = [_Drive(plan, codec) for plan in planned]
+    def __init__(
+        self,
+        planned: list[Plan],
+        codec: Codec,
+        on_derived: Callable[[int, Nanos], None] | None = None,
+    ) -> None:
+        """codec: as the core takes frames in, see `plan.fitted`.
+
+        on_derived: called with node and time where one phase is minus the sum of the others.
+        """
+        self._drives = [_Drive(plan, codec, on_derived) for plan in planned]
         self._routes: dict[int, list[tuple[_Drive, MessageSpec]]] = {}
         for drive in self._drives:
             for spec in drive.plan.codec.messages:
@@ -85,8 +96,11 @@ class Translator:
 class _Drive:
     """One mapped drive: what it sent last, and the counters of what is made of it."""
 
-    def __init__(self, plan: Plan, codec: Codec) -> None:
+    def __init__(
+        self, plan: Plan, codec: Codec, on_derived: Callable[[int, Nanos], None] | None
+    ) -> None:
         self.plan = plan
+        self._on_derived = on_derived
         self._codec = codec
         self._specs = {kind: codec.by_name[spec.name] for kind, spec in plan.spec.items()}
         self._held: dict[str, Held] = {}
@@ -242,23 +256,21 @@ class _Drive:
         iq, motor = self._get("Iq", t_ns), self.plan.motor
         return None if iq is None else 1.5 * motor.pole_pairs * motor.psi_pm * iq
 
-    def _phases(self, t_ns: Nanos) -> tuple[float | None, ...]:
-        signals = self.plan.signals
-        values = [self._get(name, t_ns) for name in signals.phases]
-        if any(value is None for value in values):
-            return None, None, None
-        first, second, *rest = [value for value in values if value is not None]
-        if signals.phases[0] == "Ia":
-            return first, second, rest[0] if rest else -first - second
-        alpha, beta = _turned(first, second, rest[0]) if rest else (first, second)
+    def _phases(self, t_ns: Nanos) -> Phases:
+        names = self.plan.signals.phases
+        values = [self._get(name, t_ns) for name in names]
+        if names[0] == "Ia":
+            phases, is_derived = three_phases(values)
+            if is_derived and self._on_derived is not None:
+                self._on_derived(self.plan.node, t_ns)
+            return phases
+        alpha, beta = _in_stator_frame(values)
+        if alpha is None or beta is None:
+            return alpha, None, None
         return alpha, -0.5 * alpha + 0.5 * _SQRT3 * beta, -0.5 * alpha - 0.5 * _SQRT3 * beta
 
     def _voltages(self, t_ns: Nanos) -> tuple[float | None, float | None]:
-        values = [self._get(name, t_ns) for name in self.plan.signals.voltages]
-        if any(value is None for value in values):
-            return None, None
-        first, second, *rest = [value for value in values if value is not None]
-        return _turned(first, second, rest[0]) if rest else (first, second)
+        return _in_stator_frame([self._get(name, t_ns) for name in self.plan.signals.voltages])
 
     def _note_square(self, came: set[str], t_ns: Nanos) -> None:
         """Sum up currents for `Irms`, where nobody sends it."""
@@ -269,14 +281,11 @@ class _Drive:
         if names[0] not in came:
             return
         values = [self._get(name, t_ns) for name in names if name != "ElectricalAngle"]
-        if any(value is None for value in values):
-            return
-        a, b, *rest = [value for value in values if value is not None]
         if names[0] == "Ia":
-            c = rest[0] if rest else -a - b
-            self._squares.append((a * a + b * b + c * c) / 3.0)
-        else:
-            self._squares.append((a * a + b * b) / 2.0)
+            values = list(three_phases(values)[0])
+        known = [value for value in values if value is not None]
+        if len(known) == len(values):
+            self._squares.append(math.fsum(value * value for value in known) / len(known))
 
     def _irms(self, t_ns: Nanos) -> float | None:
         if self._has("Irms"):
@@ -284,6 +293,31 @@ class _Drive:
         squares = list(self._squares)
         self._squares.clear()
         return math.sqrt(math.fsum(squares) / len(squares)) if squares else None
+
+
+def three_phases(values: Sequence[float | None]) -> tuple[Phases, bool]:
+    """Ia, Ib, Ic of two or three that are measured; whether one is minus the sum of the others.
+
+    Of one that is known the others are not: each stays what it is.
+    """
+    a, b, c = (*values, None)[:3]
+    if a is not None and b is not None:
+        return (a, b, -a - b if c is None else c), c is None
+    if c is None:
+        return (a, b, None), False
+    if a is not None:
+        return (a, -a - c, c), True
+    return ((None, None, c), False) if b is None else ((-b - c, b, c), True)
+
+
+def _in_stator_frame(values: Sequence[float | None]) -> tuple[float | None, float | None]:
+    """Alpha and beta as they are, or of d, q and the angle: then each needs all three."""
+    if len(values) == 2:
+        return values[0], values[1]
+    d, q, angle = values
+    if d is None or q is None or angle is None:
+        return None, None
+    return _turned(d, q, angle)
 
 
 def _turned(d: float, q: float, angle_deg: float) -> tuple[float, float]:

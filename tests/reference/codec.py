@@ -78,7 +78,10 @@ def decode(spec: MessageSpec, data: bytes) -> dict[str, Reading]:
         if not present(spec, s, raws):
             readings[s.name] = Reading(raw, math.nan, Validity.ABSENT)
         else:
-            readings[s.name] = Reading(raw, float(raw) * s.scale + s.offset, judge(s, raw))
+            value, validity = float(raw) * s.scale + s.offset, judge(s, raw)
+            if validity is Validity.RANGE and not math.isfinite(value):
+                validity = Validity.NOT_A_NUMBER
+            readings[s.name] = Reading(raw, value, validity)
     return readings
 
 

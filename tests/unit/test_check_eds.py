@@ -1,11 +1,14 @@
 """`check --eds`: heartbeat and PDOs of real files, of a DCF, and of files that are none."""
 
+import gzip
 from pathlib import Path
 
 import pytest
+from canopen import import_od
 
 from gateway.cli import main
 from gateway.io.device_file import Mapped, device_of
+from gateway.io.eds_text import EdsText, number_of
 from gateway.settings.config import ConfigError
 
 DATA = Path(__file__).parents[1] / "data" / "eds"
@@ -178,9 +181,9 @@ def test_check_says_what_of_it_matters(dcf, capsys, tmp_path):
     ("damage", "expected"),
     [
         (lambda _: "", 2), (lambda _: "no file of this kind", 2), (lambda _: "[a]\nb=1\n", 2),
-        (lambda text: text[: len(text) // 2], 2), (lambda text: text * 2, 2),
+        (lambda text: text[: len(text) // 2], 0), (lambda text: text * 2, 0),
         (lambda text: text.replace("0x60410010", "twelve"), 0),
-        (lambda text: text.replace("DataType=0x0007", "DataType="), 2),
+        (lambda text: text.replace("DataType=0x0007", "DataType="), 0),
         (lambda text: text.replace("NodeID=0x05", "NodeID=999999999999"), 0),
         (lambda text: text.replace("DefaultValue=2\n", "DefaultValue=99999999999999999\n"), 0),
         (lambda text: text.replace("DefaultValue=2\n", "DefaultValue=254\n"), 0),
@@ -199,3 +202,78 @@ def test_a_damaged_file_is_read_or_refused_in_words(damage, expected, suffix, dc
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         device_of(tmp_path / "none.eds")
+
+
+def test_what_is_read_is_what_canopen_reads(tmp_path):
+    for path in sorted(DATA.glob("*.eds")):
+        eds = EdsText(path.read_text())
+        # canopen takes no empty number, which makers leave in [DeviceInfo].
+        lines = path.read_text().splitlines(keepends=True)
+        (tmp_path / path.name).write_text("".join(k for k in lines if not k.rstrip().endswith("=")))
+        objects = import_od(str(tmp_path / path.name), 1)
+        for index in (0x1017, *(k for k in objects if 0x1800 <= k < 0x1C00)):
+            parts = objects[index] if index != 0x1017 else {None: objects[index]}
+            for subindex in parts:
+                wanted = parts[subindex].default
+                found = eds.configured(index, subindex)
+                assert (number_of(found.text, 1) if found else None) == wanted
+
+
+def test_a_compressed_file(dcf, capsys):
+    path = dcf()
+    path.write_bytes(gzip.compress(path.read_bytes()))
+    whole = device_of(path)
+    assert (whole.heartbeat_ms, whole.faults) == (250, ())
+    path.write_bytes(path.read_bytes()[:-200])
+    assert "the compressed file ends in the middle" in device_of(path).faults
+    path.write_bytes(b"\x1f\x8b\x08 and nothing of it")
+    assert check(capsys, path)[0] == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["$NODEID+0x180", "0x180+$NodeId", "$NODEID+180h", "($NODEID+0x180)", "$NODEID + 384",
+     "0600+$NODEID", "0x40000180 + $NODEID"],
+)  # fmt: skip
+def test_an_identifier_in_every_form(text, dcf):
+    [pdo] = device_of(dcf(text=DCF.replace("$NODEID+0x180", text))).pdos
+    assert pdo.can_id == 0x185
+
+
+@pytest.mark.parametrize("text", ["", "$NODEID+", "eleven", "0x", "-1", "0x123456789"])
+def test_an_identifier_that_is_none_is_said(text, dcf, capsys):
+    path = dcf(text=DCF.replace("$NODEID+0x180", text))
+    assert device_of(path).pdos == ()
+    note = f"TPDO1 is left out: [1800sub1] DefaultValue = {text!r} is no identifier"
+    assert note in check(capsys, path)[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [("", "1017h is empty, which"), ("1000.0", "1017h is '1000.0', which"),
+     ("-1", "1017h is '-1', which"), ("70000", "1017h is '70000', which")],
+)  # fmt: skip
+def test_a_heartbeat_that_is_no_time_is_said(text, note, dcf, capsys):
+    path = dcf(heartbeat=text, text=DCF.replace("rw\nDefaultValue=0\n", "rw\n"))
+    assert device_of(path).heartbeat_ms is None
+    out = check(capsys, path)[1]
+    assert f"{note} is no number of ms from 0 to 65535" in out
+    assert "missing" not in out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note"),
+    [
+        ("[2000]\n", "[1017]\nDefaultValue=9\n[2000]\n", "section [1017] is there twice"),
+        ("Name=Drive 5\n", "Name=Drive 5\nProductName=6\n", "[DeviceInfo] ProductName is there"),
+        ("DefaultValue=0x20000220", "DefaultValue=twelve", "[1A00sub2] DefaultValue = 'twelve'"),
+        ("4=0x1801\n", "4=0x1801\n5=0x1402\n", "listed, but not in the file: 1402h"),
+        ("NodeName=\n", "what is this\n", "'what is this' is no key and no section"),
+    ],
+)  # fmt: skip
+def test_one_fault_costs_itself(old, new, note, dcf):
+    device = device_of(dcf(text=DCF.replace(old, new)))
+    assert (device.name, device.node, device.heartbeat_ms) == ("Drive 5", 5, 250)
+    assert device.pdos[0].objects[0].object_index == 0x6041
+    assert len(device.faults) == 1
+    assert note in device.faults[0]

@@ -11,6 +11,7 @@ import pytest
 from dbc import generate as build
 from dbc.codec import (
     ABSENT,
+    NOT_A_NUMBER,
     NOT_AVAILABLE,
     RANGE,
     SATURATED,
@@ -248,7 +249,8 @@ def test_float_signals(tmp_path: Path) -> None:
     )
     codec = bind(path, (), ANY)
     spec = codec.messages[0]
-    cases = [(1.5, VALID), (10.0, VALID), (10.5, RANGE), (math.nan, RANGE), (math.inf, RANGE)]
+    cases = [(1.5, VALID), (10.0, VALID), (10.5, RANGE),
+             (math.nan, NOT_A_NUMBER), (math.inf, NOT_A_NUMBER)]  # fmt: skip
     for number, wanted in cases:
         data = np.float32(number).tobytes() + np.float64(number).tobytes()
         row = np.frombuffer(data.ljust(64, b"\0"), np.uint8).reshape(1, 64)
@@ -257,7 +259,7 @@ def test_float_signals(tmp_path: Path) -> None:
         assert np.array_equal(value, plain[0], equal_nan=True)
         assert np.array_equal(validity, plain[1])
         assert validity[0, 0] == wanted
-        assert validity[0, 1] == (VALID if math.isfinite(number) else RANGE)
+        assert validity[0, 1] == (VALID if math.isfinite(number) else NOT_A_NUMBER)
     data = codec.encode(spec, {"X": 99.0, "Y": -1e300})
     readings = codec.decode(spec, bytes(data))
     assert (readings["X"].value, readings["Y"].value) == (10.0, -1e300)

@@ -45,8 +45,8 @@ FLOAT = SignalSpec("F", 0, 32, is_float=True, is_signed=True, scale=0.5, offset=
         (FLOAT, 1.0, Validity.VALID),
         (FLOAT, -8.01, Validity.RANGE),
         (FLOAT, 8.01, Validity.RANGE),
-        (FLOAT, float("nan"), Validity.RANGE),
-        (FLOAT, float("inf"), Validity.RANGE),
+        (FLOAT, float("nan"), Validity.NOT_A_NUMBER),
+        (FLOAT, float("inf"), Validity.NOT_A_NUMBER),
     ],
 )
 def test_a_raw_value_says_what_it_is(signal, raw, validity):

@@ -37,8 +37,8 @@ def signals(codec: Codec) -> list[str]:
         ("BO_ 2 N 8 A\n", 7, "is no message"),
         ("VAL_ 1 gone 0 \"a\" ;\n", 7, "of a signal that the file does not have"),
         ("VAL_ 9 x 0 \"a\" ;\n", 7, "of a signal that the file does not have"),
-        ("what : is this\n", 6, "cannot be read"),
-        ("BA_ \"Unknown\" 1e4;;\n", 7, "cannot be read"),
+        ("what : is this\n", 7, "no entry of a DBC"),
+        ("BA_ \"Unknown\" 1e4;;\n", 7, "no attribute 'Unknown' is defined"),
     ],
 )  # fmt: skip
 def test_one_entry_costs_itself(tmp_path: Path, entry: str, line: int, why: str) -> None:

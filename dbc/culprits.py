@@ -1,0 +1,115 @@
+"""The entries of a DBC that cantools does not take, found by trying, and the rest by cantools."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from dbc.entries import Entries, text_of
+from dbc.entry_text import Entry
+from dbc.spec import DbcMismatch
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+
+_SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
+_MOST_LOADS: Final = 100
+"""To find entries that are well-formed and yet not taken: some for each."""
+_MEANING: Final = frozenset({"VERSION", "BS_", "BU_", "BO_", "SG_", "SIG_VALTYPE_", "SG_MUL_VAL_"})
+_MESSAGE: Final = Entry(0, "BO_", "BO_ 0 M: 8 N")
+_SHOWN: Final = 40
+
+
+def load_rest(path: Path, entries: Entries) -> Database:
+    """By cantools; entries that it does not take are left out. Raises DbcMismatch."""
+    quiet = logging.getLogger("cantools.database.can.database")
+    before = quiet.level
+    quiet.setLevel(logging.ERROR)
+    try:
+        return _load_rest(path, entries)
+    finally:
+        quiet.setLevel(before)
+
+
+def _load_rest(path: Path, entries: Entries) -> Database:
+    found = _load(entries.entries)
+    if not isinstance(found, str):
+        return found
+    first = found
+    if _SYNTAX.search(found):
+        entries.drop(_malformed(entries.entries))
+    for _ in range(_MOST_LOADS // (len(entries.entries).bit_length() + 1)):
+        found = _load(entries.entries)
+        if not isinstance(found, str):
+            return found
+        entry, why = _first_not_taken(entries.entries)
+        entries.drop([(entry, f"cannot be used ({why})")])
+    for keywords in (_MEANING | {"VAL_"}, _MEANING):
+        found = _load(entries.entries)
+        if not isinstance(found, str):
+            return found
+        entries.drop([(e, found) for e in entries.entries if e.keyword not in keywords])
+    found = _load(entries.entries)
+    if isinstance(found, str):
+        raise DbcMismatch(path, [first])
+    return found
+
+
+def _load(entries: Sequence[Entry]) -> Database | str:
+    """By cantools, or what it says instead."""
+    from cantools.database import load_string
+    from cantools.database.errors import Error
+
+    try:
+        return load_string(text_of(entries), "dbc", strict=False)  # type: ignore[return-value]
+    except Error as error:
+        return " ".join(str(error).split()).removeprefix("DBC: ").strip('"')
+    except Exception as error:  # cantools lets bare KeyErrors and others escape
+        return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _malformed(entries: Sequence[Entry]) -> list[tuple[Entry, str]]:
+    """All entries whose form cantools' grammar does not have.
+
+    By halves, so that the time grows with the file and not with how many there are.
+    """
+    out: list[tuple[Entry, str]] = []
+    parts = [list(entries)]
+    while parts:
+        part = parts.pop()
+        # A signal is read in a message only.
+        fault = _load([_MESSAGE, *part] if part[0].keyword == "SG_" else part)
+        place = _SYNTAX.search(fault) if isinstance(fault, str) else None
+        if place is None:
+            continue
+        if len(part) == 1:
+            out.append((part[0], _where(part[0], int(place[1]), int(place[2]))))
+            continue
+        half = len(part) // 2
+        parts += [part[half:], part[:half]]
+    return out
+
+
+def _where(entry: Entry, line: int, column: int) -> str:
+    """From where on an entry cannot be read; line, column: of a file with this entry only."""
+    lines = entry.text.split("\n")
+    at = line - 2 - (entry.keyword == "SG_")
+    rest = lines[at][column - 1 :].strip() if 0 <= at < len(lines) else ""
+    return f"cannot be read from {rest[:_SHOWN]!r} on" if rest else "cannot be read to its end"
+
+
+def _first_not_taken(entries: Sequence[Entry]) -> tuple[Entry, str]:
+    """The first entry with which, behind all before it, a file is not read; and why."""
+    good, bad = 0, len(entries)
+    why = _load(entries)
+    while bad - good > 1:
+        half = (good + bad) // 2
+        found = _load(entries[:half])
+        if isinstance(found, str):
+            bad, why = half, found
+        else:
+            good = half
+    return entries[bad - 1], str(why)

@@ -1,0 +1,310 @@
+"""One fault in a DBC of others costs what it is in, and nothing that is read as something else."""
+
+from __future__ import annotations
+
+import struct
+import time
+from pathlib import Path
+
+import pytest
+
+from dbc.codec import Codec, bind_usable
+from dbc.entry_text import split
+from dbc.spec import NOT_A_NUMBER, NOT_AVAILABLE, VALID, DbcMismatch
+from gateway.cli import main
+
+HEAD = 'VERSION ""\nNS_ :\n\tCM_\n\tBA_DEF_\nBS_:\nBU_: A\n'
+D = "BO_ 256 D: 8 A\n"
+A = ' SG_ A : 0|16@1+ (1,0) [0|0] "x" A\n'
+E = 'BO_ 257 E: 8 A\n SG_ Q : 0|8@1+ (1,0) [0|0] "" A\n'
+F = ' SG_ F : 0|32@1- (1,0) [0|0] "" A\n'
+FORMATS = ",".join(f'"{k}"' for k in range(14)) + ',"StandardCAN_FD","ExtendedCAN_FD"'
+FD = f'BA_DEF_ BO_ "VFrameFormat" ENUM {FORMATS};\nBA_ "VFrameFormat" BO_ 256 14;\n'
+CYCLE = 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 1000;\nBA_ "GenMsgCycleTime" BO_ 257 10;\n'
+START = 'BA_DEF_ SG_ "GenSigStartValue" {} ;\nBA_ "GenSigStartValue" SG_ 257 Q "abc";\n'
+
+
+def codec_of(folder: Path, text: str, head: str = HEAD) -> Codec:
+    path = folder / "a.dbc"
+    path.write_text(head + text, encoding="utf-8", newline="")
+    return bind_usable(path)
+
+
+def signals(codec: Codec) -> list[str]:
+    return [f"{m.name}.{s.name}" for m in codec.messages for s in m.signals]
+
+
+# ---- quotes and comments -----------------------------------------------------------------------
+
+
+def test_a_quote_behind_a_backslash_ends_no_text(tmp_path: Path) -> None:
+    inch = r'"a 5\" wheel";' + "\n"
+    codec = codec_of(tmp_path, D + F + f"CM_ SG_ 256 F {inch}SIG_VALTYPE_ 256 F : 1;\n")
+    data = struct.pack("<f", 2.5).ljust(8, b"\0")
+    assert codec.decode(codec.messages[0], data)["F"].value == 2.5
+    codec = codec_of(tmp_path, f"CM_ {inch}" + D + A + E)
+    assert signals(codec) == ["D.A", "E.Q"]
+    assert codec.left_out == ()
+    codec = codec_of(tmp_path, D + A + f'CM_ SG_ 256 A {inch}VAL_ 256 A 65535 "SNA" ;\n')
+    assert codec.decode(codec.messages[0], b"\xff\xff" + bytes(6))["A"].validity == NOT_AVAILABLE
+    codec = codec_of(tmp_path, D + A.replace('"x"', r'"5\" x"'))
+    assert codec.messages[0].signals[0].unit == '5" x'
+
+
+@pytest.mark.parametrize(
+    "comment",
+    ['CM_ "never ends', 'CM_ "never ends;', 'CM_ BO_ 256 "a 5" wheel";', r'CM_ "C:\";',
+     'CM_ "never ends,\nfor two lines'],
+)  # fmt: skip
+@pytest.mark.parametrize("behind", ["", 'CM_ "another";\n', 'VAL_ 256 A 1 "x" ;\n'])
+def test_a_comment_that_does_not_end_costs_itself(
+    tmp_path: Path, comment: str, behind: str
+) -> None:
+    codec = codec_of(tmp_path, f"{D}{A}{comment}\n{behind}{E}")
+    assert signals(codec) == ["D.A", "E.Q"]
+    (note,) = codec.left_out
+    assert note.startswith("line 9: CM_ ")
+    assert "does not end" in note
+
+
+def test_a_comment_may_look_like_entries(tmp_path: Path) -> None:
+    comment = r'CM_ SG_ 256 A "say \"' + D + A.replace('"', r"\"") + 'BO_ 5 X: 8 A\nthe end" ;\n'
+    codec = codec_of(tmp_path, D + A + comment + E)
+    assert signals(codec) == ["D.A", "E.Q"]
+    assert codec.left_out == ()
+
+
+# ---- attributes and labels ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("entry", "at", "why"),
+    [
+        ('BA_ "Nope" BO_ 256 1;\n', 0, "no attribute 'Nope' is defined"),
+        ('BA_DEF_ SG_ "Bad" INT 0;\n', 0, "its limits '0' are left out: not two numbers"),
+        ('BA_DEF_ SG_ "Bad" HEX 0x0 0xFF;\n', 0, "its limits '0x0 0xFF' are left out"),
+        ('BA_DEF_ "Bad" ENUM a,b;\n', 0, "its values 'a,b' are left out"),
+        ('VAL_ 257 Q 1.5 "x" 0 "y" ;\n', 0, "the label of 1.5 is left out"),
+        ('BA_ "GenMsgCycleTime" BO_ 256 "x";\n', 0, '"x" is no number, which its type INT needs'),
+        ('BA_DEF_DEF_ "GenMsgCycleTime" "x";\n', 0, '"x" is no number, which its type INT needs'),
+        (START.format("FLOAT 0 100"), 1, '"abc" is no number, which its type FLOAT needs'),
+        (START.format("STRING"), 1, "GenSigStartValue is a number; it is defined as STRING"),
+        ('BA_ "VFrameFormat" BO_ 257 77;\n', 0, "77 is none of its 16 values"),
+        ('BA_DEF_ "X" INT 0 1E+999;\n', 0, "no number can be so large"),
+        ("CM_ BO_ 256 unquoted;\n", 0, "cannot be read from 'unquoted;' on"),
+    ],
+)
+def test_one_bad_attribute_costs_itself(tmp_path: Path, entry: str, at: int, why: str) -> None:
+    codec = codec_of(tmp_path, D.replace("8 A", "16 A") + A + E + CYCLE + FD + entry)
+    assert [m.is_fd for m in codec.messages] == [True, False]
+    assert codec.by_name["E"].cycle_ns == 10_000_000
+    (note,) = codec.left_out
+    assert note.startswith(f"line {15 + at}: ")
+    assert why in note
+
+
+def test_the_other_labels_stay(tmp_path: Path) -> None:
+    codec = codec_of(tmp_path, D + A + 'VAL_ 256 A 1.5 "x" 65535 "SNA" 0 "off" ;\n')
+    assert codec.messages[0].signals[0].labels == {65535: "SNA", 0: "off"}
+
+
+def test_a_frame_format_by_its_name(tmp_path: Path) -> None:
+    text = D.replace("8 A", "16 A") + A + FD.replace("256 14", '256 "StandardCAN_FD"')
+    assert codec_of(tmp_path, text).messages[0].is_fd
+
+
+def test_what_only_cantools_refuses_is_found(tmp_path: Path) -> None:
+    """A start value that is no number, by an attribute of a kind of its own."""
+    text = 'BA_DEF_ BO_ "GenMsgSendType" INT 0 9;\nBA_ "GenMsgSendType" BO_ 256 3;\n'
+    codec = codec_of(tmp_path, D.replace("8 A", "16 A") + A + E + CYCLE + FD + text)
+    assert [m.is_fd for m in codec.messages] == [True, False]
+    (note,) = codec.left_out
+    assert 'BA_ "GenMsgSendType"' in note
+
+
+# ---- what says how a signal is read ------------------------------------------------------------
+
+MUX = (
+    ' SG_ X m244 : 8|8@1+ (1,0) [0|0] "" A\n SG_ Y m1 : 8|8@1+ (1,0) [0|0] "" A\n'
+    ' SG_ P : 16|8@1+ (1,0) [0|0] "" A\n'
+)
+
+
+@pytest.mark.parametrize(
+    "selector",
+    ["0|8@1+ (1,0) [nan|nan]", "0|80@1+ (1,0) [0|0]", "0|8@1+ (0,0) [0|0]", "900|8@1+ (1,0) [0|0]"],
+)
+def test_signals_go_with_their_selector(tmp_path: Path, selector: str) -> None:
+    codec = codec_of(tmp_path, D + f' SG_ M M : {selector} "" A\n' + MUX + E)
+    assert signals(codec) == ["D.P", "E.Q"]
+    lines = sorted(line.split(":")[0] for line in codec.left_out)
+    assert lines == ["line 10", "line 8", "line 9"]
+    assert sum("is multiplexed by M" in line for line in codec.left_out) == 2
+
+
+@pytest.mark.parametrize(
+    "selectors", ["", ' SG_ M M : 0|8@1+ (1,0) [0|0] "" A\n SG_ N M : 24|8@1+ (1,0) [0|0] "" A\n']
+)
+def test_multiplexed_by_nobody_knows_what(tmp_path: Path, selectors: str) -> None:
+    codec = codec_of(tmp_path, D + selectors + MUX)
+    assert "D.X" not in signals(codec)
+    assert "D.Y" not in signals(codec)
+    assert "D.P" in signals(codec)
+    assert sum("does not say by which signal" in line for line in codec.left_out) == 2
+
+
+NESTED = (
+    ' SG_ M M : 0|8@1+ (1,0) [0|0] "" A\n SG_ N m244M : 8|8@1+ (1,0) [0|0] "" A\n'
+    ' SG_ X m10 : 16|8@1+ (1,0) [0|0] "" A\nSG_MUL_VAL_ 256 N M 244-244;\n'
+)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    ["SG_MUL_VAL_ 256 X N 5..12;", "SG_MUL_VAL_ 256 X N 12-5;", "SG_MUL_VAL_ 256 X N;",
+     "SG_MUL_VAL_ 256 X N 5-12", "SG_MUL_VAL_ 256 X N 5-70000;", "SG_MUL_VAL_ 256 X ! 5-12;"],
+)  # fmt: skip
+def test_a_signal_goes_with_its_multiplexing(tmp_path: Path, entry: str) -> None:
+    codec = codec_of(tmp_path, D + NESTED + entry + "\n" + E)
+    assert signals(codec) == ["D.M", "D.N", "E.Q"]
+    assert [line.split(" ")[1] for line in codec.left_out] == ["12:", "10:"]
+    assert "its SG_MUL_VAL_ (line 12) cannot be used" in codec.left_out[1]
+
+
+def test_ranges_with_blanks(tmp_path: Path) -> None:
+    codec = codec_of(tmp_path, D + NESTED + "SG_MUL_VAL_ 256 X N 5 - 12 , 20-20 ;\n")
+    assert codec.messages[0].signals[2].mux_ranges == ((5, 12), (20, 20))
+
+
+@pytest.mark.parametrize(
+    "entry", ["256 F 1;", "256 F : 1", "256 F : 3;", "256 F : one;", "256 : F 1;"]
+)
+def test_a_signal_goes_with_its_type(tmp_path: Path, entry: str) -> None:
+    codec = codec_of(tmp_path, D + F + f"SIG_VALTYPE_ {entry}\n" + E)
+    assert "D.F" not in signals(codec)
+    assert "E.Q" in signals(codec)
+    assert "its SIG_VALTYPE_ (line " in codec.left_out[1]
+
+
+@pytest.mark.parametrize(
+    "entry", ["SG_MUL_VAL_ 256 Nope M 1-2;", "SIG_VALTYPE_ 999 P : 1;", "SIG_VALTYPE_ 9 256 P;"]
+)
+def test_an_entry_of_another_signal_costs_none(tmp_path: Path, entry: str) -> None:
+    selector = ' SG_ M M : 0|8@1+ (1,0) [0|0] "" A\n'
+    codec = codec_of(tmp_path, D + selector + MUX + entry + "\n")
+    assert sorted(signals(codec)) == ["D.M", "D.P", "D.X", "D.Y"]
+    (note,) = codec.left_out
+    assert "of a signal that the file does not have" in note
+
+
+# ---- identifiers and names ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", ["3221225473", "536871168", "4294967552", "9" * 26, "9" * 5000])
+def test_an_identifier_that_no_frame_has_costs_its_message(tmp_path: Path, number: str) -> None:
+    codec = codec_of(tmp_path, D.replace("256", number) + A + f'VAL_ {number} A 0 "a" ;\n' + E)
+    assert signals(codec) == ["E.Q"]
+    (note,) = codec.left_out
+    assert note.startswith("line 7: ")
+    assert "no frame has the identifier" in note
+
+
+@pytest.mark.parametrize("name", ["{}x", "Größe{}", "a-{}"])
+def test_any_number_of_names_that_are_none(tmp_path: Path, name: str) -> None:
+    bad = "".join(A.replace(" A ", f" {name.format(k)} ", 1) for k in range(2000))
+    began = time.perf_counter()
+    codec = codec_of(tmp_path, D + bad + A + E)
+    assert time.perf_counter() - began < 20
+    assert signals(codec) == ["D.A", "E.Q"]
+    assert len(codec.left_out) == 2000
+
+
+def test_any_number_of_entries_that_cantools_does_not_know(tmp_path: Path) -> None:
+    codec = codec_of(tmp_path, D + A + "".join(f"EV_: e{k};\n" for k in range(100)) + E)
+    assert signals(codec) == ["D.A", "E.Q"]
+    assert len(codec.left_out) == 100
+
+
+# ---- which entry it is -------------------------------------------------------------------------
+
+
+def test_nobody_receives_it(tmp_path: Path) -> None:
+    bare = A.replace(" A\n", "\n").replace(" A ", " C ", 1)
+    for text in (bare, bare.replace("\n", "  \n"), bare.replace('"x"', '"x" Inv-1, Ab.c')):
+        codec = codec_of(tmp_path, "BO_ 256 D: 8\n" + text + A + E)
+        assert sorted(signals(codec)) == ["D.A", "D.C", "E.Q"]
+        assert codec.left_out == ()
+
+
+@pytest.mark.parametrize("line", ["FOO_ 256 bar;", "# hash", "\0\0", "/* block */", "a\nb\nc"])
+@pytest.mark.parametrize("before", ["", A, A + 'VAL_ 256 A 0 "a" ;\n'])
+def test_a_foreign_line_costs_itself(tmp_path: Path, line: str, before: str) -> None:
+    codec = codec_of(tmp_path, D + before + line + "\n" + E)
+    assert signals(codec) == ["D.A"] * bool(before) + ["E.Q"]
+    (note,) = codec.left_out
+    assert note.startswith(f"line {8 + before.count(chr(10))}: ")
+    assert "no entry of a DBC" in note
+
+
+@pytest.mark.parametrize("end", ["\x1a", "\0\0\0", "// the end", "\n\n\x1a\0"])
+def test_what_may_stand_at_the_end(tmp_path: Path, end: str) -> None:
+    for text in (D + A, D + A.rstrip(), D + A + 'CM_ "x";'):
+        codec = codec_of(tmp_path, E + text + end)
+        assert signals(codec) == ["E.Q", "D.A"]
+        assert codec.left_out == ()
+
+
+def test_comments_behind_two_strokes(tmp_path: Path) -> None:
+    text = D + f" //{A}" + A + 'VAL_ 256 A 65535 "SNA"; // end\nCM_ "http://x";\n' + E
+    codec = codec_of(tmp_path, text)
+    assert signals(codec) == ["D.A", "E.Q"]
+    assert codec.left_out == ()
+    assert codec.messages[0].signals[0].not_available == 65535
+
+
+def test_several_entries_in_a_line(tmp_path: Path) -> None:
+    text = (D + A + A.replace(" A ", " B ", 1).replace("0|16", "16|16")).replace("\n", " ") + "\n"
+    more = 'VAL_ 256 A 65535 "SNA"; VAL_ 257 Q 255 "SNA";; CM_ SG_ 256 A "SG_ x : 1";\n'
+    codec = codec_of(tmp_path, text + E + more)
+    assert signals(codec) == ["D.A", "D.B", "E.Q"]
+    assert [m.signals[0].not_available for m in codec.messages] == [65535, 255]
+    assert codec.left_out == ()
+
+
+def test_a_signal_without_a_message_is_listed(tmp_path: Path) -> None:
+    codec = codec_of(tmp_path, E + 'CM_ "x";\n' + A)
+    (note,) = codec.left_out
+    assert note == "line 10: SG_ A: stands behind no message"
+
+
+def test_what_is_no_dbc(tmp_path: Path) -> None:
+    for text in ("", "nothing of it\n", "\0" * 100):
+        with pytest.raises(DbcMismatch, match="no entry of one"):
+            codec_of(tmp_path, text, head="")
+
+
+def test_entries_keep_their_lines() -> None:
+    text = "// first\nBU_: A\n  B\n" + D + A + '\nCM_ BO_\n  256\n "two\nlines"\n;VAL_TABLE_ t ;\n'
+    assert [(e.line, e.keyword) for e in split(text)] == [
+        (2, "BU_"), (4, "BO_"), (5, "SG_"), (7, "CM_"), (11, "VAL_TABLE_"),
+    ]  # fmt: skip
+
+
+# ---- numbers that are none ---------------------------------------------------------------------
+
+
+def test_a_float_that_is_no_number_is_counted_as_that(tmp_path: Path, capsys) -> None:
+    text = D + F + F.replace(" F ", " G ").replace("0|32", "32|32").replace("[0|0]", "[-5|5]")
+    codec = codec_of(tmp_path, text + "SIG_VALTYPE_ 256 F : 1;\nSIG_VALTYPE_ 256 G : 1;\n")
+    log, out = tmp_path / "a.log", tmp_path / "a.csv"
+    values = [(1.0, float("nan")), (float("inf"), float("-inf")), (1.0, 9.0)]
+    frames = [struct.pack("<ff", *pair) for pair in values]
+    log.write_text("".join(f"({k}.000000) can0 100#{d.hex()}\n" for k, d in enumerate(frames)))
+    readings = codec.decode(codec.messages[0], frames[0])
+    assert (readings["F"].validity, readings["G"].validity) == (VALID, NOT_A_NUMBER)
+    assert main(["convert", str(log), str(out), "--dbc", str(tmp_path / "a.dbc")]) == 0
+    note = capsys.readouterr().out
+    assert "values: valid 2, range 1, not_a_number 3\n" in note
+    assert "out of range, kept and marked: D.G 1\n" in note
+    rows = [line.split(",")[3:] for line in out.read_text().splitlines()]
+    assert rows[1:] == [["1", "", ""], ["", "", ""], ["1", "9", "G"]]
