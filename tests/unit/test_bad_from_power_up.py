@@ -24,8 +24,12 @@ def learnt(nodes):
     )
 
 
-def replayed(drives, stator, readings=300):
-    """Reports of every drive after each reading. stator(j, k): drive j's winding, degC."""
+def sound(k):
+    return 40.0 + 0.1 * (k % 3)
+
+
+def replayed(drives, stator, readings=300, end=lambda _, k: sound(k)):
+    """Reports of every drive after each reading. stator(j, k), end(j, k): of drive j, degC."""
     nodes = tuple(range(1, drives + 1))
     monitor = TemperatureMonitor(drives, PERIOD, 2.0, learnt(nodes), nodes)
     out = []
@@ -33,16 +37,12 @@ def replayed(drives, stator, readings=300):
         now = k * PERIOD
         rows = []
         for j in range(drives):
-            celsius = (stator(j, k), 50.0 + 0.1 * (k % 2), 48.0 + 0.1 * (k % 2), 20.0)
+            celsius = (stator(j, k), end(j, k), sound(k), 20.0)
             raw = tuple(round(10.0 * value) for value in celsius)
             rows.append(Temperatures(j, now, celsius, (True,) * 4, raw))
         monitor.add_readings(rows, now)
         out.append([monitor.report(j, now, 310 * MS) for j in range(drives)])
     return out
-
-
-def sound(k):
-    return 40.0 + 0.1 * (k % 3)
 
 
 @pytest.mark.parametrize("drives", [2, 3, 4, 5])
@@ -82,6 +82,22 @@ def test_the_one_that_differs_is_the_one_that_is_named(drives, rise_k):
     reports = replayed(drives, stator)
     hot = {j for row in reports for j, one in enumerate(row) if one.thermal is Flag.BAD}
     assert hot == ({0} if rise_k > 0.0 else set())
+
+
+@pytest.mark.parametrize("drives", [2, 3])
+@pytest.mark.parametrize("which", [0, 1])
+def test_whichever_motor_is_hot_and_wherever(drives, which):
+    def warm(j, k):
+        return sound(k) + (0.1 * k if j == which else 0.0)
+
+    for kind, reports in (
+        (FaultClass.BEARING, replayed(drives, lambda _, k: sound(k), end=warm)),
+        (FaultClass.OVERHEATING, replayed(drives, warm)),
+        (FaultClass.COOLING_LOSS, replayed(drives, warm, end=warm)),
+    ):
+        thermal = [one.thermal for one in reports[-1]]
+        assert thermal == [Flag.BAD if j == which else Flag.GOOD for j in range(drives)]
+        assert reports[-1][which].fault_class is kind
 
 
 def test_a_motor_that_has_been_seen_to_warm_up_to_the_maximum_is_hot():
