@@ -32,6 +32,8 @@ from dbc.logs.python_can import mf4_module
 _ROWS: Final = 1 << 14
 """Records of a group that are read at once."""
 _KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+_FINISHED: Final = b"MDF     "
+"""How a file starts that its recorder has closed."""
 _LOCAL_TIME: Final = 1
 """Of the header's time flags."""
 _LONG_ID: Final = 0x8000_0000
@@ -81,10 +83,15 @@ class Mf4(ObjectReader):
         yield from self._merged([_Group(mdf, k, name) for k, name in self._groups(mdf)])
 
     def _whole(self, stack: ExitStack) -> Path | IO[bytes]:
-        """The file, unpacked on disk where it is gzip: asammdf goes to and fro in it."""
+        """The file, unpacked on disk where it is gzip: asammdf goes to and fro in it.
+
+        A path it maps into memory, and only of a path it finishes what a recorder has not.
+        """
         stream = self._open(stack)
         if not self.zipped:
-            return self.path
+            finished = stream.read(len(_FINISHED)) == _FINISHED
+            stream.seek(0)
+            return stream if finished else self.path
         plain = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 the stack closes it
         shutil.copyfileobj(stream, plain)
         plain.seek(0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.core.codes import FaultClass, Flag
+from gateway.core.codes import FaultClass, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.settings.calibration import Calibration, MotorCalibration
 from tests.sender import MS
@@ -28,10 +28,10 @@ def sound(k):
     return 40.0 + 0.1 * (k % 3)
 
 
-def replayed(drives, stator, readings=300, end=lambda _, k: sound(k)):
+def replayed(drives, stator, readings=300, end=lambda _, k: sound(k), sensors=None):
     """Reports of every drive after each reading. stator(j, k), end(j, k): of drive j, degC."""
     nodes = tuple(range(1, drives + 1))
-    monitor = TemperatureMonitor(drives, PERIOD, 2.0, learnt(nodes), nodes)
+    monitor = TemperatureMonitor(drives, PERIOD, 2.0, learnt(nodes), nodes, sensors)
     out = []
     for k in range(readings):
         now = k * PERIOD
@@ -98,6 +98,31 @@ def test_whichever_motor_is_hot_and_wherever(drives, which):
         thermal = [one.thermal for one in reports[-1]]
         assert thermal == [Flag.BAD if j == which else Flag.GOOD for j in range(drives)]
         assert reports[-1][which].fault_class is kind
+
+
+def test_a_motor_of_fewer_sensors_takes_no_part_where_it_has_none():
+    def warm(j, k):
+        return sound(k) + (0.1 * k if j == 2 else 0.0)
+
+    fitted = [("stator",), ("stator", "drive_end"), ("stator", "drive_end")]
+    last = replayed(3, lambda _, k: sound(k), end=warm, sensors=fitted)[-1]
+    assert [one.thermal for one in last[1:]] == [Flag.GOOD, Flag.BAD]
+
+
+@pytest.mark.parametrize(("off_k", "wanted"), [(3.0, Flag.GOOD), (3.5, Flag.BAD)])
+def test_at_the_limit_is_not_beyond_it(off_k, wanted):
+    def stator(j, k):
+        return (40.0 if k else 39.0) + (off_k if j == 0 else 0.0)
+
+    assert replayed(3, stator, 60)[-1][0].thermal is wanted
+
+
+def test_a_winding_that_jumps_to_and_fro_is_no_evidence():
+    def stator(j, k):
+        return sound(k) + (25.0 if j == 0 and k % 3 else 0.0)
+
+    last = replayed(3, stator, 100)[-1][0]
+    assert (last.thermal, last.reason) == (Flag.UNKNOWN, Reason.STARTING)
 
 
 def test_a_motor_that_has_been_seen_to_warm_up_to_the_maximum_is_hot():
