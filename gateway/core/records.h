@@ -794,7 +794,7 @@ struct temperature_sensor {
     uint8_t seen;           /* 1: there was a valid value */
     uint8_t saturated;      /* 1: it has warmed up to the signal's maximum, and may stay there */
     uint8_t moved;          /* 1: it has given two different values */
-    uint8_t impossible;     /* 1: colder than any place of service, or at the maximum from the start */
+    uint8_t impossible;     /* 1: colder than it gets, or at the maximum from the start */
     int32_t step_count;     /* readings in a row that were beyond the limit */
     int64_t raw;            /* last valid value, tenths of a degree; -1: none */
     int64_t changed_ns;     /* stamp since which it has been that */

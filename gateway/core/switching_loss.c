@@ -26,9 +26,9 @@
 /* Common load, per unit of rated torque, from which on the others alone accuse: with less, what each
  * wheel's own friction takes is as large as a loss. */
 #define ACCUSING_LOAD 0.2
-#define NEAR    0.03 /* creep of a wheel that turns with the others; */
-#define STEADY  0.02 /* change of its speed within 0.5 s: no brake slows it */
-#define LITTLE  0.1  /* load, per unit of rated torque, of one that carries nothing */
+#define NEAR          0.03 /* creep of a wheel that turns with the others; */
+#define STEADY        0.02 /* change of its speed within 0.5 s: no brake slows it */
+#define LITTLE        0.1  /* load, per unit of rated torque, of one that carries nothing */
 /* A drive that follows its own flag changes its torque between two of its `Status`: by so much of the
  * largest command in a second, but not by more than this share of its own. */
 #define RETURN_PER_S 1.0

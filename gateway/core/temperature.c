@@ -18,7 +18,7 @@ static const int STEP_READINGS = 3; /* beyond the limit, before it is a step */
 /* Share of a step that has to come from one reading to the next. What comes in smaller portions is
  * heat's: a small motor's winding may warm by kelvins within a second. */
 static const double SUDDEN = 0.4;
-static const double MOST_C = 300.0; /* degC, the signal's maximum: a motor may be hotter */
+static const double MOST_C = 300.0;  /* degC, the signal's maximum: a motor may be hotter */
 static const double LEAST_C = -50.0; /* degC; no train runs in such cold (EN 50125-1: -40) */
 /* Limits of a step; a sensor that was further below the maximum has jumped there. */
 static const double MOST_STEPS = 5.0;
