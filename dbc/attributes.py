@@ -19,6 +19,8 @@ _VALUE: Final = re.compile(
     re.DOTALL,
 )
 _NAME: Final = re.compile(rf"\s*\w+\s+({TEXT})")
+_RELATION: Final = re.compile(rf"\s*BA_DEF_REL_\s+\w+\s+({TEXT})")
+_OF_RELATIONS: Final = ("BA_REL_", "BA_DEF_DEF_REL_")
 _CHOICES: Final = re.compile(rf"{TEXT}(?:\s*,\s*{TEXT})*")
 _WHOLE: Final = ("INT", "HEX", "ENUM")
 _NUMBERS: Final = ("INT", "HEX", "FLOAT")
@@ -64,6 +66,17 @@ def faults(entries: Sequence[Entry]) -> Iterator[Fault]:
                 yield Fault(entry, why, None)
         elif entry.keyword == "BA_" and (match := _VALUE.fullmatch(entry.text)):
             yield from _value(entry, match, kinds)
+    yield from _relations(entries)
+
+
+def _relations(entries: Sequence[Entry]) -> Iterator[Fault]:
+    """Values and defaults of relations that no entry defines."""
+    matches = [_RELATION.match(e.text) for e in entries if e.keyword == "BA_DEF_REL_"]
+    defined = {match[1] for match in matches if match}
+    for entry in entries:
+        match = _NAME.match(entry.text) if entry.keyword in _OF_RELATIONS else None
+        if match and match[1] not in defined:
+            yield Fault(entry, f"no attribute {match[1][1:-1]!r} is defined (BA_DEF_REL_)", None)
 
 
 def defined_by(entry: Entry) -> str:

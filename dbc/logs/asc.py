@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, SECOND, TX
 from dbc.logs.asc_dates import date_of, nanoseconds_between
-from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
+from dbc.logs.format import (
+    CLASSIC_BYTES,
+    FD_SIZES,
+    Head,
+    Line,
+    framed,
+    hex_bytes,
+    nanoseconds,
+    words_of,
+)
 from dbc.logs.lines import shape_of
 
 _PLAIN: Final = (
@@ -31,10 +40,11 @@ _TIMED: Final = re.compile(r"(-?\d+(?:\.\d*)?)\s+(\S.*)")
 _BASE: Final = re.compile(r"base\s+(hex|dec)\b(?:.*\btimestamps\s+(absolute|relative))?", re.I)
 _TRIGGER: Final = re.compile(r"begin\s+triggerblock\b(.*)", re.I)
 _HEADER: Final = re.compile(r"date\b|end\s+triggerblock|(?:no\s+)?internal\s+events", re.I)
-_NUMBER: Final = re.compile(r"\bID\s*=\s*(\d+)(x?)", re.I)
+_NUMBER: Final = re.compile(r"\bID\s*=\s*(\d+)(x?)(?!\w)", re.I)
 """Of a frame, decimal; behind its data, where it may have a name."""
 _NAMED: Final = re.compile(
-    r"^\s*[\d.-]+\s+\d+\s+([A-Za-z_]\w*)\s+(?:[RT]x|TxRq)\b.*\bID\s*=\s*(\d+)(x?)", re.I | re.M
+    r"^\s*[\d.-]+\s+\d+\s+([A-Za-z_]\w*)\s+(?:[RT]x|TxRq)\b.*\bID\s*=\s*(\d+)(x?)(?!\w)",
+    re.I | re.M,
 )
 _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
 _MOST_RAW: Final = 15
@@ -108,7 +118,7 @@ class Asc:
 
     def head(self, parts: tuple[str, ...]) -> Head:
         """`channel id direction d length` of a plain line."""
-        channel, name, direction, _, length = parts[0].split()
+        channel, name, direction, _, length = words_of(parts[0])
         if not channel.isdecimal() or direction not in ("Rx", "Tx", "TxRq"):
             return Head(0, verdict=Verdict.MALFORMED)
         request = Verdict.REQUEST if direction == "TxRq" else Verdict.OK
@@ -147,7 +157,7 @@ class Asc:
             t_ns = None
             try:
                 t_ns = nanoseconds([match[1]]).item()
-                return self._timed(t_ns, match[2].split(), text)
+                return self._timed(t_ns, words_of(match[2]), text)
             except (ValueError, OverflowError, IndexError):
                 # With its time: those of other lines may count from it.
                 return Line(Verdict.MALFORMED, None, t_ns)
@@ -167,7 +177,11 @@ class Asc:
         if words[0].upper() == "CANFD" and words[1].isdecimal():
             return self._fd(t_ns, words)
         if not words[0].isdecimal():
-            return Line(Verdict.EVENT if words[0][0].isalpha() else Verdict.MALFORMED, None, t_ns)
+            return Line(
+                Verdict.EVENT if words[0][0].isalpha() or words[0][0] == "_" else Verdict.MALFORMED,
+                None,
+                t_ns,
+            )
         channel = _channel(words[0])
         if words[1].lower().startswith("errorframe"):
             return framed(Head(0, ERROR, 0, channel), t_ns, sure=True)

@@ -46,6 +46,7 @@ from dbc.logs.blf_objects import (
 from dbc.logs.objects import BLOCK, ObjectReader
 
 _SEARCH: Final = 1 << 16
+_YEARS: Final = range(1970, 2200)
 _PADDING: Final = 3
 """The most bytes behind an object."""
 _USUAL_BYTES: Final = 48
@@ -359,8 +360,10 @@ class Blf(ObjectReader):
 
 
 def _system_time_ns(fields: tuple[int, ...]) -> int:
-    """Of Windows' SYSTEMTIME; 0 where it is none."""
+    """Of Windows' SYSTEMTIME; 0 where it is none, or what a recorder without a clock has (1601)."""
     year, month, _, day, hour, minute, second, ms = fields
+    if year not in _YEARS:
+        return 0
     try:
         moment = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:

@@ -25,7 +25,7 @@ from dbc.logs.times import date_ns, logger_ns
 
 _NAMES: Final = {
     "time": "timestamp time timestampepoch t abstime offset",
-    "id": "arbitrationid id canid identifier messageid msgid arbid",
+    "id": "arbitrationid id canid identifier messageid msgid arbid addr address",
     "extended": "extended ide ext isextended isextendedid",
     "remote": "remote rtr isremote isremoteframe",
     "error": "error iserror iserrorframe",
@@ -204,7 +204,7 @@ class Csv:
             cells = text.split(self._separator)
             found = cells[:length] if length >= 0 else [cell for cell in cells if cell.strip()]
             return bytes(int(cell.strip().strip('"'), 16) for cell in found)
-        return bytes.fromhex(re.sub(r"0x|[^0-9A-Fa-fx]", "", text) if not text.isalnum() else text)
+        return bytes.fromhex(text) if text.isalnum() and text[1:2] != "x" else _bytes_of(text)
 
     def whole(self, text: str) -> bool:
         """Base64 cannot be of this length otherwise; a byte of one digit may go on."""
@@ -270,6 +270,15 @@ def _row_pattern(separator: str, kinds: list[str], split: bool) -> tuple[list[st
 def is_header(text: str) -> bool:
     """Whether a line names the columns of a log."""
     return _columns(text) is not None
+
+
+def _bytes_of(text: str) -> bytes:
+    """Bytes with anything between them; a list in brackets, as Python writes it, is decimal."""
+    text = text.strip(' "')
+    if text.startswith("["):
+        return bytes(int(word, 0) for word in text.strip("[]").split(",") if word.strip())
+    words = [word.removeprefix("0x") for word in re.split(r"[^0-9A-Fa-fx]+", text)]
+    return bytes.fromhex("".join(f"0{word}" if len(word) == 1 else word for word in words))
 
 
 def _whole(text: str) -> int:

@@ -33,8 +33,14 @@ _COLUMNS: Final = (
     "channel id skip dlc data", "id skip dlc data", "skip id dlc data",
     "id data", "channel id data", "id dir data", "dir id data", "channel id dir data",
     "dir channel id data", "channel dir id data", "id#data", "channel id#data",
+    "type id dlc data", "id type dlc data", "channel type id dlc data", "channel id type dlc data",
+    "type id data", "id type data", "channel type id data", "channel id type data",
+    "dir type id dlc data", "type id dir dlc data", "channel id type dir dlc data",
+    "dir id [dlc] data", "channel dir id [dlc] data",
 )  # fmt: skip
-_COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|skip)\b")
+_COLUMN: Final = re.compile(r"\b(id|dlc|data|channel|dir|skip|type)\b")
+_TYPE: Final = r"(?<![^\s,;])(?:[SX]|STD|EXT|SFF|EFF)(?![^\s,;])"
+"""A word that says how many bits an identifier has."""
 _DIRECTION: Final = r"(?<![^\s,;])[RTrt][xX]?(?![^\s,;])"
 _KIND: Final = (
     r"(?<![^\s,;])(?![RTrt][xX]?[\s,;])(?:[A-Za-z]*[G-Zg-z][A-Za-z]*|[A-Za-z])(?![^\s,;])"
@@ -60,7 +66,12 @@ def guesses(lines: Sequence[str]) -> Iterator[str]:
     numbered = _are_numbered(lines)
     bare = [_NUMBERED.sub("", line) for line in lines] if numbered else lines
     directed = _most(lines, rf".*{_DIRECTION}")
-    columns = [names for names in _COLUMNS if ("dir" in names.split()) == directed]
+    typed = _most(lines, rf".*{_TYPE}")
+    columns = [
+        names
+        for names in _COLUMNS
+        if ("dir" in names.split(), "type" in names.split()) == (directed, typed)
+    ]
     if not _most(lines, rf".*{_KIND}"):
         columns = [names for names in columns if "skip" not in names]
     for time, sep in product(_times_in(bare), _separators_in(lines)):

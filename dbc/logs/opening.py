@@ -126,7 +126,7 @@ def _by_content(path: Path) -> str:
         magic = stream.read(8)
     if magic[:4] == b"LOGG":
         return ".blf"
-    if magic[:3] == b"MDF":
+    if magic[:3] == b"MDF" or magic[:7] == b"UnFinMF":
         return ".mf4"
     lines = first_lines(path)
     if any(parse_line(line)[1] is not None for line in lines):

@@ -157,7 +157,7 @@ class Pattern:
             return Head(0, verdict=Verdict.MALFORMED)
         kind = found.get("type", "").lower()
         flags = EXTENDED if number > 0x7FF or found["id"][-1] in "xX" or "29" in kind else 0
-        flags |= EXTENDED if kind.startswith("x") else 0
+        flags |= EXTENDED if kind.startswith(("x", "ext", "eff")) else 0
         flags |= TX if found.get("dir", "")[:1] in "Tt" and "dir" in found else 0
         if kind in ("sr", "xr"):
             flags |= REMOTE

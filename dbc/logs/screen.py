@@ -41,9 +41,9 @@ _XL: Final = re.compile(rf"\({_STAMP}\)[ \t]+\S+.*\[\d{{4}}\][ \t]+\([0-9A-F]{{2
 _SINCE_1970: Final = 10
 """Digits of candump's seconds since 1970; of those that count from the start it prints fewer."""
 _ERROR_BIT: Final = 0x2000_0000
-_STEPS_BACK: Final = 10
-"""One step in so many, or more, goes back: differences. Times since the start do not go back, but
-for frames of several channels that come in another order."""
+_MOST_BACK: Final = 0.1
+"""Of the span of all stamps: one that goes back by more is a difference. Times since the start go
+back where frames of several channels come in another order, and then by little."""
 
 
 class Screen:
@@ -121,10 +121,11 @@ class Screen:
 
     def line(self, text: str) -> Line:
         """Anything else: a frame of CAN XL, frames that were lost, what a shell said before."""
+        is_detail = text.startswith("\t")  # of the error frame in the line before (-e)
         text = text.strip()
         if not text:
             return Line(Verdict.BLANK)
-        if text.startswith(("#", ";", "//")):
+        if is_detail or text.startswith(("#", ";", "//")):
             return Line(Verdict.COMMENT)
         if stamp := _TIME.match(text):
             # With its time: the next one may count from it.
@@ -154,10 +155,13 @@ def _stamps_of(lines: Sequence[str]) -> NDArray[np.int64]:
 
 def _are_differences(stamps: NDArray[np.int64]) -> bool:
     """Whether stamps count from the one before: they go down, or are always the same."""
-    steps = np.diff(stamps)
-    back = np.count_nonzero(steps < 0)
-    alike = steps.size > 1 and stamps.item(1) > 0 and not steps[1:].any()
-    return bool(alike or (back and back * _STEPS_BACK >= steps.size))
+    # The first one may be 0 in both.
+    later = stamps[1:]
+    if later.size < 2:
+        return bool((np.diff(stamps) < 0).any())
+    back, span = -np.diff(later).min(), np.ptp(later)
+    alike = span == 0 and later.item(0) > 0
+    return bool(alike or back > _MOST_BACK * span)
 
 
 def is_screen_form(text: str) -> bool:

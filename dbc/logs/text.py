@@ -31,6 +31,7 @@ from dbc.logs.format import (
     checked,
     verdict_with,
     with_notes,
+    words_of,
 )
 from dbc.logs.lines import Known, Scan, Scanner
 from dbc.text import printable
@@ -184,7 +185,7 @@ class TextReader(Reader):
 
     def _known(self, text: str, line: str) -> Known | None:
         """What a head says of plain data frames; None for all else."""
-        parts = tuple(text.split()) if self._format.splits else (text,)
+        parts = tuple(words_of(text)) if self._format.splits else (text,)
         if isinstance(self._format, Named):
             self._format.learn(line)
         head = checked(self._format.head(parts))
