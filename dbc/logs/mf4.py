@@ -26,6 +26,7 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
 from dbc.logs.mf4_blocks import missing_part
+from dbc.logs.mf4_unfinished import end_of_records
 from dbc.logs.objects import ObjectReader
 from dbc.logs.python_can import mf4_module
 
@@ -60,6 +61,7 @@ class Mf4(ObjectReader):
                     # asammdf's own table of all identifiers is half a gigabyte of a long log.
                     mdf = module.MDF(source, process_bus_logging=False)
                     yield from self._read(stack.enter_context(mdf))
+                    self._end()
                 except Exception as error:
                     if part := missing_part(source):
                         raise LogError(self.name, 0, f"cannot be read{self._where}: {part}") from (
@@ -87,15 +89,17 @@ class Mf4(ObjectReader):
 
         A path it maps into memory, and only of a path it finishes what a recorder has not.
         """
-        stream = self._open(stack)
-        if not self.zipped:
-            finished = stream.read(len(_FINISHED)) == _FINISHED
-            stream.seek(0)
-            return stream if finished else self.path
-        plain = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 the stack closes it
-        shutil.copyfileobj(stream, plain)
-        plain.seek(0)
-        return plain
+        source = self._open(stack)
+        source = _copied(source, stack) if self.zipped else source
+        finished = source.read(len(_FINISHED)) == _FINISHED
+        ends = None if finished else end_of_records(source)
+        source.seek(0)
+        if ends is None or ends[0] == ends[1]:
+            return source if finished or self.zipped else self.path
+        self.truncated = "in the middle of a record"
+        source = source if self.zipped else _copied(source, stack)
+        source.truncate(ends[0])
+        return source
 
     def frames(self) -> Iterator[Frame]:
         """All of them."""
@@ -134,6 +138,14 @@ class Mf4(ObjectReader):
         block = block.pick(~(bad_length | bad_id))
         self._count(block)
         return block
+
+
+def _copied(stream: IO[bytes], stack: ExitStack) -> IO[bytes]:
+    """A copy on disk, from its beginning."""
+    copy = stack.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 the stack closes it
+    shutil.copyfileobj(stream, copy)
+    copy.seek(0)
+    return copy
 
 
 def _calm(module: Any) -> None:

@@ -1,0 +1,108 @@
+"""MF4 files that their recorder has not closed (`UnFinMF`): where the last whole record ends.
+
+A CANedge writes such a file until it loses its power, so the last record may be cut anywhere.
+asammdf takes what is left of it for a record, or refuses the file.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import IO, Final, NamedTuple
+
+_HEADER: Final = struct.Struct("<4s4xQQ")
+"""Kind, length and number of links of a block."""
+_FIRST: Final = 64
+_IS_VLSD: Final = 1
+"""A group whose records are as long as they say."""
+_LENGTH: Final = struct.Struct("<L")
+_PIECE: Final = 1 << 20
+_MOST_BLOCKS: Final = 10_000
+
+
+class _Block(NamedTuple):
+    kind: bytes
+    links: tuple[int, ...]
+    data_at: int
+
+
+def end_of_records(stream: IO[bytes]) -> tuple[int, int] | None:
+    """The byte behind the last whole record, and the size of the file.
+
+    None where it cannot be told: a file of another form, or damaged.
+    """
+    size = stream.seek(0, 2)
+    try:
+        group = _last_group(stream)
+        if group is None:
+            return None
+        records_at, id_bytes, sizes = group
+        return _walk(stream, records_at, id_bytes, sizes), size
+    except (struct.error, IndexError, KeyError):
+        return None
+
+
+def _block(stream: IO[bytes], at: int) -> _Block:
+    stream.seek(at)
+    kind, _, count = _HEADER.unpack(stream.read(_HEADER.size))
+    links = struct.unpack(f"<{count}Q", stream.read(8 * count)) if count < _MOST_BLOCKS else ()
+    return _Block(kind, links, at + _HEADER.size + 8 * count)
+
+
+def _last_group(stream: IO[bytes]) -> tuple[int, int, Mapping[int, int]] | None:
+    """Where the last records begin, the bytes of a record's number, and its bytes by that number.
+
+    -1: a record says itself how long it is.
+    """
+    found = None
+    at = _block(stream, _FIRST).links[0]
+    for _ in range(_MOST_BLOCKS):
+        if not at:
+            break
+        group = _block(stream, at)
+        at, channels_at, data_at = group.links[:3]
+        if not data_at or _block(stream, data_at).kind != b"##DT":
+            continue
+        if found is None or data_at > found[0]:
+            stream.seek(group.data_at)
+            found = data_at, stream.read(1)[0], _sizes(stream, channels_at)
+    return None if found is None else (found[0] + _HEADER.size, found[1], found[2])
+
+
+def _sizes(stream: IO[bytes], at: int) -> dict[int, int]:
+    out = {}
+    for _ in range(_MOST_BLOCKS):
+        if not at:
+            break
+        group = _block(stream, at)
+        stream.seek(group.data_at)
+        number, _, flags, data, invalid = struct.unpack("<QQH6xLL", stream.read(32))
+        out[number] = -1 if flags & _IS_VLSD else data + invalid
+        at = group.links[0]
+    return out
+
+
+def _walk(stream: IO[bytes], at: int, id_bytes: int, sizes: Mapping[int, int]) -> int:
+    """The byte behind the last whole record. Raises KeyError for a record of no group.
+
+    A frame's bytes may be a record of their own, before or behind that of the frame: both count.
+    """
+    stream.seek(at)
+    rest, first_is_long = b"", None
+    behind: dict[bool, int] = {}
+    while piece := stream.read(_PIECE):
+        data, place = rest + piece, 0
+        while place + id_bytes + _LENGTH.size <= len(data):
+            number = int.from_bytes(data[place : place + id_bytes], "little")
+            size = sizes[number]
+            is_long = size < 0
+            first_is_long = is_long if first_is_long is None else first_is_long
+            if is_long:
+                size = _LENGTH.size + _LENGTH.unpack_from(data, place + id_bytes)[0]
+            if place + id_bytes + size > len(data):
+                break
+            place += id_bytes + size
+            behind[is_long] = at + place
+        rest = data[place:]
+        at += place
+    return behind.get(not first_is_long, at)
