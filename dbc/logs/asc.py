@@ -22,6 +22,7 @@ from dbc.logs.asc_dates import date_of, nanoseconds_between
 from dbc.logs.format import (
     CLASSIC_BYTES,
     FD_SIZES,
+    MOST_DLC,
     Head,
     Line,
     framed,
@@ -30,6 +31,7 @@ from dbc.logs.format import (
     words_of,
 )
 from dbc.logs.lines import shape_of
+from dbc.logs.times import Differences
 
 _PLAIN: Final = (
     r"[ \t]*(-?\d+\.\d+)[ \t]+"
@@ -47,7 +49,6 @@ _NAMED: Final = re.compile(
     re.I | re.M,
 )
 _DIRECTIONS: Final = frozenset({"rx", "tx", "txrq"})
-_MOST_RAW: Final = 15
 _SHAPE: Final = shape_of(SECOND, 0, 5, "d", 3)
 """Channel, identifier, direction, `d`, length."""
 _RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
@@ -66,7 +67,7 @@ class Asc:
     def __init__(self) -> None:
         """As a log without a header is: hexadecimal, with absolute times."""
         self._base = 16
-        self._relative = False
+        self._differences: Differences | None = None
         self._first: datetime | None = None
         self._block: datetime | None = None
         self._offset_ns = 0
@@ -89,8 +90,8 @@ class Asc:
         """From the first trigger on: differences added up, times of later blocks moved."""
         if not timed.any():
             return times
-        if self._relative:
-            times = np.cumsum(np.where(timed, times, 0)) + self._latest_ns
+        if self._differences is not None:
+            times = self._differences.add(times, timed)
         else:
             first = times[timed].item(0)
             if self._begins and first + self._offset_ns < self._latest_ns:
@@ -129,7 +130,7 @@ class Asc:
             dlc = int(length, self._base)
         except ValueError:
             return Head(0, verdict=Verdict.MALFORMED)
-        if dlc > _MOST_RAW:
+        if dlc > MOST_DLC:
             return Head(0, verdict=Verdict.BAD_LENGTH)
         raw = dlc if dlc > CLASSIC_BYTES else -1
         number, flags = found[0], found[1] | _sent(direction)
@@ -164,7 +165,8 @@ class Asc:
         if match := _BASE.match(text):
             self._base = 16 if match[1].lower() == "hex" else 10
             self.shape = _SHAPE if self._base == 16 else None
-            self._relative = (match[2] or "").lower() == "relative"
+            relative = (match[2] or "").lower() == "relative"
+            self._differences = Differences(self._latest_ns) if relative else None
             return Line(Verdict.HEADER)
         if match := _TRIGGER.match(text):
             self._block, self._begins = date_of(match[1]), self._blocks > 0
@@ -209,7 +211,7 @@ class Asc:
         if words[3].lower() != "d":
             return Line(Verdict.MALFORMED, None, t_ns)
         dlc = int(words[4], self._base)
-        if dlc > _MOST_RAW:
+        if dlc > MOST_DLC:
             return Line(Verdict.BAD_LENGTH, None, t_ns)
         size = min(dlc, CLASSIC_BYTES)
         data = self.data(" ".join(words[5 : 5 + size]), size)

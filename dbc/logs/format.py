@@ -15,7 +15,7 @@ from dbc.frame import ERROR, EXTENDED, FD, FD_LENGTHS, REMOTE
 _INT64_DIGITS: Final = 19
 _LATEST_NS: Final = 9_000_000_000_000_000_000
 CLASSIC_BYTES: Final = 8
-_MOST_DLC: Final = 15
+MOST_DLC: Final = 15
 FD_SIZES: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Bytes by the code of the length."""
 
@@ -173,7 +173,7 @@ def checked(head: Head) -> Head:
         return head
     if not 0 <= head.can_id <= (0x1FFF_FFFF if head.flags & (EXTENDED | ERROR) else 0x7FF):
         return head._replace(verdict=Verdict.BAD_ID)
-    if not _possible(head.flags, max(head.length, 0)) or head.dlc > _MOST_DLC:
+    if not _possible(head.flags, max(head.length, 0)) or head.dlc > MOST_DLC:
         return head._replace(verdict=Verdict.BAD_LENGTH)
     return head._replace(verdict=verdict_of(head.flags))
 

@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from typing import IO, Final, NamedTuple
+from typing import IO, Final
 
-_HEADER: Final = struct.Struct("<4s4xQQ")
-"""Kind, length and number of links of a block."""
-_FIRST: Final = 64
+from dbc.logs.mf4_blocks import FIRST, HEADER, block_at
+
 _IS_VLSD: Final = 1
 """A group whose records are as long as they say."""
 _LENGTH: Final = struct.Struct("<L")
 _PIECE: Final = 1 << 20
 _MOST_BLOCKS: Final = 10_000
-
-
-class _Block(NamedTuple):
-    kind: bytes
-    links: tuple[int, ...]
-    data_at: int
 
 
 def end_of_records(stream: IO[bytes]) -> tuple[int, int] | None:
@@ -38,15 +31,8 @@ def end_of_records(stream: IO[bytes]) -> tuple[int, int] | None:
             return None
         records_at, id_bytes, sizes = group
         return _walk(stream, records_at, id_bytes, sizes), size
-    except (struct.error, IndexError, KeyError):
+    except (struct.error, ValueError, IndexError, KeyError):
         return None
-
-
-def _block(stream: IO[bytes], at: int) -> _Block:
-    stream.seek(at)
-    kind, _, count = _HEADER.unpack(stream.read(_HEADER.size))
-    links = struct.unpack(f"<{count}Q", stream.read(8 * count)) if count < _MOST_BLOCKS else ()
-    return _Block(kind, links, at + _HEADER.size + 8 * count)
 
 
 def _last_group(stream: IO[bytes]) -> tuple[int, int, Mapping[int, int]] | None:
@@ -55,18 +41,18 @@ def _last_group(stream: IO[bytes]) -> tuple[int, int, Mapping[int, int]] | None:
     -1: a record says itself how long it is.
     """
     found = None
-    at = _block(stream, _FIRST).links[0]
+    at = block_at(stream, FIRST).links[0]
     for _ in range(_MOST_BLOCKS):
         if not at:
             break
-        group = _block(stream, at)
+        group = block_at(stream, at)
         at, channels_at, data_at = group.links[:3]
-        if not data_at or _block(stream, data_at).kind != b"##DT":
+        if not data_at or block_at(stream, data_at).kind != b"##DT":
             continue
         if found is None or data_at > found[0]:
             stream.seek(group.data_at)
             found = data_at, stream.read(1)[0], _sizes(stream, channels_at)
-    return None if found is None else (found[0] + _HEADER.size, found[1], found[2])
+    return None if found is None else (found[0] + HEADER.size, found[1], found[2])
 
 
 def _sizes(stream: IO[bytes], at: int) -> dict[int, int]:
@@ -74,7 +60,7 @@ def _sizes(stream: IO[bytes], at: int) -> dict[int, int]:
     for _ in range(_MOST_BLOCKS):
         if not at:
             break
-        group = _block(stream, at)
+        group = block_at(stream, at)
         stream.seek(group.data_at)
         number, _, flags, data, invalid = struct.unpack("<QQH6xLL", stream.read(32))
         out[number] = -1 if flags & _IS_VLSD else data + invalid
