@@ -1,6 +1,5 @@
 """The rivals of the thermal method: causal, repeatable, blind to nothing obvious, never raising."""
 
-import sys
 from dataclasses import replace
 from functools import cache
 
@@ -13,7 +12,6 @@ from estimators.thermal.rivals import RIVALS
 from estimators.thermal.rivals.dpca import filled, moving
 from estimators.thermal.rivals.dsfa import Slow
 from estimators.thermal.rivals.ekf import Lumped, innovations
-from estimators.thermal.rivals.lstm import Lstm
 from gateway.study.thermal_dataset import BASES, BENCH, DAYS, train
 from tests.reference import rival_ekf
 
@@ -36,8 +34,6 @@ def run(base, number):
 
 @cache
 def fitted(name, base):
-    if name == "lstm":
-        pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
     return RIVALS[base][name].fit(run(base, 0))
 
 
@@ -88,8 +84,6 @@ def test_later_samples_change_nothing(name, base):
 
 @every_rival
 def test_the_same_data_give_the_same_statistic(name):
-    if name == "lstm":
-        pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
     again = RIVALS["days"][name].fit(run("days", 0))
     np.testing.assert_array_equal(again(run("days", 1)), fitted(name, "days")(run("days", 1)))
 
@@ -128,19 +122,10 @@ def test_missing_readings_do_no_harm(name, base):
 
 @every_rival
 def test_too_short_a_run_is_refused(name):
-    if name == "lstm":
-        pytest.importorskip("torch", reason="torch is optional: traction-gateway[lstm]")
     record = run("days", 0)
     short = record._replace(temperature=record.temperature[:2], at=record.at[:2])
     with pytest.raises(ValueError, match="too few"):
         RIVALS["days"][name].fit(short)
-
-
-def test_without_torch_the_lstm_says_what_to_install(monkeypatch):
-    record = run("days", 0)
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install torch"):
-        Lstm().fit(record)
 
 
 def test_an_unknown_view_is_refused():

@@ -1,7 +1,7 @@
 """Long short-term memory network (Hochreiter, Schmidhuber 1997): paper `thermal`, Table 2.
 
 It predicts all temperatures from the recent course of the inputs; the statistic is the norm of the
-residual. Needs torch; nothing here imports it before `fit`.
+residual. Derivatives are autograd's; nothing here imports it before `fit`.
 
 With `others` it knows that the motors are alike.
 Tried on seeds 0, 3, 6, 9: 2 to 6 steps, reach 1.5 or 5 %, 8 to 32 units, decay 0 to 0.01, with and
@@ -10,9 +10,8 @@ without `others` and `joint`, means of 2 or 5 %; 3 steps of 32 units won, by lit
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,15 +20,25 @@ from estimators.thermal.rivals.dpca import Scorer, span, usual
 from estimators.thermal.rivals.jitl import Norm, rises
 
 
+class Weights(NamedTuple):
+    """Of the network.
+
+    gates (I + H + 1, 4 H): rows of the inputs, of the last output and of 1; columns of the input,
+    forget and output gates, and of what is written. out (H + 1, T).
+    """
+
+    gates: Array
+    out: Array
+
+
 @dataclass(frozen=True)
 class Lstm:
     """Tuning of the network.
 
     steps: of a sequence; reach: share of the run's samples that it goes back; hidden: units;
-    rate, decay: of Adam; epochs, patience: at most, and without a better last fifth; others:
-    whether what is predicted is the difference to the other motors' median; joint: as in `Jitl`;
-    window: share of the run's samples over which residuals are averaged; most: sequences learnt
-    from; seed: of the start weights.
+    rate, epochs: of Adam; decay: of the weights; others: whether what is predicted is the
+    difference to the other motors' median; joint: as in `Jitl`; window: share of the run's samples
+    over which residuals are averaged; most: sequences learnt from; seed: of the start weights.
     """
 
     steps: int = 3
@@ -38,7 +47,6 @@ class Lstm:
     rate: float = 0.01
     decay: float = 1e-2
     epochs: int = 250
-    patience: int = 25
     others: bool = True
     joint: bool = True
     window: float = 0.02
@@ -49,10 +57,9 @@ class Lstm:
     def fit(self, healthy: Record) -> Scorer:
         """Learn from one fault-free run.
 
-        ModuleNotFoundError without torch, ValueError if the run has fewer than 10 samples after
+        ModuleNotFoundError without autograd, ValueError if the run has fewer than 10 samples after
         the first sequence.
         """
-        torch = _torch()
         stride = max(round(self.reach * len(healthy.at) / self.steps), 1)
         early = stride * (self.steps - 1)
         if len(healthy.at) - early < 10:
@@ -63,16 +70,14 @@ class Lstm:
         every = -(-(len(inputs) - early) // self.most)
         rows = np.arange(early, len(inputs), every)
 
-        def sequences(inputs: Array, rows: Any) -> Any:
+        def sequences(inputs: Array, rows: Any) -> Array:
             back = rows[:, None] - stride * np.arange(self.steps - 1, -1, -1)
-            return torch.as_tensor(((inputs - scaled[0]) / scaled[1])[back], dtype=torch.float32)
+            return np.asarray(((inputs - scaled[0]) / scaled[1])[back])
 
-        wanted = torch.as_tensor((targets[rows] - centre[0]) / centre[1], dtype=torch.float32)
-        model = self._learn(torch, sequences(inputs, rows), wanted)
+        learnt = self._learn(sequences(inputs, rows), (targets[rows] - centre[0]) / centre[1])
 
         def residual(inputs: Array, targets: Array, rows: Any) -> Array:
-            with torch.no_grad():
-                guess = model(sequences(inputs, rows)).double().numpy()
+            guess = predict(learnt, sequences(inputs, rows))
             return np.asarray((targets[rows] - centre[0]) / centre[1] - guess)
 
         window = span(healthy, self.window)
@@ -84,69 +89,62 @@ class Lstm:
             out = np.full(len(inputs), np.nan)
             if len(inputs) > early:
                 rows = np.arange(early, len(inputs))
-                out[early:] = norm(_alone(torch, lambda: residual(inputs, targets, rows)))
+                out[early:] = norm(residual(inputs, targets, rows))
             return out
 
         return score
 
-    def _learn(self, torch: Any, x: Any, y: Any) -> Any:
-        """The network that did best on the last fifth, which it has not learnt from."""
+    def _learn(self, x: Array, y: Array) -> Weights:
+        """The weights that did best on the last fifth, which they have not learnt from."""
+        from autograd import grad
+        from autograd.misc.optimizers import adam
 
-        def run() -> Any:
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(self.seed)
-                model = _network(torch, x.shape[2], self.hidden, y.shape[1])
-            adam = torch.optim.Adam(model.parameters(), lr=self.rate, weight_decay=self.decay)
-            split = len(x) - len(x) // 5
-            best, best_loss, since = model.state_dict(), np.inf, 0
-            for _ in range(self.epochs):
-                adam.zero_grad()
-                torch.mean((model(x[:split]) - y[:split]) ** 2).backward()
-                adam.step()
-                with torch.no_grad():
-                    loss = float(torch.mean((model(x[split:]) - y[split:]) ** 2))
-                since += 1
-                if loss < best_loss:
-                    best_loss, since = loss, 0
-                    best = {key: value.clone() for key, value in model.state_dict().items()}
-                if since > self.patience:
-                    break
-            model.load_state_dict(best)
-            return model.eval()
+        split = len(x) - len(x) // 5
+        start = weights(np.random.default_rng(self.seed), x.shape[2], self.hidden, y.shape[1])
+        best, least = start, np.inf
 
-        return _alone(torch, run)
+        def loss(learnt: Any, _epoch: int) -> Any:
+            decay = sum((part**2).sum() for part in learnt)
+            return mean_square(learnt, x[:split], y[:split]) + 0.5 * self.decay * decay
+
+        def keep(learnt: Any, _epoch: int, _slope: Any) -> None:
+            nonlocal best, least
+            held_back = float(mean_square(learnt, x[split:], y[split:]))
+            if held_back < least:
+                best, least = Weights(*learnt), held_back
+
+        adam(grad(loss), tuple(start), keep, self.epochs, self.rate)
+        return best
 
 
-def _torch() -> Any:
-    try:
-        return importlib.import_module("torch")
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "the LSTM needs torch: pip install torch", name="torch"
-        ) from error
+def weights(rng: np.random.Generator, inputs: int, hidden: int, outputs: int) -> Weights:
+    """Start of a network: even, within 1 / sqrt(hidden)."""
+    most = hidden**-0.5
+    return Weights(
+        rng.uniform(-most, most, (inputs + hidden + 1, 4 * hidden)),
+        rng.uniform(-most, most, (hidden + 1, outputs)),
+    )
 
 
-def _alone(torch: Any, run: Any) -> Any:
-    """Run on one thread, so that sums come out the same on every machine's number of cores."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        return run()
-    finally:
-        torch.set_num_threads(threads)
+def mean_square(learnt: tuple[Array, Array], x: Array, y: Array) -> Any:
+    """Of the errors of all outputs y (B, T) for sequences x (B, steps, I)."""
+    return ((predict(Weights(*learnt), x) - y) ** 2).mean()
 
 
-def _network(torch: Any, inputs: int, hidden: int, outputs: int) -> Any:
-    class Network(torch.nn.Module):  # type: ignore[misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.cells = torch.nn.LSTM(inputs, hidden, batch_first=True)
-            self.out = torch.nn.Linear(hidden, outputs)
+def predict(learnt: Weights, x: Array) -> Any:
+    """(B, T) outputs for sequences x (B, steps, I)."""
+    import autograd.numpy as anp
 
-        def forward(self, x: Any) -> Any:
-            return self.out(self.cells(x)[0][:, -1])
-
-    return Network()
+    ones = np.ones((len(x), 1))
+    hidden = learnt.out.shape[0] - 1
+    output = cell = np.zeros((len(x), hidden))
+    for step in range(x.shape[1]):
+        sums = anp.dot(anp.concatenate([x[:, step], output, ones], axis=1), learnt.gates)
+        opened = 0.5 * (anp.tanh(0.5 * sums[:, : 3 * hidden]) + 1.0)
+        entry, keep, show = (opened[:, k * hidden : (k + 1) * hidden] for k in range(3))
+        cell = keep * cell + entry * anp.tanh(sums[:, 3 * hidden :])
+        output = show * anp.tanh(cell)
+    return anp.dot(anp.concatenate([output, ones], axis=1), learnt.out)
 
 
 def _standard(values: Array) -> tuple[Array, Array]:
