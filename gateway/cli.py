@@ -26,6 +26,7 @@ VERBS = {
     "convert": "a log into candump, ASC, BLF, TRC, or decoded signals in Parquet, MF4, CSV",
     "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",
     "hil": "run scenarios against the gateway and judge their expectations",
+    "vcan": "a command where SocketCAN is real, on any Linux machine, without root",
     "init": "a first configuration, from the names and units in a DBC",
     "check": "configuration against DBC, bus load and timing budget, before deployment",
     "explain": "what a Reason, Health or FaultClass means, and what to do about it",

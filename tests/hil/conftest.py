@@ -1,26 +1,28 @@
 """Tests marked `vcan` run where SocketCAN is real, and are reported here one by one.
 
 A test run collects them as usual. At the first one a second pytest starts in a network
-namespace or in user-mode-linux (`vcan.py`), once, with all selected vcan tests; it writes every
-report as a line, and each test here waits for its lines and passes them on as its own.
+namespace or in user-mode-linux (`gateway.hil.vcan`), once, with all selected vcan tests; it writes
+every report as a line, and each test here waits for its lines and passes them on as its own.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
+import shlex
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+from gateway.hil.vcan.job import Job
+from gateway.hil.vcan.ways import way
+from tests.hil.inside import environment
 from tests.hil.stable import Stable
 
 SILENCE_S = 450.0
@@ -31,17 +33,6 @@ LONG = 10
 """Both are so many times longer where the campaign runs in full."""
 OWN_CLOCK = "the wall clock is set only where it is not the machine's own"
 """The one reason for which a test may be skipped where SocketCAN is required."""
-
-
-def _runner() -> ModuleType:
-    """`vcan.py` beside this file (test folders are no packages)."""
-    spec = importlib.util.spec_from_file_location("vcan_runner", Path(__file__).parent / "vcan.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules.setdefault(spec.name, importlib.util.module_from_spec(spec))
-    if not hasattr(module, "way"):
-        spec.loader.exec_module(module)
-    return module
 
 
 class Inside:
@@ -69,7 +60,7 @@ class Outside:
 
     def reports(self, item: pytest.Item) -> list[pytest.TestReport]:
         """The inner run's reports of a test; one failed report if there are none."""
-        reason = _runner().way().reason
+        reason = way().reason
         if reason:
             return [self._not_here(item, reason)]
         directory = self._started(item.session)
@@ -117,7 +108,8 @@ class Outside:
             simulate = ("sim", "healthy", "--duration", "0.05", "-o", log)
             subprocess.run([sys.executable, "-m", "gateway", *simulate], check=True)
             wanted = [item.nodeid for item in session.items if item.get_closest_marker("vcan")]
-            self._job = _runner().Job(self._command(wanted), self._directory)
+            command = shlex.join(self._command(wanted))
+            self._job = Job([command], self._directory, environment(self._directory))
         return self._directory
 
     def _command(self, wanted: list[str]) -> list[str]:

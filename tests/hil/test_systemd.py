@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import sys
 import time
@@ -19,7 +20,9 @@ import _traction_core
 import pytest
 
 import gateway
-from tests.hil.vcan import Job, guest, way
+from gateway.hil.vcan.job import Job
+from gateway.hil.vcan.ways import guest, way
+from tests.hil.inside import environment
 
 ROOT = Path(gateway.__path__[0]).parent
 HIL = Path(__file__).parent
@@ -92,7 +95,7 @@ def story(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp("systemd")
     _lay_out(folder)
     command = [sys.executable, str(HIL / "systemd_story.py"), str(folder / "story.json")]
-    job = Job(command, folder, boot=HIL / "uml/systemd.sh")
+    job = Job([shlex.join(command)], folder, environment(folder), boot=HIL / "uml/systemd.sh")
     try:
         deadline = time.monotonic() + LIMIT_S
         while job.running() and time.monotonic() < deadline:

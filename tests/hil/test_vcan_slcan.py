@@ -20,6 +20,7 @@ import pytest
 from dbc.codec import bind
 from dbc.e2e import WINDOW, Check, Receiver, SmState, protect
 from dbc.frame import ERROR, SECOND, Frame
+from gateway.hil.vcan.slcan import Adapter
 from gateway.io import socketcan
 from gateway.io.bus import open_transport
 from gateway.io.links import Links
@@ -27,7 +28,6 @@ from gateway.io.socketcan import SocketCan
 from gateway.io.transport import Allow, LinkState, SendResult
 from gateway.io.wire import BusState
 from gateway.settings.config import shipped_dbc
-from tests.hil.adapter import Adapter
 
 pytestmark = pytest.mark.vcan
 
@@ -51,7 +51,7 @@ def adapter() -> Iterator[Adapter]:
 def bus(adapter: Adapter) -> Iterator[SocketCan]:
     bus = SocketCan(adapter.name)
     bus.open()
-    adapter.heard()  # the commands that open the channel
+    adapter.commands()  # the commands that open the channel
     yield bus
     bus.close()
 
@@ -71,7 +71,7 @@ def test_frames_go_both_ways(bus: SocketCan, adapter: Adapter) -> None:
     assert frame._replace(t_ns=0) == Frame(0, 0x181, b"\x11\x22", 0, adapter.name)
     assert bus.send(DATA) is SendResult.SENT
     heard: list[str] = []
-    until(bus, lambda: bool(heard.extend(adapter.heard()) or heard))
+    until(bus, lambda: bool(heard.extend(adapter.commands()) or heard))
     assert heard == ["t1A020102"]
 
 
@@ -99,10 +99,10 @@ def test_in_bus_off_nothing_is_queued_that_would_leave_stale(
     until(bus, lambda: bus.status.state is LinkState.UP)
     assert bus.status.bus_state is BusState.ACTIVE
     adapter.says("sa000000")
-    adapter.heard()
+    adapter.commands()
     assert bus.send(Frame(0, 0x1A0, b"new")) is SendResult.SENT
     heard: list[str] = []
-    until(bus, lambda: bool(heard.extend(adapter.heard()) or "t1A036E6577" in heard))
+    until(bus, lambda: bool(heard.extend(adapter.commands()) or "t1A036E6577" in heard))
     assert "t1A020102" not in heard
 
 
@@ -210,7 +210,7 @@ def test_after_a_stall_next_to_nothing_leaves_late_and_nothing_of_it_is_believed
     """
     bus = SocketCan(adapter.name, newest=newest)
     bus.open()
-    adapter.heard()
+    adapter.commands()
     arrived = stalled(bus, adapter)
     bus.close()
     late = [arrival.age_s for arrival in arrived if arrival.age_s > STALL_S / 2]
@@ -228,12 +228,12 @@ def test_our_frames_go_before_those_of_other_programs(adapter: Adapter) -> None:
     other, ours = SocketCan(adapter.name), SocketCan(adapter.name, newest=True)
     other.open()
     ours.open()
-    adapter.heard()
+    adapter.commands()
     for k in range(8):  # nobody reads
         assert other.send(Frame(0, 0x600 + k, b"")) is SendResult.SENT
     assert ours.send(DATA) is SendResult.SENT
     heard: list[str] = []
-    until(ours, lambda: bool(heard.extend(adapter.heard()) or len(heard) == 9))
+    until(ours, lambda: bool(heard.extend(adapter.commands()) or len(heard) == 9))
     assert heard.index("t1A020102") <= 2  # one has left the kernel, one is on its way out
     other.close()
     ours.close()
@@ -300,7 +300,7 @@ def test_who_is_off_again_and_again_stays_silent_until_it_is_past(
         assert bus.status.bus_offs == offs
         adapter.says("sa000000")
         until(bus, lambda: bus.status.bus_state is BusState.ACTIVE)
-        adapter.heard()
+        adapter.commands()
     assert bus.send(DATA) is SendResult.DOWN
     assert "4 bus-offs in a minute" in bus.status.note
     until(bus, lambda: bus.send(DATA) is SendResult.SENT)

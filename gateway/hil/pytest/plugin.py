@@ -1,4 +1,4 @@
-"""pytest plugin: `hil_bench`, `inverter`, `gateway_flags`; scenario files as tests.
+"""pytest plugin: `hil_bench`, `inverter`, `gateway_flags`, `socketcan`; scenario files as tests.
 
 Loaded by pytest wherever traction-gateway is installed, so nothing heavy is imported here before
 a test asks for it.
@@ -42,6 +42,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--hil-expect-known", action="append", default=[], metavar="[FLAG=]PERCENT",
                     help="fail a test in which a drive's adhesion flag (or FLAG=thermal) knew for "
                          "less of its time; `hil(expect_known=PERCENT)`: of one test")  # fmt: skip
+    group.addoption(
+        "--require-socketcan", action="store_true", help="fail where `socketcan` would skip a test"
+    )
     parser.addini("hil_scenarios", "file names of scenarios that are tests", type="args",
                   default=list(GLOBS))  # fmt: skip
 
@@ -102,6 +105,14 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
         expected = expected_known(item.config) if wanted is None else {"adhesion": float(wanted)}
         bench.flags.expect_known(expected, since_ns=began_ns)
     return outcome
+
+
+@pytest.fixture
+def socketcan(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Name of a fresh vcan interface of a real kernel, up, with CAN FD: `vcan -- pytest`."""
+    from gateway.hil.pytest.socketcan import interface
+
+    yield from interface(required=request.config.getoption("--require-socketcan"))
 
 
 @pytest.fixture

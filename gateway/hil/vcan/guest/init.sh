@@ -1,6 +1,7 @@
 #!/bin/sh
 # First process of the user-mode-linux guest: CAN modules, then the job, its exit code, halt.
-# VCAN_JOB (kernel command line) is a directory on the host with `run.sh`; it gets `exit`.
+# VCAN_JOB (kernel command line) is a directory on the host with `run.sh`; it gets `output`,
+# `errors` and `exit`. A name of a signal that comes down the console goes to the job.
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 mount -t proc proc /proc
 mount -t sysfs sys /sys
@@ -10,7 +11,8 @@ mount -t tmpfs tmpfs /dev/shm
 mount -t devpts devpts /dev/pts
 modules=/usr/lib/uml/modules/$(uname -r)/kernel
 for module in net/can/can net/can/can-raw net/can/can-bcm net/can/can-gw \
-    drivers/net/can/dev/can-dev drivers/net/can/vcan drivers/net/can/slcan/slcan; do
+    net/can/j1939/can-j1939 drivers/net/can/dev/can-dev drivers/net/can/vcan \
+    drivers/net/can/vxcan drivers/net/can/slcan/slcan; do
     insmod "$modules/$module.ko" || echo "cannot load $module"
 done
 # Tests give programs real-time priority so that none waits for another: no ration of it, and the
@@ -21,7 +23,11 @@ for process in /proc/[0-9]*; do
     grep -q ksoftirqd "$process/comm" && chrt -f -p 50 "${process#/proc/}"
 done
 ip link set lo up
-sh "$VCAN_JOB/run.sh" >"$VCAN_JOB/output" 2>&1
+exec 3<&0
+setsid sh "$VCAN_JOB/run.sh" >"$VCAN_JOB/output" 2>"$VCAN_JOB/errors" &
+job=$!
+while read -r name; do kill -s "$name" -- "-$job"; done <&3 &
+wait "$job"
 echo $? >"$VCAN_JOB/exit.part"
 mv "$VCAN_JOB/exit.part" "$VCAN_JOB/exit"
 sync

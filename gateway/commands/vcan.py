@@ -1,0 +1,106 @@
+"""`vcan -- COMMAND ..`: the command where SocketCAN is real, on any Linux machine."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from gateway.settings.config import ConfigError
+
+BAD = 2
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the verb."""
+    parser.add_argument("--interfaces", metavar="NAME[,NAME]", default="vcan0",
+                        help="vcan interfaces, up, with CAN FD (default: vcan0)")  # fmt: skip
+    parser.add_argument("--pair", metavar="NAME,NAME", action="append", default=[],
+                        help="two vxcan interfaces: into one is out of the other")  # fmt: skip
+    parser.add_argument(
+        "--slcan", metavar="NAME", action="append", default=[],
+        help="link of a serial adapter, with error states: `echo bus-off >$VCAN_FIFOS/NAME`",
+    )  # fmt: skip
+    parser.add_argument("--candump", type=Path, metavar="FILE",
+                        help="record all frames, as `candump -L any` does")  # fmt: skip
+    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="-- COMMAND ..",
+                        help="the command; its exit code is that of this program")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """The command's exit code; 2 where there is no SocketCAN, 125 where a link cannot be made."""
+    from gateway.hil.vcan.links import Links
+    from gateway.hil.vcan.ways import PACKAGES, way
+
+    command = options.command[1:] if options.command[:1] == ["--"] else options.command
+    pairs = [tuple(pair.split(",")) for pair in options.pair]
+    names = tuple(filter(None, options.interfaces.split(",")))
+    problems = [f"--pair {','.join(pair)}: needs two names" for pair in pairs if len(pair) != 2]
+    links = Links(names, [(p[0], p[-1]) for p in pairs], options.slcan, options.candump)
+    problems += [] if problems else links.problems()
+    if not command:
+        problems.append("no command; `traction-gateway vcan -- candump vcan0`")
+    if problems:
+        raise ConfigError("vcan", problems)
+    chosen = way()
+    if chosen.reason:
+        print(f"traction-gateway: {chosen.reason}; Debian: apt-get install {PACKAGES}",
+              file=sys.stderr)  # fmt: skip
+        return BAD
+    with TemporaryDirectory(prefix="vcan-") as name:
+        folder = Path(name)
+        lines = [f"export VCAN_FIFOS={name}", *links.around(command, folder)]
+        return _natively(chosen.prefix, lines, folder) if chosen.prefix else _apart(lines, folder)
+
+
+def _natively(prefix: tuple[str, ...], lines: list[str], folder: Path) -> int:
+    """In a namespace; the command has this program's input, output and terminal."""
+    from gateway.hil.vcan.job import script
+    from gateway.hil.vcan.ways import searched
+
+    path = folder / "run.sh"
+    environment = {**searched(), "VCAN_INSIDE": "namespace"}
+    path.write_text(script(lines, environment), encoding="utf-8")
+    sys.stdout.flush()
+    process = subprocess.Popen([*prefix, "sh", str(path)], env=environment)
+    with process, _forwarded(process.send_signal):
+        code = process.wait()
+    return code if code >= 0 else 128 - code
+
+
+def _apart(lines: list[str], folder: Path) -> int:
+    """In user-mode-linux; it has no input."""
+    from gateway.hil.vcan.job import Job
+
+    job = Job(lines, folder, os.environ)
+    try:
+        with _forwarded(job.send):
+            job.pass_on(sys.stdout.buffer, sys.stderr.buffer)
+    finally:
+        job.stop()
+    code = job.exit_code()
+    if code is None:
+        print(f"traction-gateway: the guest ended before the command did:\n{job.tail()}",
+              file=sys.stderr)  # fmt: skip
+        return BAD
+    return code
+
+
+@contextmanager
+def _forwarded(send: Callable[[int], None]) -> Iterator[None]:
+    """SIGINT and SIGTERM are for the command, which may end itself as it likes."""
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.getsignal(kind) for kind in kinds}
+    for kind in kinds:
+        signal.signal(kind, lambda number, _frame: send(number))
+    try:
+        yield
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)

@@ -1,0 +1,87 @@
+"""The interfaces of a command, as lines of a shell that run before it and after it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+FD_MTU: Final = 72
+"""Of a link that carries CAN FD (Linux's CANFD_MTU)."""
+LOOPBACK: Final = (
+    "ip link set lo multicast on up",
+    "ip route add 224.0.0.0/4 dev lo 2>/dev/null",
+)
+"""For buses over multicast, such as python-can's `udp_multicast`; there is no other network."""
+FAILED: Final = 125
+"""Exit code where the links could not be made, as of `env` and `timeout`."""
+_NAME: Final = re.compile(r"[A-Za-z0-9_.][A-Za-z0-9_.-]{0,14}")
+
+
+class Links(NamedTuple):
+    """What a command finds: names of vcan links, pairs of vxcan links, names of slcan links.
+
+    record: file that `candump -L` writes beside it, of all of them; None without.
+    """
+
+    vcan: Sequence[str] = ("vcan0",)
+    vxcan: Sequence[tuple[str, str]] = ()
+    slcan: Sequence[str] = ()
+    record: Path | None = None
+
+    def problems(self) -> list[str]:
+        """What is wrong with the names and the record, each in a line."""
+        names = [*self.vcan, *(name for pair in self.vxcan for name in pair), *self.slcan]
+        odd = [
+            f"{name!r} is no name of an interface" for name in names if not _NAME.fullmatch(name)
+        ]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        found = odd + [f"{name} is there twice" for name in twice]
+        if self.record is not None and not self.record.absolute().parent.is_dir():
+            found.append(f"--candump {self.record}: no such folder")
+        return found
+
+    def around(self, command: Sequence[str], fifos: Path) -> list[str]:
+        """Lines that make the links, run the command and end with its exit code.
+
+        fifos: folder for those of the slcan links.
+        """
+        made = [f"{line} || exit {FAILED}" for line in self.making()]
+        for name in self.slcan:
+            fifo = shlex.quote(str(fifos / name))
+            hold = f"{shlex.quote(sys.executable)} -m gateway.hil.vcan.slcan {name} {fifo}"
+            made += [
+                f"{hold} & adapter=$!",
+                f"until [ -p {fifo} ]; do kill -0 $adapter || exit {FAILED}; sleep 0.1; done",
+            ]
+        # A signal is for the command: the shell goes on, and ends as that does.
+        return ["trap : INT TERM", *LOOPBACK, *made, *self.recorded(shlex.join(command))]
+
+    def making(self) -> list[str]:
+        """Lines that make the links of vcan and vxcan."""
+        up = f"mtu {FD_MTU} up"
+        lines = []
+        for name in self.vcan:
+            lines += [f"ip link add {name} type vcan", f"ip link set {name} {up}"]
+        for one, other in self.vxcan:
+            lines += [f"ip link add {one} type vxcan peer name {other}"]
+            lines += [f"ip link set {name} {up}" for name in (one, other)]
+        return lines
+
+    def recorded(self, command: str) -> list[str]:
+        """Lines that run it, with the record beside it."""
+        if self.record is None:
+            return [command]
+        listening = "grep -q ' raw$' /proc/net/can/rcvlist_all"
+        return [
+            f"candump -L any >{shlex.quote(str(self.record.absolute()))} & candump=$!",
+            f"until {listening}; do kill -0 $candump || exit {FAILED}; sleep 0.05; done",
+            command,
+            "code=$?",
+            # What it has not read by then would be lost.
+            "sleep 0.2; kill $candump 2>/dev/null; wait $candump",
+            "exit $code",
+        ]

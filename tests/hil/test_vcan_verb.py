@@ -1,0 +1,107 @@
+"""`vcan -- COMMAND`: exit code, output, signals, files and links of a command that runs inside."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.hil.vcan.ways import way
+
+VCAN = (sys.executable, "-m", "gateway", "vcan")
+HERE = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def somewhere(request: pytest.FixtureRequest) -> None:
+    if way().reason:
+        obliged = request.config.getoption("--require-vcan")
+        (pytest.fail if obliged else pytest.skip)(way().reason)
+
+
+def vcan(*words: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*VCAN, *words], capture_output=True, text=True, check=False, cwd=folder, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(HERE), **environment},
+    )  # fmt: skip
+
+
+def test_what_a_command_does_comes_through(tmp_path: Path) -> None:
+    inside = (
+        'echo "$GREETING"; echo bad >&2; pwd; echo kept >file; '
+        "candump -n 1 there >other & until grep -q there /proc/net/can/rcvlist_all; do :; done; "
+        "cansend vcan0 123#01; cansend vcan1 456##1AABB; cansend here 1A0#02; wait %1; exit 7"
+    )
+    done = vcan(
+        "--interfaces", "vcan0,vcan1", "--pair", "here,there", "--candump", "bus.log", "--",
+        "sh", "-c", inside, folder=tmp_path, GREETING="it's me",
+    )  # fmt: skip
+    assert done.returncode == 7, done.stderr
+    assert done.stdout.splitlines() == ["it's me", str(tmp_path)]
+    assert "bad" in done.stderr.splitlines()
+    assert (tmp_path / "file").read_text() == "kept\n"
+    assert (tmp_path / "other").read_text().split() == ["there", "1A0", "[1]", "02"]
+    recorded = [
+        line.split(") ")[1].strip() for line in (tmp_path / "bus.log").read_text().splitlines()
+    ]
+    assert recorded[0] == "vcan0 123#01"
+    assert recorded[1].startswith("vcan1 456##")
+    assert {"here 1A0#02", "there 1A0#02"} >= set(recorded[2:])
+
+
+@pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_is_for_the_command(tmp_path: Path, kind: signal.Signals) -> None:
+    waits = (
+        "import signal, sys, time\n"
+        f"signal.signal({int(kind)}, lambda *_: sys.exit(9))\n"
+        "print('ready', flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    command = [*VCAN, "--", sys.executable, "-c", waits]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=HERE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(kind)
+        assert process.wait(timeout=30) == 9
+
+
+def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path: Path) -> None:
+    state = "ip -d link show can0 | grep -o 'state BUS-OFF'"
+    inside = (
+        "echo bus-off >$VCAN_FIFOS/can0; "
+        f"until {state}; do sleep 0.05; done; echo unplug >$VCAN_FIFOS/can0; "
+        "while ip link show can0 >/dev/null 2>&1; do sleep 0.05; done"
+    )
+    done = vcan("--interfaces", "", "--slcan", "can0", "--", "sh", "-c", inside, folder=tmp_path)
+    if way().prefix and "slcan links appear outside" in done.stderr:
+        pytest.skip("slcan links appear outside of this network namespace")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "state BUS-OFF\n"
+
+
+def test_a_test_has_an_interface_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "test_bus.py").write_text(
+        "import can\n"
+        "def test_frames_arrive(socketcan):\n"
+        "    one, other = (can.Bus(socketcan, 'socketcan', fd=True) for _ in range(2))\n"
+        "    with one, other:\n"
+        "        one.send(can.Message(arbitration_id=0x181, data=[1] * 12, is_fd=True))\n"
+        "        assert len(other.recv(5.0).data) == 12\n"
+    )
+    plugin = "" if "traction_gateway" in _plugins() else "-p gateway.hil.pytest.plugin"
+    done = vcan(
+        "--", sys.executable, "-m", "pytest", "--require-socketcan", *plugin.split(),
+        "-p", "no:cacheprovider", folder=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout
+
+
+def _plugins() -> set[str]:
+    from importlib.metadata import entry_points
+
+    return {entry.name for entry in entry_points(group="pytest11")}
