@@ -12,7 +12,7 @@ EXAMPLES: Final = {
     "sim": ("sim wet_one -o drive.log", "sim healthy -i socketcan -c vcan0 --duration 5"),
     "hil": ("hil release", "hil release silent --junit report.xml --results results"),
     "vcan": ("vcan -- cansend vcan0 123#01",
-             "vcan --interfaces can0,can1 --candump bus.log -- python -m pytest"),
+             "vcan --interfaces can0,can1 --candump bus.log -- cansend can1 123#02"),
     "init": ("init --drives 2 -o first.toml", "init --drives 4 --dbc traction.dbc -o four.toml"),
     "check": ("check train.toml", "check train.toml --no-timing"),
     "replay": ("replay drive.log -o flags.log",

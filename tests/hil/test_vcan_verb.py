@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from gateway.hil.vcan.ways import way
+from tests.docs.test_commands import run_page
 
 VCAN = (sys.executable, "-m", "gateway", "vcan")
 HERE = Path(__file__).parents[2]
+ON_A_BUS = "no, tests/hil runs it where there is SocketCAN"
 
 
 @pytest.fixture(autouse=True)
@@ -99,6 +101,10 @@ def test_a_test_has_an_interface_of_its_own(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 passed" in done.stdout
+
+
+def test_the_tutorial_works(tmp_path: Path) -> None:
+    assert run_page("docs/tutorials/vcan.md", ON_A_BUS, tmp_path)
 
 
 def _plugins() -> set[str]:
