@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
+from gateway.commands import hil_mutate
 from gateway.commands.common import FAILED, GOOD, INCONCLUSIVE, add_bus, add_config, add_signature
 from gateway.hil.fitting import fitting
 from gateway.io.console import console
@@ -34,6 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="record all frames of the (last) scenario")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
                         help="folder for report.html; tables and pictures by scenario")  # fmt: skip
+    hil_mutate.arguments(parser)
     add_bus(parser)
 
 
@@ -49,6 +51,8 @@ def run(options: argparse.Namespace) -> int:
         if not scenario.expect:
             cure = "`sim` runs a scenario without judging it"
             raise ScenarioError(name, [f"no [[expect]]: nothing would be judged; {cure}"])
+    if options.mutate is not None:
+        return hil_mutate.run(options, scenarios)
     folders = _folders(options.results, options.scenario)
     runs: list[Run] = []
     suites = ET.Element("testsuites")

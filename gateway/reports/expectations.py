@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 from dbc.codec import Codec
+from dbc.e2e import Check, Receiver
 from dbc.frame import Frame
 from gateway.core.codes import INVALID, Flag
 from gateway.reports.scoring import first
@@ -62,13 +63,20 @@ class Verdict(NamedTuple):
     limit_ms: float | None = None
 
 
+_USABLE = (Check.OK, Check.OK_SOME_LOST)
+
+
 class FlagTrack:
-    """Every flag frame decoded: (t_ns, flag) per name and drive."""
+    """Every flag frame decoded: (t_ns, flag) per name and drive.
+
+    A frame whose checksum or counter is wrong says nothing: its flags are unknown.
+    """
 
     def __init__(self, codec: Codec, nodes: Sequence[int]) -> None:
         self.codec = codec
         self.nodes = tuple(nodes)
         self.seen: dict[tuple[str, int], list[tuple[int, Flag]]] = {}
+        self._receivers: dict[int, Receiver] = {}
 
     def add(self, frames: Iterable[Frame]) -> None:
         """Note the flags in the gateway's frames; other frames are passed over."""
@@ -76,6 +84,8 @@ class FlagTrack:
             spec = self.codec.by_id.get(frame.can_id)
             if spec is None or spec.name not in ("Gateway_Adhesion", "Gateway_Faults"):
                 continue
+            receiver = self._receivers.setdefault(frame.can_id, Receiver(spec))
+            usable = receiver.check(frame.data) in _USABLE
             values = self.codec.decode(spec, frame.data)
             if spec.name == "Gateway_Adhesion":
                 names = [("adhesion", n, f"Adhesion{n}") for n in self.nodes]
@@ -85,7 +95,7 @@ class FlagTrack:
                 names += [("comm", 0, "CommFault"), ("sensor", 0, "SensorFault")]
             for flag, node, signal in names:
                 raw = int(values[signal].raw)
-                state = Flag.UNKNOWN if raw == INVALID else Flag(raw)
+                state = Flag.UNKNOWN if raw == INVALID or not usable else Flag(raw)
                 self.seen.setdefault((flag, node), []).append((frame.t_ns, state))
 
 

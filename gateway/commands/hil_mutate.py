@@ -1,0 +1,105 @@
+"""`hil --mutate N`: how many gateways with a fault these scenarios would notice."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from gateway.commands.common import FAILED, GOOD
+from gateway.io.console import console, note
+from gateway.settings.config import ConfigError
+
+if TYPE_CHECKING:
+    from gateway.hil.mutating import Recorded, Result
+    from sim.scenario import Scenario
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `hil` that are about mutants."""
+    parser.add_argument("--mutate", type=int, metavar="N",
+                        help="alter the gateway's flags in N ways: who would notice?")  # fmt: skip
+    parser.add_argument("--mutate-seed", type=int, default=0, metavar="SEED",
+                        help="which N (default: 0)")  # fmt: skip
+    parser.add_argument("--expect-noticed", type=float, metavar="PERCENT",
+                        help="exit 1 where less of the mutants is noticed")  # fmt: skip
+
+
+def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> int:
+    """Judge the suite; a table, and for what it lets through the shipped scenario that would not.
+
+    Exit 1 where a scenario fails as it is, or fewer mutants are noticed than expected.
+    """
+    from gateway.hil.mutants import mutants
+    from gateway.hil.mutating import judged
+
+    bus = [name for name in ("interface", "channel") if hasattr(options, name)]
+    if bus or options.mutate < 1:
+        raise ConfigError("--mutate", ["needs N of at least 1, and no bus: it has a virtual clock"])
+    suite = list(_recorded(options, scenarios))
+    failing = [run.name for run in suite if not run.passed]
+    if failing:
+        print(f"FAIL as it is, without a mutant: {', '.join(failing)}")
+        return FAILED
+    chosen = mutants(options.mutate, options.mutate_seed)
+    if len(chosen) < options.mutate:
+        note(f"there are {len(chosen)} different mutants")
+    results = [judged(one, suite) for one in _watched(chosen, "mutants")]
+    for result in results:
+        print(f"{_word(result):12} {result.mutant.text}")
+    missed = [result for result in results if result.noticed_by is None]
+    share = 100.0 * (1.0 - len(missed) / len(results))
+    print(f"{len(results) - len(missed)} of {len(results)} mutants noticed ({share:.0f} %)")
+    for line in _cures(options, missed, {name for name, _ in scenarios}):
+        print(line)
+    return FAILED if options.expect_noticed is not None and share < options.expect_noticed else GOOD
+
+
+def _word(result: Result) -> str:
+    return result.noticed_by or ("NOT NOTICED" if result.alters else "NOT SHOWN")
+
+
+def _recorded(
+    options: argparse.Namespace, scenarios: Iterable[tuple[str, Scenario]]
+) -> Iterator[Recorded]:
+    """What the gateway says in each, as it should be."""
+    from gateway.hil.fitting import fitting
+    from gateway.hil.mutating import record
+
+    for name, scenario in _watched(list(scenarios), "scenarios"):
+        config, codec = fitting(options.config, scenario, options)
+        if options.config is not None:
+            from gateway.hil.own_motor import with_motor_of
+
+            scenario = with_motor_of(config, scenario)  # noqa: PLW2901 the same, with its motor
+        yield record(name, scenario, config, codec)
+
+
+def _cures(options: argparse.Namespace, missed: list[Result], known: set[str]) -> Iterator[str]:
+    """Which shipped scenario would have noticed what was not, shortest first."""
+    from gateway.hil.mutating import judged
+    from sim.scenario import builtin, builtin_names
+
+    shipped = [(name, builtin(name)) for name in builtin_names() if name not in known]
+    shipped = sorted(
+        ((name, one) for name, one in shipped if one.expect), key=lambda pair: pair[1].duration_s
+    )
+    left = [result.mutant for result in missed]
+    for run in _recorded(options, shipped) if left else ():
+        for mutant in list(left):
+            if judged(mutant, [run]).noticed_by:
+                yield f"`{run.name}` would have noticed: {mutant.text}"
+                left.remove(mutant)
+        if not left:
+            return
+    yield from (f"no shipped scenario notices: {mutant.text}" for mutant in left)
+
+
+def _watched(items: list[Any], what: str) -> Iterator[Any]:
+    """With a bar, where a person is watching."""
+    if not sys.stderr.isatty():
+        return iter(items)
+    from rich.progress import track
+
+    return iter(track(items, what, console=console(), transient=True))
