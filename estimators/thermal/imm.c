@@ -191,16 +191,16 @@ double imm_kinds(const struct imm_config *config, const struct imm_state *state,
     for (int g = 1; g < IMM_MODES; g++) {
         const double size = state->mean[g][SIZE], variance = state->cov[g][SIZE][SIZE];
         const double limit = config->benign_k[g - 1];
-        double here = above(limit, size, variance), doubted = 0.0;
+        double here = above(limit, size, variance), ambiguous = 0.0;
         if (is_heat(g)) {
             const double shown = shows(config, state, g);
             here = here < shown ? here : shown;
         } else {
-            doubted = config->doubt * here; /* a sensor that reads high: it may be heat */
+            ambiguous = config->ambiguous * here; /* a sensor that reads high: it may be heat */
             here += above(limit, -size, variance);
-            kind[LOCAL_HEAT[g - 1 - IMM_HEATS]] += state->mode[g] * doubted;
+            kind[LOCAL_HEAT[g - 1 - IMM_HEATS]] += state->mode[g] * ambiguous;
         }
-        kind[g - 1] = state->mode[g] * (here - doubted);
+        kind[g - 1] = state->mode[g] * (here - ambiguous);
         total += state->mode[g] * here;
         sum += state->mode[g] * here * fabs(size);
     }

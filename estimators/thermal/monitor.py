@@ -84,7 +84,7 @@ BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
 SHOWN_K: Final = 0.6
 """What heat has to have made of some reading by now; before, draught does as much in a minute."""
-DOUBT, MISFIT_K = 0.3, 0.06
+AMBIGUOUS, MISFIT_K = 0.3, 0.06
 """Where lumps deviate by more than `MISFIT_K` by themselves, what a model of five lumps calls a
 sensor that creeps up may be heat where it has no lump: this share of its probability counts for
 heat, so that neither is named. A sensor that has stepped, or reads low, is named all the same."""
@@ -262,7 +262,7 @@ def _config(known: Known, dt_s: float) -> Records:
     out = np.zeros(1, records.THERMAL_CONFIG)
     out["imm"] = imm_config(known.scale, block * dt_s, faults)
     out["imm"]["own_k"] = known.own_k
-    out["imm"]["doubt"] = DOUBT if tested and known.own_k > MISFIT_K else 0.0
+    out["imm"]["ambiguous"] = AMBIGUOUS if tested and known.own_k > MISFIT_K else 0.0
     out["steps"] = step_detector.config(dt_s, tested=tested)
     seen = step_detector.window(out["steps"]) if tested else 0
     if max(block, seen) > MOST_SAMPLES:

@@ -488,7 +488,7 @@ struct imm_config {
     double sigma[IMM_DISTURBANCES]; /* standard deviations of the disturbances */
     double benign_k[IMM_MODES - 1]; /* K, smaller faults of each kind are none */
     double shown_k;                 /* K, that heat has to have made of some reading */
-    double doubt; /* share of a sensor's reading high that counts for heat: then neither is named */
+    double ambiguous; /* share of a sensor's high reading that is as well heat: neither is named */
     struct imm_fault fault[IMM_MODES]; /* of each mode; the first has none */
     int32_t modes;                     /* that are looked at: IMM_MODES, or 1 for no fault at all */
 };

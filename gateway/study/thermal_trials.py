@@ -197,17 +197,17 @@ def confused(found: Sequence[Trial]) -> tuple[float, float]:
     And the share of all samples that have no class. Samples: in a fault, beyond the limit; NaN of
     none.
     """
-    wrong = told = undecided = 0
+    wrong = named = undecided = 0
     for trial in found:
         own = trial.kind in SENSOR_KINDS
         for name, samples in trial.named.items():
             if name == UNDECIDED:
                 undecided += samples
                 continue
-            told += samples
+            named += samples
             wrong += samples if (name in SENSOR_KINDS) != own else 0
-    every = told + undecided
-    return (wrong / told if told else np.nan, undecided / every if every else np.nan)
+    every = named + undecided
+    return (wrong / named if named else np.nan, undecided / every if every else np.nan)
 
 
 def evaluate(

@@ -83,7 +83,7 @@ def test_a_share_of_a_sensor_that_reads_high_counts_for_heat_there(sensor):
     modes, mean, cov = beliefs(imm.MODES, 3)
     mode = np.where(np.arange(len(modes)) == 1 + imm.HEATS + sensor, 1.0, 1e-30)
     doubting = CONFIG.copy()
-    doubting["doubt"] = 0.3
+    doubting["ambiguous"] = 0.3
     for size_k in (8.0, -8.0):
         mean[:, imm.SIZE] = size_k
         own = imm.state(mode, mean, cov)

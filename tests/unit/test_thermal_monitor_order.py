@@ -6,7 +6,7 @@ import pytest
 from estimators.thermal import model
 from estimators.thermal import model_method as method
 from estimators.thermal.model import Inputs, predict
-from estimators.thermal.monitor import DOUBT, MISFIT_K, Known, ThermalMonitor
+from estimators.thermal.monitor import AMBIGUOUS, MISFIT_K, Known, ThermalMonitor
 from estimators.thermal.record import Record
 
 MOTORS, K = 4, 2400
@@ -195,5 +195,5 @@ def test_a_model_that_explains_less_is_trusted_less(known):
     assert wrong.own_k > known.own_k
     config = ThermalMonitor(wrong, 1.0).config["imm"]
     assert config["own_k"] == wrong.own_k
-    assert config["doubt"] == (DOUBT if wrong.own_k > MISFIT_K else 0.0)
-    assert ThermalMonitor(known, 1.0).config["imm"]["doubt"] == 0.0
+    assert config["ambiguous"] == (AMBIGUOUS if wrong.own_k > MISFIT_K else 0.0)
+    assert ThermalMonitor(known, 1.0).config["imm"]["ambiguous"] == 0.0
