@@ -25,6 +25,9 @@ enum { L = THERMAL_LUMPS, N = IMM_STATES, SIZE = N - 2, RATE = N - 1 };
 /* K, of the lumps of a motor that has just begun: core and frame are not seen. */
 static const double FIRST_K[L] = {0.3, 5.0, 2.0, 0.3, 0.3};
 
+/* Kinds of heat that one sensor alone may show: overheating, bearings. */
+static const int LOCAL_HEAT[THERMAL_POINTS] = {0, 2, 3};
+
 static const double LEAST = 1e-30;         /* probability of a mode */
 static const double LEAST_SHARE = 1e-12;   /* of a mixture, that is looked at */
 static const double LEAST_VARIANCE = 1e-9; /* K^2, of a size */
@@ -188,16 +191,18 @@ double imm_kinds(const struct imm_config *config, const struct imm_state *state,
     for (int g = 1; g < IMM_MODES; g++) {
         const double size = state->mean[g][SIZE], variance = state->cov[g][SIZE][SIZE];
         const double limit = config->benign_k[g - 1];
-        double here = above(limit, size, variance);
+        double here = above(limit, size, variance), ambiguous = 0.0;
         if (is_heat(g)) {
             const double shown = shows(config, state, g);
             here = here < shown ? here : shown;
         } else {
+            ambiguous = config->ambiguous * here; /* a sensor that reads high: it may be heat */
             here += above(limit, -size, variance);
+            kind[LOCAL_HEAT[g - 1 - IMM_HEATS]] += state->mode[g] * ambiguous;
         }
-        kind[g - 1] = state->mode[g] * here;
-        total += kind[g - 1];
-        sum += kind[g - 1] * fabs(size);
+        kind[g - 1] = state->mode[g] * (here - ambiguous);
+        total += state->mode[g] * here;
+        sum += state->mode[g] * here * fabs(size);
     }
     return total > LEAST_SHARE ? sum / total : 0.0;
 }

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 
 SCALES = (1.0, 1.25, 1.5, 2.0, 3.0, 4.0)
 """Of the disturbances: the likeliest on fault-free data is taken."""
+OWN_K = (0.02, 0.04, 0.08, 0.16, 0.32)
+"""What lumps deviate by themselves, K per root of a minute: how wrong five lumps are. The
+likeliest, together with the scale."""
 
 
 @dataclass(frozen=True)
@@ -115,21 +118,22 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
     noise = np.sqrt(np.nanmean(np.concatenate(spread, axis=2), axis=2))
     known = known._replace(centre=np.nanmedian(middles, axis=0), noise=noise)
     beside = off - np.nanmedian(off, axis=0)
-    return known._replace(scale=_likeliest(known, inputs, beside, dt))
+    return _likeliest(known, inputs, beside, dt)
 
 
-def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> float:
-    """Scale of the disturbances that is the likeliest on fault-free blocks.
+def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> Known:
+    """With the scale of the disturbances and the `own_k` that held-back blocks make likeliest.
 
-    inputs (B, M) of `struct thermal_sums`, off (B, M, 3). One scale for all: told apart by two
-    hours of data, they take what the model gets wrong for draught, and then lost cooling for it as
-    well.
+    inputs (B, M) of `struct thermal_sums`, off (B, M, 3), fault-free. One scale for all: told apart
+    by two hours of data, they take what the model gets wrong for draught, and then lost cooling for
+    it as well.
     """
 
-    def likely(scale: float) -> float:
-        return ThermalMonitor(known._replace(scale=scale), dt).likelihood(off, inputs)
+    def likely(tried: Known) -> float:
+        return ThermalMonitor(tried, dt).likelihood(off, inputs)
 
-    return max(SCALES, key=likely)
+    each = [known._replace(scale=scale, own_k=own_k) for scale in SCALES for own_k in OWN_K]
+    return max(each, key=likely)
 
 
 def _duty(parameters: Array, runs: Sequence[Record]) -> Array:

@@ -54,7 +54,8 @@ CAUGHT_K, RARER = 1.5, 0.1
 """Where steps are looked for: how far a sensor may be off at once (more would have been caught),
 and how much rarer one is that creeps, for most sensors step."""
 OWN_K: Final = 0.02
-"""Deviation that a lump takes on by itself, per root of a minute."""
+"""Deviation that a lump takes on by itself, per root of a minute, of a calibration that does not
+say."""
 UNSTEADY: Final = 0.3
 """Share of a block's heat: a fault begins somewhere in a block."""
 WIDE_K: Final = 5.0
@@ -83,6 +84,10 @@ BENIGN_K: Final = np.array([1.5, 4.0, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 """Smaller ones are dirt, draught, weather and wear."""
 SHOWN_K: Final = 0.6
 """What heat has to have made of some reading by now; before, draught does as much in a minute."""
+AMBIGUOUS, MISFIT_K = 0.3, 0.06
+"""Where lumps deviate by more than `MISFIT_K` by themselves, what a model of five lumps calls a
+sensor that creeps up may be heat where it has no lump: this share of its probability counts for
+heat, so that neither is named. A sensor that has stepped, or reads low, is named all the same."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
 """Of a loose and of a good connector's readings, that are far off."""
 FAR_SIGMA, FAR_K = 6.0, 3.0
@@ -107,7 +112,8 @@ class Known(NamedTuple):
 
     parameters (M, 18): see `model`; centre (M, 3) K: residual beside the peers'; noise (M, 3) K: of
     single readings; scale: of `DISTURBANCES`; duty (4,): mean speed rad/s, and means of the
-    squared current A^2, of the frame's cooling and of the winding's heating K/s, of the fleet.
+    squared current A^2, of the frame's cooling and of the winding's heating K/s, of the fleet;
+    own_k: K per root of a minute that lumps deviate by themselves: more where the model is wrong.
     """
 
     parameters: Array
@@ -115,6 +121,7 @@ class Known(NamedTuple):
     noise: Array
     scale: float
     duty: Array
+    own_k: float = OWN_K
 
 
 class ThermalMonitor(Addressed):
@@ -254,6 +261,8 @@ def _config(known: Known, dt_s: float) -> Records:
         faults[:, 3] /= faults[:, 3].sum()
     out = np.zeros(1, records.THERMAL_CONFIG)
     out["imm"] = imm_config(known.scale, block * dt_s, faults)
+    out["imm"]["own_k"] = known.own_k
+    out["imm"]["ambiguous"] = AMBIGUOUS if tested and known.own_k > MISFIT_K else 0.0
     out["steps"] = step_detector.config(dt_s, tested=tested)
     seen = step_detector.window(out["steps"]) if tested else 0
     if max(block, seen) > MOST_SAMPLES:

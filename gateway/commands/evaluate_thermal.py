@@ -30,11 +30,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--kind", nargs="+", metavar="NAME",
                        help="kinds of faults, `none`: fault-free (default: all of these); "
                        "`sensor_creep`: only when asked for")  # fmt: skip
+    group.add_argument("--world", choices=["first", "other"], default="first",
+                       help="generator of the trains: that which the product was tuned on "
+                       "(default), or one of another structure, with --base bench")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
+    from gateway.settings.config import ConfigError
     from gateway.study.evaluation_runs import seeds_of
     from gateway.study.thermal_dataset import CREEP, KINDS
     from gateway.study.thermal_scores import cells, table
@@ -46,13 +50,16 @@ def run(options: argparse.Namespace) -> int:
         evaluate,
     )
 
+    if options.world == "other" and options.base != "bench":
+        raise ConfigError("--world other", ["it has samples of seconds only: add --base bench"])
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)
     usual = (*KINDS, HEALTHY)
     kinds = _known("kind", options.kind or usual, (*usual, CREEP))
     methods = _known("method", options.method, NAMES)
     say = console()
     found = []
-    for n, rows in enumerate(evaluate(seeds, options.base, kinds, methods, options.jobs), 1):
+    each = evaluate(seeds, options.base, kinds, methods, options.jobs, options.world)
+    for n, rows in enumerate(each, 1):
         found += rows
         say.print(f"train {n} of {len(seeds)}", markup=False, highlight=False)
     lines = []
@@ -67,7 +74,9 @@ def run(options: argparse.Namespace) -> int:
     for method in left_out:
         say.print(f"left out: {method}: its library is not installed", markup=False)
     if options.output is not None:
-        title = f"# Thermal methods, {options.seeds} seeds, {options.base} base"
+        title = (
+            f"# Thermal methods, {options.seeds} seeds, {options.base} base, {options.world} world"
+        )
         missing = "".join(f"\n\n{method}: its library is not installed." for method in left_out)
         folder: Path = options.output
         path = folder / "evaluation.md"
@@ -80,7 +89,7 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
     """What was taken for what, and false alarms a month, as far as the kinds asked for tell."""
     from gateway.study.thermal_dataset import KINDS
     from gateway.study.thermal_scores import mean, table_of
-    from gateway.study.thermal_trials import HEALTHY, UNDECIDED
+    from gateway.study.thermal_trials import HEALTHY, UNDECIDED, confused
 
     faults = [kind for kind in kinds if kind != HEALTHY]
     columns = (*KINDS, UNDECIDED)
@@ -94,13 +103,16 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
             rows.append([kind, *(f"{100.0 * share:.0f}" for share in shares)])
         head = [f"{method}: fault is, told as %", *columns]
         yield table_of(head, rows)
+        wrong, open_ = confused([t for t in found if t.method == method])
+        row = [method, f"{100.0 * wrong:.1f}", f"{100.0 * open_:.1f}"]
+        yield table_of(["heat or sensor", "confused, % of told", "undecided %"], [row])
     if HEALTHY in kinds:
         rows = [
-            [m, f"{30.0 * mean(own).episodes:.1f}"]
+            [m, f"{30.0 * mean(own).episodes:.1f}", f"{100.0 * mean(own).fpr:.2f}"]
             for m in methods
             if (own := [t.score for t in found if t.method == m and t.kind == HEALTHY])
         ]
-        yield table_of(["fault-free", "false alarms of a train in 30 days"], rows)
+        yield table_of(["fault-free", "false alarms of a train in 30 days", "% of the time"], rows)
 
 
 def _known(what: str, asked: Sequence[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:

@@ -485,9 +485,10 @@ struct imm_config {
     double wide_k;        /* K, how far off a block may be that is not what it seems */
     double unsteady;      /* share of a block's heat that is not steady */
     double walk_sensor_k; /* K, walk of a sensor's error per block */
-    double sigma[IMM_DISTURBANCES];    /* standard deviations of the disturbances */
-    double benign_k[IMM_MODES - 1];    /* K, smaller faults of each kind are none */
-    double shown_k;                    /* K, that heat has to have made of some reading */
+    double sigma[IMM_DISTURBANCES]; /* standard deviations of the disturbances */
+    double benign_k[IMM_MODES - 1]; /* K, smaller faults of each kind are none */
+    double shown_k;                 /* K, that heat has to have made of some reading */
+    double ambiguous; /* share of a sensor's high reading that is as well heat: neither is named */
     struct imm_fault fault[IMM_MODES]; /* of each mode; the first has none */
     int32_t modes;                     /* that are looked at: IMM_MODES, or 1 for no fault at all */
 };

@@ -146,7 +146,9 @@ class Learner:
     ) -> Calibration:
         """Raises ValidationError where what was learnt cannot be."""
         known = self._known()
-        fleet = known and FleetHeat(scale=known.scale, duty=tuple(known.duty.tolist()))
+        fleet = known and FleetHeat(
+            scale=known.scale, duty=tuple(known.duty.tolist()), own_k=known.own_k
+        )
         return Calibration(
             heat=fleet,
             window_s=self.window_s,

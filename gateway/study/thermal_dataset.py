@@ -134,11 +134,11 @@ def train(
     )
     friction = _course(own, rng, base, steps, FRICTION_SPREAD)
     local = ambient[:, None] + LOCAL_AIR_K * (_course(own, rng, base, steps, 1.0) - 1.0)
-    fault = _fault(rng, base, kind) if kind else None
+    fault = fault_of(rng, base, kind) if kind else None
     healthy = heat_record(base.step_s, square, speed, (local, air, friction), no_ills(steps), at)
     real, error = healthy, np.zeros_like(healthy)
     if fault is not None and fault.kind in SENSOR_KINDS:
-        error[:, fault.motor, fault.point] = _sensor_error(rng, base, fault)
+        error[:, fault.motor, fault.point] = sensor_error(rng, base, fault)
     elif fault is not None:
 
         def ill(share: float) -> Array:
@@ -221,7 +221,8 @@ def _duty(rng: Rng, base: Base, steps: int) -> tuple[Array, Array, Array]:
     return torque, speed, season + day
 
 
-def _fault(rng: Rng, base: Base, kind: str) -> Fault:
+def fault_of(rng: Rng, base: Base, kind: str) -> Fault:
+    """Where, when and how large: drawn, of this kind; the motor is one of `MOTORS`."""
     begin = int(rng.integers(base.onset[0], base.onset[1] + 1))
     length = int(rng.integers(base.length[0], base.length[1] + 1))
     any_point, end = int(rng.integers(0, 3)), int(rng.integers(1, 3))
@@ -291,7 +292,7 @@ def _amount(effect: Callable[[float], float], wanted: float, most: float) -> flo
     return high
 
 
-def _sensor_error(rng: Rng, base: Base, fault: Fault) -> Array:
+def sensor_error(rng: Rng, base: Base, fault: Fault) -> Array:
     """(K,) K of either sign: a bias at once or creeping up, or bursts of a loose connector."""
     error = np.zeros(base.samples)
     length = fault.end - fault.begin

@@ -19,7 +19,8 @@ from estimators.thermal.maisd_method import Learnt, PaperMethod
 from estimators.thermal.model_method import Calibrated, ModelMethod, Watching
 from estimators.thermal.record import Record, join
 from estimators.thermal.rivals import RIVALS
-from gateway.study.thermal_dataset import BASES, CREEP, KINDS, Base, Labelled, train
+from gateway.study import thermal_dataset, thermal_other
+from gateway.study.thermal_dataset import BASES, CREEP, KINDS, SENSOR_KINDS, Base, Labelled
 from gateway.study.thermal_scores import Diagnosis, Score, Truth, score_alarms
 
 Array = NDArray[np.float64]
@@ -32,6 +33,11 @@ REPORTING: Final = range(1000, 1024)
 FIT_RUNS: Final = {"days": 1, "bench": 4}
 """Fault-free runs to learn from; the next one sets the limit."""
 HEALTHY: Final = "none"
+WORLDS: Final[dict[str, Callable[..., Labelled]]] = {
+    "first": thermal_dataset.train,
+    "other": thermal_other.train,
+}
+"""Generators of labelled trains, of unlike structure. The product was tuned on `first`."""
 ABLATION: Final[dict[str, dict[str, Any]]] = {
     "paper_raw": {"filtered": False, "degrades": False},
     "paper_ukf": {"mixing": 0.0, "degrades": False},
@@ -108,9 +114,9 @@ def truth_of(run: Labelled, base: Base) -> Truth:
     return Truth(run.faulty, effect, run.fault.motor, run.fault.begin, base.sample_s, loose)
 
 
-def runs_of(seed: int, base: Base, kinds: Sequence[str]) -> Runs:
+def runs_of(seed: int, base: Base, kinds: Sequence[str], world: str = "first") -> Runs:
     """A train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function."""
-    fits = FIT_RUNS[base.name]
+    fits, train = FIT_RUNS[base.name], WORLDS[world]
     new = [record_of(train(seed, base, None, n, new=True)) for n in range(fits + 1)]
     judged = {
         kind: train(seed, base, None if kind == HEALTHY else kind, fits + 1 + n)
@@ -120,13 +126,15 @@ def runs_of(seed: int, base: Base, kinds: Sequence[str]) -> Runs:
     return Runs(new[:fits], new[fits], judged)
 
 
-def trials(seed: int, base: str, kinds: Sequence[str], methods: Sequence[str]) -> list[Trial]:
+def trials(
+    seed: int, base: str, kinds: Sequence[str], methods: Sequence[str], world: str = "first"
+) -> list[Trial]:
     """All methods on a train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function.
 
     A method whose library is missing gives nothing (the LSTM needs PyTorch).
     """
     at = BASES[base]
-    healthy, limiting, runs = runs_of(seed, at, kinds)
+    healthy, limiting, runs = runs_of(seed, at, kinds, world)
     out = []
     learnt: dict[tuple[float, ...], Learnt] = {}
     for name in methods:
@@ -183,11 +191,31 @@ def _one(
     return score_alarms(statistic, limit, truth_of(run, base), diagnosis, seconds), names
 
 
+def confused(found: Sequence[Trial]) -> tuple[float, float]:
+    """Share of samples with a class whose class is heat where a sensor is off, or the reverse.
+
+    And the share of all samples that have no class. Samples: in a fault, beyond the limit; NaN of
+    none.
+    """
+    wrong = named = undecided = 0
+    for trial in found:
+        own = trial.kind in SENSOR_KINDS
+        for name, samples in trial.named.items():
+            if name == UNDECIDED:
+                undecided += samples
+                continue
+            named += samples
+            wrong += samples if (name in SENSOR_KINDS) != own else 0
+    every = named + undecided
+    return (wrong / named if named else np.nan, undecided / every if every else np.nan)
+
+
 def evaluate(
-    seeds: Sequence[int], base: str, kinds: Sequence[str], methods: Sequence[str], jobs: int = 1
-) -> Iterator[list[Trial]]:
+    seeds: Sequence[int], base: str, kinds: Sequence[str], methods: Sequence[str], jobs: int = 1,
+    world: str = "first",
+) -> Iterator[list[Trial]]:  # fmt: skip
     """Trials seed by seed, in order, in so many processes."""
-    tasks = [(seed, base, tuple(kinds), tuple(methods)) for seed in seeds]
+    tasks = [(seed, base, tuple(kinds), tuple(methods), world) for seed in seeds]
     if jobs <= 1:
         yield from (trials(*task) for task in tasks)
         return
@@ -197,5 +225,5 @@ def evaluate(
         yield from pool.map(_task, tasks)
 
 
-def _task(task: tuple[int, str, tuple[str, ...], tuple[str, ...]]) -> list[Trial]:
+def _task(task: tuple[int, str, tuple[str, ...], tuple[str, ...], str]) -> list[Trial]:
     return trials(*task)

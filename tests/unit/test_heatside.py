@@ -8,6 +8,7 @@ import pytest
 
 from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
+from estimators.thermal.monitor import OWN_K
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.core.supervision import Supervision
@@ -242,6 +243,12 @@ def test_what_was_learnt_is_stored_whole_and_edits_are_refused(tmp_path):
     np.testing.assert_allclose(known.parameters, want.parameters, rtol=1e-5)
     np.testing.assert_allclose(known.duty, want.duty)
     assert (known.scale, known.centre.shape) == (1.5, (2, 3))
+    assert known.own_k == OWN_K, "a file from before it was measured"
+    measured = cells()
+    fleet = measured.heat.model_copy(update={"own_k": 0.16})
+    path.write_text(to_toml(measured.model_copy(update={"heat": fleet})))
+    assert calibration.load(path, NODES, 5.0).known(NODES).own_k == 0.16
+    path.write_text(to_toml(cells()))
     path.write_text(path.read_text().replace("scale = 1.5", "scale = 1.6"))
     with pytest.raises(ConfigError, match="checksum"):
         calibration.load(path, NODES, 5.0)

@@ -77,6 +77,24 @@ def test_at_the_start_nothing_is_wrong_and_of_every_fault_its_first_size_is_know
         np.testing.assert_allclose(own["cov"][g], np.diag(np.square(sigma)), rtol=1e-15)
 
 
+@pytest.mark.parametrize("sensor", [0, 1, 2])
+def test_a_share_of_a_sensor_that_reads_high_counts_for_heat_there(sensor):
+    """Neither is named then; one that reads low stays a sensor's fault, for no fault cools."""
+    modes, mean, cov = beliefs(imm.MODES, 3)
+    mode = np.where(np.arange(len(modes)) == 1 + imm.HEATS + sensor, 1.0, 1e-30)
+    doubting = CONFIG.copy()
+    doubting["ambiguous"] = 0.3
+    for size_k in (8.0, -8.0):
+        mean[:, imm.SIZE] = size_k
+        own = imm.state(mode, mean, cov)
+        (before, size), (kind, same) = imm.kinds(CONFIG, own), imm.kinds(doubting, own)
+        moved = 0.3 * before[imm.HEATS + sensor] if size_k > 0.0 else 0.0
+        want = before.copy()
+        want[[imm.HEATS + sensor, (0, 2, 3)[sensor]]] += [-moved, moved]
+        np.testing.assert_allclose(kind, want, atol=1e-9)
+        assert same == pytest.approx(size)
+
+
 @pytest.mark.parametrize("dt", [0.5, 1.0, 16.0, 60.0, 120.0])
 @pytest.mark.parametrize("stiff", [0.01, 1.0, 30.0])
 def test_the_response_is_the_exponential_and_its_integral(dt, stiff):

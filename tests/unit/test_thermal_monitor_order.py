@@ -6,7 +6,7 @@ import pytest
 from estimators.thermal import model
 from estimators.thermal import model_method as method
 from estimators.thermal.model import Inputs, predict
-from estimators.thermal.monitor import Known, ThermalMonitor
+from estimators.thermal.monitor import AMBIGUOUS, MISFIT_K, Known, ThermalMonitor
 from estimators.thermal.record import Record
 
 MOTORS, K = 4, 2400
@@ -182,3 +182,18 @@ def test_what_is_learnt_is_right_and_knows_no_order(known):
     square, speed = (np.mean([x.mean() for x in c]) for c in
                      ([r.current_square for r in runs], [r.speed for r in runs]))  # fmt: skip
     np.testing.assert_allclose(got.duty[:2], [speed, square])
+
+
+def test_a_model_that_explains_less_is_trusted_less(known):
+    """What five lumps have no number for, here the sun on one motor, widens what is learnt."""
+    runs = [train(1), train(2)]
+    rng = np.random.default_rng(8)
+    for run in runs:
+        run.temperature[K // 2 :, 1, 1] -= 6.0
+        run.temperature[:, 2] += 0.15 * np.cumsum(rng.standard_normal(K) / 8.0)[:, None]
+    wrong = method.learn(FLEET, runs)
+    assert wrong.own_k > known.own_k
+    config = ThermalMonitor(wrong, 1.0).config["imm"]
+    assert config["own_k"] == wrong.own_k
+    assert config["ambiguous"] == (AMBIGUOUS if wrong.own_k > MISFIT_K else 0.0)
+    assert ThermalMonitor(known, 1.0).config["imm"]["ambiguous"] == 0.0

@@ -8,8 +8,9 @@ import pytest
 from gateway.cli import main
 from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, SENSOR_KINDS, SIZE_K, train
 from gateway.study.thermal_heat import MOTORS
+from gateway.study.thermal_other import train as other_train
 from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score_alarms, spread, table
-from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, trials
+from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, Trial, confused, trials
 
 
 @pytest.mark.parametrize("base", [DAYS, BENCH])
@@ -42,6 +43,40 @@ def test_a_train_is_a_pure_function_and_its_motors_stay():
     busy = np.flatnonzero(other.current_square[:, 0])[0]
     np.testing.assert_allclose(other.current_square[busy] / other.current_square[busy, 0], ratio)
     assert first.temperature.shape == (BENCH.samples, MOTORS, 3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fault_of_the_other_world_is_where_it_is_said_to_be(kind):
+    run = other_train(9, BENCH, kind, 6)
+    fault = run.fault
+    assert not run.effect[: fault.begin].any()
+    assert not np.delete(run.effect, fault.motor, axis=1).any()
+    own = np.abs(run.effect[fault.begin : fault.end, fault.motor])
+    assert own.max() > 1.0
+    if kind in SENSOR_KINDS:
+        assert not np.delete(own, fault.point, axis=1).any()
+    else:
+        assert own.max() == pytest.approx(fault.size_k, rel=0.1)
+    again = other_train(9, BENCH, kind, 6)
+    np.testing.assert_array_equal(run.temperature, again.temperature)
+
+
+def test_trains_of_the_other_world_differ_in_structure():
+    runs = [other_train(seed, BENCH, None) for seed in range(10)]
+    assert len({run.temperature.shape[1] for run in runs}) >= 4, "1 to 16 motors"
+    assert all(np.isfinite(run.temperature).all() for run in runs)
+    assert all(run.temperature.max() < 180.0 for run in runs), "as warm as motors in service"
+    with pytest.raises(ValueError, match="bench"):
+        other_train(0, DAYS, None)
+
+
+def test_heat_called_a_sensor_is_confused():
+    healthy = score_alarms(np.zeros(20), 0.0, truth(np.zeros(20), motor=-1))
+    found = [
+        Trial(1, "bearing", "model", healthy, {"sensor_bias": 10, "bearing": 60, UNDECIDED: 20}),
+        Trial(1, "sensor_bias", "model", healthy, {"intermittent": 30}),
+    ]
+    assert confused(found) == (pytest.approx(0.1), pytest.approx(20 / 120))
 
 
 def truth(faulty, effect=None, motor=1):
@@ -139,6 +174,7 @@ def test_the_command(capsys, tmp_path):
         (["--seeds", "x"], "none of development"),
         (["--seeds", "1", "--kind", "flood"], "no kind 'flood'"),
         (["--seeds", "1", "--method", "luck"], "no method 'luck'"),
+        (["--seeds", "1", "--world", "other"], "add --base bench"),
     ],
 )
 def test_wrong_words_are_explained(capsys, words, hint):
