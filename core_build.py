@@ -174,6 +174,7 @@ DEPENDS = (
     "gateway/core/times.h",
     "gateway/core/current_plausibility.h",
     "gateway/core/misfits.h",
+    "gateway/core/observer.h",
     "estimators/detect/paper.h",
 )
 """All that sources include."""
