@@ -141,6 +141,7 @@ JUDGED = (
     "estimators/adaptation.c",
     "estimators/detect/command_response.c",
     "estimators/detect/load_reference.c",
+    "estimators/detect/switching.c",
     "estimators/detect/switching_drive.c",
     "estimators/detect/switching_mixture.c",
     "estimators/detect/variational.c",

@@ -78,3 +78,13 @@ def test_any_loads(seed):
         total = both.core.adhering + both.core.lost
         assert (both.core.lost >= 0).all()
         assert (total <= 1 + 1e-8).all()
+
+
+def test_silence_contradicts_nothing():
+    """What has been learnt is not given up while no load is known for 0.6 s."""
+    rng, both = np.random.default_rng(5), Both(3)
+    for load in driven(rng, 3, 60):
+        both.step(load, rng, 1.0, 0.0)
+    for _ in range(60):
+        both.step(load, rng, 0.0, 0.0)
+    assert abs(both.core.drives[0]["now"]["r"] - 1.0).max() > 0.01
