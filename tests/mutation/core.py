@@ -163,6 +163,7 @@ JUDGED = (
     "gateway/core/receive.c",
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
+    "gateway/core/switching_loss.c",
     "gateway/core/temperature.c",
     "gateway/core/thermal_evidence.c",
     "gateway/core/train.c",
