@@ -31,6 +31,7 @@ HEADERS = (
     "estimators/detect/load_reference.h",
     "estimators/detect/command_response.h",
     "estimators/detect/switching.h",
+    "estimators/detect/switching_noise.h",
     "estimators/elementary.h",
     "estimators/maisd.h",
     "estimators/thermal/gaussian_mixture.h",
@@ -174,6 +175,7 @@ DEPENDS = (
     "gateway/core/times.h",
     "gateway/core/current_plausibility.h",
     "gateway/core/misfits.h",
+    "gateway/core/observer.h",
     "estimators/detect/paper.h",
 )
 """All that sources include."""

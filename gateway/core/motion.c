@@ -17,6 +17,7 @@
 #include "estimators/current_calibration.h"
 #include "estimators/load_observer.h"
 #include "estimators/numbers.h"
+#include "gateway/core/observer.h"
 #include "gateway/core/plausibility.h"
 
 #define SECOND_NS  1000000000LL
@@ -27,7 +28,6 @@
 #define SPEED_TOLERANCE       0.15
 #define SPEED_TOLERANCE_RAD_S 5.0
 static const int64_t DISAGREE_TICKS = 5; /* in a row, before the input is implausible */
-static const int64_t SETTLED_READINGS = 5;
 static const int64_t MAX_MISSING = 5; /* cycles without a reading; then the observer starts anew */
 /* A filter finds a rotor that turns within this, or the currents and voltages are not what they
  * seem: an open phase, another motor. */
@@ -40,11 +40,6 @@ static double known_or(double x, double other)
 }
 
 /* ---- Observers ---- */
-
-int is_observer_settled(const struct motion *motion)
-{
-    return motion->started && motion->readings >= SETTLED_READINGS;
-}
 
 /* The drive computes the torque that it sends with the flux of the data sheet. */
 static void follow_reading(const struct motion_monitor *m, int64_t r)

@@ -13,7 +13,4 @@ void observe_load(struct motion_monitor *m, int64_t now_ns);
 void follow_readings(const struct motion_monitor *m);
 void select_sources(struct motion_monitor *m, int64_t now_ns);
 
-/* 1 if the observer of a drive has settled: its load is known. */
-int is_observer_settled(const struct motion *motion);
-
 #endif

@@ -17,7 +17,7 @@
 #include "estimators/numbers.h"
 #include "gateway/core/current_plausibility.h"
 #include "gateway/core/misfits.h"
-#include "gateway/core/motion.h"
+#include "gateway/core/observer.h"
 
 /* From so long before the end of an implausible input on, the filter starts anew. */
 static const int64_t RESTART_NS = 20 * MS_NS;

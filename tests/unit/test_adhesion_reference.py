@@ -180,6 +180,35 @@ def test_anything(n, ticks, detector):
             both.decide(opinion, tick * TICK)
 
 
+def test_any_verdict_of_the_model_with_a_memory():
+    """Numbers on the limits, too; the model itself never moves."""
+    rng, both, met = np.random.default_rng(4), Both([BENCH_MOTOR] * N, detector="switching"), set()
+    models = both.core.switching, both.plain.model
+    for model in models:
+        model.record["ticks"], model.record["every"] = 1, 2**30
+    for tick, given in enumerate(train_that_drives(rng, N, 600)):
+        if tick % 3 == 0:
+            lost = rng.choice([0.0, 0.0, 0.1, 0.3, 0.5, 0.7, 0.99, 1.0], N)
+            adhering = np.where(rng.random(N) < 0.3, 0.5, 1.0 - lost)
+            demand = rng.choice([0.05, 0.1, 0.2, 0.7])
+        for model in models:
+            model.lost[:], model.adhering[:], model.record["demand"] = lost, adhering, demand
+        opinion = both.tick(columns.told(N), given, tick * TICK, True)
+        met |= set(both.decide(opinion, tick * TICK)[0])
+    assert met == set(Flag)
+
+
+def test_one_drive_alone_is_lost_by_its_command():
+    """Of each seed: it is compared with nobody."""
+    met = set()
+    for seed in range(6):
+        rng, both = np.random.default_rng(seed), Both([BENCH_MOTOR], detector="switching")
+        for tick, given in enumerate(train_that_drives(rng, 1, 200)):
+            opinion = both.tick(columns.told(1), given, tick * TICK, True)
+            met.add(both.decide(opinion, tick * TICK)[0])
+    assert (Flag.BAD,) in met
+
+
 def test_the_common_load_is_smoothed_no_further_than_to_itself():
     """Of ticks longer than its time constant."""
     both = Both([BENCH_MOTOR] * N, 500 * MS)
@@ -191,7 +220,13 @@ def test_the_common_load_is_smoothed_no_further_than_to_itself():
 
 @pytest.mark.parametrize(
     ("load_nm", "slows", "known"),
-    [(0.5, 0.0, True), (3.2, 0.0, True), (4.0, 0.0, False), (0.5, 0.002, False)],
+    [
+        (0.5, 0.0, True),
+        (0.1 * BENCH_MOTOR.T_rated, 0.0, True),
+        (3.2, 0.0, True),
+        (4.0, 0.0, False),
+        (0.5, 0.002, False),
+    ],
 )
 def test_who_carries_what_nobody_asked_for_or_slows_down_does_not_only_roll(load_nm, slows, known):
     """3.2 Nm is above a tenth of rated torque: these drives are compared, they do not roll."""
@@ -272,3 +307,18 @@ def test_rotors_have_the_ratings_of_their_motors():
     assert core.rotors["unreliable_until_ns"].tolist() == [NEVER, 7, NEVER]
     assert core.uncertain.tolist() == [0, 0, 1]
     assert round(lib.LEARN_PERIOD_S * 1000) == reference.LEARN_NS // MS
+
+
+def test_what_lies_behind_the_drives_is_left_alone():
+    """Room for three, of which two are in use: the third one adheres, and nobody asks it."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = core.switching.record["n"] = 2
+    core.switching.record["ticks"], core.switching.record["every"] = 1, 2
+    core.switching.lost[:], core.switching.adhering[:] = (1.0, 1.0, 0.3), (0.0, 0.0, 1.0)
+    core.known[2] = True
+    drives, told = pairing.drive_inputs(3), columns.told(3)
+    told.health[:], told.speed[:], told.load[:] = Health.TRACKING, 25.0, 20.0
+    columns.slow_of(drives).command[:] = 20.0
+    come = validity(np.ones(3, dtype=bool), told.speed)
+    detect(core, told.estimates, come, drives, np.zeros(3, DRIVE_STATUS), 0)
+    assert core.loss_probability.tolist() == [lib.UNDECIDED, lib.UNDECIDED, 0.0]

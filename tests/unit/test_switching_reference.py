@@ -44,6 +44,7 @@ class Both:
         np.testing.assert_allclose(core.lost, plain.lost, rtol=0, atol=1e-7)
         assert core.record["demand"].item() == pytest.approx(plain.demand, abs=1e-6)
         np.testing.assert_allclose(core.noises["variance"], plain.variance, rtol=1e-6)
+        np.testing.assert_allclose(core.noises["scatter"], plain.scatter, rtol=1e-6)
         kept = core.record["kept"].item()
         assert kept == len(plain.all)
         for k, h in enumerate(plain.all):
@@ -78,3 +79,44 @@ def test_any_loads(seed):
         total = both.core.adhering + both.core.lost
         assert (both.core.lost >= 0).all()
         assert (total <= 1 + 1e-8).all()
+
+
+def test_silence_contradicts_nothing():
+    """What has been learnt is not given up while no load is known for 0.6 s."""
+    rng, both = np.random.default_rng(5), Both(3)
+    for load in driven(rng, 3, 60):
+        both.step(load, rng, 1.0, 0.0)
+    for _ in range(60):
+        both.step(load, rng, 0.0, 0.0)
+    assert abs(both.core.drives[0]["now"]["r"] - 1.0).max() > 0.01
+
+
+def test_what_lies_behind_the_drives_is_left_alone():
+    """Room for three, of which two are in use."""
+    model = Switching(3)
+    model.record["n"] = 2
+    behind = model.noises[2].tobytes()
+    for _ in range(30):
+        model.loads["load"], model.loads["known"] = 0.6, 1
+        lib.switching_step(model.pointer)
+    assert model.noises[2].tobytes() == behind != model.noises[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("variance", "demand", "adhering", "noted", "learnt"),
+    [
+        (0.01, 0.7, 1.0, False, False),  # of the demand, from which on it is known
+        (2.0**-8, 0.05, 1.0, True, True),
+        (2.0**-8, 0.0499, 1.0, True, False),
+        (2.0**-8, 0.7, 0.5, True, True),
+        (2.0**-8, 0.7, 0.499, True, False),
+    ],
+)
+def test_noise_is_learnt_from_these_limits_on(variance, demand, adhering, noted, learnt):
+    model = Switching(2)
+    model.loads["known"], model.loads["load"] = 1, demand
+    model.hypotheses["m"][0], model.hypotheses["v_mm"][0] = demand, variance
+    model.adhering[:] = adhering
+    lib.switching_learn_noises(model.pointer)
+    assert model.noises["count"].tolist() == [noted] * 2
+    assert (model.noises["learnt_s"] > 0.0).tolist() == [learnt] * 2

@@ -37,7 +37,7 @@ def started(plain):
     return rotors
 
 
-def assess_train(measured, commanded, slow, flag, now, told, rotors):
+def assess_train(measured, commanded, slow, flag, now, told, rotors, tick_s=TICK_S):
     """`assess_train` of the core; changes what the reference changes."""
     n = len(rotors)
     one = np.zeros(n, ROTOR_INPUTS)
@@ -46,7 +46,7 @@ def assess_train(measured, commanded, slow, flag, now, told, rotors):
     one["command_nm"], one["previous_command_nm"] = slow.command, slow.before
     one["command_valid"] = commanded
     lib.assess_train(
-        pointer("struct rotor", rotors), pointer("struct rotor_inputs", one), n, now, TICK_S,
+        pointer("struct rotor", rotors), pointer("struct rotor_inputs", one), n, now, tick_s,
         pointer("double", np.zeros(2 * n)),
     )  # fmt: skip
     commanded[:] = one["command_valid"]
@@ -154,3 +154,55 @@ def test_any_course_of_a_train(seed, n, ticks, step):
             states |= set(rotors[name].tolist())
     if n > 3:
         assert sum(states == {0, 1} for states in met.values()) > 4, met
+
+
+LIMITS = (0.0, 0.05, 0.1, 0.12, 0.2, 0.25, 0.27, 0.3, 0.35, 0.5, 1.0, 1.25, 1.27, 2.1, 3.0)
+"""Per unit: what loads and commands are compared with, and sums of it."""
+
+
+@pytest.mark.parametrize(
+    ("tick_s", "ticks", "speeds"),
+    [(0.01, 1400, [1.0]), (0.15, 300, [1.0]), (0.1, 600, [5.0, 5.0, 6.0])],
+)
+def test_loads_commands_and_times_on_their_limits(tick_s, ticks, speeds):
+    """Of motors with 1 Nm, and ticks that fill a time exactly."""
+    n, rng = 3, np.random.default_rng(0)
+    motors = [BENCH_MOTOR.model_copy(update={"T_rated": 1.0})] * n
+    plain = reference.start(motors)
+    rotors, met = started(plain), {name: set() for name in ("odd", "above", "uncommanded_s")}
+    for now in range(ticks):
+        if now % (1 + round(0.35 / tick_s)) == 0:
+            loads, commands = rng.choice(LIMITS, n), rng.choice([0.0, 0.1, 0.2, 1.0, 3.0], n)
+            if rng.random() < 0.5:
+                loads[:] = loads[0]
+            speed = rng.choice(speeds, n)
+        told, sent = columns.told(n), columns.slow(n)
+        told.health[:], told.speed[:], told.load[:] = Health.TRACKING, speed, loads
+        sent.command[:] = sent.before[:] = commands
+        sent.operating[:] = True
+        given = speed.copy(), np.ones(n, dtype=bool), sent, np.full(n, Flag.GOOD, np.int64), told
+        again = copied(given)
+        reference.assess_train(*given[:4], now, tick_s, told, plain)
+        assess_train(*again[:4], now, again[4], rotors, tick_s)
+        same(rotors, plain)
+        np.testing.assert_array_equal(again[1], given[1])
+        same_numbers(again[4].estimates, told.estimates)
+        for name, states in met.items():
+            states |= set((rotors[name] > 0).tolist())
+    assert all(states == {False, True} for states in met.values()), met
+
+
+def test_what_lies_behind_the_drives_is_left_alone():
+    """Room for three, of which two are in use."""
+    rotors, given = started(reference.start([BENCH_MOTOR] * 3)), np.zeros(3, ROTOR_INPUTS)
+    given["measured_rad_s"] = given["speed_rad_s"] = 20.0
+    given["health"], given["adhesion"], given["command_valid"] = Health.TRACKING, Flag.GOOD, 1
+    given["command_nm"] = given["load_nm"] = 5.0 * BENCH_MOTOR.T_rated
+    before = rotors[2].tobytes(), given[2].tobytes()
+    lib.assess_train(
+        pointer("struct rotor", rotors), pointer("struct rotor_inputs", given), 2, 0, TICK_S,
+        pointer("double", np.zeros(4)),
+    )  # fmt: skip
+    assert (rotors[2].tobytes(), given[2].tobytes()) == before
+    assert rotors["odd"].tolist() == [1, 1, 0]
+    assert given["command_valid"].tolist() == [0, 0, 1]
