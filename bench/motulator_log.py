@@ -23,47 +23,11 @@ from gateway.io.replay import OneChannel, open_log, replay
 from gateway.reports.scoring import quantile, truth_of
 from gateway.settings.config import Config
 from gateway.study.evaluation import GatewayOutput, Measured, listen, measure, nothing
+from gateway.study.held_world import periods
 from sim.ground_truth import Truth
-from sim.physics.plant import MOTORS, Plant
-from sim.scenario import Scenario
 from sim.simulation import GRID, GRID_NS, Simulation
 
 Array = NDArray[np.float64]
-TICKS_PER_S: Final = 100
-
-
-def periods(scenario: Scenario) -> int:
-    """Periods of 125 us that a run takes, in whole steps of 10 ms."""
-    return round(scenario.duration_s * TICKS_PER_S) * GRID
-
-
-class Played(Plant):
-    """A plant under preset load that only plays back what was computed elsewhere."""
-
-    def __init__(self, scenario: Scenario, rows: Array) -> None:
-        """`rows` (n, N, 10): columns `plant.OUT` at the end of each period of 125 us."""
-        motor = MOTORS[scenario.motor.name]
-        still = np.zeros(rows.shape[1])
-        super().__init__(motor, still, on_rail=False, w_0=0.0, load_0=0.0)
-        self._rows = rows
-        self._at = 0
-
-    def advance(self, w_ref: Array, *_others: object) -> Array:
-        """The next rows, as many as `w_ref` has. Raises ValueError after the last one."""
-        first, self._at = self._at, self._at + len(w_ref)
-        if self._at > len(self._rows):
-            msg = f"{len(self._rows)} rows played, and the run goes on"
-            raise ValueError(msg)
-        return self._rows[first : self._at]
-
-
-class OtherMachine(Simulation):
-    """The simulated train with waveforms in place of its machines."""
-
-    def __init__(self, scenario: Scenario, codec: Codec, rows: Array) -> None:
-        """`rows` as in `Played`, for at least `periods(scenario)`."""
-        super().__init__(scenario, codec)
-        self._plant = Played(scenario, rows)
 
 
 def write_log(simulation: Simulation, path: Path) -> list[Truth]:

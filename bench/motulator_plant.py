@@ -28,16 +28,15 @@ from numpy.typing import NDArray
 from bench.motulator_log import (
     LEGEND,
     Judged,
-    OtherMachine,
     cells,
     judge,
-    periods,
     replay_log,
     table,
     write_log,
 )
 from dbc.codec import bind
 from gateway.settings.config import ConfigError, parse
+from gateway.study.held_world import OtherMachine, periods
 from gateway.study.scenarios_family import ALL, draw
 from sim.drive_spread import Variety
 from sim.faults import Schedule

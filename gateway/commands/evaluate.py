@@ -30,6 +30,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--motor", default="bench", metavar="NAME",
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
+    parser.add_argument("--world", choices=("ours", "held"), default="ours",
+                        help="whose machines: ours (default; tuned on), or held: a speed held "
+                        "whatever it carries, with families of its own")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
     parser.add_argument(
@@ -57,7 +60,9 @@ def run(options: argparse.Namespace) -> int:
         pictures("--output")
     say = console()
     seeds = seeds_of(options.seeds)
-    plan = Plan(_families(options), (), seeds, options.dbc, options.motor, options.config)
+    plan = Plan(
+        _families(options), (), seeds, options.dbc, options.motor, options.config, options.world
+    )
     asked = options.detector or _all_detectors()
     detectors, refused = known_detectors(dict.fromkeys(asked), plan)
     if not detectors:
@@ -70,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     print(table(lines))
     if options.output is not None:
         bus = options.dbc or "traction.dbc"
-        title = f"Detectors, {options.seeds} seeds, {bus}, {options.motor}"
+        title = f"Detectors, {options.seeds} seeds, {bus}, {options.motor}, world {options.world}"
         with say.status("pictures") if sys.stderr.isatty() else nullcontext():
             for path in write(options.output, title, lines):
                 say.print(f"written: {path}", markup=False)
@@ -80,13 +85,17 @@ def run(options: argparse.Namespace) -> int:
 def _families(options: argparse.Namespace) -> tuple[str, ...]:
     """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
     from gateway.settings.config import ConfigError
+    from gateway.study.held_world import KINDS
     from gateway.study.scenarios_family import ALL, FAMILIES, GROUPS
     from sim.physics.plant import MOTORS
 
-    asked = [one for name in options.family or FAMILIES for one in GROUPS.get(name, (name,))]
+    ours = options.world == "ours"
+    families, groups = (FAMILIES, GROUPS) if ours else (KINDS, {})
+    drawn = ALL if ours else KINDS
+    asked = [one for name in options.family or families for one in groups.get(name, (name,))]
     names = tuple(dict.fromkeys(asked))
-    known = ", ".join([*FAMILIES, *GROUPS])
-    problems = [f"no family {name!r}; there are {known}" for name in names if name not in ALL]
+    known = ", ".join([*families, *groups])
+    problems = [f"no family {name!r}; there are {known}" for name in names if name not in drawn]
     if options.motor not in MOTORS:
         problems.append(f"no motor {options.motor!r}; there are {', '.join(MOTORS)}")
     if problems:

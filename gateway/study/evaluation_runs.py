@@ -20,6 +20,7 @@ from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
 from gateway.settings.config import Config, ConfigError, load
 from gateway.settings.sections import Drive
+from gateway.study import held_world
 from gateway.study.evaluation import Line, Measured, listen, measure
 from gateway.study.scenarios_family import ALL, DEVELOPMENT, REPORTING, draw
 from sim.ground_truth import Truth
@@ -36,6 +37,11 @@ class Plan(NamedTuple):
     dbc: str | None = None
     motor: str = "bench"
     config: Path | None = None
+    world: str = "ours"
+
+
+WORLDS = ("ours", "held")
+"""Whose machines: the simulator's, on which detectors are tuned, or those of `held_world`."""
 
 
 class Recording(NamedTuple):
@@ -105,12 +111,29 @@ def fitted(plan: Plan, detector: str, scenario: Scenario) -> tuple[Config, Codec
     return config, _codec(config.dbc_path, config.nodes)
 
 
+def _drawn(plan: Plan, family: str, seed: int) -> Scenario:
+    return (held_world.draw if plan.world == "held" else draw)(family, seed, plan.motor)
+
+
 def record(scenario: Scenario, config: Config, codec: Codec) -> Recording:
     """Simulate a whole run."""
-    simulation = Simulation(scenario, codec, self_start=True)
+    return _recording(Simulation(scenario, codec, self_start=True), config)
+
+
+def _record_held(scenario: Scenario, config: Config, codec: Codec, commands: bool) -> Recording:
+    machine = held_world.OtherMachine(scenario, codec, held_world.waveforms(scenario))
+    recording = _recording(machine, config)
+    if commands:
+        return recording
+    return recording._replace(blocks=[held_world.without_status(b) for b in recording.blocks])
+
+
+def _recording(simulation: Simulation, config: Config) -> Recording:
+    scenario = simulation.scenario
+    per_s = held_world.TICKS_PER_S
+    ticks = round(scenario.duration_s * per_s) * config.loop.rate_hz // per_s
     blocks = [
-        block_of(simulation.step((), tick * config.loop.period_ns))
-        for tick in range(round(scenario.duration_s * config.loop.rate_hz) + 1)
+        block_of(simulation.step((), tick * config.loop.period_ns)) for tick in range(ticks + 1)
     ]
     return Recording(scenario, blocks, simulation.truth_rows())
 
@@ -126,9 +149,12 @@ def judge(recording: Recording, config: Config, codec: Codec) -> Measured:
 
 def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
     """One scenario, simulated once, with every detector of the plan."""
-    scenario = draw(family, seed, plan.motor)
+    scenario = _drawn(plan, family, seed)
     config, codec = fitted(plan, plan.detectors[0], scenario)
-    recording = record(scenario, config, codec)
+    if plan.world == "held":
+        recording = _record_held(scenario, config, codec, held_world.KINDS[family].commands)
+    else:
+        recording = record(scenario, config, codec)
     return tuple(judge(recording, *fitted(plan, name, scenario)) for name in plan.detectors)
 
 
@@ -148,7 +174,7 @@ def evaluate(
     Raises ConfigError or DbcMismatch before anything is simulated.
     """
     for family in plan.families:
-        fitted(plan, plan.detectors[0], draw(family, plan.seeds[0], plan.motor))
+        fitted(plan, plan.detectors[0], _drawn(plan, family, plan.seeds[0]))
     lines = []
     with _workers(jobs) as run:
         for family in plan.families:
@@ -180,8 +206,12 @@ def _workers(jobs: int) -> Iterator[Run]:
 def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:
     from sim.physics.plant import MOTORS
 
-    rated = MOTORS[ALL[family].motor or plan.motor].T_rated
+    if plan.world == "held":
+        motor, common = plan.motor, held_world.KINDS[family].lost is None
+    else:
+        motor, common = ALL[family].motor or plan.motor, ALL[family].common
+    rated = MOTORS[motor].T_rated
     return [
-        Line(family, detector, plan.seeds, runs, ALL[family].common, rated)
+        Line(family, detector, plan.seeds, runs, common, rated)
         for detector, runs in zip(plan.detectors, zip(*results, strict=True), strict=True)
     ]

@@ -21,6 +21,7 @@ GONE = {
 THEIRS = {"take_along_axis", "tell"}
 """Names of NumPy and of files."""
 PROTOCOLS = {
+    "advance": "plants, and whatever goes on by periods",
     "run": "verbs of the command line, loops of ticks",
     "arguments": "verbs of the command line",
     "close": "whatever is open",

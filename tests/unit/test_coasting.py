@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from bench.held_plant import STATUS
 from dbc.frames import block_of
 from gateway.core.codes import Flag, Reason
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
+from gateway.study.held_world import STATUS
 from sim.simulation import Simulation
 from tests.simrun import TICK, codec, scenario
 

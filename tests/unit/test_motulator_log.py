@@ -5,13 +5,14 @@ import sys
 import numpy as np
 import pytest
 
-from bench.motulator_log import HEADER, OtherMachine, cells, judge, periods, replay_log, write_log
+from bench.motulator_log import HEADER, cells, judge, replay_log, write_log
 from bench.motulator_plant import main
 from dbc.candump.reader import Reader
 from dbc.codec import bind
 from gateway.core.codes import Health
 from gateway.settings.config import parse
 from gateway.study.evaluation import listen
+from gateway.study.held_world import OtherMachine, periods
 from sim.physics.plant import BENCH, DT, OUT
 from sim.scenario import Scenario
 from tests.simrun import scenario, values
