@@ -162,6 +162,7 @@ JUDGED = (
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
     "gateway/core/temperature.c",
+    "gateway/core/thermal.c",
     "gateway/core/thermal_evidence.c",
     "gateway/core/transmit.c",
 )
