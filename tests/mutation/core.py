@@ -146,6 +146,7 @@ JUDGED = (
     "estimators/detect/variational.c",
     "estimators/load_observer.c",
     "estimators/maisd.c",
+    "estimators/thermal/hypotheses.c",
     "estimators/thermal/imm.c",
     "estimators/thermal/imm_predict.c",
     "estimators/thermal/imm_update.c",
