@@ -268,6 +268,21 @@ def test_a_motor_is_stale_from_the_first_nanosecond_beyond_its_limit():
         assert out["thermal_reason"][0] == reason
 
 
+def test_evidence_is_told_where_it_can_have_changed():
+    """Once a period, in the first nanosecond in which it is stale, and then no more."""
+    side, out = TemperatureMonitor(1, 100 * MS, 2.0, None, NODES[:1]), np.zeros(1, FLAG_INPUTS)
+    side.motors["age_limit_ns"] = 150 * MS
+    side.add_readings([Temperatures(0, 0, (50.0,) * 4, (True,) * 4, (500,) * 4)], 0)
+
+    def is_told(now):
+        out["jumps"] = 99
+        side.tell(now, out)
+        return out["jumps"][0] != 99
+
+    times = (0, 1, 100 * MS - 1, 100 * MS, 150 * MS, 150 * MS + 1, 10_000 * MS)
+    assert [now for now in times if is_told(now)] == [0, 100 * MS, 150 * MS + 1]
+
+
 def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
     """From a DBC of any range: neither its tenths nor its mean fail."""
     side, bus, _ = made("maisd", 3)

@@ -212,3 +212,16 @@ def test_what_is_wrong_to_size_is_nothing_where_nothing_is_wrong():
     lib.hypothesis_start(state)
     assert (state.p[0], state.held, state.trusted) == (1.0, -1, 1)
     assert len(pointer("double", np.zeros(3))) == 3
+
+
+def test_heat_or_a_sensor_is_said_where_one_of_them_is_as_sure_as_asked():
+    """A loose connector is a sensor's, and nothing at all is no heat."""
+    rng = np.random.default_rng(4)
+    kind = rng.dirichlet(np.full(11, 0.2), 2000)
+    kind[:50] = 0.0
+    hot, off, loose = kind[:, :5].sum(1), kind[:, 5:8].sum(1), kind[:, 8:].sum(1)
+    heat = hot >= 0.8 * (hot + off)
+    sensor = (hot <= 0.2 * (hot + off)) | (loose > hot + off)
+    want = np.where(sensor, -1, np.where(heat, 1, 0))
+    np.testing.assert_array_equal(hypotheses.side(kind, 0.8), want)
+    assert set(want.tolist()) == {-1, 0, 1}
