@@ -30,9 +30,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--motor", default="bench", metavar="NAME",
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
-    parser.add_argument("--world", choices=("ours", "held"), default="ours",
-                        help="whose machines: ours (default; tuned on), or held: a speed held "
-                        "whatever it carries, with families of its own")  # fmt: skip
+    parser.add_argument("--world", choices=("ours", "held", "other"), default="ours",
+                        help="whose machines: ours (default; tuned on); adhesion, held: a speed "
+                        "held whatever it carries, with families of its own; thermal, other: trains "
+                        "of another structure, at one sample a second")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
     parser.add_argument(
@@ -53,6 +54,9 @@ def run(options: argparse.Namespace) -> int:
     if options.what == "thermal":
         return evaluate_thermal.run(options)
     from gateway.settings.config import ConfigError
+
+    if options.world == "other":
+        raise ConfigError("--world other", ["is for thermal; known: ours, held"])
     from gateway.study.evaluation_report import table, write
     from gateway.study.evaluation_runs import Plan, evaluate, known_detectors, seeds_of
 

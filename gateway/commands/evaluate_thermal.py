@@ -30,9 +30,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--kind", nargs="+", metavar="NAME",
                        help="kinds of faults, `none`: fault-free (default: all of these); "
                        "`sensor_creep`: only when asked for")  # fmt: skip
-    group.add_argument("--world", choices=["first", "other"], default="first",
-                       help="generator of the trains: that which the product was tuned on "
-                       "(default), or one of another structure, with --base bench")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
 
 
@@ -47,9 +44,13 @@ def run(options: argparse.Namespace) -> int:
         HEALTHY,
         NAMES,
         REPORTING,
+        WORLDS,
         evaluate,
     )
 
+    if options.world not in WORLDS:
+        known = ", ".join(WORLDS)
+        raise ConfigError(f"--world {options.world}", [f"is for adhesion; known: {known}"])
     if options.world == "other" and options.base != "bench":
         raise ConfigError("--world other", ["it has samples of seconds only: add --base bench"])
     seeds = seeds_of(options.seeds, DEVELOPMENT, REPORTING)

@@ -34,10 +34,10 @@ FIT_RUNS: Final = {"days": 1, "bench": 4}
 """Fault-free runs to learn from; the next one sets the limit."""
 HEALTHY: Final = "none"
 WORLDS: Final[dict[str, Callable[..., Labelled]]] = {
-    "first": thermal_dataset.train,
+    "ours": thermal_dataset.train,
     "other": thermal_other.train,
 }
-"""Generators of labelled trains, of unlike structure. The product was tuned on `first`."""
+"""Generators of labelled trains, of unlike structure. The product was tuned on `ours`."""
 ABLATION: Final[dict[str, dict[str, Any]]] = {
     "paper_raw": {"filtered": False, "degrades": False},
     "paper_ukf": {"mixing": 0.0, "degrades": False},
@@ -114,7 +114,7 @@ def truth_of(run: Labelled, base: Base) -> Truth:
     return Truth(run.faulty, effect, run.fault.motor, run.fault.begin, base.sample_s, loose)
 
 
-def runs_of(seed: int, base: Base, kinds: Sequence[str], world: str = "first") -> Runs:
+def runs_of(seed: int, base: Base, kinds: Sequence[str], world: str = "ours") -> Runs:
     """A train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function."""
     fits, train = FIT_RUNS[base.name], WORLDS[world]
     new = [record_of(train(seed, base, None, n, new=True)) for n in range(fits + 1)]
@@ -127,7 +127,7 @@ def runs_of(seed: int, base: Base, kinds: Sequence[str], world: str = "first") -
 
 
 def trials(
-    seed: int, base: str, kinds: Sequence[str], methods: Sequence[str], world: str = "first"
+    seed: int, base: str, kinds: Sequence[str], methods: Sequence[str], world: str = "ours"
 ) -> list[Trial]:
     """All methods on a train's runs of these kinds (`KINDS` or `HEALTHY`); a pure function.
 
@@ -212,7 +212,7 @@ def confused(found: Sequence[Trial]) -> tuple[float, float]:
 
 def evaluate(
     seeds: Sequence[int], base: str, kinds: Sequence[str], methods: Sequence[str], jobs: int = 1,
-    world: str = "first",
+    world: str = "ours",
 ) -> Iterator[list[Trial]]:  # fmt: skip
     """Trials seed by seed, in order, in so many processes."""
     tasks = [(seed, base, tuple(kinds), tuple(methods), world) for seed in seeds]
