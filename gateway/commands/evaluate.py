@@ -32,8 +32,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
     parser.add_argument("--world", choices=("ours", "held", "other"), default="ours",
                         help="whose machines: ours (default; tuned on); adhesion, held: a speed "
-                        "held whatever it carries, with families of its own; thermal, other: trains "
-                        "of another structure, at one sample a second")  # fmt: skip
+                        "held whatever it carries, with families of its own; thermal, other: "
+                        "trains of another structure, at one sample a second")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
     parser.add_argument(
