@@ -51,6 +51,7 @@ HEADERS = (
     "estimators/filter.h",
     "estimators/load_observer.h",
     "gateway/core/flags.h",
+    "gateway/core/sample_clock.h",
     "gateway/core/train.h",
     "gateway/core/adhesion.h",
     "gateway/core/estimate.h",

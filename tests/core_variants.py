@@ -53,7 +53,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_temperature.py",
        "tests/unit/test_est_filter.py",
        "tests/unit/test_receive_reference.py", "tests/unit/test_left_out_samples.py",
-       "tests/unit/test_outbox.py",
+       "tests/unit/test_sample_clock.py", "tests/unit/test_outbox.py",
        "tests/unit/test_ticks.py", "tests/golden/test_golden.py",
        "tests/unit/test_thermal_trend.py",
        "tests/unit/test_temperature_monitor.py", "tests/unit/test_temperature_reader.py",

@@ -98,9 +98,9 @@ TESTS = {
     "estimators/filter_simd.c": ("tests/unit/test_est_filter.py",),
     **dict.fromkeys((
         "gateway/core/receive.c", "gateway/core/pairing.c", "gateway/core/sequence.c",
-        "gateway/core/sample_clock.c",
         "gateway/core/supervision.c",
     ), ("tests/unit/test_receive_reference.py",)),
+    "gateway/core/sample_clock.c": ("tests/unit/test_sample_clock.py",),
     "gateway/core/rotors.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/integrity.c": ("tests/unit/test_integrity.py",),
     "estimators/thermal/trend.c": ("tests/unit/test_thermal_trend.py",),
@@ -162,6 +162,7 @@ JUDGED = (
     "gateway/core/inputs.c",
     "gateway/core/integrity.c",
     "gateway/core/receive.c",
+    "gateway/core/sample_clock.c",
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
     "gateway/core/switching_loss.c",
