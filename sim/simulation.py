@@ -29,13 +29,20 @@ from sim.physics import plant as columns
 from sim.physics.plant import TRAIN, TRAINS, Motor, Plant, QuasiStatic, rail_array
 from sim.physics.thermal import ThermalTrain
 from sim.profile import Profile
-from sim.scenario import NEEDS_RAIL, Event, Scenario
+from sim.scenario import NEEDS_RAIL, Event, Scenario, ScenarioError
 
 if TYPE_CHECKING:
     from dbc.secoc_receiver import Verifier
 
 Array = NDArray[np.float64]
 PERIOD_NS: Final[Nanos] = 125_000
+BEYOND_ANY: Final = 1e9
+"""A, V, Nm, rad: no drive comes near."""
+TOO_QUICK: Final = (
+    "the simulator cannot follow it: its currents grow without bound. With psi_pm, pole_pairs, L_s "
+    "and J as they are, rotor and current swing faster than the simulator's steps of 125 us; "
+    "check these"
+)
 GRID: Final = 80
 """Periods in 10 ms: the grid of events, heat and truth."""
 GRID_NS: Final[Nanos] = GRID * PERIOD_NS
@@ -184,6 +191,8 @@ class Simulation:
         rails = np.repeat(rail_array(self._rails)[None], count, axis=0)
         carry = self._schedule.carry(t_s, load)
         out = self._plant.advance(w_ref, w_acc, load, carry, cut, rails)
+        if not (np.abs(out) < BEYOND_ANY).all():  # nor is a NaN
+            raise ScenarioError("motor", [TOO_QUICK])
         self._period += count
         i2 = out[:, :, columns.I_ALPHA] ** 2 + out[:, :, columns.I_BETA] ** 2
         self._i2_grid.append(i2)

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _thermal(folder: Path, *, resume: bool) -> int:
-    need(("pywt", "sklearn"), "papers")
+    need(("autograd", "pywt", "sklearn"), "papers")
     from gateway.commands import reproduce_thermal as thermal
 
     began = time.perf_counter()

@@ -25,7 +25,7 @@ from gateway.mapping import plan as foreign
 from gateway.reports.record import camel
 from gateway.settings.config import BENCH_MOTOR, Config, shipped_dbc
 from sim.physics import plant
-from sim.scenario import parse
+from sim.scenario import ScenarioError, parse
 from sim.simulation import PERIOD_NS, Simulation
 
 if TYPE_CHECKING:
@@ -109,7 +109,11 @@ def losses(config: Config, codec: Codec, measured: Measured | None = None) -> It
     for one in alike:
         lossy = dict.fromkeys(one.nodes, _Stream(config, one, speed, begin, lost=True))
         ticks = _ticks(config, codec, {**streams, **lossy}, begin, measured)
-        yield _judge(config, one.nodes[0], ticks, begin)
+        try:
+            yield _judge(config, one.nodes[0], ticks, begin)
+        except ScenarioError as error:
+            yield Found(one.nodes[0], None, f"a motor of this train: {error.problems[0]}")
+            continue
         if measured is not None:  # a verdict may come before
             for _ in takewhile(lambda tick: tick[0] < begin, ticks):
                 pass

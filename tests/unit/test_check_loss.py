@@ -210,3 +210,17 @@ def test_check_says_that_nothing_was_tried_and_why(capsys):
     assert "always Unknown: no phase currents" in out
     assert "not tried: no drive can ever be judged" in out
     assert not FOUND.search(out)
+
+
+def test_a_motor_that_the_simulator_cannot_follow_is_named_as_the_cause():
+    """48 pole pairs on a rotor of 0.011 kg m2: rotor and current swing at some kHz."""
+    motor = {
+        "R_s": 0.1353352832366127, "L_s": 0.0005286534501430184, "psi_pm": 1.0, "pole_pairs": 48,
+        "I_rated": 1.0, "T_rated": 72.0, "J": 0.01098565761367104,
+    }  # fmt: skip
+    config = parse({
+        "drive": [{"node": 1, "motor": "x"}], "motor": {"x": motor}, "adhesion": {"good_ms": 0}
+    })  # fmt: skip
+    (found,) = losses(config, bind(config.dbc_path, config.nodes))
+    assert found.after_ms is None
+    assert "the simulator cannot follow it" in found.problem

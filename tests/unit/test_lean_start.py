@@ -240,7 +240,7 @@ def test_what_only_papers_need_is_asked_for_by_its_extra(tmp_path: Path) -> None
 import importlib.util
 known = importlib.util.find_spec
 import gateway.io.extras as extras
-extras.find_spec = lambda name: None if name in ("pywt", "sklearn") else known(name)
+extras.find_spec = lambda name: None if name in ("autograd", "pywt", "sklearn") else known(name)
 from gateway.cli import main
 print(main(["reproduce", "thermal", "-o", "out"]))
 """
@@ -248,5 +248,8 @@ print(main(["reproduce", "thermal", "-o", "out"]))
         [sys.executable, "-c", text], capture_output=True, text=True, check=True, cwd=tmp_path
     )
     assert done.stdout == "2\n"
-    assert "needs pywt, sklearn: pip install 'PyWavelets>=1.7' 'scikit-learn>=1.6'" in done.stderr
+    assert (
+        "needs autograd, pywt, sklearn: pip install 'autograd>=1.8' 'PyWavelets>=1.7' "
+        in done.stderr
+    )
     assert not (tmp_path / "out").exists()
