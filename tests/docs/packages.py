@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 import grimp
 
+from core_build import SOURCES
+
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "pictures" / "packages.svg"
 BOX, LANE, HEIGHT, ROW, EDGE = 206, 22, 90, 128, 34
@@ -170,7 +172,8 @@ def _box(place: Place, middle: float) -> str:
     about = ast.get_docstring(ast.parse(module.read_text(encoding="utf-8"))) or ""
     parts = sorted(p.parent.name for p in folder.glob("*/__init__.py"))
     left, top = middle - BOX / 2 + 9, _top(place.row)
-    kind = "box c" if list(folder.rglob("*.c")) else "box"
+    compiled = any((ROOT / source).is_relative_to(folder) for source in SOURCES)
+    kind = "box c" if compiled else "box"
     sentence = about.splitlines()[0].replace("`", "").partition(". ")[0].rstrip(".")
     lines = [("parts", " ".join(parts))] * bool(parts)
     lines += [("", line) for line in textwrap.wrap(sentence, 31)]

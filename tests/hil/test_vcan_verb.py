@@ -79,10 +79,9 @@ def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path: Path) -> None:
         "while ip link show can0 >/dev/null 2>&1; do sleep 0.05; done"
     )
     done = vcan("--interfaces", "", "--slcan", "can0", "--", "sh", "-c", inside, folder=tmp_path)
-    if way().prefix and "slcan links appear outside" in done.stderr:
-        pytest.skip("slcan links appear outside of this network namespace")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "state BUS-OFF\n"
+    # A machine's own kernel makes such links outside of the namespace: as the tutorial says.
+    outside = bool(way().prefix) and "slcan links appear outside" in done.stderr
+    assert (done.returncode, done.stdout) == ((125, "") if outside else (0, "state BUS-OFF\n"))
 
 
 def test_a_test_has_an_interface_of_its_own(tmp_path: Path) -> None:
