@@ -28,6 +28,8 @@ APART_NS: Final[Nanos] = 10 * SECOND
 """Most between two frames that agree on a time that lies back."""
 LATEST_NS: Final[Nanos] = 1 << 62
 """Stamps behind it are left out: what is reckoned with them still has 64 bits."""
+SORTED_OUT: Final = 256
+"""Frames that are looked at one by one before it is seen whether the others go on."""
 KEPT: Final = 100
 """Steps back of which is told."""
 
@@ -86,19 +88,25 @@ class LogTime:
         """All frames that count, block by block."""
         for block in blocks:
             self.frames += block.size
-            if block.size:
-                yield self._to_steady(block)
+            done = 0
+            while done < block.size:
+                near = 0 if self._waiting.size else self._near(block.t_ns[done:])
+                end = done + (near or min(SORTED_OUT, block.size - done))
+                part = block.part(done, end)
+                yield self._go_on(part) if near else self._sorted_out(join(self._waiting, part))
+                done = end
         if self._waiting.size:
             yield self._end()
 
-    def _to_steady(self, block: Block) -> Steady:
-        if not self._waiting.size:
-            steps = np.diff(block.t_ns, prepend=self._latest_ns)
-            near = bool(((steps >= 0) & (steps <= NEAR_NS)).all())
-            if near and block.t_ns.item(-1) <= LATEST_NS - self._shift_ns:
-                self._latest_ns = block.t_ns.item(-1)
-                return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64))
-        return self._sorted_out(join(self._waiting, block))
+    def _near(self, t_ns: NDArray[np.int64]) -> int:
+        """How many of these stamps go on from the last one and from one another."""
+        steps = np.diff(t_ns, prepend=self._latest_ns)
+        far = (steps < 0) | (steps > NEAR_NS) | (t_ns > LATEST_NS - self._shift_ns)
+        return int(np.argmax(far)) if far.any() else t_ns.size
+
+    def _go_on(self, block: Block) -> Steady:
+        self._latest_ns = block.t_ns.item(-1)
+        return Steady(_shifted(block, self._shift_ns), np.zeros(0, dtype=np.int64))
 
     def _sorted_out(self, block: Block) -> Steady:
         """Frame by frame. The last ones wait where they are not decided upon."""

@@ -110,6 +110,10 @@ class OneChannel:
         for block in self._blocks:
             if self.name is None:
                 self.name = block.names[block.channel[0]]
+            if block.names == [self.name]:
+                found = True
+                yield block
+                continue
             names = np.array([name == self.name for name in block.names])
             mine = names[block.channel]
             found = found or bool(mine.any())
