@@ -5,10 +5,11 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from sklearn.mixture import GaussianMixture
 
-from estimators.thermal import degradation, mixture
+from estimators.thermal import degradation
 from estimators.thermal.maisd_method import PaperMethod, maisd, moving_average
 from estimators.thermal.record import Record
 from estimators.thermal.sigma_mixed import Lumps, SigmaMixedFilter, lumps
+from tests.core_calls import mixture
 
 
 def two_humps(seed=0):
