@@ -12,9 +12,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from dbc.codec import VALID, Codec
+from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.frames import Block
+from dbc.spec import VALID
 from gateway.core import channel, inputs, receiving
 from gateway.core.channel import Channel
 from gateway.core.inputs import NONE

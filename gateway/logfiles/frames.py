@@ -187,13 +187,3 @@ def _frames(batch: Any) -> Iterator[Frame]:
         strict=True,
     )
     return (Frame(*row) for row in rows)
-
-
-__all__ = [
-    "Candump",
-    "ParquetFrames",
-    "ParquetReader",
-    "Sink",
-    "interface",
-    "read_parquet",
-]

@@ -12,7 +12,6 @@ from zlib import crc32
 
 import numpy as np
 
-from dbc.codec import Match
 from dbc.e2e import (
     COUNTERS,
     MAX_DELTA,
@@ -24,6 +23,7 @@ from dbc.e2e import (
     protect,
 )
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
+from dbc.spec import Match
 from gateway.core.gateway import Gateway
 from gateway.core.inbox import OWN_CANOPEN
 from gateway.core.supervision import Supervision

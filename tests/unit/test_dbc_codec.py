@@ -9,20 +9,10 @@ import numpy as np
 import pytest
 
 from dbc import generate as build
-from dbc.codec import (
-    ABSENT,
-    NOT_A_NUMBER,
-    NOT_AVAILABLE,
-    RANGE,
-    SATURATED,
-    VALID,
-    Codec,
-    Match,
-    Validity,
-    bind,
-)
+from dbc.codec import Codec, bind
 from dbc.contract import ANY
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
+from dbc.spec import ABSENT, NOT_A_NUMBER, NOT_AVAILABLE, RANGE, SATURATED, VALID, Match, Validity
 from tests.dbc_text import message, signal, write
 from tests.reference import codec as reference
 

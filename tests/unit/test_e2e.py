@@ -11,7 +11,7 @@ import pytest
 from crccheck.crc import Crc8Autosar, Crc16Ibm3740
 
 from dbc import generate as build
-from dbc.codec import MessageSpec, bind
+from dbc.codec import bind
 from dbc.dataids import p02_data_ids
 from dbc.e2e import (
     COUNTERS,
@@ -26,6 +26,7 @@ from dbc.e2e import (
     crc_ok,
     protect,
 )
+from dbc.spec import MessageSpec
 
 
 @dataclass(frozen=True)
