@@ -12,8 +12,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from dbc.candump.reader import Writer
-from dbc.candump.writer import NotWritableError
+from dbc.candump.writer import NotWritableError, Writer
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import Block
 from dbc.logs.objects import ObjectReader

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 from asammdf import MDF
 
-from dbc.candump.reader import Reader, Writer
+from dbc.candump.reader import Reader
+from dbc.candump.writer import Writer
 from dbc.codec import bind
 from dbc.contract import ANY
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
