@@ -26,7 +26,6 @@ from dbc.records import FLAG, FLAG_INPUTS, Records, pointer
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.core.flags import Timing
 from gateway.core.inbox import Temperatures
-from gateway.core.pairing import Samples
 from gateway.core.receiving import Receiver
 from gateway.core.supervision import Supervision
 from gateway.core.temperature import SensorMonitor
@@ -35,6 +34,7 @@ from gateway.core.view import Wear
 from gateway.settings.calibration import POINTS
 from gateway.study.calibrating import Sample
 from tests import columns
+from tests.sample_rows import Samples, samples_of
 
 
 class Report(NamedTuple):
@@ -65,13 +65,13 @@ class Inbox(gateway.core.inbox.Inbox):
     @property
     def samples(self) -> Samples:
         """Of the last tick."""
-        return samples_of(self)
+        return last_samples(self)
 
 
-def samples_of(inbox: gateway.core.inbox.Inbox) -> Samples:
+def last_samples(inbox: gateway.core.inbox.Inbox) -> Samples:
     """Samples of the last tick."""
     receiver = inbox.receiver
-    return receiver.workspace.first(receiver.pointer.tick.samples)
+    return samples_of(receiver).first(receiver.pointer.tick.samples)
 
 
 def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:

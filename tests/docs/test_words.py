@@ -31,7 +31,6 @@ PROTOCOLS = {
     "fit": "methods that learn",
     "send": "buses and sockets",
     "line": "readers of logs, a line each",
-    "frames": "readers of logs",
     "head": "readers of logs, what a line says beside its data",
     "clock": "readers of logs, times of lines in a row",
 }

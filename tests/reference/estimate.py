@@ -16,9 +16,9 @@ from dbc.records import Columns, Records, pointer
 from estimators import filters
 from gateway.core.codes import Health, Reason
 from gateway.core.estimate import Bank, estimates
-from gateway.core.pairing import Samples
 from tests.core_calls import acquisition, adaptation, current_calibration
 from tests.core_calls.acquisition import Consistency
+from tests.sample_rows import Samples
 
 LONGEST_GAP: Final = 64
 DISAGREE_TICKS: Final = 3

@@ -20,7 +20,7 @@ from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
 from tests.core_calls.filters import sweep
 from tests.reference import motor_model
-from tests.stations import samples_of
+from tests.stations import last_samples
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 from tests.unit.test_est_ekf import bench
 
@@ -108,7 +108,7 @@ def nominal_windows(kind: str) -> np.ndarray:
     for tick in range(1, LOOP_TICKS + 1):
         tracked = [core.bank.filters.steps[d] >= SETTLE_STEPS for d in range(len(NODES))]
         core.step(honest.sent(tick), tick * TICK)
-        drive = samples_of(core.inbox).drive
+        drive = last_samples(core.inbox).drive
         nis = core.bank.samples.nis[: len(drive)]
         losses = honest.lost[max(tick - 31, 0) : tick + 30].any()
         standing = honest.phase[tick - 1] == PHASES.index("standstill")
