@@ -123,3 +123,21 @@ void step_add_sample(const struct step_config *config, struct step_state *state,
     if (fabs(median(x, recent, size) - state->level_k) > config->step_k)
         state->since = 0;
 }
+
+void step_follow(const struct step_config *config, const double *x, int64_t count, double *out)
+{
+    double latest[STEP_WINDOW_MAX];
+    const int size = step_window(config);
+    struct step_state state;
+    step_reset(&state);
+    for (int k = 0; k < STEP_WINDOW_MAX; k++)
+        latest[k] = NAN;
+    for (int64_t k = 0; k < count; k++) {
+        for (int i = 1; i < size; i++)
+            latest[i - 1] = latest[i];
+        latest[size - 1] = x[k];
+        if (k >= config->before + config->after)
+            step_add_sample(config, &state, latest);
+        out[k] = state.offset_k;
+    }
+}

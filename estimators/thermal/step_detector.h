@@ -14,4 +14,7 @@ void step_reset(struct step_state *state);
  * without a reading. */
 void step_add_sample(const struct step_config *config, struct step_state *state, const double *x);
 
+/* Fill out (count) K: offset of one sensor after each of its residuals x (count). */
+void step_follow(const struct step_config *config, const double *x, int64_t count, double *out);
+
 #endif

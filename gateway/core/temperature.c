@@ -219,3 +219,8 @@ void temperature_values(const struct temperature_drive *drive, int drives, int64
         }
     }
 }
+
+int64_t temperature_received_ns(const struct temperature_drive *drive)
+{
+    return drive->received_ns;
+}

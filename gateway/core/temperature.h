@@ -33,4 +33,7 @@ int temperature_not_yet_valid(const struct temperature_drive *drive);
 void temperature_values(const struct temperature_drive *drive, int drives, int64_t now_ns,
                         double *values_c, uint8_t *valid);
 
+/* Stamp of the last reading; INT64_MIN: none. */
+int64_t temperature_received_ns(const struct temperature_drive *drive);
+
 #endif

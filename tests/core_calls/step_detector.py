@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from _traction_core import ffi, lib
+from _traction_core import lib
 
 from estimators._core import pointer
 from estimators.thermal.step_detector import MOST_SAMPLES, SLOWEST_S, Array, config, window
@@ -21,16 +21,11 @@ def offsets(residual: Array, spacing_s: float) -> Array:
     found = config(spacing_s)
     if window(found) > MOST_SAMPLES:
         raise ValueError(f"samples {spacing_s} s apart are too close together for steps")
-    size = window(found)
     for m, p in np.ndindex(*residual.shape[1:]):
-        state = ffi.new("struct step_state *")
-        lib.step_reset(state)
-        latest = np.full(size, np.nan)
-        for k, value in enumerate(residual[:, m, p]):
-            latest[:-1], latest[-1] = latest[1:].copy(), value
-            if k >= found["before"][0] + found["after"][0]:
-                lib.step_add_sample(
-                    pointer("struct step_config", found), state, pointer("double", latest)
-                )
-            out[k, m, p] = state.offset_k
+        given, own = np.ascontiguousarray(residual[:, m, p]), np.empty(len(residual))
+        lib.step_follow(
+            pointer("struct step_config", found), pointer("double", given), len(given),
+            pointer("double", own),
+        )  # fmt: skip
+        out[:, m, p] = own
     return out

@@ -116,6 +116,7 @@ def test_a_reset_forgets_all_but_what_is_configured():
             add_reading(side, reading)
     assert side.drives.tobytes() != before.tobytes()
     drive = pointer("struct temperature_drive", side.drives)
+    assert lib.temperature_received_ns(drive) == side.drives["received_ns"][0]
     lib.temperature_reset(drive)
     assert repr(side.drives.tolist()) == repr(before.tolist())
 

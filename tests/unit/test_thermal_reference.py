@@ -110,6 +110,13 @@ def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
     assert met == {False, True}
 
 
+def test_behind_the_last_sample_nothing_is_written():
+    x, out = np.zeros(50), np.full(50, 7.0)
+    config = pointer("struct step_config", step_detector.config(1.0))
+    lib.step_follow(config, pointer("double", x), 49, pointer("double", out))
+    assert out.tolist() == [0.0] * 49 + [7.0]
+
+
 def test_samples_too_close_together_are_refused():
     with pytest.raises(ValueError, match="too close together"):
         offsets(np.zeros((10, 1, 1)), 0.01)
