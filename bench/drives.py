@@ -29,6 +29,7 @@ from gateway.core.motion import Timebase
 from gateway.settings.config import BENCH_MOTOR, shipped_dbc
 from gateway.settings.sections import Adhesion, Estimator
 from tests.receivers import Received
+from tests.sample_rows import readings_of, samples_of
 from tests.stations import Bank, Flags, InputMonitor, MotionMonitor, TemperatureMonitor
 
 HEADER = ("drives", "per tick", "per drive and tick", "longest station")
@@ -86,8 +87,8 @@ class Stations:
         came.channels["drive"] = np.arange(len(came.channels)) // self.per
         tick = box.pointer.tick
         for name, mine, theirs, rows in (
-            ("samples", came.samples, box.workspace, tick.samples),
-            ("motions", came.readings, box.readings, tick.motions),
+            ("samples", came.samples, samples_of(box), tick.samples),
+            ("motions", came.readings, readings_of(box), tick.motions),
         ):
             drive = np.tile(theirs.drive[:rows], groups) + count * np.arange(groups).repeat(rows)
             kept = drive < self.n

@@ -16,10 +16,10 @@ from _traction_core import lib
 
 from bench.chain import Motor, motors_of, state_of
 from dbc.records import pointer
-from estimators import adaptation, filters
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S
-from tests.reference import ekf
+from tests.reference import ekf, motor_model
 
 HEADER = ("filter", "drives", "per call", "per drive and step", "reference in the same run")
 FLEETS: Final = (1, 3, 16, 64, 256, 1024)
@@ -44,7 +44,7 @@ def best(task: Callable[[], object]) -> float:
 def call_of(kind: str, n: int, steps: int, *, sub_steps: int = 1) -> Callable[[], None]:
     """One call with `steps` samples of each of n drives; kind: "ekf" or "ukf"."""
     par, noise = motors_of(n)
-    drives = adaptation.filters(n)
+    drives = filters.unstarted(n)
     drives.x, drives.P = state_of(n)
     rng, rows = np.random.default_rng(0), n * steps
     drive = np.tile(np.arange(n, dtype=np.int32), steps)
@@ -99,8 +99,8 @@ def dense(n: int) -> float:
     whole = all_of(P)
 
     def call() -> None:
-        F = all_of(pmsm.jacobian(par, x, SUB_STEP_S))
-        prior = pmsm.step(par, x, u, SUB_STEP_S).ravel()
+        F = all_of(motor_model.jacobian(par, x, SUB_STEP_S))
+        prior = motor_model.step(par, x, u, SUB_STEP_S).ravel()
         cov = F @ whole @ F.T + Q
         gain = np.linalg.solve(H @ cov @ H.T + R, H @ cov).T
         rest = np.eye(5 * n) - gain @ H

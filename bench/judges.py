@@ -21,6 +21,7 @@ from estimators import maisd
 from estimators.detect import Evidence, VariationalDetector
 from estimators.detect.variational import DEFAULT_PRIORS
 from estimators.thermal.sigma_mixed import Lumps, SigmaMixedFilter, estimate
+from tests.core_calls.maisd import average, push
 from tests.reference import maisd as reference
 from tests.reference.variational import infer, starts
 
@@ -112,8 +113,8 @@ def spread(n: int) -> float:
 
     def take() -> None:
         nonlocal seen
-        maisd.push(ring, seen, values, present)
-        maisd.compare(*maisd.average(ring))
+        push(ring, seen, values, present)
+        maisd.compare(*average(ring))
         seen += 1
 
     for _ in range(WINDOW):

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.candump.reader import Writer
+from dbc.candump.writer import Writer
 from dbc.codec import Codec
 from dbc.frame import Frame
 from gateway.core.gateway import Gateway

@@ -21,12 +21,11 @@ from dbc.frame import MS, SECOND, Frame, Nanos
 from gateway.core.flags import Timing
 from gateway.core.gateway import SENSOR
 from gateway.core.inbox import Temperatures
-from gateway.core.thermal import TemperatureMonitor
 from gateway.settings.calibration import POINTS, Calibration, MotorCalibration
 from gateway.settings.sections import Thermal
 from gateway.study.calibrating import Learner
 from gateway.study.temperature_reader import CycleLog
-from tests.stations import debounce, flag
+from tests.stations import TemperatureMonitor, debounce, flag
 
 DATA: Final = Path(__file__).parents[1] / "tests" / "data" / "temperatures"
 TICK_NS: Final = 10 * MS

@@ -131,7 +131,7 @@ def one_by_one(recorded: Recorded, ticks: list[tuple[Block, int]]) -> dict[str, 
     gateway = recorded.gateway()
     most = max(block.size for block, _ in ticks)
     gateway.inbox.receiver.reserve(2 * most)
-    gateway.bank.reserve(len(gateway.inbox.receiver.workspace.drive))
+    gateway.bank.reserve(gateway.inbox.receiver.sample_rows)
     gateway.link()
     calls = stations(gateway)
     spent: dict[str, list[float]] = {name: [] for name in calls}

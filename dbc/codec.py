@@ -19,15 +19,11 @@ from numpy.typing import NDArray
 from dbc.codec_tables import PAYLOAD, CodecTables
 from dbc.contract import Contract
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.load import load, specs_of
+from dbc.load import specs_of
 from dbc.spec import (
-    ABSENT,
     EXTENDED_KEY,
     NOT_A_NUMBER,
-    NOT_AVAILABLE,
     RANGE,
-    SATURATED,
-    VALID,
     DbcMismatch,
     Match,
     MessageSpec,
@@ -203,24 +199,3 @@ def _digest(path: Path) -> str:
         return hashlib.sha256(read_bytes(path)).hexdigest()
     except (OSError, ValueError):
         return ""
-
-
-__all__ = [
-    "ABSENT",
-    "NOT_AVAILABLE",
-    "NOT_A_NUMBER",
-    "PAYLOAD",
-    "RANGE",
-    "SATURATED",
-    "VALID",
-    "Codec",
-    "DbcMismatch",
-    "Match",
-    "MessageSpec",
-    "Reading",
-    "SignalSpec",
-    "Validity",
-    "bind",
-    "bind_usable",
-    "load",
-]

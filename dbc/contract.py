@@ -7,7 +7,6 @@ come from the DBC); names, units, widths of states and meanings of codes are not
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -15,25 +14,6 @@ from typing import Final
 
 NOT_AVAILABLE: Final = "NotAvailable"
 """Label of the not-available code in a `VAL_` table."""
-
-SI_FACTOR: Final[Mapping[str, float]] = {
-    "": 1.0,
-    "A": 1.0,
-    "V": 1.0,
-    "Nm": 1.0,
-    "degC": 1.0,
-    "K": 1.0,
-    "K/h": 1.0,
-    "%": 0.01,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "rpm": 2.0 * math.pi / 60.0,
-    "deg": math.pi / 180.0,
-}
-"""Unit on the wire -> factor to what the core computes with (A, V, Nm, rad/s, rad, 1, s).
-
-Celsius stays Celsius, K/h stays K/h: the thermal side works with differences and rates of these.
-"""
 
 
 class Direction(Enum):
@@ -53,11 +33,6 @@ class SignalNeed:
     bits: int = 0
     """Required width; 0 leaves it free."""
 
-    @property
-    def si_factor(self) -> float:
-        """Factor from the unit on the wire to SI."""
-        return SI_FACTOR[self.unit]
-
 
 @dataclass(frozen=True, slots=True)
 class MessageNeed:
@@ -70,8 +45,6 @@ class MessageNeed:
     length: int = 8
     fd: bool = False
     cyclic: bool = True
-    stale_periods: int = 3
-    """Older than this many periods plus a tick is stale."""
 
     def name(self, node: int) -> str:
         """Name in the DBC; `node` is ignored for the gateway's own."""
@@ -91,14 +64,6 @@ class Contract:
                 yield need.name(0), need, 0
             for node in nodes if need.per_drive else ():
                 yield need.name(node), need, node
-
-    def si_factor(self, kind: str, signal: str) -> float:
-        """SI factor of a signal. Raises KeyError for one that is not in the contract."""
-        for need in self.messages:
-            for wanted in need.signals if need.kind == kind else ():
-                if wanted.name == signal:
-                    return wanted.si_factor
-        raise KeyError(f"{kind}.{signal}")
 
 
 def _coded(name: str, *labels: str, first: int = 0, bits: int = 4) -> SignalNeed:

@@ -137,9 +137,8 @@ class Receiver:
 
     `check` checks a frame, `cycle` feeds the state machine once per receiver cycle (with
     NO_NEW_DATA when nothing came). The first good frame sets the counter; a jump sets it anew, so
-    a restarted sender costs one WRONG_SEQUENCE. Counts: ok (OK_SOME_LOST included), error,
-    repeated, wrong_sequence, lost (frames that the counter proves missing); `missed` is what the
-    last check added to lost.
+    a restarted sender costs one WRONG_SEQUENCE. `lost` counts frames
+    that the counter proves missing; `missed` is what the last check added to it.
     """
 
     __slots__ = ("_data_ids", "_profile", "_state", "counts", "lost")
@@ -148,7 +147,7 @@ class Receiver:
         """Start in NO_DATA with an empty window."""
         self._profile, self._data_ids = spec.profile, spec.data_ids
         self.counts = [0] * len(Check)
-        """Frames by result; OK_SOME_LOST is in `ok` as well."""
+        """Frames by result, the index is a `Check`."""
         self.lost = 0
         self._state = states(1)
 
@@ -178,23 +177,3 @@ class Receiver:
     def missed(self) -> int:
         """Frames that the last frame proves lost."""
         return int(self._state[0]["missed"])
-
-    @property
-    def ok(self) -> int:
-        """Frames accepted."""
-        return self.counts[Check.OK] + self.counts[Check.OK_SOME_LOST]
-
-    @property
-    def error(self) -> int:
-        """Frames with a wrong checksum."""
-        return self.counts[Check.ERROR]
-
-    @property
-    def repeated(self) -> int:
-        """Frames with the counter of the one before."""
-        return self.counts[Check.REPEATED]
-
-    @property
-    def wrong_sequence(self) -> int:
-        """Frames whose counter jumped."""
-        return self.counts[Check.WRONG_SEQUENCE]

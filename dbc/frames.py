@@ -43,6 +43,11 @@ class Block(NamedTuple):
         """Number of frames."""
         return len(self.t_ns)
 
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """All but the names."""
+        return self.t_ns, self.can_id, self.flags, self.length, self.data, self.dlc, self.channel
+
     def columns(self) -> Any:
         """Where the columns lie, a `struct frame_columns`. The block has to outlive its use."""
         others = pointer("int8_t", self.dlc), pointer("uint16_t", self.channel)
@@ -62,16 +67,7 @@ class Block(NamedTuple):
 
     def pick(self, which: NDArray[np.int64] | NDArray[np.bool_] | slice) -> Block:
         """The frames that an index or a mask names, copied; of a slice: views."""
-        return Block(
-            self.t_ns[which],
-            self.can_id[which],
-            self.flags[which],
-            self.length[which],
-            self.data[which],
-            self.dlc[which],
-            self.channel[which],
-            self.names,
-        )
+        return Block._make([*(column[which] for column in self.arrays), self.names])
 
     def frame(self, k: int) -> Frame:
         """One frame."""
@@ -166,25 +162,9 @@ def join(first: Block, second: Block) -> Block:
         return second if not first.size else first
     names = list(dict.fromkeys([*first.names, *second.names]))
     number = np.array([names.index(name) for name in second.names], dtype=np.uint16)
-    return Block(
-        np.concatenate([first.t_ns, second.t_ns]),
-        np.concatenate([first.can_id, second.can_id]),
-        np.concatenate([first.flags, second.flags]),
-        np.concatenate([first.length, second.length]),
-        np.concatenate([first.data, second.data]),
-        np.concatenate([first.dlc, second.dlc]),
-        np.concatenate([first.channel, number[second.channel]]),
-        names,
-    )
+    second = second._replace(channel=number[second.channel])
+    pairs = zip(first.arrays, second.arrays, strict=True)
+    return Block._make([*map(np.concatenate, pairs), names])
 
 
-EMPTY: Final = Block(
-    np.zeros(0, dtype=np.int64),
-    np.zeros(0, dtype=np.uint32),
-    np.zeros(0, dtype=np.uint8),
-    np.zeros(0, dtype=np.uint8),
-    np.zeros((0, MAX_DATA_BYTES), dtype=np.uint8),
-    np.zeros(0, dtype=np.int8),
-    np.zeros(0, dtype=np.uint16),
-    [],
-)
+EMPTY: Final = blank(0, [])

@@ -8,12 +8,26 @@ import numpy as np
 from _traction_core import lib
 from numpy.typing import NDArray
 
-from dbc.records import FILTER_NOISE, FILTER_SAMPLE, FILTER_SETTINGS, Columns, pointer, zeros
-from estimators import adaptation
+from dbc.records import (
+    FILTER,
+    FILTER_NOISE,
+    FILTER_SAMPLE,
+    FILTER_SETTINGS,
+    Columns,
+    pointer,
+    zeros,
+)
 from estimators.models.pmsm import Array, Noise
 
 KAPPA: Final = -2.0
 """Of the UKF: n + kappa = 3, so that the sigma points match the kurtosis of a Gaussian."""
+
+
+def unstarted(n: int) -> Columns:
+    """`struct filter` of N drives without a filter."""
+    made = zeros(n, FILTER)
+    made.P, made.nis, made.r_scale, made.is_finite = np.eye(5), 2.0, 1.0, 1
+    return made
 
 
 def noise_records(noise: Noise) -> Columns:
@@ -59,18 +73,3 @@ def run(
         lib.filter_run(*given)
     elif lib.filter_run_with(bits, *given) < 0:
         raise ValueError(f"no registers of {bits} bits")
-
-
-def sweep(
-    kind: str, table: Array, noise: Noise, x: Array, P: Array, samples: Columns, dt: float,
-    bias: Array | None = None, bits: int = 0,
-) -> tuple[Array, NDArray[np.bool_]]:  # fmt: skip
-    """Run filters over M samples; x (N, 5) and P (N, 5, 5) in place.
-
-    kind: "ekf" or "ukf"; bias: v_q_bias (N,), V, none without. Returns (nis (M,), ok (N,)).
-    """
-    drives = adaptation.filters(len(x))
-    drives.x, drives.P, drives.v_q_bias = x, P, 0.0 if bias is None else bias
-    run(samples, table, noise_records(noise), drives, settings(dt, kind), bits)
-    x[:], P[:] = drives.x, drives.P
-    return samples.nis.copy(), drives.is_finite == 1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dbc.records import Records
 from gateway.core.estimate import estimates
 from gateway.core.inputs import statuses
-from gateway.core.pairing import drive_inputs
+from gateway.core.receiving import drive_inputs
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,9 +9,9 @@ import numpy as np
 
 from gateway.core import inputs
 from gateway.core.codes import Health, Reason
-from gateway.core.pairing import Samples
 from tests.columns import Told
 from tests.receivers import Received
+from tests.sample_rows import Samples
 from tests.stations import Bank
 
 

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dbc.records import Columns
-from estimators import acquisition, adaptation, filters
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
+from tests.core_calls import acquisition
 
 
 def samples(drive, u, y, n_sub, n_gap, nis=np.nan) -> Columns:
@@ -42,7 +43,7 @@ def estimate(drives: Columns) -> Estimate:
 
 def check(drives: Columns, x: np.ndarray) -> np.ndarray:
     """Consistency (N,) of filters with the states x (N, 5)."""
-    each = adaptation.filters(len(x))
+    each = filters.unstarted(len(x))
     each.x = x
     return np.array(acquisition.check(drives, each))
 
@@ -51,7 +52,7 @@ def start_states(
     drives: Columns, par: Pmsm, noise: Noise, rated: Rated
 ) -> tuple[np.ndarray, np.ndarray]:
     """First x (N, 5) and P (N, 5, 5) of all filters."""
-    each, table = adaptation.filters(len(drives)), pmsm.table(par)
+    each, table = filters.unstarted(len(drives)), pmsm.table(par)
     for k in range(len(drives)):
         acquisition.start_filter(drives, k, table, noise.R, rated.T[k], each)
     return each.x.copy(), each.P.copy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-from dbc.candump.reader import Writer
+from dbc.candump.writer import Writer
 from dbc.frame import Frame
 from gateway.core.gateway import Gateway
 from gateway.core.view import GatewayView

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from dbc.records import ROTOR, zeros
-from estimators import acquisition, adaptation, current_calibration
+from estimators import filters
 from gateway.core import inputs
 from gateway.core.channel import RPM
 from gateway.core.codes import NEVER
@@ -13,6 +13,7 @@ from gateway.core.estimate import estimates as fresh_estimates
 from gateway.core.motion import Timebase
 from gateway.settings.config import BENCH_MOTOR
 from gateway.settings.sections import Estimator
+from tests.core_calls import acquisition, current_calibration
 from tests.receivers import Received
 from tests.sender import MS
 from tests.stations import MotionMonitor
@@ -28,7 +29,7 @@ class Drives(MotionMonitor):
         self.status = inputs.statuses(n)
         estimates = fresh_estimates(n)
         bank = SimpleNamespace(
-            estimates=estimates, filters=adaptation.filters(n), chords=acquisition.start(n),
+            estimates=estimates, filters=filters.unstarted(n), chords=acquisition.start(n),
             sensors=current_calibration.start(n),
         )  # fmt: skip
         rotors = zeros(n, ROTOR)

@@ -8,7 +8,8 @@ import numpy as np
 from _traction_core import ffi
 
 from dbc.records import CHANNEL, RECEIVER
-from gateway.core.pairing import drive_inputs, readings, workspace
+from gateway.core.receiving import drive_inputs
+from tests.sample_rows import readings, workspace
 
 
 class Received:

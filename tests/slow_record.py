@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from dbc.candump.reader import Writer
+from dbc.candump.writer import Writer
 from dbc.codec import bind
 from dbc.e2e import protect
 from dbc.frame import SECOND, Frame

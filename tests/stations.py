@@ -5,8 +5,9 @@ The product has no such calls. Here they are methods of the product's own object
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
@@ -21,13 +22,32 @@ import gateway.core.motion
 import gateway.core.thermal
 from dbc.frame import Frame, Nanos
 from dbc.frames import Block, block_of
-from dbc.records import FLAG, Records, pointer
-from gateway.core.codes import FaultClass, FaultSensor
+from dbc.records import FLAG, FLAG_INPUTS, Records, pointer
+from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
 from gateway.core.flags import Timing
-from gateway.core.pairing import Samples
+from gateway.core.inbox import Temperatures
+from gateway.core.receiving import Receiver
 from gateway.core.supervision import Supervision
 from gateway.core.temperature import SensorMonitor
+from gateway.core.thermal import AMBIENT
+from gateway.core.view import Wear
+from gateway.settings.calibration import POINTS
+from gateway.study.calibrating import Sample
 from tests import columns
+from tests.sample_rows import Samples, samples_of
+
+
+class Report(NamedTuple):
+    """What is known of one motor: evidence for its two flags and what goes on the bus."""
+
+    thermal: Flag = Flag.UNKNOWN
+    sensor: Flag = Flag.UNKNOWN
+    reason: Reason = Reason.STARTING
+    fault_class: FaultClass = FaultClass.UNKNOWN
+    fault_sensor: FaultSensor = FaultSensor.NONE
+    mixed_c: float | None = None
+    maisd_k: float | None = None
+    wear: Wear = Wear()
 
 
 class Inbox(gateway.core.inbox.Inbox):
@@ -45,13 +65,13 @@ class Inbox(gateway.core.inbox.Inbox):
     @property
     def samples(self) -> Samples:
         """Of the last tick."""
-        return samples_of(self)
+        return last_samples(self)
 
 
-def samples_of(inbox: gateway.core.inbox.Inbox) -> Samples:
+def last_samples(inbox: gateway.core.inbox.Inbox) -> Samples:
     """Samples of the last tick."""
     receiver = inbox.receiver
-    return receiver.workspace.first(receiver.pointer.tick.samples)
+    return samples_of(receiver).first(receiver.pointer.tick.samples)
 
 
 def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
@@ -115,6 +135,48 @@ class TemperatureMonitor(gateway.core.thermal.TemperatureMonitor):
     def tell(self, now: Nanos, out: Records) -> None:
         """`report_temperatures`: evidence where it can have changed, into out (N,)."""
         lib.report_temperatures(self.pointer, now, ffi.from_buffer("struct flag_inputs[]", out))
+
+    def add_readings(
+        self, readings: Sequence[Temperatures], now: Nanos, beside: Receiver | None = None
+    ) -> None:
+        """One tick of readings that came in no frame: a recording's; nothing is reported.
+
+        beside: what else the drives have sent, for the thermal model.
+        """
+        for reading in readings:
+            add_reading(self.sensors, reading)
+            celsius, valid = reading.celsius[AMBIENT], reading.valid[AMBIENT]
+            self.motors["ambient_c"][reading.drive] = celsius if valid else math.nan
+        receiver = ffi.NULL if beside is None else beside.pointer
+        lib.advance_temperatures(self.pointer, receiver, bool(readings), now)
+
+    @property
+    def last(self) -> Sample | None:
+        """The newest second, in the temperature cycle that completed it."""
+        if not self.record["second_complete"][0]:
+            return None
+        mean = self.motors["mean"].copy()
+        square, speed, ambient = (
+            mean[:, k] for k in (lib.THERMAL_CURRENT_SQUARE, lib.THERMAL_SPEED, lib.THERMAL_AMBIENT)
+        )
+        return Sample(mean[:, :AMBIENT], square, speed, ambient)
+
+    def report(self, drive: int, now: Nanos, limit_ns: Nanos) -> Report:
+        """Evidence for one motor at `now`; `limit_ns` is the age limit of its temperatures."""
+        self.motors["age_limit_ns"][drive] = limit_ns
+        out = np.zeros(1, FLAG_INPUTS)
+        lib.report_motor(self.pointer, drive, now, pointer("struct flag_inputs", out))
+        return self.to_report(drive, out[0])
+
+    def to_report(self, drive: int, found: Any) -> Report:
+        """One motor's `flag_inputs` in words."""
+        mixed, largest = (float(found[name]) for name in ("mixed_c", "maisd_k"))
+        return Report(
+            Flag(found["thermal"]), Flag(found["sensor"]), Reason(found["thermal_reason"]),
+            FaultClass(found["fault_class"]), FaultSensor(found["fault_sensor"]),
+            None if math.isnan(mixed) else mixed, None if math.isnan(largest) else largest,
+            self.wear[drive],
+        )  # fmt: skip
 
 
 class IntegrityMonitor(gateway.core.integrity.IntegrityMonitor):
@@ -219,3 +281,12 @@ def sensor_verdict(
     own = _drive(sensors, drive)
     kind, whose = lib.temperature_fault(own, now), lib.temperature_fault_sensor(own, now)
     return FaultClass(kind), FaultSensor(whose)
+
+
+def add_reading(sensors: SensorMonitor, reading: Temperatures) -> None:
+    """Accept one reading of one drive."""
+    drive, configured = _drive(sensors, reading.drive), sensors.configured[reading.drive]
+    lib.temperature_add_reading(drive, reading.t_ns)
+    for k in np.flatnonzero(configured & reading.valid[: len(POINTS)]).tolist():
+        celsius = float(reading.celsius[k])
+        lib.temperature_add_value(drive, k, reading.t_ns, celsius, reading.raw[k])

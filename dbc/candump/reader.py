@@ -21,11 +21,9 @@ from dbc.candump.grammar import (
     DROPS,
     MAX_LINE,
     Verdict,
-    format_frame,
     parse_line,
     tail_of,
 )
-from dbc.candump.writer import Writer
 from dbc.frame import Frame
 from dbc.frames import Block, block_of
 from dbc.prefetch import ahead
@@ -62,14 +60,52 @@ class Problem(NamedTuple):
     text: str
 
 
-class Reader:
+class LogReader:
     """Frames of a log, in file order: data, remote and error frames, told apart by flags.
 
-    `source` is a path (gzip is recognised by its first bytes) or a binary stream. After reading:
-    `counts` (Verdict -> lines; their sum is `lines`), `problems` (the first 100 faults), `drops`
-    (frames candump says it lost), `truncated` (why a gzip stream ended early, else ""); during it
-    they are those of all lines up to the end of the block that was last read. Memory does not grow
-    with the file. Each iteration of a path starts anew.
+    After reading: `counts` (Verdict -> lines or objects; their sum is `lines`), `problems` (the
+    first 100 faults), `drops` (frames candump says it lost), `truncated` (why the log ended early,
+    else ""), `notes` (what else is to be known about it); during it they are those of everything up
+    to the end of the block that was last read. Memory does not grow with the file. Each iteration
+    of a path starts anew.
+    """
+
+    unit = "lines"
+    """What `lines` counts."""
+
+    def __init__(self, name: str, *, strict: bool) -> None:
+        """name: of the log, for errors. Nothing is opened before iteration."""
+        self.name, self.strict = name, strict
+        self._reset()
+
+    def _reset(self) -> None:
+        self.counts: Counter[Verdict] = Counter()
+        self.lines = self.drops = 0
+        self.bytes_read = 0
+        """Of the file as it stands (compressed or not), for a progress bar."""
+        self.problems: list[Problem] = []
+        self.truncated = ""
+        self.notes: list[str] = []
+
+    def blocks(self) -> Iterator[Block]:
+        """Read from the start. Raises LogError for no such log; with `strict`, at a fault."""
+        raise NotImplementedError
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Read from the start, frame by frame."""
+        for block in self.blocks():
+            yield from block.frames()
+
+    def _fault(self, problem: Problem) -> None:
+        if len(self.problems) < PROBLEMS_KEPT:
+            self.problems.append(problem)
+        if self.strict:
+            name = problem.verdict.name.lower().replace("_", " ")
+            raise LogError(self.name, problem.line, f"{name}: {problem.text}")
+
+
+class Reader(LogReader):
+    """`source` is a path (gzip is recognised by its first bytes) or a binary stream.
 
     An unterminated last line may be the start of a longer one: a frame cut inside its data is
     a perfectly good shorter frame. It is believed only if the last frame of the same id had
@@ -79,35 +115,15 @@ class Reader:
     Raises OSError if the file cannot be opened; with `strict`, LogError at the first fault.
     """
 
-    unit = "lines"
-    """What `lines` counts."""
-
     def __init__(self, source: Path | str | IO[bytes], *, strict: bool = False) -> None:
         """Nothing is opened before iteration."""
-        self.bytes_read = 0
-        """Of the file as it stands (compressed or not), for a progress bar."""
         self._source = Path(source) if isinstance(source, str) else source
-        self.name = str(self._source) if isinstance(self._source, Path) else "log"
-        self.strict = strict
-        self._reset()
-
-    def _reset(self) -> None:
-        self.counts: Counter[Verdict] = Counter()
-        self.lines = 0
-        self.drops = 0
-        self.problems: list[Problem] = []
-        self.truncated = ""
-        self.notes: list[str] = []
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Read from the start."""
-        for block in self.blocks():
-            yield from block.frames()
+        name = str(self._source) if isinstance(self._source, Path) else "log"
+        super().__init__(name, strict=strict)
 
     def blocks(self) -> Iterator[Block]:
         """Read from the start, in blocks of lines: the same frames, faster."""
         self._reset()
-        self.bytes_read = 0
         with ExitStack() as stack:
             yield from self._blocks(without_mark(self._chunks(stack)))
 
@@ -269,13 +285,6 @@ class Reader:
             self._fault(Problem(self.lines, verdict, text))
         return frame
 
-    def _fault(self, problem: Problem) -> None:
-        if len(self.problems) < PROBLEMS_KEPT:
-            self.problems.append(problem)
-        if self.strict:
-            name = problem.verdict.name.lower().replace("_", " ")
-            raise LogError(self.name, problem.line, f"{name}: {problem.text}")
-
 
 def _unterminated(
     line: bytes, verdict: Verdict, frame: Frame | None, tails: dict[bytes, int]
@@ -286,6 +295,3 @@ def _unterminated(
         if tails.get(digits) == tail:
             return verdict, frame
     return Verdict.CUT, None
-
-
-__all__ = ["LogError", "Problem", "Reader", "Verdict", "Writer", "format_frame", "parse_line"]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import gzip
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Final, Self, cast
+from typing import IO, Final, cast
 
 from _traction_core import ffi, lib
 
@@ -27,7 +26,7 @@ class NotWritableError(ValueError):
         super().__init__(text)
 
 
-class Writer:
+class Writer(AbstractContextManager["Writer"]):
     """Writes frames to a log (gzip by the suffix `.gz`). Context manager; `close` when done."""
 
     def __init__(self, target: Path | str | IO[bytes], channel: str = "can0") -> None:
@@ -83,15 +82,6 @@ class Writer:
         """Flush and close what was opened here; a given stream stays open."""
         self._stack.close()
 
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close."""
         self.close()

@@ -9,9 +9,8 @@ Times are those of the file: seconds since the first trigger, also behind a seco
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from datetime import datetime
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,10 @@ from dbc.logs.format import (
     CLASSIC_BYTES,
     FD_SIZES,
     MOST_DLC,
+    Format,
     Head,
     Line,
     framed,
-    hex_bytes,
     nanoseconds,
     words_of,
 )
@@ -55,14 +54,12 @@ _RTR, _EDL, _BRS, _ESI = 0x10, 0x1000, 0x2000, 0x4000
 """Of the flags of a CANFD line."""
 
 
-class Asc:
+class Asc(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
     regex = re.compile(rf"^(?:{_PLAIN}|(.*))$", re.MULTILINE)
-    order = ()
-    began = False
-    splits = False
-    shape: Any = _SHAPE
+    shape = _SHAPE
+    has_names = True
 
     def __init__(self) -> None:
         """As a log without a header is: hexadecimal, with absolute times."""
@@ -81,10 +78,6 @@ class Asc:
         if "ID =" in text:
             for name, number, extended in _NAMED.findall(text):
                 self._numbers[name] = int(number), EXTENDED if extended else 0
-
-    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """Of seconds."""
-        return nanoseconds(texts)
 
     def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
         """From the first trigger on: differences added up, times of later blocks moved."""
@@ -110,7 +103,9 @@ class Asc:
 
     def data(self, text: str, length: int) -> bytes:
         """Bytes with blanks between, in the log's base."""
-        return hex_bytes(text, length) if self._base == 16 else bytes(map(int, text.split()))
+        if self._base == 16:
+            return super().data(text, length)
+        return bytes(map(int, text.split()))
 
     def whole(self, text: str) -> bool:
         """A decimal byte may go on."""

@@ -91,11 +91,6 @@ class Blf(ObjectReader):
         self._count(block)
         return block
 
-    def frames(self) -> Iterator[Frame]:
-        """All of them, one by one."""
-        for block in self.blocks():
-            yield from block.frames()
-
     def _items(self) -> Iterator[Frame | Block]:
         """Frames, and runs of them. Raises LogError for what is no BLF."""
         rest = b""
@@ -294,9 +289,9 @@ class Blf(ObjectReader):
             return found
         self._restore_points += fields[3] == RESTORE_POINT_KIND
         if isinstance(found, str):
-            self._fault(Verdict.MALFORMED, found)
+            self._skip_fault(Verdict.MALFORMED, found)
         elif found.is_fault:
-            self._fault(found, f"an object of kind {fields[3]} that is no frame")
+            self._skip_fault(found, f"an object of kind {fields[3]} that is no frame")
         else:
             self._skip(found)
         return None
@@ -307,7 +302,7 @@ class Blf(ObjectReader):
         """Count a hole of so many bytes. How many objects it had is known at the end."""
         self._holes += 1
         self._lost_bytes += size
-        self._fault(Verdict.MALFORMED, text)
+        self._skip_fault(Verdict.MALFORMED, text)
 
     def _skip_to_object(self, data: bytes, at: int, least: int = 0) -> int:
         """Where the next object begins, `least` bytes on or later; the end if there is none."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
-from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, nanoseconds
 from dbc.logs.times import date_ns, logger_ns
 
 _NAMES: Final = {
@@ -80,13 +80,8 @@ def _columns(text: str) -> _Columns | None:
     return _Columns(separator, titles, plain, kinds)
 
 
-class Csv:
+class Csv(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
-
-    order: tuple[int, ...] = ()
-    began = False
-    splits = False
-    shape = None
 
     def __init__(self) -> None:
         """Before its header."""
@@ -190,11 +185,6 @@ class Csv:
             return ""
         known = "15T100000250 or seconds" if self._logger else "a number or an ISO date"
         return f"unknown time {bad!r}, not {known}"
-
-    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """As they are."""
-        del timed
-        return times
 
     def data(self, text: str, length: int) -> bytes:
         """Base64, or hexadecimal with anything between the bytes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,67 +48,63 @@ class Line(NamedTuple):
     sure: bool = False
 
 
-class Format(Protocol):
-    """A format of lines."""
+class Format:
+    """A format of lines. What is not of its own in most formats stands here."""
 
     regex: re.Pattern[str]
     """Matches every line. Groups: time, those of the head, data; the line if it is not plain."""
-    order: tuple[int, ...]
+    order: tuple[int, ...] = ()
     """Places of these groups among those of `regex`, if they are not in this order; else empty."""
-    splits: bool
+    splits = False
     """Whether the head's groups are its words; else it is one group."""
-    shape: Any
+    shape: Any = None
     """How plain lines look for dbc/text_read.c, see `dbc.logs.lines`; None: it cannot read them."""
-    began: bool
+    began = False
     """Whether a plain line came before the one that `line` is given."""
-
-    def head(self, parts: tuple[str, ...]) -> Head:
-        """Of the head's groups."""
-
-    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
-        """Nanoseconds of the time's groups. Raises ValueError."""
-
-    def data(self, text: str, length: int) -> bytes:
-        """Of the data's group. Raises ValueError."""
-
-    def whole(self, text: str) -> bool:
-        """Whether no digit can follow in the data's group, which has as many bytes as it should."""
-
-    def changes(self, text: str) -> bool:
-        """Whether a line that is not plain says how those behind it are to be read."""
-
-    def line(self, text: str) -> Line:
-        """A line that is not plain. After one of `changes`, `regex` may be another one."""
-
-    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """The frames' times of those that stand in consecutive lines; 0 in lines without one."""
-
-
-@runtime_checkable
-class Named(Protocol):
-    """A format whose frames may have names, of which a line says behind its data what they are."""
-
+    has_names = False
+    """Whether frames may have names, of which a line says behind its data what they are."""
     notes: list[str]
     """What a person is told when the log has been read."""
 
     def learn(self, text: str) -> None:
         """Names in these lines; before any of their heads is asked for."""
 
+    def head(self, parts: tuple[str, ...]) -> Head:
+        """Of the head's groups."""
+        raise NotImplementedError
 
-@runtime_checkable
-class Explaining(Protocol):
-    """A format that can say what is wrong with a line."""
+    def times(self, texts: Sequence[str]) -> NDArray[np.int64]:
+        """Nanoseconds of the time's groups, seconds. Raises ValueError."""
+        return nanoseconds(texts)
+
+    def data(self, text: str, length: int) -> bytes:
+        """Of the data's group, bytes of two digits each. Raises ValueError."""
+        del length
+        return bytes.fromhex(text)
+
+    def whole(self, text: str) -> bool:
+        """Whether no digit can follow in the data's group, which has as many bytes as it should."""
+        del text
+        return True
+
+    def changes(self, text: str) -> bool:
+        """Whether a line that is not plain says how those behind it are to be read."""
+        del text
+        return False
+
+    def line(self, text: str) -> Line:
+        """A line that is not plain. After one of `changes`, `regex` may be another one."""
+        raise NotImplementedError
+
+    def clock(self, times: NDArray[np.int64], timed: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """The frames' times of those that stand in consecutive lines; 0 in lines without one."""
+        del timed
+        return times
 
     def explain(self, text: str) -> str:
         """What is wrong with this line, and in which column; "" if nothing is known."""
-
-
-@runtime_checkable
-class Matching(Explaining, Protocol):
-    """A format that can say how far a line is like a frame."""
-
-    def matched_columns(self, text: str) -> int:
-        """How far this line is as it should be."""
+        del text
+        return ""
 
 
 def nanoseconds(texts: Sequence[str], unit_ns: int = 1_000_000_000) -> NDArray[np.int64]:
@@ -146,12 +142,6 @@ def _exact(text: str, unit_ns: int) -> int:
 def words_of(text: str) -> list[str]:
     """Words between blanks and tabs, as dbc/text_read.c parts them: no other byte is a blank."""
     return [word for word in text.replace("\t", " ").split(" ") if word]
-
-
-def hex_bytes(text: str, length: int) -> bytes:
-    """Bytes of two digits each, with anything that `bytes.fromhex` takes between them."""
-    del length
-    return bytes.fromhex(text)
 
 
 def verdict_with(head: Head, data: bytes) -> Verdict:
@@ -192,18 +182,3 @@ def framed(head: Head, t_ns: int, data: bytes = b"", *, sure: bool = False) -> L
     """A line with a frame, checked."""
     head = checked(head)
     return Line(verdict_with(head, data), head, t_ns, data, sure)
-
-
-@runtime_checkable
-class Noting(Protocol):
-    """A format that has something to say of a whole log."""
-
-    notes: list[str]
-    """What a person is told when the log has been read."""
-
-
-def with_notes(form: Format, notes: list[str]) -> Format:
-    """The format, whose notes go into this list from now on."""
-    if isinstance(form, Noting):
-        form.notes = notes
-    return form

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.candump.reader import LogError
-from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
+from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
 from dbc.frames import EMPTY, MAX_DATA_BYTES, Block, join
 from dbc.logs.format import CLASSIC_BYTES, FD_SIZES
 from dbc.logs.mf4_blocks import missing_part
@@ -101,11 +101,6 @@ class Mf4(ObjectReader):
         source.truncate(ends[0])
         return source
 
-    def frames(self) -> Iterator[Frame]:
-        """All of them."""
-        for block in self.blocks():
-            yield from block.frames()
-
     def _groups(self, mdf: Any) -> Iterator[tuple[int, str]]:
         """Groups of CAN bus logging; records of all others are counted."""
         for index, group in enumerate(mdf.groups):
@@ -134,7 +129,7 @@ class Mf4(ObjectReader):
         bad_id = (flags & (EXTENDED | ERROR) == 0) & (block.can_id > 0x7FF) & ~bad_length
         for verdict, which in ((Verdict.BAD_LENGTH, bad_length), (Verdict.BAD_ID, bad_id)):
             for k in np.flatnonzero(which).tolist():
-                self._fault(verdict, f"id {block.can_id.item(k):X}, {size.item(k)} bytes")
+                self._skip_fault(verdict, f"id {block.can_id.item(k):X}, {size.item(k)} bytes")
         block = block.pick(~(bad_length | bad_id))
         self._count(block)
         return block

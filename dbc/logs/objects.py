@@ -12,7 +12,7 @@ from typing import IO, Final, cast
 import numpy as np
 
 from dbc.candump.grammar import Verdict
-from dbc.candump.reader import PROBLEMS_KEPT, LogError, Problem
+from dbc.candump.reader import LogReader, Problem
 from dbc.frame import Frame
 from dbc.frames import Block, in_blocks
 from dbc.logs.format import verdict_of
@@ -23,11 +23,10 @@ BLOCK: Final = 1 << 13
 """Frames of a block."""
 
 
-class ObjectReader:
-    """Frames of a log that has objects, not lines. Fields as of `dbc.candump.reader.Reader`.
+class ObjectReader(LogReader):
+    """Frames of a log that has objects, not lines.
 
-    `lines` counts objects; a problem's `line` is the number of its object. `notes`: what else is to
-    be known about the log.
+    `lines` counts objects; a problem's `line` is the number of its object.
     """
 
     unit = "objects"
@@ -36,16 +35,8 @@ class ObjectReader:
 
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         """Nothing is opened before iteration."""
-        self.path, self.strict = path, strict
-        self.name = str(path)
-        self._reset()
-
-    def _reset(self) -> None:
-        self.counts: Counter[Verdict] = Counter()
-        self.lines = self.drops = self.bytes_read = 0
-        self.problems: list[Problem] = []
-        self.truncated = ""
-        self.notes: list[str] = []
+        self.path = path
+        super().__init__(str(path), strict=strict)
 
     def blocks(self) -> Iterator[Block]:
         """Read from the start. Raises LogError for no such log; with `strict`, at a fault."""
@@ -58,12 +49,7 @@ class ObjectReader:
         if self.truncated:
             read = sum(self.counts[verdict] for verdict in FRAMES)
             self.truncated = f"ends early after {read} frames: {self.truncated}"
-            self._fault(Verdict.CUT, self.truncated)
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Read from the start, frame by frame."""
-        for block in self.blocks():
-            yield from block.frames()
+            self._skip_fault(Verdict.CUT, self.truncated)
 
     def _counted(self) -> Iterator[Frame]:
         counts: Counter[int] = Counter()
@@ -94,18 +80,13 @@ class ObjectReader:
             self._skip(verdict_of(flags), count)
 
     def frames(self) -> Iterator[Frame]:
-        """Of a format; objects that are none are counted by `_skip` and `_fault`."""
+        """Of a format; objects that are none are counted by `_skip` and `_skip_fault`."""
         raise NotImplementedError
 
     def _skip(self, verdict: Verdict, count: int = 1) -> None:
         self.counts[verdict] += count
         self.lines += count
 
-    def _fault(self, verdict: Verdict, text: str) -> None:
+    def _skip_fault(self, verdict: Verdict, text: str) -> None:
         self._skip(verdict)
-        text = printable(text[:120])
-        if len(self.problems) < PROBLEMS_KEPT:
-            self.problems.append(Problem(self.lines, verdict, text))
-        if self.strict:
-            name = verdict.name.lower().replace("_", " ")
-            raise LogError(self.name, self.lines, f"{name}: {text}")
+        self._fault(Problem(self.lines, verdict, printable(text[:120])))

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
-from dbc.candump.grammar import Verdict, parse_line
-from dbc.candump.reader import Problem, Reader
-from dbc.frame import Frame
-from dbc.frames import Block
+from dbc.candump.grammar import parse_line
+from dbc.candump.reader import LogReader, Reader
 from dbc.logs.format import Format
 from dbc.logs.text import TextReader
 from dbc.text import without_mark
@@ -23,24 +20,6 @@ LINES: Final = 100
 _ASC: Final = re.compile(rb"date\s+\S|base\s+(hex|dec)\b|begin\s+triggerblock", re.I)
 TEXT: Final = (".asc", ".trc", ".csv")
 OTHERS: Final = (".blf", ".mf4", ".db")
-
-
-class LogReader(Protocol):
-    """What every reader has, see `dbc.candump.reader.Reader`."""
-
-    name: str
-    unit: str
-    strict: bool
-    counts: Counter[Verdict]
-    lines: int
-    drops: int
-    problems: list[Problem]
-    truncated: str
-    notes: list[str]
-    bytes_read: int
-
-    def blocks(self) -> Iterator[Block]:
-        """Read from the start."""
 
 
 def ending(path: Path) -> str:
@@ -146,9 +125,3 @@ def _by_content(path: Path) -> str:
         return BUSMASTER
     found = recognised(texts)
     return found.pattern if found is not None else ""
-
-
-def read_any(path: Path) -> Iterator[Frame]:
-    """Frames of a log, one by one. Raises LogError for one that cannot be read."""
-    for block in open_reader(path, strict=False).blocks():
-        yield from block.frames()

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import EXTENDED, FD, MS, REMOTE, SECOND, TX
-from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, nanoseconds
 from dbc.logs.times import DAY_NS, DayTimes, clock_ns, date_ns
 
 HEADER_LINES: Final = 100
@@ -67,14 +67,11 @@ class _Field(NamedTuple):
     form: str
 
 
-class Pattern:
+class Pattern(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
     clock_end_ns = DAY_NS
     """No `{clock}` is as late."""
-    began = False
-    splits = False
-    shape = None
 
     def __init__(self, pattern: str) -> None:
         """Raises PatternError."""
@@ -172,11 +169,6 @@ class Pattern:
         if flags & REMOTE:
             return Head(number, flags, 0, channel, code if code > 0 else -1)
         return Head(number, flags, size, channel)
-
-    def changes(self, text: str) -> bool:
-        """None does."""
-        del text
-        return False
 
     def line(self, text: str) -> Line:
         """Anything else: comments, a header, and what is not as the pattern says."""

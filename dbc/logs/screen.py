@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dbc.candump.grammar import DROPS, Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX
-from dbc.logs.format import CLASSIC_BYTES, Head, Line, hex_bytes, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, Format, Head, Line, nanoseconds
 from dbc.logs.times import Differences, date_ns
 
 HEADER_LINES: Final = 100
@@ -46,14 +46,11 @@ _MOST_BACK: Final = 0.1
 back where frames of several channels come in another order, and then by little."""
 
 
-class Screen:
+class Screen(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
     regex = _LINE
-    order: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 6, 8, 7, 9)
-    began = False
-    splits = False
-    shape = None
+    order = (0, 1, 2, 3, 4, 5, 6, 8, 7, 9)
 
     def __init__(self, lines: Sequence[str] = ()) -> None:
         """lines: the first ones of the log, by which differences are recognised."""
@@ -83,15 +80,6 @@ class Screen:
         if text not in self.notes:
             self.notes.append(text)
 
-    def data(self, text: str, length: int) -> bytes:
-        """Bytes of two digits."""
-        return hex_bytes(text, length)
-
-    def whole(self, text: str) -> bool:
-        """A byte has two digits here."""
-        del text
-        return True
-
     def head(self, parts: tuple[str, ...]) -> Head:
         """`channel direction brs esi id length kind`, as far as they are there."""
         channel, direction, brs, esi, digits, length, kind = parts
@@ -113,11 +101,6 @@ class Screen:
             return Head(number, flags, CLASSIC_BYTES, channel, size)
         # `remote request` may have been cut off behind `[0]`: such a last line is not whole.
         return Head(number, flags, size if size or flags & FD else -1, channel)
-
-    def changes(self, text: str) -> bool:
-        """None does."""
-        del text
-        return False
 
     def line(self, text: str) -> Line:
         """Anything else: a frame of CAN XL, frames that were lost, what a shell said before."""

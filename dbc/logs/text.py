@@ -22,18 +22,15 @@ from dbc.frame import EXTENDED, FD
 from dbc.frames import MAX_DATA_BYTES, Block
 from dbc.logs.format import (
     CLASSIC_BYTES,
-    Explaining,
     Format,
     Head,
     Line,
-    Matching,
-    Named,
     checked,
     verdict_with,
-    with_notes,
     words_of,
 )
 from dbc.logs.lines import Known, Scan, Scanner
+from dbc.logs.pattern import Pattern
 from dbc.text import printable
 
 _RUN: Final = 16
@@ -56,10 +53,11 @@ class TextReader(Reader):
     ) -> None:
         """`make` gives the format as it is at the start of a log."""
         super().__init__(source, strict=strict)
-        self._make: Callable[[], Format] = lambda: with_notes(make(), self.notes)
+        self._make = make
 
     def _blocks(self, chunks: Iterator[bytes]) -> Iterator[Block]:
         self._format = self._make()
+        self._format.notes = self.notes
         self._recent: list[tuple[str, ...]] = []
         self._text = ""
         self._headers: list[tuple[int, str]] = []
@@ -111,7 +109,7 @@ class TextReader(Reader):
         form = self._format
         row = self._matches(text)[0]
         # What a name stands for is at the end of a line.
-        plain = row[0] and not isinstance(form, Named)
+        plain = row[0] and not form.has_names
         line = self._plain(row) if plain else form.line(text)
         # The start of a frame may look like an event.
         known = not line.verdict.is_fault and line.verdict is not Verdict.EVENT
@@ -186,8 +184,7 @@ class TextReader(Reader):
     def _known(self, text: str, line: str) -> Known | None:
         """What a head says of plain data frames; None for all else."""
         parts = tuple(words_of(text)) if self._format.splits else (text,)
-        if isinstance(self._format, Named):
-            self._format.learn(line)
+        self._format.learn(line)
         head = checked(self._format.head(parts))
         if head.verdict not in (Verdict.OK, Verdict.FD) or head.length < 0:
             return None
@@ -198,8 +195,7 @@ class TextReader(Reader):
         while text:
             rows = self._recent = self._matches(text[:-1])
             self._text = text
-            if isinstance(self._format, Named):
-                self._format.learn(text)
+            self._format.learn(text)
             lines, taken = self._others(rows)
             block, fault = self._rows(rows[:taken], lines)
             if block is not None:
@@ -333,7 +329,7 @@ class TextReader(Reader):
         None where the format of the log cannot say that.
         """
         form = self._format
-        if not isinstance(form, Matching) or not self._headers:
+        if not isinstance(form, Pattern) or not self._headers:
             return None
         number, text = max(self._headers, key=lambda header: form.matched_columns(header[1]))
         return Problem(number, Verdict.HEADER, self._explained(text))
@@ -350,7 +346,7 @@ class TextReader(Reader):
     def _explained(self, text: str) -> str:
         """A line, behind what is wrong with it as far as its format can say that."""
         text = text[:MAX_LINE].rstrip()
-        reason = self._format.explain(text) if isinstance(self._format, Explaining) else ""
+        reason = self._format.explain(text)
         text = text.lstrip()
         return printable((f"{reason}: {text}" if reason else text)[:120])
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbc.candump.grammar import Verdict
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, MS, REMOTE, SECOND, TX
-from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Head, Line, framed, hex_bytes, nanoseconds
+from dbc.logs.format import CLASSIC_BYTES, FD_SIZES, Format, Head, Line, framed, nanoseconds
 from dbc.logs.lines import shape_of
 
 _EPOCH_DAYS: Final = 25_569
@@ -46,13 +46,10 @@ _LINE: Final = re.compile(r"\d+\)?[ \t]+\S")
 _KEY: Final = re.compile(r";\$(\w+)=([^;]*)")
 
 
-class Trc:
+class Trc(Format):
     """The lines of one log, see `dbc.logs.format.Format`."""
 
-    order: tuple[int, ...]
-    began = False
     splits = True
-    shape: Any
 
     def __init__(self) -> None:
         """As a log without a header is: version 1.0."""
@@ -85,15 +82,6 @@ class Trc:
         """From the start of the log on."""
         del timed
         return times + self._start_ns
-
-    def data(self, text: str, length: int) -> bytes:
-        """Bytes with blanks between."""
-        return hex_bytes(text, length)
-
-    def whole(self, text: str) -> bool:
-        """Two digits each."""
-        del text
-        return True
 
     def head(self, parts: tuple[str, ...]) -> Head:
         """Of a plain line."""

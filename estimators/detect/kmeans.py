@@ -32,27 +32,11 @@ class Clusters(NamedTuple):
     common: Array
 
 
-def cluster(x: Array, iterations: int = ITERATIONS) -> Clusters:
-    """One tick by scipy's `kmeans2`: loads (N,); T = 1 in the result."""
-    from scipy.cluster.vq import ClusterError, kmeans2
-
-    start = np.array([[x.min()], [x.max()]])
-    if not np.abs(start).max() < paper.OVERFLOW:
-        # Where every distance overflows kmeans2 leaves its labels unset, and crashes on them.
-        return clusters(x[None], iterations)
-    try:
-        found, label = kmeans2(
-            x[:, None], start, iter=iterations, minit="matrix", missing="raise", check_finite=False
-        )
-    except ClusterError:
-        # All loads equal, or so nearly that no cluster can be told from the other.
-        return clusters(x[None], iterations)
-    centroid, label = found[:, 0][None], label[None].astype(np.int64)
-    return Clusters(centroid, label, adhering(centroid, label))
-
-
 def clusters(x: Array, iterations: int = ITERATIONS) -> Clusters:
-    """The vectorised twin of `cluster`: loads (T, N)."""
+    """Loads (T, N): of every tick what scipy's `kmeans2` finds from these starts.
+
+    Not by `kmeans2`: where distances overflow it leaves its labels unset and crashes on them.
+    """
     centroid = np.stack([x.min(axis=-1), x.max(axis=-1)], axis=-1)
     label = np.zeros(x.shape, dtype=np.int64)
     for _ in range(iterations):
@@ -97,6 +81,6 @@ class KMeansDetector:
             return nobody(len(part))
         with np.errstate(all="ignore"):
             load, spread = evidence.load[part], evidence.spread[part]
-            common = float(cluster(load, self.iterations).common[0])
+            common = float(clusters(load[None], self.iterations).common[0])
             lost = paper.falls_short(load, spread, common, self.threshold)
             return paper.opinion(evidence, part, lost, common, self.carried)

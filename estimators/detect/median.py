@@ -7,12 +7,12 @@ With a majority of drives slipping the median is on the wrong side; use `vb` the
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from estimators.detect import paper
 from estimators.detect.protocol import Evidence, Opinion, nobody
 
 
@@ -30,15 +30,8 @@ class MedianDetector:
         if np.count_nonzero(evidence.usable) < 2:
             return nobody(n)
         common = float(np.median(evidence.load[evidence.usable]))
-        direction = 1.0 if common >= 0.0 else -1.0
-        deficit = (common - evidence.load) * direction / evidence.spread
         # A coasting train: nothing is carried, so nothing can be missing.
         carried = abs(common) > self.threshold * evidence.spread
-        beyond = np.array([_normal_cdf(d - self.threshold) for d in deficit.tolist()])
+        beyond = paper.falls_short(evidence.load, evidence.spread, common, self.threshold)
         lost = np.where(carried & evidence.usable, beyond, 0.0)
         return Opinion(lost, evidence.usable.copy(), common)
-
-
-def _normal_cdf(x: float) -> float:
-    """Standard normal distribution; `scipy.special` would cost a quarter second at start."""
-    return 0.5 * math.erfc(-x / math.sqrt(2.0))

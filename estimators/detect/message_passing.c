@@ -1,9 +1,8 @@
 /* Variational message passing: paper `adhesion`, section 4.4, steps (i)-(vi) and eq. (49)-(51).
  *
- * One observed quantity (D = 1) at one tick; `message_passing.py` has the same over whole records,
- * in natural parameters, and says what is missing or misprinted in the paper. Here each node keeps
- * the parameters of its density: mu_k normal (m, tau), Lambda_k gamma (a, b), pi beta (alpha),
- * I_i Bernoulli (E[I_i]).
+ * One observed quantity (D = 1) at one tick; `message_passing.py` says what is missing or misprinted
+ * in the paper. Each node keeps the parameters of its density, not its natural parameters: mu_k
+ * normal (m, tau), Lambda_k gamma (a, b), pi beta (alpha), I_i Bernoulli (E[I_i]).
  *
  * Nothing here can fail. Divisors and arguments of logarithms are a positive prior plus numbers that
  * are not negative; with loads or priors that are NaN or overflow, E[I] becomes NaN, which is no

@@ -178,7 +178,8 @@ def opinion(evidence: Evidence, part: Mask, lost: Array, common: float, carried:
 def falls_short(load: Array, spread: Array, common: float, threshold: float) -> Array:
     """Probability (M,) that a load lies more than `threshold` spreads below the common one.
 
-    The soft threshold of `median`, for methods that give a common load and no probability.
+    For methods that give a common load and no probability. By `math.erfc`: loading `scipy.special`
+    would cost a quarter second at start.
     """
     direction = 1.0 if common >= 0.0 else -1.0
     deficit = (common - load) * direction / spread - threshold

@@ -9,13 +9,13 @@ maximum likelihood from the increments dy without the jumps,
     dy ~ N(mu tau, C),   C = sigma^2 diag(tau) + r^2 tridiag(-1, 2, -1),
     mu = m'C^-1 dy / m'C^-1 m,   m = tau;
 
-(27) as printed is no estimate, and without r the diffusion is that of the readings' noise. A drift
-that is a power of time, mu t^b, or an exponential, mu (e^(bt) - 1) / b (Remark 3), by Nelder-Mead.
+(27) as printed is no estimate, and without r the diffusion is that of the readings' noise. Sigma
+and r are found by Nelder-Mead.
 """
 
 from __future__ import annotations
 
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,54 +25,22 @@ Flags = NDArray[np.bool_]
 
 GAUSS: Final = 1.4826
 """Standard deviation over median absolute deviation."""
-MOST_GROWTH: Final = 30.0
-"""Times e over the readings: more is a jump at their end."""
 JUMP: Final = 5.0
 """A difference of more standard deviations is a jump."""
-
-
-Form = Literal["linear", "power", "exponential"]
-
-
-class Course(NamedTuple):
-    """How a drift of 1 goes over time: t, t^b, or (e^(bt) - 1) / b with b per s."""
-
-    form: Form = "linear"
-    b: float = 1.0
-
-    def at(self, t: Array) -> Array:
-        """(K,) at t (K,) s, from 0 on."""
-        if self.form == "power":
-            return np.asarray(t**self.b)
-        if self.form == "exponential" and self.b != 0.0:
-            return np.asarray(np.expm1(self.b * t) / self.b)
-        return t
 
 
 class Degradation(NamedTuple):
     """What was found.
 
-    drift: what `course` is multiplied by, per s where that is linear, and its standard error;
-    diffusion per sqrt(s); noise of a reading; jumps (k,): their sizes; jump_rate per s; loglik:
-    logarithm of the likelihood.
+    drift per s, and its standard error; diffusion per sqrt(s); noise of a reading; jumps (k,):
+    their sizes.
     """
 
     drift: float
     drift_sigma: float
     diffusion: float
     noise: float
-    course: Course
     jumps: Array
-    jump_rate: float
-    loglik: float
-
-    def ahead(self, now: float, seconds: float) -> tuple[float, float]:
-        """Mean and standard deviation of the change `seconds` after `now` s."""
-        mean = self.drift * float(np.diff(self.course.at(np.array([now, now + seconds])))[0])
-        mean += self.jump_rate * seconds * (float(self.jumps.mean()) if len(self.jumps) else 0.0)
-        square = self.diffusion**2 * seconds + (self.drift_sigma * seconds) ** 2
-        square += self.jump_rate * seconds * float(np.sum(self.jumps**2)) / max(len(self.jumps), 1)
-        return mean, float(np.sqrt(square))
 
 
 def jump_points(y: Array, threshold: float = JUMP) -> Flags:
@@ -99,11 +67,11 @@ def outliers(differences: Array, threshold: float = JUMP) -> Flags:
     return off > threshold * max(sigma, 1e-12)
 
 
-def fit(y: Array, t: Array, jumps: Flags | None = None, *, form: Form = "linear") -> Degradation:
+def fit(y: Array, t: Array, jumps: Flags | None = None) -> Degradation:
     """Maximum likelihood from readings y (K,) at times t (K,) s, ascending, from 0 on.
 
-    jumps (K - 1,): increments to leave out, default `jump_points`; form: of the drift, whose b is
-    found as well. Raises ValueError with fewer than 5 increments.
+    jumps (K - 1,): increments to leave out, default `jump_points`. Raises ValueError with fewer
+    than 5 increments.
     """
     from scipy.optimize import minimize
 
@@ -115,36 +83,17 @@ def fit(y: Array, t: Array, jumps: Flags | None = None, *, form: Form = "linear"
     unit = float(np.median(tau))
 
     def value(v: Array) -> float:
-        shape = np.diff(_course(form, v, t).at(t))
-        parts = _likelihood(dy, tau, shape, cut, scale * np.exp(v[:2]) / (unit**0.5, 1.0))
-        return -parts[0]
+        return -_likelihood(dy, tau, cut, scale * np.exp(v) / (unit**0.5, 1.0))[0]
 
-    begins = [[-0.7, -0.7]] if form == "linear" else [[-0.7, -0.7, 0.0], [-4.0, -0.7, 0.0]]
-    tried = [
-        minimize(value, b, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
-        for b in begins
-    ]
-    found = min(tried, key=lambda one: float(one.fun))
-    sigma, r = scale * np.exp(found.x[:2]) / (unit**0.5, 1.0)
-    course = _course(form, found.x, t)
-    shape = np.diff(course.at(t))
-    loglik, drift, error = _likelihood(dy, tau, shape, cut, (sigma, r))
-    sizes = dy[cut] - drift * shape[cut]
-    rate = len(sizes) / float(tau.sum())
-    return Degradation(drift, error, float(sigma), float(r), course, sizes, rate, loglik)
-
-
-def _course(form: Form, v: Array, t: Array) -> Course:
-    """v[2]: logarithm of a power; how often an exponential grows by e over the readings."""
-    if form == "power":
-        return Course(form, float(np.exp(v[2])))
-    if form == "exponential":
-        return Course(form, float(np.clip(v[2], -MOST_GROWTH, MOST_GROWTH)) / float(t[-1]))
-    return Course()
+    begin = [-0.7, -0.7]
+    found = minimize(value, begin, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-4})
+    sigma, r = scale * np.exp(found.x) / (unit**0.5, 1.0)
+    _, drift, error = _likelihood(dy, tau, cut, (sigma, r))
+    return Degradation(drift, error, float(sigma), float(r), dy[cut] - drift * tau[cut])
 
 
 def _likelihood(
-    dy: Array, tau: Array, m: Array, cut: Flags, spread: tuple[float, float] | Array
+    dy: Array, tau: Array, cut: Flags, spread: tuple[float, float] | Array
 ) -> tuple[float, float, float]:
     """Log likelihood, drift and its standard error, for (sigma, r); tridiagonal throughout."""
     from scipy.linalg import cholesky_banded, solve_banded
@@ -159,9 +108,9 @@ def _likelihood(
     lower = cholesky_banded(band)
     log_det = 2.0 * float(np.sum(np.log(lower[1][~cut])))
     full = np.stack([off, diagonal, off])
-    solved = solve_banded((1, 1), full, np.stack([dy, m], axis=1))
-    mm, md = float(m @ solved[:, 1]), float(m @ solved[:, 0])
+    solved = solve_banded((1, 1), full, np.stack([dy, tau], axis=1))
+    mm, md = float(tau @ solved[:, 1]), float(tau @ solved[:, 0])
     drift = md / mm
-    rest = dy - drift * m
+    rest = dy - drift * tau
     square = float(rest @ (solved[:, 0] - drift * solved[:, 1]))
     return -0.5 * (square + log_det), drift, float(mm**-0.5)

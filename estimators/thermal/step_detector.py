@@ -44,25 +44,3 @@ def config(spacing_s: float, *, tested: bool = True) -> Records:
 def window(configs: Records) -> int:
     """Samples that the detector looks at."""
     return int(lib.step_window(pointer("struct step_config", configs)))
-
-
-def offsets(residual: Array, spacing_s: float) -> Array:
-    """(K, M, 3) K: how far each sensor has stepped, by what was seen until then.
-
-    residual (K, M, 3) K, NaN without a reading; spacing_s: between samples; 0 if that is more than
-    `SLOWEST_S`. Raises ValueError where more than `MOST_SAMPLES` are to be looked at.
-    """
-    out = np.zeros_like(residual)
-    if spacing_s > SLOWEST_S:
-        return out
-    found = config(spacing_s)
-    if window(found) > MOST_SAMPLES:
-        raise ValueError(f"samples {spacing_s} s apart are too close together for steps")
-    for m, p in np.ndindex(*residual.shape[1:]):
-        given, own = np.ascontiguousarray(residual[:, m, p]), np.empty(len(residual))
-        lib.step_follow(
-            pointer("struct step_config", found), pointer("double", given), len(given),
-            pointer("double", own),
-        )  # fmt: skip
-        out[:, m, p] = own
-    return out

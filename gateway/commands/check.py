@@ -16,7 +16,8 @@ from gateway.settings.config import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dbc.codec import Codec, MessageSpec
+    from dbc.codec import Codec
+    from dbc.spec import MessageSpec
     from gateway.commands.check_loss import Tried
     from gateway.mapping.plan import Plan
     from gateway.settings.config import Config

@@ -9,8 +9,9 @@ from dbc.wire_time import bits_of
 from gateway.hil.measured import MEASURE_NS
 
 if TYPE_CHECKING:
-    from dbc.codec import Codec, MessageSpec
+    from dbc.codec import Codec
     from dbc.frame import Frame
+    from dbc.spec import MessageSpec
     from gateway.hil.measured import Measured
     from gateway.settings.config import Config
 

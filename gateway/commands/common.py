@@ -14,9 +14,9 @@ from dbc.text import printable
 from gateway.io.console import console, note
 
 if TYPE_CHECKING:
+    from dbc.candump.reader import LogReader
     from dbc.codec import Codec
     from dbc.frames import Block
-    from dbc.logs.opening import LogReader
     from gateway.io.replay import Log
 
 GOOD, FAILED, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3

@@ -185,7 +185,7 @@ def _outcome(
 @contextmanager
 def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
     """Writes all frames. paired: each Auth frame stays behind its flag frame."""
-    from dbc.candump.reader import Writer
+    from dbc.candump.writer import Writer
     from gateway.io.whole_file import whole
 
     def record(_now: int, received: list[Any], sent: list[Any], _gateway: Any) -> None:

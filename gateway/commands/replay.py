@@ -30,9 +30,9 @@ from gateway.settings.config import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dbc.candump.reader import LogReader
     from dbc.codec import Codec
     from dbc.frames import Block
-    from dbc.logs.opening import LogReader
     from gateway.io.replay import Replayed
     from gateway.reports.record import Change
     from gateway.reports.reporting import Reporting
@@ -76,7 +76,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Replay; tables and counts on stdout. Exit 1 if more than 1 % of the log was dropped."""
     with leanstart.unsearched():
-        from dbc.candump.reader import Reader, Writer
+        from dbc.candump.reader import Reader
+        from dbc.candump.writer import Writer
         from dbc.prefetch import ahead
         from gateway.core.gateway import Gateway
         from gateway.io.replay import (

@@ -173,7 +173,7 @@ def wire_steps(bus: Bus) -> tuple[float, float]:
 
 def write_log(scenario: Scenario, bus: Bus, path: Path) -> None:
     """The drives' frames as a candump log, as `sim` writes it. Raises OSError."""
-    from dbc.candump.reader import Writer
+    from dbc.candump.writer import Writer
 
     simulation = Simulation(scenario, _codec(bus.dbc))
     with whole(path) as part, Writer(part, "vcan0") as writer:

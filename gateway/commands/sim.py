@@ -124,7 +124,7 @@ def _truth(path: Path | None, *, keep: bool) -> Iterator[_Truth]:
 
 
 def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:
-    from dbc.candump.reader import Writer
+    from dbc.candump.writer import Writer
     from gateway.io.whole_file import whole
 
     step = 10_000_000

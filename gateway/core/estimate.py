@@ -26,7 +26,7 @@ from dbc.records import (
     pointer,
     zeros,
 )
-from estimators import acquisition, filters
+from estimators import filters
 from estimators.models import pmsm
 from gateway.core.channel import SAMPLE_NS
 from gateway.core.codes import Reason
@@ -71,9 +71,8 @@ class Bank(Addressed):
         self.record = np.zeros(1, ESTIMATOR)
         self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
         self.record["settings"] = filters.settings(SAMPLE_NS * 1e-9, config.kind)
-        self.record["limits"] = acquisition.limits(
-            config.min_speed_rad_s, 0.75 * config.min_speed_rad_s
-        )
+        self.record["limits"]["w_on"] = config.min_speed_rad_s
+        self.record["limits"]["w_off"] = 0.75 * config.min_speed_rad_s
         self.link()
         lib.estimator_reset(self._pointer)
 

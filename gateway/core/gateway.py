@@ -235,7 +235,7 @@ class Gateway(Addressed):
         receiver = self.inbox.receiver
         if frames > receiver.rows:
             receiver.reserve(2 * frames)
-        self.bank.reserve(len(receiver.workspace.drive))
+        self.bank.reserve(receiver.sample_rows)
         self._capacity = receiver.rows
 
     def leave_out(self, frames: int) -> None:

@@ -12,9 +12,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from dbc.codec import VALID, Codec
+from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.frames import Block
+from dbc.spec import VALID
 from gateway.core import channel, inputs, receiving
 from gateway.core.channel import Channel
 from gateway.core.inputs import NONE
@@ -110,7 +111,7 @@ class Inbox:
     def read_emergencies(self, block: Block, first: int) -> None:
         """Those of the last tick, whose frames begin at `first`."""
         tick = self.receiver.pointer.tick
-        for k in self.receiver.scratch.foreign[: tick.emergencies].tolist():
+        for k in self.receiver.space["emergency_rows"][: tick.emergencies].tolist():
             known = self.supervision.observe(block.frame(first + k))
             self.added["canopen" if known else "unknown_id"] += 1
 
@@ -130,19 +131,19 @@ class Inbox:
     @property
     def temperatures(self) -> list[Temperatures]:
         """Readings of the tick, for whoever wants to show them."""
-        seen = self.receiver.scratch.seen[: self.receiver.pointer.tick.temperatures]
+        seen = self.receiver.space["temperature_rows"][: self.receiver.pointer.tick.temperatures]
         return [self._temperature(row) for row in seen.tolist()]
 
     def _temperature(self, row: int) -> Temperatures:
-        scratch = self.receiver.scratch
-        one = self.channels[scratch.channel.item(row)]
-        value, valid = scratch.value[row].tolist(), scratch.validity[row].tolist()
+        space = self.receiver.space
+        one = self.channels[space["channel"].item(row)]
+        value, valid = space["value"][row].tolist(), space["validity"][row].tolist()
         usable = one.quality < 0 or value[one.quality] in USABLE
         points = one.picked
         good = tuple(usable and valid[k] == VALID for k in points)
         return Temperatures(
             one.drive,
-            scratch.t_ns.item(row),
+            space["t_ns"].item(row),
             tuple(value[k] if ok else math.nan for k, ok in zip(points, good, strict=True)),
             good,
             tuple(round(value[k] * 10.0) if ok else -1 for k, ok in zip(points, good, strict=True)),

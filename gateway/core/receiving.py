@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from _traction_core import ffi, lib
@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from dbc.frame import Nanos
 from dbc.frames import MAX_DATA_BYTES
-from dbc.records import ID_ENTRY, RECEIVER, Addressed, Records
-from gateway.core import pairing
+from dbc.records import DRIVE_INPUT, ID_ENTRY, RECEIVER, Addressed, Records
 from gateway.core.supervision import Supervision
 
 Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
 
 
 class Tally(IntEnum):
@@ -44,17 +42,19 @@ class Tally(IntEnum):
 NAMES: Final = tuple(tally.name.lower() for tally in Tally)
 
 
-class Scratch(NamedTuple):
-    """Accepted frames of a tick, decoded, (R,); `seen`: which of them have temperatures."""
-
-    channel: Ints
-    message: NDArray[np.int32]
-    t_ns: Ints
-    payload: Bytes
-    value: NDArray[np.float64]
-    validity: Bytes
-    seen: Ints
-    foreign: Ints
+SAMPLES_OF_A_FRAME: Final = 8
+_OF_A_FRAME: Final[dict[str, tuple[Any, ...]]] = {
+    "channel": (np.int64,), "message": (np.int32,), "t_ns": (np.int64,),
+    "payload": (np.uint8, MAX_DATA_BYTES),
+    "temperature_rows": (np.int64,), "emergency_rows": (np.int64,),
+    "motion_drive": (np.int64,), "motion_t_ns": (np.int64,), "motion_speed": (np.float64,),
+    "motion_torque": (np.float64,), "motion_angle": (np.float64,),
+}  # fmt: skip
+_OF_A_SAMPLE: Final[dict[str, tuple[Any, ...]]] = {
+    "sample_drive": (np.int32,), "sample_u": (np.float64, 2), "sample_y": (np.float64, 2),
+    "sample_steps": (np.int64,), "sample_gap": (np.int64,), "sample_before": (np.int64,),
+}  # fmt: skip
+"""Columns that `struct receiver` points to, which has their units: type; the second dimension."""
 
 
 class Receiver(Addressed):
@@ -70,7 +70,7 @@ class Receiver(Addressed):
     ) -> None:  # fmt: skip
         """ids: by key (`MessageSpec.key`) the index of a channel, or `enum id_owner`."""
         self.codec, self.supervision = codec, supervision
-        self.channels, self.drives = channels, pairing.drive_inputs(drives)
+        self.channels, self.drives = channels, drive_inputs(drives)
         self.ids = np.array(sorted(ids.items()), ID_ENTRY)
         self.record = np.zeros(1, RECEIVER)
         self.record["max_gap_ns"] = max_gap_ns
@@ -80,45 +80,51 @@ class Receiver(Addressed):
     @property
     def rows(self) -> int:
         """Frames of a tick that there is room for."""
-        return len(self.scratch.t_ns)
+        return len(self.space["t_ns"])
+
+    @property
+    def sample_rows(self) -> int:
+        """Samples of a tick that there is room for."""
+        return SAMPLES_OF_A_FRAME * self.rows
 
     def reserve(self, rows: int) -> None:
         """For so many frames of a tick."""
-        self.workspace, self.readings = pairing.workspace(rows), pairing.readings(rows)
-        self.before = np.zeros_like(self.workspace.gap)
-        self.scratch = Scratch(
-            channel=np.zeros(rows, dtype=np.int64),
-            message=np.zeros(rows, dtype=np.int32),
-            t_ns=np.zeros(rows, dtype=np.int64),
-            payload=np.zeros((rows, MAX_DATA_BYTES), dtype=np.uint8),
-            value=np.zeros((rows, self.codec.width)),
-            validity=np.zeros((rows, self.codec.width), dtype=np.uint8),
-            seen=np.zeros(rows, dtype=np.int64),
-            foreign=np.zeros(rows, dtype=np.int64),
-        )
+        width = self.codec.width
+        each = _OF_A_FRAME | {"value": (np.float64, width), "validity": (np.uint8, width)}
+        self.space = {
+            **{name: _column(rows, *form) for name, form in each.items()},
+            **{name: _column(SAMPLES_OF_A_FRAME * rows, *form)
+               for name, form in _OF_A_SAMPLE.items()},
+        }  # fmt: skip
+        """By the names of `struct receiver`."""
         self.link()
 
     def link(self) -> None:
         """Addresses in the record, and columns of records."""
-        s, m, r = self.scratch, self.workspace, self.readings
-        arrays = {
-            "channels": self.channels, "drives": self.drives, "ids": self.ids,
-            "channel": s.channel, "message": s.message, "t_ns": s.t_ns, "payload": s.payload,
-            "value": s.value, "validity": s.validity, "temperature_rows": s.seen,
-            "emergency_rows": s.foreign, "sample_drive": m.drive, "sample_u": m.u, "sample_y": m.y,
-            "sample_steps": m.steps, "sample_gap": m.gap,
-            "sample_before": self.before, "motion_drive": r.drive,
-            "motion_t_ns": r.t_ns, "motion_speed": r.speed, "motion_torque": r.torque,
-            "motion_angle": r.angle,
-        }  # fmt: skip
-        for name, array in arrays.items():
+        held = {"channels": self.channels, "drives": self.drives, "ids": self.ids}
+        for name, array in (self.space | held).items():
             self.record[name] = array.ctypes.data
         self.record["codec"] = self.codec.tables.address
         self.record["supervision"] = self.supervision.address
-        for name, held in (("channel", self.channels), ("drive", self.drives), ("id", self.ids)):
-            self.record[f"{name}_count"] = len(held)
+        for name, array in held.items():
+            self.record[f"{name.removesuffix('s')}_count"] = len(array)
         self.pointer = ffi.from_buffer("struct receiver *", self.record)
         self.tick, self.counters = self.record["tick"], self.record["counters"][0]
+
+
+def _column(rows: int, kind: Any, *numbers: int) -> NDArray[Any]:
+    return np.zeros((rows, *numbers), kind)
+
+
+def drive_inputs(drives: int) -> Records:
+    """Of so many drives, of which nothing has been received: (N,) of `struct drive_input`."""
+    found = np.zeros(drives, DRIVE_INPUT)
+    found["pending"]["t_ns"] = -1
+    found["sample_ns"] = found["newest_sample"] = -1
+    for name in ("speed", "command", "previous_command", "irms"):
+        found[name] = np.nan
+    found["operating"] = found["command_steady"] = 1
+    return found
 
 
 def id_table(

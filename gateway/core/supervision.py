@@ -162,11 +162,6 @@ class Supervision(Addressed):
             return Life.NEVER_SEEN
         return Life.LOST if self._is_lost(row, now_ns) else Life.ALIVE
 
-    def timeout_ns(self, node: int) -> Nanos:
-        """Silence of a supervised node that is longer is a loss, ns; 0: it is not supervised."""
-        row = self._row.get(node)
-        return 0 if row is None else int(self.heartbeats["limit_ns"][row])
-
     def states(self, now_ns: Nanos) -> dict[int, NodeState]:
         """Verdict, NMT state and age per node."""
         out = {}

@@ -10,7 +10,7 @@ temperatures mean. A point that is not configured takes part in nothing and is n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from _traction_core import ffi, lib
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
 from dbc.records import TEMPERATURE_DRIVE, pointer
-from gateway.core.inbox import Temperatures
 from gateway.settings.calibration import POINTS, MotorCalibration
 
 HOLD_MARGIN: Final = 4.0
@@ -39,7 +38,7 @@ SMALLEST_STEP_K: Final = 2.0
 
 
 class SensorMonitor:
-    """State of all drives' sensors; `take` per reading, `fault` and `verdict` when asked."""
+    """State of all drives' sensors."""
 
     def __init__(
         self,
@@ -68,17 +67,6 @@ class SensorMonitor:
             sensor[j, k]["stuck_after_ns"] = self.stuck_after_ns(j, k)
         for drive in pointer("struct temperature_drive", self.drives):
             lib.temperature_reset(ffi.addressof(drive))
-
-    def _drive(self, drive: int) -> Any:
-        return pointer("struct temperature_drive", self.drives) + drive
-
-    def add_reading(self, reading: Temperatures) -> None:
-        """Accept one reading of one drive."""
-        drive, configured = self._drive(reading.drive), self.configured[reading.drive]
-        lib.temperature_add_reading(drive, reading.t_ns)
-        for k in np.flatnonzero(configured & reading.valid[: len(POINTS)]).tolist():
-            celsius = float(reading.celsius[k])
-            lib.temperature_add_value(drive, k, reading.t_ns, celsius, reading.raw[k])
 
     def step_limit(self, drive: int, k: int) -> float:
         """A change beyond this, K, that stays is an offset."""

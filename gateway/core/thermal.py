@@ -6,9 +6,8 @@ The rules are in `gateway/core/thermal.c` (readings, seconds, window averages), 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
@@ -16,23 +15,18 @@ from numpy.typing import NDArray
 
 from dbc.frame import SECOND, Nanos
 from dbc.records import (
-    FLAG_INPUTS,
     MOTOR_TEMPERATURES,
     TEMPERATURE_MONITOR,
     THERMAL_INPUT,
     Addressed,
-    pointer,
 )
 from estimators import maisd
 from estimators.thermal import trend
 from estimators.thermal.hypotheses import NAMED
 from estimators.thermal.monitor import ThermalMonitor
-from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
-from gateway.core.inbox import Temperatures
 from gateway.core.inputs import NONE, Places
-from gateway.core.receiving import Receiver
 from gateway.core.temperature import SensorMonitor
-from gateway.core.thermal_model_monitor import SAMPLE_NS, Sample, Wear
+from gateway.core.view import Wear
 from gateway.settings.calibration import POINTS, Calibration
 from gateway.settings.config import ConfigError
 
@@ -40,23 +34,12 @@ Array = NDArray[np.float64]
 
 AMBIENT: Final = len(POINTS)
 """Index of the ambient temperature in a reading."""
+SAMPLE_NS: Final = SECOND
+"""Readings that come faster are averaged."""
 NO_MODEL: Final = (
     "no thermal model of every configured motor: calibrate with logs that have Status and Motion "
     'and a changing duty, or set [thermal] method = "maisd"'
 )
-
-
-class Report(NamedTuple):
-    """What is known of one motor: evidence for its two flags and what goes on the bus."""
-
-    thermal: Flag = Flag.UNKNOWN
-    sensor: Flag = Flag.UNKNOWN
-    reason: Reason = Reason.STARTING
-    fault_class: FaultClass = FaultClass.UNKNOWN
-    fault_sensor: FaultSensor = FaultSensor.NONE
-    mixed_c: float | None = None
-    maisd_k: float | None = None
-    wear: Wear = Wear()
 
 
 class Window(NamedTuple):
@@ -159,31 +142,6 @@ class TemperatureMonitor(Addressed):
     def learning(self, wanted: bool) -> None:
         self.record["sum_seconds"] = wanted or self.model is not None
 
-    def add_readings(
-        self, readings: Sequence[Temperatures], now: Nanos, beside: Receiver | None = None
-    ) -> None:
-        """One tick of readings that came in no frame: a recording's; nothing is reported.
-
-        beside: what else the drives have sent, for the thermal model.
-        """
-        for reading in readings:
-            self.sensors.add_reading(reading)
-            celsius, valid = reading.celsius[AMBIENT], reading.valid[AMBIENT]
-            self.motors["ambient_c"][reading.drive] = celsius if valid else math.nan
-        receiver = ffi.NULL if beside is None else beside.pointer
-        lib.advance_temperatures(self.pointer, receiver, bool(readings), now)
-
-    @property
-    def last(self) -> Sample | None:
-        """The newest second, in the temperature cycle that completed it."""
-        if not self.record["second_complete"][0]:
-            return None
-        mean = self.motors["mean"].copy()
-        square, speed, ambient = (
-            mean[:, k] for k in (lib.THERMAL_CURRENT_SQUARE, lib.THERMAL_SPEED, lib.THERMAL_AMBIENT)
-        )
-        return Sample(mean[:, :AMBIENT], square, speed, ambient)
-
     @property
     def cycles(self) -> int:
         """How often the windows have advanced."""
@@ -207,23 +165,6 @@ class TemperatureMonitor(Addressed):
         own = self.motors["trend"][k : k + 1].copy()
         rate, sigma = trend.rate_of(own) or (None, None)
         return Wear(rate, sigma, trend.time_to(own, self.limit_k), int(self.motors["jumps"][k]))
-
-    def report(self, drive: int, now: Nanos, limit_ns: Nanos) -> Report:
-        """Evidence for one motor at `now`; `limit_ns` is the age limit of its temperatures."""
-        self.motors["age_limit_ns"][drive] = limit_ns
-        out = np.zeros(1, FLAG_INPUTS)
-        lib.report_motor(self.pointer, drive, now, pointer("struct flag_inputs", out))
-        return self.to_report(drive, out[0])
-
-    def to_report(self, drive: int, found: Any) -> Report:
-        """One motor's `flag_inputs` in words."""
-        mixed, largest = (float(found[name]) for name in ("mixed_c", "maisd_k"))
-        return Report(
-            Flag(found["thermal"]), Flag(found["sensor"]), Reason(found["thermal_reason"]),
-            FaultClass(found["fault_class"]), FaultSensor(found["fault_sensor"]),
-            None if math.isnan(mixed) else mixed, None if math.isnan(largest) else largest,
-            self.wear[drive],
-        )  # fmt: skip
 
 
 def _window(motors: int, calibration: Calibration | None, nodes: tuple[int, ...]) -> Window:

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.codec import Codec, MessageSpec
+from dbc.codec import Codec
 from dbc.codec_tables import CodecTables
 from dbc.e2e import configs, protect
 from dbc.frame import BRS, FD, Frame, Nanos
 from dbc.frames import MAX_DATA_BYTES, Block, blank, block_of
 from dbc.records import TRANSMITTER, TX_FRAME, TX_MESSAGE, TX_SIGNAL, Addressed, Records
+from dbc.spec import MessageSpec
 from gateway.core.flags import Status
 from gateway.core.tx_signals import OF_A_DRIVE, OF_THE_SET
 from gateway.core.view import Counted

@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 from dbc.frame import Nanos
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.core.flags import Status
-from gateway.core.thermal_model_monitor import Wear
 
 _FLAGS: Final = tuple(Flag)
 _REASONS: Final = tuple(Reason)
@@ -19,6 +18,19 @@ _HEALTH: Final = tuple(Health)
 _CLASSES: Final = tuple(FaultClass)
 _SENSORS: Final = tuple(FaultSensor)
 """By number: the enumerations' own look-up takes longer."""
+
+
+class Wear(NamedTuple):
+    """How a motor grows warmer than the others.
+
+    rate_k_h, sigma_k_h: None before enough was seen; hours: until it is at its limit, None if it
+    need not come; jumps: steps of its sensors.
+    """
+
+    rate_k_h: float | None = None
+    sigma_k_h: float | None = None
+    hours: float | None = None
+    jumps: int = 0
 
 
 class DriveView(NamedTuple):

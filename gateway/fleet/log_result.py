@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -67,7 +67,7 @@ def schema(metadata: dict[str, str]) -> pa.Schema:
     return pa.schema(fields, metadata=metadata)
 
 
-class Estimates:
+class Estimates(AbstractContextManager["Estimates"]):
     """Takes ticks as `replay.Samples`; `finish` gives the file its name. Context manager.
 
     Left without `finish`, nothing remains. Raises OSError where the folder cannot be written.
@@ -95,16 +95,7 @@ class Estimates:
         self._numbers = np.zeros((ticks, len(_NUMBERS) + 1, n))
         self._mine = np.zeros((ticks, n), dtype=np.bool_)
 
-    def __enter__(self) -> Self:
-        """Nothing to do."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Take away what is not finished."""
         self._writer.close()
         self._part.unlink(missing_ok=True)

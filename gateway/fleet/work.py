@@ -8,7 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from dbc.candump.grammar import Verdict
-from dbc.codec import Codec, DbcMismatch, bind
+from dbc.codec import Codec, bind
+from dbc.spec import DbcMismatch
 from gateway.core.gateway import Gateway
 from gateway.fleet.log_result import Estimates
 from gateway.fleet.logs import FOLDER, Job, Settings, fingerprint, shown

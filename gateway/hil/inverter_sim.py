@@ -9,8 +9,9 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
-from dbc.codec import VALID, Codec
+from dbc.codec import Codec
 from dbc.frame import FD, MS, Frame, Nanos
+from dbc.spec import VALID
 
 if TYPE_CHECKING:
     from gateway.mapping.plan import Plan

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Final, NamedTuple
 
 from dbc.codec import Codec
@@ -105,26 +106,6 @@ def _instead(rng: random.Random, what: str, old: Flag, new: Flag) -> Mutant:
         return one.having(**{name: new}) if one.values.get(name) == old else one
 
     return Mutant(f"{kind.lower()} of drive {place + 1} {what}", _each(change))
-
-
-def _never_bad(rng: random.Random) -> Mutant:
-    return _instead(rng, "is never bad", Flag.BAD, Flag.GOOD)
-
-
-def _ignorant(rng: random.Random) -> Mutant:
-    return _instead(rng, "is good where nobody knows", Flag.UNKNOWN, Flag.GOOD)
-
-
-def _undecided(rng: random.Random) -> Mutant:
-    return _instead(rng, "is unknown where it should be bad", Flag.BAD, Flag.UNKNOWN)
-
-
-def _always_bad(rng: random.Random) -> Mutant:
-    return _instead(rng, "is bad where it should be good", Flag.GOOD, Flag.BAD)
-
-
-def _never_good(rng: random.Random) -> Mutant:
-    return _instead(rng, "is unknown where it should be good", Flag.GOOD, Flag.UNKNOWN)
 
 
 def _stuck(rng: random.Random) -> Mutant:
@@ -241,6 +222,11 @@ def _lost(rng: random.Random) -> Mutant:
 
 
 KINDS: Final[tuple[Callable[[random.Random], Mutant], ...]] = (
-    _never_bad, _ignorant, _undecided, _always_bad, _never_good, _stuck, _held, _swapped, _everyone,
-    _flicker, _of_the_set, _late, _frozen, _corrupted, _silent, _lost,
+    partial(_instead, what="is never bad", old=Flag.BAD, new=Flag.GOOD),
+    partial(_instead, what="is good where nobody knows", old=Flag.UNKNOWN, new=Flag.GOOD),
+    partial(_instead, what="is unknown where it should be bad", old=Flag.BAD, new=Flag.UNKNOWN),
+    partial(_instead, what="is bad where it should be good", old=Flag.GOOD, new=Flag.BAD),
+    partial(_instead, what="is unknown where it should be good", old=Flag.GOOD, new=Flag.UNKNOWN),
+    _stuck, _held, _swapped, _everyone, _flicker, _of_the_set, _late, _frozen, _corrupted, _silent,
+    _lost,
 )  # fmt: skip

@@ -15,10 +15,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.candump.reader import LogError, Reader
+from dbc.candump.reader import LogError, LogReader, Reader
 from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
-from dbc.logs.opening import OTHERS, LogReader, ending, open_reader
+from dbc.logs.opening import OTHERS, ending, open_reader
 from dbc.logs.screen import is_screen_form
 from dbc.logs.text import TextReader
 from gateway.core.gateway import Gateway

@@ -12,8 +12,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from dbc.candump.reader import Writer
-from dbc.candump.writer import NotWritableError
+from dbc.candump.writer import NotWritableError, Writer
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import Block
 from dbc.logs.objects import ObjectReader
@@ -82,29 +81,58 @@ _ADDED: Final = frozenset({"tx"})
 """Columns that files of earlier versions do not have."""
 
 
-class ParquetFrames:
+class ParquetRows:
+    """What both kinds of Parquet share: rows are kept until there are those of a row group."""
+
+    def __init__(self, path: Path, schema: Any, group: int) -> None:
+        """Creates the file. group: rows of a row group."""
+        import pyarrow.parquet as pq
+
+        self.written = 0
+        self.left_out: Counter[str] = Counter()
+        self._schema, self._group = schema, group
+        self._held: list[Any] = []
+        self._rows = 0
+        self._writer = pq.ParquetWriter(path, schema, compression="zstd")
+
+    def _append(self, arrays: list[Any], rows: int) -> None:
+        import pyarrow as pa
+
+        self._held.append(pa.record_batch(arrays, schema=self._schema))
+        self._rows += rows
+        self.written += rows
+        if self._rows >= self._group:
+            self._flush()
+
+    def _flush(self) -> None:
+        import pyarrow as pa
+
+        table = pa.Table.from_batches(self._held, schema=self._schema)
+        self._writer.write_table(table.unify_dictionaries())
+        self._held, self._rows = [], 0
+
+    def close(self) -> None:
+        """Make the file whole."""
+        self._flush()
+        self._writer.close()
+
+
+class ParquetFrames(ParquetRows):
     """A row per frame, nothing lost: `read_parquet` gives the same frames."""
 
     def __init__(self, path: Path) -> None:
         """Creates the file."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
-        self._schema = pa.schema(
-            [
-                ("time", pa.timestamp("ns", "UTC")),
-                ("channel", pa.string()),
-                ("id", pa.uint32()),
-                *((name, pa.bool_()) for name in _FLAGS),
-                ("dlc", pa.int8()),
-                ("data", pa.binary()),
-            ]
-        )
-        self._held: list[Any] = []
-        self._rows = 0
-        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
+        fields = [
+            ("time", pa.timestamp("ns", "UTC")),
+            ("channel", pa.string()),
+            ("id", pa.uint32()),
+            *((name, pa.bool_()) for name in _FLAGS),
+            ("dlc", pa.int8()),
+            ("data", pa.binary()),
+        ]
+        super().__init__(path, pa.schema(fields), GROUP)
 
     def add(self, block: Block) -> None:
         """Append."""
@@ -120,22 +148,7 @@ class ParquetFrames:
             pa.array(block.dlc, pa.int8(), mask=block.dlc < 0),
             pa.array(rows, pa.binary()),
         ]
-        self._held.append(pa.record_batch(arrays, schema=self._schema))
-        self._rows += block.size
-        self.written += block.size
-        if self._rows >= GROUP:
-            self._flush()
-
-    def _flush(self) -> None:
-        import pyarrow as pa
-
-        self._writer.write_table(pa.Table.from_batches(self._held, schema=self._schema))
-        self._held, self._rows = [], 0
-
-    def close(self) -> None:
-        """Make the file whole."""
-        self._flush()
-        self._writer.close()
+        self._append(arrays, block.size)
 
 
 class ParquetReader(ObjectReader):
@@ -187,13 +200,3 @@ def _frames(batch: Any) -> Iterator[Frame]:
         strict=True,
     )
     return (Frame(*row) for row in rows)
-
-
-__all__ = [
-    "Candump",
-    "ParquetFrames",
-    "ParquetReader",
-    "Sink",
-    "interface",
-    "read_parquet",
-]

@@ -12,7 +12,7 @@ import json
 from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, Final, TextIO, cast
+from typing import Final, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dbc.frame import SECOND
 from dbc.frames import Block
 from dbc.spec import MessageSpec, SignalSpec
+from gateway.logfiles.frames import ParquetRows
 from gateway.logfiles.signals import Decoded, Decoder, columns, is_exact
 
 _LARGEST: Final = 2.0**64
@@ -36,7 +37,7 @@ def labels_of(signal: SignalSpec) -> dict[int, str]:
     return {raw: name for raw, name in signal.labels.items() if raw != signal.not_available}
 
 
-class ParquetSignals:
+class ParquetSignals(ParquetRows):
     """The wide table in Parquet; unit, comment and labels (JSON) in each field's metadata."""
 
     def __init__(
@@ -44,10 +45,7 @@ class ParquetSignals:
     ) -> None:
         """Creates the file. messages: those that have columns."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
-        self.written = 0
-        self.left_out: Counter[str] = Counter()
         self._decoder = decoder
         self._columns = list(columns(messages))
         self._names = [m.name for m in decoder.codec.messages]
@@ -68,11 +66,7 @@ class ParquetSignals:
                 kind = pa.int64() if signal.is_signed else pa.uint64()
             fields.append(pa.field(name, kind, metadata=metadata))
         fields.append(pa.field(MARKS, pa.string()))
-        self._schema = pa.schema(fields)
-        self._held: list[Any] = []
-        self._rows = 0
-        self._group = max(_CELLS // len(fields), 1)
-        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
+        super().__init__(path, pa.schema(fields), max(_CELLS // len(fields), 1))
 
     def add(self, block: Block) -> None:
         """Append."""
@@ -103,23 +97,7 @@ class ParquetSignals:
         for k in np.flatnonzero(done.marked.any(axis=1)).tolist():
             marks[k] = done.marks(k, self._decoder.codec.messages[done.message[k]])
         arrays.append(pa.array(marks, pa.string()))
-        self._held.append(pa.record_batch(arrays, schema=self._schema))
-        self._rows += frames.size
-        self.written += frames.size
-        if self._rows >= self._group:
-            self._flush()
-
-    def _flush(self) -> None:
-        import pyarrow as pa
-
-        table = pa.Table.from_batches(self._held, schema=self._schema)
-        self._writer.write_table(table.unify_dictionaries())
-        self._held, self._rows = [], 0
-
-    def close(self) -> None:
-        """Make the file whole."""
-        self._flush()
-        self._writer.close()
+        self._append(arrays, frames.size)
 
 
 def _column(done: Decoded, message: MessageSpec, place: int) -> NDArray[np.float64]:

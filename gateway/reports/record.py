@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +113,7 @@ class Changes:
             self.note(ticks.t_ns.item(k), nodes[j], Flag(adhesion), Flag(thermal))
 
 
-class Recorder:
+class Recorder(AbstractContextManager["Recorder"]):
     """Writes both tables while ticks come. Context manager.
 
     The tables get their names when it is left; after an exception there are none.
@@ -148,15 +147,6 @@ class Recorder:
         """Finish the tables. Raises OSError."""
         self._files.close()
 
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         """Finish the tables, or take them away. Raises OSError."""
-        self._files.__exit__(kind, error, trace)
+        self._files.__exit__(*error)

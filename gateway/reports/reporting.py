@@ -6,9 +6,9 @@ Imported only where results are asked for: a run without them pays nothing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any
 
 from dbc.codec import Codec
 from gateway.core.gateway import Gateway
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Facts = list[tuple[str, str]]
 
 
-class Reporting:
+class Reporting(AbstractContextManager["Reporting"]):
     """Everything that is kept of one run: a context manager to `add` each tick in, then `run`."""
 
     def __init__(self, folder: Path, config: Config, codec: Codec) -> None:
@@ -98,20 +98,11 @@ class Reporting:
         self._ticks.flush()
         self.recorder.close()
 
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         """Finish the tables, or take them away. Raises OSError."""
-        if error is None:
+        if error[1] is None:
             self._ticks.flush()
-        self.recorder.__exit__(kind, error, trace)
+        self.recorder.__exit__(*error)
 
     def run(
         self,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dbc.records import DRIVE_STATUS, TRAIN_STATUS, Records
 from gateway.core.gateway import Gateway
-from gateway.core.thermal_model_monitor import Wear
+from gateway.core.view import Wear
 
 Array = NDArray[np.float64]
 

@@ -7,6 +7,8 @@ the single sample would be wrong; the maximum of what was really seen is not.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
@@ -17,7 +19,6 @@ from estimators.thermal.model_method import learn
 from estimators.thermal.monitor import Known
 from estimators.thermal.record import Record, split
 from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
-from gateway.core.thermal_model_monitor import Sample
 from gateway.settings.calibration import (
     POINTS,
     Calibration,
@@ -46,6 +47,18 @@ NEEDED = {
 """Of each second, by the name in `Sample`."""
 SPAN_K = 5.0
 """The fleet's mean must move this much over the logs before a gain is learnt."""
+
+
+Array = NDArray[np.float64]
+
+
+class Sample(NamedTuple):
+    """Means of a second: temperature (M, 3) degC, square (M,) A^2, speed, ambient; NaN: unknown."""
+
+    temperature: Array
+    square: Array
+    speed: Array
+    ambient: Array
 
 
 class Learner:

@@ -13,13 +13,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.codec import VALID, Codec
+from dbc.codec import Codec
 from dbc.frame import Frame
 from dbc.frames import block_of
+from dbc.spec import VALID
 from gateway.core.codes import INVALID, Flag, Health
 from gateway.reports.scoring import (
     Score,
-    Truth,
     everyone,
     quantile,
     score_flag,
@@ -289,9 +289,3 @@ def row(line: Line) -> tuple[str | int | float, ...]:
 
 def _finite(value: float) -> float:
     return value if math.isfinite(value) else math.nan
-
-
-__all__ = [
-    "BINS", "COLUMNS", "LEVELS", "Curve", "Estimates", "GatewayOutput", "Line", "Measured",
-    "Reliability", "Truth", "listen", "measure", "nothing", "pooled", "reliability", "roc", "row",
-]  # fmt: skip

@@ -12,6 +12,8 @@ import numpy as np
 
 from gateway.io.whole_file import whole, write_text
 from gateway.study.evaluation import BINS, COLUMNS, Line, reliability, roc, row
+from gateway.study.reproduction_figures import save, subplots
+from gateway.study.thermal_scores import table_of
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colour-blind safe (Okabe-Ito); the lines also differ by dashes."""
@@ -47,8 +49,7 @@ def cells(line: Line) -> list[str]:
 
 def table(lines: Iterable[Line]) -> str:
     """All lines as a Markdown table."""
-    rows = [list(COLUMNS), ["---"] * len(COLUMNS), *(cells(line) for line in lines)]
-    return "\n".join("| " + " | ".join(one) + " |" for one in rows)
+    return table_of(COLUMNS, map(cells, lines))
 
 
 def write(folder: Path, title: str, lines: Sequence[Line]) -> list[Path]:
@@ -120,41 +121,26 @@ def _picture(
     stem: Path, lines: Sequence[Line], draw: Callable[[Any, Line, Any], None], title: str
 ) -> list[Path]:
     """One small picture per family, one curve per detector; PNG and SVG."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     families = list(dict.fromkeys(line.family for line in lines))
     detectors = list(dict.fromkeys(line.detector for line in lines))
     across = min(4, len(families))
     down = -(-len(families) // across)
-    with mpl.rc_context({"svg.hashsalt": stem.name}):
-        figure, axes = plt.subplots(
-            down, across, figsize=(3.2 * across, 3.2 * down + 0.6), squeeze=False,
-            layout="constrained",
-        )  # fmt: skip
-        flat = axes.flat
-        for axis in list(flat)[len(families) :]:
-            axis.set_axis_off()
-        for axis, family in zip(axes.flat, families, strict=False):
-            for line in lines:
-                if line.family == family:
-                    k = detectors.index(line.detector)
-                    style = {"color": COLOURS[k % len(COLOURS)], "ls": DASHES[k % len(DASHES)]}
-                    draw(axis, line, {**style, "label": line.detector, "lw": 1.4})
-            axis.set_title(family)
-            axis.grid(alpha=0.3)
-        handles, labels = axes.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels) or 1)
-        figure.suptitle(title)
-        paths = [stem.with_suffix(".png"), stem.with_suffix(".svg")]
-        with whole(paths[0]) as part:
-            figure.savefig(part, dpi=110, metadata={"Software": None})
-        with whole(paths[1]) as part:
-            figure.savefig(part, metadata={"Date": None})
-        plt.close(figure)
-    return paths
+    figure, axes = subplots(down, across, (3.2 * across, 3.2 * down + 0.6))
+    for axis in list(axes.flat)[len(families) :]:
+        axis.set_axis_off()
+    for axis, family in zip(axes.flat, families, strict=False):
+        for line in lines:
+            if line.family == family:
+                k = detectors.index(line.detector)
+                style = {"color": COLOURS[k % len(COLOURS)], "ls": DASHES[k % len(DASHES)]}
+                draw(axis, line, {**style, "label": line.detector, "lw": 1.4})
+        axis.set_title(family)
+        axis.grid(alpha=0.3)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels) or 1)
+    figure.suptitle(title)
+    save(figure, stem)
+    return [stem.with_suffix(".png"), stem.with_suffix(".svg")]
 
 
 def _draw_roc(axis: Any, line: Line, style: Any) -> None:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators import adaptation, filters
+from estimators import filters
 from estimators.models import pmsm
 from gateway.settings.sections import Estimator
 
@@ -86,7 +86,7 @@ def estimate(samples: Record, belief: Filter, x_0: Array, P_0: Array) -> Estimat
     drive = np.arange(n)
     n_sub, n_gap = np.full(n, samples.n_sub), np.zeros(n, dtype=np.int64)
     load, speed = np.empty((count, n)), np.empty((count, n))
-    drives, settings = adaptation.filters(n), filters.settings(pmsm.SUB_STEP_S)
+    drives, settings = filters.unstarted(n), filters.settings(pmsm.SUB_STEP_S)
     drives.x, drives.P = x_0, P_0
     noise = filters.noise_records(pmsm.Noise(Q, R, np.zeros(n)))
     for k in range(count):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.reports import page
-from gateway.study.thermal_scores import Score, mean, spread
+from gateway.study.thermal_scores import Score, mean, spread, table_of
 
 FIGURES: Final = {
     "figure4": "Figure 4. States of the motor with the fault, by the sigma-mixed filter.",
@@ -127,9 +127,7 @@ def rows(outcome: Outcome, base: str = "days") -> list[list[str]]:
 def ablation(outcome: Outcome) -> str:
     """What the parts of the paper's method do on the days base, in Markdown."""
     head = ("parts of the paper's method", *HEAD[1:6])
-    lines: list[Sequence[str]] = [head, ["---"] * len(head)]
-    lines += [[PARTS[m], *_cells(outcome.scores["days"][m])] for m in PARTS]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return table_of(head, ([PARTS[m], *_cells(outcome.scores["days"][m])] for m in PARTS))
 
 
 def _cells(scores: Sequence[Score]) -> list[str]:
@@ -145,8 +143,7 @@ def _cells(scores: Sequence[Score]) -> list[str]:
 
 def table(outcome: Outcome, base: str = "days") -> str:
     """Table 2 in Markdown."""
-    lines = [HEAD, ["---"] * len(HEAD), *rows(outcome, base)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return table_of(HEAD, rows(outcome, base))
 
 
 def markdown(outcome: Outcome) -> str:

@@ -30,12 +30,6 @@ from sim.physics.adhesion import SPEED_FLOOR_M_S, Rail, available, peak_creep
 from sim.records import DRIVE, MOTOR, Columns, ffi, lib, pointer, zeros
 from sim.records import TRAIN as TRAIN_RECORD
 
-__all__ = [
-    "ANGLE", "BENCH", "COMMAND", "DT", "I_ALPHA", "I_BETA", "LOAD", "MOTORS", "OUT",
-    "SLIP_LIMITERS", "SPEED", "TORQUE", "TRAIN", "U_ALPHA", "U_BETA", "U_DC", "Motor", "Plant",
-    "QuasiStatic", "SlipLimiter", "Train",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 
 OUT: Final[int] = lib.OUT_COLUMNS

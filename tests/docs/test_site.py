@@ -98,4 +98,4 @@ def test_the_reference_has_the_docstrings(site):
     core = "".join(pages[folder / "reference" / "api_gateway.html"].text)
     assert "Take the frames of one tick, give the frames to send." in core
     maths = pages[folder / "reference" / "api_estimators.html"].anchors
-    assert {"estimators.acquisition", "estimators.filters", "estimators.detect.median"} <= maths
+    assert {"estimators.models.pmsm", "estimators.filters", "estimators.detect.median"} <= maths

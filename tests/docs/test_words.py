@@ -31,10 +31,7 @@ PROTOCOLS = {
     "fit": "methods that learn",
     "send": "buses and sockets",
     "line": "readers of logs, a line each",
-    "whole": "readers of logs, a line each",
-    "frames": "readers of logs",
     "head": "readers of logs, what a line says beside its data",
-    "changes": "readers of logs, lines that say how to read on",
     "clock": "readers of logs, times of lines in a row",
 }
 """Functions that many classes define: what they have in common."""

@@ -12,7 +12,6 @@ from zlib import crc32
 
 import numpy as np
 
-from dbc.codec import Match
 from dbc.e2e import (
     COUNTERS,
     MAX_DELTA,
@@ -24,13 +23,14 @@ from dbc.e2e import (
     protect,
 )
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
+from dbc.spec import Match
 from gateway.core.gateway import Gateway
 from gateway.core.inbox import OWN_CANOPEN
 from gateway.core.supervision import Supervision
 from gateway.settings.config import parse
 from tests.reference.receive import COPIES, GUARD_NS, SECOND_SENDER, TOO_SOON
 from tests.sender import FD_FILE, codec_for
-from tests.stations import Inbox, samples_of
+from tests.stations import Inbox, last_samples
 
 NODES = (1, 2)
 CODECS = (codec_for(NODES), codec_for(NODES, FD_FILE))
@@ -261,7 +261,7 @@ def frames(
         ends = Counter(box.counts)
         ends.subtract(before)
         _as_told(ends, twin.take(came, now), len(came))
-        samples = samples_of(box)
+        samples = last_samples(box)
         assert np.isfinite(samples.u).all()
         assert np.isfinite(samples.y).all()
         total += len(came)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from dbc.candump.reader import Writer
+from dbc.candump.writer import Writer
 from dbc.frame import MS, Frame
 from sim.scenario import parse_text
 from sim.simulation import Simulation

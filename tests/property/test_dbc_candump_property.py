@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from dbc.candump import reader as candump
 from dbc.candump import writer as logwriter
-from dbc.candump.grammar import Verdict
-from dbc.candump.reader import LogError, Reader, Writer, format_frame, parse_line
+from dbc.candump.grammar import Verdict, format_frame, parse_line
+from dbc.candump.reader import LogError, Reader
+from dbc.candump.writer import Writer
 from dbc.frame import BRS, FD, REMOTE, Frame
 from dbc.frames import block_of
 from tests.fuzz import examples

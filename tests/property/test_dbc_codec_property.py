@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc import codec as codec_module
-from dbc.codec import ABSENT, VALID, Codec, MessageSpec, bind, load
+from dbc.codec import Codec, bind
 from dbc.contract import ANY
-from dbc.spec import EXTENDED_KEY
+from dbc.load import load
+from dbc.spec import ABSENT, EXTENDED_KEY, VALID, MessageSpec
 from tests.dbc_text import of_layout
 from tests.fuzz import examples
 from tests.reference import codec as reference

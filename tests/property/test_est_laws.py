@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators import acquisition, filters
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Rated
+from tests.core_calls import acquisition
+from tests.core_calls.filters import sweep
 from tests.filter_records import acquire, estimate, start_states
-from tests.reference import ekf, kalman, ukf
+from tests.reference import ekf, kalman, motor_model, ukf
 from tests.strategies import filter_states, motor_rows, sample_rows
 
 DRIVES = 3
@@ -35,7 +37,7 @@ def run(kind, par, x, P, rows):
     drive = table[:, 0].astype(np.int32)
     n_sub, n_gap = np.full(len(table), 16, dtype=np.int64), table[:, 5].astype(np.int64)
     samples = filters.sample_records(drive, table[:, 1:3], table[:, 3:5], n_sub, n_gap)
-    nis, ok = filters.sweep(kind, pmsm.table(par), noise, x, P, samples, SUB_STEP_S)
+    nis, ok = sweep(kind, pmsm.table(par), noise, x, P, samples, SUB_STEP_S)
     return x, P, nis, ok
 
 
@@ -47,11 +49,11 @@ def wide(n):
 @given(motor_rows(), filter_states())
 def test_jacobian_is_the_derivative(row, state):
     par, x = pmsm.motors(row), np.array([state])
-    got = pmsm.jacobian(par, x, SUB_STEP_S)[0]
+    got = motor_model.jacobian(par, x, SUB_STEP_S)[0]
     for j, h in enumerate([1e-3, 1e-3, 1e-2, 1e-5, 1e-3]):
         e = h * np.eye(5)[j]
-        up = pmsm.step(par, x + e, np.zeros((1, 2)), SUB_STEP_S)[0]
-        down = pmsm.step(par, x - e, np.zeros((1, 2)), SUB_STEP_S)[0]
+        up = motor_model.step(par, x + e, np.zeros((1, 2)), SUB_STEP_S)[0]
+        down = motor_model.step(par, x - e, np.zeros((1, 2)), SUB_STEP_S)[0]
         assert got[:, j] == pytest.approx((up - down) / (2.0 * h), rel=1e-6, abs=1e-6)
 
 
@@ -110,8 +112,8 @@ def test_the_frame_has_no_preferred_direction(state, turn):
     x_turned = x.copy()
     x_turned[:, :2] = turned(x[:, :2])
     x_turned[:, 3] += turn
-    plain = pmsm.step(pmsm.BENCH_MOTOR, x, u, SUB_STEP_S)
-    other = pmsm.step(pmsm.BENCH_MOTOR, x_turned, turned(u), SUB_STEP_S)
+    plain = motor_model.step(pmsm.BENCH_MOTOR, x, u, SUB_STEP_S)
+    other = motor_model.step(pmsm.BENCH_MOTOR, x_turned, turned(u), SUB_STEP_S)
     assert other[:, :2] == pytest.approx(turned(plain[:, :2]), abs=1e-9)
     assert other[:, 2:] == pytest.approx(plain[:, 2:] + [0.0, turn, 0.0], abs=1e-9)
 
@@ -157,12 +159,12 @@ def test_arrays_have_the_annotated_shapes(monkeypatch):
     noise = noise_of(par, n)
     x, P, two = np.zeros((n, 5)), wide(n), np.ones((n, 2))
     assert checked(pmsm.table)(par).shape == (n, 7)
-    assert checked(pmsm.step)(par, x, two, SUB_STEP_S).shape == (n, 5)
-    assert checked(pmsm.jacobian)(par, x, SUB_STEP_S).shape == (n, 5, 5)
-    assert checked(pmsm.coast)(par, x, np.ones(n)).shape == (n, 5)
-    assert checked(pmsm.coast_jacobian)(par, x, np.ones(n)).shape == (n, 5, 5)
-    assert checked(pmsm.turning)(two, np.ones(n), 4, SUB_STEP_S).shape == (n, 4, 2)
-    assert checked(pmsm.torque)(par, x).shape == (n,)
+    assert checked(motor_model.step)(par, x, two, SUB_STEP_S).shape == (n, 5)
+    assert checked(motor_model.jacobian)(par, x, SUB_STEP_S).shape == (n, 5, 5)
+    assert checked(motor_model.coast)(par, x, np.ones(n)).shape == (n, 5)
+    assert checked(motor_model.coast_jacobian)(par, x, np.ones(n)).shape == (n, 5, 5)
+    assert checked(motor_model.turning)(two, np.ones(n), 4, SUB_STEP_S).shape == (n, 4, 2)
+    assert checked(motor_model.torque)(par, x).shape == (n,)
     checked(kalman.predict)(x, P, P, P)
     checked(kalman.update)(x, P, two, ekf.H, np.tile(np.eye(2), (n, 1, 1)))
     checked(ekf.predict)(par, noise, x, P, two, 2, SUB_STEP_S)
@@ -175,4 +177,4 @@ def test_arrays_have_the_annotated_shapes(monkeypatch):
     checked(ekf.sweep)(par, noise, x, P, *rows, SUB_STEP_S)
     checked(ukf.sweep)(par, noise, x, P, *rows, SUB_STEP_S)
     with pytest.raises(Exception, match=r"shape|type"):
-        checked(pmsm.step)(par, np.zeros((n, 4)), two, SUB_STEP_S)
+        checked(motor_model.step)(par, np.zeros((n, 4)), two, SUB_STEP_S)

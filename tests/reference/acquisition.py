@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimators.acquisition import Consistency
-from estimators.models import pmsm
 from estimators.models.pmsm import T_L, THETA_E, W_E, Array, Noise, Pmsm, Rated
+from tests.core_calls.acquisition import Consistency
+from tests.reference import motor_model
 
 IMPLAUSIBLE = 1e5
 W_TOL, W_TOL_RELATIVE, THETA_TOL, STILL_TOL = 20.0, 0.5, 0.8, 40.0
@@ -154,7 +154,7 @@ def _add_pair(
     state.turned_sum[d] = tuning.forget_angle * rotated + chord
     mean = state.turned_sum[d]
     quarter = 0.5 * math.pi if turn >= 0.0 else -0.5 * math.pi
-    state.theta[d] = pmsm.wrap(math.atan2(mean.imag, mean.real) - quarter + 0.5 * turn)
+    state.theta[d] = motor_model.wrap(math.atan2(mean.imag, mean.real) - quarter + 0.5 * turn)
     state.w[d] = w
     state.age[d] = 0.0
 
@@ -188,7 +188,7 @@ def _add_pair(
 
 def theta(state: Any) -> Array:
     """At the last sample, the speed constant since the last chord."""
-    return pmsm.wrap(state.theta + state.w * state.age)
+    return motor_model.wrap(state.theta + state.w * state.age)
 
 
 def check(state: Any, x: Array) -> list[int]:
@@ -197,7 +197,7 @@ def check(state: Any, x: Array) -> list[int]:
     w = x[:, W_E]
     with np.errstate(invalid="ignore"):
         same_w = np.abs(w - state.w) <= W_TOL + W_TOL_RELATIVE * np.abs(state.w)
-        same_theta = np.abs(pmsm.wrap(x[:, THETA_E] - theta(state))) <= THETA_TOL
+        same_theta = np.abs(motor_model.wrap(x[:, THETA_E] - theta(state))) <= THETA_TOL
         runaway = (state.pairs >= tuning.chords) & (np.abs(w) > state.w_max + STILL_TOL)
     ready = np.where(same_w & same_theta, Consistency.CONSISTENT, Consistency.INCONSISTENT)
     unready = np.where(runaway, Consistency.INCONSISTENT, Consistency.UNKNOWN)
@@ -209,7 +209,7 @@ def start_states(state: Any, par: Pmsm, noise: Noise, rated: Rated) -> tuple[Arr
     """First x (N, 5) and P (N, 5, 5) of filters from the chords."""
     ready = state.ready == 1
     x = np.stack([state.i_last.real, state.i_last.imag, state.w, theta(state), 0.0 * state.w], 1)
-    x[:, T_L] = pmsm.torque(par, x)
+    x[:, T_L] = motor_model.torque(par, x)
     spread = np.where(ready, state.spread, 1.0)
     span = np.where(ready, state.span, 1.0)
     deviation_w = 5.0 + 0.1 * np.abs(state.w) + 0.3 * spread / span

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.models import pmsm
 from estimators.models.pmsm import I_A, I_B, THETA_E, W_E, Noise, Pmsm
-from tests.reference import kalman
+from tests.reference import kalman, motor_model
 from tests.reference.kalman import Innovation
 
 if TYPE_CHECKING:
@@ -42,10 +41,10 @@ def predict(
 ) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
     """Prior n_sub sub-steps of dt later, eq. (3)-(4) with (8) per sub-step, angle wrapped."""
     Q = _diagonal(noise.Q)
-    v = pmsm.turning(u, x[:, W_E], n_sub, dt)
+    v = motor_model.turning(u, x[:, W_E], n_sub, dt)
     for j in range(n_sub):
-        F = pmsm.jacobian(par, x, dt)
-        x = pmsm.step(par, x, v[:, j], dt)
+        F = motor_model.jacobian(par, x, dt)
+        x = motor_model.step(par, x, v[:, j], dt)
         P = F @ P @ kalman.transpose(F) + Q
     return _wrapped(x), kalman.symmetric(P)
 
@@ -58,7 +57,7 @@ def coast(
     n_gap: int,
     dt: float,
 ) -> tuple[Float[Array, "N 5"], Float[Array, "N 5 5"]]:
-    """Prior after n_gap sub-steps without voltage: `pmsm.coast` in one step.
+    """Prior after n_gap sub-steps without voltage: `motor_model.coast` in one step.
 
     What the voltage did meanwhile is unknown. A torque off by that of noise.coast all along is
     added to speed and angle. The currents at the end are off by noise.coast too, but for
@@ -67,7 +66,7 @@ def coast(
     if n_gap == 0:
         return x, P
     tau = np.full(len(x), n_gap * dt)
-    F = pmsm.coast_jacobian(par, x, tau)
+    F = motor_model.coast_jacobian(par, x, tau)
     P = F @ P @ kalman.transpose(F) + n_gap * _diagonal(noise.Q)
     kappa = par.k_p * par.p**2 * par.psi_f / par.J
     g = np.zeros_like(x)
@@ -76,7 +75,7 @@ def coast(
     P = P + noise.coast[:, None, None] * g[:, :, None] * g[:, None, :]
     P[:, I_A, I_A] += noise.coast
     P[:, I_B, I_B] += noise.coast
-    return _wrapped(pmsm.coast(par, x, tau)), kalman.symmetric(P)
+    return _wrapped(motor_model.coast(par, x, tau)), kalman.symmetric(P)
 
 
 def update(
@@ -159,5 +158,5 @@ def _diagonal(variance: Array) -> Array:
 
 def _wrapped(x: Array) -> Array:
     x = x.copy()
-    x[:, THETA_E] = pmsm.wrap(x[:, THETA_E])
+    x[:, THETA_E] = motor_model.wrap(x[:, THETA_E])
     return x

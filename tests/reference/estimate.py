@@ -13,11 +13,12 @@ import numpy as np
 from _traction_core import lib
 
 from dbc.records import Columns, Records, pointer
-from estimators import acquisition, adaptation, current_calibration, filters
-from estimators.acquisition import Consistency
+from estimators import filters
 from gateway.core.codes import Health, Reason
 from gateway.core.estimate import Bank, estimates
-from gateway.core.pairing import Samples
+from tests.core_calls import acquisition, adaptation, current_calibration
+from tests.core_calls.acquisition import Consistency
+from tests.sample_rows import Samples
 
 LONGEST_GAP: Final = 64
 DISAGREE_TICKS: Final = 3
@@ -44,7 +45,7 @@ class Estimates:
         self.n, self.tick_s, self.motors, self.noise = n, tick_s, bank.motors, bank.noise
         self.rated_a, self.rated_nm = bank.rated_a, bank.rated_nm
         self.limits, self.settings = bank.record["limits"], bank.record["settings"]
-        self.filters, self.chords = adaptation.filters(n), acquisition.start(n)
+        self.filters, self.chords = filters.unstarted(n), acquisition.start(n)
         self.sensors, self.out = current_calibration.start(n), estimates(n)
         self.disagree, self.diverged_ns = [0] * n, [-1] * n
         self.best, self.silent = [math.inf] * n, [False] * n

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.frame import SECOND
-from gateway.core.pairing import Readings
 from tests.columns import Inputs, Told
 from tests.reference import load_observer
 from tests.reference.load_observer import LoadState, Mechanics
+from tests.sample_rows import Readings
 
 HYSTERESIS: Final = 0.05
 SETTLED_READINGS: Final = 5

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from dbc.frame import MS, SECOND, Nanos
 from dbc.records import Columns, Records
-from gateway.core.pairing import Readings, Samples
 from tests.columns import SlowState, Told
 from tests.reference.motion import Memory
+from tests.sample_rows import Readings, Samples
 
 HISTORY: Final = 8
 """Samples of a CAN FD frame."""

@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.models import pmsm
 from estimators.models.pmsm import THETA_E, W_E, Noise, Pmsm
-from tests.reference import ekf, kalman
+from tests.reference import ekf, kalman, motor_model
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -53,22 +52,26 @@ def predict(
     W_0 = kappa / (n + kappa)
     Q = noise.Q[:, :, None] * np.eye(n)
     ok = np.ones(len(x), dtype=np.bool_)
-    v = pmsm.turning(u, x[:, W_E], n_sub, dt)
+    v = motor_model.turning(u, x[:, W_E], n_sub, dt)
     for k in range(n_sub):
         L, good = factor(P)
         ok &= good
         spread = np.sqrt(n + kappa) * L
-        centre = pmsm.step(par, x, v[:, k], dt)
+        centre = motor_model.step(par, x, v[:, k], dt)
         # Deviations of the images from the image of the mean: well conditioned.
-        images = [pmsm.step(par, x + spread[:, :, j], v[:, k], dt) - centre for j in range(n)]
-        images += [pmsm.step(par, x - spread[:, :, j], v[:, k], dt) - centre for j in range(n)]
+        images = [
+            motor_model.step(par, x + spread[:, :, j], v[:, k], dt) - centre for j in range(n)
+        ]
+        images += [
+            motor_model.step(par, x - spread[:, :, j], v[:, k], dt) - centre for j in range(n)
+        ]
         D = np.stack(images, axis=1)
         shift = W * D.sum(axis=1)
         D = D - shift[:, None, :]
         x = centre + shift
         P = W * kalman.transpose(D) @ D + W_0 * shift[:, :, None] * shift[:, None, :] + Q
     x = x.copy()
-    x[:, THETA_E] = pmsm.wrap(x[:, THETA_E])
+    x[:, THETA_E] = motor_model.wrap(x[:, THETA_E])
     return x, kalman.symmetric(P), ok
 
 

@@ -10,7 +10,7 @@ from _traction_core import lib
 from dbc.records import DRIVE_STATUS
 from estimators.detect import DETECTORS
 from estimators.detect.switching import Switching
-from gateway.core import flags, inputs, pairing
+from gateway.core import flags, inputs, receiving
 from gateway.core.adhesion import BASE_NM, AdhesionMonitor
 from gateway.core.codes import NEVER, Flag, Health
 from gateway.core.flags import FlagKind, Timing
@@ -88,7 +88,7 @@ class Both:
         model = Switching(self.n, tick_ns) if detector == "switching" else None
         self.plain = reference.Adhesion(motors, RULES, tick_ns, spread, model)
         self.status = np.zeros(self.n, DRIVE_STATUS)
-        self.drives = pairing.drive_inputs(self.n)
+        self.drives = receiving.drive_inputs(self.n)
         self.slow = columns.slow_of(self.drives)
 
     def tick(self, told, given, now, operating):
@@ -269,7 +269,7 @@ def test_a_detector_of_ones_own_stops_between_the_stages(name):
     inside = AdhesionMonitor(Adhesion(detector="vb"), motors, RULES, TICK)
     outside = AdhesionMonitor(Adhesion(detector=name), motors, RULES, TICK)
     outside.in_core = False
-    drives, status = pairing.drive_inputs(N), np.zeros(N, DRIVE_STATUS)
+    drives, status = receiving.drive_inputs(N), np.zeros(N, DRIVE_STATUS)
     mine, met = columns.slow_of(drives), set()
     for tick, given in enumerate(train_that_drives(np.random.default_rng(2), N, 300)):
         health, load, speed, command, before, (sent, steady), fresh, _ = given
@@ -316,7 +316,7 @@ def test_what_lies_behind_the_drives_is_left_alone():
     core.switching.record["ticks"], core.switching.record["every"] = 1, 2
     core.switching.lost[:], core.switching.adhering[:] = (1.0, 1.0, 0.3), (0.0, 0.0, 1.0)
     core.known[2] = True
-    drives, told = pairing.drive_inputs(3), columns.told(3)
+    drives, told = receiving.drive_inputs(3), columns.told(3)
     told.health[:], told.speed[:], told.load[:] = Health.TRACKING, 25.0, 20.0
     columns.slow_of(drives).command[:] = 20.0
     come = validity(np.ones(3, dtype=bool), told.speed)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from gateway.core.codes import Health
-from gateway.core.pairing import Samples
 from gateway.settings.config import BENCH_MOTOR
 from gateway.settings.sections import Estimator
 from tests.estimates import step
+from tests.sample_rows import Samples
 from tests.stations import Bank
 from tests.unit.test_bank import TICK, steady
 from tests.unit.test_est_truth import Rows, sampled

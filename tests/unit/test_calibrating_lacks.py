@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.core.thermal_model_monitor import Sample
-from gateway.study.calibrating import Learner
+from gateway.study.calibrating import Learner, Sample
 
 
 def learner(seconds, **changes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbc.candump.reader import Writer
+from dbc.candump.writer import Writer
 from dbc.frame import Frame
 from gateway.cli import main
 from gateway.mapping.fit import Measured, findings

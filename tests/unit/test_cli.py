@@ -100,7 +100,7 @@ def test_replay_output_is_only_the_gateways_frames_on_the_logs_clock(folder):
 def test_a_log_with_our_own_frames_in_it_gives_the_same_flags(folder):
     main(["replay", str(folder / "s.log"), "-o", str(folder / "own.log")])
     both = sorted([*Reader(folder / "s.log"), *Reader(folder / "own.log")], key=lambda f: f.t_ns)
-    from dbc.candump.reader import Writer
+    from dbc.candump.writer import Writer
 
     writer = Writer(folder / "both.log")
     for frame in both:

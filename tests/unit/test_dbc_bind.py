@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from dbc import generate as build
-from dbc.codec import DbcMismatch, bind
+from dbc.codec import bind
 from dbc.contract import ANY, CLASSIC, FD
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
 from dbc.load import load
+from dbc.spec import DbcMismatch
 from tests.dbc_text import message, signal, write
 
 FOLDER = Path(build.__file__).parent

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from dbc.candump.grammar import MAX_LINE, Verdict
-from dbc.candump.reader import LogError, Reader, Writer, format_frame, parse_line
+from dbc.candump.grammar import MAX_LINE, Verdict, format_frame, parse_line
+from dbc.candump.reader import LogError, Reader
+from dbc.candump.writer import Writer
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, TX, Frame
 from dbc.frames import block_of
 from tests.reference import candump as reference

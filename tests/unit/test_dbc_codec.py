@@ -9,20 +9,10 @@ import numpy as np
 import pytest
 
 from dbc import generate as build
-from dbc.codec import (
-    ABSENT,
-    NOT_A_NUMBER,
-    NOT_AVAILABLE,
-    RANGE,
-    SATURATED,
-    VALID,
-    Codec,
-    Match,
-    Validity,
-    bind,
-)
+from dbc.codec import Codec, bind
 from dbc.contract import ANY
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
+from dbc.spec import ABSENT, NOT_A_NUMBER, NOT_AVAILABLE, RANGE, SATURATED, VALID, Match, Validity
 from tests.dbc_text import message, signal, write
 from tests.reference import codec as reference
 
@@ -299,13 +289,3 @@ def test_whole_64_bit_range(tmp_path: Path) -> None:
             row = np.frombuffer(data.ljust(64, b"\0"), np.uint8).reshape(1, 64)
             value, validity = codec.decode_rows(np.array([spec.index], np.int32), row)
             assert (value[0, 0], validity[0, 0]) == (float(raw), wanted)
-
-
-def test_si_factors_of_the_contract() -> None:
-    from dbc.contract import CLASSIC
-
-    assert CLASSIC.si_factor("Motion", "Speed") * 60 == pytest.approx(2 * math.pi)
-    assert CLASSIC.si_factor("Motion", "ElectricalAngle") * 180 == pytest.approx(math.pi)
-    assert CLASSIC.si_factor("Temperatures", "Tde") == 1.0
-    with pytest.raises(KeyError):
-        CLASSIC.si_factor("Motion", "Colour")

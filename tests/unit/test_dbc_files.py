@@ -12,9 +12,10 @@ import pytest
 
 from dbc import generate as build
 from dbc import load as binding
-from dbc.codec import Codec, bind, load
+from dbc.codec import Codec, bind
 from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
+from dbc.load import load
 from gateway.core import codes
 
 FOLDER = Path(build.__file__).parent

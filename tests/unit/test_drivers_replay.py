@@ -5,7 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from dbc.candump.reader import Reader, format_frame
+from dbc.candump.grammar import format_frame
+from dbc.candump.reader import Reader
 from dbc.frame import MS, SECOND, Frame
 from dbc.frames import in_blocks
 from gateway.core.gateway import Gateway
@@ -232,7 +233,7 @@ def wild(seed, count=600):
 @pytest.mark.parametrize("seed", range(6))
 def test_a_wild_clock_gives_the_same_however_the_log_is_cut_and_ticked(seed, tmp_path):
     """Blocks of any size, text, gzip, and many ticks at once: the same bytes, the same counts."""
-    from dbc.candump.reader import Writer
+    from dbc.candump.writer import Writer
     from dbc.frames import block_of
     from gateway.io.replay import Briefly
     from gateway.settings.config import parse

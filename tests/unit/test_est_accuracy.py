@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from estimators import acquisition, filters
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import THETA_VAR
+from tests.core_calls import acquisition
+from tests.core_calls.filters import sweep
 from tests.filter_records import acquire, start_states
 from tests.unit.test_est_acquisition import rated
 from tests.unit.test_est_ekf import bench
@@ -69,7 +71,7 @@ def load_errors(
         for end in range(816, len(truth.w) + 1, 16):
             now = slice(*np.searchsorted(rows.tick, [end - 16, end]))
             samples = filters.sample_records(*(column[now] for column in rows[:5]))
-            _, ok = filters.sweep(kind, table, noise, x, P, samples, TICK_S)
+            _, ok = sweep(kind, table, noise, x, P, samples, TICK_S)
             assert ok.all()
             if end > 2000:
                 errors.append(x[:, 4] - truth.load[end - 1])

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from dbc.records import Columns
-from estimators import acquisition, filters
-from estimators.acquisition import Consistency
+from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import Noise, Pmsm, Rated
+from tests.core_calls import acquisition
+from tests.core_calls.acquisition import Consistency
+from tests.core_calls.filters import sweep
 from tests.filter_records import acquire, check, estimate, start_states
 from tests.reference import acquisition as reference
+from tests.reference import motor_model
 from tests.unit.test_est_ekf import bench
 from tests.unit.test_est_truth import PSI, TICK_S, Rows, Truth, motor, sampled
 
@@ -63,7 +66,7 @@ def check_never_wrong(truth: Truth, rows: Rows, par: Pmsm | None = None) -> np.n
         # Off at 15 rad/s by a mean over 25 ms: a rotor that brakes hard is below it by then.
         assert (np.abs(w[ready]) > 5.0).all(), "ready at a speed that is not observable"
         assert (np.sign(found.w[ready]) == np.sign(w[ready])).all()
-        assert (np.abs(pmsm.wrap(found.theta - theta))[ready] < 0.35).all()
+        assert (np.abs(motor_model.wrap(found.theta - theta))[ready] < 0.35).all()
         assert (np.abs(found.w - w)[ready] < 20.0 + 0.5 * np.abs(found.w[ready])).all()
         x = np.zeros((36, 5))
         x[:, 2], x[:, 3] = w, theta
@@ -112,7 +115,9 @@ def test_chords_change_their_length_without_losing_the_lock(begin, final):
     for tick, found, state in watch(truth, rows):
         lengths |= set(state.stride.tolist())
         assert found.ready.all() or tick < 800, tick
-        assert (np.abs(pmsm.wrap(found.theta - truth.theta[tick])) < 0.35).all() or tick < 800
+        assert (
+            np.abs(motor_model.wrap(found.theta - truth.theta[tick])) < 0.35
+        ).all() or tick < 800
     assert len(lengths) >= 4
     check_never_wrong(truth, rows)
 
@@ -198,10 +203,10 @@ def test_agreement_tells_right_from_wrong_filters(final, every):
     paper = Noise(np.tile([0.05, 0.05, 1e-3, 1e-4, 0.1], (36, 1)), noise.R, noise.coast)
     x = np.zeros((36, 5))
     P = np.tile(np.diag([1.0, 1.0, 1e4, 4.0, 900.0]), (36, 1, 1))
-    filters.sweep("ekf", pmsm.table(par), paper, x, P, filters.sample_records(*rows[:5]), TICK_S)
+    sweep("ekf", pmsm.table(par), paper, x, P, filters.sample_records(*rows[:5]), TICK_S)
     state = acquisition.start(36)
     feed(state, par, rows, np.ones(len(rows.drive), dtype=np.bool_))
-    error = np.abs(pmsm.wrap(x[:, 3] - truth.theta[-1]))
+    error = np.abs(motor_model.wrap(x[:, 3] - truth.theta[-1]))
     right = error < 0.3
     assert (error[~right] > 2.0).all()
     assert 9 <= np.count_nonzero(right) <= 27
@@ -220,16 +225,16 @@ def test_start_state_starts_the_filter_right():
     x, P = start_states(state, par, noise, rated(36))
     assert state.ready.all()
     error = np.stack(
-        [x[:, 2] - truth.w[middle - 1], pmsm.wrap(x[:, 3] - truth.theta[middle - 1])], axis=1
+        [x[:, 2] - truth.w[middle - 1], motor_model.wrap(x[:, 3] - truth.theta[middle - 1])], axis=1
     )
     deviation = np.sqrt(np.stack([P[:, 2, 2], P[:, 3, 3]], axis=1))
     assert (np.abs(error) < 3.0 * deviation).all()
     late = rows.tick >= middle
     samples = filters.sample_records(*(column[late] for column in rows[:5]))
-    _, ok = filters.sweep("ekf", pmsm.table(par), noise, x, P, samples, TICK_S)
+    _, ok = sweep("ekf", pmsm.table(par), noise, x, P, samples, TICK_S)
     assert ok.all()
     assert np.abs(x[:, 4] - 15.0).max() < 2.0
-    assert np.abs(pmsm.wrap(x[:, 3] - truth.theta[-1])).max() < 0.05
+    assert np.abs(motor_model.wrap(x[:, 3] - truth.theta[-1])).max() < 0.05
 
 
 def test_chords_of_known_motion():
@@ -252,7 +257,7 @@ def test_chords_of_known_motion():
     ready, w_hat, theta_hat, spread = estimate(state)
     assert ready.all()
     assert w_hat == pytest.approx([w], rel=1e-12)
-    assert pmsm.wrap(theta_hat - theta[-1]) == pytest.approx([0.0], abs=1e-12)
+    assert motor_model.wrap(theta_hat - theta[-1]) == pytest.approx([0.0], abs=1e-12)
     assert spread == pytest.approx([0.0], abs=1e-6)
     assert state.psi == pytest.approx([PSI], rel=1e-12)
     # Twice per revolution and faster reads as the other direction: documented, not hidden.

@@ -7,8 +7,9 @@ import pytest
 from _traction_core import lib
 
 from dbc.records import pointer
-from estimators import acquisition, adaptation
+from estimators import filters
 from estimators.models import pmsm
+from tests.core_calls import acquisition, adaptation
 from tests.filter_records import samples
 
 adapt_r, adapt_q_bias = lib.adapt_r, lib.adapt_q_bias
@@ -59,10 +60,10 @@ def test_innovations_change_their_own_filter_one_by_one():
     rng = np.random.default_rng(3)
     n, dt = 3, 125e-6
     motor = pmsm.table(pmsm.repeat(pmsm.BENCH_MOTOR, n))
-    chords, filters = acquisition.start(n), adaptation.filters(n)
+    chords, drives = acquisition.start(n), filters.unstarted(n)
     chords.w, chords.ready = 100.0, [1, 1, 0]
-    filters.active, rated = [1, 0, 1], np.full(n, 25.0)
-    filters.x[:, 2] = 104.0
+    drives.active, rated = [1, 0, 1], np.full(n, 25.0)
+    drives.x[:, 2] = 104.0
     plain = [[0, 2.0, 1.0, 0.0] for _ in range(n)]
     most = q_bias_limit(104.0, motor[0, 0], motor[0, 2], 25.0)
     for _ in range(50):
@@ -71,24 +72,24 @@ def test_innovations_change_their_own_filter_one_by_one():
         steps = rng.integers(1, 17, 12)
         none = np.zeros((12, 2))
         rows = samples(drive, none, none, steps, 0, nis)
-        adaptation.adapt(rows, filters, chords, motor, rated, dt)
+        adaptation.adapt(rows, drives, chords, motor, rated, dt)
         for d, value, step in zip(drive.tolist(), nis.tolist(), steps.tolist(), strict=True):
             row = plain[d]
-            if filters.active[d]:
+            if drives.active[d]:
                 row[0] += step
                 if value == value:
                     row[1] += 0.2 * (value - row[1])
                     row[2] = adapt_r(row[2], value, step * dt, row[0] * dt)
                 if row[0] >= SETTLED and chords.ready[d]:
                     row[3] = adapt_q_bias(row[3], 4.0, motor[d, 2], step * dt, most, row[0] * dt)
-    assert filters.steps.tolist() == [row[0] for row in plain]
-    columns = (filters.nis, filters.r_scale, filters.v_q_bias)
+    assert drives.steps.tolist() == [row[0] for row in plain]
+    columns = (drives.nis, drives.r_scale, drives.v_q_bias)
     for k, values in enumerate(columns, 1):
         np.testing.assert_allclose(values, [row[k] for row in plain], rtol=1e-12)
-    assert filters.r_scale[0] > 1.0
-    assert filters.r_scale[1] == 1.0
-    assert filters.v_q_bias[0] > 0.0
-    assert filters.v_q_bias[1] == filters.v_q_bias[2] == 0.0
+    assert drives.r_scale[0] > 1.0
+    assert drives.r_scale[1] == 1.0
+    assert drives.v_q_bias[0] > 0.0
+    assert drives.v_q_bias[1] == drives.v_q_bias[2] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -18,7 +18,9 @@ from estimators.models.pmsm import SUB_STEP_S, THETA_E, W_E
 from gateway.core.estimate import SETTLE_STEPS
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
-from tests.stations import samples_of
+from tests.core_calls.filters import sweep
+from tests.reference import motor_model
+from tests.stations import last_samples
 from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 from tests.unit.test_est_ekf import bench
 
@@ -58,16 +60,16 @@ def track(
     nees, nis = np.empty((samples, RUNS)), np.empty((samples, RUNS))
     for k in range(samples):
         u = control(par, truth, w)
-        v = pmsm.turning(u, truth[:, W_E], every, SUB_STEP_S)
+        v = motor_model.turning(u, truth[:, W_E], every, SUB_STEP_S)
         for j in range(every):
-            truth = pmsm.step(par, truth, v[:, j], SUB_STEP_S)
+            truth = motor_model.step(par, truth, v[:, j], SUB_STEP_S)
             truth = truth + rng.normal(size=truth.shape) * np.sqrt(noise.Q)
         y = truth[:, :2] + rng.normal(size=(RUNS, 2)) * np.sqrt(worse * noise.R)
         samples = filters.sample_records(drive, u, y, n_sub, n_gap)
-        nis[k], ok = filters.sweep(kind, table, noise, x, P, samples, SUB_STEP_S)
+        nis[k], ok = sweep(kind, table, noise, x, P, samples, SUB_STEP_S)
         assert ok.all()
         error = truth - x
-        error[:, THETA_E] = pmsm.wrap(error[:, THETA_E])
+        error[:, THETA_E] = motor_model.wrap(error[:, THETA_E])
         nees[k] = np.einsum("ni,ni->n", error, np.linalg.solve(P, error[..., None])[..., 0])
     return nees, nis
 
@@ -106,7 +108,7 @@ def nominal_windows(kind: str) -> np.ndarray:
     for tick in range(1, LOOP_TICKS + 1):
         tracked = [core.bank.filters.steps[d] >= SETTLE_STEPS for d in range(len(NODES))]
         core.step(honest.sent(tick), tick * TICK)
-        drive = samples_of(core.inbox).drive
+        drive = last_samples(core.inbox).drive
         nis = core.bank.samples.nis[: len(drive)]
         losses = honest.lost[max(tick - 31, 0) : tick + 30].any()
         standing = honest.phase[tick - 1] == PHASES.index("standstill")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dbc.records import FILTER_SAMPLE, zeros
-from estimators import acquisition, current_calibration
-from estimators.current_calibration import restart, start
+from tests.core_calls import acquisition, current_calibration
+from tests.core_calls.current_calibration import restart, start
 from tests.reference.current_calibration import IMAGE_MAX, OFFSET_MAX, Sensors
 
 RATED = np.array([25.0])

@@ -8,7 +8,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
-from tests.reference import ekf, kalman
+from tests.reference import ekf, kalman, motor_model
 
 
 def bench(n: int) -> tuple[Pmsm, Noise]:
@@ -30,20 +30,20 @@ def test_linear_limit_is_the_kalman_filter():
     par = par._replace(psi_f=np.zeros(3))
     x, P = start(3, 1)
     x_kf, P_kf = x.copy(), P.copy()
-    F = pmsm.jacobian(par, x, SUB_STEP_S)
+    F = motor_model.jacobian(par, x, SUB_STEP_S)
     rng = np.random.default_rng(2)
     for _ in range(50):
         u, y = rng.normal(size=(3, 2)) * 20.0, rng.normal(size=(3, 2)) * 5.0
         x, P = ekf.predict(par, noise, x, P, u, 4, SUB_STEP_S)
         x, P, innovation = ekf.update(noise, x, P, y)
-        v = pmsm.turning(u, x_kf[:, 2], 4, SUB_STEP_S)
+        v = motor_model.turning(u, x_kf[:, 2], 4, SUB_STEP_S)
         for j in range(4):
             x_kf, P_kf = kalman.predict(x_kf, P_kf, F, noise.Q[:, :, None] * np.eye(5))
             x_kf[:, :2] += SUB_STEP_S / par.L_s[:, None] * v[:, j]
         x_kf, P_kf, other = kalman.update(
             x_kf, P_kf, y, np.eye(2, 5), noise.R[:, :, None] * np.eye(2)
         )
-        assert np.abs(pmsm.wrap(x[:, 3] - x_kf[:, 3])) == pytest.approx(0.0, abs=1e-8)
+        assert np.abs(motor_model.wrap(x[:, 3] - x_kf[:, 3])) == pytest.approx(0.0, abs=1e-8)
         assert x[:, [0, 1, 2, 4]] == pytest.approx(x_kf[:, [0, 1, 2, 4]], rel=1e-9, abs=1e-9)
         assert pytest.approx(P_kf, rel=1e-9, abs=1e-9) == P
         assert innovation.nis == pytest.approx(other.nis, rel=1e-9)
@@ -55,7 +55,7 @@ def test_equals_filterpy_over_many_steps():
 
     class Motor(ExtendedKalmanFilter):
         def predict_x(self, u=0):
-            self.x = pmsm.step(par, self.x[None], u[None], SUB_STEP_S)[0]
+            self.x = motor_model.step(par, self.x[None], u[None], SUB_STEP_S)[0]
 
     other = Motor(5, 2)
     other.x, other.P = x[0].copy(), P[0].copy()
@@ -65,12 +65,12 @@ def test_equals_filterpy_over_many_steps():
         u, y = rng.normal(size=2) * 20.0, x[0, :2] + rng.normal(size=2)
         x, P = ekf.predict(par, noise, x, P, u[None], 3, SUB_STEP_S)
         x, P, _ = ekf.update(noise, x, P, y[None])
-        v = pmsm.turning(u[None], other.x[None, 2], 3, SUB_STEP_S)[0]
+        v = motor_model.turning(u[None], other.x[None, 2], 3, SUB_STEP_S)[0]
         for j in range(3):
-            other.F = pmsm.jacobian(par, other.x[None], SUB_STEP_S)[0]
+            other.F = motor_model.jacobian(par, other.x[None], SUB_STEP_S)[0]
             other.predict(v[j])
         other.update(y, lambda _: np.eye(2, 5), lambda z: z[:2])
-        assert pmsm.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
+        assert motor_model.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
         assert np.delete(x[0], 3) == pytest.approx(np.delete(other.x, 3), rel=1e-9, abs=1e-9)
         assert P[0] == pytest.approx(other.P, rel=1e-9, abs=1e-9)
 

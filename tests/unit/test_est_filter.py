@@ -10,6 +10,7 @@ import pytest
 from estimators import filters
 from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+from tests.core_calls import filters as calls
 from tests.reference import ekf, ukf
 from tests.unit.test_est_ekf import bench
 from tests.unit.test_est_truth import Rows, motor, sampled
@@ -42,9 +43,7 @@ def sweep(kind: str, c: Case, rows: Rows | None = None, bits: int = 0):
     """(x, P, nis, ok)."""
     x, P = c.x.copy(), c.P.copy()
     samples = filters.sample_records(*(rows or c.rows)[:5])
-    nis, ok = filters.sweep(
-        kind, pmsm.table(c.par), c.noise, x, P, samples, SUB_STEP_S, c.lean, bits
-    )
+    nis, ok = calls.sweep(kind, pmsm.table(c.par), c.noise, x, P, samples, SUB_STEP_S, c.lean, bits)
     return x, P, nis, ok
 
 

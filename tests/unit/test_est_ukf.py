@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 
-from estimators.models import pmsm
 from estimators.models.pmsm import SUB_STEP_S
-from tests.reference import ekf, ukf
+from tests.reference import ekf, motor_model, ukf
 from tests.unit.test_est_ekf import bench, start
 
 
@@ -23,7 +22,7 @@ def test_equals_filterpy_over_many_steps(kappa):
         2,
         SUB_STEP_S,
         hx=lambda z: z[:2],
-        fx=lambda z, dt, u: pmsm.step(par, z[None], u[None], dt)[0],
+        fx=lambda z, dt, u: motor_model.step(par, z[None], u[None], dt)[0],
         points=points,
     )
     other.x, other.P = x[0].copy(), P[0].copy()
@@ -34,11 +33,11 @@ def test_equals_filterpy_over_many_steps(kappa):
         x, P, ok = ukf.predict(par, noise, x, P, u[None], 2, SUB_STEP_S, kappa)
         x, P, _ = ekf.update(noise, x, P, y[None])
         assert ok.all()
-        v = pmsm.turning(u[None], other.x[None, 2], 2, SUB_STEP_S)[0]
+        v = motor_model.turning(u[None], other.x[None, 2], 2, SUB_STEP_S)[0]
         other.predict(u=v[0])
         other.predict(u=v[1])
         other.update(y)
-        assert pmsm.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
+        assert motor_model.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
         assert np.delete(x[0], 3) == pytest.approx(np.delete(other.x, 3), rel=1e-9, abs=1e-9)
         assert P[0] == pytest.approx(other.P, rel=1e-9, abs=1e-9)
 
@@ -65,7 +64,7 @@ def test_the_seam_of_the_angle_does_not_show():
     u = np.array([[10.0, 20.0], [-10.0, -20.0]])
     x, P, _ = ukf.predict(par, noise, x, P, u, 16, SUB_STEP_S)
     assert x[1, :2] == pytest.approx(-x[0, :2])
-    assert pmsm.wrap(x[1, 3:4] - x[0, 3] - np.pi) == pytest.approx([0.0], abs=1e-12)
+    assert motor_model.wrap(x[1, 3:4] - x[0, 3] - np.pi) == pytest.approx([0.0], abs=1e-12)
     assert x[1, [2, 4]] == pytest.approx(x[0, [2, 4]])
     assert np.diagonal(P[1]) == pytest.approx(np.diagonal(P[0]))
 

@@ -7,12 +7,12 @@ import pytest
 
 from gateway.core import inputs
 from gateway.core.codes import Health, Reason
-from gateway.core.pairing import Samples
 from gateway.settings.config import BENCH_MOTOR
 from gateway.settings.sections import Estimator
 from tests.receivers import Received
 from tests.reference import estimate as reference
 from tests.same import same_numbers
+from tests.sample_rows import Samples
 from tests.stations import Bank
 from tests.unit.test_bank_hostile import MADE, SECOND_TICKS, loop, ticks_of
 

@@ -14,7 +14,7 @@ import pytest
 from gateway.core.gateway import Gateway
 from tests import extremes
 from tests.extremes import RULES, Setup, Stretch, changed, run, stretches
-from tests.stations import receive, samples_of
+from tests.stations import last_samples, receive
 from tests.value_cases import honest
 
 SETUPS = [
@@ -62,7 +62,7 @@ class _Divides(Gateway):
 
     def step(self, frames, now):
         out = super().step(frames, now)
-        assert 1.0 / float(np.ptp(samples_of(self.inbox).y[:5, 0])) > 0.0
+        assert 1.0 / float(np.ptp(last_samples(self.inbox).y[:5, 0])) > 0.0
         return out
 
 

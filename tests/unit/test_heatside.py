@@ -12,7 +12,6 @@ from estimators.thermal.monitor import OWN_K
 from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.core.supervision import Supervision
-from gateway.core.thermal_model_monitor import Sample
 from gateway.hil.fitting import scenario_thermal
 from gateway.settings import calibration
 from gateway.settings.calibration import (
@@ -24,7 +23,7 @@ from gateway.settings.calibration import (
     to_toml,
 )
 from gateway.settings.config import ConfigError
-from gateway.study.calibrating import Learner
+from gateway.study.calibrating import Learner, Sample
 from tests.sender import codec_for
 from tests.stations import Inbox, TemperatureMonitor
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dbc.candump.reader import Writer
+from dbc.candump.writer import Writer
 from gateway.cli import main
 from gateway.settings.config import ConfigError, load, parse
 from sim.simulation import Simulation

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dbc.records import DRIVE_STATUS
-from gateway.core import flags, inputs, pairing
+from gateway.core import flags, inputs, receiving
 from gateway.core.adhesion import AdhesionMonitor
 from gateway.core.codes import Flag, Health
 from gateway.core.flags import FlagKind, Timing
@@ -26,7 +26,7 @@ class Drives:
     def __init__(
         self, load=(15.0, 15.0, 15.0), speed=(25.0, 25.0, 25.0), command=(20.0, 20.0, 20.0)
     ):
-        self.told, self.records = columns.told(N), pairing.drive_inputs(N)
+        self.told, self.records = columns.told(N), receiving.drive_inputs(N)
         self.sent = columns.slow_of(self.records)
         self.told.health[:] = Health.TRACKING
         self.told.load[:], self.told.speed[:] = load, speed

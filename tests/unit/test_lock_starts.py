@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from gateway.core.codes import Health
-from gateway.core.pairing import Samples
 from gateway.settings.config import BENCH_MOTOR, TRACTION_350KW, Motor
 from gateway.settings.sections import Estimator
 from tests.estimates import step
+from tests.sample_rows import Samples
 from tests.stations import Bank
 from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, Truth, motor, sampled
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from estimators import maisd
+from tests.core_calls.maisd import average, push
 from tests.reference import maisd as reference
 
 tables = arrays(np.float64, (4, 3), elements=st.floats(-50, 300))
@@ -33,8 +34,8 @@ def test_moving_average_looks_back_only(values, window):
     ring = maisd.window(window, 2, 3)
     present = np.ones((2, 3), dtype=bool)
     for k, value in enumerate(values):
-        maisd.push(ring, k, value, present)
-        mean, known = maisd.average(ring)
+        push(ring, k, value, present)
+        mean, known = average(ring)
         if k + 1 >= window:
             assert known.all()
             assert mean == pytest.approx(values[k + 1 - window : k + 1].mean(axis=0), abs=1e-6)
@@ -43,8 +44,8 @@ def test_moving_average_looks_back_only(values, window):
 def test_missing_values_are_left_out_and_few_are_not_known():
     ring = maisd.window(4, 2, 1)
     for k in range(4):
-        maisd.push(ring, k, np.full((2, 1), 10.0 * k), np.array([[True], [k == 0]]))
-    mean, known = maisd.average(ring)
+        push(ring, k, np.full((2, 1), 10.0 * k), np.array([[True], [k == 0]]))
+    mean, known = average(ring)
     assert mean[0, 0] == 15.0
     assert known.tolist() == [[True], [False]]
     assert np.isnan(spread(mean, known)).all()
@@ -66,10 +67,10 @@ def test_it_equals_the_reference(motors):
         values, present = rng.normal(60.0, 3.0, (motors, 3)), rng.random((motors, 3)) < 0.6
         values[:, 0] = values[:, 0].round()
         plain = reference.push(plain, values, present)
-        maisd.push(ring, seen, values, present)
+        push(ring, seen, values, present)
         np.testing.assert_array_equal(ring, plain.ring)
         want_mean, want_known = reference.average(plain)
-        mean, known = maisd.average(ring)
+        mean, known = average(ring)
         np.testing.assert_allclose(mean, want_mean, rtol=1e-12)
         np.testing.assert_array_equal(known, want_known)
         spread, deviation = maisd.compare(mean, known)
@@ -86,7 +87,7 @@ def test_any_count_is_a_place_in_the_ring(seen):
     """Also one below zero, which only a damaged record holds."""
     room = np.full((12, 2), 7.0)
     ring = room[4:8]
-    maisd.push(ring, seen, np.ones(2), np.ones(2, bool))
+    push(ring, seen, np.ones(2), np.ones(2, bool))
     assert (room[:4] == 7.0).all()
     assert (room[8:] == 7.0).all()
     assert (ring == 1.0).all(axis=1).sum() == 1

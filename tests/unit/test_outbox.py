@@ -14,9 +14,8 @@ from gateway.core.codes import NEVER, REJECTED
 from gateway.core.flags import FlagKind, unknown_status
 from gateway.core.receiving import Tally
 from gateway.core.supervision import Supervision
-from gateway.core.thermal_model_monitor import Wear
 from gateway.core.transmit import Outbox
-from gateway.core.view import Counted, drives_of, view_of
+from gateway.core.view import Counted, Wear, drives_of, view_of
 from tests.sender import CLASSIC, FD_FILE, MS, codec_for
 from tests.stations import Inbox, IntegrityMonitor
 

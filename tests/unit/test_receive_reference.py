@@ -21,6 +21,7 @@ from gateway.core.inbox import MAX_GAP_NS
 from gateway.core.receiving import Tally
 from gateway.core.supervision import Supervision
 from tests.reference import receive as reference
+from tests.sample_rows import readings_of
 from tests.sender import CLASSIC, FD_FILE, Sender, codec_for
 from tests.stations import Inbox, any_lost
 
@@ -139,14 +140,16 @@ def restarted(box):
 def assert_same(box, plain, *, came=True):
     """All that either remembers."""
     if came:
-        s, r, scratch = box.samples, box.receiver.readings, box.receiver.scratch
+        s, r, space = box.samples, readings_of(box.receiver), box.receiver.space
         tick = box.receiver.pointer.tick
         assert rows(s.drive, *s.u.T, *s.y.T, s.steps, s.gap) == plain.samples
         got = rows(r.drive, r.t_ns, r.speed, r.torque, r.angle)[: tick.motions]
         np.testing.assert_equal(got, plain.readings)
         assert restarted(box) == plain.restart
-        spec = [box.channels[c].spec.name for c in scratch.channel]
-        assert [spec[row] for row in scratch.seen[: tick.temperatures]] == plain.temperatures
+        spec = [box.channels[c].spec.name for c in space["channel"]]
+        assert [
+            spec[row] for row in space["temperature_rows"][: tick.temperatures]
+        ] == plain.temperatures
     for record, one in zip(box.receiver.channels, plain.channels.values(), strict=True):
         guard = record["guard"]
         assert (
@@ -411,20 +414,20 @@ def test_a_block_that_is_turns_of_its_counter_late():
             feed(box, plain, frame, start + 10 * MS)
         box.receiver.drives["sample_ns"][0] += ahead
         plain.drives[0].sample_ns += ahead
-        box.receiver.workspace.u[8:] = 77.0
+        box.receiver.space["sample_u"][8:] = 77.0
         frame = sender.frame(start + 5 * MS, SampleIndex=32, **values)
         feed(box, plain, frame, start + 10 * MS)
         met.add((len(plain.samples), bool(plain.restart)))
-        assert (box.receiver.workspace.u[8:] == 77.0).all(), "no more than there are"
+        assert (box.receiver.space["sample_u"][8:] == 77.0).all(), "no more than there are"
     assert met == {(8, False), (8, True), (0, False)}
 
 
 def test_the_index_of_a_block_is_a_number_of_its_eighth():
     box, _ = both(codec_for(NODES, FD_FILE))
     c = next(k for k, one in enumerate(box.channels) if one.kind == "Samples")
-    box.receiver.scratch.channel[0], column = c, box.channels[c].picked[0]
+    box.receiver.space["channel"][0], column = c, box.channels[c].picked[0]
     for index in (math.nan, -1.0, -8.0, 65536.0, 1e300, math.inf, 3.0, 65535.0, 0.0, 8.0, 65528.0):
-        box.receiver.scratch.value[0, column] = index
+        box.receiver.space["value"][0, column] = index
         box.receiver.tick["samples"] = 0
         good = index in (0.0, 8.0, 65528.0)
         assert lib.pair_samples(box.receiver.pointer, 0) == good

@@ -9,7 +9,13 @@ from gateway.core.temperature import SensorMonitor
 from gateway.settings.calibration import MotorCalibration
 from gateway.study.calibrating import Learner
 from gateway.study.temperature_reader import CycleLog
-from tests.stations import TemperatureMonitor, not_yet_valid, sensor_verdict, sensors_valid
+from tests.stations import (
+    TemperatureMonitor,
+    add_reading,
+    not_yet_valid,
+    sensor_verdict,
+    sensors_valid,
+)
 
 MS = 1_000_000
 HEALTHY = ((FaultClass.NONE, FaultSensor.NONE),)
@@ -33,7 +39,7 @@ class Rig:
             good = (*(p not in lost for p in range(3)), True)
             raw = tuple(round(10 * c) for c in celsius)
             now = self.k * 100 * MS
-            self.side.add_reading(Temperatures(0, now, (*celsius, 20.0), good, (*raw, 200)))
+            add_reading(self.side, Temperatures(0, now, (*celsius, 20.0), good, (*raw, 200)))
             found = sensor_verdict(self.side, 0, now)
             if not said or said[-1] != found:
                 said.append(found)
@@ -108,7 +114,7 @@ def test_what_has_cooled_while_nothing_was_heard_has_not_jumped(silent_s):
 def test_the_same_value_before_and_after_a_silence_is_not_held():
     side = SensorMonitor(1, 100 * MS)
     for t_s in (0, 300):
-        side.add_reading(Temperatures(0, t_s * 1000 * MS, (60.0,) * 4, (True,) * 4, (600,) * 4))
+        add_reading(side, Temperatures(0, t_s * 1000 * MS, (60.0,) * 4, (True,) * 4, (600,) * 4))
     assert sensor_verdict(side, 0, 300_050 * MS) == HEALTHY[0]
 
 
@@ -189,7 +195,7 @@ def test_a_motor_that_warms_beyond_what_a_reading_can_say_is_neither_offset_nor_
         celsius = (min(60.0 + 0.7 * k, 300.0), 50.0 + 0.1 * (k % 2), 48.0 + 0.1 * (k % 2), 20.0)
         raw = tuple(round(10 * c) for c in celsius)
         now = (k + 1) * 100 * MS
-        side.add_reading(Temperatures(0, now, celsius, (True,) * 4, raw))
+        add_reading(side, Temperatures(0, now, celsius, (True,) * 4, raw))
         assert sensor_verdict(side, 0, now) == HEALTHY[0]
 
 

@@ -5,8 +5,8 @@ import pytest
 from _traction_core import ffi, lib
 
 from estimators._core import pointer
-from estimators.thermal import mixture
 from estimators.thermal.sigma_mixed import KAPPA, Lumps, SigmaMixedFilter, estimate
+from tests.core_calls import mixture
 from tests.reference import mixture as reference_mixture
 from tests.reference import sigma_mixed as reference
 

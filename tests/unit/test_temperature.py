@@ -11,7 +11,7 @@ from gateway.core.codes import FaultClass, FaultSensor
 from gateway.core.inbox import Temperatures
 from gateway.core.temperature import SensorMonitor
 from tests.reference import temperature as reference
-from tests.stations import not_yet_valid, sensor_fault, sensor_verdict, sensors_valid
+from tests.stations import add_reading, not_yet_valid, sensor_fault, sensor_verdict, sensors_valid
 
 MS = 1_000_000
 FITTED = (("stator", "drive_end", "non_drive_end"), ("stator", "non_drive_end"), ("drive_end",), ())
@@ -96,7 +96,7 @@ def test_it_equals_the_reference_to_the_bit(seed):
     met = compare(side, points, 0)
     for _ in range(2500):
         for reading in bus.readings():
-            side.add_reading(reading)
+            add_reading(side, reading)
             j, t = reading.drive, reading.t_ns
             reference.note_reading(j, t, points)
             for k in range(3):
@@ -113,7 +113,7 @@ def test_a_reset_forgets_all_but_what_is_configured():
     before = side.drives.copy()
     for reading in Bus(0).readings():
         if reading.drive == 0:
-            side.add_reading(reading)
+            add_reading(side, reading)
     assert side.drives.tobytes() != before.tobytes()
     drive = pointer("struct temperature_drive", side.drives)
     assert lib.temperature_received_ns(drive) == side.drives["received_ns"][0]
@@ -125,7 +125,7 @@ def test_a_sensor_that_never_gives_a_value_is_lost_after_half_a_second():
     side = SensorMonitor(1, 100 * MS)
     for k in range(1, 8):
         now = 100 * k * MS
-        side.add_reading(Temperatures(0, now, (60.0,) * 4, (True, False, True, True), (600,) * 4))
+        add_reading(side, Temperatures(0, now, (60.0,) * 4, (True, False, True, True), (600,) * 4))
         lost = k > 6
         assert sensor_fault(side, 0, 1, now) == (
             FaultClass.SENSOR_LOST if lost else FaultClass.UNKNOWN
@@ -138,7 +138,7 @@ def test_a_sensor_that_never_gives_a_value_is_lost_after_half_a_second():
 def test_a_drive_that_is_silent_for_more_than_three_cycles_has_no_stuck_sensor():
     side = SensorMonitor(1, 100 * MS)
     side.drives["sensor"]["stuck_after_ns"] = 50 * MS
-    side.add_reading(Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
+    add_reading(side, Temperatures(0, 0, (60.0,) * 4, (True,) * 4, (600,) * 4))
     assert sensor_fault(side, 0, 0, 50 * MS) is FaultClass.NONE
     assert sensor_fault(side, 0, 0, 51 * MS) is FaultClass.SENSOR_STUCK
     # Four that stand still have no cause in common, as four that are lost at once have.
@@ -158,5 +158,5 @@ def test_a_step_after_ten_seconds_or_to_the_maximum_from_five_limits_below(
     side = SensorMonitor(1, 100 * MS)
     side.drives["sensor"]["limit_k"] = 4.0
     for t, value in ((0, before), *((silent_ns + k * 100 * MS, after) for k in range(3))):
-        side.add_reading(Temperatures(0, t, (value,) * 4, (True,) * 4, (round(10 * value),) * 4))
+        add_reading(side, Temperatures(0, t, (value,) * 4, (True,) * 4, (round(10 * value),) * 4))
     assert sensor_fault(side, 0, 0, t) is fault

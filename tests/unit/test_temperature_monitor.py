@@ -70,7 +70,7 @@ class Bus:
 
     def go_on(self):
         """The next tick's rows."""
-        rng, inbox, scratch = self.rng, self.inbox, self.inbox.receiver.scratch
+        rng, inbox, space = self.rng, self.inbox, self.inbox.receiver.space
         self.seen = 0
         self._change()
         self.tick += 1
@@ -82,15 +82,15 @@ class Bus:
                 continue
             channel = drive.channels["Temperatures"]
             row = 2 * j + 1
-            scratch.seen[self.seen] = row
+            space["temperature_rows"][self.seen] = row
             self.seen += 1
-            scratch.channel[row], scratch.t_ns[row] = channel.row, self.now - MS
+            space["channel"][row], space["t_ns"][row] = channel.row, self.now - MS
             picked = list(channel.picked)
             shaky = np.where(self.held[j], 0.0, rng.normal(0.0, 0.15, 4))
             celsius = np.minimum(np.round(self.level[j] + self.off[j] + shaky, 1), TOP_C)
-            scratch.value[row, picked] = celsius
-            scratch.validity[row, picked] = np.where(self.lost[j], rng.integers(1, 4, 4), 0)
-            scratch.value[row, channel.quality] = rng.choice([1.0] * 40 + [0.0, 2.0, 3.0])
+            space["value"][row, picked] = celsius
+            space["validity"][row, picked] = np.where(self.lost[j], rng.integers(1, 4, 4), 0)
+            space["value"][row, channel.quality] = rng.choice([1.0] * 40 + [0.0, 2.0, 3.0])
         inbox.receiver.tick["temperatures"] = self.seen
 
 
@@ -286,14 +286,14 @@ def test_evidence_is_told_where_it_can_have_changed():
 def test_a_temperature_that_no_sensor_has_is_taken_as_it_is():
     """From a DBC of any range: neither its tenths nor its mean fail."""
     side, bus, _ = made("maisd", 3)
-    inputs, scratch = np.zeros(3, FLAG_INPUTS), bus.inbox.receiver.scratch
+    inputs, space = np.zeros(3, FLAG_INPUTS), bus.inbox.receiver.space
     for tick in range(400):
         bus.go_on()
         seen = bus.seen
-        for row in scratch.seen[:seen]:
-            picked = list(bus.inbox.channels[scratch.channel[row]].picked)
-            scratch.value[row, picked] = (1e300, -1e300, 9e14, np.inf)[tick % 4]
-            scratch.validity[row, picked] = 0
+        for row in space["temperature_rows"][:seen]:
+            picked = list(bus.inbox.channels[space["channel"][row]].picked)
+            space["value"][row, picked] = (1e300, -1e300, 9e14, np.inf)[tick % 4]
+            space["validity"][row, picked] = 0
         side.hear(bus.inbox, bus.now, inputs)
     assert set(inputs["thermal"].tolist()) <= {0, 1, 2}
 

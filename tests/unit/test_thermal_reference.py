@@ -11,6 +11,7 @@ from dbc.records import pointer
 from estimators.thermal import hypotheses, model, step_detector
 from estimators.thermal.hypotheses import BENIGN_K, SIZES_K, SNAPSHOTS, TAIL, Spread
 from tests import thermal_core as core
+from tests.core_calls.step_detector import offsets
 from tests.reference import hypotheses as reference_hypotheses
 from tests.reference import imm as reference_imm
 from tests.reference import step_detector as reference_steps
@@ -91,7 +92,7 @@ def test_steps_equal_the_reference_to_the_bit(kind, spacing):
         x = residuals(kind, rng)[:, None]
         want = np.zeros_like(x)
         reference_steps.follow(x, counts, 1.5, 1.0, 0.1 * spacing, want)
-        got = step_detector.offsets(x[:, :, None], spacing)[:, :, 0]
+        got = offsets(x[:, :, None], spacing)[:, :, 0]
         np.testing.assert_array_equal(got, want)
 
 
@@ -104,7 +105,7 @@ def test_a_step_behind_a_gap_of_any_length_equals_the_reference():
         x[100 : 100 + gap] = np.nan
         want = np.zeros_like(x)
         reference_steps.follow(x, counts, 1.5, 1.0, 0.1, want)
-        np.testing.assert_array_equal(step_detector.offsets(x[:, :, None], 1.0)[:, :, 0], want)
+        np.testing.assert_array_equal(offsets(x[:, :, None], 1.0)[:, :, 0], want)
         met.add(bool(want[-1, 0]))
     assert met == {False, True}
 
@@ -118,7 +119,7 @@ def test_behind_the_last_sample_nothing_is_written():
 
 def test_samples_too_close_together_are_refused():
     with pytest.raises(ValueError, match="too close together"):
-        step_detector.offsets(np.zeros((10, 1, 1)), 0.01)
+        offsets(np.zeros((10, 1, 1)), 0.01)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from estimators.thermal.step_detector import offsets
+from tests.core_calls.step_detector import offsets
 
 NOISE_K = 0.25
 WITHIN = 40

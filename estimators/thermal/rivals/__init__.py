@@ -16,8 +16,6 @@ from estimators.thermal.rivals.ekf import FOLLOWING, EkfResidual
 from estimators.thermal.rivals.jitl import Jitl
 from estimators.thermal.rivals.lstm import Lstm
 
-__all__ = ["RIVALS", "Method", "Scorer"]
-
 
 class Method(Protocol):
     """A way to detect thermal faults that is taught with healthy data alone."""

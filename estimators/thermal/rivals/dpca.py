@@ -55,7 +55,7 @@ class Dpca:
 
         view = View.of(healthy, self.view)
         window = span(healthy, self.window)
-        rows = lagged(moving(view.see(healthy), window), self.lags)[self.lags :]
+        rows = view.rows(healthy, window, self.lags)[self.lags :]
         if len(rows) < 2:
             raise ValueError(f"{len(healthy.at)} samples are too few for {self.lags} lags")
         pca = PCA(n_components=self.kept, svd_solver="full").fit(rows)
@@ -66,15 +66,7 @@ class Dpca:
             rest = rows - pca.inverse_transform(scores)
             return np.stack([(scores**2 / power).sum(axis=1), (rest**2).sum(axis=1)], axis=1)
 
-        limits = quantiles(statistics(rows))
-
-        def each(record: Record) -> Array:
-            seen = lagged(moving(view.see(record), window), self.lags)
-            out = np.full((len(seen), 2), np.nan)
-            out[self.lags :] = statistics(seen[self.lags :]) / limits
-            return out
-
-        return Either(("T²", "SPE"), each)
+        return view.scorer(("T²", "SPE"), statistics, rows, window, self.lags)
 
 
 TINY = 1e-9
@@ -109,6 +101,25 @@ class View(NamedTuple):
     def see(self, record: Record) -> Array:
         """(K, V) standardised variables, finite."""
         return (_raw(record, self.kind, self.start) - self.centre) / self.scale
+
+    def rows(self, record: Record, window: int, lags: int) -> Array:
+        """(K, (lags + 1) V) of `see`, averaged over `window`; the first `lags` are meaningless."""
+        return lagged(moving(self.see(record), window), lags)
+
+    def scorer(
+        self, names: tuple[str, str], statistics: Callable[[Array], Array], healthy: Array,
+        window: int, lags: int,
+    ) -> Either:  # fmt: skip
+        """By two statistics (K, 2) of rows, over their limits on the rows `healthy` of the fit."""
+        limits = quantiles(statistics(healthy))
+
+        def each(record: Record) -> Array:
+            seen = self.rows(record, window, lags)
+            out = np.full((len(seen), 2), np.nan)
+            out[lags:] = statistics(seen[lags:]) / limits
+            return out
+
+        return Either(names, each)
 
 
 KINDS = ("absolute", "rise", "others", "between")

@@ -17,16 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimators.thermal.record import Array, Record
-from estimators.thermal.rivals.dpca import (
-    TINY,
-    Either,
-    Scorer,
-    View,
-    lagged,
-    moving,
-    quantiles,
-    span,
-)
+from estimators.thermal.rivals.dpca import TINY, Scorer, View, span
 
 
 @dataclass(frozen=True)
@@ -49,7 +40,7 @@ class Dsfa:
         """Learn from one fault-free run. ValueError if it is no longer than the lags."""
         view = View.of(healthy, self.view)
         window = span(healthy, self.window)
-        rows = lagged(moving(view.see(healthy), window), self.lags)[self.lags :]
+        rows = view.rows(healthy, window, self.lags)[self.lags :]
         if len(rows) < 3:
             raise ValueError(f"{len(healthy.at)} samples are too few for {self.lags} lags")
         first = Slow.fit(rows)
@@ -63,15 +54,7 @@ class Dsfa:
             rest = (upper[:, slow:] ** 2).sum(axis=1) + (lower[:, self.width :] ** 2).sum(axis=1)
             return np.stack([(upper[:, :slow] ** 2).sum(axis=1), rest], axis=1)
 
-        limits = quantiles(statistics(rows))
-
-        def each(record: Record) -> Array:
-            seen = lagged(moving(view.see(record), window), self.lags)
-            out = np.full((len(seen), 2), np.nan)
-            out[self.lags :] = statistics(seen[self.lags :]) / limits
-            return out
-
-        return Either(("S²", "S²e"), each)
+        return view.scorer(("S²", "S²e"), statistics, rows, window, self.lags)
 
 
 class Slow(NamedTuple):

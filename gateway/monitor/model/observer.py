@@ -16,11 +16,11 @@ from collections.abc import Iterable
 from copy import deepcopy
 from typing import Final
 
-from dbc.codec import Codec, Match
+from dbc.codec import Codec
 from dbc.e2e import counter_of
 from dbc.frame import ERROR, FD, REMOTE, SECOND, Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
-from dbc.spec import EXTENDED_KEY, MessageSpec
+from dbc.spec import EXTENDED_KEY, Match, MessageSpec
 from gateway.core.busload import BusLoad
 from gateway.core.codes import Health
 from gateway.core.gateway import HEARTBEAT_LIMIT_NS, Gateway

@@ -1,4 +1,4 @@
-"""What is kept of a drive, and samples and readings of a tick, as `receive.c` fills them."""
+"""Samples and readings of a tick, as `receive.c` fills them, in the words of the references."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.records import DRIVE_INPUT, Records
+from gateway.core.receiving import Receiver
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,17 +46,6 @@ class Readings(NamedTuple):
     angle: Array
 
 
-def drive_inputs(drives: int) -> Records:
-    """Of so many drives, of which nothing has been received: (N,) of `struct drive_input`."""
-    found = np.zeros(drives, DRIVE_INPUT)
-    found["pending"]["t_ns"] = -1
-    found["sample_ns"] = found["newest_sample"] = -1
-    for name in ("speed", "command", "previous_command", "irms"):
-        found[name] = np.nan
-    found["operating"] = found["command_steady"] = 1
-    return found
-
-
 def workspace(rows: int) -> Samples:
     """Space for the samples of `rows` frames, eight each."""
     m = 8 * rows
@@ -73,3 +62,13 @@ def readings(rows: int) -> Readings:
     """Room for so many."""
     drive, t_ns = (np.zeros(rows, dtype=np.int64) for _ in range(2))
     return Readings(drive, t_ns, np.zeros(rows), np.zeros(rows), np.zeros(rows))
+
+
+def samples_of(receiver: Receiver) -> Samples:
+    """The receiver's own space for them."""
+    return Samples(*(receiver.space[f"sample_{name}"] for name in Samples._fields))
+
+
+def readings_of(receiver: Receiver) -> Readings:
+    """The receiver's own space for them."""
+    return Readings(*(receiver.space[f"motion_{name}"] for name in Readings._fields))

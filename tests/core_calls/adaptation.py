@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from _traction_core import ffi, lib
 
-from dbc.records import FILTER, Columns, pointer, zeros
+from dbc.records import Columns, pointer
 from estimators.models.pmsm import Array
-
-
-def filters(n: int) -> Columns:
-    """N drives without a filter."""
-    made = zeros(n, FILTER)
-    made.P, made.nis, made.r_scale, made.is_finite = np.eye(5), 2.0, 1.0, 1
-    return made
 
 
 def adapt(
