@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from dbc.candump.writer import Writer
+from dbc.candump.writer import NotWritableError, Writer
 from dbc.codec import Codec
 from dbc.frame import SECOND
 from dbc.text import printable
@@ -44,7 +44,11 @@ def write(
     """The three files. config_file: of the configuration, None for the built-in one."""
     folder.mkdir(parents=True, exist_ok=True)
     with whole(folder / LOG) as part, Writer(part) as writer:
-        writer.write_block(shrunk.frames)
+        try:
+            writer.write_block(shrunk.frames)
+        except NotWritableError as error:
+            msg = f"a frame that the flag needs {error}"
+            raise BadLogError(msg) from error
     with whole(folder / START) as part:
         part.write_bytes(save(shrunk.gateway, shrunk.start))
     sent = shrunk.flag_frame
