@@ -33,22 +33,26 @@ Array = NDArray[Any]
 
 
 class State(NamedTuple):
-    """Of a gateway after a tick at `now_ns`: its arrays' bytes, and what Python has counted."""
+    """Of a gateway after a tick at `now_ns`: its arrays' bytes, and what Python remembers.
+
+    added: frames that Python has counted; mapped: `Translator.memory`, empty without one.
+    """
 
     now_ns: Nanos
     added: dict[str, int]
+    mapped: str
     arrays: list[bytes]
 
 
 def state_of(gateway: Gateway) -> State:
-    """A copy. Raises ConfigError for a gateway that remembers something outside of its records."""
-    memory = "mapped inverters" if gateway.translator is not None else ""
-    if gateway.config.adhesion.detector in WITH_MEMORY and not gateway.adhesion.in_core:
-        memory = f"the detector {gateway.config.adhesion.detector}"
-    if memory:
-        raise ConfigError("configuration", [f"a start record cannot hold the state of {memory}"])
+    """A copy. Raises ConfigError for a detector that remembers something outside of the core."""
+    name = gateway.config.adhesion.detector
+    if name in WITH_MEMORY and not gateway.adhesion.in_core:
+        text = f"a start record cannot hold the state of {name}; take another detector"
+        raise ConfigError("[adhesion] detector", [text])
     arrays = [array.tobytes() for array in _arrays(gateway)]
-    return State(gateway.now_ns, dict(gateway.inbox.added), arrays)
+    mapped = "" if gateway.translator is None else gateway.translator.memory()
+    return State(gateway.now_ns, dict(gateway.inbox.added), mapped, arrays)
 
 
 def set_state(gateway: Gateway, state: State) -> None:
@@ -57,6 +61,8 @@ def set_state(gateway: Gateway, state: State) -> None:
         array[...] = np.frombuffer(saved, array.dtype).reshape(array.shape)
     gateway.inbox.added.clear()
     gateway.inbox.added.update(state.added)
+    if gateway.translator is not None:
+        gateway.translator.recall(state.mapped)
     for held in _holders(gateway):
         if isinstance(held, Addressed):
             held.link()  # the addresses were those of the other gateway
@@ -65,12 +71,13 @@ def set_state(gateway: Gateway, state: State) -> None:
 
 def save(gateway: Gateway, state: State) -> bytes:
     """The start record of a state of this gateway."""
-    packed = zlib.compress(b"".join(state.arrays), 9)
     header = {
         "layout": _layout(gateway), "config": _config(gateway), "start_ns": gateway.start_ns,
-        "now_ns": state.now_ns, "added": state.added, "sha256": sha256(packed).hexdigest(),
+        **state._replace(arrays=[])._asdict(),
     }  # fmt: skip
-    return b"\n".join((MAGIC, json.dumps(header).encode(), packed))
+    packed = zlib.compress(b"".join(state.arrays), 9)
+    rest = json.dumps(header).encode() + b"\n" + packed
+    return b"\n".join((MAGIC, sha256(rest).hexdigest().encode(), rest))
 
 
 def load(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
@@ -79,18 +86,14 @@ def load(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
     Raises ConfigError for anything that is no start record, is damaged, or belongs to another
     configuration or to another version's records.
     """
-    magic, _, rest = data.partition(b"\n")
-    header, _, packed = rest.partition(b"\n")
+    magic, checksum, rest = (*data.split(b"\n", 2), b"", b"")[:3]
     if magic != MAGIC:
         raise ConfigError(name, [f"is no start record; {ANEW}"])
-    try:
-        found = json.loads(header)
-        start_ns, whole = int(found["start_ns"]), found["sha256"] == sha256(packed).hexdigest()
-    except (ValueError, TypeError, KeyError):
-        whole = False
-    if not whole:
+    if checksum != sha256(rest).hexdigest().encode():
         raise ConfigError(name, [f"is damaged: its checksum is wrong; {ANEW}"])
-    gateway = Gateway(config, codec, start_ns)
+    header, _, packed = rest.partition(b"\n")
+    found = json.loads(header)
+    gateway = Gateway(config, codec, found["start_ns"])
     own = _config(gateway)
     if found["config"] != own:
         text = f"was made with configuration {found['config']}, this one is {own}"
@@ -100,7 +103,7 @@ def load(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
     sizes = [array.nbytes for array in _arrays(gateway)]
     saved, ends = zlib.decompress(packed), np.cumsum(sizes).tolist()
     arrays = [saved[end - size : end] for size, end in zip(sizes, ends, strict=True)]
-    set_state(gateway, State(int(found["now_ns"]), found["added"], arrays))
+    set_state(gateway, State(found["now_ns"], found["added"], found["mapped"], arrays))
     return gateway
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import reduce
+from hashlib import sha256
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -27,7 +28,10 @@ from gateway.logfiles import shrunk_files
 from gateway.logfiles.ddmin import minimise
 from gateway.logfiles.shrink import Wanted, shrink
 from gateway.settings.config import ConfigError, parse
+from sim.simulation import Simulation
+from tests import simrun
 from tests.golden.test_golden import CASES
+from tests.inverters import spoken
 from tests.storm.campaign import config_of
 from tests.storm.logged import write_storm
 
@@ -141,29 +145,32 @@ def prepared(case):
     return config, bind(config.dbc_path, nodes), reduce(join, Reader(log).blocks())
 
 
+def sent_by(config, codec, frames, resumed=None):
+    """Every frame that is sent, and the gateway, after all of these."""
+    out = []
+    done = replay(
+        [frames], lambda start_ns: resumed or Gateway(config, codec, start_ns), TICK_NS,
+        lambda _now, sent, _gateway: out.extend(sent),
+    )  # fmt: skip
+    return out, done.gateway
+
+
+def assert_goes_on(config, codec, frames, ticks):
+    """Stopped after so many ticks, saved and loaded, it sends what it would have sent."""
+    whole, _ = sent_by(config, codec, frames)
+    at_ns = frames.t_ns.item(0) + ticks * TICK_NS
+    before, stopped = sent_by(config, codec, frames.pick(frames.t_ns <= at_ns))
+    resumed = load(save(stopped, state_of(stopped)), "start.bin", config, codec)
+    assert resumed.view == stopped.view
+    rest = frames.pick(frames.t_ns > stopped.now_ns)
+    after, _ = sent_by(config, codec, rest, resumed)
+    assert before + after == whole
+
+
 @settings(max_examples=20, deadline=None)
 @given(case=st.sampled_from(sorted(CASES)), ticks=st.integers(1, 120))
 def test_a_gateway_goes_on_from_a_start_record_as_it_would_have(case, ticks):
-    config, codec, frames = prepared(case)
-    first_ns = frames.t_ns.item(0)
-    at_ns = first_ns + ticks * TICK_NS
-    whole, before, after = [], [], []
-
-    def into(sent):
-        return lambda _now, out, _gateway: sent.extend(out)
-
-    def new(start_ns):
-        return Gateway(config, codec, start_ns)
-
-    replay([frames], new, TICK_NS, into(whole))
-    some = frames.pick(frames.t_ns <= at_ns)
-    done = replay([some], new, TICK_NS, into(before))
-    record = save(done.gateway, state_of(done.gateway))
-    resumed = load(record, "start.bin", config, codec)
-    assert resumed.view == done.gateway.view
-    rest = frames.pick(frames.t_ns > done.gateway.now_ns)
-    replay([rest], lambda _first: resumed, TICK_NS, into(after))
-    assert before + after == whole
+    assert_goes_on(*prepared(case), ticks)
 
 
 @given(needed=st.sets(st.integers(0, 59)), count=st.integers(0, 60))
@@ -194,6 +201,27 @@ def test_words_that_name_no_flag_are_refused(tmp_path, capsys, flag):
     assert "such as adhesion:2@41.3" in capsys.readouterr().err
 
 
+def test_the_state_of_mapped_inverters_is_in_the_start_record(tmp_path):
+    config, codec = prepare(INVERTERS / "cascadia_pm.toml")
+    lost = {"at_s": 2.0, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 0.8}
+    drives = simrun.run(Simulation(simrun.scenario(drives=3, event=[lost]), simrun.codec()), 3.5)
+    log = tmp_path / "cascadia.log"
+    with Writer(log) as writer:
+        for frame in sorted(spoken(config, drives), key=lambda frame: frame.t_ns):
+            writer.write(frame)
+    for ticks in (1, 7, 150):
+        assert_goes_on(config, codec, reduce(join, Reader(log).blocks()), ticks)
+    start, *changes = gateway.replay(log, config).events.to_pylist()
+    states = [row for row in changes if row["state"] != "Unknown"]
+    assert [row["state"] for row in states] == ["Adhering"] * 2 + ["AdhesionLost", "Adhering"]
+    for row in states:
+        wanted = Wanted(FlagKind.ADHESION, row["drive"], row["t_s"] - start["t_s"])
+        left = shrink(log, config, codec, wanted, 50_000_000)
+        shrunk_files.write(tmp_path / "out", left, wanted, None, log)
+        shrunk_files.check(tmp_path / "out", left, config, codec)
+        assert left.frames.size < 0.02 * left.total
+
+
 def record_of(tmp_path):
     folder, _ = shrunk(tmp_path, "adhesion:2@0.8")
     return (folder / shrunk_files.START).read_bytes()
@@ -203,14 +231,16 @@ def test_a_start_record_is_refused_where_it_does_not_fit(tmp_path):
     data = record_of(tmp_path)
     config, codec = prepare(None)
     other, _, _ = prepared("loss_median")
-    magic, header, packed = data.split(b"\n", 2)
-    fields = json.loads(header)
-    newer = b"\n".join((magic, json.dumps({**fields, "layout": "0"}).encode(), packed))
+    magic, _, rest = data.split(b"\n", 2)
+    header, packed = rest.split(b"\n", 1)
+    newer = json.dumps({**json.loads(header), "layout": "0"}).encode() + b"\n" + packed
+    newer = b"\n".join((magic, sha256(newer).hexdigest().encode(), newer))
     for wrong, used, text in (
         (b"(1.0) can0 181#00\n", config, "is no start record"),
         (data[:-1] + bytes([data[-1] ^ 1]), config, "is damaged"),
         (data[:200], config, "is damaged"),
-        (magic + b"\nnonsense\n" + packed, config, "is damaged"),
+        (magic, config, "is damaged"),
+        (data.replace(b'"now_ns": 7', b'"now_ns": 8'), config, "is damaged"),
         (data, other, "give the same --config"),
         (newer, config, "a version with other records"),
     ):
