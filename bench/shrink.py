@@ -126,8 +126,8 @@ def row(case: Case, wanted: Wanted, folder: Path) -> tuple[str, float, float]:
     codec = bind(case.config.dbc_path, case.config.nodes)
     left = shrink(case.path, case.config, codec, wanted, BEFORE_NS)
     out = folder / "shrunk"
-    shrunk_files.write(out, left, wanted, None, case.path)
-    shrunk_files.check(out, left, case.config, codec)
+    shrunk_files.write_test(out, left, wanted, None, case.path)
+    shrunk_files.read_back(out, left, case.config, codec)
     seconds = time.perf_counter() - began
     percent = 100.0 * left.frames.size / left.total
     size = sum(path.stat().st_size for path in out.iterdir())

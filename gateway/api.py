@@ -146,13 +146,13 @@ def replay(
     def sink(_now: int, sent: Sequence[Frame], gateway: Gateway) -> None:
         run.add(gateway, sent)
 
-    def make(first_ns: int) -> Gateway:
+    def begin_at(first_ns: int) -> Gateway:
         if start is None:
             return Gateway(used, codec, first_ns)
-        return start_record.load(Path(start).read_bytes(), str(start), used, codec)
+        return start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
 
     blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
-    run_log(blocks, make, used.loop.period_ns, sink)
+    run_log(blocks, begin_at, used.loop.period_ns, sink)
     return run
 
 

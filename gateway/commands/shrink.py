@@ -62,8 +62,8 @@ def run(options: argparse.Namespace) -> int:
         config, codec = prepare(options.config)
     before_ns = round(options.before * SECOND)
     left = shrink(options.log, config, codec, options.flag, before_ns, options.log_channel)
-    shrunk_files.write(options.output, left, options.flag, options.config, options.log)
-    shrunk_files.check(options.output, left, config, codec)
+    shrunk_files.write_test(options.output, left, options.flag, options.config, options.log)
+    shrunk_files.read_back(options.output, left, config, codec)
     at_s, since_s, start_s = (
         (t_ns - left.first_ns) / SECOND
         for t_ns in (left.change.now_ns, left.change.since_ns, left.start.now_ns)

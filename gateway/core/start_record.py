@@ -69,7 +69,7 @@ def set_state(gateway: Gateway, state: State) -> None:
     gateway.resume(state.now_ns)
 
 
-def save(gateway: Gateway, state: State) -> bytes:
+def start_bytes(gateway: Gateway, state: State) -> bytes:
     """The start record of a state of this gateway."""
     header = {
         "layout": _layout(gateway), "config": _config(gateway), "start_ns": gateway.start_ns,
@@ -80,7 +80,7 @@ def save(gateway: Gateway, state: State) -> bytes:
     return b"\n".join((MAGIC, sha256(rest).hexdigest().encode(), rest))
 
 
-def load(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
+def resumed(data: bytes, name: str, config: Config, codec: Codec) -> Gateway:
     """The gateway that goes on from a start record; name: of its file, for errors.
 
     Raises ConfigError for anything that is no start record, is damaged, or belongs to another

@@ -164,19 +164,19 @@ class _Log:
         kept: list[Block] = []
         sent: list[Frame] = []
 
-        def blocks() -> Iterator[Block]:
+        def until_sent() -> Iterator[Block]:
             for block in self._blocks():
                 kept.append(block.pick(block.t_ns > start.next_ns))
                 yield block
                 if sent:
                     return
 
-        def write(out: Block) -> None:
+        def note_sent(out: Block) -> None:
             ours = (out.can_id == self.can_id) & (out.t_ns >= change.now_ns)
             sent.extend(out.pick(ours).frames())
 
-        sink = Briefly(write, lambda _gateway: None, start)
-        replay(blocks(), self.new, self.period_ns, sink)
+        sink = Briefly(note_sent, lambda _gateway: None, start)
+        replay(until_sent(), self.new, self.period_ns, sink)
         if start.state is None or start.state.now_ns >= change.now_ns:
             msg = "the flag has this state from the first tick on: there is no change to test"
             raise BadLogError(msg)
@@ -230,11 +230,11 @@ class _Trial:
         changes: list[Change] = []
         sent: list[Frame] = []
 
-        def write(out: Block) -> None:
+        def note_sent(out: Block) -> None:
             ours = (out.can_id == self._log.can_id) & (out.t_ns == self._end_ns)
             sent.extend(out.pick(ours).frames())
 
-        sink = Briefly(write, self._log.changes_into(changes))
+        sink = Briefly(note_sent, self._log.changes_into(changes))
         replay([frames], lambda _first: self.gateway, self._log.period_ns, sink)
         until = tuple((c.now_ns, c.state) for c in changes if c.now_ns <= self._end_ns)
         return Outcome(until, sent[0] if sent else None)

@@ -10,7 +10,7 @@ from dbc.candump.writer import NotWritableError, Writer
 from dbc.codec import Codec
 from dbc.frame import SECOND
 from dbc.text import printable
-from gateway.core.start_record import load, save
+from gateway.core.start_record import resumed, start_bytes
 from gateway.io.replay import BadLogError, open_log, replay
 from gateway.io.whole_file import whole, write_text
 from gateway.logfiles.shrink import SENT_IN, Shrunk, Wanted
@@ -38,7 +38,7 @@ def test_{name}():
 '''
 
 
-def write(
+def write_test(
     folder: Path, shrunk: Shrunk, wanted: Wanted, config_file: Path | None, log: Path
 ) -> None:
     """The three files. config_file: of the configuration, None for the built-in one."""
@@ -50,7 +50,7 @@ def write(
             msg = f"a frame that the flag needs {error}"
             raise BadLogError(msg) from error
     with whole(folder / START) as part:
-        part.write_bytes(save(shrunk.gateway, shrunk.start))
+        part.write_bytes(start_bytes(shrunk.gateway, shrunk.start))
     sent = shrunk.flag_frame
     config = "None"
     if config_file is not None:
@@ -64,10 +64,10 @@ def write(
     ))  # fmt: skip
 
 
-def check(folder: Path, shrunk: Shrunk, config: Config, codec: Codec) -> None:
+def read_back(folder: Path, shrunk: Shrunk, config: Config, codec: Codec) -> None:
     """Raises BadLogError if a replay of the written files does not send the same flag frame."""
     start = folder / START
-    gateway = load(start.read_bytes(), str(start), config, codec)
+    gateway = resumed(start.read_bytes(), str(start), config, codec)
     sent = []
     replay(open_log(folder / LOG, strict=True).blocks, lambda _first: gateway,
            config.loop.period_ns, lambda _now, out, _gateway: sent.extend(out))  # fmt: skip

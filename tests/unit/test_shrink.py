@@ -21,7 +21,7 @@ from dbc.frames import join
 from gateway.cli import main
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
-from gateway.core.start_record import load, save, state_of
+from gateway.core.start_record import resumed, start_bytes, state_of
 from gateway.io.prepare import prepare
 from gateway.io.replay import BadLogError, replay
 from gateway.logfiles import shrunk_files
@@ -131,8 +131,8 @@ def test_every_change_in_a_storm_is_shrunk_to_the_same_bytes(tmp_path, seed):
         assert left.flag_frame[:3] in whole
         assert left.word == row["state"]
         assert left.frames.size < 0.02 * left.total
-        shrunk_files.write(tmp_path / "out", left, wanted, None, log)
-        shrunk_files.check(tmp_path / "out", left, config, codec)
+        shrunk_files.write_test(tmp_path / "out", left, wanted, None, log)
+        shrunk_files.read_back(tmp_path / "out", left, config, codec)
 
 
 def prepared(case):
@@ -145,11 +145,11 @@ def prepared(case):
     return config, bind(config.dbc_path, nodes), reduce(join, Reader(log).blocks())
 
 
-def sent_by(config, codec, frames, resumed=None):
+def sent_by(config, codec, frames, back=None):
     """Every frame that is sent, and the gateway, after all of these."""
     out = []
     done = replay(
-        [frames], lambda start_ns: resumed or Gateway(config, codec, start_ns), TICK_NS,
+        [frames], lambda start_ns: back or Gateway(config, codec, start_ns), TICK_NS,
         lambda _now, sent, _gateway: out.extend(sent),
     )  # fmt: skip
     return out, done.gateway
@@ -160,10 +160,10 @@ def assert_goes_on(config, codec, frames, ticks):
     whole, _ = sent_by(config, codec, frames)
     at_ns = frames.t_ns.item(0) + ticks * TICK_NS
     before, stopped = sent_by(config, codec, frames.pick(frames.t_ns <= at_ns))
-    resumed = load(save(stopped, state_of(stopped)), "start.bin", config, codec)
-    assert resumed.view == stopped.view
+    back = resumed(start_bytes(stopped, state_of(stopped)), "start.bin", config, codec)
+    assert back.view == stopped.view
     rest = frames.pick(frames.t_ns > stopped.now_ns)
-    after, _ = sent_by(config, codec, rest, resumed)
+    after, _ = sent_by(config, codec, rest, back)
     assert before + after == whole
 
 
@@ -217,8 +217,8 @@ def test_the_state_of_mapped_inverters_is_in_the_start_record(tmp_path):
     for row in states:
         wanted = Wanted(FlagKind.ADHESION, row["drive"], row["t_s"] - start["t_s"])
         left = shrink(log, config, codec, wanted, 50_000_000)
-        shrunk_files.write(tmp_path / "out", left, wanted, None, log)
-        shrunk_files.check(tmp_path / "out", left, config, codec)
+        shrunk_files.write_test(tmp_path / "out", left, wanted, None, log)
+        shrunk_files.read_back(tmp_path / "out", left, config, codec)
         assert left.frames.size < 0.02 * left.total
 
 
@@ -245,7 +245,7 @@ def test_a_start_record_is_refused_where_it_does_not_fit(tmp_path):
         (newer, config, "a version with other records"),
     ):
         with pytest.raises(ConfigError, match=text):
-            load(wrong, "start.bin", used, codec)
+            resumed(wrong, "start.bin", used, codec)
 
 
 def test_a_log_from_before_the_start_record_is_refused(tmp_path):
@@ -267,11 +267,11 @@ def test_a_frame_that_candump_cannot_say_is_an_error(tmp_path):
     left = shrink(LOSS, config, codec, wanted, 50_000_000)
     left = left._replace(frames=left.frames._replace(names=["a name with blanks"]))
     with pytest.raises(BadLogError, match="a frame that the flag needs"):
-        shrunk_files.write(tmp_path, left, wanted, None, LOSS)
+        shrunk_files.write_test(tmp_path, left, wanted, None, LOSS)
     left = left._replace(frames=left.frames.part(0, 5)._replace(names=["can0"]))
-    shrunk_files.write(tmp_path, left, wanted, None, LOSS)
+    shrunk_files.write_test(tmp_path, left, wanted, None, LOSS)
     with pytest.raises(BadLogError, match="does not give the same flag"):
-        shrunk_files.check(tmp_path, left, config, codec)
+        shrunk_files.read_back(tmp_path, left, config, codec)
 
 
 def test_a_log_without_frames_is_refused(tmp_path):
