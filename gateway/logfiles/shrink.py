@@ -32,6 +32,10 @@ NEAR_NS: Final[Nanos] = SECOND // 20
 """A change so far from the time that was asked for is the one that is meant."""
 SHOWN: Final = 5
 MICROSECOND: Final[Nanos] = 1000
+MOST_WORK: Final = 25_000_000
+"""Frames that all trials together may replay, about 40 s; what is left then stays."""
+TRIAL_WORK: Final = 1500
+"""Frames that cost as much as a trial without any."""
 
 
 class Wanted(NamedTuple):
@@ -129,12 +133,16 @@ class _Log:
         """What is to be called after ticks in which a flag changed; it notes those of this one."""
 
         def changed(gateway: Gateway) -> None:
-            flag = gateway.status.drives["flag"][self._drive, self._wanted.kind]
-            state = int(flag["state"])
-            if not found or found[-1].state != state:
-                found.append(Change(gateway.now_ns, int(flag["since_ns"]), state))
+            now = self.state_of_flag(gateway)
+            if not found or found[-1].state != now.state:
+                found.append(now)
 
         return changed
+
+    def state_of_flag(self, gateway: Gateway) -> Change:
+        """What it says in the last tick."""
+        flag = gateway.status.drives["flag"][self._drive, self._wanted.kind]
+        return Change(gateway.now_ns, int(flag["since_ns"]), int(flag["state"]))
 
     def find(self) -> tuple[Change, int]:
         """The change that is meant, and the number of frames in the log."""
@@ -216,18 +224,22 @@ class _Trial:
         """Raises BadLogError if all of them do not give the flag frame of the whole log."""
         self.gateway = log.new(log.first_ns)
         self._log, self._start, self._frames, self._end_ns = log, start, frames, flag_frame.t_ns
+        self._work = 0
         self._all = self._outcome(frames)
         if self._all.frame != flag_frame:
             msg = "a start record and the frames after it do not give the flag of the whole log"
             raise BadLogError(msg)
 
     def holds(self, kept: Mask) -> bool:
-        """Whether these frames give what all of them give."""
+        """Whether these frames give what all of them give; False once `MOST_WORK` is done."""
+        self._work += TRIAL_WORK + int(kept.sum())
+        if self._work > MOST_WORK:
+            return False
         return bool(kept.any()) and self._outcome(self._frames.pick(kept)) == self._all
 
     def _outcome(self, frames: Block) -> Outcome:
         set_state(self.gateway, self._start)
-        changes: list[Change] = []
+        changes = [self._log.state_of_flag(self.gateway)]
         sent: list[Frame] = []
 
         def note_sent(out: Block) -> None:
