@@ -262,7 +262,10 @@ def _between(frames: Block, start_ns: Nanos, end_ns: Nanos, period_ns: Nanos) ->
         for t_ns in (start_ns, end_ns, end_ns - period_ns)
     )
     some = frames.part(first, max(last, before + 1))
-    return some._replace(t_ns=some.t_ns // MICROSECOND * MICROSECOND)
+    down = some.t_ns // MICROSECOND * MICROSECOND
+    ticked_ns = start_ns + (some.t_ns - 1 - start_ns) // period_ns * period_ns
+    # In the same tick as before.
+    return some._replace(t_ns=np.where(down > ticked_ns, down, down + MICROSECOND))
 
 
 def _identifiers(frames: Block) -> list[Mask]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import reduce
 from hashlib import sha256
 from importlib.util import module_from_spec, spec_from_file_location
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +109,19 @@ def test_a_configuration_is_named_from_the_folder_of_the_test(tmp_path):
     assert "../train.toml" in (folder / shrunk_files.TEST).read_text()
 
 
+def test_stamps_finer_than_those_of_candump_stay_in_their_tick(tmp_path):
+    """The ticks begin 500 ns behind a whole microsecond, some frames just behind these."""
+    log = tmp_path / "fine.asc"
+    assert main(["convert", str(LOSS), str(log)]) == 0
+    digits = count(500, 37)
+    fine = re.sub(r"^ *(\d+\.\d{6}) (?=\d)", lambda m: f"{m[1]}{next(digits) % 1000:03d} ",
+                  log.read_text(), flags=re.M)  # fmt: skip
+    log.write_text(fine)
+    folder, code = shrunk(tmp_path, "adhesion:2@0.81", log=log)
+    assert code == 0
+    written_test(folder)()
+
+
 SEEDS = (3, 1001, 2000)
 """Classic CAN, CAN FD, wrong values; several kinds of filter and detector."""
 
@@ -173,11 +188,11 @@ def test_a_gateway_goes_on_from_a_start_record_as_it_would_have(case, ticks):
     assert_goes_on(*prepared(case), ticks)
 
 
-@given(needed=st.sets(st.integers(0, 59)), count=st.integers(0, 60))
-def test_ddmin_keeps_what_is_needed_and_nothing_else(needed, count):
-    wanted = np.array(sorted(k for k in needed if k < count), dtype=np.int64)
-    groups = [np.arange(count) % 3 == k for k in range(3)]
-    kept = minimise(groups, count, lambda mask: bool(mask[wanted].all()))
+@given(needed=st.sets(st.integers(0, 59)), size=st.integers(0, 60))
+def test_ddmin_keeps_what_is_needed_and_nothing_else(needed, size):
+    wanted = np.array(sorted(k for k in needed if k < size), dtype=np.int64)
+    groups = [np.arange(size) % 3 == k for k in range(3)]
+    kept = minimise(groups, size, lambda mask: bool(mask[wanted].all()))
     assert np.flatnonzero(kept).tolist() == wanted.tolist()
 
 
