@@ -17,6 +17,7 @@ import numpy as np
 from dbc.codec import Codec, bind
 from dbc.frame import Frame
 from estimators.detect import DETECTORS, WITH_MEMORY
+from gateway.core import start_record
 from gateway.core.gateway import Gateway
 from gateway.io.prepare import prepare
 from gateway.io.replay import OneChannel, open_log
@@ -131,10 +132,12 @@ def replay(
     *,
     channel: str | None = None,
     detector: str | None = None,
+    start: FilePath | None = None,
 ) -> Run:
     """The gateway over a recorded log, in any format that `traction-gateway replay` reads.
 
     config: a file, a `Config`, or None for three drives on nodes 1 to 3. channel: of several.
+    start: a start record of `traction-gateway shrink`, from which the gateway goes on.
     Raises ConfigError or BadLogError, whose text says what to do.
     """
     used, codec = _prepared(config, detector)
@@ -143,8 +146,13 @@ def replay(
     def sink(_now: int, sent: Sequence[Frame], gateway: Gateway) -> None:
         run.add(gateway, sent)
 
+    def begin_at(first_ns: int) -> Gateway:
+        if start is None:
+            return Gateway(used, codec, first_ns)
+        return start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
+
     blocks = OneChannel(open_log(Path(log), strict=False).blocks, channel)
-    run_log(blocks, lambda start: Gateway(used, codec, start), used.loop.period_ns, sink)
+    run_log(blocks, begin_at, used.loop.period_ns, sink)
     return run
 
 

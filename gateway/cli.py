@@ -22,6 +22,7 @@ VERBS = {
     "demo": "the whole system on an embedded bus: simulated drives, gateway, display, picture",
     "run": "the gateway on a bus",
     "replay": "the gateway over a recorded log, as fast as the machine can",
+    "shrink": "a small test out of a long log: the fewest frames that give the same flag",
     "monitor": "a live view of a bus or a log: drives, flags, loads, bus, events",
     "convert": "a log into candump, ASC, BLF, TRC, or decoded signals in Parquet, MF4, CSV",
     "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",

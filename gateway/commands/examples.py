@@ -17,6 +17,8 @@ EXAMPLES: Final = {
     "check": ("check train.toml", "check train.toml --no-timing"),
     "replay": ("replay drive.log -o flags.log",
                "replay drive.log --config train.toml --results results"),
+    "shrink": ("shrink drive.log --flag adhesion:2@2.03 -o shrunk",
+               "shrink drive.log --flag adhesion:2@5.03 --before 0.2 -o longer"),
     "convert": ("convert drive.log drive.asc", "convert drive.log drive.csv"),
     "monitor": ("monitor drive.log --web", "monitor -i socketcan -c can0 --web 127.0.0.1:8081"),
     "run": ("run -i socketcan -c can0 --config train.toml",

@@ -145,6 +145,10 @@ class Gateway(Addressed):
             self.record[name] = array.ctypes.data
         self.pointer = ffi.from_buffer("struct gateway *", self.record)
 
+    def resume(self, now: Nanos) -> None:
+        """The records are those of another gateway, whose last tick was at `now`."""
+        self._now, self._view = now, None
+
     def note_timing(self, latency_p99_us: int, lateness_p99_us: int) -> None:
         """The driver's own measurements, for `Gateway_Info`."""
         self.outbox.note_timing(latency_p99_us, lateness_p99_us)
@@ -262,6 +266,11 @@ class Gateway(Addressed):
         return bool(self.pointer.changed)
 
     @property
+    def begun(self) -> bool:
+        """Whether there was a tick."""
+        return bool(self.pointer.begun)
+
+    @property
     def now_ns(self) -> Nanos:
         """Time of the last tick."""
         return self._now
@@ -274,7 +283,7 @@ class Gateway(Addressed):
     @property
     def view(self) -> GatewayView | None:
         """What the last step says; None before the first. Made when it is asked for."""
-        if self._view is None and self.pointer.begun:
+        if self._view is None and self.begun:
             opinion = self.adhesion.opinion
             common = opinion.common * self.adhesion.rated[0] if opinion.known.any() else None
             drives = drives_of(self.status, self.nodes, self.thermal.wear)

@@ -143,6 +143,8 @@ def replay(
 ) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
 
+    A gateway that `make` has resumed from a start record goes on with its own next tick.
+
     Frames whose time is wrong are dropped and counted, see `LogTime`. The last tick is the first at
     or after the last frame. Who is told briefly gets many ticks at a time, much sooner. Raises
     BadLogError for a log without frames.
@@ -156,6 +158,14 @@ def replay(
     gateway = make(first.t_ns)
     clock = LogTime(first.t_ns, period_ns)
     now, ticks = first.t_ns, 0
+    if gateway.begun:
+        now = gateway.now_ns + period_ns
+        if first.t_ns < gateway.now_ns:
+            msg = (
+                f"the log begins at {first.t_ns / 1e9:.3f} s, before the start record's "
+                f"{gateway.now_ns / 1e9:.3f} s: they do not belong together"
+            )
+            raise BadLogError(msg)
 
     def step(frames: Block) -> None:
         nonlocal ticks

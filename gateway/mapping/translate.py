@@ -9,9 +9,10 @@ as a gap, to half a period.
 from __future__ import annotations
 
 import math
+from ast import literal_eval
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from dbc.codec import Codec
 from dbc.e2e import protect
@@ -35,6 +36,9 @@ NEAR_END_K: Final = 10.0
 """From there a motor warms up to the end of the range within a few readings, with no jump."""
 _ELECTRICAL: Final = ("PhaseCurrents", "StatorVoltages")
 _SQRT3: Final = math.sqrt(3.0)
+_REMEMBERED: Final = ("_received", "_begun", "_counter", "_made", "_theirs", "_their", "_inside",
+                      "_news")  # fmt: skip
+"""Attributes of a `_Drive` that change with the frames, beside `_held` and `_squares`."""
 _CAUSES: Final = {
     Match.REMOTE: "remote", Match.WRONG_LENGTH: "wrong_length", Match.WRONG_FORMAT: "wrong_length",
 }  # fmt: skip
@@ -92,6 +96,15 @@ class Translator:
                     out += drive.translate(frame, spec, counts)
         return block_of(out)
 
+    def memory(self) -> str:
+        """What it remembers of the frames so far, a Python literal."""
+        return repr([drive.memory() for drive in self._drives])
+
+    def recall(self, memory: str) -> None:
+        """Go on from that. Raises ValueError or SyntaxError for what is no `memory`."""
+        for drive, kept in zip(self._drives, literal_eval(memory), strict=True):
+            drive.recall(kept)
+
 
 class _Drive:
     """One mapped drive: what it sent last, and the counters of what is made of it."""
@@ -116,6 +129,19 @@ class _Drive:
         self._news: set[str] = set()
         """What has come since currents were made."""
         self._of = {n: k for k, rows in plan.sources.items() for n, _, _ in rows}
+
+    def memory(self) -> dict[str, Any]:
+        """What changes with the frames, of plain types."""
+        kept = {name: getattr(self, name) for name in _REMEMBERED}
+        held = {name: tuple(value) for name, value in self._held.items()}
+        return {**kept, "_held": held, "_squares": list(self._squares)}
+
+    def recall(self, memory: dict[str, Any]) -> None:
+        """Take `memory` back."""
+        for name in _REMEMBERED:
+            setattr(self, name, memory[name])
+        self._held = {name: Held(*value) for name, value in memory["_held"].items()}
+        self._squares = deque(memory["_squares"], SQUARES)
 
     def translate(self, frame: Frame, spec: MessageSpec, counts: Counter[str]) -> list[Frame]:
         """One frame of this drive; what can be made with it, in the order of the contract."""

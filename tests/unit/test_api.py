@@ -14,7 +14,8 @@ from gateway.cli import main
 
 SIGNATURES = {
     "replay": "(log: 'FilePath', config: 'Config | FilePath | None' = None, *, "
-    "channel: 'str | None' = None, detector: 'str | None' = None) -> 'Run'",
+    "channel: 'str | None' = None, detector: 'str | None' = None, "
+    "start: 'FilePath | None' = None) -> 'Run'",
     "scenario": "(name: 'FilePath') -> 'Scenario'",
 }
 """Public ones: a change of them needs an entry in changelog.d, and this line."""
