@@ -40,6 +40,10 @@ def maisd(average: Array) -> Array:
     return np.asarray(average.std(axis=1))
 
 
+Filtering = Callable[[Record, Lumps, Array | None], Estimates]
+"""States of a record by a thermal model and a drift (M, 3) K/s; None: no drift."""
+
+
 class Learnt(NamedTuple):
     """known: the thermal model; drift (M, 3) K/s or None; first: states of the fault-free run."""
 
@@ -68,35 +72,51 @@ class PaperMethod:
     name: ClassVar[str] = "paper"
 
     @property
+    def filtering(self) -> tuple[float, ...]:
+        """Methods that are alike in this have the same states for a record, model and drift."""
+        return self.weighted, self.filtered, self.mixing
+
+    @property
     def learning(self) -> tuple[float, ...]:
         """Methods that are alike in this learn the same."""
-        return self.weighted, self.degrades, self.filtered, self.mixing, self.noise
+        return *self.filtering, self.noise, self.degrades
 
-    def learn(self, healthy: Record) -> Learnt:
-        """What is the same for every window and limit, and takes the time."""
-        known = lumps(healthy)
+    def learn(
+        self, healthy: Record, model: Lumps | None = None, states: Filtering | None = None
+    ) -> Learnt:
+        """What is the same for every window and limit, and takes the time.
+
+        model: `lumps(healthy)`, where it is known; states: in place of `self.states`.
+        """
+        states = states or self.states
+        known = lumps(healthy) if model is None else model
         known = known._replace(r=known.r * self.noise)
-        drift = self._drift(healthy, self._states(healthy, known, None)) if self.degrades else None
-        return Learnt(known, drift, self._states(healthy, known, drift))
+        first = states(healthy, known, None)
+        drift = self._drift(healthy, first) if self.degrades else None
+        return Learnt(known, drift, first if drift is None else states(healthy, known, drift))
 
-    def _states(self, record: Record, known: Lumps, drift: Array | None) -> Estimates:
+    def states(self, record: Record, known: Lumps, drift: Array | None) -> Estimates:
+        """`Filtering`."""
         if self.filtered:
             return SigmaMixedFilter(self.weighted, self.mixing).run(record, known, drift)
         readings = filled(record.temperature, usual(record.temperature))
         return Estimates(readings, readings.mean(axis=2))
 
-    def fit(self, healthy: Record, learnt: Learnt | None = None) -> Callable[[Record], Array]:
+    def fit(
+        self, healthy: Record, learnt: Learnt | None = None, states: Filtering | None = None
+    ) -> Callable[[Record], Array]:
         """Learn from one fault-free run; what comes back gives (K,) statistics of a record.
 
         1 is the limit of the point that is nearest to its own. learnt: what a method of the same
-        `learning` has learnt of this run before.
+        `learning` has learnt of this run before; states: in place of `self.states`.
         """
-        known, drift, first = learnt or self.learn(healthy)
+        filtered = states or self.states
+        known, drift, first = learnt or self.learn(healthy, states=states)
         centre = first.state.mean(axis=0) if self.centred else np.zeros(first.state.shape[1:])
         limit = np.quantile(self._points(first, centre), LIMIT, axis=0)
 
         def score(record: Record) -> Array:
-            points = self._points(self._states(record, known, drift), centre)
+            points = self._points(filtered(record, known, drift), centre)
             return np.asarray((points / limit).max(axis=1))
 
         return score
@@ -106,8 +126,11 @@ class PaperMethod:
         average = moving_average(estimates.state - centre, self.window, causal=self.causal)
         return maisd(average)
 
-    def _drift(self, record: Record, estimates: Estimates) -> Array:
-        """(M, 3) K/s: Algorithm 2, steps 2 and 3, of what states have beyond the motors' mean."""
+    def _drift(self, record: Record, estimates: Estimates) -> Array | None:
+        """(M, 3) K/s: Algorithm 2, steps 2 and 3, of what states have beyond the motors' mean.
+
+        None where no state drifts.
+        """
         t = (record.at - record.at[0]) * record.step_s
         beyond = estimates.state - estimates.state.mean(axis=1, keepdims=True)
         every = max(len(t) // 400, 1)
@@ -118,4 +141,4 @@ class PaperMethod:
             # A drift within two of its own standard errors is none.
             sure = abs(found.drift) > 2.0 * found.drift_sigma
             out[m, p] = found.drift if sure else 0.0
-        return out
+        return out if out.any() else None

@@ -225,3 +225,13 @@ def test_the_paper_reproduced(tmp_path):
     for name in FIGURES:
         first, second = (p / f"{name}.svg" for p in (tmp_path, tmp_path / "again"))
         assert first.read_bytes() == second.read_bytes()
+
+
+def test_variants_that_share_states_score_as_each_does_alone():
+    names = ("paper", "paper_causal", "paper_sound", "paper_mixed", "paper_ukf", "paper_acting")
+    together = {found.method: found for found in trials(5, "days", ["bearing"], names)}
+    for name in names:
+        (alone,) = trials(5, "days", ["bearing"], [name])
+        beside = together[name]
+        assert beside.score._replace(seconds=0.0) == alone.score._replace(seconds=0.0)
+    assert together["paper_acting"].score != together["paper"].score
