@@ -171,11 +171,12 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
             raise ConfigError("--truth", ["is for the report; say where to with --results"])
         return None
     from gateway.reports.reporting import Reporting
+    from gateway.reports.ticks import MOST_OF_LOG
     from gateway.reports.truth import check
 
     if options.truth is not None:
         check(options.truth)
-    return Reporting(options.results, config, codec)
+    return Reporting(options.results, config, codec, MOST_OF_LOG)
 
 
 def _report(

@@ -267,8 +267,12 @@ def loads(
     title: str,
     truth: Truth | None = None,
     spans: Sequence[Span] = (),
+    also: Sequence[Path] = (),
 ) -> None:
-    """Load and its band of every drive, truth where known, and the adhesion flags as strips."""
+    """Load and its band of every drive, truth where known, and the adhesion flags as strips.
+
+    also: further files of the same figure, which is laid out once.
+    """
     nodes, end_s = trace.nodes, trace.span_s
     wanted = [Panel(1.15, f"drive {node}\nload / Nm", node == nodes[0]) for node in nodes]
     wanted.append(Panel(0.3 + 0.24 * len(nodes), ""))
@@ -298,4 +302,5 @@ def loads(
             va="top", fontweight="bold", parse_math=False,
         )  # fmt: skip
         axes[0].set_xlim(0.0, max(end_s, 1e-3))
-        save(figure, path)
+        for one in (path, *also):
+            save(figure, one)

@@ -21,7 +21,7 @@ from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
 from gateway.reports.record import Change, Recorder
 from gateway.reports.run_report import Run, Timed
-from gateway.reports.ticks import TickLog
+from gateway.reports.ticks import MOST, TickLog
 from gateway.reports.timing import tables
 from gateway.reports.trace import Trace
 from gateway.reports.truth import Truth, rows
@@ -40,8 +40,10 @@ Facts = list[tuple[str, str]]
 class Reporting(AbstractContextManager["Reporting"]):
     """Everything that is kept of one run: a context manager to `add` each tick in, then `run`."""
 
-    def __init__(self, folder: Path, config: Config, codec: Codec) -> None:
+    def __init__(self, folder: Path, config: Config, codec: Codec, together: int = MOST) -> None:
         """folder: for tables and pictures; made here, so that one that cannot be is told early.
+
+        together: ticks that are worked on together.
 
         Raises ConfigError where no picture can be drawn, OSError.
         """
@@ -53,7 +55,7 @@ class Reporting(AbstractContextManager["Reporting"]):
         self.recorder = Recorder(folder, config.nodes)
         self.trace = Trace(config.nodes)
         self.intervals = Intervals(config.nodes)
-        self._ticks = TickLog((self.recorder.add, self.trace.add, self.intervals.add))
+        self._ticks = TickLog((self.recorder.add, self.trace.add, self.intervals.add), together)
         self._config = config
         self._codec = codec
         self._gateway: Gateway | None = None
@@ -126,8 +128,8 @@ class Reporting(AbstractContextManager["Reporting"]):
         names = run_figures.draw(
             self.folder, self.trace, self.truth, config.adhesion.raise_probability
         )
-        for suffix in ("png", "svg"):
-            loads(self.folder / f"loads.{suffix}", self.trace, title, self.truth)
+        png, svg = (self.folder / f"loads.{suffix}" for suffix in ("png", "svg"))
+        loads(png, self.trace, title, self.truth, also=[svg])
         timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
         return Run(
             title, facts, _configuration(config, self._codec, gateway), as_toml(config), self.trace,

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli import main
+from gateway.reports import ticks
 from gateway.reports.provenance import Program, program, sha256
 from gateway.reports.run_report import FEW
 
@@ -142,6 +143,16 @@ def test_the_same_log_gives_the_same_bytes(bad_bus, tmp_path):
     assert names == sorted(path.name for path in again.iterdir())
     for name in names:
         assert (again / name).read_bytes() == (bad_bus / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("together", [1, 7])
+def test_how_many_ticks_are_worked_on_together_changes_no_byte(
+    together, bad_bus, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(ticks, "MOST_OF_LOG", together)
+    other = replayed(GOLDEN / "bad_bus.log.gz", tmp_path / "other")
+    for path in bad_bus.iterdir():
+        assert (other / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 def test_what_was_replayed_is_named(bad_bus):
