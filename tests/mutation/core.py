@@ -146,6 +146,7 @@ JUDGED = (
     "estimators/detect/switching_mixture.c",
     "estimators/detect/switching_noise.c",
     "estimators/detect/variational.c",
+    "estimators/elementary.c",
     "estimators/load_observer.c",
     "estimators/maisd.c",
     "estimators/thermal/hypotheses.c",

@@ -21,6 +21,14 @@ def test_exp_is_right_to_the_bound_of_its_header():
         assert abs(Decimal(lib.elementary_exp(x)) / want - 1) < Decimal("4e-16"), x
 
 
+@pytest.mark.parametrize("limit", [-708.0, 709.0])
+def test_exp_is_a_number_up_to_its_limits_and_none_beyond(limit):
+    want = Decimal(limit).exp()
+    assert abs(Decimal(lib.elementary_exp(limit)) / want - 1) < Decimal("4e-16")
+    beyond = lib.elementary_exp(math.nextafter(limit, math.copysign(math.inf, limit)))
+    assert beyond == (0.0 if limit < 0.0 else math.inf)
+
+
 def test_log_is_right_to_the_bound_of_its_header():
     for x in [*np.exp(RNG.uniform(-700.0, 700.0, 4000)), *(1.0 + RNG.normal(0.0, 1e-3, 4000)),
               5e-324, 1.7e308, 1.0, math.sqrt(0.5), 2.0]:  # fmt: skip
