@@ -1,0 +1,201 @@
+"""Wheels on rollers, two axles to a bogie: a third world to judge detectors in.
+
+Mechanics of their own, apart from `sim/physics`. Every bogie stands on a roller that has its share
+of the vehicle's mass, as a rotor sees it, and is held at the profile's speed softly. Creep force
+rises to a peak and falls behind it, f(x) = sin(C atan(B x)) with x the creep; an effort relieves
+the bogie's first axle and loads its second. Torque follows the demand with a lag and, where the
+drive has a slip limiter, is cut beyond its creep; where it has none, the wheel runs up until the
+voltage is at its end. Currents and voltages follow in closed form, as in `held_world`.
+
+A loss leaves the rail a share of the demand; it comes within 1 ms to 1 s, from 0.5 s on. A wheel
+is `lost` in the truth while the rail carries less than is asked. Nothing is tuned on it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.study.held_world import LENGTH_S, TAIL_S, electrical, periods
+from gateway.study.scenarios_random import PerUnit, between, sign
+from sim.drive_spread import Variety
+from sim.faults import Schedule
+from sim.physics.plant import DT, MOTORS
+from sim.profile import Profile
+from sim.scenario import Scenario, parse
+
+Array = NDArray[np.float64]
+STREAM: Final = 37
+SHAPE: Final = 1.4
+"""C: far behind its peak the contact carries sin(C pi / 2) = 0.81 of it."""
+PEAK_CREEP: Final = (0.02, 0.06)
+GRIP: Final = (1.3, 2.0)
+"""What a wheel carries at the peak of its creep, over rated torque."""
+ROLLER: Final = (30.0, 120.0)
+"""A roller's inertia for each axle, over the rotor's."""
+HELD_S: Final = 2.0
+"""Time constant at which the roller is held."""
+TRANSFER: Final = 0.12
+"""Of the normal force of an axle, at rated torque of the bogie's both."""
+LAG_S: Final = 0.002
+RUN_UP: Final = (1.4, 1.6)
+"""Speed, over the roller's and 5 rad/s, from which on and at which a motor has no torque left."""
+SLOWEST_RAD_S: Final = 1.0
+"""Creep is reckoned of at least this speed."""
+ONSET_S: Final = (0.5, 2.5)
+DEPTH: Final = (0.2, 1.0)
+RAMP_S: Final = (0.001, 1.0)
+LEAST_BITRATE_DRIVES: Final = 4
+
+
+class Limiter(NamedTuple):
+    """A drive's own slip control: above `creep` torque is cut at `cut` 1/s, else comes back."""
+
+    creep: float
+    cut: float
+    back: float
+
+
+LIMITERS: Final = {
+    "fast": Limiter(0.08, 40.0, 4.0),
+    "slow": Limiter(0.20, 4.0, 1.0),
+    "none": Limiter(np.inf, 0.0, 0.0),
+}
+
+
+class Kind(NamedTuple):
+    """One kind of runs. drives: least and most; lost: their largest share, 0 for none."""
+
+    title: str
+    limiter: str
+    drives: tuple[int, int] = (3, 3)
+    lost: float = 0.34
+    commands: bool = True
+    apart: float = 0.0
+
+
+KINDS: Final = {
+    "roller": Kind("one of three, fast limiter", "fast"),
+    "roller_slow": Kind("one of three, slow limiter", "slow"),
+    "roller_none": Kind("one of three, no limiter", "none"),
+    "roller_mute": Kind("one of three, no command", "slow", commands=False),
+    "roller_two": Kind("one of two", "slow", (2, 2), 0.5),
+    "roller_many": Kind("up to a third of 4 to 16", "slow", (4, 16)),
+    "roller_apart": Kind("one of three, 10 % apart", "slow", apart=0.1),
+    "roller_healthy": Kind("nothing lost", "slow", (2, 16), 0.0, apart=0.1),
+    "roller_healthy_mute": Kind("nothing lost, no command", "slow", (2, 16), 0.0, False, 0.1),
+}
+
+
+def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
+    """The run of this kind and seed. Raises KeyError for an unknown kind."""
+    kind = KINDS[name]
+    rng = np.random.default_rng([seed, STREAM, list(KINDS).index(name)])
+    unit = PerUnit(motor)
+    drives = int(rng.integers(kind.drives[0], kind.drives[1], endpoint=True))
+    speed, load = between(rng, unit.speed, 3) * sign(rng), between(rng, (8.0, 26.0)) * sign(rng)
+    most = int(kind.lost * drives)
+    who = rng.choice(drives, int(rng.integers(1, most, endpoint=True)) if most else 0, False)
+    onset = between(rng, ONSET_S)
+    events: list[dict[str, Any]] = []
+    for drive in who:
+        ramp_s = round(float(np.exp(rng.uniform(*np.log(RAMP_S)))), 4)
+        events.append({
+            "at_s": onset, "for_s": round(2.0 * ramp_s + between(rng, LENGTH_S), 4),
+            "drive": int(drive) + 1, "kind": "adhesion_loss", "depth": between(rng, DEPTH),
+            "ramp_s": ramp_s,
+        })  # fmt: skip
+    end = max((e["at_s"] + e["for_s"] for e in events), default=5.0) + TAIL_S
+    begin, last = unit.nm(load), unit.nm(load * between(rng, (0.6, 1.15)))
+    table: dict[str, Any] = {
+        "title": f"{name} {seed}", "seed": seed, "drives": drives, "duration_s": round(end, 4),
+        "motor": {"name": motor}, "motion": {"speed": speed},
+        "load": {
+            "kind": "preset", "transition": "linear",
+            "profile": [[0.0, begin], [round(0.3 * end, 4), begin], [round(end, 4), last]],
+        },
+        "sensors": {"current_noise_var": unit.noise(2e-4)}, "event": events,
+    }  # fmt: skip
+    if kind.apart:
+        table["load"]["share_within"] = kind.apart
+    if drives > LEAST_BITRATE_DRIVES or not kind.commands:
+        table["bus"] = {"bitrate": 0}
+    return parse(table, table["title"])
+
+
+def waveforms(name: str, scenario: Scenario) -> Array:
+    """(n, N, 10) rows of a whole run, columns `sim.physics.plant.OUT`."""
+    motor = MOTORS[scenario.motor.name]
+    variety = Variety(scenario, motor)
+    t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
+    w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
+    carried = Schedule(scenario, motor).carry(t_s, demand)
+    # What a loss leaves, at the peak of creep; without one the rail's own.
+    left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
+    rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
+    speed, torque, load = np.empty((3, len(t_s), scenario.drives))
+    for k in range(len(t_s)):
+        rig.advance(w_ref[k], demand[k], left[k])
+        speed[k], torque[k], load[k] = rig.w, rig.torque, rig.load
+    return electrical(scenario, variety, speed, torque, load, demand)
+
+
+class Rig:
+    """All wheels of a run and their rollers, a period of `DT` at a time."""
+
+    def __init__(self, scenario: Scenario, variety: Variety, limiter: Limiter) -> None:
+        """Everything random comes from the scenario's seed. It starts as in steady running."""
+        rng = np.random.default_rng([scenario.seed, STREAM])
+        motor, n = MOTORS[scenario.motor.name], scenario.drives
+        self._limiter, self._j, self._rated = limiter, motor.J, motor.T_rated
+        self._share: Array = variety.share(0.0)
+        self._stiff = np.tan(np.pi / 2 / SHAPE) / between(rng, PEAK_CREEP)
+        self._grip = rng.uniform(*GRIP, n) * motor.T_rated
+        self._roller = between(rng, ROLLER) * motor.J
+        self._bogie = np.arange(n) // 2
+        self._axles = np.bincount(self._bogie)
+        self._ahead = np.where(np.arange(n) % 2, 1.0, -1.0) * (self._axles[self._bogie] == 2)
+        self._limit = np.ones(n)
+        self._v: Array | None = None
+        self.w = np.zeros(n)
+        self.torque = np.zeros(n)
+        self.load = np.zeros(n)
+
+    def advance(self, w_ref: float, demand: float, left: Array) -> None:
+        """One period. w_ref rad/s; demand Nm of each drive; left (N,): what losses leave, Nm."""
+        asked = demand * self._share
+        if self._v is None:
+            self._v, self.torque = np.full(self._axles.shape, w_ref), asked.copy()
+            self.w = w_ref * (1.0 + self._steady_creep(asked * np.sign(w_ref)))
+        v = self._v[self._bogie]
+        per_v = np.maximum(np.abs(v), SLOWEST_RAD_S)
+        creep = (self.w - v) / per_v
+        effort = np.bincount(self._bogie, self.load) / (self._axles * self._rated)
+        peak = self._grip * (1.0 + TRANSFER * self._ahead * effort[self._bogie] * np.sign(w_ref))
+        peak = np.minimum(peak, left)
+        bent = 1.0 + (self._stiff * creep) ** 2
+        angle = SHAPE * np.arctan(self._stiff * creep)
+        slope = peak * np.cos(angle) * SHAPE * self._stiff / bent / per_v
+        self.load = peak * np.sin(angle)
+        self._follow(asked, creep * np.sign(w_ref * demand), np.abs(self.w) / (np.abs(v) + 5.0))
+        # Linearly implicit: the contact is faster than a period.
+        self.w = self.w + DT * (self.torque - self.load) / (self._j + DT * np.maximum(slope, 0.0))
+        pull = np.bincount(self._bogie, self.load - asked) / (self._axles * self._roller)
+        self._v = self._v + DT * (pull + (w_ref - self._v) / HELD_S)
+
+    def _steady_creep(self, effort: Array) -> Array:
+        """(N,) at which each wheel carries this, before its peak."""
+        out: Array = np.tan(np.arcsin(effort / self._grip) / SHAPE) / self._stiff
+        return out
+
+    def _follow(self, asked: Array, creep: Array, run_up: Array) -> None:
+        """The motors' torque. creep (N,): positive where a wheel slips as its effort goes."""
+        limiter = self._limiter
+        change = np.where(creep > limiter.creep, -limiter.cut, limiter.back)
+        self._limit = np.clip(self._limit + DT * change, 0.0, 1.0)
+        room = np.clip((RUN_UP[1] - run_up) / (RUN_UP[1] - RUN_UP[0]), 0.0, 1.0)
+        driving = asked * np.sign(self.w) > 0.0
+        wanted = asked * self._limit * np.where(driving, room, 1.0)
+        self.torque = self.torque + DT / LAG_S * (wanted - self.torque)
