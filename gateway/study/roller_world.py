@@ -1,7 +1,7 @@
 """Wheels on rollers, two axles to a bogie: a third world to judge detectors in.
 
-Mechanics of their own, apart from `sim/physics`. Every bogie stands on a roller that has its share
-of the vehicle's mass, as a rotor sees it, and is held at the profile's speed softly. Creep force
+Mechanics of their own, apart from `sim/physics`. The rollers are geared together, have the
+vehicle's mass, as the rotors see it, and are held at the profile's speed softly. Creep force
 rises to a peak and falls behind it, f(x) = sin(C atan(B x)) with x the creep; an effort relieves
 the bogie's first axle and loads its second. Torque follows the demand with a lag and, where the
 drive has a slip limiter, is cut beyond its creep; where it has none, the wheel runs up until the
@@ -34,14 +34,16 @@ PEAK_CREEP: Final = (0.02, 0.06)
 GRIP: Final = (1.3, 2.0)
 """What a wheel carries at the peak of its creep, over rated torque."""
 ROLLER: Final = (30.0, 120.0)
-"""A roller's inertia for each axle, over the rotor's."""
+"""The rollers' inertia for each axle, over the rotor's."""
 HELD_S: Final = 2.0
-"""Time constant at which the roller is held."""
+"""Time constant at which the rollers are held."""
 TRANSFER: Final = 0.12
 """Of the normal force of an axle, at rated torque of the bogie's both."""
 LAG_S: Final = 0.002
 RUN_UP: Final = (1.4, 1.6)
-"""Speed, over the roller's and 5 rad/s, from which on and at which a motor has no torque left."""
+"""Speed, over the rollers' and 5 rad/s, from which on torque falls and at which none is left."""
+STOP: Final = 0.1
+"""Speed, over the rollers', below which a brake's torque falls to none: no wheel turns back."""
 SLOWEST_RAD_S: Final = 1.0
 """Creep is reckoned of at least this speed."""
 ONSET_S: Final = (0.5, 2.5)
@@ -143,22 +145,23 @@ def waveforms(name: str, scenario: Scenario) -> Array:
 
 
 class Rig:
-    """All wheels of a run and their rollers, a period of `DT` at a time."""
+    """All wheels of a run and the rollers, a period of `DT` at a time."""
 
     def __init__(self, scenario: Scenario, variety: Variety, limiter: Limiter) -> None:
-        """Everything random comes from the scenario's seed. It starts as in steady running."""
+        """Everything random comes from the scenario's seed."""
         rng = np.random.default_rng([scenario.seed, STREAM])
         motor, n = MOTORS[scenario.motor.name], scenario.drives
         self._limiter, self._j, self._rated = limiter, motor.J, motor.T_rated
         self._share: Array = variety.share(0.0)
+        self._wheel: Array = variety.p.wheel
         self._stiff = np.tan(np.pi / 2 / SHAPE) / between(rng, PEAK_CREEP)
         self._grip = rng.uniform(*GRIP, n) * motor.T_rated
-        self._roller = between(rng, ROLLER) * motor.J
+        self._mass = between(rng, ROLLER) * motor.J
         self._bogie = np.arange(n) // 2
-        self._axles = np.bincount(self._bogie)
-        self._ahead = np.where(np.arange(n) % 2, 1.0, -1.0) * (self._axles[self._bogie] == 2)
+        self._axles = np.bincount(self._bogie)[self._bogie]
+        self._transfer = TRANSFER * np.where(np.arange(n) % 2, 1.0, -1.0) * (self._axles == 2)
         self._limit = np.ones(n)
-        self._v: Array | None = None
+        self._v: float | None = None
         self.w = np.zeros(n)
         self.torque = np.zeros(n)
         self.load = np.zeros(n)
@@ -167,27 +170,33 @@ class Rig:
         """One period. w_ref rad/s; demand Nm of each drive; left (N,): what losses leave, Nm."""
         asked = demand * self._share
         if self._v is None:
-            self._v, self.torque = np.full(self._axles.shape, w_ref), asked.copy()
-            self.w = w_ref * (1.0 + self._steady_creep(asked * np.sign(w_ref)))
-        v = self._v[self._bogie]
-        per_v = np.maximum(np.abs(v), SLOWEST_RAD_S)
-        creep = (self.w - v) / per_v
-        effort = np.bincount(self._bogie, self.load) / (self._axles * self._rated)
-        peak = self._grip * (1.0 + TRANSFER * self._ahead * effort[self._bogie] * np.sign(w_ref))
-        peak = np.minimum(peak, left)
-        bent = 1.0 + (self._stiff * creep) ** 2
+            self._v, self.torque, self.load = w_ref, asked.copy(), asked.copy()
+            self.w = (w_ref + self._steady_creep() * abs(w_ref)) / self._wheel
+        v, rolls = self._v, self.w * self._wheel
+        per_v = max(abs(v), SLOWEST_RAD_S)
+        creep = (rolls - v) / per_v
+        peak = np.minimum(self._normal(v) * self._grip, left)
         angle = SHAPE * np.arctan(self._stiff * creep)
+        bent = 1.0 + (self._stiff * creep) ** 2
         slope = peak * np.cos(angle) * SHAPE * self._stiff / bent / per_v
         self.load = peak * np.sin(angle)
-        self._follow(asked, creep * np.sign(w_ref * demand), np.abs(self.w) / (np.abs(v) + 5.0))
+        self._follow(asked, creep * np.sign(demand), rolls / (v + 5.0 * np.sign(v)))
         # Linearly implicit: the contact is faster than a period.
-        self.w = self.w + DT * (self.torque - self.load) / (self._j + DT * np.maximum(slope, 0.0))
-        pull = np.bincount(self._bogie, self.load - asked) / (self._axles * self._roller)
-        self._v = self._v + DT * (pull + (w_ref - self._v) / HELD_S)
+        gained = DT * (self.torque - self.load)
+        self.w = self.w + gained / (self._j + DT * np.maximum(slope, 0.0))
+        pull = float((self.load - asked).mean()) / self._mass
+        self._v = v + DT * (pull + (w_ref - v) / HELD_S)
 
-    def _steady_creep(self, effort: Array) -> Array:
-        """(N,) at which each wheel carries this, before its peak."""
-        out: Array = np.tan(np.arcsin(effort / self._grip) / SHAPE) / self._stiff
+    def _normal(self, v: float) -> Array:
+        """(N,) each axle's normal force, over that at rest."""
+        effort = np.bincount(self._bogie, self.load)[self._bogie] / (self._axles * self._rated)
+        return 1.0 + self._transfer * effort * np.sign(v)
+
+    def _steady_creep(self) -> Array:
+        """(N,) at which each wheel carries its load, before its peak."""
+        assert self._v is not None
+        used = self.load / (self._normal(self._v) * self._grip)
+        out: Array = np.tan(np.arcsin(used) / SHAPE) / self._stiff
         return out
 
     def _follow(self, asked: Array, creep: Array, run_up: Array) -> None:
@@ -195,7 +204,6 @@ class Rig:
         limiter = self._limiter
         change = np.where(creep > limiter.creep, -limiter.cut, limiter.back)
         self._limit = np.clip(self._limit + DT * change, 0.0, 1.0)
-        room = np.clip((RUN_UP[1] - run_up) / (RUN_UP[1] - RUN_UP[0]), 0.0, 1.0)
-        driving = asked * np.sign(self.w) > 0.0
-        wanted = asked * self._limit * np.where(driving, room, 1.0)
-        self.torque = self.torque + DT / LAG_S * (wanted - self.torque)
+        most, stop = (RUN_UP[1] - run_up) / (RUN_UP[1] - RUN_UP[0]), run_up / STOP
+        room = np.clip(np.where(asked * (self._v or 0.0) > 0.0, most, stop), 0.0, 1.0)
+        self.torque = self.torque + DT / LAG_S * (asked * self._limit * room - self.torque)
