@@ -190,7 +190,8 @@ class Rig:
     def _normal(self, v: float) -> Array:
         """(N,) each axle's normal force, over that at rest."""
         effort = np.bincount(self._bogie, self.load)[self._bogie] / (self._axles * self._rated)
-        return 1.0 + self._transfer * effort * np.sign(v)
+        out: Array = 1.0 + self._transfer * effort * np.sign(v)
+        return out
 
     def _steady_creep(self) -> Array:
         """(N,) at which each wheel carries its load, before its peak."""
@@ -205,5 +206,5 @@ class Rig:
         change = np.where(creep > limiter.creep, -limiter.cut, limiter.back)
         self._limit = np.clip(self._limit + DT * change, 0.0, 1.0)
         most, stop = (RUN_UP[1] - run_up) / (RUN_UP[1] - RUN_UP[0]), run_up / STOP
-        room = np.clip(np.where(asked * (self._v or 0.0) > 0.0, most, stop), 0.0, 1.0)
-        self.torque = self.torque + DT / LAG_S * (asked * self._limit * room - self.torque)
+        given = np.clip(np.where(asked * (self._v or 0.0) > 0.0, most, stop), 0.0, 1.0)
+        self.torque = self.torque + DT / LAG_S * (asked * self._limit * given - self.torque)

