@@ -8,7 +8,8 @@ drive has a slip limiter, is cut beyond its creep; where it has none, the wheel 
 voltage is at its end. Currents and voltages follow in closed form, as in `held_world`.
 
 A loss leaves the rail a share of the demand; it comes within 1 ms to 1 s, from 0.5 s on. A wheel
-is `lost` in the truth while the rail carries less than is asked. Nothing is tuned on it.
+is `lost` in the truth while the rail carries less than is asked, or, as deep as 0, while it still
+slides beyond the peak and 5 %. Nothing is tuned on it.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.study.held_world import LENGTH_S, TAIL_S, electrical, periods
+from dbc.codec import Codec
+from gateway.study.held_world import LENGTH_S, TAIL_S, OtherMachine, Played, electrical, periods
 from gateway.study.scenarios_random import PerUnit, between, sign
 from sim.drive_spread import Variety
 from sim.faults import Schedule
-from sim.physics.plant import DT, MOTORS
+from sim.physics.adhesion import Rail
+from sim.physics.plant import CREEP_LIMIT, DT, MOTORS
 from sim.profile import Profile
 from sim.scenario import Scenario, parse
 
@@ -127,8 +130,18 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     return parse(table, table["title"])
 
 
-def waveforms(name: str, scenario: Scenario) -> Array:
-    """(n, N, 10) rows of a whole run, columns `sim.physics.plant.OUT`."""
+class Waveforms(NamedTuple):
+    """Of a whole run, a row every `DT`.
+
+    rows (n, N, 10): columns `sim.physics.plant.OUT`; slides (n, N): beyond the peak of its creep.
+    """
+
+    rows: Array
+    slides: NDArray[np.bool_]
+
+
+def waveforms(name: str, scenario: Scenario) -> Waveforms:
+    """What the machines of a run do, `DT` by `DT`."""
     motor = MOTORS[scenario.motor.name]
     variety = Variety(scenario, motor)
     t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
@@ -138,10 +151,37 @@ def waveforms(name: str, scenario: Scenario) -> Array:
     left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
     rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
     speed, torque, load = np.empty((3, len(t_s), scenario.drives))
+    slides = np.empty((len(t_s), scenario.drives), np.bool_)
     for k in range(len(t_s)):
         rig.advance(w_ref[k], demand[k], left[k])
-        speed[k], torque[k], load[k] = rig.w, rig.torque, rig.load
-    return electrical(scenario, variety, speed, torque, load, demand)
+        speed[k], torque[k], load[k], slides[k] = rig.w, rig.torque, rig.load, rig.slides
+    rows = electrical(scenario, variety, speed, torque, load, demand)
+    return Waveforms(rows, slides[1:])
+
+
+class _Rolled(Played):
+    """Plays rows back, and says which wheels slide."""
+
+    def __init__(self, scenario: Scenario, played: Waveforms) -> None:
+        super().__init__(scenario, played.rows)
+        self._slides = played.slides
+
+    def slips(self, drive: int, _condition: Rail) -> bool:
+        return bool(self._slides[self._at - 1, drive])
+
+    def shortage(self, _drive: int, _condition: Rail, _load: float) -> float:
+        """Beyond the peak of its own rail a wheel carries all that is asked."""
+        return 0.0
+
+
+class Roller(OtherMachine):
+    """The simulated train on rollers."""
+
+    def __init__(self, name: str, scenario: Scenario, codec: Codec) -> None:
+        """The run `scenario` of this kind."""
+        played = waveforms(name, scenario)
+        super().__init__(scenario, codec, played.rows)
+        self._plant = _Rolled(scenario, played)
 
 
 class Rig:
@@ -154,7 +194,8 @@ class Rig:
         self._limiter, self._j, self._rated = limiter, motor.J, motor.T_rated
         self._share: Array = variety.share(0.0)
         self._wheel: Array = variety.p.wheel
-        self._stiff = np.tan(np.pi / 2 / SHAPE) / between(rng, PEAK_CREEP)
+        self._peak_creep = between(rng, PEAK_CREEP)
+        self._stiff = np.tan(np.pi / 2 / SHAPE) / self._peak_creep
         self._grip = rng.uniform(*GRIP, n) * motor.T_rated
         self._mass = between(rng, ROLLER) * motor.J
         self._bogie = np.arange(n) // 2
@@ -165,6 +206,7 @@ class Rig:
         self.w = np.zeros(n)
         self.torque = np.zeros(n)
         self.load = np.zeros(n)
+        self.slides = np.zeros(n, np.bool_)
 
     def advance(self, w_ref: float, demand: float, left: Array) -> None:
         """One period. w_ref rad/s; demand Nm of each drive; left (N,): what losses leave, Nm."""
@@ -180,6 +222,7 @@ class Rig:
         bent = 1.0 + (self._stiff * creep) ** 2
         slope = peak * np.cos(angle) * SHAPE * self._stiff / bent / per_v
         self.load = peak * np.sin(angle)
+        self.slides = np.abs(creep) > max(CREEP_LIMIT, self._peak_creep)
         self._follow(asked, creep * np.sign(demand), rolls / (v + 5.0 * np.sign(v)))
         # Linearly implicit: the contact is faster than a period.
         gained = DT * (self.torque - self.load)

@@ -50,10 +50,6 @@ def _held(_family: str, scenario: Scenario, codec: Codec) -> Simulation:
     return OtherMachine(scenario, codec, held_world.waveforms(scenario))
 
 
-def _roller(family: str, scenario: Scenario, codec: Codec) -> Simulation:
-    return OtherMachine(scenario, codec, roller_world.waveforms(family, scenario))
-
-
 WORLDS: Final = {
     "ours": World(
         {k: Family(f.common, f.motor) for k, f in scenarios_family.ALL.items()},
@@ -67,6 +63,6 @@ WORLDS: Final = {
     ),
     "roller": World(
         {k: Family(False, None, f.commands) for k, f in roller_world.KINDS.items()},
-        tuple(roller_world.KINDS), {}, roller_world.draw, _roller,
+        tuple(roller_world.KINDS), {}, roller_world.draw, roller_world.Roller,
     ),
 }  # fmt: skip

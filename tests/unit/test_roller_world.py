@@ -10,7 +10,7 @@ from sim.physics.plant import LOAD, SPEED, TORQUE
 
 def test_healthy_wheels_carry_what_their_motors_give_and_creep_below_the_peak():
     scenario = roller_world.draw("roller_healthy", 1)
-    rows = roller_world.waveforms("roller_healthy", scenario)
+    rows = roller_world.waveforms("roller_healthy", scenario).rows
     rated = 30.0
     assert np.abs(rows[..., LOAD] - rows[..., TORQUE]).max() < 0.02 * rated
     spread = np.ptp(rows[..., SPEED], axis=1) / np.abs(rows[..., SPEED]).min(axis=1)
@@ -21,7 +21,7 @@ def test_healthy_wheels_carry_what_their_motors_give_and_creep_below_the_peak():
 @pytest.mark.parametrize("seed", range(2))
 def test_under_a_loss_the_wheel_runs_away_as_its_effort_goes_and_never_turns_back(name, seed):
     scenario = roller_world.draw(name, seed)
-    rows = roller_world.waveforms(name, scenario)
+    rows = roller_world.waveforms(name, scenario).rows
     (event,) = scenario.event
     lost = event.drive - 1
     speed, others = rows[:, lost, SPEED], np.delete(rows[..., SPEED], lost, axis=1).mean(axis=1)
