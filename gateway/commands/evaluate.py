@@ -30,9 +30,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--motor", default="bench", metavar="NAME",
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
-    parser.add_argument("--world", choices=("ours", "held", "other"), default="ours",
+    parser.add_argument("--world", choices=("ours", "held", "roller", "other"),
+                        default="ours",
                         help="whose machines: ours (default; tuned on); adhesion, held: a speed "
-                        "held whatever it carries, with families of its own; thermal, other: "
+                        "held whatever it carries, roller: bogies on rollers with a creep curve of "
+                        "another form, each with families of its own; thermal, other: "
                         "trains of another structure, at one sample a second")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
@@ -56,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.settings.config import ConfigError
 
     if options.world == "other":
-        raise ConfigError("--world other", ["is for thermal; known: ours, held"])
+        raise ConfigError("--world other", ["is for thermal; known: ours, held, roller"])
     from gateway.study.evaluation_report import table, write
     from gateway.study.evaluation_runs import Plan, evaluate, known_detectors, seeds_of
 
@@ -89,17 +91,18 @@ def run(options: argparse.Namespace) -> int:
 def _families(options: argparse.Namespace) -> tuple[str, ...]:
     """Families asked for. Raises ConfigError listing the known ones for a wrong name."""
     from gateway.settings.config import ConfigError
-    from gateway.study.held_world import KINDS
-    from gateway.study.scenarios_family import ALL, FAMILIES, GROUPS
+    from gateway.study.worlds import WORLDS
     from sim.physics.plant import MOTORS
 
-    ours = options.world == "ours"
-    families, groups = (FAMILIES, GROUPS) if ours else (KINDS, {})
-    drawn = ALL if ours else KINDS
-    asked = [one for name in options.family or families for one in groups.get(name, (name,))]
+    world = WORLDS[options.world]
+    asked = [
+        one for name in options.family or world.usual for one in world.groups.get(name, (name,))
+    ]
     names = tuple(dict.fromkeys(asked))
-    known = ", ".join([*families, *groups])
-    problems = [f"no family {name!r}; there are {known}" for name in names if name not in drawn]
+    known = ", ".join([*world.usual, *world.groups])
+    problems = [
+        f"no family {name!r}; there are {known}" for name in names if name not in world.families
+    ]
     if options.motor not in MOTORS:
         problems.append(f"no motor {options.motor!r}; there are {', '.join(MOTORS)}")
     if problems:

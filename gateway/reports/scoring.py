@@ -37,6 +37,8 @@ SKIP_S: Final = 0.5
 SHALLOW: Final = 0.2 - 1e-9
 """Share of the demand whose loss need not be found."""
 DEEP: Final = 0.5
+LATE_S: Final = 0.1
+"""A flag that still says `Adhering` so long after the onset of a loss is dangerous."""
 ABRUPT_S: Final = 0.02
 """A loss that takes half of the demand within this time of its onset is abrupt."""
 GRACE_S: Final = 5e-7
@@ -100,7 +102,7 @@ class Score(NamedTuple):
     good, unknown: healthy frames that say `Adhering` or nothing; healthy: all healthy frames
     counted. delays_ms: of the losses found; missed: losses without a flag until they end.
     abrupt_ms: the delays of abrupt losses. alarms: false ones; train_s: healthy time, a drive's
-    mean.
+    mean. dangerous: lost frames later than `LATE_S` after the onset that say `Adhering`.
     """
 
     true_positive: int = 0
@@ -114,6 +116,7 @@ class Score(NamedTuple):
     abrupt_ms: tuple[float, ...] = ()
     alarms: int = 0
     train_s: float = 0.0
+    dangerous: int = 0
 
     def plus(self, other: Score) -> Score:
         """Both runs pooled."""
@@ -152,6 +155,12 @@ class Score(NamedTuple):
         return self.unknown / self.healthy if self.healthy else 0.0
 
     @property
+    def dangerous_share(self) -> float:
+        """Share of lost flag frames that are `dangerous`; 0 where there are none."""
+        lost = self.true_positive + self.false_negative
+        return self.dangerous / lost if lost else 0.0
+
+    @property
     def alarms_per_hour(self) -> float:
         """False alarms per healthy hour of the train; 0 where there is no healthy time."""
         return 3600.0 * self.alarms / self.train_s if self.train_s else 0.0
@@ -186,6 +195,12 @@ class Truth(NamedTuple):
     def edges(self) -> Array:
         """Times at which adhesion is lost or back."""
         return self.t_s[_changes(self.lost)]
+
+    def since_onset_s(self, t_s: Array) -> Array:
+        """(T,) time since the last onset of a loss; infinite before the first."""
+        onsets = np.array([-np.inf, *(self.t_s[first] for first, _ in self.losses())])
+        out: Array = t_s - onsets[np.searchsorted(onsets, t_s + GRACE_S, side="right") - 1]
+        return out
 
     def losses(self) -> list[tuple[int, int]]:
         """Rows (first, last + 1) of each stretch of lost adhesion."""
@@ -229,6 +244,7 @@ def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
     lost = truth.lost[row] & (row >= 0)
     raised = flag == Flag.BAD
     healthy = counted & ~lost
+    late = counted & lost & (truth.since_onset_s(t_s) > LATE_S + GRACE_S)
     every_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     score = Score(
         true_positive=int(np.count_nonzero(counted & lost & raised)),
@@ -239,6 +255,7 @@ def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
         unknown=int(np.count_nonzero(healthy & (flag == Flag.UNKNOWN))),
         alarms=_alarms(truth, t_s, raised),
         train_s=every_s * int(np.count_nonzero(healthy)),
+        dangerous=int(np.count_nonzero(late & (flag == Flag.GOOD))),
     )
     return score.plus(_delays(truth, t_s[raised]))
 

@@ -250,7 +250,7 @@ class Line(NamedTuple):
 COLUMNS: Final = (
     "family", "detector", "runs", "F1", "F1 mean", "F1 sd", "precision", "recall",
     "false alarms / h", "losses", "missed", "delay ms", "delay 90 % ms", "delay abrupt ms",
-    "adhering %", "unknown %", "load rmse Nm", "load rmse %", "ROC area", "ECE",
+    "adhering %", "unknown %", "dangerous %", "load rmse Nm", "load rmse %", "ROC area", "ECE",
     "common F1", "common delay ms", "common false / h",
 )  # fmt: skip
 """The numbers of the table; `row` gives them."""
@@ -277,6 +277,7 @@ def row(line: Line) -> tuple[str | int | float, ...]:
         _finite(quantile(flags.abrupt_ms, 0.5)),
         100.0 * flags.good_share,
         100.0 * flags.unknown_share,
+        100.0 * flags.dangerous_share if lossy else math.nan,
         total.load_rmse_nm,
         100.0 * total.load_rmse_nm / line.rated_nm,
         roc(total.levels).area,

@@ -21,6 +21,7 @@ DASHES: Final = ("-", "--", "-.", ":")
 DIGITS: Final = {
     "F1": 4, "F1 mean": 3, "F1 sd": 3, "precision": 4, "recall": 4, "false alarms / h": 1,
     "delay ms": 0, "delay 90 % ms": 0, "delay abrupt ms": 0, "adhering %": 2, "unknown %": 2,
+    "dangerous %": 2,
     "load rmse Nm": 2, "load rmse %": 2, "ROC area": 4, "ECE": 4, "common F1": 4,
     "common delay ms": 0, "common false / h": 1,
 }  # fmt: skip
@@ -30,9 +31,10 @@ as not raised. F1, precision and recall pooled over all runs; mean and standard 
 with a loss. Losses count from 20 % of the demand on. Delay: from the onset to the first
 `AdhesionLost`, of the losses found; abrupt: half of the demand gone within 20 ms. A false alarm is
 a stretch of `AdhesionLost` that touches no loss, per healthy hour of the train. Adhering, unknown:
-share of healthy frames. Load: estimated minus true load while tracking, % of rated torque. ROC area
-and expected calibration error (ECE) from `LossProbability`. Common: `CommonMode` against all drives
-lost together."""
+share of healthy frames. Dangerous: share of lost frames that say `Adhering` later than 100 ms after
+the onset. Load: estimated minus true load while tracking, % of rated torque. ROC area and expected
+calibration error (ECE) from `LossProbability`. Common: `CommonMode` against all drives lost
+together."""
 
 
 def cells(line: Line) -> list[str]:

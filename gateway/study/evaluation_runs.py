@@ -20,9 +20,9 @@ from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
 from gateway.settings.config import Config, ConfigError, load
 from gateway.settings.sections import Drive
-from gateway.study import held_world
 from gateway.study.evaluation import Line, Measured, listen, measure
-from gateway.study.scenarios_family import ALL, DEVELOPMENT, REPORTING, draw
+from gateway.study.scenarios_family import DEVELOPMENT, REPORTING
+from gateway.study.worlds import WORLDS, Family
 from sim.ground_truth import Truth
 from sim.scenario import Scenario
 from sim.simulation import Simulation
@@ -40,8 +40,8 @@ class Plan(NamedTuple):
     world: str = "ours"
 
 
-WORLDS = ("ours", "held")
-"""Whose machines: the simulator's, on which detectors are tuned, or those of `held_world`."""
+TICKS_PER_S = 100
+"""Runs take whole steps of 10 ms."""
 
 
 class Recording(NamedTuple):
@@ -112,28 +112,20 @@ def fitted(plan: Plan, detector: str, scenario: Scenario) -> tuple[Config, Codec
 
 
 def _drawn(plan: Plan, family: str, seed: int) -> Scenario:
-    return (held_world.draw if plan.world == "held" else draw)(family, seed, plan.motor)
+    return WORLDS[plan.world].draw(family, seed, plan.motor)
 
 
 def record(scenario: Scenario, config: Config, codec: Codec) -> Recording:
-    """Simulate a whole run."""
-    return _recording(Simulation(scenario, codec, self_start=True), config)
+    """Simulate a whole run of our own world."""
+    return _recording(WORLDS["ours"].simulate("", scenario, codec), Family(), config)
 
 
-def _record_held(scenario: Scenario, config: Config, codec: Codec, commands: bool) -> Recording:
-    machine = held_world.OtherMachine(scenario, codec, held_world.waveforms(scenario))
-    recording = _recording(machine, config)
-    if commands:
-        return recording
-    return recording._replace(blocks=[held_world.without_status(b) for b in recording.blocks])
-
-
-def _recording(simulation: Simulation, config: Config) -> Recording:
+def _recording(simulation: Simulation, family: Family, config: Config) -> Recording:
     scenario = simulation.scenario
-    per_s = held_world.TICKS_PER_S
-    ticks = round(scenario.duration_s * per_s) * config.loop.rate_hz // per_s
+    ticks = round(scenario.duration_s * TICKS_PER_S) * config.loop.rate_hz // TICKS_PER_S
     blocks = [
-        block_of(simulation.step((), tick * config.loop.period_ns)) for tick in range(ticks + 1)
+        family.received(block_of(simulation.step((), tick * config.loop.period_ns)))
+        for tick in range(ticks + 1)
     ]
     return Recording(scenario, blocks, simulation.truth_rows())
 
@@ -151,10 +143,9 @@ def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
     """One scenario, simulated once, with every detector of the plan."""
     scenario = _drawn(plan, family, seed)
     config, codec = fitted(plan, plan.detectors[0], scenario)
-    if plan.world == "held":
-        recording = _record_held(scenario, config, codec, held_world.KINDS[family].commands)
-    else:
-        recording = record(scenario, config, codec)
+    world = WORLDS[plan.world]
+    machines = world.simulate(family, scenario, codec)
+    recording = _recording(machines, world.families[family], config)
     return tuple(judge(recording, *fitted(plan, name, scenario)) for name in plan.detectors)
 
 
@@ -206,12 +197,9 @@ def _workers(jobs: int) -> Iterator[Run]:
 def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> list[Line]:
     from sim.physics.plant import MOTORS
 
-    if plan.world == "held":
-        motor, common = plan.motor, held_world.KINDS[family].lost is None
-    else:
-        motor, common = ALL[family].motor or plan.motor, ALL[family].common
-    rated = MOTORS[motor].T_rated
+    about = WORLDS[plan.world].families[family]
+    rated = MOTORS[about.motor or plan.motor].T_rated
     return [
-        Line(family, detector, plan.seeds, runs, common, rated)
+        Line(family, detector, plan.seeds, runs, about.common, rated)
         for detector, runs in zip(plan.detectors, zip(*results, strict=True), strict=True)
     ]

@@ -169,18 +169,27 @@ def waveforms(scenario: Scenario) -> Array:
     """(n, N, 10) rows of a whole run, columns `sim.physics.plant.OUT`."""
     motor = MOTORS[scenario.motor.name]
     variety = Variety(scenario, motor)
-    p = variety.p
-    n = periods(scenario)
-    t_s: Array = DT * np.arange(n + 1, dtype=np.float64)
+    t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
     w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
     load = demand[:, None] * variety.share(0.0) * Schedule(scenario, motor).carry(t_s, demand)
-    turned = DT * np.concatenate([[0.0], np.cumsum(0.5 * (w_ref[1:] + w_ref[:-1]))])
-    out = np.empty((n, scenario.drives, OUT))
+    return electrical(scenario, variety, w_ref[:, None] / variety.p.wheel, load, load, demand)
+
+
+def electrical(
+    scenario: Scenario, variety: Variety, speed: Array, torque: Array, load: Array, demand: Array
+) -> Array:
+    """(n, N, 10) rows: what machines at these speeds, rad/s, and torques, Nm, (n + 1, N) show.
+
+    load (n + 1, N): what their wheels carry, Nm; demand (n + 1,): what each is asked for, Nm.
+    """
+    motor, p = MOTORS[scenario.motor.name], variety.p
+    turned = DT * np.cumsum(0.5 * (speed[1:] + speed[:-1]), axis=0)
+    out = np.empty((len(turned), scenario.drives, OUT))
     for d in range(scenario.drives):
         theta_0 = np.random.default_rng([scenario.seed, ANGLE_STREAM, d]).uniform(0.0, 2.0 * np.pi)
-        theta = theta_0 + motor.pole_pairs * turned / p.wheel[d]
+        theta = theta_0 + motor.pole_pairs * np.concatenate([[0.0], turned[:, d]])
         along = np.exp(1j * theta)
-        i_q = load[:, d] / (motor.k_p * motor.pole_pairs * p.psi_pm[d])
+        i_q = torque[:, d] / (motor.k_p * motor.pole_pairs * p.psi_pm[d])
         current = 1j * i_q * along
         flux = p.L_s[d] * current + p.psi_pm[d] * along
         voltage = p.R_s[d] * 0.5 * (current[1:] + current[:-1]) + np.diff(flux) / DT
@@ -188,8 +197,8 @@ def waveforms(scenario: Scenario) -> Array:
         row[:, columns.I_ALPHA], row[:, columns.I_BETA] = current[1:].real, current[1:].imag
         row[:, columns.U_ALPHA], row[:, columns.U_BETA] = voltage.real, voltage.imag
         row[:, columns.U_DC] = motor.U_dc
-        row[:, columns.TORQUE] = row[:, columns.LOAD] = load[1:, d]
-        row[:, columns.SPEED] = w_ref[1:] / p.wheel[d]
+        row[:, columns.TORQUE], row[:, columns.LOAD] = torque[1:, d], load[1:, d]
+        row[:, columns.SPEED] = speed[1:, d]
         row[:, columns.ANGLE] = theta[1:] % (2.0 * np.pi)
         row[:, columns.COMMAND] = demand[1:]
     return out

@@ -71,6 +71,16 @@ def test_false_alarms_are_stretches_that_touch_no_loss():
     assert score.alarms_per_hour == pytest.approx(3 * 3600 / 1.95)
 
 
+def test_adhering_later_than_100_ms_after_each_onset_is_dangerous_and_unknown_is_not():
+    two = truth((100, 150), (200, 250))
+    late = score_flag(two, T, flags())  # of each loss 1.11 to 1.47 s of 1.03 to 1.47 s
+    assert (late.dangerous, late.false_negative) == (2 * 37, 2 * 45)
+    assert late.dangerous_share == pytest.approx(37 / 45)
+    assert score_flag(two, T, flags((110, 150), (210, 250))).dangerous == 0
+    assert score_flag(two, T, flags(otherwise=Flag.UNKNOWN)).dangerous == 0
+    assert score_flag(truth(), T, flags()).dangerous_share == 0.0
+
+
 def test_unknown_counts_as_not_raised_and_is_reported():
     score = score_flag(truth((100, 150)), T, flags(otherwise=Flag.UNKNOWN))
     assert (score.true_positive, score.false_negative, score.false_positive) == (0, 45, 0)

@@ -21,7 +21,7 @@ def test_family_of_another_world_is_refused_and_the_known_are_listed(capsys):
 
 @pytest.mark.parametrize(
     ("words", "known"), [(["thermal", "--world", "held"], "ours, other"),
-                         (["--world", "other"], "ours, held")],
+                         (["--world", "other"], "ours, held, roller")],
 )  # fmt: skip
 def test_a_world_of_the_other_side_is_refused(words, known, capsys):
     assert main(["evaluate", *words, "--seeds", "0-0"]) == 2

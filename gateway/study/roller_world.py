@@ -1,0 +1,253 @@
+"""Wheels on rollers, two axles to a bogie: a third world to judge detectors in.
+
+Mechanics of their own, apart from `sim/physics`. The rollers are geared together, have the
+vehicle's mass, as the rotors see it, and are held at the profile's speed softly. Creep force
+rises to a peak and falls behind it, f(x) = sin(C atan(B x)) with x the creep; an effort relieves
+the bogie's first axle and loads its second. Torque follows the demand with a lag and, where the
+drive has a slip limiter, is cut beyond its creep; where it has none, the wheel runs up until the
+voltage is at its end. Currents and voltages follow in closed form, as in `held_world`.
+
+A loss leaves the rail a share of the demand; it comes within 1 ms to 1 s, from 0.5 s on. A wheel
+is `lost` in the truth while the rail carries less than is asked, or, as deep as 0, while it still
+slides beyond the peak and 5 %. Nothing is tuned on it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbc.codec import Codec
+from gateway.study.held_world import LENGTH_S, TAIL_S, OtherMachine, Played, electrical, periods
+from gateway.study.scenarios_random import PerUnit, between, sign
+from sim.drive_spread import Variety
+from sim.faults import Schedule
+from sim.physics.adhesion import Rail
+from sim.physics.plant import CREEP_LIMIT, DT, MOTORS
+from sim.profile import Profile
+from sim.scenario import Scenario, parse
+
+Array = NDArray[np.float64]
+STREAM: Final = 37
+SHAPE: Final = 1.4
+"""C: far behind its peak the contact carries sin(C pi / 2) = 0.81 of it."""
+PEAK_CREEP: Final = (0.02, 0.06)
+GRIP: Final = (1.3, 2.0)
+"""What a wheel carries at the peak of its creep, over rated torque."""
+ROLLER: Final = (30.0, 120.0)
+"""The rollers' inertia for each axle, over the rotor's."""
+HELD_S: Final = 2.0
+"""Time constant at which the rollers are held."""
+TRANSFER: Final = 0.12
+"""Of the normal force of an axle, at rated torque of the bogie's both."""
+LAG_S: Final = 0.002
+RUN_UP: Final = (1.4, 1.6)
+"""Speed, over the rollers' and 5 rad/s, from which on torque falls and at which none is left."""
+STOP: Final = 0.1
+"""Speed, over the rollers', below which a brake's torque falls to none: no wheel turns back."""
+SLOWEST_RAD_S: Final = 1.0
+"""Creep is reckoned of at least this speed."""
+ONSET_S: Final = (0.5, 2.5)
+DEPTH: Final = (0.2, 1.0)
+RAMP_S: Final = (0.001, 1.0)
+LEAST_BITRATE_DRIVES: Final = 4
+
+
+class Limiter(NamedTuple):
+    """A drive's own slip control: above `creep` torque is cut at `cut` 1/s, else comes back."""
+
+    creep: float
+    cut: float
+    back: float
+
+
+LIMITERS: Final = {
+    "fast": Limiter(0.08, 40.0, 4.0),
+    "slow": Limiter(0.20, 4.0, 1.0),
+    "none": Limiter(np.inf, 0.0, 0.0),
+}
+
+
+class Kind(NamedTuple):
+    """One kind of runs. drives: least and most; lost: their largest share, 0 for none."""
+
+    title: str
+    limiter: str
+    drives: tuple[int, int] = (3, 3)
+    lost: float = 0.34
+    commands: bool = True
+    apart: float = 0.0
+
+
+KINDS: Final = {
+    "roller": Kind("one of three, fast limiter", "fast"),
+    "roller_slow": Kind("one of three, slow limiter", "slow"),
+    "roller_none": Kind("one of three, no limiter", "none"),
+    "roller_mute": Kind("one of three, no command", "slow", commands=False),
+    "roller_two": Kind("one of two", "slow", (2, 2), 0.5),
+    "roller_many": Kind("up to a third of 4 to 16", "slow", (4, 16)),
+    "roller_apart": Kind("one of three, 10 % apart", "slow", apart=0.1),
+    "roller_healthy": Kind("nothing lost", "slow", (2, 16), 0.0, apart=0.1),
+    "roller_healthy_mute": Kind("nothing lost, no command", "slow", (2, 16), 0.0, False, 0.1),
+}
+
+
+def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
+    """The run of this kind and seed. Raises KeyError for an unknown kind."""
+    kind = KINDS[name]
+    rng = np.random.default_rng([seed, STREAM, list(KINDS).index(name)])
+    unit = PerUnit(motor)
+    drives = int(rng.integers(kind.drives[0], kind.drives[1], endpoint=True))
+    speed, load = between(rng, unit.speed, 3) * sign(rng), between(rng, (8.0, 26.0)) * sign(rng)
+    most = int(kind.lost * drives)
+    who = rng.choice(drives, int(rng.integers(1, most, endpoint=True)) if most else 0, False)
+    onset = between(rng, ONSET_S)
+    events: list[dict[str, Any]] = []
+    for drive in who:
+        ramp_s = round(float(np.exp(rng.uniform(*np.log(RAMP_S)))), 4)
+        events.append({
+            "at_s": onset, "for_s": round(2.0 * ramp_s + between(rng, LENGTH_S), 4),
+            "drive": int(drive) + 1, "kind": "adhesion_loss", "depth": between(rng, DEPTH),
+            "ramp_s": ramp_s,
+        })  # fmt: skip
+    end = max((e["at_s"] + e["for_s"] for e in events), default=5.0) + TAIL_S
+    begin, last = unit.nm(load), unit.nm(load * between(rng, (0.6, 1.15)))
+    table: dict[str, Any] = {
+        "title": f"{name} {seed}", "seed": seed, "drives": drives, "duration_s": round(end, 4),
+        "motor": {"name": motor}, "motion": {"speed": speed},
+        "load": {
+            "kind": "preset", "transition": "linear",
+            "profile": [[0.0, begin], [round(0.3 * end, 4), begin], [round(end, 4), last]],
+        },
+        "sensors": {"current_noise_var": unit.noise(2e-4)}, "event": events,
+    }  # fmt: skip
+    if kind.apart:
+        table["load"]["share_within"] = kind.apart
+    if drives > LEAST_BITRATE_DRIVES or not kind.commands:
+        table["bus"] = {"bitrate": 0}
+    return parse(table, table["title"])
+
+
+class Waveforms(NamedTuple):
+    """Of a whole run, a row every `DT`.
+
+    rows (n, N, 10): columns `sim.physics.plant.OUT`; slides (n, N): beyond the peak of its creep.
+    """
+
+    rows: Array
+    slides: NDArray[np.bool_]
+
+
+def waveforms(name: str, scenario: Scenario) -> Waveforms:
+    """What the machines of a run do, `DT` by `DT`."""
+    motor = MOTORS[scenario.motor.name]
+    variety = Variety(scenario, motor)
+    t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
+    w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
+    carried = Schedule(scenario, motor).carry(t_s, demand)
+    # What a loss leaves, at the peak of creep; without one the rail's own.
+    left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
+    rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
+    speed, torque, load = np.empty((3, len(t_s), scenario.drives))
+    slides = np.empty((len(t_s), scenario.drives), np.bool_)
+    for k in range(len(t_s)):
+        rig.advance(w_ref[k], demand[k], left[k])
+        speed[k], torque[k], load[k], slides[k] = rig.w, rig.torque, rig.load, rig.slides
+    rows = electrical(scenario, variety, speed, torque, load, demand)
+    return Waveforms(rows, slides[1:])
+
+
+class _Rolled(Played):
+    """Plays rows back, and says which wheels slide."""
+
+    def __init__(self, scenario: Scenario, played: Waveforms) -> None:
+        super().__init__(scenario, played.rows)
+        self._slides = played.slides
+
+    def slips(self, drive: int, _condition: Rail) -> bool:
+        return bool(self._slides[self._at - 1, drive])
+
+    def shortage(self, _drive: int, _condition: Rail, _load: float) -> float:
+        """Beyond the peak of its own rail a wheel carries all that is asked."""
+        return 0.0
+
+
+class Roller(OtherMachine):
+    """The simulated train on rollers."""
+
+    def __init__(self, name: str, scenario: Scenario, codec: Codec) -> None:
+        """The run `scenario` of this kind."""
+        played = waveforms(name, scenario)
+        super().__init__(scenario, codec, played.rows)
+        self._plant = _Rolled(scenario, played)
+
+
+class Rig:
+    """All wheels of a run and the rollers, a period of `DT` at a time."""
+
+    def __init__(self, scenario: Scenario, variety: Variety, limiter: Limiter) -> None:
+        """Everything random comes from the scenario's seed."""
+        rng = np.random.default_rng([scenario.seed, STREAM])
+        motor, n = MOTORS[scenario.motor.name], scenario.drives
+        self._limiter, self._j, self._rated = limiter, motor.J, motor.T_rated
+        self._share: Array = variety.share(0.0)
+        self._wheel: Array = variety.p.wheel
+        self._peak_creep = between(rng, PEAK_CREEP)
+        self._stiff = np.tan(np.pi / 2 / SHAPE) / self._peak_creep
+        self._grip = rng.uniform(*GRIP, n) * motor.T_rated
+        self._mass = between(rng, ROLLER) * motor.J
+        self._bogie = np.arange(n) // 2
+        self._axles = np.bincount(self._bogie)[self._bogie]
+        self._transfer = TRANSFER * np.where(np.arange(n) % 2, 1.0, -1.0) * (self._axles == 2)
+        self._limit = np.ones(n)
+        self._v: float | None = None
+        self.w = np.zeros(n)
+        self.torque = np.zeros(n)
+        self.load = np.zeros(n)
+        self.slides = np.zeros(n, np.bool_)
+
+    def advance(self, w_ref: float, demand: float, left: Array) -> None:
+        """One period. w_ref rad/s; demand Nm of each drive; left (N,): what losses leave, Nm."""
+        asked = demand * self._share
+        if self._v is None:
+            self._v, self.torque, self.load = w_ref, asked.copy(), asked.copy()
+            self.w = (w_ref + self._steady_creep() * abs(w_ref)) / self._wheel
+        v, rolls = self._v, self.w * self._wheel
+        per_v = max(abs(v), SLOWEST_RAD_S)
+        creep = (rolls - v) / per_v
+        peak = np.minimum(self._normal(v) * self._grip, left)
+        angle = SHAPE * np.arctan(self._stiff * creep)
+        bent = 1.0 + (self._stiff * creep) ** 2
+        slope = peak * np.cos(angle) * SHAPE * self._stiff / bent / per_v
+        self.load = peak * np.sin(angle)
+        self.slides = np.abs(creep) > max(CREEP_LIMIT, self._peak_creep)
+        self._follow(asked, creep * np.sign(demand), rolls / (v + 5.0 * np.sign(v)))
+        # Linearly implicit: the contact is faster than a period.
+        gained = DT * (self.torque - self.load)
+        self.w = self.w + gained / (self._j + DT * np.maximum(slope, 0.0))
+        pull = float((self.load - asked).mean()) / self._mass
+        self._v = v + DT * (pull + (w_ref - v) / HELD_S)
+
+    def _normal(self, v: float) -> Array:
+        """(N,) each axle's normal force, over that at rest."""
+        effort = np.bincount(self._bogie, self.load)[self._bogie] / (self._axles * self._rated)
+        out: Array = 1.0 + self._transfer * effort * np.sign(v)
+        return out
+
+    def _steady_creep(self) -> Array:
+        """(N,) at which each wheel carries its load, before its peak."""
+        assert self._v is not None
+        used = self.load / (self._normal(self._v) * self._grip)
+        out: Array = np.tan(np.arcsin(used) / SHAPE) / self._stiff
+        return out
+
+    def _follow(self, asked: Array, creep: Array, run_up: Array) -> None:
+        """The motors' torque. creep (N,): positive where a wheel slips as its effort goes."""
+        limiter = self._limiter
+        change = np.where(creep > limiter.creep, -limiter.cut, limiter.back)
+        self._limit = np.clip(self._limit + DT * change, 0.0, 1.0)
+        most, stop = (RUN_UP[1] - run_up) / (RUN_UP[1] - RUN_UP[0]), run_up / STOP
+        given = np.clip(np.where(asked * (self._v or 0.0) > 0.0, most, stop), 0.0, 1.0)
+        self.torque = self.torque + DT / LAG_S * (asked * self._limit * given - self.torque)

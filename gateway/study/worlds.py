@@ -1,0 +1,68 @@
+"""The worlds that detectors of adhesion are judged in: one row each, by name.
+
+Detectors are tuned on `ours` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final, NamedTuple
+
+from dbc.codec import Codec
+from dbc.frames import Block
+from gateway.study import held_world, roller_world, scenarios_family
+from gateway.study.held_world import OtherMachine, without_status
+from sim.scenario import Scenario
+from sim.simulation import Simulation
+
+
+class Family(NamedTuple):
+    """Runs of one kind. common: all drives lose adhesion together; motor: None for any."""
+
+    common: bool = False
+    motor: str | None = None
+    commands: bool = True
+
+    def received(self, block: Block) -> Block:
+        """What of a block is on the bus."""
+        return block if self.commands else without_status(block)
+
+
+class World(NamedTuple):
+    """Where runs come from.
+
+    usual: families that are evaluated unless others are named; draw: a family's run of a seed for
+    a motor; simulate: the machines of a family's run.
+    """
+
+    families: Mapping[str, Family]
+    usual: tuple[str, ...]
+    groups: Mapping[str, tuple[str, ...]]
+    draw: Callable[[str, int, str], Scenario]
+    simulate: Callable[[str, Scenario, Codec], Simulation]
+
+
+def _ours(_family: str, scenario: Scenario, codec: Codec) -> Simulation:
+    return Simulation(scenario, codec, self_start=True)
+
+
+def _held(_family: str, scenario: Scenario, codec: Codec) -> Simulation:
+    return OtherMachine(scenario, codec, held_world.waveforms(scenario))
+
+
+WORLDS: Final = {
+    "ours": World(
+        {k: Family(f.common, f.motor) for k, f in scenarios_family.ALL.items()},
+        tuple(scenarios_family.FAMILIES),
+        {name: tuple(group) for name, group in scenarios_family.GROUPS.items()},
+        scenarios_family.draw, _ours,
+    ),
+    "held": World(
+        {k: Family(f.lost is None, None, f.commands) for k, f in held_world.KINDS.items()},
+        tuple(held_world.KINDS), {}, held_world.draw, _held,
+    ),
+    "roller": World(
+        {k: Family(False, None, f.commands) for k, f in roller_world.KINDS.items()},
+        tuple(roller_world.KINDS), {}, roller_world.draw, roller_world.Roller,
+    ),
+}  # fmt: skip
