@@ -25,6 +25,10 @@ class Truth(NamedTuple):
 
     `depth`: while `lost`, the share of what is asked that does not reach the rail, 0..1; else 0.
     Not in the truth file.
+
+    `given`: the share of what is asked of the motor that it makes, 0..1: less than all where the
+    drive's own slip limiter, or the gateway's flag, cuts its torque. 1 under a preset load. Not in
+    the truth file.
     """
 
     t_s: float
@@ -36,6 +40,7 @@ class Truth(NamedTuple):
     fault_class: int
     true_effect_k: float
     depth: float = 0.0
+    given: float = 1.0
 
     def text(self) -> tuple[str, ...]:
         """Cells of the truth file."""

@@ -241,10 +241,13 @@ class Simulation:
         for k, node in enumerate(self.nodes):
             speed, angle, load = row[k, [columns.SPEED, columns.ANGLE, columns.LOAD]].tolist()
             slides, deep = bool(losing[k]), depth[k]
-            if self._plant is not None and self._plant.slips(k, self._rails[k]):
-                slides, deep = True, max(deep, self._plant.shortage(k, self._rails[k], load))
+            given = 1.0
+            if self._plant is not None:
+                given = self._plant.given(k, float(row[k, columns.TORQUE]))
+                if self._plant.slips(k, self._rails[k]):
+                    slides, deep = True, max(deep, self._plant.shortage(k, self._rails[k], load))
             moves = round(t_s, 6), node, speed, angle, load, int(slides)
-            self._truth.append(Truth(*moves, classes[k], effect[k], deep))
+            self._truth.append(Truth(*moves, classes[k], effect[k], deep, given))
 
     def _air(self, t_s: float) -> None:
         """The ambient temperature, where it changes."""

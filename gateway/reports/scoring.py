@@ -9,6 +9,10 @@ not raised. Delay runs from the truth's onset to the time stamp of the first `Ad
 A loss counts from `SHALLOW` on: where less of the demand is missing for longer than an edge (a
 slow onset, a rail that carries nearly all), frames are neither right nor wrong. A false alarm is
 a stretch of `AdhesionLost` that touches no loss, from an edge before it to an edge after it.
+
+Where the rail is back and the drive's own limiter still holds its torque back, nobody can know from
+the torque that the rail is back. Frames of `AdhesionLost` there count as false, and are counted once
+more by themselves, so that F1 can be said without them.
 """
 
 from __future__ import annotations
@@ -41,6 +45,8 @@ LATE_S: Final = 0.1
 """A flag that still says `Adhering` so long after the onset of a loss is dangerous."""
 ABRUPT_S: Final = 0.02
 """A loss that takes half of the demand within this time of its onset is abrupt."""
+GIVEN: Final = 0.95
+"""A drive that makes less of what it is asked for cuts its torque."""
 GRACE_S: Final = 5e-7
 """Stamps and the truth's rows are decimals of one grid."""
 
@@ -102,7 +108,8 @@ class Score(NamedTuple):
     good, unknown: healthy frames that say `Adhering` or nothing; healthy: all healthy frames
     counted. delays_ms: of the losses found; missed: losses without a flag until they end.
     abrupt_ms: the delays of abrupt losses. alarms: false ones; train_s: healthy time, a drive's
-    mean. dangerous: lost frames later than `LATE_S` after the onset that say `Adhering`.
+    mean. dangerous: lost frames later than `LATE_S` after the onset that say `Adhering`. cut: of
+    false_positive, those of a drive that cuts its own torque.
     """
 
     true_positive: int = 0
@@ -117,6 +124,7 @@ class Score(NamedTuple):
     alarms: int = 0
     train_s: float = 0.0
     dangerous: int = 0
+    cut: int = 0
 
     def plus(self, other: Score) -> Score:
         """Both runs pooled."""
@@ -135,6 +143,11 @@ class Score(NamedTuple):
         return _share(2 * self.true_positive, 2 * self.true_positive + bad)
 
     @property
+    def uncut_f1(self) -> float:
+        """F1 without frames in which a drive on a good rail cuts its own torque."""
+        return self._replace(false_positive=self.false_positive - self.cut).f1
+
+    @property
     def precision(self) -> float:
         """TP / (TP + FP); 1 where nothing was raised."""
         return _share(self.true_positive, self.true_positive + self.false_positive)
@@ -148,6 +161,11 @@ class Score(NamedTuple):
     def good_share(self) -> float:
         """Share of healthy flag frames that say `Adhering`."""
         return _share(self.good, self.healthy)
+
+    @property
+    def false_share(self) -> float:
+        """Share of healthy flag frames that say `AdhesionLost`; 0 where there are none."""
+        return self.false_positive / self.healthy if self.healthy else 0.0
 
     @property
     def unknown_share(self) -> float:
@@ -182,11 +200,12 @@ def quantile(values: Sequence[float], share: float) -> float:
 
 
 class Truth(NamedTuple):
-    """What is really so of one drive at K instants: t_s (K,), lost (K,), depth (K,) 0..1."""
+    """What is really so of one drive at K instants (K,): lost; depth 0..1; cuts its own torque."""
 
     t_s: Array
     lost: Flags
     depth: Array
+    cuts: Flags
 
     def at(self, t_s: Array) -> NDArray[np.int64]:
         """(T,) row in force at times (T,): the last one not later; -1 before the first."""
@@ -224,17 +243,20 @@ class Truth(NamedTuple):
 
 
 def truth_of(rows: Iterable[Row], node: int) -> Truth:
-    """One drive's truth; rows without a depth count as deep."""
+    """One drive's truth; rows without a depth count as deep, without `given` as not cut."""
     mine = [row for row in rows if row.drive == node]
     lost = np.array([bool(row.lost) for row in mine], dtype=np.bool_)
     depth = np.array([getattr(row, "depth", 1.0) for row in mine], dtype=np.float64)
-    return Truth(np.array([row.t_s for row in mine], dtype=np.float64), lost, depth)
+    cuts = np.array([getattr(row, "given", 1.0) < GIVEN for row in mine], dtype=np.bool_)
+    return Truth(np.array([row.t_s for row in mine], dtype=np.float64), lost, depth, cuts)
 
 
 def everyone(truths: Sequence[Truth]) -> Truth:
     """Lost while every drive is, as deep as the least of them."""
     lost = np.logical_and.reduce([truth.lost for truth in truths])
-    return Truth(truths[0].t_s, lost, np.minimum.reduce([truth.depth for truth in truths]))
+    depth = np.minimum.reduce([truth.depth for truth in truths])
+    cuts = np.logical_and.reduce([truth.cuts for truth in truths])
+    return Truth(truths[0].t_s, lost, depth, cuts)
 
 
 def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
@@ -256,6 +278,7 @@ def score_flag(truth: Truth, t_s: Array, flag: NDArray[np.int64]) -> Score:
         alarms=_alarms(truth, t_s, raised),
         train_s=every_s * int(np.count_nonzero(healthy)),
         dangerous=int(np.count_nonzero(late & (flag == Flag.GOOD))),
+        cut=int(np.count_nonzero(healthy & raised & truth.cuts[row])),
     )
     return score.plus(_delays(truth, t_s[raised]))
 

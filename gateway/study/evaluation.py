@@ -248,9 +248,9 @@ class Line(NamedTuple):
 
 
 COLUMNS: Final = (
-    "family", "detector", "runs", "F1", "F1 mean", "F1 sd", "precision", "recall",
+    "family", "detector", "runs", "F1", "F1 mean", "F1 sd", "F1 uncut", "precision", "recall",
     "false alarms / h", "losses", "missed", "delay ms", "delay 90 % ms", "delay abrupt ms",
-    "adhering %", "unknown %", "dangerous %", "load rmse Nm", "load rmse %", "ROC area", "ECE",
+    "adhering %", "unknown %", "false %", "dangerous %", "load rmse Nm", "load rmse %", "ROC area", "ECE",
     "common F1", "common delay ms", "common false / h",
 )  # fmt: skip
 """The numbers of the table; `row` gives them."""
@@ -267,6 +267,7 @@ def row(line: Line) -> tuple[str | int | float, ...]:
         len(line.runs),
         flags.f1 if lossy else math.nan,
         *line.spread(),
+        flags.uncut_f1 if lossy else math.nan,
         flags.precision if lossy else math.nan,
         flags.recall if lossy else math.nan,
         flags.alarms_per_hour,
@@ -277,6 +278,7 @@ def row(line: Line) -> tuple[str | int | float, ...]:
         _finite(quantile(flags.abrupt_ms, 0.5)),
         100.0 * flags.good_share,
         100.0 * flags.unknown_share,
+        100.0 * flags.false_share,
         100.0 * flags.dangerous_share if lossy else math.nan,
         total.load_rmse_nm,
         100.0 * total.load_rmse_nm / line.rated_nm,

@@ -133,11 +133,13 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
 class Waveforms(NamedTuple):
     """Of a whole run, a row every `DT`.
 
-    rows (n, N, 10): columns `sim.physics.plant.OUT`; slides (n, N): beyond the peak of its creep.
+    rows (n, N, 10): columns `sim.physics.plant.OUT`; slides (n, N): beyond the peak of its creep;
+    given (n, N): the share of its torque that the drive's own limiter lets through.
     """
 
     rows: Array
     slides: NDArray[np.bool_]
+    given: Array
 
 
 def waveforms(name: str, scenario: Scenario) -> Waveforms:
@@ -150,13 +152,14 @@ def waveforms(name: str, scenario: Scenario) -> Waveforms:
     # What a loss leaves, at the peak of creep; without one the rail's own.
     left = np.where(carried < 1.0, carried * np.abs(demand)[:, None], np.inf)
     rig = Rig(scenario, variety, LIMITERS[KINDS[name].limiter])
-    speed, torque, load = np.empty((3, len(t_s), scenario.drives))
+    speed, torque, load, given = np.empty((4, len(t_s), scenario.drives))
     slides = np.empty((len(t_s), scenario.drives), np.bool_)
     for k in range(len(t_s)):
         rig.advance(w_ref[k], demand[k], left[k])
         speed[k], torque[k], load[k], slides[k] = rig.w, rig.torque, rig.load, rig.slides
+        given[k] = rig.limit
     rows = electrical(scenario, variety, speed, torque, load, demand)
-    return Waveforms(rows, slides[1:])
+    return Waveforms(rows, slides[1:], given[1:])
 
 
 class _Rolled(Played):
@@ -164,7 +167,10 @@ class _Rolled(Played):
 
     def __init__(self, scenario: Scenario, played: Waveforms) -> None:
         super().__init__(scenario, played.rows)
-        self._slides = played.slides
+        self._slides, self._given = played.slides, played.given
+
+    def given(self, drive: int, _torque: float) -> float:
+        return float(self._given[self._at - 1, drive])
 
     def slips(self, drive: int, _condition: Rail) -> bool:
         return bool(self._slides[self._at - 1, drive])
@@ -201,8 +207,8 @@ class Rig:
         self._bogie = np.arange(n) // 2
         self._axles = np.bincount(self._bogie)[self._bogie]
         self._transfer = TRANSFER * np.where(np.arange(n) % 2, 1.0, -1.0) * (self._axles == 2)
-        self._limit = np.ones(n)
         self._v: float | None = None
+        self.limit = np.ones(n)
         self.w = np.zeros(n)
         self.torque = np.zeros(n)
         self.load = np.zeros(n)
@@ -247,7 +253,7 @@ class Rig:
         """The motors' torque. creep (N,): positive where a wheel slips as its effort goes."""
         limiter = self._limiter
         change = np.where(creep > limiter.creep, -limiter.cut, limiter.back)
-        self._limit = np.clip(self._limit + DT * change, 0.0, 1.0)
+        self.limit = np.clip(self.limit + DT * change, 0.0, 1.0)
         most, stop = (RUN_UP[1] - run_up) / (RUN_UP[1] - RUN_UP[0]), run_up / STOP
         given = np.clip(np.where(asked * (self._v or 0.0) > 0.0, most, stop), 0.0, 1.0)
-        self.torque = self.torque + DT / LAG_S * (asked * self._limit * given - self.torque)
+        self.torque = self.torque + DT / LAG_S * (asked * self.limit * given - self.torque)

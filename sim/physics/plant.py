@@ -299,6 +299,13 @@ class Plant:
         carried = min(self._limit(drive, condition), abs(load))
         return min(max(1.0 - carried / asked, 0.0), 1.0)
 
+    def given(self, drive: int, torque: float) -> float:
+        """Share of the train's demand on this motor that `torque` Nm is, 0..1; 1 at preset load."""
+        asked = self.demand_nm * float(self.p.share[drive])
+        if not self.on_rail or asked == 0.0:
+            return 1.0
+        return min(max(torque / asked, 0.0), 1.0)
+
     def _asked(self, drive: int) -> float:
         """The train's demand and, while the train moves, the friction brake's torque, Nm.
 

@@ -37,12 +37,15 @@ from tests.simrun import Flags, codec
 T = np.arange(300) / 100
 
 
-def truth(*losses, depth=1.0):
-    """300 rows every 10 ms; losses are (first row, last row + 1)."""
+def truth(*losses, depth=1.0, cuts=()):
+    """300 rows every 10 ms; losses, and times in which a drive cuts: (first row, last row + 1)."""
     lost = np.zeros(300, bool)
     for first, last in losses:
         lost[first:last] = True
-    return Truth(T, lost, np.where(lost, depth, 0.0))
+    cut = np.zeros(300, bool)
+    for first, last in cuts:
+        cut[first:last] = True
+    return Truth(T, lost, np.where(lost, depth, 0.0), cut)
 
 
 def flags(*raised, otherwise=Flag.GOOD):
@@ -50,6 +53,14 @@ def flags(*raised, otherwise=Flag.GOOD):
     for first, last in raised:
         out[first:last] = Flag.BAD
     return out
+
+
+def test_a_flag_that_stays_while_the_drive_gives_torque_back_is_false_and_counted_by_itself():
+    score = score_flag(truth((100, 150), cuts=[(150, 170)]), T, flags((100, 180)))
+    assert (score.false_positive, score.cut) == (27, 17)
+    assert score.f1 < score.uncut_f1 < 1.0
+    alike = score_flag(truth((100, 150)), T, flags((100, 180)))
+    assert (alike.cut, alike.uncut_f1) == (0, alike.f1)
 
 
 def test_a_perfect_flag_with_30_ms_delay():
