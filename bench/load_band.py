@@ -14,22 +14,19 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import held_plant
 from gateway.core.codes import Health
 from gateway.core.gateway import Gateway
 from gateway.io.workers import workers
 from gateway.reports.scoring import truth_of
-from gateway.study import evaluation_runs
-from gateway.study.evaluation_runs import Plan, Recording, fitted, seeds_of
-from gateway.study.scenarios_family import FAMILIES, GROUPS, draw
+from gateway.study.evaluation_runs import Plan, Recording, fitted, recorded, seeds_of
+from gateway.study.scenarios_family import FAMILIES, GROUPS
+from gateway.study.worlds import WORLDS
 
 Array = NDArray[np.float64]
 MOTORS: Final = ("bench", "traction_350kw")
 SOURCES: Final = ("filters", "observer")
 FEWEST: Final = 200
 """Ticks that a row needs."""
-RANDOM: Final = "families"
-"""The families of `evaluate`, beside the worlds of `bench.held_plant`."""
 FIELDS: Final = ("load_nm", "load_sigma_nm", "health")
 
 
@@ -73,11 +70,8 @@ def together(parts: Iterable[Loads]) -> Loads:
 def one(task: tuple[str, str, str, int]) -> Loads:
     """One run: (world, kind or family, motor, seed)."""
     world, name, motor, seed = task
-    plan = Plan((), ("switching",), (seed,), None, motor, None)
-    if world != RANDOM:
-        return loads(held_plant.record(plan, name, seed, world), plan)
-    scenario = draw(name, seed, motor)
-    return loads(evaluation_runs.record(scenario, *fitted(plan, "switching", scenario)), plan)
+    plan = Plan((), ("switching",), (seed,), None, motor, None, world)
+    return loads(recorded(plan, name, seed), plan)
 
 
 def row(found: Loads) -> str:
@@ -89,7 +83,9 @@ def row(found: Loads) -> str:
 
 def kinds_of(world: str) -> tuple[str, ...]:
     """What there is to be drawn in a world."""
-    return (*FAMILIES, *GROUPS["mismatch"]) if world == RANDOM else ("one", "rough", "healthy")
+    if world == "ours":
+        return (*FAMILIES, *GROUPS["mismatch"])
+    return WORLDS[world].usual if world == "roller" else ("one", "rough", "healthy")
 
 
 def table(worlds: Iterable[str], seeds: tuple[int, ...], jobs: int) -> Iterator[str]:
@@ -110,9 +106,7 @@ def table(worlds: Iterable[str], seeds: tuple[int, ...], jobs: int) -> Iterator[
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=seeds_of, default=seeds_of("2100-2104"))
-    parser.add_argument(
-        "--world", nargs="*", choices=(*held_plant.WORLDS, RANDOM), default=("held", RANDOM)
-    )
+    parser.add_argument("--world", nargs="*", choices=WORLDS, default=("held", "ours"))
     parser.add_argument("-j", "--jobs", type=int, default=2)
     options = parser.parse_args()
     for line in table(options.world, options.seeds, options.jobs):

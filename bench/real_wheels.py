@@ -4,7 +4,7 @@ Three omnidirectional wheels; currents, set and actual speeds every 31 ms (tests
 `--terrain`: a vehicle of four wheels on asphalt and on ice; current and speed of its two sides at
 6.5 Hz. Each wheel, or side, becomes a drive: its speed is the rotor's, its current over RATED_A the
 torque over the rated one, and phase currents and voltages follow in closed form, as in
-`bench.held_plant`. So the machine is ours; what the wheels carry, how fast they turn, and all the
+`held_world`. So the machine is ours; what the wheels carry, how fast they turn, and all the
 noise of it, are real.
 """
 

@@ -14,6 +14,9 @@ from gateway.commands.common import GOOD, add_config
 from gateway.io.console import console
 from gateway.io.extras import pictures
 
+WORLDS = ("ours", "ours_held", "held", "motulator", "roller", "other")
+"""As in `gateway.study.worlds`, and the thermal side's."""
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
@@ -30,11 +33,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--motor", default="bench", metavar="NAME",
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
-    parser.add_argument("--world", choices=("ours", "held", "roller", "other"),
-                        default="ours",
-                        help="whose machines: ours (default; tuned on); adhesion, held: a speed "
-                        "held whatever it carries, roller: bogies on rollers with a creep curve of "
-                        "another form, each with families of its own; thermal, other: "
+    parser.add_argument("--world", choices=WORLDS, default="ours",
+                        help="whose machines: ours (default; tuned on). Adhesion: held: a speed "
+                        "held whatever it carries, with families of its own; ours_held: these on "
+                        "our machines; motulator: on those of the library; roller: bogies on "
+                        "rollers with a creep curve of another form. Thermal: other: "
                         "trains of another structure, at one sample a second")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
@@ -58,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     from gateway.settings.config import ConfigError
 
     if options.world == "other":
-        raise ConfigError("--world other", ["is for thermal; known: ours, held, roller"])
+        raise ConfigError("--world other", [f"is for thermal; known: {', '.join(WORLDS[:-1])}"])
     from gateway.study.evaluation_report import table, write
     from gateway.study.evaluation_runs import Plan, evaluate, known_detectors, seeds_of
 

@@ -10,9 +10,9 @@ A loss counts from `SHALLOW` on: where less of the demand is missing for longer 
 slow onset, a rail that carries nearly all), frames are neither right nor wrong. A false alarm is
 a stretch of `AdhesionLost` that touches no loss, from an edge before it to an edge after it.
 
-Where the rail is back and the drive's own limiter still holds its torque back, nobody can know from
-the torque that the rail is back. Frames of `AdhesionLost` there count as false, and are counted once
-more by themselves, so that F1 can be said without them.
+Where the rail is back and the drive's own limiter still holds its torque back, nothing shows that
+the rail is back. Frames of `AdhesionLost` there count as false, and are counted once more by
+themselves, so that F1 can be said without them.
 """
 
 from __future__ import annotations

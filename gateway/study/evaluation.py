@@ -250,8 +250,8 @@ class Line(NamedTuple):
 COLUMNS: Final = (
     "family", "detector", "runs", "F1", "F1 mean", "F1 sd", "F1 uncut", "precision", "recall",
     "false alarms / h", "losses", "missed", "delay ms", "delay 90 % ms", "delay abrupt ms",
-    "adhering %", "unknown %", "false %", "dangerous %", "load rmse Nm", "load rmse %", "ROC area", "ECE",
-    "common F1", "common delay ms", "common false / h",
+    "adhering %", "unknown %", "false %", "dangerous %", "load rmse Nm", "load rmse %",
+    "ROC area", "ECE", "common F1", "common delay ms", "common false / h",
 )  # fmt: skip
 """The numbers of the table; `row` gives them."""
 

@@ -19,10 +19,10 @@ COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E
 """Colour-blind safe (Okabe-Ito); the lines also differ by dashes."""
 DASHES: Final = ("-", "--", "-.", ":")
 DIGITS: Final = {
-    "F1": 4, "F1 mean": 3, "F1 sd": 3, "F1 uncut": 4, "precision": 4, "recall": 4, "false alarms / h": 1,
-    "delay ms": 0, "delay 90 % ms": 0, "delay abrupt ms": 0, "adhering %": 2, "unknown %": 2,
-    "false %": 3, "dangerous %": 2, "load rmse Nm": 2, "load rmse %": 2, "ROC area": 4, "ECE": 4, "common F1": 4,
-    "common delay ms": 0, "common false / h": 1,
+    "F1": 4, "F1 mean": 3, "F1 sd": 3, "F1 uncut": 4, "precision": 4, "recall": 4,
+    "false alarms / h": 1, "delay ms": 0, "delay 90 % ms": 0, "delay abrupt ms": 0, "adhering %": 2,
+    "unknown %": 2, "false %": 3, "dangerous %": 2, "load rmse Nm": 2, "load rmse %": 2,
+    "ROC area": 4, "ECE": 4, "common F1": 4, "common delay ms": 0, "common false / h": 1,
 }  # fmt: skip
 LEGEND: Final = """\
 Judged per drive and flag frame, 30 ms around each edge and the first 0.5 s left out; unknown counts
@@ -31,10 +31,10 @@ with a loss; F1 uncut: without time in which the rail is back and the drive's ow
 holds its torque back. Losses count from 20 % of the demand on. Delay: from the onset to the first
 `AdhesionLost`, of the losses found; abrupt: half of the demand gone within 20 ms. A false alarm is
 a stretch of `AdhesionLost` that touches no loss, per healthy hour of the train. Adhering, unknown,
-false (`AdhesionLost`): share of healthy frames. Dangerous: share of lost frames that say `Adhering` later than 100 ms after
-the onset. Load: estimated minus true load while tracking, % of rated torque. ROC area and expected
-calibration error (ECE) from `LossProbability`. Common: `CommonMode` against all drives lost
-together."""
+false (`AdhesionLost`): share of healthy frames. Dangerous: share of lost frames that say `Adhering`
+later than 100 ms after the onset. Load: estimated minus true load while tracking, % of rated
+torque. ROC area and expected calibration error (ECE) from `LossProbability`. Common: `CommonMode`
+against all drives lost together."""
 
 
 def cells(line: Line) -> list[str]:

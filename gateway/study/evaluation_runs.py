@@ -120,6 +120,15 @@ def record(scenario: Scenario, config: Config, codec: Codec) -> Recording:
     return _recording(WORLDS["ours"].simulate("", scenario, codec), Family(), config)
 
 
+def recorded(plan: Plan, family: str, seed: int) -> Recording:
+    """What the drives of one of the plan's runs send."""
+    scenario = _drawn(plan, family, seed)
+    config, codec = fitted(plan, plan.detectors[0], scenario)
+    world = WORLDS[plan.world]
+    machines = world.simulate(family, scenario, codec)
+    return _recording(machines, world.families[family], config)
+
+
 def _recording(simulation: Simulation, family: Family, config: Config) -> Recording:
     scenario = simulation.scenario
     ticks = round(scenario.duration_s * TICKS_PER_S) * config.loop.rate_hz // TICKS_PER_S
@@ -141,12 +150,9 @@ def judge(recording: Recording, config: Config, codec: Codec) -> Measured:
 
 def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
     """One scenario, simulated once, with every detector of the plan."""
-    scenario = _drawn(plan, family, seed)
-    config, codec = fitted(plan, plan.detectors[0], scenario)
-    world = WORLDS[plan.world]
-    machines = world.simulate(family, scenario, codec)
-    recording = _recording(machines, world.families[family], config)
-    return tuple(judge(recording, *fitted(plan, name, scenario)) for name in plan.detectors)
+    recording = recorded(plan, family, seed)
+    fits = [fitted(plan, name, recording.scenario) for name in plan.detectors]
+    return tuple(judge(recording, *fit) for fit in fits)
 
 
 def _task(task: tuple[Plan, str, int]) -> tuple[Measured, ...]:

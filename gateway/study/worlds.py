@@ -1,6 +1,6 @@
 """The worlds that detectors of adhesion are judged in: one row each, by name.
 
-Detectors are tuned on `ours` alone.
+Detectors are tuned on `ours` alone. `ours_held` has the kinds of `held` on the machines of `ours`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from dbc.codec import Codec
 from dbc.frames import Block
-from gateway.study import held_world, roller_world, scenarios_family
+from gateway.study import held_world, motulator_world, roller_world, scenarios_family
 from gateway.study.held_world import OtherMachine, without_status
 from sim.scenario import Scenario
 from sim.simulation import Simulation
@@ -50,6 +50,9 @@ def _held(_family: str, scenario: Scenario, codec: Codec) -> Simulation:
     return OtherMachine(scenario, codec, held_world.waveforms(scenario))
 
 
+_HELD_KINDS: Final = {
+    k: Family(f.lost is None, None, f.commands) for k, f in held_world.KINDS.items()
+}
 WORLDS: Final = {
     "ours": World(
         {k: Family(f.common, f.motor) for k, f in scenarios_family.ALL.items()},
@@ -57,9 +60,10 @@ WORLDS: Final = {
         {name: tuple(group) for name, group in scenarios_family.GROUPS.items()},
         scenarios_family.draw, _ours,
     ),
-    "held": World(
-        {k: Family(f.lost is None, None, f.commands) for k, f in held_world.KINDS.items()},
-        tuple(held_world.KINDS), {}, held_world.draw, _held,
+    "ours_held": World(_HELD_KINDS, tuple(_HELD_KINDS), {}, held_world.draw, _ours),
+    "held": World(_HELD_KINDS, tuple(_HELD_KINDS), {}, held_world.draw, _held),
+    "motulator": World(
+        _HELD_KINDS, tuple(_HELD_KINDS), {}, held_world.draw, motulator_world.simulate
     ),
     "roller": World(
         {k: Family(False, None, f.commands) for k, f in roller_world.KINDS.items()},

@@ -1,0 +1,96 @@
+"""The worlds that `evaluate` knows: each of its own machines, through one scorer."""
+
+import numpy as np
+import pytest
+
+from dbc.codec import bind
+from gateway.cli import main
+from gateway.commands import evaluate as verb
+from gateway.settings.config import parse
+from gateway.study.evaluation_runs import Plan, evaluate, recorded
+from gateway.study.held_world import OtherMachine, periods, waveforms
+from gateway.study.worlds import WORLDS
+from sim.physics import plant as columns
+from sim.simulation import GRID, GRID_NS
+from tests.simrun import scenario, values
+
+NODES = (1, 2, 3)
+
+
+def test_every_world_can_be_asked_for():
+    assert set(WORLDS) == set(verb.WORLDS) - {"other"}
+
+
+def test_a_run_of_the_held_kinds_on_our_machines_is_the_same_scenario():
+    ours, held = (
+        recorded(Plan((), ("switching",), (0,), world=name), "one", 0)
+        for name in ("ours_held", "held")
+    )
+    assert ours.scenario == held.scenario
+    rows = [[(row.t_s, row.drive, row.lost) for row in run.truth] for run in (ours, held)]
+    assert rows[0] == rows[1]
+    assert ours.truth[200].load_nm != held.truth[200].load_nm
+
+
+def test_loss_in_a_train_of_held_speed_is_found_without_commands():
+    (line,) = evaluate(Plan(("one_mute",), ("switching",), (0, 1), world="held"))
+    flags = line.total.flags
+    assert (flags.losses, flags.missed, flags.alarms) == (2, 0, 0)
+
+
+def test_family_of_another_world_is_refused_and_the_known_are_listed(capsys):
+    assert main(["evaluate", "--world", "held", "--family", "crawl"]) == 2
+    assert "one_mute" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "known"), [(["thermal", "--world", "held"], "ours, other"),
+                         (["--world", "other"], "ours, ours_held, held, motulator, roller")],
+)  # fmt: skip
+def test_a_world_of_the_other_side_is_refused(words, known, capsys):
+    assert main(["evaluate", *words, "--seeds", "0-0"]) == 2
+    assert f"known: {known}" in capsys.readouterr().err
+
+
+def test_without_motulator_it_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setattr("gateway.io.extras.find_spec", lambda _name: None)
+    words = ["evaluate", "--world", "motulator", "--seeds", "0-0", "--family", "one"]
+    assert main([*words, "--detector", "switching"]) == 2
+    assert "--world motulator: needs motulator" in capsys.readouterr().err
+
+
+def run_of(duration_s=0.4):
+    load = {"kind": "preset", "torque_nm": 18.0}
+    sensors = {"current_noise_var": 0.0}
+    return scenario(duration_s=duration_s, sensors=sensors, load=load)
+
+
+def frames_of(run, rows):
+    codec = bind(parse({}).dbc_path, NODES)
+    machines = OtherMachine(run, codec, rows)
+    ticks = range(periods(run) // GRID + 1)
+    return [frame for tick in ticks for frame in machines.step((), tick * GRID_NS)], codec
+
+
+def test_frames_decode_to_the_waveforms_of_other_machines():
+    run = run_of()
+    rows = waveforms(run)
+    sent, codec = frames_of(run, rows)
+    currents = values(sent, "Drive2_PhaseCurrents", codec)
+    voltages = values(sent, "Drive2_StatorVoltages", codec)
+    assert len(currents) == len(voltages) == round(run.duration_s / 0.002) - 1
+    per = 16  # periods of 125 us in 2 ms
+    along = rows[per - 1 :: per, 1, [columns.I_ALPHA, columns.I_BETA]][: len(currents)]
+    volts = rows[:, 1, [columns.U_ALPHA, columns.U_BETA]].reshape(-1, per, 2).mean(axis=1)
+    half = np.sqrt(3.0) / 2.0
+    phases = along @ np.array([[1.0, -0.5, -0.5], [0.0, half, -half]])
+    shown = [[frame[name] for name in ("Ia", "Ib", "Ic")] for frame in currents]
+    assert np.array(shown) == pytest.approx(phases, abs=0.0101)
+    shown = [[frame[name] for name in ("Ualpha", "Ubeta")] for frame in voltages]
+    assert np.array(shown) == pytest.approx(volts[: len(shown)], abs=0.0501)
+
+
+def test_waveforms_that_end_too_soon():
+    run = run_of()
+    with pytest.raises(ValueError, match="800 rows"):
+        frames_of(run, waveforms(run)[:800])
