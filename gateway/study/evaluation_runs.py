@@ -19,9 +19,11 @@ from dbc.frames import Block, block_of
 from estimators.detect import DETECTORS, WITH_MEMORY
 from gateway.core.gateway import Gateway
 from gateway.settings.config import Config, ConfigError, load
+from gateway.settings.motors import Motor
 from gateway.settings.sections import Drive
 from gateway.study.evaluation import Line, Measured, listen, measure
 from gateway.study.scenarios_family import DEVELOPMENT, REPORTING
+from gateway.study.varied_trains import Variation, variation
 from gateway.study.worlds import WORLDS, Family
 from sim.ground_truth import Truth
 from sim.scenario import Scenario
@@ -40,16 +42,22 @@ class Plan(NamedTuple):
     world: str = "ours"
 
 
+OWN = "varied"
+"""Name of a motor that the run brings."""
 TICKS_PER_S = 100
 """Runs take whole steps of 10 ms."""
 
 
 class Recording(NamedTuple):
-    """A simulated run: what the drives sent, a block per tick, and what was true."""
+    """A simulated run: what the drives sent, a block per tick, and what was true.
+
+    variation: the motor and bus, where they are neither the plan's.
+    """
 
     scenario: Scenario
     blocks: list[Block]
     truth: list[Truth]
+    variation: Variation | None = None
 
 
 def seeds_of(
@@ -101,11 +109,18 @@ def _codec(path: Path, nodes: tuple[int, ...]) -> Codec:
     return bind(path, nodes)
 
 
-def fitted(plan: Plan, detector: str, scenario: Scenario) -> tuple[Config, Codec]:
+def fitted(
+    plan: Plan, detector: str, scenario: Scenario, varied: Variation | None = None
+) -> tuple[Config, Codec]:
     """Configuration and codec for the scenario's drives, their motors as the data sheet says."""
-    motor = scenario.motor.name
+    motor = OWN if varied else scenario.motor.name
     drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
     config = _base(plan.config, plan.dbc, detector).model_copy(update={"drive": drives})
+    if varied:
+        sheet = varied.table()
+        del sheet["U_dc"]
+        config = config.model_copy(update={"motor": {OWN: Motor(**sheet)}})
+        return config, varied.codec(_codec(config.dbc_path, config.nodes))
     if motor not in config.motors:
         raise ConfigError("motor", [f"no [motor.{motor}]; known: {', '.join(config.motors)}"])
     return config, _codec(config.dbc_path, config.nodes)
@@ -123,10 +138,15 @@ def record(scenario: Scenario, config: Config, codec: Codec) -> Recording:
 def recorded(plan: Plan, family: str, seed: int) -> Recording:
     """What the drives of one of the plan's runs send."""
     scenario = _drawn(plan, family, seed)
-    config, codec = fitted(plan, plan.detectors[0], scenario)
-    world = WORLDS[plan.world]
-    machines = world.simulate(family, scenario, codec)
-    return _recording(machines, world.families[family], config)
+    about = WORLDS[plan.world].families[family]
+    varied = variation(seed) if about.varied else None
+    config, codec = fitted(plan, plan.detectors[0], scenario, varied)
+    machines = WORLDS[plan.world].simulate(family, scenario, codec)
+    recording = _recording(machines, about, config)
+    if varied is None:
+        return recording
+    blocks = [varied.received(block, codec) for block in recording.blocks]
+    return recording._replace(blocks=blocks, variation=varied)
 
 
 def _recording(simulation: Simulation, family: Family, config: Config) -> Recording:
@@ -151,7 +171,8 @@ def judge(recording: Recording, config: Config, codec: Codec) -> Measured:
 def one_run(plan: Plan, family: str, seed: int) -> tuple[Measured, ...]:
     """One scenario, simulated once, with every detector of the plan."""
     recording = recorded(plan, family, seed)
-    fits = [fitted(plan, name, recording.scenario) for name in plan.detectors]
+    about = recording.scenario, recording.variation
+    fits = [fitted(plan, name, *about) for name in plan.detectors]
     return tuple(judge(recording, *fit) for fit in fits)
 
 
@@ -171,7 +192,8 @@ def evaluate(
     Raises ConfigError or DbcMismatch before anything is simulated.
     """
     for family in plan.families:
-        fitted(plan, plan.detectors[0], _drawn(plan, family, plan.seeds[0]))
+        if not WORLDS[plan.world].families[family].varied:
+            fitted(plan, plan.detectors[0], _drawn(plan, family, plan.seeds[0]))
     lines = []
     with _workers(jobs) as run:
         for family in plan.families:

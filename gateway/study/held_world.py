@@ -25,7 +25,7 @@ from gateway.study.scenarios_random import PerUnit, between, sign
 from sim.drive_spread import Variety
 from sim.faults import Schedule
 from sim.physics import plant as columns
-from sim.physics.plant import DT, MOTORS, OUT, Plant
+from sim.physics.plant import DT, OUT, Plant
 from sim.profile import Profile
 from sim.scenario import Scenario, parse
 from sim.simulation import ANGLE_STREAM, GRID, Simulation
@@ -50,7 +50,7 @@ class Played(Plant):
 
     def __init__(self, scenario: Scenario, rows: Array) -> None:
         """`rows` (n, N, 10): columns `plant.OUT` at the end of each period of 125 us."""
-        motor = MOTORS[scenario.motor.name]
+        motor = scenario.motor.machine
         still = np.zeros(rows.shape[1])
         super().__init__(motor, still, on_rail=False, w_0=0.0, load_0=0.0)
         self._rows = rows
@@ -167,7 +167,7 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
 
 def waveforms(scenario: Scenario) -> Array:
     """(n, N, 10) rows of a whole run, columns `sim.physics.plant.OUT`."""
-    motor = MOTORS[scenario.motor.name]
+    motor = scenario.motor.machine
     variety = Variety(scenario, motor)
     t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
     w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
@@ -182,7 +182,7 @@ def electrical(
 
     load (n + 1, N): what their wheels carry, Nm; demand (n + 1,): what each is asked for, Nm.
     """
-    motor, p = MOTORS[scenario.motor.name], variety.p
+    motor, p = scenario.motor.machine, variety.p
     turned = DT * np.cumsum(0.5 * (speed[1:] + speed[:-1]), axis=0)
     out = np.empty((len(turned), scenario.drives, OUT))
     for d in range(scenario.drives):

@@ -14,6 +14,7 @@ slides beyond the peak and 5 %. Nothing is tuned on it.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -22,10 +23,11 @@ from numpy.typing import NDArray
 from dbc.codec import Codec
 from gateway.study.held_world import LENGTH_S, TAIL_S, OtherMachine, Played, electrical, periods
 from gateway.study.scenarios_random import PerUnit, between, sign
+from gateway.study.varied_trains import variation
 from sim.drive_spread import Variety
 from sim.faults import Schedule
 from sim.physics.adhesion import Rail
-from sim.physics.plant import CREEP_LIMIT, DT, MOTORS
+from sim.physics.plant import CREEP_LIMIT, DT
 from sim.profile import Profile
 from sim.scenario import Scenario, parse
 
@@ -71,7 +73,11 @@ LIMITERS: Final = {
 
 
 class Kind(NamedTuple):
-    """One kind of runs. drives: least and most; lost: their largest share, 0 for none."""
+    """One kind of runs.
+
+    drives: least and most; lost: their largest share, 0 for none; varied: any motor and bus, with
+    drives and speed of `varied_trains`.
+    """
 
     title: str
     limiter: str
@@ -79,6 +85,7 @@ class Kind(NamedTuple):
     lost: float = 0.34
     commands: bool = True
     apart: float = 0.0
+    varied: bool = False
 
 
 KINDS: Final = {
@@ -91,6 +98,10 @@ KINDS: Final = {
     "roller_apart": Kind("one of three, 10 % apart", "slow", apart=0.1),
     "roller_healthy": Kind("nothing lost", "slow", (2, 16), 0.0, apart=0.1),
     "roller_healthy_mute": Kind("nothing lost, no command", "slow", (2, 16), 0.0, False, 0.1),
+    "roller_varied": Kind("any motor and bus", "slow", apart=0.1, varied=True),
+    "roller_varied_healthy": Kind(
+        "the same, nothing lost", "slow", lost=0.0, apart=0.1, varied=True
+    ),
 }
 
 
@@ -98,10 +109,13 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     """The run of this kind and seed. Raises KeyError for an unknown kind."""
     kind = KINDS[name]
     rng = np.random.default_rng([seed, STREAM, list(KINDS).index(name)])
-    unit = PerUnit(motor)
+    varied = variation(seed) if kind.varied else None
+    unit = PerUnit(motor, varied and varied.motor)
     drives = int(rng.integers(kind.drives[0], kind.drives[1], endpoint=True))
     speed, load = between(rng, unit.speed, 3) * sign(rng), between(rng, (8.0, 26.0)) * sign(rng)
-    most = int(kind.lost * drives)
+    if varied:
+        drives, speed = varied.drives, varied.speed_rad_s
+    most = math.ceil(kind.lost * drives) if varied else int(kind.lost * drives)
     who = rng.choice(drives, int(rng.integers(1, most, endpoint=True)) if most else 0, False)
     onset = between(rng, ONSET_S)
     events: list[dict[str, Any]] = []
@@ -116,7 +130,7 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     begin, last = unit.nm(load), unit.nm(load * between(rng, (0.6, 1.15)))
     table: dict[str, Any] = {
         "title": f"{name} {seed}", "seed": seed, "drives": drives, "duration_s": round(end, 4),
-        "motor": {"name": motor}, "motion": {"speed": speed},
+        "motor": varied.table() if varied else {"name": motor}, "motion": {"speed": speed},
         "load": {
             "kind": "preset", "transition": "linear",
             "profile": [[0.0, begin], [round(0.3 * end, 4), begin], [round(end, 4), last]],
@@ -125,7 +139,7 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     }  # fmt: skip
     if kind.apart:
         table["load"]["share_within"] = kind.apart
-    if drives > LEAST_BITRATE_DRIVES or not kind.commands:
+    if drives > LEAST_BITRATE_DRIVES or not kind.commands or varied:
         table["bus"] = {"bitrate": 0}
     return parse(table, table["title"])
 
@@ -144,7 +158,7 @@ class Waveforms(NamedTuple):
 
 def waveforms(name: str, scenario: Scenario) -> Waveforms:
     """What the machines of a run do, `DT` by `DT`."""
-    motor = MOTORS[scenario.motor.name]
+    motor = scenario.motor.machine
     variety = Variety(scenario, motor)
     t_s: Array = DT * np.arange(periods(scenario) + 1, dtype=np.float64)
     w_ref, _, demand = Profile(scenario, motor.pole_pairs).at(t_s)
@@ -196,7 +210,7 @@ class Rig:
     def __init__(self, scenario: Scenario, variety: Variety, limiter: Limiter) -> None:
         """Everything random comes from the scenario's seed."""
         rng = np.random.default_rng([scenario.seed, STREAM])
-        motor, n = MOTORS[scenario.motor.name], scenario.drives
+        motor, n = scenario.motor.machine, scenario.drives
         self._limiter, self._j, self._rated = limiter, motor.J, motor.T_rated
         self._share: Array = variety.share(0.0)
         self._wheel: Array = variety.p.wheel

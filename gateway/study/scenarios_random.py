@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from sim.physics.plant import BENCH, MOTORS
+from sim.physics.plant import BENCH, MOTORS, Motor
 from sim.scenario import Scenario, parse
 
 STREAM: Final = 20
@@ -29,11 +29,12 @@ TOP_RAD_S: Final = {"traction_350kw": 880.0}
 class PerUnit:
     """The bench motor's ranges for another motor: torque by T_rated, current by I_rated."""
 
-    def __init__(self, motor: str) -> None:
-        """`motor`: a name of `sim.physics.plant.MOTORS`."""
+    def __init__(self, motor: str, own: Motor | None = None) -> None:
+        """`motor`: a name of `sim.physics.plant.MOTORS`; own: a motor that has none."""
         self.name = motor
-        self._torque = MOTORS[motor].T_rated / BENCH.T_rated
-        self._current = MOTORS[motor].I_rated / BENCH.I_rated
+        machine = own or MOTORS[motor]
+        self._torque = machine.T_rated / BENCH.T_rated
+        self._current = machine.I_rated / BENCH.I_rated
         self.speed = (SPEED_RAD_S[0], TOP_RAD_S.get(motor, SPEED_RAD_S[1]))
         """Range of electrical speeds, rad/s."""
 

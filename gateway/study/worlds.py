@@ -17,14 +17,19 @@ from sim.simulation import Simulation
 
 
 class Family(NamedTuple):
-    """Runs of one kind. common: all drives lose adhesion together; motor: None for any."""
+    """Runs of one kind.
+
+    common: all drives lose adhesion together; motor: None for any; varied: motor and bus are those
+    of `varied_trains`.
+    """
 
     common: bool = False
     motor: str | None = None
     commands: bool = True
+    varied: bool = False
 
     def received(self, block: Block) -> Block:
-        """What of a block is on the bus."""
+        """What of a block is on the bus, but for what varies."""
         return block if self.commands else without_status(block)
 
 
@@ -66,7 +71,7 @@ WORLDS: Final = {
         _HELD_KINDS, tuple(_HELD_KINDS), {}, held_world.draw, motulator_world.simulate
     ),
     "roller": World(
-        {k: Family(False, None, f.commands) for k, f in roller_world.KINDS.items()},
+        {k: Family(False, None, f.commands, f.varied) for k, f in roller_world.KINDS.items()},
         tuple(roller_world.KINDS), {}, roller_world.draw, roller_world.Roller,
     ),
 }  # fmt: skip
