@@ -1,4 +1,4 @@
-/* Losses of adhesion by a model with a memory: docs/switching.md, equations (S1) to (S21).
+/* Losses of adhesion by a model with a memory: docs/switching.md, equations (S1) to (S24).
  *
  * Each drive adheres, has lost adhesion, or its load means nothing; all share the demand of the
  * train, which walks, wobbles, turns and now and then jumps. Given the demand the drives are
@@ -320,6 +320,7 @@ void switching_step(struct switching *s)
     int tried = 0, known = 0;
     for (int i = 0; i < s->n; i++)
         known += s->loads[i].known;
+    switching_note_sources(s);
     for (int k = 0; k < s->kept; k++)
         tried = propose(s, k, tried);
     switching_reduce(s, tried);

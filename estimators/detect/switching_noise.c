@@ -1,4 +1,4 @@
-/* How far off loads are: docs/switching.md, equations (S12), (S22), (S23).
+/* How far off loads are: docs/switching.md, equations (S12), (S22) to (S24).
  *
  * Two measures, of which the larger counts. The variance of the errors of a drive that adheres: white
  * noise, from which what lasts is taken out. And the scatter of its load, whatever the drive is taken for:
@@ -93,6 +93,24 @@ static void learn_scatter(struct switching_noise *noise, double e)
     }
     noise->past[noise->at] = e;
     noise->at = noise->at + 1 < SWITCHING_PAST ? noise->at + 1 : 0;
+}
+
+/* (S24). Neither filters nor observer tell anything of the noise of the other. */
+void switching_note_sources(struct switching *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        const struct switching_load *in = &s->loads[i];
+        struct switching_noise *noise = &s->noises[i];
+        if (!in->known || in->source == noise->source)
+            continue;
+        noise->source = in->source;
+        if (noise->learnt_s == 0.0)
+            continue;
+        const double variance = larger(noise->variance, square(in->sigma));
+        noise->variance = smaller(variance, NOISE_MOST * NOISE_MOST);
+        noise->learnt_s = noise->lasting = 0.0;
+        noise->count = 0;
+    }
 }
 
 void switching_learn_noises(struct switching *s)

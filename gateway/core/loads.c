@@ -110,6 +110,8 @@ static int find_known(struct adhesion *a, const struct drive_estimate *estimates
         mine->command_ratio = larger(RATIO_FLOOR, mine->command_ratio);
         const double forward = known_or_zero(estimates[k].speed_rad_s) >= 0.0 ? 1.0 : -1.0;
         mine->load = forward * known_or_zero(estimates[k].load_nm) / a->rotors[k].rated_nm;
+        mine->sigma = known_or_zero(estimates[k].load_sigma_nm) / a->rotors[k].rated_nm;
+        mine->by_observer = estimates[k].by_observer;
         count += a->known[k];
     }
     return count;

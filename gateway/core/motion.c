@@ -156,6 +156,7 @@ static void select_source(const struct motion_monitor *m, int64_t k, int any_ali
     const int invalid = estimate->health == HEALTH_INPUT_INVALID;
     const int can = !isnan(in->speed_rad_s) && is_observer_settled(own);
     const int by_observer = own->aliasing || (any_aliasing && can);
+    estimate->by_observer = by_observer && !invalid;
     if (by_observer && !invalid)
         estimate_by_observer(own, in, estimate);
     if (!invalid && estimate->health == HEALTH_TRACKING && !isnan(estimate->load_nm))

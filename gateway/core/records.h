@@ -1359,6 +1359,7 @@ struct drive_estimate {
     double flux_ratio;     /* flux of the magnets over that of the data sheet */
     uint8_t health;        /* enum filter_health */
     uint8_t health_reason; /* enum reason why it does not track */
+    uint8_t by_observer;   /* 1: from speed and torque (motion.c); 0: from currents */
 };
 
 /* Rotor of one drive, and the noise of its load observer; constant. */
@@ -1465,6 +1466,7 @@ struct motion_monitor {
 /* What is found and remembered of the load of one drive. */
 struct drive_load {
     double load;             /* in the direction of the train; 0: not known */
+    double sigma;            /* its standard deviation, as estimated; 0: not known */
     double command_ratio;    /* torque command over the largest of all drives, */
     double asked_ratio;      /* the same, obeyed or not; RATIO_FLOOR or more */
     double p_response;       /* probability of a loss by its own command */
@@ -1475,6 +1477,7 @@ struct drive_load {
     uint8_t derating_active; /* 1: its flag is, or was just now, bad: it takes back its torque */
     uint8_t response_valid;  /* 1: `p_response` means something */
     uint8_t severe_loss;     /* 1: carries so little that noise is not the cause */
+    uint8_t by_observer;     /* 1: the load is the observer's */
 };
 
 /* Everything that judges adhesion; `adhesion_reset` makes one that remembers nothing. */
@@ -1777,9 +1780,11 @@ struct switching_load {
     double load;
     double gain;    /* noise is that which is learnt times (1 + gain): more in a scaled load */
     double error;   /* standard deviation of what is known to be off beside noise */
+    double sigma;   /* standard deviation of the load as estimated: its noise until it is learnt */
     uint8_t known;  /* 1: `load` is a number */
     uint8_t apart;  /* 1: its wheel runs apart from the others and is no measure for them */
     uint8_t unsure; /* 1: its wheel may not adhere: nothing is learnt from it */
+    uint8_t source; /* which estimate the load is of two: each has its own noise */
 };
 
 /* How far loads lie from what is expected of them. */
@@ -1792,6 +1797,7 @@ struct switching_noise {
     double past[SWITCHING_PAST]; /* errors of these steps, */
     int32_t at;                  /* place of the oldest, */
     int32_t count;               /* how many there are */
+    uint8_t source;              /* of the loads that this was learnt from */
 };
 
 /* Everything; `switching_reset` makes one that knows nothing. */

@@ -58,6 +58,8 @@ void compare_by_memory(struct adhesion *a)
         in->load = in->known ? clamp(load, -MOST_LOAD, MOST_LOAD) : 0.0;
         in->gain = 1.0 / a->loads[k].command_ratio - 1.0;
         in->error = command_error(a, k, in->load);
+        in->sigma = a->loads[k].sigma;
+        in->source = a->loads[k].by_observer;
         in->apart = a->rotors[k].away;
         in->unsure = a->rotors[k].away || a->rotors[k].uncertain;
         count += a->known[k] != 0;

@@ -151,6 +151,8 @@ class Adhesion:
         forward = np.where(np.nan_to_num(told.speed, posinf=1, neginf=-1) >= 0.0, 1.0, -1.0)
         load = np.where(np.isnan(told.load), 0.0, told.load)
         self.load = forward * load / rated
+        self.estimated = np.where(np.isnan(told.sigma), 0.0, told.sigma) / rated
+        self.source = told.estimates["by_observer"].copy()
         alone = np.count_nonzero(self.known) < ENOUGH_TO_COMPARE
         mine = self.responses
         mine["load"] = load / rated + self.rotors["acceleration_torque"]
@@ -201,6 +203,7 @@ class Adhesion:
         moved = np.where(self.ratio < 1.0, self.responses["command_age_s"], 1.0 - self.asked)
         error = np.abs(model.loads["load"]) * np.clip(moved / self.asked, 0.0, 0.3)
         model.loads["error"] = np.where(self.derating & (self.asked < 1.0), error, 0.0)
+        model.loads["sigma"], model.loads["source"] = self.estimated, self.source
         if self.n > 1:
             lib.switching_tick(model.pointer)
             self.common = model.record["demand"].item()

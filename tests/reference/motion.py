@@ -189,6 +189,7 @@ def _merge(
     invalid = told.health[k] == _INPUT_INVALID
     ready = fresh and memory.readings[k] >= limits.settled_readings
     observed = memory.beyond[k] or (any_beyond and ready)
+    told.estimates["by_observer"][k] = observed and not invalid
     if observed and not invalid:
         _by_observer(k, fresh, told, memory, limits)
         # It goes on with `Motion` alone, but nothing shows any more that this is plausible.

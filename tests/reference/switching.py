@@ -172,18 +172,21 @@ class Switching:
         self.variance, self.lag = np.full(n, 0.02**2), np.zeros(n)
         self.learnt_s, self.lasting = np.zeros(n), np.zeros(n)
         self.scatter: Array = np.full(n, 0.005)
+        self.source = np.zeros(n, int)
         self.past: list[list[float]] = [[] for _ in range(n)]
         self.demand = 0.0
         self.contradicted = 0
 
     def step(
-        self, load: Array, known: Array, apart: Array, unsure: Array, gain: Array, error: Array
-    ) -> None:
-        """load, gain, error (N,) per unit; known, apart, unsure (N,) bool."""
+        self, load: Array, known: Array, apart: Array, unsure: Array, gain: Array, error: Array,
+        sigma: Array, source: Array,
+    ) -> None:  # fmt: skip
+        """load, gain, error, sigma (N,) per unit; known, apart, unsure (N,) bool; source (N,)."""
         self.y, self.known = load, known
         self.leads, self.teaches = known & ~apart, known & ~unsure
         self.plain, self.scale = self.leads & self.teaches & (error == 0), (1 + gain) ** 2
         self.error = error
+        self._sources(known & (source != self.source), source, sigma)
         self.noise = self._noise()
         before = self.demand
         best = self.all[0].log_weight
@@ -328,6 +331,16 @@ class Switching:
             c=np.where(seen, c[:, 0], a.c), v_c=np.where(seen, v_c[:, 0, 0], a.v_c),
             rho=np.stack([r[0] for r in ratios]), V=np.stack([r[1] for r in ratios]),
         )  # fmt: skip
+
+    def _sources(self, other: Array, source: Array, sigma: Array) -> None:
+        """(S24)."""
+        self.source = np.where(other, source, self.source)
+        anew = other & (self.learnt_s > 0.0)
+        wider = np.clip(sigma**2, self.variance, 0.2**2)
+        self.variance = np.where(anew, wider, self.variance)
+        self.learnt_s, self.lasting = (np.where(anew, 0.0, x) for x in (self.learnt_s, self.lasting))
+        for i in np.flatnonzero(anew):
+            self.past[i].clear()
 
     def _noise(self) -> Array:
         """Variances of the errors (N,)."""
