@@ -338,7 +338,9 @@ class Switching:
         anew = other & (self.learnt_s > 0.0)
         wider = np.clip(sigma**2, self.variance, 0.2**2)
         self.variance = np.where(anew, wider, self.variance)
-        self.learnt_s, self.lasting = (np.where(anew, 0.0, x) for x in (self.learnt_s, self.lasting))
+        self.learnt_s, self.lasting = (
+            np.where(anew, 0.0, x) for x in (self.learnt_s, self.lasting)
+        )
         for i in np.flatnonzero(anew):
             self.past[i].clear()
 

@@ -260,3 +260,18 @@ def test_a_copy_goes_on_alone():
     twin = copy.deepcopy(detector)
     run(train(50, 1, 0.3, 1), detector)
     assert detector.model.lost[1] > 0.9 > twin.model.lost[1]
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.06])
+def test_noise_of_one_estimate_says_nothing_of_the_other(sigma):
+    """Loads of filters, of the observer, of filters, off thirty times as far: they say so, or not."""
+    model, rng, most = Switching(15), np.random.default_rng(1), 0.0
+    model.loads["known"], model.loads["sigma"] = 1, sigma
+    for step in range(400):
+        filters = step < 50 or step >= 250
+        model.loads["source"] = not filters
+        model.loads["load"] = 0.5 + (0.06 if filters else 0.002) * rng.standard_normal(15)
+        lib.switching_step(model.pointer)
+        if step >= 250:
+            most = max(most, model.lost.max())
+    assert (most < 0.5) == (sigma > 0.0)
