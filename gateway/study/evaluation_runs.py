@@ -6,6 +6,7 @@ frames, and a run is simulated once for all of them. Virtual clock; the same on 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -226,7 +227,7 @@ def _lines(plan: Plan, family: str, results: Sequence[tuple[Measured, ...]]) -> 
     from sim.physics.plant import MOTORS
 
     about = WORLDS[plan.world].families[family]
-    rated = MOTORS[about.motor or plan.motor].T_rated
+    rated = math.nan if about.varied else MOTORS[about.motor or plan.motor].T_rated
     return [
         Line(family, detector, plan.seeds, runs, about.common, rated)
         for detector, runs in zip(plan.detectors, zip(*results, strict=True), strict=True)

@@ -264,7 +264,7 @@ def test_a_copy_goes_on_alone():
 
 @pytest.mark.parametrize("sigma", [0.0, 0.06])
 def test_noise_of_one_estimate_says_nothing_of_the_other(sigma):
-    """Loads of filters, of the observer, of filters, off thirty times as far: they say so, or not."""
+    """Of filters, of the observer, of filters, off thirty times as far: they say so, or not."""
     model, rng, most = Switching(15), np.random.default_rng(1), 0.0
     model.loads["known"], model.loads["sigma"] = 1, sigma
     for step in range(400):
