@@ -101,11 +101,9 @@ void switching_note_sources(struct switching *s)
     for (int i = 0; i < s->n; i++) {
         const struct switching_load *in = &s->loads[i];
         struct switching_noise *noise = &s->noises[i];
-        if (!in->known || in->source == noise->source)
+        if (!in->known || (in->source == noise->source && noise->learnt_s > 0.0))
             continue;
         noise->source = in->source;
-        if (noise->learnt_s == 0.0)
-            continue;
         const double variance = larger(noise->variance, square(in->sigma));
         noise->variance = smaller(variance, NOISE_MOST * NOISE_MOST);
         noise->learnt_s = noise->lasting = 0.0;
