@@ -115,8 +115,10 @@ void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns,
         s->raw = raw;
         s->changed_ns = t_ns;
     }
-    if (now.again && s->bias_k == 0.0)
+    if (now.again && s->bias_k == 0.0) {
         s->level_c = value_c;
+        s->near = 0;
+    }
     note_impossible(drive, s, now.again, value_c);
     s->saturated = value_c >= MOST_C && !now.again && fabs(now.step_k) < MOST_STEPS * s->limit_k;
     if (fabs(now.step_k) > s->limit_k && !s->saturated) {
