@@ -18,6 +18,7 @@ static const int STEP_READINGS = 3; /* beyond the limit, before it is a step */
 /* Share of a step that has to come from one reading to the next. What comes in smaller portions is
  * heat's: a small motor's winding may warm by kelvins within a second. */
 static const double SUDDEN = 0.4;
+static const double QUICKEST_K = 20.0; /* from one reading to the next: no motor is so quick */
 static const double MOST_C = 300.0;  /* degC, the signal's maximum: a motor may be hotter */
 static const double LEAST_C = -50.0; /* degC; no train runs in such cold (EN 50125-1: -40) */
 /* Limits of a step; a sensor that was further below the maximum has jumped there. */
@@ -82,7 +83,7 @@ static struct change change_of(const struct temperature_drive *drive,
 static void end_step(const struct temperature_drive *drive, struct temperature_sensor *s,
                      double step_k)
 {
-    if (s->step_k > SUDDEN * fabs(step_k)) {
+    if (s->step_k > SUDDEN * fabs(step_k) || s->step_k > QUICKEST_K) {
         s->bias_k += step_k;
         s->step_index = drive->readings;
         if (fabs(s->bias_k) < s->limit_k)

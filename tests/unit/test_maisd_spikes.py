@@ -147,6 +147,14 @@ def test_a_sensor_that_steps_is_named_and_no_motor(tmp_path, drives, start_c):
         assert flags_of(setting, celsius) == (set(), {(1, FaultClass.SENSOR_BIAS)}), amplitude
 
 
+@pytest.mark.parametrize("portion_k", [-30.0, 25.0, 60.0])
+def test_a_sensor_that_steps_in_equal_portions_is_named_and_no_motor(tmp_path, portion_k):
+    """150, 190, 252, 300 degC, a reading each, was called heat."""
+    celsius = sound(3, 40, 130.0)
+    celsius[15 * STEP :, 1, 0] += portion_k * np.minimum(np.arange(1, 25 * STEP + 1), 3)
+    assert flags_of(setup(tmp_path, 3), celsius) == (set(), {(1, FaultClass.SENSOR_BIAS)})
+
+
 @pytest.mark.parametrize("start_c", STARTS_C)
 @pytest.mark.parametrize("drives", [2, *DRIVES])
 def test_a_sensor_that_is_off_from_the_start_makes_no_motor_hot(tmp_path, drives, start_c):
