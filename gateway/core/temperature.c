@@ -19,8 +19,8 @@ static const int STEP_READINGS = 3; /* beyond the limit, before it is a step */
  * heat's: a small motor's winding may warm by kelvins within a second. */
 static const double SUDDEN = 0.4;
 static const double QUICKEST_K = 20.0; /* from one reading to the next: no motor is so quick */
-static const double MOST_C = 300.0;  /* degC, the signal's maximum: a motor may be hotter */
-static const double LEAST_C = -50.0; /* degC; no train runs in such cold (EN 50125-1: -40) */
+static const double MOST_C = 300.0;    /* degC, the signal's maximum: a motor may be hotter */
+static const double LEAST_C = -50.0;   /* degC; no train runs in such cold (EN 50125-1: -40) */
 /* Limits of a step; a sensor that was further below the maximum has jumped there. */
 static const double MOST_STEPS = 5.0;
 static const double FOLLOW = 0.2;       /* share that averages take of a new value */
