@@ -796,6 +796,7 @@ struct temperature_sensor {
     uint8_t saturated;      /* 1: it has warmed up to the signal's maximum, and may stay there */
     uint8_t moved;          /* 1: it has given two different values */
     uint8_t impossible;     /* 1: colder than it gets, or at the maximum from the start */
+    uint8_t near;           /* 1: it has been near the other motors' since it began */
     int32_t step_count;     /* readings in a row that were beyond the limit */
     int64_t raw;            /* last valid value, tenths of a degree; -1: none */
     int64_t changed_ns;     /* stamp since which it has been that */
@@ -1205,17 +1206,18 @@ struct temperature_window {
     double apart_k[THERMAL_POINTS]; /* K, of `deviation` */
     int32_t samples;                /* of the window */
     /* state */
-    double *ring;                  /* (samples, drives, THERMAL_POINTS) degC, NaN: not valid */
-    double *value;                 /* last valid values, degC */
-    uint8_t *valid;                /* 1: that is valid now */
-    double *mean;                  /* over the window, degC */
-    uint8_t *known;                /* 1: that is known, and the sensor is valid now */
-    double *centred;               /* mean less offset, over gain, K */
-    double *deviation;             /* K from the median of the others; NaN: none */
+    double *ring;      /* (samples, drives, THERMAL_POINTS) degC, NaN: not valid */
+    double *value;     /* last valid values, degC */
+    uint8_t *valid;    /* 1: that is valid now */
+    double *mean;      /* over the window, degC */
+    uint8_t *known;    /* 1: that is known, and the sensor is valid now */
+    double *centred;   /* mean less offset, over gain, K */
+    double *deviation; /* K from the median of the others, by the nearer centring; NaN: none */
     double spread[THERMAL_POINTS]; /* K, MAISD; NaN: of fewer than two motors */
     /* workspace */
     int64_t *number;
-    double *ranked; /* (drives) */
+    double *ranked;  /* (drives) */
+    double *uniform; /* (drives, THERMAL_POINTS) `deviation` of motors as warm as each other */
 };
 
 /* All motors' temperatures. */

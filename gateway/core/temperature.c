@@ -18,8 +18,9 @@ static const int STEP_READINGS = 3; /* beyond the limit, before it is a step */
 /* Share of a step that has to come from one reading to the next. What comes in smaller portions is
  * heat's: a small motor's winding may warm by kelvins within a second. */
 static const double SUDDEN = 0.4;
-static const double MOST_C = 300.0;  /* degC, the signal's maximum: a motor may be hotter */
-static const double LEAST_C = -50.0; /* degC; no train runs in such cold (EN 50125-1: -40) */
+static const double QUICKEST_K = 20.0; /* from one reading to the next: no motor is so quick */
+static const double MOST_C = 300.0;    /* degC, the signal's maximum: a motor may be hotter */
+static const double LEAST_C = -50.0;   /* degC; no train runs in such cold (EN 50125-1: -40) */
 /* Limits of a step; a sensor that was further below the maximum has jumped there. */
 static const double MOST_STEPS = 5.0;
 static const double FOLLOW = 0.2;       /* share that averages take of a new value */
@@ -82,7 +83,7 @@ static struct change change_of(const struct temperature_drive *drive,
 static void end_step(const struct temperature_drive *drive, struct temperature_sensor *s,
                      double step_k)
 {
-    if (s->step_k > SUDDEN * fabs(step_k)) {
+    if (s->step_k > SUDDEN * fabs(step_k) || s->step_k > QUICKEST_K) {
         s->bias_k += step_k;
         s->step_index = drive->readings;
         if (fabs(s->bias_k) < s->limit_k)
@@ -115,8 +116,10 @@ void temperature_add_value(struct temperature_drive *drive, int k, int64_t t_ns,
         s->raw = raw;
         s->changed_ns = t_ns;
     }
-    if (now.again && s->bias_k == 0.0)
+    if (now.again && s->bias_k == 0.0) {
         s->level_c = value_c;
+        s->near = 0;
+    }
     note_impossible(drive, s, now.again, value_c);
     s->saturated = value_c >= MOST_C && !now.again && fabs(now.step_k) < MOST_STEPS * s->limit_k;
     if (fabs(now.step_k) > s->limit_k && !s->saturated) {

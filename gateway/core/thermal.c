@@ -18,6 +18,7 @@ enum { P = THERMAL_POINTS };
 enum { AMBIENT_COLUMN = P }; /* gateway/core/channel.py: the sensors' columns, then this one */
 
 static const double MOST_TENTHS = 1e15; /* a value beyond it, tenths of a degree, has no number */
+static const double FAR_K = 40.0; /* K above the others: no motor begins so, next to sound ones */
 
 /* ---- readings */
 
@@ -122,19 +123,54 @@ static int add_cycle(struct temperature_monitor *all, const struct receiver *rec
 
 /* ---- window averages */
 
+/* What two ways of centring agree on: the smaller deviation, none where they differ in sign. */
+static double smaller_deviation(double a, double b)
+{
+    if ((a > 0.0) != (b > 0.0))
+        return isnan(a) ? a : 0.0;
+    return fabs(b) < fabs(a) ? b : a;
+}
+
+/* How motors differ in health is their place's and their cooling's, and takes hours to come. After a
+ * hot restart, or a night, motors are as warm as each other, and their readings are equal. A sound motor
+ * is anywhere in between. */
+static void compare_motors(struct temperature_window *w, int drives)
+{
+    maisd_compare(w->mean, w->known, drives, P, w->ranked, w->spread, w->uniform);
+    for (int c = 0; c < drives * P; c++) {
+        const double apart = w->mean[c] - w->offset_k[c];
+        /* A sensor that stood still while the fleet was learnt from has gain 0. */
+        w->centred[c] = w->gain[c] != 0.0 ? apart / w->gain[c] : apart * INFINITY;
+    }
+    maisd_compare(w->centred, w->known, drives, P, w->ranked, w->spread, w->deviation);
+    for (int c = 0; c < drives * P; c++)
+        w->deviation[c] = smaller_deviation(w->deviation[c], w->uniform[c]);
+}
+
 /* MAISD of the window with the newest values in it. */
 static void advance_window(struct temperature_window *w, int drives, int64_t cycle)
 {
     const int cells = drives * P;
     maisd_push(w->ring, w->samples, cells, cycle, w->value, w->valid);
     maisd_average(w->ring, w->samples, cells, w->mean, w->number, w->known);
-    for (int c = 0; c < cells; c++) {
+    for (int c = 0; c < cells; c++)
         w->known[c] = w->known[c] && w->valid[c];
-        const double apart = w->mean[c] - w->offset_k[c];
-        /* A sensor that stood still while the fleet was learnt from has gain 0. */
-        w->centred[c] = w->gain[c] != 0.0 ? apart / w->gain[c] : apart * INFINITY;
-    }
-    maisd_compare(w->centred, w->known, drives, P, w->ranked, w->spread, w->deviation);
+    compare_motors(w, drives);
+}
+
+/* A sensor that has been near the others' is a motor's: what it rises to later is heat. */
+static void note_near(struct temperature_monitor *all)
+{
+    struct temperature_window *w = &all->window;
+    int fresh = 0;
+    for (int c = 0; c < all->drive_count * P; c++)
+        fresh |= w->valid[c] && !all->sensors[c / P].sensor[c % P].near;
+    if (!fresh)
+        return;
+    double spread[P];
+    maisd_compare(w->value, w->valid, all->drive_count, P, w->ranked, spread, w->uniform);
+    for (int c = 0; c < all->drive_count * P; c++)
+        all->sensors[c / P].sensor[c % P].near |= w->uniform[c] < FAR_K;
 }
 
 /* ---- one tick */
@@ -168,6 +204,7 @@ static int advance_cycle(struct temperature_monitor *all, const struct receiver 
     temperature_values(all->sensors, all->drive_count, now_ns, all->window.value,
                        all->window.valid);
     const int complete = all->sum_seconds && add_cycle(all, receiver, now_ns);
+    note_near(all);
     hold_back_steps(all);
     advance_window(&all->window, all->drive_count, all->cycles);
     all->cycles += 1;

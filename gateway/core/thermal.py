@@ -45,7 +45,7 @@ NO_MODEL: Final = (
 class Window(NamedTuple):
     """(N, P) of `struct temperature_window`: last values and window averages, degC; deviation K.
 
-    valid: the last value is so now; known: the average is, too.
+    valid: the last value is so now; known: the average is, too; uniform: workspace.
     """
 
     gain: Array
@@ -56,6 +56,7 @@ class Window(NamedTuple):
     known: NDArray[np.bool_]
     centred: Array
     deviation: Array
+    uniform: Array
     number: NDArray[np.int64]
 
 
@@ -175,9 +176,10 @@ def _window(motors: int, calibration: Calibration | None, nodes: tuple[int, ...]
         gain, offset = (
             np.ascontiguousarray(part, dtype=np.float64) for part in calibration.centring(nodes)
         )
-    value, mean, centred = np.zeros((3, *shape))
+    value, mean, centred, uniform = np.zeros((4, *shape))
     valid, known = np.zeros((2, *shape), dtype=np.bool_)
     number = np.zeros(shape, dtype=np.int64)
     return Window(
-        gain, offset, value, valid, mean, known, centred, np.full(shape, np.nan), number
+        gain, offset, value, valid, mean, known, centred, np.full(shape, np.nan),
+        uniform, number,
     )  # fmt: skip

@@ -169,6 +169,16 @@ static int has_moved(const struct temperature_monitor *all, int j, int k)
     return all->sensors[j].sensor[k].moved && others > 0;
 }
 
+/* 1 if a point of motor j began far above the others', and no other point of the motor is hot: heat
+ * spreads within a motor, a sensor's offset does not. */
+static int may_be_a_sensor(const struct temperature_monitor *all, int j, unsigned hot)
+{
+    for (int k = 0; k < P; k++)
+        if (hot == 1u << k)
+            return !all->sensors[j].sensor[k].near;
+    return 0;
+}
+
 /* enum reason why motor j cannot be compared with others; REASON_NONE if it can. */
 static uint8_t compare_reason(const struct temperature_monitor *all, int j)
 {
@@ -197,6 +207,11 @@ static void judge_by_maisd(const struct temperature_monitor *all, int j,
             hot &= ~(1u << k);
     if (hotter && !hot) {
         out->reason = REASON_STARTING;
+        return;
+    }
+    if (may_be_a_sensor(all, j, hot)) {
+        out->sensor = FLAG_UNKNOWN;
+        out->reason = REASON_DIVERGED;
         return;
     }
     out->thermal = hot ? FLAG_BAD : FLAG_GOOD;

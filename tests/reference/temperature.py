@@ -21,6 +21,8 @@ STEP_READINGS = 3
 SUDDEN = 0.4
 """Share of a step that has to come from one reading to the next. What comes in smaller portions is
 heat's: a small motor's winding may warm by kelvins within a second."""
+QUICKEST_K = 20.0
+"""From one reading to the next: a sensor's, in whatever portions it comes."""
 FULL_C = 300.0
 """The most that a reading can say: a motor that has warmed up to it is as hot or hotter."""
 COLDEST_C = -50.0
@@ -122,7 +124,7 @@ def take_point(j: int, k: int, t: int, value: float, raw: int, points: Points) -
         points.level[j, k] += 0.2 * step
     if points.stepped[j, k] >= STEP_READINGS:
         # No motor jumps: what stays after a sudden step is the sensor's, not heat's.
-        if points.jump[j, k] > SUDDEN * abs(step):
+        if points.jump[j, k] > min(SUDDEN * abs(step), QUICKEST_K):
             points.bias_k[j, k] = bias + step
             points.jumped_at[j, k] = points.readings[j]
             if abs(bias + step) < limit:

@@ -93,7 +93,11 @@ class Temperatures:
         self.known = (2 * count >= self.window) & valid
         with np.errstate(divide="ignore", invalid="ignore"):
             centred = (self.averages - self.offset) / self.gain
-        self.spread, self.deviation = maisd.compare(centred, self.known)
+        self.spread, learnt = maisd.compare(centred, self.known)
+        same = maisd.compare(self.averages, self.known)[1]
+        nearer = np.where(np.abs(same) < np.abs(learnt), same, learnt)
+        opposed = np.isfinite(learnt) & ((same > 0) != (learnt > 0))
+        self.deviation = np.where(opposed, 0.0, nearer)
         self.cycles += 1
 
     def _second(self, valid, values, loads):
@@ -157,6 +161,9 @@ class Temperatures:
         if hot.any() and not (hot & moved[j] & (beside > 0)).any():
             return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
         hot = hot & moved[j] & (beside > 0)
+        near = self.side.sensors.drives["sensor"]["near"][j] == 1
+        if hot.sum() == 1 and not (hot & near).any():
+            return Flag.UNKNOWN, Flag.UNKNOWN, Reason.DIVERGED, *NOTHING
         kind = FaultClass.BEARING if hot.any() else FaultClass.NONE
         if hot[0]:
             kind = FaultClass.COOLING_LOSS if hot[1:].any() else FaultClass.OVERHEATING

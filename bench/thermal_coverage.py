@@ -1,0 +1,79 @@
+"""`python -m bench.thermal_coverage [--world other] [A-B]`: may a coverage decide who is judged?
+
+For each train: what `calibrate` prints (share of the second half of the held-back run within two
+sigma of the first), and the same beside the other motors on one more fault-free run, with its
+autocorrelation from minute to minute. Development seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.thermal.model import inputs_of, predict
+from estimators.thermal.model_method import learn
+from estimators.thermal.record import Record
+from estimators.thermal.system_identification import first_readings, identify
+from gateway.study.calibration_fit import LEAST_INSIDE, fits
+from gateway.study.evaluation_runs import seeds_of
+from gateway.study.thermal_dataset import BENCH
+from gateway.study.thermal_trials import DEVELOPMENT, REPORTING, WORLDS, runs_of
+
+MINUTE = 60
+Array = NDArray[np.float64]
+
+
+def beside(parameters: Array, run: Record) -> Array:
+    """(K, M, 3) K: residual of the model less the median of the other motors'; M of at least 2."""
+    off = run.temperature - predict(parameters, inputs_of(run), first_readings(run))
+    others = [np.median(np.delete(off, j, axis=1), axis=1) for j in range(run.motors)]
+    return off - np.stack(others, axis=1)
+
+
+def lag_one(minutes: Array) -> Array:
+    """Autocorrelation along the first axis at one step."""
+    off = minutes - minutes.mean(axis=0)
+    return np.asarray((off[1:] * off[:-1]).sum(axis=0) / (off**2).sum(axis=0))
+
+
+def measured(seed: int, world: str) -> tuple[int, int, int, float] | None:
+    """Motors; of these covered, as `calibrate` prints it, and beside the others; mean lag one.
+
+    None of a train with a single motor, which has no others.
+    """
+    runs = runs_of(seed, BENCH, (), world)
+    motors = runs.limiting.motors
+    if motors < 2:
+        return None
+    known = learn(identify(runs.healthy[:-1]), runs.healthy)
+    printed = sum(fit.explained for fit in fits(known, runs.healthy[-1], range(motors)))
+    first, then = (beside(known.parameters, run) for run in (runs.healthy[-1], runs.limiting))
+    centre, sigma = np.nanmedian(first, axis=0), np.nanstd(first, axis=0)
+    inside = (np.abs(then - centre) <= 2.0 * sigma).mean(axis=0).min(axis=1)
+    whole = then[: len(then) // MINUTE * MINUTE].reshape(-1, MINUTE, motors, 3).mean(axis=1)
+    return motors, printed, int((inside >= LEAST_INSIDE).sum()), float(lag_one(whole).mean())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", nargs="?", default="0-11", help="A-B")
+    parser.add_argument("--world", choices=list(WORLDS), default="ours")
+    options = parser.parse_args()
+    rows = []
+    for seed in seeds_of(options.seeds, DEVELOPMENT, REPORTING):
+        row = measured(seed, options.world)
+        if row is not None:
+            rows.append(row)
+            print("train {}: {} motors, covered {}, beside the others {}; lag one {:.2f}".format(
+                seed, *row))  # fmt: skip
+    motors, printed, covered, lag = (np.array(part) for part in zip(*rows, strict=True))
+    print(
+        f"{motors.sum()} motors: covered {printed.sum()}, beside the others {covered.sum()}; "
+        f"lag one {lag.mean():.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main()
