@@ -83,7 +83,6 @@ def run(options: argparse.Namespace) -> int:
         from gateway.io.replay import (
             BadLogError,
             Briefly,
-            EachTick,
             OneChannel,
             open_log,
             replay,
@@ -119,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
         assert gateway.view is not None
         noted.add(gateway.view)
 
-    sink = Briefly(write, changed) if left is None else EachTick(write, lambda _gateway: left.add())
+    sink = Briefly(write, changed, left)
     began = time.perf_counter()
     with ExitStack() as stack:
         if left is not None:
@@ -129,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
         done = replay(blocks, new_gateway, config.loop.period_ns, sink)
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
-    flags = noted.changes if left is None else left.changes
+    flags = noted.changes
     _summary(log.reader, done, flags)
     note(
         f"replayed {span:.2f} s of {printable(done.channel) or 'the log'} in {seconds:.2f} s "

@@ -8,9 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dbc.codec import Codec
+from dbc.frame import Nanos
 from gateway.core.gateway import Gateway
 from gateway.io.extras import pictures
 from gateway.io.whole_file import write_text
@@ -19,7 +23,7 @@ from gateway.reports.figures import loads
 from gateway.reports.intervals import Intervals
 from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
-from gateway.reports.record import Change, Recorder
+from gateway.reports.record import Recorder
 from gateway.reports.run_report import Run, Timed
 from gateway.reports.ticks import MOST, TickLog
 from gateway.reports.timing import tables
@@ -35,6 +39,7 @@ if TYPE_CHECKING:
     from gateway.reports.truth import Row
 
 Facts = list[tuple[str, str]]
+MAX_NS: Final[Nanos] = 2**63 - 1
 
 
 class Reporting(AbstractContextManager["Reporting"]):
@@ -65,15 +70,18 @@ class Reporting(AbstractContextManager["Reporting"]):
         self._gateway = gateway
 
     def add(self) -> None:
-        """Take its last tick."""
+        """Take its last tick, or all since the last call."""
         assert self._gateway is not None
         self._ticks.append(self._gateway)
 
     @property
-    def changes(self) -> list[Change]:
-        """When flags changed so far, see `Changes`."""
-        self._ticks.flush()
-        return self.recorder.noted.changes
+    def next_ns(self) -> Nanos:
+        """See `Samples`: the first tick by itself, then as many as come."""
+        return MAX_NS if self._ticks.begun else 0
+
+    def took(self, _now: Nanos, _gateway: Gateway, _peak: NDArray[np.float64]) -> None:
+        """See `Samples`."""
+        self.add()
 
     def add_truth(self, rows: Iterable[Row]) -> None:
         """Take rows of truth, whose 0 is the first tick."""
