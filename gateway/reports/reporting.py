@@ -19,7 +19,6 @@ from gateway.core.gateway import Gateway
 from gateway.io.extras import pictures
 from gateway.io.whole_file import write_text
 from gateway.reports import run_figures, run_report
-from gateway.reports.figures import loads
 from gateway.reports.intervals import Intervals
 from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
@@ -136,8 +135,6 @@ class Reporting(AbstractContextManager["Reporting"]):
         names = run_figures.draw(
             self.folder, self.trace, self.truth, config.adhesion.raise_probability
         )
-        png, svg = (self.folder / f"loads.{suffix}" for suffix in ("png", "svg"))
-        loads(png, self.trace, title, self.truth, also=[svg])
         timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
         return Run(
             title, facts, _configuration(config, self._codec, gateway), as_toml(config), self.trace,
