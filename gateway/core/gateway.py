@@ -201,7 +201,7 @@ class Gateway(Addressed):
             raise ValueError(f"ends {ends} of ticks in a block of {block.size} frames")
         out: list[Block] = []
         done, peak = 0, np.full(len(self.nodes), np.nan)
-        while done < len(ends) and not (done and (self.changed or lib.is_log_full(self.pointer))):
+        while done < len(ends) and not (done and (self.changed or lib.is_log_full(self._log))):
             first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
             if self.translator is None and self.outbox.authenticator is None:
                 most = int(np.diff(ends[done:], prepend=first).max())

@@ -105,7 +105,7 @@ void finish_tick(struct gateway *g, int64_t now_ns)
     monitor_temperatures(g->temperatures, g->receiver, now_ns, g->flag_inputs);
     update_flags(g, now_ns);
     send(g, now_ns);
-    log_tick(g, now_ns);
+    log_tick(g, g->log, now_ns);
     g->stage = STAGE_RECEIVE;
 }
 
@@ -144,7 +144,7 @@ int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t
             break;
         first = ends[done++];
         if (g->stage != STAGE_RECEIVE || g->changed || g->receiver->tick.emergencies > 0 ||
-            is_log_full(g))
+            is_log_full(g->log))
             break;
     }
     return done;

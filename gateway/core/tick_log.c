@@ -30,15 +30,14 @@ static void log_readings(const struct receiver *receiver, struct drive_row *driv
     }
 }
 
-int is_log_full(const struct gateway *g)
+int is_log_full(const struct tick_log *log)
 {
-    return g->log && g->log->count >= g->log->capacity;
+    return log && log->count >= log->capacity;
 }
 
-void log_tick(struct gateway *g, int64_t now_ns)
+void log_tick(const struct gateway *g, struct tick_log *log, int64_t now_ns)
 {
-    struct tick_log *log = g->log;
-    if (!log || is_log_full(g))
+    if (!log || is_log_full(log))
         return;
     const int32_t n = g->drive_count;
     struct drive_row *drives = &log->drives[log->count * n];

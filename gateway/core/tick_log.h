@@ -4,11 +4,10 @@
 
 #include "gateway/core/records.h"
 
-/* 1: a log is wanted, and has no room for a tick. */
-int is_log_full(const struct gateway *g);
+/* 1: there is a log, and it has no room for a tick. */
+int is_log_full(const struct tick_log *log);
 
-/* The tick that has just ended, at now_ns, into `g->log`; nothing where none is wanted or it is full:
- * `run` ends before that, and whoever asks for single ticks makes room after each. */
-void log_tick(struct gateway *g, int64_t now_ns);
+/* The tick that has just ended, at now_ns, into a log; nothing where there is none, or it is full. */
+void log_tick(const struct gateway *g, struct tick_log *log, int64_t now_ns);
 
 #endif

@@ -69,18 +69,18 @@ class Reporting(AbstractContextManager["Reporting"]):
         self._gateway = gateway
 
     def add(self) -> None:
-        """Take its last tick, or all since the last call."""
+        """Take its last tick."""
         assert self._gateway is not None
         self._ticks.append(self._gateway)
 
     @property
     def next_ns(self) -> Nanos:
         """See `Samples`: the first tick by itself, then as many as come."""
-        return MAX_NS if self._ticks.begun else 0
+        return MAX_NS if self._ticks.follows else 0
 
-    def took(self, _now: Nanos, _gateway: Gateway, _peak: NDArray[np.float64]) -> None:
+    def took(self, _now: Nanos, gateway: Gateway, _peak: NDArray[np.float64]) -> None:
         """See `Samples`."""
-        self.add()
+        self._ticks.follow(gateway)
 
     def add_truth(self, rows: Iterable[Row]) -> None:
         """Take rows of truth, whose 0 is the first tick."""

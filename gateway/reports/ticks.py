@@ -50,40 +50,51 @@ class TickLog:
         """uses: who gets them, in this order; most: ticks at a time."""
         self._uses = uses
         self._most = most
-        self._gateway: Gateway | None = None
+        self._follows = False
+        self._drives = 0
         self._log: Any = ffi.NULL
 
     @property
-    def begun(self) -> bool:
-        """Whether the gateway's ticks are kept by themselves."""
-        return self._gateway is not None
+    def follows(self) -> bool:
+        """Whether `follow` was called."""
+        return self._follows
 
     def append(self, gateway: Gateway) -> None:
-        """The gateway's last tick, or all since the last call, for as many as there was room."""
-        if gateway is not self._gateway or gateway.pointer.log != self._log:
-            self._begin(gateway)
-            lib.log_tick(gateway.pointer, gateway.now_ns)
+        """Take its last tick."""
+        if self._drives != len(gateway.nodes):
+            self._make_room(gateway)
+        lib.log_tick(gateway.pointer, self._log, gateway.now_ns)
+        self._flush_full()
+
+    def follow(self, gateway: Gateway) -> None:
+        """Take its last tick, and from then on each by itself; call it again after each `run`."""
+        if not self._follows:
+            self.append(gateway)
+            gateway.keep_ticks(self._log)
+            self._follows = True
+        self._flush_full()
+
+    def _flush_full(self) -> None:
         if self._log.count == self._most:
             self.flush()
 
-    def _begin(self, gateway: Gateway) -> None:
-        """Its next ticks are kept."""
+    def _make_room(self, gateway: Gateway) -> None:
+        """For ticks of so many drives."""
         self.flush()
-        self._gateway = gateway
-        # One piece of memory: the gateway holds it for as long as it has the address.
+        self._drives = len(gateway.nodes)
+        # One piece of memory: a gateway that is followed holds it as long as the address.
         self._rows = np.zeros(1, [
             ("log", TICK_LOG), ("ticks", TICK_ROW, (self._most,)),
-            ("drives", DRIVE_ROW, (self._most, len(gateway.nodes))),
+            ("drives", DRIVE_ROW, (self._most, self._drives)),
         ])  # fmt: skip
         for name in ("ticks", "drives"):
             self._rows["log"][name] = self._rows[name].ctypes.data
         self._log = ffi.from_buffer("struct tick_log *", self._rows)
         self._log.capacity, self._log.limit_k = self._most, gateway.thermal.limit_k
-        gateway.keep_ticks(self._log)
 
     def flush(self) -> None:
         """Hand on what was kept."""
-        count = self._log.count if self.begun else 0
+        count = self._log.count if self._drives else 0
         if not count:
             return
         rows, drives = (self._rows[name][0, :count].copy() for name in ("ticks", "drives"))

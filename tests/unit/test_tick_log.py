@@ -133,10 +133,10 @@ def test_many_ticks_in_a_call_leave_the_same_rows_and_none_too_many():
     log = TickLog([found.append], most)
     while done < len(ends):
         first = int(ends[done - 1]) if done else 0
-        last = done + (200 if log.begun else 1)
+        last = done + (200 if log.follows else 1)
         part = whole.part(first, int(ends[:last][-1]))
         ticks, _ = gateway.run(part, ends[done:last] - first, (done + FIRST) * TICK)
-        log.append(gateway)
+        log.follow(gateway)
         done += ticks
         calls.append(ticks)
     log.flush()
@@ -149,7 +149,7 @@ def test_a_full_log_takes_no_tick_and_its_memory_outlives_who_reads_it():
     gateway = Gateway(config_of(), train().codec, 0)
     log = TickLog([], 4)
     gateway.step(blocks[0], FIRST * TICK)
-    log.append(gateway)
+    log.follow(gateway)
     held = gateway.pointer.log
     del log
     for k, block in enumerate(blocks[1:], FIRST + 1):
@@ -161,7 +161,7 @@ def test_a_full_log_takes_no_tick_and_its_memory_outlives_who_reads_it():
 def test_a_copy_keeps_no_ticks():
     gateway = Gateway(config_of(), train().codec, 0)
     gateway.step([], TICK)
-    TickLog([], 4).append(gateway)
+    TickLog([], 4).follow(gateway)
     assert gateway.pointer.log != ffi.NULL
     assert deepcopy(gateway).pointer.log == ffi.NULL
 
