@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import GOOD
+from gateway.commands.progress import track
 from gateway.io.console import console
 from gateway.io.whole_file import write_text
 
@@ -60,9 +61,8 @@ def run(options: argparse.Namespace) -> int:
     say = console()
     found = []
     each = evaluate(seeds, options.base, kinds, methods, options.jobs, options.world)
-    for n, rows in enumerate(each, 1):
+    for rows in track(each, "trains", len(seeds)):
         found += rows
-        say.print(f"train {n} of {len(seeds)}", markup=False, highlight=False)
     lines = []
     for kind in (*kinds, *(["all"] if len(kinds) > 1 else [])):
         for method in methods:

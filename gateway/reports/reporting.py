@@ -5,7 +5,7 @@ Imported only where results are asked for: a run without them pays nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -122,8 +122,12 @@ class Reporting(AbstractContextManager["Reporting"]):
         verdicts: Sequence[Verdict] = (),
         notes: Sequence[str] = (),
         overload: str = "",
+        step: Callable[[str], None] = lambda _what: None,
     ) -> Run:
-        """Draw the pictures; what the report needs. inside: this folder as the report sees it."""
+        """Draw the pictures; what the report needs. inside: this folder as the report sees it.
+
+        step: told of each picture before it is drawn, N + 1 times.
+        """
         gateway, config = self._gateway, self._config
         assert gateway is not None
         self._ticks.flush()
@@ -133,7 +137,7 @@ class Reporting(AbstractContextManager["Reporting"]):
         word = f"ConfigHash {gateway.outbox.config_hash:06x}\n"
         write_text(self.folder / "configuration.txt", word)
         names = run_figures.draw(
-            self.folder, self.trace, self.truth, config.adhesion.raise_probability
+            self.folder, self.trace, self.truth, config.adhesion.raise_probability, step
         )
         timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
         return Run(
