@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import GOOD
-from gateway.commands.progress import track
+from gateway.commands.progress import Progress, track
 from gateway.io.console import console
 from gateway.io.whole_file import write_text
 
@@ -36,18 +36,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
-    from gateway.settings.config import ConfigError
-    from gateway.study.evaluation_runs import seeds_of
-    from gateway.study.thermal_dataset import CREEP, KINDS
-    from gateway.study.thermal_scores import cells, table
-    from gateway.study.thermal_trials import (
-        DEVELOPMENT,
-        HEALTHY,
-        NAMES,
-        REPORTING,
-        WORLDS,
-        evaluate,
-    )
+    with Progress("loading the methods"):
+        from gateway.settings.config import ConfigError
+        from gateway.study.evaluation_runs import seeds_of
+        from gateway.study.thermal_dataset import CREEP, KINDS
+        from gateway.study.thermal_scores import cells, table
+        from gateway.study.thermal_trials import (
+            DEVELOPMENT,
+            HEALTHY,
+            NAMES,
+            REPORTING,
+            WORLDS,
+            evaluate,
+        )
 
     if options.world not in WORLDS:
         known = ", ".join(WORLDS)
