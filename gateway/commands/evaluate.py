@@ -75,10 +75,10 @@ def run(options: argparse.Namespace) -> int:
     plan = plan._replace(detectors=tuple(detectors))
     with Progress("runs", len(plan.families) * len(seeds)) as progress:
 
-        def note(family: str, seconds: float) -> None:
-            progress.note(f"{family}: {seconds:.1f} s")
+        def ended(family: str, seconds: float) -> None:
+            progress.print(f"{family}: {seconds:.1f} s")
 
-        lines = evaluate(plan, options.jobs, progress.advance, note)
+        lines = evaluate(plan, options.jobs, progress.advance, ended)
     print(table(lines))
     if options.output is not None:
         bus = options.dbc or "traction.dbc"

@@ -133,6 +133,6 @@ def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[
             ended += 1
             progress.advance(sizes[one], f"{ended}/{len(jobs)} logs")
             if row.status == BAD:
-                progress.note(bad_line(row))
+                progress.print(bad_line(row))
 
         yield after

@@ -69,7 +69,7 @@ class Progress(AbstractContextManager["Progress"]):
         if self._bar is not None:
             self._bar.update(self._task, advance=by, description=what)
 
-    def note(self, text: str) -> None:
+    def print(self, text: str) -> None:
         """A line on stderr, above the bar; in a pipe as well."""
         say = console() if self._bar is None else self._bar.console
         say.print(text, markup=False, highlight=False, soft_wrap=True)

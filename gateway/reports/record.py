@@ -56,7 +56,7 @@ class Coded(NamedTuple):
     words: Column
 
 
-def said(column: Coded | Column) -> Column:
+def in_words(column: Coded | Column) -> Column:
     """A column's words, or numbers."""
     return column.words[column.code] if isinstance(column, Coded) else column
 
@@ -103,8 +103,8 @@ class Table:
         """nodes: in the order of the ticks' drives. Raises OSError."""
         self._stream = stream
         self._nodes = np.array(nodes, np.int32)
-        room = lib.TABLE_MAX_HEAD + len(header) * lib.TABLE_MAX_FIELD
-        self._text = ffi.new("uint8_t[]", _LINES * room)
+        line_bytes = lib.TABLE_MAX_HEAD + len(header) * lib.TABLE_MAX_FIELD
+        self._text = ffi.new("uint8_t[]", _LINES * line_bytes)
         stream.write(",".join(header).encode() + b"\n")
 
     def add(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column]) -> None:

@@ -62,7 +62,7 @@ class TickLog:
     def append(self, gateway: Gateway) -> None:
         """Take its last tick."""
         if self._drives != len(gateway.nodes):
-            self._make_room(gateway)
+            self._allocate(gateway)
         lib.log_tick(gateway.pointer, self._log, gateway.now_ns)
         self._flush_full()
 
@@ -78,7 +78,7 @@ class TickLog:
         if self._log.count == self._most:
             self.flush()
 
-    def _make_room(self, gateway: Gateway) -> None:
+    def _allocate(self, gateway: Gateway) -> None:
         """For ticks of so many drives."""
         self.flush()
         self._drives = len(gateway.nodes)

@@ -81,7 +81,7 @@ def test_the_steps_of_a_bar_are_counted_when_they_are_done(monkeypatch, capsys):
         step = stepped(progress)
         for what in ("one", "two"):
             step(what)
-        progress.note("[said] above")
+        progress.print("[said] above")
         task = progress._bar.tasks[0]
         assert (task.description, task.completed, task.total) == ("two", 1, 2)
         progress.advance()
@@ -93,5 +93,5 @@ def test_in_a_pipe_only_notes_are_written(capsys):
     assert list(track("abc", "letters", 3)) == ["a", "b", "c"]
     with Progress("quiet") as progress:
         progress.to(1.0)
-        progress.note("a note")
+        progress.print("a note")
     assert capsys.readouterr().err == "a note\n"
