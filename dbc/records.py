@@ -135,6 +135,9 @@ SWITCHING_NOISE: Final = dtype_of(ffi.typeof("struct switching_noise"))
 SWITCHING_DRIVE: Final = dtype_of(ffi.typeof("struct switching_drive"))
 SWITCHING_HYPOTHESIS: Final = dtype_of(ffi.typeof("struct switching_hypothesis"))
 GATEWAY: Final = dtype_of(ffi.typeof("struct gateway"))
+TICK_LOG: Final = dtype_of(ffi.typeof("struct tick_log"))
+TICK_ROW: Final = dtype_of(ffi.typeof("struct tick_row"))
+DRIVE_ROW: Final = dtype_of(ffi.typeof("struct drive_row"))
 
 
 class Addressed:

@@ -31,6 +31,7 @@ from gateway.reports.record import (
     Column,
     estimate_columns,
     flag_columns,
+    in_words,
 )
 from gateway.reports.ticks import TickLog, Ticks
 from gateway.settings.config import Config, ConfigError
@@ -73,8 +74,8 @@ class Run:
         nodes = self.config.nodes
         self._noted.add_ticks(ticks, nodes)
         row = np.repeat(ticks.t_ns / 1e9, len(nodes)), np.tile(nodes, len(ticks.t_ns))
-        self._flags.append((*row, *flag_columns(ticks)))
-        self._estimates.append((*row, *estimate_columns(ticks)))
+        self._flags.append((*row, *map(in_words, flag_columns(ticks))))
+        self._estimates.append((*row, *map(in_words, estimate_columns(ticks))))
 
     @property
     def _changes(self) -> list[Change]:

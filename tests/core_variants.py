@@ -54,7 +54,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_est_filter.py",
        "tests/unit/test_receive_reference.py", "tests/unit/test_left_out_samples.py",
        "tests/unit/test_sample_clock.py", "tests/unit/test_outbox.py",
-       "tests/unit/test_ticks.py", "tests/golden/test_golden.py",
+       "tests/unit/test_ticks.py", "tests/unit/test_tick_log.py", "tests/golden/test_golden.py",
        "tests/unit/test_thermal_trend.py",
        "tests/unit/test_temperature_monitor.py", "tests/unit/test_temperature_reader.py",
        "tests/unit/test_thermal.py", "tests/unit/test_bad_from_power_up.py",
@@ -77,6 +77,7 @@ HOSTILE = ("tests/unit/test_receive_reference.py", "tests/unit/test_left_out_sam
            "tests/property/test_dbc_candump_property.py",
            "tests/unit/test_text_read.py", "tests/unit/test_one_signal.py",
            "tests/unit/test_thermal_monitor_odd.py", "tests/unit/test_outbox.py",
+           "tests/unit/test_tick_log.py",
            "tests/golden/test_golden.py",
            "tests/fuzzing/test_fuzzing.py::test_every_target_holds[tick]")  # fmt: skip
 """Of them those that give the core any numbers, and whole logs: for the sanitizers in CI. All tests

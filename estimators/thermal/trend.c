@@ -18,6 +18,7 @@ static const double READING_K = 0.5;
 static const double JUMP_K = 3.0; /* further off: the level follows at once, the rate not at all */
 static const double FIRST_RATE_K_H = 1.0;
 static const double ENOUGH_H = 1.0; /* h of readings before a rate is known */
+static const double SURE = 2.0;     /* standard deviations by which a motor must grow warmer */
 
 void trend_reset(struct trend *trend)
 {
@@ -73,4 +74,16 @@ void trend_add(struct trend *trend, double deviation_k, double hours)
 double trend_rate_k_h(const struct trend *trend)
 {
     return trend->observed_h < ENOUGH_H ? NAN : trend->rate_k_h;
+}
+
+double trend_sigma_k_h(const struct trend *trend)
+{
+    return trend->observed_h < ENOUGH_H ? NAN : sqrt(trend->cov[1][1]);
+}
+
+double trend_hours_to(const struct trend *trend, double limit_k)
+{
+    const double rate = trend_rate_k_h(trend), sigma = trend_sigma_k_h(trend);
+    const int grows = rate > SURE * sigma && trend->level_k < limit_k; /* no: with a NaN */
+    return grows ? (limit_k - trend->level_k) / rate : NAN;
 }

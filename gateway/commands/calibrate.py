@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.commands.common import GOOD, add_config, shown, track_file
+from gateway.commands.common import GOOD, add_config, shown
+from gateway.commands.progress import Progress, track_file
 from gateway.io.prepare import prepare
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ def run(options: argparse.Namespace) -> int:
         tracked = track_file(open_log(log, strict=False), log, log.name)
         learner.begin()
         _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
-    result = learner.finish(MARGIN)
+    with Progress("limits and thermal models"):
+        result = learner.finish(MARGIN)
     if result.heat is None and config.thermal.method == "model" and not options.without_model:
         raise ConfigError("calibrate", [*learner.lacks(), NO_MODEL, WITHOUT])
     path = options.output

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.commands.progress import Progress
 from gateway.mapping import command_fit, fit
 from gateway.mapping.plan import fitted, plans
 from gateway.mapping.translate import Translator
@@ -39,7 +40,8 @@ def print_findings(
 
     reader = open_reader(path, strict=False, line=pattern_of(path, line))
     values = _Values(config, codec)
-    values.add_all(OneChannel(reader.blocks(), channel))
+    with Progress("first minute of the log", LOOKED_AT_S) as progress:
+        values.add_all(OneChannel(reader.blocks(), channel), progress)
     problems = []
     motors = {drive.node: config.motors[drive.motor] for drive in config.drive}
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
@@ -69,13 +71,14 @@ class _Values:
         self._parts: dict[int, list[tuple[_Array, _Array]]] = {}
         self._counts: Counter[str] = Counter()
 
-    def add_all(self, blocks: Iterable[Block]) -> None:
+    def add_all(self, blocks: Iterable[Block], progress: Progress) -> None:
         first_ns: int | None = None
         for block in blocks:
             if not block.size:
                 continue
             first_ns = block.t_ns.item(0) if first_ns is None else first_ns
             self._add(block)
+            progress.to((block.t_ns.item(-1) - first_ns) / 1e9)
             if block.t_ns.item(-1) - first_ns > LOOKED_AT_S * 1e9:
                 break
 

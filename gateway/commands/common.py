@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -16,8 +15,6 @@ from gateway.io.console import console, note
 if TYPE_CHECKING:
     from dbc.candump.reader import LogReader
     from dbc.codec import Codec
-    from dbc.frames import Block
-    from gateway.io.replay import Log
 
 GOOD, FAILED, BAD_INPUT, INCONCLUSIVE = 0, 1, 2, 3
 """Exit codes of the contract."""
@@ -155,21 +152,6 @@ def verdict_of_input(dropped: Mapping[str, int], used: int) -> int:
     if text:
         note(f"warning: {text}")
     return FAILED if text else GOOD
-
-
-def track_file(log: Log, path: Path, what: str) -> Iterable[Block]:
-    """Its blocks, with a progress bar of how much of the file is read, if a person is watching."""
-    return _bar(log, path, what) if sys.stderr.isatty() else log.blocks
-
-
-def _bar(log: Log, path: Path, what: str) -> Iterator[Block]:
-    from rich.progress import Progress
-
-    with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(what, total=path.stat().st_size)
-        for block in log.blocks:
-            progress.update(task, completed=log.reader.bytes_read)
-            yield block
 
 
 def shown(path: Path) -> str:

@@ -18,9 +18,9 @@ from gateway.commands.common import (
     report_dbc,
     report_log,
     shown,
-    track_file,
     verdict_of_input,
 )
+from gateway.commands.progress import track_file
 from gateway.io.console import console
 from gateway.io.prepare import prepare
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.commands.common import GOOD, positive_seconds
+from gateway.commands.progress import Progress
 from gateway.io import extras
 from gateway.io.console import console
 from gateway.io.prepare import prepare
@@ -66,7 +67,10 @@ def run(options: argparse.Namespace) -> int:
             from gateway.reports.live_table import render
 
             live.update(
-                render(gateway.view, f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} s")
+                render(
+                    gateway.view,
+                    f"{scenario.title}   t = {tick / config.loop.rate_hz:.1f} of {seconds:g} s",
+                )
             )
 
     rehearse(scenario, config, codec)
@@ -92,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
         return GOOD
     options.output.parent.mkdir(parents=True, exist_ok=True)
     spans = [Span(loss.start_s, loss.end_s, loss.node, "lost") for loss in losses]
-    loads(options.output, trace, scenario.title, known, spans)
+    with Progress("picture"):
+        loads(options.output, trace, scenario.title, known, spans)
     print(f"picture: {options.output}")
     return GOOD

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from functools import partial
 from pathlib import Path
 
 from gateway.commands import evaluate_thermal
 from gateway.commands.common import GOOD, add_config
+from gateway.commands.progress import Progress
 from gateway.io.console import console
 from gateway.io.extras import pictures
 
@@ -79,13 +76,17 @@ def run(options: argparse.Namespace) -> int:
     for line in refused:
         say.print(f"left out: {line}", markup=False)
     plan = plan._replace(detectors=tuple(detectors))
-    with _progress(len(plan.families) * len(seeds)) as (advance, note):
-        lines = evaluate(plan, options.jobs, advance, note)
+    with Progress("runs", len(plan.families) * len(seeds)) as progress:
+
+        def ended(family: str, seconds: float) -> None:
+            progress.print(f"{family}: {seconds:.1f} s")
+
+        lines = evaluate(plan, options.jobs, progress.advance, ended)
     print(table(lines))
     if options.output is not None:
         bus = options.dbc or "traction.dbc"
         title = f"Detectors, {options.seeds} seeds, {bus}, {options.motor}, world {options.world}"
-        with say.status("pictures") if sys.stderr.isatty() else nullcontext():
+        with Progress("pictures"):
             for path in write(options.output, title, lines):
                 say.print(f"written: {path}", markup=False)
     return GOOD
@@ -117,23 +118,3 @@ def _all_detectors() -> tuple[str, ...]:
     from estimators.detect import DETECTORS
 
     return tuple(DETECTORS)
-
-
-Advance = Callable[[], None]
-Note = Callable[[str, float], None]
-
-
-@contextmanager
-def _progress(total: int) -> Iterator[tuple[Advance, Note]]:
-    """A bar over the runs if a person is watching; a line per family in any case."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    shown = sys.stderr.isatty()
-    with Progress(*columns, console=console(), transient=True, disable=not shown) as progress:
-        task = progress.add_task("runs", total=total)
-
-        def note(family: str, seconds: float) -> None:
-            progress.console.print(f"{family}: {seconds:.1f} s", markup=False, highlight=False)
-
-        yield partial(progress.advance, task), note

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import GOOD
+from gateway.commands.progress import Progress, track
 from gateway.io.console import console
 from gateway.io.whole_file import write_text
 
@@ -35,18 +36,19 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write it where asked. Exit 2 where nothing can be evaluated."""
-    from gateway.settings.config import ConfigError
-    from gateway.study.evaluation_runs import seeds_of
-    from gateway.study.thermal_dataset import CREEP, KINDS
-    from gateway.study.thermal_scores import cells, table
-    from gateway.study.thermal_trials import (
-        DEVELOPMENT,
-        HEALTHY,
-        NAMES,
-        REPORTING,
-        WORLDS,
-        evaluate,
-    )
+    with Progress("loading the methods"):
+        from gateway.settings.config import ConfigError
+        from gateway.study.evaluation_runs import seeds_of
+        from gateway.study.thermal_dataset import CREEP, KINDS
+        from gateway.study.thermal_scores import cells, table
+        from gateway.study.thermal_trials import (
+            DEVELOPMENT,
+            HEALTHY,
+            NAMES,
+            REPORTING,
+            WORLDS,
+            evaluate,
+        )
 
     if options.world not in WORLDS:
         known = ", ".join(WORLDS)
@@ -60,9 +62,8 @@ def run(options: argparse.Namespace) -> int:
     say = console()
     found = []
     each = evaluate(seeds, options.base, kinds, methods, options.jobs, options.world)
-    for n, rows in enumerate(each, 1):
+    for rows in track(each, "trains", len(seeds)):
         found += rows
-        say.print(f"train {n} of {len(seeds)}", markup=False, highlight=False)
     lines = []
     for kind in (*kinds, *(["all"] if len(kinds) > 1 else [])):
         for method in methods:

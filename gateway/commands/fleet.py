@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from dbc.text import printable
 from gateway.commands.common import FAILED, GOOD, add_config
+from gateway.commands.progress import Progress
 from gateway.io.console import console
 from gateway.io.extras import need
 
@@ -120,27 +120,19 @@ def bad_line(row: Row) -> str:
 
 @contextmanager
 def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[[Job, Row], None]]:
-    """A bar over the bytes if a person is watching; a line for a bad log in any case."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
+    """A bar over the bytes; a line for a bad log."""
     from gateway.fleet.table import BAD
 
     sizes = {one: one.path.stat().st_size if one.path.is_file() else 0 for one in jobs}
-    count = TextColumn("{task.fields[ended]}/{task.fields[logs]} logs")
-    columns = (BarColumn(), count, TimeRemainingColumn())
-    shown = sys.stderr.isatty()
     ended = len(before)
-    with Progress(*columns, console=console(), transient=True, disable=not shown) as progress:
-        task = progress.add_task(
-            "logs", total=sum(sizes.values()), completed=sum(sizes[one] for one in before),
-            ended=ended, logs=len(jobs),
-        )  # fmt: skip
+    done = sum(sizes[one] for one in before)
+    with Progress(f"{ended}/{len(jobs)} logs", sum(sizes.values()), done) as progress:
 
         def after(one: Job, row: Row) -> None:
             nonlocal ended
             ended += 1
-            progress.update(task, advance=sizes[one], ended=ended)
+            progress.advance(sizes[one], f"{ended}/{len(jobs)} logs")
             if row.status == BAD:
-                progress.console.print(bad_line(row), markup=False, soft_wrap=True)
+                progress.print(bad_line(row))
 
         yield after

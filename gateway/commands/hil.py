@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -14,8 +13,8 @@ from xml.etree import ElementTree as ET
 
 from gateway.commands import hil_mutate
 from gateway.commands.common import FAILED, GOOD, INCONCLUSIVE, add_bus, add_config, add_signature
+from gateway.commands.progress import Progress, stepped
 from gateway.hil.fitting import fitting
-from gateway.io.console import console
 
 if TYPE_CHECKING:
     from dbc.codec import Codec
@@ -134,9 +133,11 @@ def _kept(
     ]
     inside = f"{left.folder.name}/"
     overload = outcome.overload if outcome.inconclusive else ""
-    return left.run(
-        scenario.title, facts, inside=inside, verdicts=outcome.verdicts, overload=overload
-    )
+    with Progress("report", len(left.trace.nodes) + 1) as progress:
+        return left.run(
+            scenario.title, facts, inside=inside, verdicts=outcome.verdicts, overload=overload,
+            step=stepped(progress),
+        )  # fmt: skip
 
 
 def _on_bus(options: argparse.Namespace) -> bool:
@@ -199,19 +200,12 @@ def _recording(path: Path, *, paired: bool) -> Iterator[Any]:
 
 @contextmanager
 def _progress(scenario: Any) -> Iterator[list[Any]]:
-    """A bar over the scenario's time, if a person is watching."""
-    if not sys.stderr.isatty():
-        yield []
-        return
-    from rich.markup import escape
-    from rich.progress import Progress
-
-    with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(escape(scenario.title), total=scenario.duration_s)
+    """A bar over the scenario's time."""
+    with Progress(scenario.title, scenario.duration_s) as progress:
 
         def look(now: int, *_: Any) -> None:
             if now % 500_000_000 == 0:
-                progress.update(task, completed=now / 1e9)
+                progress.to(now / 1e9)
 
         yield [look]
 

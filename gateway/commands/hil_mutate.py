@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gateway.commands.common import FAILED, GOOD
-from gateway.io.console import console, note
+from gateway.commands.progress import track
+from gateway.io.console import note
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> i
     chosen = mutants(options.mutate, options.mutate_seed)
     if len(chosen) < options.mutate:
         note(f"there are {len(chosen)} different mutants")
-    results = [judged(one, suite) for one in _watched(chosen, "mutants")]
+    results = [judged(one, suite) for one in track(chosen, "mutants", len(chosen))]
     for result in results:
         print(f"{_word(result):12} {result.mutant.text}")
     missed = [result for result in results if result.noticed_by is None]
@@ -67,7 +67,8 @@ def _recorded(
     from gateway.hil.fitting import fitting
     from gateway.hil.mutating import record
 
-    for name, scenario in _watched(list(scenarios), "scenarios"):
+    every = list(scenarios)
+    for name, scenario in track(every, "scenarios", len(every)):
         config, codec = fitting(options.config, scenario, options)
         if options.config is not None:
             from gateway.hil.own_motor import with_motor_of
@@ -94,12 +95,3 @@ def _cures(options: argparse.Namespace, missed: list[Result], known: set[str]) -
         if not left:
             return
     yield from (f"no shipped scenario notices: {mutant.text}" for mutant in left)
-
-
-def _watched(items: list[Any], what: str) -> Iterator[Any]:
-    """With a bar, where a person is watching."""
-    if not sys.stderr.isatty():
-        return iter(items)
-    from rich.progress import track
-
-    return iter(track(items, what, console=console(), transient=True))

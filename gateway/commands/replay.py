@@ -18,9 +18,9 @@ from gateway.commands.common import (
     faults,
     pattern_of,
     report_log,
-    track_file,
     verdict_of_input,
 )
+from gateway.commands.progress import Progress, stepped, track_file
 from gateway.io import quick_start as leanstart
 from gateway.io.console import console, note
 from gateway.io.prepare import prepare
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from gateway.reports.reporting import Reporting
     from gateway.settings.config import Config
 
+REPORT_STEPS = 3
+"""Of a report, beside a picture of each drive: checksum, flags, page."""
 SHOWN = 5
 """Faults of one kind of which a line tells."""
 
@@ -83,7 +85,6 @@ def run(options: argparse.Namespace) -> int:
         from gateway.io.replay import (
             BadLogError,
             Briefly,
-            EachTick,
             OneChannel,
             open_log,
             replay,
@@ -119,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
         assert gateway.view is not None
         noted.add(gateway.view)
 
-    sink = Briefly(write, changed) if left is None else EachTick(write, lambda _gateway: left.add())
+    sink = Briefly(write, changed, left)
     began = time.perf_counter()
     with ExitStack() as stack:
         if left is not None:
@@ -129,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
         done = replay(blocks, new_gateway, config.loop.period_ns, sink)
     seconds = time.perf_counter() - began
     span = (done.last_ns - done.first_ns) / 1e9
-    flags = noted.changes if left is None else left.changes
+    flags = noted.changes
     _summary(log.reader, done, flags)
     note(
         f"replayed {span:.2f} s of {printable(done.channel) or 'the log'} in {seconds:.2f} s "
@@ -187,18 +188,22 @@ def _report(
     from gateway.reports.reporting import leave, replay_facts
     from gateway.reports.truth import read
 
-    facts = replay_facts(options.log, done, left.trace)
-    notes = []
-    lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
-    facts.append((f"{reader.unit} of the log", ", ".join(f"{name} {n:,}" for name, n in lines)))
-    if options.truth is not None:
-        left.truth, same = read(options.truth, done.first_ns / 1e9, done.last_ns / 1e9)
-        facts.append(("truth", literal(options.truth.name)))
-        if not same:
-            notes.append("The truth is on another clock than the log: its 0 is taken for the "
-                         "log's first frame.")  # fmt: skip
-    run = left.run(options.log.name, facts, notes=notes)
-    return leave(options.results, f"Replay of {options.log.name}", [run], single=True)
+    with Progress("report", len(done.gateway.nodes) + REPORT_STEPS) as progress:
+        step = stepped(progress)
+        step("checksum of the log")
+        facts = replay_facts(options.log, done, left.trace)
+        notes = []
+        lines = sorted((verdict.name.lower(), n) for verdict, n in reader.counts.items() if n)
+        facts.append((f"{reader.unit} of the log", ", ".join(f"{name} {n:,}" for name, n in lines)))
+        if options.truth is not None:
+            left.truth, same = read(options.truth, done.first_ns / 1e9, done.last_ns / 1e9)
+            facts.append(("truth", literal(options.truth.name)))
+            if not same:
+                notes.append("The truth is on another clock than the log: its 0 is taken for the "
+                             "log's first frame.")  # fmt: skip
+        run = left.run(options.log.name, facts, notes=notes, step=step)
+        step("page")
+        return leave(options.results, f"Replay of {options.log.name}", [run], single=True)
 
 
 def _summary(reader: LogReader, done: Replayed, changes: Sequence[Change]) -> None:

@@ -6,14 +6,13 @@ Paper `adhesion`: section 5, Table 1 and Figures 5-9; `thermal`: see `reproduce_
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from gateway.commands.common import GOOD
+from gateway.commands.progress import Progress, stepped
 from gateway.io.console import console
 from gateway.io.extras import need, pictures
 from gateway.settings.config import ConfigError
@@ -71,8 +70,8 @@ def _thermal(folder: Path, *, resume: bool) -> int:
     from gateway.commands import reproduce_thermal as thermal
 
     began = time.perf_counter()
-    with _progress(2 * thermal.TRAINS + thermal.STEPS) as step:
-        thermal.reproduce(folder, step, resume=resume, show=_print_now)
+    with Progress("starting", 2 * thermal.TRAINS + thermal.STEPS) as progress:
+        thermal.reproduce(folder, stepped(progress), resume=resume, show=_print_now)
     print(f"report: {folder / 'report.html'}")
     console().print(f"done in {time.perf_counter() - began:.0f} s")
     return GOOD
@@ -100,7 +99,8 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
     from gateway.study import reproduction_variants as variants
 
     folder.mkdir(parents=True, exist_ok=True)
-    with _progress(6 + len(section5.BUSES) + len(table_1.METHODS)) as step:
+    with Progress("starting", 6 + len(section5.BUSES) + len(table_1.METHODS)) as progress:
+        step = stepped(progress)
         step("three drives at 8 kHz")
         world = section5.simulate(scenario)
         step("filters without a bus")
@@ -143,28 +143,3 @@ def reproduce(scenario: Scenario, folder: Path, seeds: Sequence[int] = STANDING_
         figures.histograms(folder / "figure9", picture)
         report.write(folder, outcome)
     return outcome
-
-
-@contextmanager
-def _progress(total: int) -> Iterator[Callable[[str], None]]:
-    """Yields `step(what comes next)`; a bar on stderr if a person is watching, else a line each."""
-    from rich.progress import Progress
-
-    watched = sys.stderr.isatty()
-    say = console()
-    with Progress(console=say, transient=True, disable=not watched) as progress:
-        task = progress.add_task("starting", total=total)
-        begun, began_s = 0, time.monotonic()
-
-        def step(what: str) -> None:
-            nonlocal begun
-            progress.update(task, description=what, completed=begun)
-            left = ""
-            if begun:
-                left_s = (time.monotonic() - began_s) / begun * (total - begun)
-                left = f" (about {left_s:.0f} s left)"
-            begun += 1
-            if not watched:
-                say.print(f"{begun}/{total} {what}{left}", markup=False, highlight=False)
-
-        yield step

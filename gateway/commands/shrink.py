@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.commands.common import GOOD, add_config, positive_seconds, shown
+from gateway.commands.progress import Progress, stepped
 from gateway.io import quick_start as leanstart
 from gateway.io.prepare import prepare
 
@@ -57,13 +58,18 @@ def run(options: argparse.Namespace) -> int:
     with leanstart.unsearched():
         from dbc.frame import SECOND
         from gateway.logfiles import shrunk_files
-        from gateway.logfiles.shrink import shrink
+        from gateway.logfiles.shrink import STEPS, shrink
 
         config, codec = prepare(options.config)
     before_ns = round(options.before * SECOND)
-    left = shrink(options.log, config, codec, options.flag, before_ns, options.log_channel)
-    shrunk_files.write_test(options.output, left, options.flag, options.config, options.log)
-    shrunk_files.read_back(options.output, left, config, codec)
+    with Progress("", len(STEPS) + 1) as progress:
+        step = stepped(progress)
+        left = shrink(
+            options.log, config, codec, options.flag, before_ns, options.log_channel, step
+        )
+        step("writing the test")
+        shrunk_files.write_test(options.output, left, options.flag, options.config, options.log)
+        shrunk_files.read_back(options.output, left, config, codec)
     at_s, since_s, start_s = (
         (t_ns - left.first_ns) / SECOND
         for t_ns in (left.change.now_ns, left.change.since_ns, left.start.now_ns)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gateway.commands.common import GOOD, add_bus, positive_seconds
+from gateway.commands.progress import track
 from gateway.io.console import console
 from gateway.settings.config import ConfigError
 
@@ -131,18 +132,11 @@ def _into_log(options: argparse.Namespace, simulation: Any, seconds: float, trut
     with ExitStack() as stack:
         target = stack.enter_context(whole(options.output)) if options.output else None
         writer = stack.enter_context(Writer(target or sys.stdout.buffer))
-        for tick in _progress(round(seconds * 100) + 1, "simulating"):
+        ticks = round(seconds * 100) + 1
+        for tick in track(range(ticks), "simulating", ticks):
             for frame in simulation.step((), tick * step):
                 writer.write(frame._replace(channel="vcan0"))
             truth.record(simulation)
-
-
-def _progress(total: int, what: str) -> Iterator[int]:
-    """Count to `total`, with a bar if a person is watching."""
-    from rich.progress import track
-
-    shown = sys.stderr.isatty()
-    yield from track(range(total), what, console=console(), transient=True, disable=not shown)
 
 
 def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth: _Truth) -> None:

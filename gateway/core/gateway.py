@@ -144,6 +144,15 @@ class Gateway(Addressed):
         for name, array in records.items():
             self.record[name] = array.ctypes.data
         self.pointer = ffi.from_buffer("struct gateway *", self.record)
+        self.keep_ticks(ffi.NULL)
+
+    def keep_ticks(self, log: Any) -> None:
+        """Each tick leaves a row in a `struct tick_log *`, until it is full; NULL: no longer.
+
+        A copy of a gateway, and one put back to another state, have none.
+        """
+        self._log = log
+        self.pointer.log = log
 
     def resume(self, now: Nanos) -> None:
         """The records are those of another gateway, whose last tick was at `now`."""
@@ -160,13 +169,6 @@ class Gateway(Addressed):
         if self.outbox.authenticator is not None:
             self.load.add(frame for frame in out if frame.can_id == self.outbox.auth.can_id)
         return out
-
-    def step_block(self, block: Block, now: Nanos) -> Block:
-        """As `step`, block by block."""
-        if self.outbox.authenticator is not None:
-            return block_of(self.step(block, now))
-        self._tick(block, now)
-        return self.outbox.block_of(self.sent[: self.pointer.sent_count])
 
     def _tick(self, block: Block, now: Nanos) -> None:
         if self.translator is not None:
@@ -199,7 +201,7 @@ class Gateway(Addressed):
             raise ValueError(f"ends {ends} of ticks in a block of {block.size} frames")
         out: list[Block] = []
         done, peak = 0, np.full(len(self.nodes), np.nan)
-        while done < len(ends) and not (done and self.changed):
+        while done < len(ends) and not (done and (self.changed or lib.is_log_full(self._log))):
             first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
             if self.translator is None and self.outbox.authenticator is None:
                 most = int(np.diff(ends[done:], prepend=first).max())

@@ -370,6 +370,7 @@ struct codec {
 /* ---- Temperatures of the motors, and their thermal model ---- */
 
 #define THERMAL_POINTS 3 /* with a sensor: stator winding, drive end, non-drive end */
+#define READING_POINTS 4 /* those, then the ambient temperature */
 #define THERMAL_LUMPS  5 /* of a motor's heat: enum thermal_lump */
 
 /* What a motor's heat is lumped into (estimators/thermal/model.c). */
@@ -1642,6 +1643,60 @@ struct integrity {
     uint8_t mute;     /* 1: this tick's frames are not sent: it was silent before */
 };
 
+/* ---- ticks as a report keeps them (gateway/core/tick_log.c) ---- */
+
+/* Of the whole set. */
+struct tick_row {
+    int64_t t_ns;
+    double bus_load_percent; /* NaN: not known */
+    struct train_status train;
+};
+
+/* Of one drive; NaN: not known. */
+struct drive_row {
+    struct drive_status status;
+    double degradation_k_h;
+    double degradation_sigma_k_h;   /* its standard deviation */
+    double hours_to_limit;          /* h, until the motor is limit_k warmer than the others */
+    double celsius[READING_POINTS]; /* degC, of a reading that came in this tick */
+};
+
+/* Its rows, in the order of the ticks. */
+struct tick_log {
+    struct tick_row *ticks;   /* (capacity) */
+    struct drive_row *drives; /* (capacity, drives) */
+    int64_t capacity, count;  /* ticks */
+    double limit_k;           /* K that a motor may grow warmer than the others */
+};
+
+#define TABLE_MAX_WORD     23
+#define TABLE_MAX_DECIMALS 4
+#define TABLE_MAX_FIELD 24 /* bytes of one with its comma: a word, or 16 digits, point and sign */
+#define TABLE_MAX_HEAD  48 /* bytes of time, node and line end */
+
+/* A word of a table. */
+struct table_word {
+    uint8_t text[TABLE_MAX_WORD];
+    uint8_t length; /* bytes of it */
+};
+
+/* A column of a table: numbers, or words by their codes. */
+struct table_column {
+    const double *value;            /* (rows); NaN: an empty field */
+    int32_t decimals;               /* 1 to TABLE_MAX_DECIMALS */
+    const uint8_t *code;            /* (rows); NULL: a column of numbers */
+    const struct table_word *words; /* by code */
+};
+
+/* A table with a row for each tick and each of its drives. */
+struct table {
+    const int64_t *t_ns;  /* (ticks) */
+    const int32_t *nodes; /* (drive_count) */
+    const struct table_column *columns;
+    int32_t drive_count;
+    int32_t column_count;
+};
+
 /* ---- the gateway (gateway/core/tick.c) ---- */
 
 /* What comes next in a tick. */
@@ -1678,7 +1733,8 @@ struct gateway {
     struct tx_frame *sent; /* frames of its ticks */
     int64_t sent_capacity; /* most that fit: at least those of a tick */
     int64_t sent_count;
-    double *peak; /* (drive_count) largest probability of loss; NaN: none */
+    double *peak;         /* (drive_count) largest probability of loss; NaN: none */
+    struct tick_log *log; /* of its ticks; NULL: none is wanted */
     /* state */
     uint8_t stage;   /* enum tick_stage */
     uint8_t begun;   /* 1: there was a tick */

@@ -15,7 +15,7 @@
 #include "gateway/core/thermal_evidence.h"
 
 enum { P = THERMAL_POINTS };
-enum { AMBIENT_COLUMN = P }; /* gateway/core/channel.py: the sensors' columns, then this one */
+enum { AMBIENT_POINT = P }; /* gateway/core/channel.py: the sensors' columns, then this one */
 
 static const double MOST_TENTHS = 1e15; /* a value beyond it, tenths of a degree, has no number */
 static const double FAR_K = 40.0; /* K above the others: no motor begins so, next to sound ones */
@@ -35,25 +35,30 @@ static int64_t tenths_of(double value_c)
     return fabs(tenths) < MOST_TENTHS ? round_half_even(tenths) : -1;
 }
 
+double reading_c(const struct receiver *receiver, int64_t row, int point)
+{
+    const struct channel *channel = &receiver->channels[receiver->channel[row]];
+    const int64_t first = row * receiver->codec->width;
+    const double *value = receiver->value + first;
+    const int32_t column = channel->columns[point];
+    const int valid = receiver->validity[first + column] == SIGNAL_VALID;
+    return valid && is_usable(channel, value) ? value[column] : NAN;
+}
+
 /* One decoded row of temperatures. Each point by itself: one dead sensor must not silence others. */
 static void receive_reading(struct temperature_monitor *all, const struct receiver *receiver,
                             int64_t row)
 {
-    const struct channel *channel = &receiver->channels[receiver->channel[row]];
-    const double *value = receiver->value + row * receiver->codec->width;
-    const uint8_t *validity = receiver->validity + row * receiver->codec->width;
+    const int32_t j = receiver->channels[receiver->channel[row]].drive;
     const int64_t t_ns = receiver->t_ns[row];
-    const int usable = is_usable(channel, value);
-    struct temperature_drive *drive = &all->sensors[channel->drive];
+    struct temperature_drive *drive = &all->sensors[j];
     temperature_add_reading(drive, t_ns);
     for (int k = 0; k < P; k++) {
-        const int32_t column = channel->columns[k];
-        if (usable && validity[column] == SIGNAL_VALID && drive->sensor[k].configured)
-            temperature_add_value(drive, k, t_ns, value[column], tenths_of(value[column]));
+        const double value_c = reading_c(receiver, row, k);
+        if (!isnan(value_c) && drive->sensor[k].configured)
+            temperature_add_value(drive, k, t_ns, value_c, tenths_of(value_c));
     }
-    const int32_t column = channel->columns[AMBIENT_COLUMN];
-    const int valid = usable && validity[column] == SIGNAL_VALID;
-    all->motors[channel->drive].ambient_c = valid ? value[column] : NAN;
+    all->motors[j].ambient_c = reading_c(receiver, row, AMBIENT_POINT);
 }
 
 int receive_temperatures(struct temperature_monitor *all, const struct receiver *receiver)

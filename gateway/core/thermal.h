@@ -12,6 +12,9 @@ void temperatures_reset(struct temperature_monitor *all);
 void monitor_temperatures(struct temperature_monitor *all, const struct receiver *receiver,
                           int64_t now_ns, struct flag_inputs *out);
 
+/* What one decoded row of temperatures says of a point (of READING_POINTS), degC; NaN: not valid. */
+double reading_c(const struct receiver *receiver, int64_t row, int point);
+
 /* Take in the readings of the last frames. 1: there were some. */
 int receive_temperatures(struct temperature_monitor *all, const struct receiver *receiver);
 

@@ -17,6 +17,7 @@
 #include "gateway/core/receive.h"
 #include "gateway/core/supervision.h"
 #include "gateway/core/thermal.h"
+#include "gateway/core/tick_log.h"
 #include "gateway/core/transmit.h"
 
 /* Frames of one tick: `count` rows from `first`. */
@@ -104,6 +105,7 @@ void finish_tick(struct gateway *g, int64_t now_ns)
     monitor_temperatures(g->temperatures, g->receiver, now_ns, g->flag_inputs);
     update_flags(g, now_ns);
     send(g, now_ns);
+    log_tick(g, g->log, now_ns);
     g->stage = STAGE_RECEIVE;
 }
 
@@ -141,7 +143,8 @@ int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t
         if (!tick(g, frames, rows, now_ns + done * g->period_ns))
             break;
         first = ends[done++];
-        if (g->stage != STAGE_RECEIVE || g->changed || g->receiver->tick.emergencies > 0)
+        if (g->stage != STAGE_RECEIVE || g->changed || g->receiver->tick.emergencies > 0 ||
+            is_log_full(g->log))
             break;
     }
     return done;

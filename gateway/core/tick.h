@@ -9,9 +9,10 @@
  * Tick k takes the rows from ends[k - 1] (0 for the first) to ends[k] of `frames`. What goes out is in
  * `g->sent`; the largest probabilities of loss of these ticks are in `g->peak`. Ends behind the first
  * tick in which a flag changed, or which had emergencies, for those are read by Python (`tick` of the
- * receiver); and before a tick whose frames are not in order of stamp and identifier, or for whose
- * own frames there is no room. With a detector that is not in the core a tick stops at STAGE_DETECT:
- * `g->stage` says so, nothing of `frames` counts, and `finish_tick` does the rest. */
+ * receiver), or which filled `g->log`; and before a tick whose frames are not in order of stamp and
+ * identifier, or for whose own frames there is no room. With a detector that is not in the core a tick
+ * stops at STAGE_DETECT: `g->stage` says so, nothing of `frames` counts, and `finish_tick` does the
+ * rest. */
 int64_t run(struct gateway *g, const struct frame_columns *frames, const int64_t *ends,
             int64_t ticks, int64_t now_ns);
 

@@ -66,13 +66,6 @@ class Briefly(NamedTuple):
     samples: Samples | None = None
 
 
-class EachTick(NamedTuple):
-    """In place of a `Sink`, for who looks at every tick and takes frames as blocks."""
-
-    write: Callable[[Block], None]
-    look: Callable[[Gateway], None]
-
-
 class Replayed(NamedTuple):
     """What a replay did. last_ns: of the last frame, as ticks have it; clock: of the log."""
 
@@ -139,7 +132,7 @@ def replay(
     blocks: Iterable[Block],
     make: Make,
     period_ns: Nanos,
-    sink: Sink | Briefly | EachTick,
+    sink: Sink | Briefly,
 ) -> Replayed:
     """Run the core over a log. Ticks are t_first + k * period; tick k takes t <= t_k.
 
@@ -170,12 +163,6 @@ def replay(
     def step(frames: Block) -> None:
         nonlocal ticks
         ticks += 1
-        if isinstance(sink, EachTick):
-            made, shift = gateway.step_block(frames, now), clock.shift_ns(now)
-            if made.size:
-                sink.write(made._replace(t_ns=made.t_ns - shift) if shift else made)
-            sink.look(gateway)
-            return
         out = gateway.step(frames, now)
         if isinstance(sink, Briefly):
             publish_frames(sink, [block_of(out)], now, gateway.status.drives["loss_probability"])

@@ -32,6 +32,8 @@ NEAR_NS: Final[Nanos] = SECOND // 20
 """A change so far from the time that was asked for is the one that is meant."""
 SHOWN: Final = 5
 MICROSECOND: Final[Nanos] = 1000
+STEPS: Final = ("looking for the change", "replay up to the evidence", "leaving frames out")
+"""What `shrink` does, one after the other."""
 MOST_WORK: Final = 25_000_000
 """Frames that all trials together may replay, about 40 s; what is left then stays."""
 TRIAL_WORK: Final = 1500
@@ -85,10 +87,11 @@ class Shrunk(NamedTuple):
 
 def shrink(
     path: Path, config: Config, codec: Codec, wanted: Wanted, before_ns: Nanos,
-    channel: str | None = None,
+    channel: str | None = None, step: Callable[[str], None] = lambda _what: None,
 ) -> Shrunk:  # fmt: skip
     """The shortest log that was found. before_ns: how long before the evidence it begins.
 
+    step: told of each of `STEPS` before it begins.
     Raises ConfigError for a drive that there is not and for a gateway with a state that no start
     record can hold, BadLogError where the flag does not change or the log cannot be shrunk.
     """
@@ -97,8 +100,11 @@ def shrink(
         raise ConfigError("--flag", [f"no drive {wanted.node}; the configuration has {nodes}"])
     state_of(Gateway(config, codec, 0))
     log = _Log(path, config, codec, wanted, channel)
+    step(STEPS[0])
     change, total = log.find()
+    step(STEPS[1])
     start, frames, flag_frame = log.tail(change, before_ns)
+    step(STEPS[2])
     trial = _Trial(log, start, frames, flag_frame)
     kept = minimise(_identifiers(frames), frames.size, trial.holds)
     signals = codec.by_id[log.can_id].signals

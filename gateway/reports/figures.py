@@ -61,7 +61,7 @@ _FLAG: Final = {rank: flag for flag, rank in RANK.items()}
 _METADATA: Final = re.compile(r"<metadata>.*?</metadata>\s*", re.DOTALL)
 _DOCTYPE: Final = re.compile(r"<!DOCTYPE[^>]*>\s*")
 _PATH: Final = re.compile(r' d="[^"]*"')
-_DIGITS: Final = re.compile(r"(\.\d\d)\d+")
+_DIGITS: Final = re.compile(r"(?<=\.\d\d)\d+")
 
 
 class Span(NamedTuple):
@@ -91,7 +91,7 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(drawn, format="svg", metadata={"Date": None})
     text = _METADATA.sub("", _DOCTYPE.sub("", drawn.getvalue()))
     # A hundredth of a point is finer than any printer.
-    text = _PATH.sub(lambda found: _DIGITS.sub(r"\1", found[0]), text)
+    text = _PATH.sub(lambda found: _DIGITS.sub("", found[0]), text)
     write_text(path, text)
 
 
@@ -267,12 +267,8 @@ def loads(
     title: str,
     truth: Truth | None = None,
     spans: Sequence[Span] = (),
-    also: Sequence[Path] = (),
 ) -> None:
-    """Load and its band of every drive, truth where known, and the adhesion flags as strips.
-
-    also: further files of the same figure, which is laid out once.
-    """
+    """Load and its band of every drive, truth where known, and the adhesion flags as strips."""
     nodes, end_s = trace.nodes, trace.span_s
     wanted = [Panel(1.15, f"drive {node}\nload / Nm", node == nodes[0]) for node in nodes]
     wanted.append(Panel(0.3 + 0.24 * len(nodes), ""))
@@ -302,5 +298,4 @@ def loads(
             va="top", fontweight="bold", parse_math=False,
         )  # fmt: skip
         axes[0].set_xlim(0.0, max(end_s, 1e-3))
-        for one in (path, *also):
-            save(figure, one)
+        save(figure, path)

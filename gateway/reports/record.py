@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
+from dbc.records import pointer
 from gateway.core.codes import FaultClass, Flag, Health, Reason
 from gateway.core.flags import FlagKind
 from gateway.core.view import GatewayView
@@ -30,8 +33,10 @@ ESTIMATES_HEADER = (
     "hours_to_limit",
 )  # fmt: skip
 
-_FLAGS_LINE: Final = "%s,%d,%s,%s,%s\n"
-_LINE: Final = "%s,%d,%s,%.4f,%.4f,%.4f,%.4f,%.3f,%s,%.2f,%.3f,%.4f,%.4f,%.1f\n"
+_DECIMALS: Final = (4, 4, 4, 4, 3, 2, 3, 4, 4, 1)
+"""Of the numbers in `estimates.csv`."""
+_LINES: Final = 512
+"""That there is room for at once."""
 NEITHER: Final = -1
 """No flag says this."""
 
@@ -44,9 +49,21 @@ def camel(name: str) -> str:
 Column = NDArray[Any]
 
 
+class Coded(NamedTuple):
+    """A column of words by their codes."""
+
+    code: NDArray[np.uint8]
+    words: Column
+
+
+def in_words(column: Coded | Column) -> Column:
+    """A column's words, or numbers."""
+    return column.words[column.code] if isinstance(column, Coded) else column
+
+
 def _by_code(words: Mapping[Any, str]) -> Column:
     """(256,): the word of each code."""
-    made = np.full(256, None, dtype=object)
+    made = np.full(256, "", dtype=object)
     for code, word in words.items():
         made[code] = word
     return made
@@ -58,24 +75,83 @@ _REASONS, _HEALTH, _CLASSES = (
 )
 
 
-def flag_columns(ticks: Ticks) -> tuple[Column, ...]:
+def flag_columns(ticks: Ticks) -> tuple[Coded, ...]:
     """What follows the drive in `flags.csv`, each (K N,)."""
     drives = ticks.drives.reshape(-1)
     states, why = drives["flag"]["state"], drives["adhesion_reason"]
     return (
-        _ADHESION[states[:, FlagKind.ADHESION]], _FAULT[states[:, FlagKind.THERMAL]],
-        _REASONS[np.where(why, why, drives["thermal_reason"])],
-    )  # fmt: skip
+        Coded(states[:, FlagKind.ADHESION], _ADHESION),
+        Coded(states[:, FlagKind.THERMAL], _FAULT),
+        Coded(np.where(why, why, drives["thermal_reason"]), _REASONS),
+    )
 
 
-def estimate_columns(ticks: Ticks) -> tuple[Column, ...]:
+def estimate_columns(ticks: Ticks) -> tuple[Coded | Column, ...]:
     """What follows the drive in `estimates.csv`, each (K N,); NaN: not known."""
     drives, wear = ticks.drives.reshape(-1), ticks.wear.reshape(-1, ticks.wear.shape[2])
     return (
-        _HEALTH[drives["health"]], drives["speed_rad_s"], drives["load_nm"],
+        Coded(drives["health"], _HEALTH), drives["speed_rad_s"], drives["load_nm"],
         drives["load_sigma_nm"], drives["loss_probability"], drives["nis"],
-        _CLASSES[drives["fault_class"]], drives["mixed_c"], drives["maisd_k"], *wear.T,
+        Coded(drives["fault_class"], _CLASSES), drives["mixed_c"], drives["maisd_k"], *wear.T,
     )  # fmt: skip
+
+
+class Table:
+    """Writes the lines of a table: seconds and node, then its columns."""
+
+    def __init__(self, stream: IO[bytes], header: Sequence[str], nodes: Sequence[int]) -> None:
+        """nodes: in the order of the ticks' drives. Raises OSError."""
+        self._stream = stream
+        self._nodes = np.array(nodes, np.int32)
+        line_bytes = lib.TABLE_MAX_HEAD + len(header) * lib.TABLE_MAX_FIELD
+        self._text = ffi.new("uint8_t[]", _LINES * line_bytes)
+        stream.write(",".join(header).encode() + b"\n")
+
+    def add(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column]) -> None:
+        """Rows of ticks; columns: of `_DECIMALS`, but for words. Raises OSError."""
+        decimals = iter(_DECIMALS)
+        arrays = [np.ascontiguousarray(one.code if isinstance(one, Coded) else one)
+                  for one in columns]  # fmt: skip
+        records = ffi.new("struct table_column[]", len(columns))
+        for record, column, array in zip(records, columns, arrays, strict=True):
+            if isinstance(column, Coded):
+                record.code, record.words = pointer("uint8_t", array), _words_of(column.words)
+            else:
+                record.value, record.decimals = pointer("double", array), next(decimals)
+        table = ffi.new("struct table *", (
+            pointer("int64_t", t_ns), pointer("int32_t", self._nodes), records, len(self._nodes),
+            len(columns),
+        ))  # fmt: skip
+        row, last, filled = 0, len(t_ns) * len(self._nodes), ffi.new("int64_t *")
+        while row < last:
+            row = lib.table_write(table, row, last, self._text, len(self._text), filled)
+            self._stream.write(ffi.buffer(self._text, filled[0]))
+            if row < last and not filled[0]:
+                self._stream.write(self._line(t_ns, columns, row))
+                row += 1
+
+    def _line(self, t_ns: NDArray[np.int64], columns: Sequence[Coded | Column], row: int) -> bytes:
+        """A row with a number beyond the core's digits."""
+        tick, drive = divmod(row, len(self._nodes))
+        seconds, ns = divmod(t_ns.item(tick), 1_000_000_000)
+        fields, decimals = [f"{seconds}.{ns:09d}", f"{self._nodes[drive]}"], iter(_DECIMALS)
+        for column in columns:
+            if isinstance(column, Coded):
+                fields.append(column.words[column.code[row]])
+            else:
+                text = f"{column[row]:.{next(decimals)}f}"
+                fields.append("" if text == "nan" else text)
+        return ",".join(fields).encode() + b"\n"
+
+
+@cache
+def _kept(words: tuple[str, ...]) -> Any:
+    return ffi.new("struct table_word[]", [(word.encode(), len(word)) for word in words])
+
+
+def _words_of(words: Column) -> Any:
+    """By code, as the core takes them."""
+    return _kept(tuple(words))
 
 
 class Changes:
@@ -122,26 +198,17 @@ class Recorder(AbstractContextManager["Recorder"]):
     def __init__(self, folder: Path, nodes: Sequence[int]) -> None:
         """folder: where the tables go; nodes: in the order of the ticks' drives."""
         self.nodes = nodes
-        self.noted = Changes()
         self._files = ExitStack()
         parts = [self._files.enter_context(whole(folder / n)) for n in (FLAGS, ESTIMATES)]
-        self._flags, self._estimates = (
-            self._files.enter_context(part.open("w", newline="", encoding="utf-8"))
-            for part in parts
-        )
-        self._flags.write(",".join(FLAGS_HEADER) + "\n")
-        self._estimates.write(",".join(ESTIMATES_HEADER) + "\n")
+        flags, estimates = (self._files.enter_context(part.open("wb")) for part in parts)
+        self._flags = Table(flags, FLAGS_HEADER, nodes)
+        self._estimates = Table(estimates, ESTIMATES_HEADER, nodes)
 
     def add(self, ticks: Ticks) -> None:
         """Take ticks."""
-        self.noted.add_ticks(ticks, self.nodes)
-        times = [f"{t // 1_000_000_000}.{t % 1_000_000_000:09d}" for t in ticks.t_ns.tolist()]
-        times = [time for time in times for _ in self.nodes]
-        nodes = [*self.nodes] * len(ticks.t_ns)
-        says = zip(times, nodes, *(c.tolist() for c in flag_columns(ticks)), strict=True)
-        self._flags.write("".join(_FLAGS_LINE % row for row in says))
-        rows = zip(times, nodes, *(c.tolist() for c in estimate_columns(ticks)), strict=True)
-        self._estimates.write("".join(_LINE % row for row in rows).replace(",nan", ","))
+        t_ns = np.ascontiguousarray(ticks.t_ns)
+        self._flags.add(t_ns, flag_columns(ticks))
+        self._estimates.add(t_ns, estimate_columns(ticks))
 
     def close(self) -> None:
         """Finish the tables. Raises OSError."""

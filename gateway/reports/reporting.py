@@ -5,21 +5,24 @@ Imported only where results are asked for: a run without them pays nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dbc.codec import Codec
+from dbc.frame import Nanos
 from gateway.core.gateway import Gateway
 from gateway.io.extras import pictures
 from gateway.io.whole_file import write_text
 from gateway.reports import run_figures, run_report
-from gateway.reports.figures import loads
 from gateway.reports.intervals import Intervals
 from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
-from gateway.reports.record import Change, Recorder
+from gateway.reports.record import Recorder
 from gateway.reports.run_report import Run, Timed
 from gateway.reports.ticks import MOST, TickLog
 from gateway.reports.timing import tables
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from gateway.reports.truth import Row
 
 Facts = list[tuple[str, str]]
+MAX_NS: Final[Nanos] = 2**63 - 1
 
 
 class Reporting(AbstractContextManager["Reporting"]):
@@ -70,10 +74,13 @@ class Reporting(AbstractContextManager["Reporting"]):
         self._ticks.append(self._gateway)
 
     @property
-    def changes(self) -> list[Change]:
-        """When flags changed so far, see `Changes`."""
-        self._ticks.flush()
-        return self.recorder.noted.changes
+    def next_ns(self) -> Nanos:
+        """See `Samples`: the first tick by itself, then as many as come."""
+        return MAX_NS if self._ticks.follows else 0
+
+    def took(self, _now: Nanos, gateway: Gateway, _peak: NDArray[np.float64]) -> None:
+        """See `Samples`."""
+        self._ticks.follow(gateway)
 
     def add_truth(self, rows: Iterable[Row]) -> None:
         """Take rows of truth, whose 0 is the first tick."""
@@ -115,8 +122,12 @@ class Reporting(AbstractContextManager["Reporting"]):
         verdicts: Sequence[Verdict] = (),
         notes: Sequence[str] = (),
         overload: str = "",
+        step: Callable[[str], None] = lambda _what: None,
     ) -> Run:
-        """Draw the pictures; what the report needs. inside: this folder as the report sees it."""
+        """Draw the pictures; what the report needs. inside: this folder as the report sees it.
+
+        step: told of each picture before it is drawn, N + 1 times.
+        """
         gateway, config = self._gateway, self._config
         assert gateway is not None
         self._ticks.flush()
@@ -126,10 +137,8 @@ class Reporting(AbstractContextManager["Reporting"]):
         word = f"ConfigHash {gateway.outbox.config_hash:06x}\n"
         write_text(self.folder / "configuration.txt", word)
         names = run_figures.draw(
-            self.folder, self.trace, self.truth, config.adhesion.raise_probability
+            self.folder, self.trace, self.truth, config.adhesion.raise_probability, step
         )
-        png, svg = (self.folder / f"loads.{suffix}" for suffix in ("png", "svg"))
-        loads(png, self.trace, title, self.truth, also=[svg])
         timed = self.timed and self.timed._replace(picture=f"{inside}{self.timed.picture}")
         return Run(
             title, facts, _configuration(config, self._codec, gateway), as_toml(config), self.trace,

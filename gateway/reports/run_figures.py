@@ -33,6 +33,8 @@ from gateway.reports.figures import (
 from gateway.reports.trace import POINTS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
 
     from gateway.reports.trace import Trace
@@ -52,11 +54,22 @@ LEAST_K: Final = 0.5
 """Axes are never finer than this: noise that fills a panel looks like news."""
 
 
-def draw(folder: Path, trace: Trace, truth: Truth | None, raise_probability: float) -> list[str]:
-    """Write them as SVG; their names without suffix: `flags`, then `drive<node>`."""
+def draw(
+    folder: Path,
+    trace: Trace,
+    truth: Truth | None,
+    raise_probability: float,
+    step: Callable[[str], None],
+) -> list[str]:
+    """Write them as SVG; their names without suffix: `flags`, then `drive<node>`.
+
+    step: told of each before it is drawn, N + 1 times.
+    """
     with styled():
+        step("picture of the flags")
         train(folder / "flags.svg", trace, truth)
         for node in trace.nodes:
+            step(f"picture of drive {node}")
             drive(folder / f"drive{node}.svg", trace, node, truth, raise_probability)
     return ["flags", *(f"drive{node}" for node in trace.nodes)]
 

@@ -1,19 +1,19 @@
 """Ticks of a run in columns: what its tables, pictures and intervals are made from.
 
-A tick costs a copy of the status; the rest is done for many ticks together.
+The core keeps a row of each tick (`gateway/core/tick_log.c`); the rest is done for many together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from _traction_core import ffi, lib
 from numpy.typing import NDArray
 
-from dbc.records import DRIVE_STATUS, TRAIN_STATUS, Records
+from dbc.records import DRIVE_ROW, TICK_LOG, TICK_ROW, Records
 from gateway.core.gateway import Gateway
-from gateway.core.view import Wear
 
 Array = NDArray[np.float64]
 
@@ -21,8 +21,7 @@ MOST: Final = 8
 """Ticks that are worked on together where a live loop waits for them."""
 MOST_OF_LOG: Final = 512
 """The same where nobody waits: less than 1 MB of three drives."""
-POINTS: Final = 4
-_NAN: Final = float("nan")
+WEAR: Final = ("degradation_k_h", "degradation_sigma_k_h", "hours_to_limit")
 
 
 class Ticks(NamedTuple):
@@ -45,66 +44,63 @@ Use = Callable[[Ticks], None]
 
 
 class TickLog:
-    """Notes ticks of a gateway, and hands them on, many at a time."""
+    """Keeps ticks of a gateway, and hands them on, many at a time."""
 
     def __init__(self, uses: Sequence[Use], most: int = MOST) -> None:
         """uses: who gets them, in this order; most: ticks at a time."""
         self._uses = uses
         self._most = most
-        self._times: list[int] = []
-        self._drives: list[bytes] = []
-        self._train: list[bytes] = []
-        self._load: list[float] = []
-        self._wear: list[Array] = []
-        self._readings: list[tuple[int, int, tuple[float, ...]]] = []
-        self._wear_of: object = None
-        self._worn = np.zeros((0, 3))
+        self._follows = False
+        self._drives = 0
+        self._log: Any = ffi.NULL
+
+    @property
+    def follows(self) -> bool:
+        """Whether `follow` was called."""
+        return self._follows
 
     def append(self, gateway: Gateway) -> None:
-        """The gateway's last tick."""
-        if gateway.inbox.receiver.pointer.tick.temperatures:
-            now = len(self._times)
-            self._readings += [(now, r.drive, r.celsius) for r in gateway.inbox.temperatures]
-        load = gateway.load.percent(gateway.now_ns)
-        self._times.append(gateway.now_ns)
-        self._drives.append(gateway.status.drives.tobytes())
-        self._train.append(gateway.status.train.tobytes())
-        self._load.append(_NAN if load is None else load)
-        self._wear.append(self._worn_now(gateway))
-        if len(self._times) == self._most:
+        """Take its last tick."""
+        if self._drives != len(gateway.nodes):
+            self._allocate(gateway)
+        lib.log_tick(gateway.pointer, self._log, gateway.now_ns)
+        self._flush_full()
+
+    def follow(self, gateway: Gateway) -> None:
+        """Take its last tick, and from then on each by itself; call it again after each `run`."""
+        if not self._follows:
+            self.append(gateway)
+            gateway.keep_ticks(self._log)
+            self._follows = True
+        self._flush_full()
+
+    def _flush_full(self) -> None:
+        if self._log.count == self._most:
             self.flush()
 
-    def _worn_now(self, gateway: Gateway) -> Array:
-        """(N, 3); it changes with a temperature cycle, or with what is fresh."""
-        thermal = gateway.thermal
-        state = thermal.cycles, thermal.motors["fresh"].tobytes()
-        if state != self._wear_of:
-            self._wear_of = state
-            self._worn = np.array([_numbers(wear) for wear in thermal.wear])
-        return self._worn
+    def _allocate(self, gateway: Gateway) -> None:
+        """For ticks of so many drives."""
+        self.flush()
+        self._drives = len(gateway.nodes)
+        # One piece of memory: a gateway that is followed holds it as long as the address.
+        self._rows = np.zeros(1, [
+            ("log", TICK_LOG), ("ticks", TICK_ROW, (self._most,)),
+            ("drives", DRIVE_ROW, (self._most, self._drives)),
+        ])  # fmt: skip
+        for name in ("ticks", "drives"):
+            self._rows["log"][name] = self._rows[name].ctypes.data
+        self._log = ffi.from_buffer("struct tick_log *", self._rows)
+        self._log.capacity, self._log.limit_k = self._most, gateway.thermal.limit_k
 
     def flush(self) -> None:
-        """Hand on what was noted."""
-        count = len(self._times)
+        """Hand on what was kept."""
+        count = self._log.count if self._drives else 0
         if not count:
             return
-        drives = np.frombuffer(b"".join(self._drives), DRIVE_STATUS).reshape(count, -1)
-        celsius = np.full((count, drives.shape[1], POINTS), _NAN)
-        for tick, drive, values in self._readings:
-            celsius[tick, drive] = values
-        ticks = Ticks(
-            np.array(self._times), drives, np.frombuffer(b"".join(self._train), TRAIN_STATUS),
-            np.array(self._load), np.array(self._wear), celsius,
-        )  # fmt: skip
-        for held in (
-            self._times, self._drives, self._train, self._load, self._wear, self._readings,
-        ):  # fmt: skip
-            held.clear()
+        rows, drives = (self._rows[name][0, :count].copy() for name in ("ticks", "drives"))
+        self._log.count = 0
+        wear = np.stack([drives[name] for name in WEAR], axis=2)
+        ticks = Ticks(rows["t_ns"], drives["status"], rows["train"], rows["bus_load_percent"],
+                      wear, drives["celsius"])  # fmt: skip
         for use in self._uses:
             use(ticks)
-
-
-def _numbers(wear: Wear) -> tuple[float, ...]:
-    """NaN where one is not known."""
-    values = wear.rate_k_h, wear.sigma_k_h, wear.hours
-    return tuple(_NAN if value is None else value for value in values)

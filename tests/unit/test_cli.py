@@ -74,7 +74,7 @@ def test_replay_writes_flags_twice_the_same(folder, capsys):
         assert main([*words, "--results", str(folder / f"r{k}")]) == 0
     assert out[0].read_bytes() == out[1].read_bytes()
     assert "AdhesionLost" in capsys.readouterr().out
-    for name in ("flags.csv", "estimates.csv", "loads.png", "loads.svg"):
+    for name in ("flags.csv", "estimates.csv", "flags.svg", "drive2.svg"):
         assert (folder / "r0" / name).stat().st_size > 1000
     flags = list(csv.DictReader((folder / "r0" / "flags.csv").read_text().splitlines()))
     assert list(flags[0]) == ["t_s", "drive", "adhesion", "thermal", "reason"]

@@ -1,0 +1,97 @@
+"""What takes long shows the time left on a terminal, and nothing in a pipe."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gateway.commands.progress import Progress, stepped, track
+
+ROOT = Path(__file__).parents[2]
+LEFT = re.compile(r"left (?:\x1b\[[\d;]*m)*(?:-:--:--|\d+:\d\d:\d\d)")
+
+
+def on_terminal(*words, cwd):
+    """Exit code, and what the program wrote to a pseudo-terminal."""
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"}
+    with subprocess.Popen(
+        words, cwd=cwd, stdin=theirs, stdout=theirs, stderr=theirs, env=environment
+    ) as process:
+        os.close(theirs)
+        data = b""
+        while chunk := read(ours):
+            data += chunk
+    os.close(ours)
+    return process.returncode, data.decode()
+
+
+def read(descriptor):
+    """Linux ends a pseudo-terminal without a writer with an error."""
+    try:
+        return os.read(descriptor, 1 << 16)
+    except OSError:
+        return b""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """With a log of three drives, in which the second loses adhesion."""
+    made = tmp_path_factory.mktemp("progress")
+    words = "sim", "demo", "--duration", "5", "-o", "three.log"
+    subprocess.run([*PROGRAM, *words], cwd=made, check=True, capture_output=True)
+    return made
+
+
+PROGRAM = sys.executable, "-m", "gateway"
+VERBS = {
+    "sim": ("sim", "healthy", "--duration", "1", "-o", "out.log"),
+    "replay": ("replay", "three.log"),
+    "replay --results": ("replay", "three.log", "--results", "results"),
+    "convert": ("convert", "three.log", "out.csv"),
+    "check --log": ("check", str(ROOT / "examples" / "train.toml"), "--log", "three.log"),
+    "hil": ("hil", "healthy"),
+    "fleet": ("fleet", "three.log", "-o", "table", "-j", "1"),
+    "calibrate": ("calibrate", "three.log", "-o", "limits.toml", "--without-model"),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_terminal_is_told_the_time_left_and_a_pipe_is_not(verb, folder, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    words = *PROGRAM, *VERBS[verb]
+    piped = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    code, shown = on_terminal(*words, cwd=folder)
+    assert code == piped.returncode
+    assert code in (0, 1), piped.stderr
+    assert LEFT.search(shown), shown[-2000:]
+    assert not LEFT.search(piped.stdout + piped.stderr)
+    assert "\x1b" not in piped.stdout + piped.stderr
+
+
+def test_the_steps_of_a_bar_are_counted_when_they_are_done(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    with Progress("first", 2) as progress:
+        step = stepped(progress)
+        for what in ("one", "two"):
+            step(what)
+        progress.print("[said] above")
+        task = progress._bar.tasks[0]
+        assert (task.description, task.completed, task.total) == ("two", 1, 2)
+        progress.advance()
+        assert task.finished
+    assert "[said] above" in capsys.readouterr().err
+
+
+def test_in_a_pipe_only_notes_are_written(capsys):
+    assert list(track("abc", "letters", 3)) == ["a", "b", "c"]
+    with Progress("quiet") as progress:
+        progress.to(1.0)
+        progress.print("a note")
+    assert capsys.readouterr().err == "a note\n"
