@@ -37,6 +37,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_thermal_paper.py",
        "tests/unit/test_thermal_reference.py",
        "tests/unit/test_thermal_imm.py",
+       "tests/unit/test_residuals_reference.py",
        "tests/unit/test_thermal_monitor_odd.py",
        "tests/unit/test_thermal_monitor_order.py",
        "tests/unit/test_thermal_step_detector.py",
