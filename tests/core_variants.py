@@ -32,7 +32,7 @@ OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit
        "tests/unit/test_response_reference.py",
        "tests/unit/test_detect_learning.py",
        "tests/unit/test_elementary.py",
-       "tests/unit/test_maisd.py",
+       "tests/unit/test_maisd.py", "tests/unit/test_order_statistics.py",
        "tests/unit/test_sigma_mixed.py",
        "tests/unit/test_thermal_paper.py",
        "tests/unit/test_thermal_reference.py",

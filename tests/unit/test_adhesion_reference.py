@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
-from dbc.records import DRIVE_STATUS
+from dbc.records import DRIVE_STATUS, pointer
 from estimators.detect import DETECTORS
 from estimators.detect.switching import Switching
 from gateway.core import flags, inputs, receiving
@@ -122,6 +122,7 @@ class Both:
             (core.known, plain.known), (core.loss_probability, plain.lost),
             (core.loss_known, plain.lost_known), (core.severe, plain.severe),
             (core.loads["command_ratio"], plain.ratio),
+            (core.record["flagged_ns"], plain.any_flagged_ns),
         ):  # fmt: skip
             same_numbers(mine, wanted)
 
@@ -309,16 +310,37 @@ def test_rotors_have_the_ratings_of_their_motors():
     assert round(lib.LEARN_PERIOD_S * 1000) == reference.LEARN_NS // MS
 
 
-def test_what_lies_behind_the_drives_is_left_alone():
+def test_a_monitor_that_is_reset_knows_nothing():
+    core = AdhesionMonitor(Adhesion(), [BENCH_MOTOR] * N, RULES, TICK)
+    known_nothing = [getattr(core, name) for name in (
+        "responses", "known", "loss_known", "may_learn", "normalised", "sigma", "loss_probability",
+    )]  # fmt: skip
+    for array in known_nothing:
+        array.view(np.uint8)[:] = 1
+    lib.adhesion_reset(pointer("struct adhesion", core.record), 0.1)
+    assert not any(array.view(np.uint8).any() for array in known_nothing)
+
+
+@pytest.mark.parametrize("detector", ["vb", "switching"])
+def test_what_lies_behind_the_drives_is_left_alone(detector):
     """Room for three, of which two are in use: the third one adheres, and nobody asks it."""
-    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
-    core.record["n"] = core.switching.record["n"] = 2
-    core.switching.record["ticks"], core.switching.record["every"] = 1, 2
-    core.switching.lost[:], core.switching.adhering[:] = (1.0, 1.0, 0.3), (0.0, 0.0, 1.0)
-    core.known[2] = True
+    core = AdhesionMonitor(Adhesion(detector=detector), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = 2
+    if core.switching is not None:
+        core.switching.record["n"] = 2
+        core.switching.record["ticks"], core.switching.record["every"] = 1, 2
+        core.switching.lost[:], core.switching.adhering[:] = (1.0, 1.0, 0.3), (0.0, 0.0, 1.0)
+    third = [getattr(core, name)[2:].view(np.uint8) for name in (
+        "rotors", "rotor_inputs", "responses", "response_ratios", "ratios", "observed", "loads",
+        "normalised", "sigma", "known", "loss_probability", "loss_known", "may_learn",
+    )]  # fmt: skip
+    for array in third:
+        array[:] = 1
     drives, told = receiving.drive_inputs(3), columns.told(3)
     told.health[:], told.speed[:], told.load[:] = Health.TRACKING, 25.0, 20.0
     columns.slow_of(drives).command[:] = 20.0
     come = validity(np.ones(3, dtype=bool), told.speed)
     detect(core, told.estimates, come, drives, np.zeros(3, DRIVE_STATUS), 0)
-    assert core.loss_probability.tolist() == [lib.UNDECIDED, lib.UNDECIDED, 0.0]
+    assert all((array == 1).all() for array in third)
+    if detector == "switching":
+        assert core.loss_probability[:2].tolist() == [lib.UNDECIDED, lib.UNDECIDED]

@@ -212,12 +212,28 @@ def test_motion_that_stands_still_beside_a_moving_rotor_is_not_known():
 def test_motion_stands_still_while_all_others_move():
     nan = math.nan
     moving, steady, unknown = list(range(40)), [7.0] * 40, [nan, nan, *range(38)]
-    gone = [7.0, 7.0, 7.0, nan]
+    gone, limit = [7.0, 7.0, 7.0, nan], [7.0] * 10 + [8.0] * 30
     for others, wanted in (([moving], 14), ([moving, moving], 14), ([moving, steady], None),
                            ([moving, unknown], 14), ([unknown], None),
-                           ([moving, gone], 14), ([gone], None)):  # fmt: skip
+                           ([moving, gone], 14), ([gone], None), ([limit], None)):  # fmt: skip
         motion = side(1 + len(others))
         assert held(motion, 40, others, known=False) == wanted
+
+
+@pytest.mark.parametrize("stands", range(4))
+@pytest.mark.parametrize("stays", range(4))
+def test_motion_that_stands_is_compared_with_every_other_drive_since_it_stands(stands, stays):
+    """Speeds but one move by 3 rad/s a tick; the Motion that stands does so from 50 ms on."""
+    motion = side(4)
+    for k in range(1, 40):
+        speeds = [7.0 if drive == stays else 3.0 * k + drive for drive in range(4)]
+        sent = [(speed, 20.0 + k) for speed in speeds]
+        sent[stands] = min(k, 5), 20.0
+        now, motion.status["speed_rad_s"] = k * 10 * MS, speeds
+        motion.came.tick([(drive, now, *one, math.nan) for drive, one in enumerate(sent)])
+        lib.check_plausibility(motion.pointer, now)
+        unknown = [math.isnan(speed) for speed in motion.status["speed_rad_s"]]
+        assert unknown == [drive == stands == stays and k >= 18 for drive in range(4)], k
 
 
 def test_a_current_of_which_one_half_stays_is_no_repeat():
