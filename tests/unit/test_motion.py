@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 from _traction_core import lib
 
@@ -223,17 +224,65 @@ def test_motion_stands_still_while_all_others_move():
 @pytest.mark.parametrize("stands", range(4))
 @pytest.mark.parametrize("stays", range(4))
 def test_motion_that_stands_is_compared_with_every_other_drive_since_it_stands(stands, stays):
-    """Speeds but one move by 3 rad/s a tick; the Motion that stands does so from 50 ms on."""
-    motion = side(4)
+    """Speeds but one move by 3 rad/s a tick; the Motion that stands does so from 60 ms on."""
+    motion, room = side(4), np.full(32, math.nan)
+    motion.record["others"] = room.ctypes.data + room.nbytes // 2  # before them nothing is known
     for k in range(1, 40):
         speeds = [7.0 if drive == stays else 3.0 * k + drive for drive in range(4)]
         sent = [(speed, 20.0 + k) for speed in speeds]
-        sent[stands] = min(k, 5), 20.0
+        sent[stands] = min(k, 6), 20.0
         now, motion.status["speed_rad_s"] = k * 10 * MS, speeds
         motion.came.tick([(drive, now, *one, math.nan) for drive, one in enumerate(sent)])
         lib.check_plausibility(motion.pointer, now)
         unknown = [math.isnan(speed) for speed in motion.status["speed_rad_s"]]
-        assert unknown == [drive == stands == stays and k >= 18 for drive in range(4)], k
+        assert unknown == [drive == stands == stays and k >= 19 for drive in range(4)], k
+
+
+def test_of_every_drive_the_speeds_are_kept_that_were_measured_when_its_motion_changed():
+    """In as many rows as there are drives, and nothing behind them is written."""
+    motion, rng, n = side(4), np.random.default_rng(9), 4
+    others, taken = np.full(n * n + 1, -7.0), np.full(n + 1, 9, np.uint8)
+    motion.record["others"], motion.record["taken"] = others.ctypes.data, taken.ctypes.data
+    sent, then = np.zeros(n), np.zeros((n, n))
+    for k in range(1, 300):
+        speeds, now = rng.uniform(0.0, 50.0, n), k * 10 * MS
+        changed = rng.random(n) < (1.0 if k == 1 else 0.3)
+        sent[changed], then[changed] = k, speeds
+        motion.status["speed_rad_s"] = speeds
+        motion.came.tick([(drive, now, sent[drive], 20.0, math.nan) for drive in range(n)])
+        lib.check_plausibility(motion.pointer, now)
+        np.testing.assert_array_equal(others[:-1].reshape(n, n)[motion.noted], then)
+        assert (others[-1], taken[-1]) == (-7.0, 9)
+
+
+def test_a_command_that_stays_and_a_rotor_that_turned_otherwise_then():
+    """The same command for long is none to follow; the own speed has come to what Motion tells."""
+    motion = side()
+    motion.came.drives["command"] = 20.0
+    assert held(motion, 40, [], known=False) is None
+    motion.bank.filters["x"][:, 2] = 4.0 * 20.0
+    assert held(motion, 1, [], (5.5, 20.0)) is None
+    motion.bank.filters["x"][:, 2] = 4.0 * 5.5
+    motion.checks["changed_ns"] -= 200 * MS
+    assert held(motion, 3, [], (5.5, 20.0)) == 3
+
+
+@pytest.mark.parametrize(("ahead_ns", "starts", "again"), [
+    (20 * MS + 1, False, 1), (20 * MS, True, 1), (1, True, 1), (0, True, 0),
+])  # fmt: skip
+def test_a_filter_starts_anew_from_20_ms_before_the_end_of_implausible_input(
+    ahead_ns, starts, again
+):
+    motion, now = side(), 1000 * MS
+    motion.checks["restart"], motion.checks["implausible_until_ns"] = 1, now + ahead_ns
+    motion.bank.filters["active"], motion.bank.filters["v_q_bias"] = 1, 0.5
+    motion.estimates["flux_ratio"] = 1.1
+    motion.came.tick([])
+    lib.check_plausibility(motion.pointer, now)
+    assert motion.checks["restart"].item() == again
+    assert math.isnan(motion.estimates["flux_ratio"].item()) == starts
+    assert (motion.bank.filters["v_q_bias"].item() == 0.0) == starts
+    assert (motion.bank.filters["active"].item() == 0) == starts
 
 
 def test_a_current_of_which_one_half_stays_is_no_repeat():
@@ -245,6 +294,16 @@ def test_a_current_of_which_one_half_stays_is_no_repeat():
         lib.check_plausibility(motion.pointer, k * 10 * MS)
         assert motion.checks["repeats"].item() == motion.checks["block_repeats"].item() == 0
     assert motion.checks["implausible_until_ns"].item() == 0
+
+
+@pytest.mark.parametrize(("speed", "implausible"), [(20.0, True), (0.0, False)])
+def test_a_current_that_stays_while_its_rotor_turns_is_implausible(speed, implausible):
+    motion = side()
+    for k in range(1, 30):
+        motion.status["speed_rad_s"] = speed
+        motion.came.tick(samples=[(0, (0.0, 0.0), (5.0, 1.0), 16, 0)] * 5)
+        lib.check_plausibility(motion.pointer, k * 10 * MS)
+    assert (motion.checks["implausible_until_ns"].item() > 290 * MS) == implausible
 
 
 def test_an_angle_that_is_off_for_a_minute_is_the_new_one():
