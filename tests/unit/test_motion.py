@@ -13,6 +13,7 @@ from gateway.settings.config import BENCH_MOTOR
 from tests.columns import told_of
 from tests.estimates import DriveEstimate, estimates_of
 from tests.motions import Drives
+from tests.reference import plausibility as reference
 from tests.sender import MS, Sender, SteadyDrive, codec_for
 from tests.unit.test_core import Bench, gateway
 
@@ -294,6 +295,23 @@ def test_a_current_of_which_one_half_stays_is_no_repeat():
         lib.check_plausibility(motion.pointer, k * 10 * MS)
         assert motion.checks["repeats"].item() == motion.checks["block_repeats"].item() == 0
     assert motion.checks["implausible_until_ns"].item() == 0
+
+
+def test_at_high_speed_the_largest_current_of_a_tick_explains_the_torque():
+    """Wherever in the tick it is, and with what motor data are off by; two equal samples repeat."""
+    for ampere, excess in ((8.0, 0), (2.0, 1)):
+        motion, now = side(), 10 * MS
+        torque = motion.checks["torque_per_a"].item() * 8.0
+        torque += reference.TORQUE_OFF * motion.checks["rated_nm"].item()
+        motion.came.drives["sample_ns"] = now
+        rows = [(0, (0.0, 0.0), (x, 0.0), 16, 0) for x in (ampere, 1.0, 1.0)]
+        motion.came.tick([(0, now, 300.0, torque, math.nan)], rows)
+        lib.check_plausibility(motion.pointer, now)
+        assert motion.checks["excess_misfits"].item() == excess
+    motion = side()
+    motion.came.tick(samples=rows[:1] * 2)
+    lib.check_plausibility(motion.pointer, now)
+    assert motion.checks["repeats"].item() == 1
 
 
 @pytest.mark.parametrize(("speed", "implausible"), [(20.0, True), (0.0, False)])
