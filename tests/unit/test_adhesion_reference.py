@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from _traction_core import lib
 
-from dbc.records import DRIVE_STATUS
+from dbc.records import DRIVE_STATUS, pointer
 from estimators.detect import DETECTORS
 from estimators.detect.switching import Switching
 from gateway.core import flags, inputs, receiving
@@ -71,6 +71,20 @@ def anything(rng, n, ticks):
         yield health, load, speed, command, before, sent, fresh, rng.choice([1.0, 0.5])
 
 
+def on_limits(rng, n, ticks):
+    """Few numbers: loads that are equal, commands that just coast, speeds that go and come back."""
+    rated = BENCH_MOTOR.T_rated
+    for tick in range(ticks):
+        load, speed = (
+            rated * rng.choice([0.0, 0.25, 0.5], n),
+            rng.choice([0.0, 24.0, 25.0, 26.0], n),
+        )
+        command, before = rated * rng.choice([0.0, 0.05, 0.05, 0.25, 0.5], (2, n))
+        health = np.where(rng.random(n) < 0.9, Health.TRACKING, Health.CONVERGING)
+        steady, fresh = rng.random((2, n)) < 0.9
+        yield health, load, speed, command, before, ((tick - 1) * TICK, steady), fresh, 1.0
+
+
 def validity(commanded, speed):
     """`input_status`: commands that are known, and measured speeds."""
     made = inputs.statuses(len(speed))
@@ -122,6 +136,7 @@ class Both:
             (core.known, plain.known), (core.loss_probability, plain.lost),
             (core.loss_known, plain.lost_known), (core.severe, plain.severe),
             (core.loads["command_ratio"], plain.ratio),
+            (core.record["flagged_ns"], plain.any_flagged_ns),
         ):  # fmt: skip
             same_numbers(mine, wanted)
 
@@ -177,6 +192,16 @@ def test_anything(n, ticks, detector):
             ) * TICK
         opinion = both.tick(columns.told(n), given, tick * TICK, rng.random(n) < 0.9)
         if rng.random() < 0.7:
+            both.decide(opinion, tick * TICK)
+
+
+@pytest.mark.parametrize(("n", "detector"), [(1, "vb"), (2, "vb"), (3, "vb"), (3, "switching")])
+def test_numbers_on_limits(n, detector):
+    """At first no flag changes: no command follows one."""
+    rng, both = np.random.default_rng(n), Both([BENCH_MOTOR] * n, detector=detector)
+    for tick, given in enumerate(on_limits(rng, n, 400), 300):
+        opinion = both.tick(columns.told(n), given, tick * TICK, True)
+        if tick > 500:
             both.decide(opinion, tick * TICK)
 
 
@@ -309,16 +334,45 @@ def test_rotors_have_the_ratings_of_their_motors():
     assert round(lib.LEARN_PERIOD_S * 1000) == reference.LEARN_NS // MS
 
 
-def test_what_lies_behind_the_drives_is_left_alone():
+def test_a_monitor_that_is_reset_knows_nothing():
+    core = AdhesionMonitor(Adhesion(), [BENCH_MOTOR] * N, RULES, TICK)
+    known_nothing = [getattr(core, name) for name in (
+        "responses", "known", "loss_known", "may_learn", "normalised", "sigma", "loss_probability",
+    )]  # fmt: skip
+    for array in known_nothing:
+        array.view(np.uint8)[:] = 1
+    lib.adhesion_reset(pointer("struct adhesion", core.record), 0.1)
+    assert not any(array.view(np.uint8).any() for array in known_nothing)
+
+
+@pytest.mark.parametrize("detector", ["vb", "switching"])
+def test_what_lies_behind_the_drives_is_left_alone(detector):
     """Room for three, of which two are in use: the third one adheres, and nobody asks it."""
-    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
-    core.record["n"] = core.switching.record["n"] = 2
-    core.switching.record["ticks"], core.switching.record["every"] = 1, 2
-    core.switching.lost[:], core.switching.adhering[:] = (1.0, 1.0, 0.3), (0.0, 0.0, 1.0)
-    core.known[2] = True
-    drives, told = receiving.drive_inputs(3), columns.told(3)
-    told.health[:], told.speed[:], told.load[:] = Health.TRACKING, 25.0, 20.0
-    columns.slow_of(drives).command[:] = 20.0
-    come = validity(np.ones(3, dtype=bool), told.speed)
-    detect(core, told.estimates, come, drives, np.zeros(3, DRIVE_STATUS), 0)
-    assert core.loss_probability.tolist() == [lib.UNDECIDED, lib.UNDECIDED, 0.0]
+    core = AdhesionMonitor(Adhesion(detector=detector), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = 2
+    if core.switching is not None:
+        core.switching.record["n"] = 2
+        core.switching.record["ticks"], core.switching.record["every"] = 1, 2
+        core.switching.lost[:], core.switching.adhering[:] = (1.0, 1.0, 0.3), (0.0, 0.0, 1.0)
+    third = {name: getattr(core, name)[2:].view(np.uint8) for name in (
+        "rotors", "rotor_inputs", "responses", "response_ratios", "ratios", "observed", "loads",
+        "normalised", "sigma", "known", "loss_probability", "loss_known", "may_learn",
+    )}  # fmt: skip
+    for array in third.values():
+        array[:] = 3
+    two = AdhesionMonitor(Adhesion(detector=detector), [BENCH_MOTOR] * 2, RULES, TICK)
+    drives, told, status = receiving.drive_inputs(3), columns.told(3), np.zeros(3, DRIVE_STATUS)
+    drives["command_steady"], core.rotors["load"][2] = [True, True, False], 9.0
+    core.loads["flagged_ns"][2] = NEVER
+    left_alone = {name: array.copy() for name, array in third.items()}
+    told.health[:], told.speed[:], told.load[:] = Health.TRACKING, 25.0, (20.0, 10.0, 15.0)
+    columns.slow_of(drives).command[:] = 20.0, 10.0, 40.0
+    come, again = validity(np.ones(3, dtype=bool), told.speed), copied(told)
+    detect(core, told.estimates, come, drives, status, 0)
+    assert all((array == left_alone[name]).all() for name, array in third.items())
+    if detector == "switching":
+        assert core.loss_probability[:2].tolist() == [lib.UNDECIDED, lib.UNDECIDED]
+        return
+    detect(two, again.estimates[:2], come[:2], drives[:2], status[:2], 0)
+    for name in third.keys() - {"rotors"}:
+        same_numbers(getattr(core, name)[:2], getattr(two, name))

@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 from _traction_core import lib
 
@@ -12,6 +13,7 @@ from gateway.settings.config import BENCH_MOTOR
 from tests.columns import told_of
 from tests.estimates import DriveEstimate, estimates_of
 from tests.motions import Drives
+from tests.reference import plausibility as reference
 from tests.sender import MS, Sender, SteadyDrive, codec_for
 from tests.unit.test_core import Bench, gateway
 
@@ -212,12 +214,76 @@ def test_motion_that_stands_still_beside_a_moving_rotor_is_not_known():
 def test_motion_stands_still_while_all_others_move():
     nan = math.nan
     moving, steady, unknown = list(range(40)), [7.0] * 40, [nan, nan, *range(38)]
-    gone = [7.0, 7.0, 7.0, nan]
+    gone, limit = [7.0, 7.0, 7.0, nan], [7.0] * 10 + [8.0] * 30
     for others, wanted in (([moving], 14), ([moving, moving], 14), ([moving, steady], None),
                            ([moving, unknown], 14), ([unknown], None),
-                           ([moving, gone], 14), ([gone], None)):  # fmt: skip
+                           ([moving, gone], 14), ([gone], None), ([limit], None)):  # fmt: skip
         motion = side(1 + len(others))
         assert held(motion, 40, others, known=False) == wanted
+
+
+@pytest.mark.parametrize("stands", range(4))
+@pytest.mark.parametrize("stays", range(4))
+def test_motion_that_stands_is_compared_with_every_other_drive_since_it_stands(stands, stays):
+    """Speeds but one move by 3 rad/s a tick; the Motion that stands does so from 60 ms on."""
+    motion, room = side(4), np.full(32, math.nan)
+    motion.record["others"] = room.ctypes.data + room.nbytes // 2  # before them nothing is known
+    for k in range(1, 40):
+        speeds = [7.0 if drive == stays else 3.0 * k + drive for drive in range(4)]
+        sent = [(speed, 20.0 + k) for speed in speeds]
+        sent[stands] = min(k, 6), 20.0
+        now, motion.status["speed_rad_s"] = k * 10 * MS, speeds
+        motion.came.tick([(drive, now, *one, math.nan) for drive, one in enumerate(sent)])
+        lib.check_plausibility(motion.pointer, now)
+        unknown = [math.isnan(speed) for speed in motion.status["speed_rad_s"]]
+        assert unknown == [drive == stands == stays and k >= 19 for drive in range(4)], k
+
+
+def test_of_every_drive_the_speeds_are_kept_that_were_measured_when_its_motion_changed():
+    """In as many rows as there are drives, and nothing behind them is written."""
+    motion, rng, n = side(4), np.random.default_rng(9), 4
+    others, taken = np.full(n * n + 1, -7.0), np.full(n + 1, 9, np.uint8)
+    motion.record["others"], motion.record["taken"] = others.ctypes.data, taken.ctypes.data
+    sent, then = np.zeros(n), np.zeros((n, n))
+    for k in range(1, 300):
+        speeds, now = rng.uniform(0.0, 50.0, n), k * 10 * MS
+        changed = rng.random(n) < (1.0 if k == 1 else 0.3)
+        sent[changed], then[changed] = k, speeds
+        motion.status["speed_rad_s"] = speeds
+        motion.came.tick([(drive, now, sent[drive], 20.0, math.nan) for drive in range(n)])
+        lib.check_plausibility(motion.pointer, now)
+        np.testing.assert_array_equal(others[:-1].reshape(n, n)[motion.noted], then)
+        assert (others[-1], taken[-1]) == (-7.0, 9)
+
+
+def test_a_command_that_stays_and_a_rotor_that_turned_otherwise_then():
+    """The same command for long is none to follow; the own speed has come to what Motion tells."""
+    motion = side()
+    motion.came.drives["command"] = 20.0
+    assert held(motion, 40, [], known=False) is None
+    motion.bank.filters["x"][:, 2] = 4.0 * 20.0
+    assert held(motion, 1, [], (5.5, 20.0)) is None
+    motion.bank.filters["x"][:, 2] = 4.0 * 5.5
+    motion.checks["changed_ns"] -= 200 * MS
+    assert held(motion, 3, [], (5.5, 20.0)) == 3
+
+
+@pytest.mark.parametrize(("ahead_ns", "starts", "again"), [
+    (20 * MS + 1, False, 1), (20 * MS, True, 1), (1, True, 1), (0, True, 0),
+])  # fmt: skip
+def test_a_filter_starts_anew_from_20_ms_before_the_end_of_implausible_input(
+    ahead_ns, starts, again
+):
+    motion, now = side(), 1000 * MS
+    motion.checks["restart"], motion.checks["implausible_until_ns"] = 1, now + ahead_ns
+    motion.bank.filters["active"], motion.bank.filters["v_q_bias"] = 1, 0.5
+    motion.estimates["flux_ratio"] = 1.1
+    motion.came.tick([])
+    lib.check_plausibility(motion.pointer, now)
+    assert motion.checks["restart"].item() == again
+    assert math.isnan(motion.estimates["flux_ratio"].item()) == starts
+    assert (motion.bank.filters["v_q_bias"].item() == 0.0) == starts
+    assert (motion.bank.filters["active"].item() == 0) == starts
 
 
 def test_a_current_of_which_one_half_stays_is_no_repeat():
@@ -229,6 +295,33 @@ def test_a_current_of_which_one_half_stays_is_no_repeat():
         lib.check_plausibility(motion.pointer, k * 10 * MS)
         assert motion.checks["repeats"].item() == motion.checks["block_repeats"].item() == 0
     assert motion.checks["implausible_until_ns"].item() == 0
+
+
+def test_at_high_speed_the_largest_current_of_a_tick_explains_the_torque():
+    """Wherever in the tick it is, and with what motor data are off by; two equal samples repeat."""
+    for ampere, excess in ((8.0, 0), (2.0, 1)):
+        motion, now = side(), 10 * MS
+        torque = motion.checks["torque_per_a"].item() * 8.0
+        torque += reference.TORQUE_OFF * motion.checks["rated_nm"].item()
+        motion.came.drives["sample_ns"] = now
+        rows = [(0, (0.0, 0.0), (x, 0.0), 16, 0) for x in (ampere, 1.0, 1.0)]
+        motion.came.tick([(0, now, 300.0, torque, math.nan)], rows)
+        lib.check_plausibility(motion.pointer, now)
+        assert motion.checks["excess_misfits"].item() == excess
+    motion = side()
+    motion.came.tick(samples=rows[:1] * 2)
+    lib.check_plausibility(motion.pointer, now)
+    assert motion.checks["repeats"].item() == 1
+
+
+@pytest.mark.parametrize(("speed", "implausible"), [(20.0, True), (0.0, False)])
+def test_a_current_that_stays_while_its_rotor_turns_is_implausible(speed, implausible):
+    motion = side()
+    for k in range(1, 30):
+        motion.status["speed_rad_s"] = speed
+        motion.came.tick(samples=[(0, (0.0, 0.0), (5.0, 1.0), 16, 0)] * 5)
+        lib.check_plausibility(motion.pointer, k * 10 * MS)
+    assert (motion.checks["implausible_until_ns"].item() > 290 * MS) == implausible
 
 
 def test_an_angle_that_is_off_for_a_minute_is_the_new_one():

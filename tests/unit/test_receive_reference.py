@@ -132,11 +132,6 @@ def rows(*columns):
     return [tuple(row) for row in zip(*(np.asarray(c).tolist() for c in columns), strict=True)]
 
 
-def restarted(box):
-    """Drives whose filter starts anew."""
-    return set(np.flatnonzero(box.receiver.drives["restart"]).tolist())
-
-
 def assert_same(box, plain, *, came=True):
     """All that either remembers."""
     if came:
@@ -145,7 +140,8 @@ def assert_same(box, plain, *, came=True):
         assert rows(s.drive, *s.u.T, *s.y.T, s.steps, s.gap) == plain.samples
         got = rows(r.drive, r.t_ns, r.speed, r.torque, r.angle)[: tick.motions]
         np.testing.assert_equal(got, plain.readings)
-        assert restarted(box) == plain.restart
+        restarted = box.receiver.drives["restart"].tolist()
+        assert restarted == [k in plain.restart for k in range(len(NODES))]
         spec = [box.channels[c].spec.name for c in space["channel"]]
         assert [
             spec[row] for row in space["temperature_rows"][: tick.temperatures]
@@ -167,6 +163,7 @@ def assert_same(box, plain, *, came=True):
         clock = record["clock"]
         if drive.clock is not None:
             assert (clock["late_ns"], clock["usual_ns"]) == (drive.clock.late, drive.clock.usual)
+            assert complex(*clock["u"]) == drive.clock.u
         np.testing.assert_equal(
             [record[name].item() for name in ("current_sum", "speed", "command", "previous_command",
              "irms", "command_ns", "command_steady", "operating")],

@@ -4,8 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from _traction_core import lib
 from scipy.stats import multivariate_normal, norm
 
+from dbc import records
+from dbc.records import pointer
 from estimators.thermal import model, monitor
 from estimators.thermal.monitor import BENIGN_K, SHOWN_K, Known, ThermalMonitor
 from tests import thermal_core as imm
@@ -115,8 +118,13 @@ def test_20_000_hostile_blocks_leave_probabilities_and_covariances():
     rng = np.random.default_rng(1)
     one = train(1)
     for k in range(20_000):
-        was = bool(one.motors["held"][0])
-        motor = judge(one, *hostile(rng, k))
+        was, loose = bool(one.motors["held"][0]), one.motors["loose"][0].copy()
+        block = hostile(rng, k)
+        motor = judge(one, *block)
+        begin, end = DT / monitor.LOOSE_BEGIN_S, DT / monitor.LOOSE_END_S
+        now = loose * (1.0 - end) + (1.0 - loose) * begin
+        odds = now / (1.0 - now) * np.exp(np.clip(block[2], -50.0, 50.0))
+        np.testing.assert_allclose(motor["loose"], np.minimum(odds / (1.0 + odds), 0.95))
         assert math.isfinite(motor["size_k"] + motor["log_likelihood"]), k
         ill, held, kind, own = (
             motor["fault_probability"], bool(motor["held"]), motor["kind"], motor["imm"]
@@ -202,6 +210,81 @@ def test_a_burst_counts_once_wherever_a_block_ends_and_a_step_does_not(first):
         step = quiet.copy()
         step.ravel()[first:] += size
         assert max(closed(step)) <= 0.0, size
+
+
+def test_without_readings_a_block_says_nothing_and_with_a_third_it_has_a_median():
+    blocks = np.full((3, 16), np.nan)
+    blocks[1, 7] = 1.0
+    np.testing.assert_array_equal(closed(blocks), [np.nan, 0.0, np.nan])
+    one = train(1)
+    one.config["block"] = 15
+    for readings, median in ((5, 2.0), (4, np.nan)):
+        one.motors["block"][0, 0, :readings], one.motors["block"][0, 0, readings:] = 2.0, np.nan
+        one.close_block()
+        np.testing.assert_equal(one.motors["middle_k"][0, 0], median)
+
+
+def test_who_is_compared_with_others_than_before_may_stand_as_much_elsewhere():
+    fleet, level = train(4), np.random.default_rng(6).standard_normal((4, 3))
+    fleet.motors["block"][:, :, :16] = level[:, :, None]
+    fleet.close_block()
+    before, fleet.motors["held"][3] = fleet.motors["imm"]["cov"].copy(), True
+    fleet.close_block()
+    for m in range(4):
+        every = [n for n in range(4) if n != m]
+        medians = [np.median(level[some], axis=0) for some in (every, [n for n in every if n < 3])]
+        want = np.zeros(12)
+        want[list(model.MEASURED)] = (medians[1] - medians[0]) ** 2
+        got = fleet.motors["imm"]["cov"][m] - before[m]
+        np.testing.assert_allclose(got, np.tile(np.diag(want), (imm.MODES, 1, 1)), atol=1e-9)
+        assert want.any() == (m < 3)
+
+
+def surroundings(one, sums):
+    out = np.zeros(1, records.IMM_SURROUNDINGS)
+    lib.thermal_surroundings(
+        pointer("struct thermal_config", one.config),
+        pointer("struct thermal_parameters", one.known_motors["model"].copy()),
+        pointer("struct thermal_sums", sums), pointer("struct imm_surroundings", out),
+    )  # fmt: skip
+    return out
+
+
+@pytest.mark.parametrize("means", [(3e4, 150.0, 0.05, 0.1, 20.0), (1e4, 300.0, 0.02, 0.04, 1.0)])
+def test_a_disturbance_and_a_fault_heat_the_lumps_that_they_come_into(means):
+    one, p = train(1), model.TYPICAL
+    square, speed, cooling, copper, rise = means
+    around, config = surroundings(one, imm.sums_of(means, 7.0))[0], one.config[0]
+    pushes, heats = np.zeros((5, 5)), np.zeros((5, 5))
+    pushes[0, 0], pushes[2, 2] = copper, cooling
+    pushes[2:, 1] = p[model.H_0] + p[model.H_1] * speed, p[model.B_D], p[model.B_N]
+    pushes[3, 3], pushes[4, 4] = p[model.F_D] * speed, p[model.F_N] * speed
+    turns = speed / config["duty_speed"]
+    relative = 1.0, cooling / config["duty_cooling"], turns, turns, copper / config["duty_copper"]
+    where = [0, 2, 3, 4, 0]
+    heats[range(5), where] = relative / config["settles_k"][where]
+    np.testing.assert_allclose(around["pushes"], pushes)
+    np.testing.assert_allclose(around["heats"], heats)
+    np.testing.assert_allclose(around["rates"], model.system_matrix(p, square, speed))
+    assert around["rise_k"] == max(rise, model.LEAST_RISE_K)
+
+
+def test_a_likelihood_is_that_of_the_blocks_after_the_first():
+    one, rng = train(1), np.random.default_rng(8)
+    off, sums = rng.normal(0.0, 0.2, (6, 1, 3)), imm.sums_of((2e4, 200.0, 0.03, 0.08, 30.0), 16.0)
+    config = one.config["imm"].copy()
+    config["modes"] = 1
+    own, noise = imm.started(config), one.known_motors["block_noise_k"].item()
+    says = [imm.advance(config, surroundings(one, sums), y[0], noise, own) for y in off]
+    assert one.likelihood(off, np.tile(sums, (6, 1))) == pytest.approx(sum(says[1:]))
+
+
+def test_behind_the_kinds_of_the_last_motor_nothing_is_written():
+    one, kind = train(1), np.full(12, 7.0)
+    one.motors["kind"], one.motors["step"]["offset_k"] = 1.0, [[0.0, 3.0, 0.0]]
+    lib.thermal_kinds(pointer("struct thermal_motor", one.motors), 1, pointer("double", kind))
+    assert kind[:11].sum() == pytest.approx(1.0 - 1e-6)
+    assert kind[11] == 7.0
 
 
 def test_a_sensor_that_begins_within_a_burst_is_not_believed_to_step_or_burst():
