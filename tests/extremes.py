@@ -6,9 +6,6 @@ and stretches in which a rule makes the values of some messages of some drives.
 
 from __future__ import annotations
 
-import argparse
-import itertools
-import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -278,41 +275,3 @@ def run(
             out.append(Raised(f"{name}:{last.lineno}", what, setup, stretch, tick - begin))
             core = None
     return out
-
-
-def main() -> int:
-    """Print where anything raises, by place; 1 if anything does."""
-    parser = argparse.ArgumentParser(prog="python -m tests.extremes", description=__doc__)
-    parser.add_argument("--drives", default="1,2,3")
-    parser.add_argument("--filters", default="ekf,ukf")
-    parser.add_argument("--bus", default="classic,fd")
-    parser.add_argument("--speeds", default="100,290")
-    parser.add_argument("--messages", default=",".join(MESSAGES))
-    parser.add_argument("--rules", default=",".join(RULES))
-    parser.add_argument("--ticks", default="30,40", help="of a stretch, and of honest ones after")
-    options = parser.parse_args()
-    long, again = map(int, options.ticks.split(","))
-    seen: dict[str, list[Raised]] = {}
-    setups = itertools.product(
-        map(int, options.drives.split(",")), options.filters.split(","), options.bus.split(","),
-        map(float, options.speeds.split(",")),
-    )  # fmt: skip
-    for drives, kind, bus, speed in setups:
-        setup = Setup(drives, kind, bus == "fd", speed)
-        wanted = [
-            s for s in stretches(setup)
-            if s.rule in options.rules.split(",") and s.message in options.messages.split(",")
-        ]  # fmt: skip
-        for raised in run(setup, wanted, lengths=(long, again)):
-            seen.setdefault(f"{raised.place} {raised.error}", []).append(raised)
-            if len(seen[f"{raised.place} {raised.error}"]) <= 3:
-                print(raised, flush=True)
-        print(f"{setup}: {len(wanted)} stretches", flush=True)
-    for place, cases in seen.items():
-        rules = sorted({(c.stretch.rule, c.stretch.message) for c in cases})
-        print(f"{place}: {len(cases)} cases; {rules}")
-    return int(bool(seen))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

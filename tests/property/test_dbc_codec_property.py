@@ -114,15 +114,6 @@ def test_raw_extremes_and_codes_of_every_signal(name: str) -> None:
                 assert_same(name, spec, data)
 
 
-@given(data=st.data())
-@settings(max_examples=examples(150))
-def test_any_payload_of_any_shipped_message(data: st.DataObject) -> None:
-    name = data.draw(st.sampled_from(["traction", "traction_fd", "multiplex"]))
-    spec = data.draw(st.sampled_from(bound(name).messages))
-    payload = data.draw(st.binary(min_size=spec.length, max_size=spec.length))
-    assert_same(name, spec, payload)
-
-
 @given(layout=layouts(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=examples(150))
 def test_any_layout_equals_cantools_both_ways(layout: Layout, seed: int) -> None:
@@ -139,34 +130,6 @@ def test_any_layout_equals_cantools_both_ways(layout: Layout, seed: int) -> None
             assert bytes(codec.encode(spec, {"S": number})) == message.encode(
                 {"S": number}, strict=False
             )
-
-
-@given(
-    bits=st.integers(1, 12),
-    sign=st.sampled_from("+-"),
-    ids=st.lists(st.none() | st.integers(0, 9), min_size=1, max_size=70),
-    seed=st.integers(0, 2**32 - 1),
-)
-@settings(max_examples=examples(150), deadline=None)
-def test_any_multiplexer_equals_the_reference(
-    bits: int, sign: str, ids: list[int | None], seed: int
-) -> None:
-    """Selectors that are listed by value, and those that are too long; more than 64 signals."""
-    lines = [
-        f'VERSION ""\nBS_:\nBU_: A\nBO_ 1 One: 64 A\n SG_ M M : 0|{bits}@1{sign} (1,0) [0|0] "" A'
-    ]
-    for k, of in enumerate(ids):
-        when = "" if of is None else f"m{of % (1 << bits)} "
-        order = ("0-", "1+", "1-", "0+")[k % 4]
-        start = 16 + 4 * k + (3 if order[0] == "0" else 0)
-        lines.append(f' SG_ S{k} {when}: {start}|{1 + k % 3}@{order} (0.5,1) [0|0] "" A')
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "one.dbc"
-        path.write_text("\n".join(lines) + "\n")
-        codec = bind(path, (), ANY)
-    generator = np.random.default_rng(seed)
-    for first in (*range(10), *generator.integers(0, 256, 10).tolist()):
-        block(codec, codec.messages[0], bytes([first]) + generator.bytes(63))
 
 
 @given(data=st.data())

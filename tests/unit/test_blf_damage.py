@@ -311,3 +311,14 @@ def test_error_objects(tmp_path: Path) -> None:
         tmp_path, an_object(2, 0, b"\2\0\0\0"), an_object(104, 0, b"\3" + bytes(59))
     )
     assert [(f.flags, f.channel) for f in frames] == [(ERROR, "1"), (ERROR, "2")]
+
+
+def test_what_is_no_frame_is_counted_and_times_may_lie_before_the_start(tmp_path: Path) -> None:
+    early, later = classic(-60_000_000 % 2**64, 0x181, b"\1"), classic(7, 0x182, b"")
+    objects = (early, an_object(6, 0, bytes(16)), later)
+    whole = b"".join(objects)
+    for parts in ([container(whole)], [container(whole[:50]), container(whole[50:])], objects):
+        reader = Blf(blf(tmp_path / "a.blf", list(parts)))
+        assert [(f.t_ns - START_NS, f.can_id) for f in reader] == [(-60_000_000, 0x181), (7, 0x182)]
+        assert dict(reader.counts) == {Verdict.OK: 2, Verdict.EVENT: 1}
+        assert reader.lines == 3

@@ -10,11 +10,8 @@ import pytest
 
 from dbc import generate as build
 from dbc.codec import Codec, bind
-from dbc.contract import ANY
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.spec import ABSENT, NOT_A_NUMBER, NOT_AVAILABLE, RANGE, SATURATED, VALID, Match, Validity
-from tests.dbc_text import message, signal, write
-from tests.reference import codec as reference
+from dbc.spec import NOT_AVAILABLE, RANGE, SATURATED, VALID, Match
 
 FOLDER = Path(build.__file__).parent
 
@@ -174,23 +171,6 @@ def test_decode_needs_the_right_length(codec: Codec) -> None:
         codec.decode(spec, bytes(7))
 
 
-def test_unused_columns_and_foreign_numbers(fd_codec: Codec) -> None:
-    spec = fd_codec.by_name["Drive1_Motion"]
-    index = np.array([spec.index, -1, len(fd_codec.messages), 2**31 - 1], np.int32)
-    payload = np.zeros((4, 64), np.uint8)
-    value, validity = fd_codec.decode_rows(index, payload)
-    assert value.shape == validity.shape == (4, fd_codec.width)
-    assert (validity[0, : len(spec.signals)] == VALID).all()
-    assert (validity[0, len(spec.signals) :] == ABSENT).all()
-    assert (validity[1:] == ABSENT).all()
-    assert np.isnan(value[1:]).all()
-    plain = reference.decode_rows(fd_codec, index.tolist(), payload)
-    assert np.array_equal(value, plain[0], equal_nan=True)
-    assert np.array_equal(validity, plain[1])
-    empty = fd_codec.decode_rows(index[:0], payload[:0])
-    assert empty[0].shape == (0, fd_codec.width)
-
-
 def test_encode_defaults_and_saturation(codec: Codec) -> None:
     spec = codec.by_name["Drive1_PhaseCurrents"]
 
@@ -222,70 +202,3 @@ def test_encode_of_flags_and_counts(codec: Codec) -> None:
     data = bytes(codec.encode(status, {"LostFrames": 10**9, "BusLoad": 250.0}))
     assert codec.decode(status, data)["LostFrames"].raw == 0xFFE
     assert codec.decode(status, data)["BusLoad"].raw == 100
-
-
-def test_float_signals(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "floats.dbc",
-        message(
-            1,
-            "F",
-            12,
-            signal("X", 0, 32, "-", rest='(1,0) [-10|10] "V"'),
-            signal("Y", 32, 64, "-"),
-        ),
-        "SIG_VALTYPE_ 1 X : 1;",
-        "SIG_VALTYPE_ 1 Y : 2;",
-    )
-    codec = bind(path, (), ANY)
-    spec = codec.messages[0]
-    cases = [(1.5, VALID), (10.0, VALID), (10.5, RANGE),
-             (math.nan, NOT_A_NUMBER), (math.inf, NOT_A_NUMBER)]  # fmt: skip
-    for number, wanted in cases:
-        data = np.float32(number).tobytes() + np.float64(number).tobytes()
-        row = np.frombuffer(data.ljust(64, b"\0"), np.uint8).reshape(1, 64)
-        value, validity = codec.decode_rows(np.zeros(1, np.int32), row)
-        plain = reference.decode_rows(codec, [0], row)
-        assert np.array_equal(value, plain[0], equal_nan=True)
-        assert np.array_equal(validity, plain[1])
-        assert validity[0, 0] == wanted
-        assert validity[0, 1] == (VALID if math.isfinite(number) else NOT_A_NUMBER)
-    data = codec.encode(spec, {"X": 99.0, "Y": -1e300})
-    readings = codec.decode(spec, bytes(data))
-    assert (readings["X"].value, readings["Y"].value) == (10.0, -1e300)
-    assert readings["Y"].validity is Validity.VALID
-    nothing = codec.decode(spec, bytes(codec.encode(spec, {"X": None, "Y": math.nan})))
-    assert (nothing["X"].value, nothing["Y"].value) == (0.0, 0.0), "no code: the start value"
-
-
-def test_single_precision_does_not_overflow(tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "f.dbc", message(1, "F", 4, signal("X", 0, 32, "-")), "SIG_VALTYPE_ 1 X : 1;"
-    )
-    codec = bind(path, (), ANY)
-    for number, wanted in ((1e300, np.finfo(np.float32).max), (-1e300, np.finfo(np.float32).min)):
-        data = bytes(codec.encode(codec.messages[0], {"X": number}))
-        assert codec.decode(codec.messages[0], data)["X"].value == wanted
-
-
-def test_whole_64_bit_range(tmp_path: Path) -> None:
-    """Bounds and codes of 64-bit integers are compared exactly, not as floats."""
-    top = (1 << 64) - 1
-    path = write(
-        tmp_path / "wide.dbc",
-        message(1, "U", 8, signal("X", 0, 64)),
-        message(2, "S", 8, signal("X", 0, 64, "-")),
-        f'VAL_ 1 X {top} "Not available" ;',
-    )
-    codec = bind(path, (), ANY)
-    for name, raws in (
-        ("U", [(top, NOT_AVAILABLE), (top - 1, VALID), (0, VALID)]),
-        ("S", [(-(1 << 63), VALID), (-1, VALID), ((1 << 63) - 1, VALID)]),
-    ):
-        spec = codec.by_name[name]
-        for raw, wanted in raws:
-            data = (raw & top).to_bytes(8, "little")
-            assert codec.decode(spec, data)["X"] == (raw, float(raw), wanted)
-            row = np.frombuffer(data.ljust(64, b"\0"), np.uint8).reshape(1, 64)
-            value, validity = codec.decode_rows(np.array([spec.index], np.int32), row)
-            assert (value[0, 0], validity[0, 0]) == (float(raw), wanted)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import signal
-import threading
 from collections.abc import Sequence
 
 import pytest
@@ -14,7 +13,6 @@ from dbc.frame import MS, Frame
 from dbc.frames import Block, block_of
 from gateway.io.canopen_node import CanopenNode, GatewayError
 from gateway.io.live import LiveSnapshot, Stop, run_live, stop_on_signals
-from gateway.io.pythoncan import PythonCan
 from gateway.io.realtime import Ticker
 from gateway.io.transport import LinkState, SendResult, Status
 
@@ -292,31 +290,3 @@ def test_a_second_signal_acts_as_before() -> None:
                 os.kill(os.getpid(), signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def test_on_a_real_clock_over_a_virtual_bus_from_another_thread() -> None:
-    options = {"interface": "virtual", "channel": "live"}
-    listener, transport = PythonCan(options), PythonCan(options)
-    listener.open()
-    transport.open()
-    setup = Setup()
-    ticker = Ticker(10 * MS)
-    loop = threading.Thread(
-        target=run_live,
-        args=(setup.core, transport, CanopenNode(), ticker),
-        kwargs={"stop": setup.stop},
-    )
-    loop.start()
-    try:
-        heard: list[Frame] = []
-        while sum(f.data == b"verdict!" for f in heard) < 5:
-            heard += listener.receive(1.0)
-    finally:
-        setup.stop()
-        loop.join()
-    heard += listener.receive(0.0)
-    flags = [f.data for f in heard if f.can_id == FLAGS]
-    assert flags[-3:] == [b"unknown!"] * 3
-    assert flags.count(b"unknown!") == 3
-    assert heard[1].can_id == 0x720
-    listener.close()

@@ -1,6 +1,6 @@
 """No number on the wire raises: extreme but legal raw values through the whole core.
 
-`python -m tests.extremes` runs all of them; `make test-all` runs these here under sanitizers, where
+`make test-all` runs all set-ups, under sanitizers too, where
 a conversion or an index that a number could break ends the run.
 """
 

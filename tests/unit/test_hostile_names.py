@@ -16,12 +16,9 @@ import pytest
 
 from gateway.cli import main
 from gateway.io.log_setup import begin
-from gateway.reports import page
-from sim.scenario import parse
 
 ESCAPE = "\x1b[2J\x1b]0;owned\x07"
 """Clears a screen and names its window."""
-TITLE = f"wet{ESCAPE}\x9b2J\x00\nrail [/red]"
 SHOWN = r"wet\x1b[2J\x1b]0;owned\x07\x9b2J\x00\nrail [/red]"
 SCENARIO = """
 title = "wet\\u001b[2J\\u001b]0;owned\\u0007\\u009b2J\\u0000\\nrail [/red]"
@@ -151,18 +148,6 @@ def test_a_title_on_a_real_terminal(tmp_path: Path) -> None:
     assert ESCAPE not in drawn
     assert "\x1b]0" not in drawn
     harmless(done.stdout)
-
-
-def test_a_page_whose_title_is_a_name_of_a_log(tmp_path: Path) -> None:
-    page.write(tmp_path, f"Replay of {TITLE}</title>", "text", [])
-    whole = (tmp_path / "report.html").read_text(encoding="utf-8")
-    harmless(whole)
-    assert f"<title>Replay of {SHOWN}&lt;/title&gt;</title>" in whole
-
-
-def test_titles_without_them_stay_as_they_are() -> None:
-    title = "Nasse Schiene: Über 25 %, «zwei»"
-    assert parse({"title": title, "duration_s": 1}).title == title
 
 
 @pytest.mark.parametrize("verb", ["replay", "check", "convert", "calibrate", "hil"])

@@ -1,7 +1,6 @@
 """Wrong values behind right counters and checksums: what they are, and what the flags make of them.
 
-Clear cases: steady drives, 60 % of rated torque, one drive wrong for 1.5 s. `python -m
-tests.value_cases` prints them all as a table.
+Clear cases: steady drives, 60 % of rated torque, one drive wrong for 1.5 s.
 """
 
 from __future__ import annotations

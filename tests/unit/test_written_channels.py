@@ -11,7 +11,6 @@ from dbc.frame import ERROR, FD, REMOTE, Frame
 from dbc.frames import block_of
 from dbc.logs.opening import open_reader
 from gateway.cli import main
-from gateway.logfiles.channels import channel_number
 from gateway.logfiles.convert import frame_sink
 from gateway.logfiles.frames import interface
 
@@ -64,18 +63,6 @@ def test_the_largest_number_and_the_next(tmp_path: Path, suffix: str) -> None:
     names = [f"can{most}", f"can{most + 1}", "can300" if suffix != ".mf4" else "can3"]
     found = [names[0], "can0", names[2]]
     assert there_and_back(tmp_path / f"a{suffix}", names) == (found, 4)
-
-
-@pytest.mark.parametrize("suffix", NUMBERED)
-@pytest.mark.parametrize("name", ["can300", "can65535", "vcan1000000", "can99999999999999999"])
-def test_a_large_number_is_no_traceback(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, name: str
-) -> None:
-    log = tmp_path / "a.log"
-    log.write_text(f"(1684144800.123456) {name} 123#01\n")
-    assert main(["convert", "--frames", str(log), str(tmp_path / f"a{suffix}")]) == 0
-    number = channel_number(name, MOST[suffix])
-    assert ("written without: channel 1" in capsys.readouterr().out) == (number is None)
 
 
 @pytest.mark.parametrize("suffix", NUMBERED)
