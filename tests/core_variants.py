@@ -24,7 +24,6 @@ from core_build import HEADERS, SOURCES
 
 OUT = Path("out/core").absolute()
 OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit/test_records.py",
-       "tests/property/test_e2e_property.py",
        "tests/unit/test_codec_reference.py",
        "tests/unit/test_flags.py",
        "tests/unit/test_flags_reference.py",

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from dbc.e2e import Check
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 
 # ---- dbc: frames and log lines -----------------------------------------------------------------
@@ -100,44 +99,7 @@ def layouts(draw: st.DrawFn) -> Layout:
 # ---- dbc: protection ---------------------------------------------------------------------------
 
 
-def checks() -> st.SearchStrategy[Check]:
-    """Verdicts of receiver cycles, good ones more often so that VALID is reached."""
-    return st.sampled_from([*Check, Check.OK, Check.OK])
-
-
 # ---- estimators: motors, filter states, samples ------------------------------------------------
-
-
-def motor_rows() -> st.SearchStrategy[tuple[float, ...]]:
-    """Motor constants (R_s, L_s, psi_f, p, J, B, k_p), bench size to traction size."""
-    return st.tuples(
-        st.floats(0.0, 0.5),
-        st.floats(5e-4, 1e-2),
-        st.floats(0.05, 2.0),
-        st.integers(1, 8).map(float),
-        st.floats(0.01, 10.0),
-        st.floats(0.0, 0.5),
-        st.sampled_from([1.0, 1.5]),
-    )
-
-
-def filter_states() -> st.SearchStrategy[list[float]]:
-    """State [i_alpha, i_beta, w_e, theta_e, T_L]: anything a drive may do."""
-    limits = (60.0, 60.0, 500.0, 3.14159, 60.0)
-    return st.tuples(*(st.floats(-limit, limit) for limit in limits)).map(list)
-
-
-def sample_rows(
-    drives: int,
-) -> st.SearchStrategy[list[tuple[int, float, float, float, float, int]]]:
-    """Rows (drive, u_alpha, u_beta, i_alpha, i_beta, missing sub-steps): sense, the
-    largest values a frame can hold, and no numbers at all.
-    """
-    volt = st.floats(-100.0, 100.0) | st.sampled_from([0.0, 3276.6, float("nan"), float("inf")])
-    ampere = st.floats(-50.0, 50.0) | st.sampled_from([0.0, -655.32, float("nan"), float("-inf")])
-    gap = st.sampled_from([0, 0, 0, 1, 16, 800])
-    row = st.tuples(st.integers(0, drives - 1), volt, volt, ampere, ampere, gap)
-    return st.lists(row, max_size=40)
 
 
 # ---- sim: wheel and rail -----------------------------------------------------------------------

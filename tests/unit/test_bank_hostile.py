@@ -84,9 +84,12 @@ def told(bank: Bank, samples: Samples, tick: int, n: int):
     return estimates
 
 
+@pytest.mark.parametrize(
+    "steps", [1_000_000, pytest.param(10_000_000, marks=[pytest.mark.slow, pytest.mark.thorough])]
+)
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-def test_numbers_that_are_none_get_neither_in_nor_out(kind):
-    n, steps = 32, 10_000_000
+def test_numbers_that_are_none_get_neither_in_nor_out(kind, steps):
+    n = 32
     bank = Bank([BENCH_MOTOR] * n, Estimator(kind=kind), 0.05)
     seconds = ticks_of(loop(n, every=1))
     rng = np.random.default_rng(5)

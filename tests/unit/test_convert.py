@@ -369,6 +369,20 @@ def test_one_channel(tmp_path: Path) -> None:
     assert list(Reader(out)) == [f for f in KINDS if f.channel == "can1"]
 
 
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory) -> Path:
+    """Logs of every kind that is refused, and some that are good."""
+    folder = tmp_path_factory.mktemp("refused")
+    good = Frame(T0, 0x381, bytes(8), 0, "can0")
+    whole = log_of(folder / "in.log", [good, good])
+    log_of(folder / "foreign.log", [good._replace(can_id=0x7FE)])
+    (folder / "bad.log").write_bytes(whole.read_bytes()[:-1].replace(b"\n", b"\nx\n"))
+    for junk in ("junk.parquet", "junk.mf4", "junk.blf", "in.db.gz"):
+        (folder / junk).write_bytes(gzip.compress(b"junk"))
+    assert run(whole, folder / "signals.parquet") == 0
+    return folder
+
+
 # python-can's and asammdf's readers leave a file open when they refuse it.
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -395,18 +409,8 @@ def test_one_channel(tmp_path: Path) -> None:
         ("bad.log", "out.csv", ["--strict"], "bad.log:2: "),
     ],
 )
-def test_what_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture,
-    log: str, out: str, words: list[str], said: str,
-) -> None:  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    good = Frame(T0, 0x381, bytes(8), 0, "can0")
-    log_of(Path("in.log"), [good, good])
-    log_of(Path("foreign.log"), [good._replace(can_id=0x7FE)])
-    Path("bad.log").write_bytes(Path("in.log").read_bytes()[:-1].replace(b"\n", b"\nx\n"))
-    for junk in ("junk.parquet", "junk.mf4", "junk.blf", "in.db.gz"):
-        Path(junk).write_bytes(gzip.compress(b"junk"))
-    assert run("in.log", "signals.parquet") == 0
+def test_what_is_refused(inputs, monkeypatch, capsys, log, out, words, said):
+    monkeypatch.chdir(inputs)
     before = {p.name: p.read_bytes() for p in Path().iterdir()}
     Path("folder.csv").mkdir()
     capsys.readouterr()

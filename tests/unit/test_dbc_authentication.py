@@ -130,13 +130,6 @@ def test_neither_another_identifier_nor_a_changed_tag_is_accepted() -> None:
             assert line.hear((key, data, low ^ 1 << bit, mac)) is None
 
 
-def test_another_keys_frames_are_not_accepted() -> None:
-    line = Line(freshness=1 << COUNT_BITS)
-    line.sender = Authenticator(bytes(range(16)), 1)
-    assert not any(line.tick() for _ in range(200))
-    assert line.receiver.failed == 200
-
-
 def test_what_was_heard_is_never_accepted_again() -> None:
     line = Line(freshness=1 << COUNT_BITS)
     record = []
@@ -273,12 +266,6 @@ def flooded(line: Line, rng: random.Random, forgeries: int) -> bool:
     return genuine is not None and genuine.data == made[1]
 
 
-def test_a_flood_of_forged_tags_stops_no_genuine_one() -> None:
-    line, rng = Line(freshness=1 << COUNT_BITS), random.Random(1)
-    assert all(flooded(line, rng, 80) for _ in range(200))
-    assert line.receiver.failed == 80 * 200
-
-
 @pytest.mark.parametrize("starts", [1, AT_ONCE])
 def test_under_that_flood_a_restart_and_a_long_loss_are_bridged_as_without_it(starts: int) -> None:
     line, rng = Line(freshness=1 << COUNT_BITS), random.Random(2)
@@ -324,22 +311,19 @@ def test_failures_are_told_once_a_second() -> None:
     assert lines[1].startswith("1000 frames failed authentication")
 
 
-def test_nothing_beyond_64_bits_is_tried() -> None:
-    line = Line(freshness=(1 << 64) - 3)
-    assert not any(line.tick() for _ in range(3))
-
-
-@pytest.mark.slow
-def test_a_million_random_forgeries() -> None:
+@pytest.mark.parametrize(
+    "count", [100_000, pytest.param(1_000_000, marks=[pytest.mark.slow, pytest.mark.thorough])]
+)
+def test_a_million_random_forgeries(count: int) -> None:
     """Expected with 32 bits: 0.0005. The figures are printed, `-s` shows them."""
     line, rng = Line(freshness=1 << COUNT_BITS), random.Random(2026)
     accepted = 0
-    for k in range(1_000_000):
+    for k in range(count):
         if k % 100 == 0:
             assert line.tick()
         line.receiver.flag(rng.choice((ADHESION, FAULTS)), rng.randbytes(8), line.now)
         low = line.sender.freshness + 1 + rng.randrange(WINDOW) & 0xFFFF
         accepted += line.receiver.auth(low, rng.getrandbits(32), line.now) is not None
-    print(f"\n1,000,000 forgeries, {accepted} accepted; {line.receiver.accepted} genuine of 10,000")
+    print(f"\n{count:,} forgeries, {accepted} accepted; {line.receiver.accepted} genuine")
     assert accepted == 0
-    assert line.receiver.accepted == 10_000
+    assert line.receiver.accepted == count // 100

@@ -72,51 +72,10 @@ def test_vectors_of_profile_5() -> None:
     assert payload.hex() == "1cca000000000000"
 
 
-@pytest.mark.parametrize(
-    ("data", "crc"),
-    [
-        ("00000000", 0x12),
-        ("F20183", 0xC2),
-        ("0FAA0055", 0xC6),
-        ("00FF5511", 0x77),
-        ("332255AABBCCDDEEFF", 0x11),
-        ("926B55", 0x33),
-        ("FFFFFFFF", 0x6C),
-        (b"123456789".hex(), 0xDF),
-    ],
-)
-def test_crc_8h2f_vectors_of_the_standard(data: str, crc: int) -> None:
-    """SWS_CRCLibrary: both libraries give the published values."""
-    from e2e.crc import calculate_crc8_h2f
-
-    assert calculate_crc8_h2f(bytes.fromhex(data)) == crc
-    assert Crc8Autosar.calc(bytes.fromhex(data)) == crc
-
-
-@pytest.mark.parametrize(
-    ("data", "crc"),
-    [
-        ("00000000", 0x84C0),
-        ("F20183", 0xD374),
-        ("0FAA0055", 0x2023),
-        ("00FF5511", 0xB8F9),
-        ("332255AABBCCDDEEFF", 0xF53F),
-        ("926B55", 0x0745),
-        ("FFFFFFFF", 0x1D0F),
-        (b"123456789".hex(), 0x29B1),
-    ],
-)
-def test_crc_16_vectors_of_the_standard(data: str, crc: int) -> None:
-    from e2e.crc import calculate_crc16
-
-    assert calculate_crc16(bytes.fromhex(data)) == crc
-    assert Crc16Ibm3740.calc(bytes.fromhex(data)) == crc
-
-
 def test_whole_frames_equal_the_second_library() -> None:
     """P02: CRC over bytes 1.. and the counter's id. P05: over bytes 2.. and the id, LSB first."""
     generator = np.random.default_rng(4)
-    for k in range(50_000):
+    for k in range(10_000):
         ids = generator.bytes(16)
         payload = bytearray(generator.bytes(int(generator.integers(2, 65))))
         protect(Own(Profile.P02, ids), payload, k)

@@ -75,26 +75,6 @@ def check_never_wrong(truth: Truth, rows: Rows, par: Pmsm | None = None) -> np.n
     return first - passed
 
 
-@pytest.mark.parametrize("noise_var", [2e-4, 1e-2])
-@pytest.mark.parametrize("every", [16, 1])
-@pytest.mark.parametrize("w", [25.0, -40.0, 100.0, -200.0, 300.0])
-def test_rolling_start(w, every, noise_var):
-    truth = rolling(w)
-    delay = check_never_wrong(truth, sampled(truth, every, noise_var, seed=1))
-    assert (delay < (0.3 if abs(w) < 50.0 else 0.06)).all()
-
-
-@pytest.mark.parametrize(
-    ("w", "every"),
-    [(600.0, 16), (-1200.0, 16), (600.0, 1), (-1200.0, 1), (2000.0, 1), (-3500.0, 1), (4900.0, 1)],
-)
-def test_rolling_start_at_speed(w, every):
-    """The chord is as short as the speed asks for, down to a sample."""
-    truth = rolling(w)
-    delay = check_never_wrong(truth, sampled(truth, every, 2e-4, seed=1))
-    assert (delay < 0.06).all()
-
-
 @pytest.mark.parametrize("w", [5500.0, -9000.0, 13_400.0, 20_000.0])
 def test_faster_than_ten_samples_per_revolution_is_never_ready(w):
     """16,000 rpm with eight pole pairs are 13,400 rad/s; with chords of 2 ms they would alias."""
@@ -138,17 +118,6 @@ def test_a_long_hole_begins_with_the_shortest_chord_again():
     found = estimate(state)
     assert found.ready.all()
     assert found.w == pytest.approx(fast.w[-1], rel=0.01)
-
-
-@pytest.mark.parametrize("noise_var", [2e-4, 1e-2])
-@pytest.mark.parametrize("every", [16, 1])
-@pytest.mark.parametrize(
-    ("final", "rate", "load"), [(100, 500, 10), (-200, 5000, -5), (300, 200, 20), (-120, 3000, 20)]
-)
-def test_standing_start(final, rate, load, every, noise_var):
-    truth = standing(final, rate, load)
-    delay = check_never_wrong(truth, sampled(truth, every, noise_var, seed=2))
-    assert (delay < 0.3).all()
 
 
 @pytest.mark.parametrize("wrong", [{"R_s": 1.2}, {"R_s": 0.8}, {"psi_f": 1.2, "L_s": 0.8}])
@@ -213,28 +182,6 @@ def test_agreement_tells_right_from_wrong_filters(final, every):
     verdict = check(state, x)
     assert (verdict[right] == Consistency.CONSISTENT).all()
     assert (verdict[~right] == Consistency.INCONSISTENT).all()
-
-
-def test_start_state_starts_the_filter_right():
-    truth = standing(120.0, 600.0, 15.0, ticks=8000)
-    rows = sampled(truth, 16, 2e-4, seed=7)
-    par, noise = bench(36)
-    state = acquisition.start(36)
-    middle = 4000
-    feed(state, par, rows, rows.tick < middle)
-    x, P = start_states(state, par, noise, rated(36))
-    assert state.ready.all()
-    error = np.stack(
-        [x[:, 2] - truth.w[middle - 1], motor_model.wrap(x[:, 3] - truth.theta[middle - 1])], axis=1
-    )
-    deviation = np.sqrt(np.stack([P[:, 2, 2], P[:, 3, 3]], axis=1))
-    assert (np.abs(error) < 3.0 * deviation).all()
-    late = rows.tick >= middle
-    samples = filters.sample_records(*(column[late] for column in rows[:5]))
-    _, ok = sweep("ekf", pmsm.table(par), noise, x, P, samples, TICK_S)
-    assert ok.all()
-    assert np.abs(x[:, 4] - 15.0).max() < 2.0
-    assert np.abs(motor_model.wrap(x[:, 3] - truth.theta[-1])).max() < 0.05
 
 
 def test_chords_of_known_motion():

@@ -206,13 +206,13 @@ def test_a_base_that_changes(tmp_path: Path, base: str) -> None:
     assert [f.split()[1] for f in frames] == [said[base]] * 50 + [said[other]] * 50
 
 
-@pytest.mark.timeout(60)  # of minutes if every line were looked at
+@pytest.mark.timeout(30)  # of minutes if every line were looked at
 @pytest.mark.parametrize("suffix", [".asc", ".trc", ".asc.gz", ".csv"])
 def test_gigabytes_of_blank_lines(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"log{suffix}"
-    text = b"\n" * (200 << 20)
+    text = b"\n" * (50 << 20)
     path.write_bytes(gzip.compress(text, 1) if suffix.endswith(".gz") else text)
-    assert lines_of(path) == ([], {"blank": 200 << 20})
+    assert lines_of(path) == ([], {"blank": 50 << 20})
 
 
 # ---- patterns ----------------------------------------------------------------------------------

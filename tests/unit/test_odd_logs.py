@@ -169,7 +169,7 @@ SCREEN = " (1684144800.{:06d})  can0  {}\n"
 
 @pytest.mark.parametrize(("name", "text", "wanted", "fault"), [
     ("a.asc", ASC + "0.1 1 \xa0 Rx d 1 01\n0.2 1 123 Rx d 1 01\n", "123#01", "bad_id"),
-    ("a.trc", TRC.format("1.1") + " 1) 1059.9  Rx  \xa0  2  00 01\n 2) 1060.9  Rx  0123  2  00 01\n", 
+    ("a.trc", TRC.format("1.1") + " 1) 1059.9  Rx  \xa0  2  00 01\n 2) 1060.9  Rx  0123 2 00 01\n",
      "123#0001",
      "malformed"),
     ("a.asc", ASC + "0.1 1 102 Rx r e4\n0.2 1 123 Rx r 8\n", "123#R8", "bad_length"),
