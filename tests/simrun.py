@@ -5,10 +5,14 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 import dbc
 from dbc.codec import Codec, bind
 from dbc.e2e import protect
 from dbc.frame import Frame
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse as parse_config
 from sim.scenario import Scenario, parse
 from sim.simulation import Simulation
 
@@ -61,3 +65,17 @@ class Flags:
         protect(self.spec, payload, self.counter)
         self.counter += 1
         return Frame(t_ns, self.spec.can_id, bytes(payload))
+
+
+def flags_and_speeds(simulated, coded, **config):
+    """Adhesion flags and true rotor speeds of a scenario, both (ticks, N)."""
+    nodes = tuple(range(1, simulated.drives + 1))
+    simulation = Simulation(simulated, coded, nodes=nodes)
+    drives = {"drive": [{"node": node} for node in nodes]}
+    core = Gateway(parse_config({"dbc": {"file": str(coded.path)}, **drives, **config}), coded, 0)
+    flags = []
+    for k in range(1, round(simulated.duration_s * 100) + 1):
+        core.step(simulation.step((), k * TICK), k * TICK)
+        flags.append([drive.adhesion for drive in core.view.drives])
+    speeds = np.reshape([row.speed_rad_s for row in simulation.truth_rows()], (-1, len(nodes)))
+    return np.array(flags), np.abs(speeds[: len(flags)])

@@ -58,10 +58,16 @@ def test_what_a_sentence_names_exists(page):
 
 FIRST = ("README.md", "docs/inverters.md", "docs/tutorials/")
 """Pages that a new user follows: for every change. `make test-all` has the others."""
+MINUTES = "docs/tutorials/hil_tests.md"
+"""Its verbs and its suite are run by test_testing.py and test_hil_mutate.py."""
+
+
+def is_for_later(page):
+    return page == MINUTES or not page.startswith(FIRST)
 
 
 @pytest.mark.parametrize("page", [
-    pytest.param(page, marks=[pytest.mark.thorough] * (not page.startswith(FIRST)))
+    pytest.param(page, marks=[pytest.mark.thorough] * is_for_later(page))
     for page in sorted({b.page for b in ALL if b.language == "sh" and b.run == "here"})
 ])  # fmt: skip
 @pytest.mark.slow

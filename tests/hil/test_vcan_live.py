@@ -15,7 +15,7 @@ import pytest
 from dbc.codec import bind
 from dbc.frame import MS, Frame
 from gateway.io.socketcan import SocketCan
-from gateway.io.transport import LinkState, SendResult
+from gateway.io.transport import SendResult
 from gateway.settings.config import shipped_dbc
 
 if TYPE_CHECKING:
@@ -109,29 +109,6 @@ def test_a_second_sender_of_our_identifiers_silences_a_gateway_that_shall_stop(
     assert process.returncode == 0, errors.decode()
     assert b"on_intruder" in errors
     assert watcher.of(ADHESION, found) == []
-
-
-def test_the_gateway_outlives_its_interface(vcan: Vcan) -> None:
-    vcan.link("delete")
-    process = run(vcan)
-    assert process.stderr is not None
-    assert b"bus is absent: vcan0 is not there" in process.stderr.readline()
-    vcan.link("create")
-    watcher = Watcher(vcan.name)
-    watcher.until(lambda: watcher.of(ADHESION))
-    for change, back in (("down", "up"), ("delete", "create")):
-        vcan.link(change)
-        watcher.until(lambda: watcher.bus.status.state is not LinkState.UP)
-        time.sleep(0.3)
-        again = time.monotonic_ns()
-        vcan.link(back)
-        watcher.until(lambda after=again: watcher.of(ADHESION, after))
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, errors.decode()
-    assert b"reopened 1" in output
-    watcher.bus.close()
 
 
 def test_a_master_starts_its_drives_by_number_until_another_is_heard(

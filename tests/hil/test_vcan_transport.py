@@ -182,19 +182,6 @@ def test_link_down_and_up_again_is_survived(vcan: Vcan, pair: tuple[SocketCan, S
     assert b.status.reopened == 0
 
 
-def test_an_interface_that_is_down_at_start_is_waited_for(vcan: Vcan) -> None:
-    vcan.link("down")
-    bus = SocketCan(vcan.name)
-    bus.open()
-    bus.receive(0.0)
-    assert bus.status.state is LinkState.DOWN
-    vcan.link("up")
-    until(bus, lambda _: bus.status.state is LinkState.UP)
-    vcan.send("181#01")
-    assert len(until(bus, bool)) == 1
-    bus.close()
-
-
 def test_an_interface_absent_at_start_is_waited_for(vcan: Vcan) -> None:
     vcan.link("delete")
     bus = open_transport({"interface": "socketcan", "channel": vcan.name})

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from dbc.e2e import protect
 from dbc.frame import Frame
-from gateway.core.codes import Flag
 from gateway.monitor.model.observer import Observer
 from gateway.monitor.model.snapshot import as_json
 from tests.monitored import config_of
@@ -83,22 +82,3 @@ def test_nothing_that_comes_raises_and_cuts_change_nothing(sent, size, shadow) -
 def test_any_content_of_good_frames_is_shown_or_unknown(sent) -> None:
     end = sent[-1].t_ns
     assert shown_by(Observer(codec(), config_of()), [sent], end)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(st.binary(min_size=8, max_size=8), st.integers(1, 255)), max_size=60))
-def test_flags_with_a_wrong_checksum_stay_unknown(contents) -> None:
-    spec = codec().by_name["Gateway_Adhesion"]
-    sent = []
-    for k, (content, error) in enumerate(contents):
-        data = bytearray(content)
-        protect(spec, data, k)
-        data[0] ^= error
-        sent.append(Frame(k * 10 * MS, spec.can_id, bytes(data)))
-    observer = Observer(codec(), config_of())
-    end = len(sent) * 10 * MS
-    observer.add_frames(sent, end)
-    shown = observer.snapshot(end)
-    assert {row.adhesion for row in shown.drives} == {Flag.UNKNOWN}
-    assert not shown.gateway.alive
-    assert shown.link.rejected == ({"error": len(sent)} if sent else {})

@@ -51,7 +51,7 @@ def test_the_seeds_meet_every_filter_detector_bus_train_and_way_of_stepping():
 
 def test_the_seeds_bring_every_fault_to_every_phase():
     met: Counter = Counter()
-    for seed in VALUE_SEEDS:
+    for seed in VALUE_SEEDS[:300]:
         phase = train(creeps=campaign.creeps(seed)).phase
         end = first_of(seed) + TICKS
         for fault in faults_of(seed, TICKS):
@@ -71,7 +71,9 @@ def test_seeds_of_before_bring_what_they_always_did(seed):
 
 
 def test_wrong_values_are_one_drives_and_of_every_kind():
-    faults = [f for seed in VALUE_SEEDS for f in faults_of(seed, TICKS) if f.kind in VALUE_KINDS]
+    faults = [
+        f for seed in VALUE_SEEDS[:100] for f in faults_of(seed, TICKS) if f.kind in VALUE_KINDS
+    ]
     assert {(f.kind, f.drive) for f in faults} == {(k, d) for k in VALUE_KINDS for d in range(3)}
 
 

@@ -323,12 +323,7 @@ GOOD = 'BO_ 1 M: 8 A\n SG_ x : 0|8@1+ (1,0) [0|200] "" A\n SG_ y : 8|8@1- (1,0) 
     ("entry", "line", "why"),
     [
         ("BO_ 2 N: 200 A\n SG_ z : 1584|16@1+ (1,0) [0|1] \"\" A\n", 7, "200 bytes; CAN FD has 64"),
-        ("BO_ 5000 N: 8 A\n", 7, "no frame has the identifier 5000"),
         ("BO_ 2 N 8 A\n", 7, "is no message"),
-        ("VAL_ 1 gone 0 \"a\" ;\n", 7, "of a signal that the file does not have"),
-        ("VAL_ 9 x 0 \"a\" ;\n", 7, "of a signal that the file does not have"),
-        ("what : is this\n", 7, "no entry of a DBC"),
-        ("BA_ \"Unknown\" 1e4;;\n", 7, "no attribute 'Unknown' is defined"),
     ],
 )  # fmt: skip
 def test_one_entry_costs_itself(tmp_path: Path, entry: str, line: int, why: str) -> None:

@@ -289,14 +289,6 @@ def test_a_frame_that_candump_cannot_say_is_an_error(tmp_path):
         shrunk_files.read_back(tmp_path, left, config, codec)
 
 
-def test_a_log_without_frames_is_refused(tmp_path):
-    config, codec, _ = prepared("slow")
-    log = tmp_path / "empty.log"
-    log.write_text("")
-    with pytest.raises(BadLogError, match="no frame in the log"):
-        shrink(log, config, codec, Wanted(FlagKind.ADHESION, 1, 0.0), 0)
-
-
 def test_a_flag_between_two_frames_is_tested_by_the_next_one(tmp_path):
     """A loop of 5 ms: a flag frame is sent every second tick."""
     config, codec, frames = prepared("loss")
