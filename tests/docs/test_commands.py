@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ ALL = [block for page in pages() for block in blocks(page)]
 REASONS = ("no, ", "vcan")
 
 
-def run_page(page: str, where: str, folder: Path, first: Sequence[str] = ()) -> list[str]:
+def run_page(page, where, folder, first=()):
     """Run the page's blocks of that kind; files are written as they come. Gives what was run.
 
     first: what the shell is started by.

@@ -3,15 +3,12 @@
 `make fuzz-deep` runs them with coverage for as long as one likes; what that found has a name here.
 """
 
-from __future__ import annotations
-
 import gzip
 import random
 import subprocess
 import sys
 import tomllib
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ from dbc.spec import DbcMismatch
 from gateway.core.gateway import Gateway
 from gateway.core.supervision import Life, Supervision
 from gateway.settings import calibration
-from gateway.settings.config import Config, ConfigError, load, parse
+from gateway.settings.config import ConfigError, load, parse
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
 from tests.dbc_text import write
@@ -47,7 +44,7 @@ MUTATIONS = {
 MOST_BYTES = 100_000
 
 
-def mutations(name: str, count: int) -> list[bytes]:
+def mutations(name, count):
     """The same ones every time."""
     target, rng = TARGETS[name], random.Random(name)
     corpus = target.corpus()
@@ -57,7 +54,7 @@ def mutations(name: str, count: int) -> list[bytes]:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_every_target_holds(name: str) -> None:
+def test_every_target_holds(name):
     target = TARGETS[name]
     inputs = [*target.corpus(), *mutations(name, MUTATIONS[name])]
     items = sum(target.run_all(data) for data in inputs)
@@ -65,7 +62,7 @@ def test_every_target_holds(name: str) -> None:
     assert items >= 5
 
 
-def test_the_corpus_is_small_and_complete() -> None:
+def test_the_corpus_is_small_and_complete():
     assert sorted(p.name for p in CORPUS.iterdir()) == sorted(TARGETS) == sorted(NAMES)
     assert set(UNITS) == set(PACKAGES) == set(TARGETS)
     assert all(TARGETS[name].items == UNITS[name] for name in NAMES)
@@ -74,14 +71,14 @@ def test_the_corpus_is_small_and_complete() -> None:
     assert sum(path.stat().st_size for path in files) < MOST_BYTES
 
 
-def test_mutations_differ_and_stay_within_bounds() -> None:
+def test_mutations_differ_and_stay_within_bounds():
     made = mutations("candump", 300)
     assert made == mutations("candump", 300)
     assert len(set(made)) > 200
     assert max(map(len, made)) <= TARGETS["candump"].longest
 
 
-def test_the_summary_adds_up() -> None:
+def test_the_summary_adds_up():
     run = {"target": "dbc", "executions": 1000, "items": 7, "seconds": 10.0, "found": 1}
     said = summary([run, run, {"target": "frames", "executions": 5, "found": 0}])
     assert "| dbc | 2 | 2,000 | 100 | 14 codecs | 2 |" in said
@@ -91,7 +88,7 @@ def test_the_summary_adds_up() -> None:
 # ---- a broken product is found -----------------------------------------------------------------
 
 
-def _fails(run, name: str) -> None:
+def _fails(run, name):
     """Some input of the gate makes the target fail."""
     for data in [*TARGETS[name].corpus(), *mutations(name, MUTATIONS[name])]:
         try:
@@ -108,34 +105,29 @@ class _Miscounts(Reader):
 
 
 class _NeverStrict(Reader):
-    def __init__(self, source, *, strict: bool = False) -> None:
+    def __init__(self, source, *, strict=False):
         super().__init__(source)
 
 
-def _no_remote(line: bytes):
+def _no_remote(line):
     verdict, frame = parse_line(line)
     return (Verdict.OK if verdict is Verdict.REMOTE else verdict), frame
 
 
 @pytest.mark.parametrize(
-    "broken",
-    [
-        {"reader": _Miscounts},
-        {"reader": _NeverStrict},
-        {"parse": _no_remote},
-    ],
+    "broken", [{"reader": _Miscounts}, {"reader": _NeverStrict}, {"parse": _no_remote}]
 )
-def test_a_broken_reader_is_found(broken) -> None:
+def test_a_broken_reader_is_found(broken):
     _fails(lambda data: candump.candump(data, every=1, **broken), "candump")
 
 
 @pytest.mark.parametrize("broken", [_Miscounts, _NeverStrict])
-def test_a_reader_that_is_broken_on_long_logs_is_found(broken) -> None:
+def test_a_reader_that_is_broken_on_long_logs_is_found(broken):
     tokens = TARGETS["readers"].tokens
     _fails(lambda data: candump.readers(data, tokens, broken), "readers")
 
 
-def test_a_reader_is_given_the_lines_that_are_said() -> None:
+def test_a_reader_is_given_the_lines_that_are_said():
     read = []
 
     class Counts(Reader):
@@ -178,12 +170,12 @@ class _Unprotected(Gateway):
 
 
 @pytest.mark.parametrize("broken", [_TakesAnyLength, _LosesOne])
-def test_a_broken_decoder_is_found(broken) -> None:
+def test_a_broken_decoder_is_found(broken):
     _fails(lambda data: frames.frames(data, inbox=broken, every=1 << 40), "frames")
 
 
 @pytest.mark.parametrize("broken", [_Repeats, _Unprotected])
-def test_a_broken_core_is_found(broken) -> None:
+def test_a_broken_core_is_found(broken):
     _fails(lambda data: frames.frames(data, gateway=broken, every=1), "frames")
 
 
@@ -196,12 +188,12 @@ class _Divides(Gateway):
         return out
 
 
-def test_a_gateway_that_divides_by_a_value_is_found() -> None:
+def test_a_gateway_that_divides_by_a_value_is_found():
     _fails(lambda data: values.values(data, gateway=_Divides), "values")
 
 
 @pytest.mark.parametrize("broken", [_Unprotected])
-def test_a_broken_tick_is_found(broken) -> None:
+def test_a_broken_tick_is_found(broken):
     _fails(lambda data: tick.tick(data, broken, every=1), "tick")
 
 
@@ -221,7 +213,7 @@ for data in mutations("tick", 300):
 """
 
 
-def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path) -> None:
+def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path):
     """It crashes, or breaks what lies there; with sanitizers a step behind the end is enough."""
     source, before = "gateway/core/current_plausibility.c", "[p->samples % CURRENT_HISTORY]"
     lines = (core.ROOT / source).read_text().splitlines()
@@ -236,7 +228,7 @@ def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path) 
     assert done.returncode != 0
 
 
-def _bare_cantools(path: Path, nodes, contract):
+def _bare_cantools(path, nodes, contract):
     """A loader that lets out whatever cantools raises."""
     from cantools.database import load_file
 
@@ -244,7 +236,7 @@ def _bare_cantools(path: Path, nodes, contract):
     return bind(path, nodes, contract)
 
 
-def _silent(path: Path, nodes, contract):
+def _silent(path, nodes, contract):
     try:
         return bind(path, nodes, contract)
     except DbcMismatch:
@@ -252,15 +244,15 @@ def _silent(path: Path, nodes, contract):
 
 
 @pytest.mark.parametrize("broken", [_bare_cantools, _silent])
-def test_a_broken_dbc_loader_is_found(broken) -> None:
+def test_a_broken_dbc_loader_is_found(broken):
     _fails(lambda data: texts.dbc(data, broken), "dbc")
 
 
-def _bare_toml(path: Path) -> Config:
+def _bare_toml(path):
     return parse(tomllib.loads(path.read_text()), str(path))
 
 
-def _no_path(path: Path) -> Config:
+def _no_path(path):
     try:
         return load(path)
     except ConfigError as error:
@@ -268,15 +260,15 @@ def _no_path(path: Path) -> Config:
 
 
 @pytest.mark.parametrize("broken", [_bare_toml, _no_path])
-def test_a_broken_configuration_is_found(broken) -> None:
+def test_a_broken_configuration_is_found(broken):
     _fails(lambda data: texts.config(data, broken), "config")
 
 
-def _bare_scenario(path: Path) -> scenarios.Scenario:
+def _bare_scenario(path):
     return scenarios.parse(tomllib.loads(path.read_text()))
 
 
-def _two_lines(path: Path) -> scenarios.Scenario:
+def _two_lines(path):
     try:
         return scenarios.load(path)
     except ScenarioError as error:
@@ -285,14 +277,14 @@ def _two_lines(path: Path) -> scenarios.Scenario:
 
 
 @pytest.mark.parametrize("broken", [_bare_scenario, _two_lines])
-def test_a_broken_scenario_loader_is_found(broken) -> None:
+def test_a_broken_scenario_loader_is_found(broken):
     _fails(lambda data: texts.scenario(data, broken), "scenario")
 
 
 # ---- every identifier, kind and length ---------------------------------------------------------
 
 
-def test_no_wrong_kind_or_length_is_decoded() -> None:
+def test_no_wrong_kind_or_length_is_decoded():
     """Every 11-bit identifier, all 64 flags, lengths 0..64: only our messages are, as they are.
 
     The bytes are right for the message, checksum and counter too, whatever kind and length the
@@ -302,7 +294,7 @@ def test_no_wrong_kind_or_length_is_decoded() -> None:
         specs = {m.can_id: m for m in codec.messages if m.node in frames.NODES and not m.is_gateway}
         flags, length = (a.ravel() for a in np.meshgrid(np.arange(64), np.arange(65)))
         room = len(flags)
-        ends: Counter[str] = Counter()
+        ends = Counter()
         right = 0
         for can_id, spec in specs.items():
             box = Inbox(codec, frames.NODES, 10 * MS, Supervision(frames.NODES, 300 * MS))
@@ -350,7 +342,7 @@ LONG = "9" * 5000
 
 
 @pytest.mark.parametrize("text", [f"x = {DEEP}", f"x = {LONG}", f'x = """{LONG}'])
-def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text: str, tmp_path: Path) -> None:
+def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text, tmp_path):
     """tomllib raises RecursionError and bare ValueErrors."""
     with pytest.raises(ConfigError) as refused:
         load(Held(text.encode(), "train.toml"))
@@ -365,7 +357,7 @@ def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text: str, tmp_path: Pa
         calibration.load(path, (1,), 5.0)
 
 
-def test_a_name_with_a_nul_is_refused() -> None:
+def test_a_name_with_a_nul_is_refused():
     config = load(Held(b'dbc.file = "a\\u0000b"\nthermal.calibration = "c\\u0000d"\n', "t.toml"))
     with pytest.raises(DbcMismatch, match="cannot be read: embedded null byte"):
         bind(config.dbc_path, (1,))
@@ -373,7 +365,7 @@ def test_a_name_with_a_nul_is_refused() -> None:
         calibration.load(config.calibration_path, (1,), 5.0)
 
 
-def test_strict_says_that_a_zipped_log_is_cut() -> None:
+def test_strict_says_that_a_zipped_log_is_cut():
     """The last piece looked like a whole line of the same length: nothing was said."""
     line = b"(1.000000) can0 123#1122\n"
     whole = gzip.compress(2 * line, mtime=0) + gzip.compress(line[:-1], mtime=0)
@@ -386,7 +378,7 @@ def test_strict_says_that_a_zipped_log_is_cut() -> None:
         list(Reader(Held(whole[:-4] + b"\1\0\0\0"), strict=True))
 
 
-def test_a_time_below_zero_is_no_time() -> None:
+def test_a_time_below_zero_is_no_time():
     """-1 stands for "none": a frame with it was used, and its silence never noticed."""
     codec = frames.CODECS[0]
     spec = codec.by_name["Drive1_Motion"]
@@ -398,7 +390,7 @@ def test_a_time_below_zero_is_no_time() -> None:
     assert box.counts["decoded"] == box.counts["not_available"] == 0
 
 
-def test_a_heartbeat_from_the_future_is_no_life() -> None:
+def test_a_heartbeat_from_the_future_is_no_life():
     """It kept its node alive until then: no silence was ever noticed."""
     watch = Supervision(frames.NODES, 300 * MS)
     box = Inbox(frames.CODECS[0], frames.NODES, 10 * MS, watch)
@@ -419,7 +411,7 @@ def test_a_heartbeat_from_the_future_is_no_life() -> None:
         ("Y", "M.W: is multiplexed by itself"),
     ],
 )
-def test_a_multiplexer_that_is_not_there_is_named(by: str, said: str, tmp_path: Path) -> None:
+def test_a_multiplexer_that_is_not_there_is_named(by, said, tmp_path):
     """A KeyError; and where signals select each other decoding would not end."""
     path = write(
         tmp_path / "mux.dbc",

@@ -1,7 +1,5 @@
 """The codec against cantools: any DBC, any bytes; block, reference and one frame alike."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from functools import cache
@@ -14,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc import codec as codec_module
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.contract import ANY
 from dbc.load import load
-from dbc.spec import ABSENT, EXTENDED_KEY, MessageSpec
+from dbc.spec import ABSENT, EXTENDED_KEY
 from tests.dbc_text import of_layout
 from tests.fuzz import examples
 from tests.reference import codec as reference
-from tests.strategies import Layout, layouts
+from tests.strategies import layouts
 
 SHIPPED = Path(codec_module.__file__).parent
 FOREIGN = Path(__file__).parents[1] / "data" / "dbc"
@@ -37,16 +35,16 @@ FILES = {
 
 
 @cache
-def bound(name: str) -> Codec:
+def bound(name):
     return bind(FILES[name], (), ANY)
 
 
 @cache
-def oracle(name: str):  # cantools' Database
+def oracle(name):  # cantools' Database
     return load(FILES[name])
 
 
-def cantools_decode(name: str, spec: MessageSpec, data: bytes) -> dict[str, float] | None:
+def cantools_decode(name, spec, data):
     """Scaled numbers; None where no multiplexer value fits, which cantools calls an error."""
     message = oracle(name).get_message_by_name(spec.name)
     try:
@@ -55,7 +53,7 @@ def cantools_decode(name: str, spec: MessageSpec, data: bytes) -> dict[str, floa
         return None
 
 
-def block(codec: Codec, spec: MessageSpec, data: bytes):
+def block(codec, spec, data):
     payload = np.frombuffer(data.ljust(64, b"\0"), np.uint8).reshape(1, 64)
     index = np.array([spec.index], np.int32)
     value, validity = codec.decode_rows(index, payload)
@@ -65,7 +63,7 @@ def block(codec: Codec, spec: MessageSpec, data: bytes):
     return value[0].tolist(), validity[0].tolist()
 
 
-def assert_same(name: str, spec: MessageSpec, data: bytes) -> None:
+def assert_same(name, spec, data):
     codec = bound(name)
     value, validity = block(codec, spec, data)
     readings = codec.decode(spec, data)
@@ -83,7 +81,7 @@ def assert_same(name: str, spec: MessageSpec, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_random_payloads(name: str) -> None:
+def test_random_payloads(name):
     codec = bound(name)
     generator = np.random.default_rng(2)
     for spec in codec.messages:
@@ -94,7 +92,7 @@ def test_random_payloads(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["traction", "traction_fd"])
-def test_raw_extremes_and_codes_of_every_signal(name: str) -> None:
+def test_raw_extremes_and_codes_of_every_signal(name):
     """Each signal at its type's ends, its range's ends, beyond them and at its code."""
     codec = bound(name)
     for spec in codec.messages:
@@ -116,7 +114,7 @@ def test_raw_extremes_and_codes_of_every_signal(name: str) -> None:
 
 @given(layout=layouts(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=examples(150))
-def test_any_layout_equals_cantools_both_ways(layout: Layout, seed: int) -> None:
+def test_any_layout_equals_cantools_both_ways(layout, seed):
     with tempfile.TemporaryDirectory() as folder:
         path = of_layout(Path(folder) / "one.dbc", layout)
         codec, database = bind(path, (), ANY), load(path)
@@ -134,7 +132,7 @@ def test_any_layout_equals_cantools_both_ways(layout: Layout, seed: int) -> None
 
 @given(data=st.data())
 @settings(max_examples=examples(200))
-def test_encode_round_trip(data: st.DataObject) -> None:
+def test_encode_round_trip(data):
     """Every valid raw value comes back, and cantools encodes the same bytes."""
     name = data.draw(st.sampled_from(["traction", "traction_fd"]))
     codec = bound(name)
@@ -148,7 +146,7 @@ def test_encode_round_trip(data: st.DataObject) -> None:
     assert payload == message.encode({"Crc": 0, "Counter": 0, **values}, strict=True)
 
 
-def test_multiplexed_encode_equals_cantools() -> None:
+def test_multiplexed_encode_equals_cantools():
     codec, database = bound("multiplex"), oracle("multiplex")
     cases = {
         "Normal": [{"S0": 0, "S1": -3}, {"S0": 1, "S2": 77}],
@@ -170,7 +168,7 @@ def test_multiplexed_encode_equals_cantools() -> None:
             assert present == pytest.approx(values)
 
 
-def test_extended_ids_have_their_own_keys() -> None:
+def test_extended_ids_have_their_own_keys():
     spec = bound("motohawk_fd").by_name["ExampleMessage"]
     assert spec.is_extended
     assert spec.is_fd

@@ -1,7 +1,5 @@
 """Laws of the paper's detectors that hold for every number of drives, dimension and load."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +29,7 @@ class Problem(NamedTuple):
 
 
 @st.composite
-def problems(draw: st.DrawFn, max_ticks: int = 3, max_drives: int = 16) -> Problem:
+def problems(draw, max_ticks=3, max_drives=16):
     T = draw(st.integers(1, max_ticks))
     N = draw(st.integers(1, max_drives))
     D = draw(st.integers(1, 2))
@@ -47,7 +45,7 @@ def problems(draw: st.DrawFn, max_ticks: int = 3, max_drives: int = 16) -> Probl
     return Problem(x.reshape(T, N, D), prior)
 
 
-def never_falls(bound: np.ndarray) -> bool:
+def never_falls(bound):
     """Over every partial update of every sweep; bound (T, S, B)."""
     line = bound.reshape(len(bound), -1)
     return bool((np.diff(line) >= -1e-10 * (1.0 + np.abs(line[:, 1:]))).all())
@@ -86,7 +84,7 @@ def test_a_component_without_drives_keeps_its_prior(problem):
         assert (after[:, 1] == before[:, 1]).all()
 
 
-def anything() -> st.SearchStrategy[float]:
+def anything():
     return st.floats(allow_nan=True, allow_infinity=True) | st.floats(-60, 60)
 
 

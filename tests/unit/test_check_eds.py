@@ -129,7 +129,7 @@ def dcf(tmp_path):
     return write
 
 
-def check(capsys, path, train=TRAIN) -> tuple[int, str, str]:
+def check(capsys, path, train=TRAIN):
     code = main(["check", train, "--no-timing", "--eds", str(path)])
     said = capsys.readouterr()
     return code, said.out, said.err

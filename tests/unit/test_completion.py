@@ -1,7 +1,5 @@
 """Completion by the shell itself, and `explain`: every code of the message set has its words."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -26,7 +24,7 @@ def script(tmp_path_factory):
     return path
 
 
-def completed(script, *words: str) -> set[str]:
+def completed(script, *words):
     """What bash offers for the last word."""
     function = re.search(r"complete .*-F (\w+) traction-gateway", script.read_text())
     assert function

@@ -1,10 +1,6 @@
 """Reading ahead, blocks of frames, other formats by python-can: nothing lost or reordered."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import can
 import pytest
@@ -21,10 +17,10 @@ from tests.fuzz import examples
 from tests.strategies import frames
 
 
-def test_the_items_in_their_order_made_by_another_thread() -> None:
+def test_the_items_in_their_order_made_by_another_thread():
     makers = set()
 
-    def items() -> Iterator[int]:
+    def items():
         for k in range(100):
             makers.add(threading.get_ident())
             yield k
@@ -34,11 +30,11 @@ def test_the_items_in_their_order_made_by_another_thread() -> None:
     assert threading.get_ident() not in makers
 
 
-def test_the_next_is_made_while_one_is_looked_at_and_no_more() -> None:
-    made: list[int] = []
+def test_the_next_is_made_while_one_is_looked_at_and_no_more():
+    made = []
     two = threading.Event()
 
-    def items() -> Iterator[int]:
+    def items():
         for k in range(10):
             made.append(k)
             if k == 1:
@@ -52,8 +48,8 @@ def test_the_next_is_made_while_one_is_looked_at_and_no_more() -> None:
     stream.close()
 
 
-def test_what_making_one_raises_comes_behind_those_before() -> None:
-    def items() -> Iterator[int]:
+def test_what_making_one_raises_comes_behind_those_before():
+    def items():
         yield 1
         yield 2
         msg = "line 3"
@@ -65,7 +61,7 @@ def test_what_making_one_raises_comes_behind_those_before() -> None:
         next(stream)
 
 
-def test_who_stops_early_leaves_no_thread() -> None:
+def test_who_stops_early_leaves_no_thread():
     before = threading.active_count()
     stream = ahead(iter(range(1000)))
     next(stream)
@@ -95,7 +91,7 @@ SENT = [
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4"])
-def test_python_can_and_we_mean_the_same_by_sent(tmp_path: Path, suffix: str) -> None:
+def test_python_can_and_we_mean_the_same_by_sent(tmp_path, suffix):
     ours, theirs = tmp_path / f"ours{suffix}", tmp_path / f"theirs{suffix}"
     sink = frame_sink(ours, suffix)
     sink.add(block_of(SENT))
@@ -112,7 +108,7 @@ def test_python_can_and_we_mean_the_same_by_sent(tmp_path: Path, suffix: str) ->
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf"])
-def test_error_frames_of_a_file(tmp_path: Path, suffix: str) -> None:
+def test_error_frames_of_a_file(tmp_path, suffix):
     path = tmp_path / f"log{suffix}"
     error = can.Message(T0, 0x40, is_error_frame=True, is_extended_id=False, channel=0)
     with can.Logger(path) as logger:
@@ -121,7 +117,7 @@ def test_error_frames_of_a_file(tmp_path: Path, suffix: str) -> None:
     assert [f.flags for f in open_reader(path, strict=False)] == [ERROR, 0]
 
 
-def test_remote_length_and_channel() -> None:
+def test_remote_length_and_channel():
     assert from_message(MESSAGES[2])._replace(t_ns=0) == Frame(0, 0x182, b"", REMOTE, "0", 4)
 
 

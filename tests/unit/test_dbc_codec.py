@@ -1,7 +1,5 @@
 """Codec: validity before scaling, what a frame must be to be decoded, saturation."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -9,7 +7,7 @@ import numpy as np
 import pytest
 
 from dbc import generate as build
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame
 from dbc.spec import NOT_AVAILABLE, RANGE, SATURATED, VALID, Match
 
@@ -17,16 +15,16 @@ FOLDER = Path(build.__file__).parent
 
 
 @pytest.fixture(scope="module")
-def codec() -> Codec:
+def codec():
     return bind(FOLDER / "traction.dbc", range(1, 17))
 
 
 @pytest.fixture(scope="module")
-def fd_codec() -> Codec:
+def fd_codec():
     return bind(FOLDER / "traction_fd.dbc", range(1, 17))
 
 
-def place(raw: int, start: int, length: int, size: int = 8) -> bytes:
+def place(raw, start, length, size=8):
     return ((raw & ((1 << length) - 1)) << start).to_bytes(size, "little")
 
 
@@ -79,9 +77,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "column", "start", "length", "raws"), CASES)
-def test_validity_is_judged_on_raw_values(
-    codec: Codec, name: str, column: str, start: int, length: int, raws: list[tuple[int, int]]
-) -> None:
+def test_validity_is_judged_on_raw_values(codec, name, column, start, length, raws):
     spec = codec.by_name[name]
     k = spec.column(column)
     for raw, wanted in raws:
@@ -94,7 +90,7 @@ def test_validity_is_judged_on_raw_values(
         assert value[0, k] == reading.value == raw * spec.signals[k].scale + spec.signals[k].offset
 
 
-def test_samples_of_a_fd_frame(fd_codec: Codec) -> None:
+def test_samples_of_a_fd_frame(fd_codec):
     spec = fd_codec.by_name["Drive16_Samples"]
     signed_14 = [
         (0x1FFF, NOT_AVAILABLE),
@@ -123,7 +119,7 @@ def test_samples_of_a_fd_frame(fd_codec: Codec) -> None:
         ("Gateway_Faults", ("SensorFault", "CommFault", "EstimatorFault", "Overrun")),
     ],
 )
-def test_two_bit_states_are_antivalent(codec: Codec, message: str, own: tuple[str, ...]) -> None:
+def test_two_bit_states_are_antivalent(codec, message, own):
     """No single flipped bit of a flag frame turns bad into good; empty frames say unknown."""
     spec = codec.by_name[message]
     by_drive = message.removeprefix("Gateway_") if not own else "Thermal"
@@ -140,7 +136,7 @@ def test_two_bit_states_are_antivalent(codec: Codec, message: str, own: tuple[st
         assert all(readings[name].raw in (0, 3) for name in flags)
 
 
-def test_match_refuses_what_is_not_this_message(codec: Codec, fd_codec: Codec) -> None:
+def test_match_refuses_what_is_not_this_message(codec, fd_codec):
     good = Frame(0, 0x181, bytes(8))
     assert codec.match(good) == (Match.OK, codec.by_name["Drive1_PhaseCurrents"])
     assert codec.match(good._replace(data=bytes(7)))[0] is Match.WRONG_LENGTH
@@ -154,7 +150,7 @@ def test_match_refuses_what_is_not_this_message(codec: Codec, fd_codec: Codec) -
     assert fd_codec.match(Frame(0, 0x181, bytes(64), FD))[0] is Match.OK
 
 
-def test_no_frame_of_wrong_kind_is_ever_a_message(codec: Codec) -> None:
+def test_no_frame_of_wrong_kind_is_ever_a_message(codec):
     """Every id, every length, every kind: only the DBC's own combinations match."""
     lengths = {m.can_id: m.length for m in codec.messages}
     for can_id in range(0x800):
@@ -165,16 +161,16 @@ def test_no_frame_of_wrong_kind_is_ever_a_message(codec: Codec) -> None:
             assert codec.match(Frame(0, can_id, bytes(8), flags))[0] is not Match.OK
 
 
-def test_decode_needs_the_right_length(codec: Codec) -> None:
+def test_decode_needs_the_right_length(codec):
     spec = codec.by_name["Drive1_Motion"]
     with pytest.raises(ValueError, match="7 bytes, expected 8"):
         codec.decode(spec, bytes(7))
 
 
-def test_encode_defaults_and_saturation(codec: Codec) -> None:
+def test_encode_defaults_and_saturation(codec):
     spec = codec.by_name["Drive1_PhaseCurrents"]
 
-    def raws(values: dict[str, float | None]) -> dict[str, int | float]:
+    def raws(values):
         return {n: r.raw for n, r in codec.decode(spec, bytes(codec.encode(spec, values))).items()}
 
     start = {"Crc": 0, "Counter": 0, "Quality": 0, "Ia": 0x7FFF, "Ib": 0x7FFF, "Ic": 0x7FFF}
@@ -190,7 +186,7 @@ def test_encode_defaults_and_saturation(codec: Codec) -> None:
         codec.encode(spec, {"Id": 1.0})
 
 
-def test_encode_of_flags_and_counts(codec: Codec) -> None:
+def test_encode_of_flags_and_counts(codec):
     flags = codec.by_name["Gateway_Adhesion"]
     data = bytes(codec.encode(flags, {"Adhesion1": 1, "Adhesion16": 2, "Age": None}))
     readings = codec.decode(flags, data)

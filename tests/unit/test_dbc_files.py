@@ -1,17 +1,14 @@
 """The shipped DBC files: what is generated, and what the contract and the core say."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from enum import IntEnum
 from pathlib import Path
 
 import pytest
 
 from dbc import generate as build
 from dbc import load as binding
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.dataids import p02_data_ids
 from dbc.load import load
 from gateway.core import codes
@@ -21,18 +18,18 @@ FILES = ("traction.dbc", "traction_fd.dbc")
 
 
 @pytest.fixture(scope="module", params=FILES)
-def codec(request: pytest.FixtureRequest) -> Codec:
+def codec(request):
     return bind(FOLDER / request.param, range(1, 17))
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_committed_is_generated(name: str) -> None:
+def test_committed_is_generated(name):
     text = (FOLDER / name).read_text(encoding="ascii")
     assert text == build.render(build.FILES[name])
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_attributes_comments_nodes(name: str) -> None:
+def test_attributes_comments_nodes(name):
     database = load(FOLDER / name)
     assert [node.name for node in database.nodes] == [
         "Gateway",
@@ -62,7 +59,7 @@ def test_attributes_comments_nodes(name: str) -> None:
                 assert "Gateway" in signal.receivers or "Drive16" in signal.receivers
 
 
-def test_definitions_have_defaults_and_the_contracts_types() -> None:
+def test_definitions_have_defaults_and_the_contracts_types():
     database = load(FOLDER / "traction_fd.dbc")
     definitions = database.dbc.attribute_definitions
     assert set(definitions) >= {
@@ -91,15 +88,13 @@ def test_definitions_have_defaults_and_the_contracts_types() -> None:
         ("Gateway_Status", "State", codes.GatewayState),
     ],
 )
-def test_the_numbers_of_the_core_have_the_names_of_the_dbc(
-    codec: Codec, message: str, signal: str, enumeration: type[IntEnum]
-) -> None:
+def test_the_numbers_of_the_core_have_the_names_of_the_dbc(codec, message, signal, enumeration):
     (spec,) = (s for s in codec.by_name[message].signals if s.name == signal)
     labels = {raw: label for raw, label in spec.labels.items() if raw != spec.not_available}
     assert labels == {e.value: e.name.title().replace("_", "") for e in enumeration}
 
 
-def test_data_ids_are_distinct_and_as_the_rule_says(codec: Codec) -> None:
+def test_data_ids_are_distinct_and_as_the_rule_says(codec):
     lists = [m.data_ids for m in codec.messages]
     assert len(set(lists)) == len(lists)
     can_id = 0x1A0
@@ -107,7 +102,7 @@ def test_data_ids_are_distinct_and_as_the_rule_says(codec: Codec) -> None:
     assert p02_data_ids(can_id) == bytes(base ^ (2 * i) ^ (4 * i) for i in range(16))
 
 
-def test_kinds_and_nodes(codec: Codec) -> None:
+def test_kinds_and_nodes(codec):
     spec = codec.by_name["Drive12_Motion"]
     assert (spec.kind, spec.node, spec.is_gateway) == ("Motion", 12, False)
     assert codec.by_id[0x50C] is codec.by_name["Drive12_Estimate"]
@@ -121,13 +116,13 @@ def test_kinds_and_nodes(codec: Codec) -> None:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_specs_of_the_table_are_what_cantools_reads(name: str) -> None:
+def test_specs_of_the_table_are_what_cantools_reads(name):
     specs, problems = binding.read(FOLDER / name)
     assert problems == []
     assert repr(build.recall((FOLDER / name).read_bytes())) == repr(specs)
 
 
-def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
+def test_a_changed_file_is_read_anew(tmp_path):
     content = (FOLDER / "traction.dbc").read_bytes()
     changed = content.replace(b"SG_ Ia : 16|16@1- (0.02,0)", b"SG_ Ia : 16|16@1- (0.04,0)")
     assert changed != content
@@ -140,7 +135,7 @@ def test_a_changed_file_is_read_anew(tmp_path: Path) -> None:
     assert signal.scale == 0.04
 
 
-def test_a_copy_elsewhere_is_known_by_its_content(tmp_path: Path) -> None:
+def test_a_copy_elsewhere_is_known_by_its_content(tmp_path):
     copy = tmp_path / "other.dbc"
     copy.write_bytes((FOLDER / "traction.dbc").read_bytes())
     script = (
@@ -153,9 +148,7 @@ def test_a_copy_elsewhere_is_known_by_its_content(tmp_path: Path) -> None:
     assert done.stdout == "False\n"
 
 
-def test_the_check_of_what_is_generated_can_fail(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_check_of_what_is_generated_can_fail(tmp_path, monkeypatch, capsys):
     assert build.main(["--check"]) == 0
     monkeypatch.setattr(build, "HERE", tmp_path)
     assert build.main(["--check"]) == 1

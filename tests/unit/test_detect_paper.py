@@ -610,8 +610,7 @@ def test_speed_as_observation(observe):
 
 
 @pytest.mark.parametrize(
-    ("load", "speed", "lost"),
-    [(8.0, 54.0, (True, False, True)), (10.5, 59.0, (False, True, True))],
+    ("load", "speed", "lost"), [(8.0, 54.0, (True, False, True)), (10.5, 59.0, (False, True, True))]
 )
 def test_two_quantities_decide_together(load, speed, lost):
     got = [

@@ -1,7 +1,5 @@
 """Real-time priority, locked memory, and what `check` says of the machine, with a cure."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket
@@ -53,7 +51,7 @@ else:
 """
 
 
-def test_what_was_given_from_outside_is_used_and_not_asked_for() -> None:
+def test_what_was_given_from_outside_is_used_and_not_asked_for():
     done = subprocess.run([sys.executable, "-c", GIVEN], capture_output=True, text=True, check=True)
     if done.stdout.startswith("refused"):
         assert os.geteuid() != 0
@@ -64,11 +62,11 @@ def test_what_was_given_from_outside_is_used_and_not_asked_for() -> None:
     assert len(done.stdout.splitlines()) == 2
 
 
-def test_an_ordinary_start_is_described() -> None:
+def test_an_ordinary_start_is_described():
     assert scheduling.described().startswith("SCHED_OTHER 0, ")
 
 
-def test_a_thread_started_later_never_inherits_the_priority() -> None:
+def test_a_thread_started_later_never_inherits_the_priority():
     done = subprocess.run([sys.executable, "-c", REAL], capture_output=True, text=True, check=True)
     if done.stdout.startswith("refused"):
         assert "CAP_SYS_NICE" in done.stdout or "ulimit -l" in done.stdout
@@ -76,8 +74,8 @@ def test_a_thread_started_later_never_inherits_the_priority() -> None:
         assert done.stdout == "real True True True\nordinary True\n"
 
 
-def test_what_the_kernel_refuses_is_said_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
+def test_what_the_kernel_refuses_is_said_with_its_cure(monkeypatch):
+    def refuse(*_):
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
@@ -87,7 +85,7 @@ def test_what_the_kernel_refuses_is_said_with_its_cure(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("priority", [0, 100, -1])
-def test_a_priority_that_is_none_is_refused(priority: int) -> None:
+def test_a_priority_that_is_none_is_refused(priority):
     with pytest.raises(ConfigError, match=f"priority {priority} is not 1 to 99"):
         scheduling.be_realtime(priority)
     assert not scheduling.is_realtime()

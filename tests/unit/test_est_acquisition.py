@@ -1,16 +1,13 @@
 """Acquisition: right or not ready, never wrong. 36 start angles, both directions, both buses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
-from dbc.records import Columns
 from estimators import filters
 from estimators.models import pmsm
-from estimators.models.pmsm import Noise, Pmsm, Rated
+from estimators.models.pmsm import Noise, Rated
 from tests.core_calls import acquisition
 from tests.core_calls.acquisition import Consistency
 from tests.core_calls.filters import sweep
@@ -18,32 +15,32 @@ from tests.filter_records import acquire, check, estimate, start_states
 from tests.reference import acquisition as reference
 from tests.reference import motor_model
 from tests.unit.test_est_ekf import bench
-from tests.unit.test_est_truth import PSI, TICK_S, Rows, Truth, motor, sampled
+from tests.unit.test_est_truth import PSI, TICK_S, Rows, motor, sampled
 
 ANGLES = np.arange(36) * (2.0 * math.pi / 36.0)
 W_ON = 20.0
 
 
-def rated(n: int) -> Rated:
+def rated(n):
     return Rated(np.full(n, 25.0), np.full(n, 30.0))
 
 
-def standing(final: float, rate: float, load: float, ticks: int = 4000) -> Truth:
+def standing(final, rate, load, ticks=4000):
     """From rest along a speed ramp of `rate` rad/s^2 to `final`, all angles."""
     ref = np.clip(np.arange(ticks) * TICK_S * rate, 0.0, abs(final)) * math.copysign(1.0, final)
     return motor(np.zeros(36), ANGLES, np.tile(ref[:, None], (1, 36)), np.full((ticks, 36), load))
 
 
-def rolling(w: float, ticks: int = 2400) -> Truth:
+def rolling(w, ticks=2400):
     shape = (ticks, 36)
     return motor(np.full(36, w), ANGLES, np.full(shape, w), np.full(shape, math.copysign(15.0, w)))
 
 
-def feed(state: Columns, par: Pmsm, rows: Rows, picked: np.ndarray) -> None:
+def feed(state, par, rows, picked):
     acquire(state, par, [column[picked] for column in rows[:5]], TICK_S)
 
 
-def watch(truth: Truth, rows: Rows, par: Pmsm | None = None):
+def watch(truth, rows, par=None):
     """Feed 10 ms at a time; yield (last tick, estimate, state) after each.
 
     Only drives whose last sample was not lost are comparable with the truth at the tick.
@@ -57,7 +54,7 @@ def watch(truth: Truth, rows: Rows, par: Pmsm | None = None):
         yield end - 1, estimate(state), state
 
 
-def check_never_wrong(truth: Truth, rows: Rows, par: Pmsm | None = None) -> np.ndarray:
+def check_never_wrong(truth, rows, par=None):
     """Assert it; return the time (36,) from passing w_on to the first `ready`, s."""
     first = np.full(36, np.inf)
     passed = np.argmax(np.abs(truth.w) > W_ON, axis=0) * TICK_S
@@ -264,7 +261,7 @@ def test_a_diverged_state_disagrees():
     ]
 
 
-def constant(m: int, steps: int, u: complex) -> list[np.ndarray]:
+def constant(m, steps, u):
     """Rows of one drive, a voltage and no current."""
     voltage = np.tile([u.real, u.imag], (m, 1))
     return [np.zeros(m, int), voltage, np.zeros((m, 2)), np.full(m, steps), np.zeros(m, int)]

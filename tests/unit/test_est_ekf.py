@@ -1,23 +1,21 @@
 """Extended and unscented Kalman filter: filterpy, and what they do in the odd case."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, JulierSigmaPoints, UnscentedKalmanFilter
 
 from estimators.models import pmsm
-from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
+from estimators.models.pmsm import SUB_STEP_S
 from tests.reference import ekf, motor_model, ukf
 
 
-def bench(n: int) -> tuple[Pmsm, Noise]:
+def bench(n):
     par = pmsm.repeat(pmsm.BENCH_MOTOR, n)
     rated = pmsm.Rated(np.full(n, 25.0), np.full(n, 30.0))
     return par, pmsm.default_noise(par, rated)
 
 
-def start(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def start(n, seed):
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1.0, 1.0, (n, 5)) * [20.0, 20.0, 200.0, 3.0, 20.0]
     A = rng.normal(size=(n, 5, 5)) * np.array([0.3, 0.3, 3.0, 0.1, 3.0])[:, None]

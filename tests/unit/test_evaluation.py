@@ -20,14 +20,7 @@ from gateway.study.evaluation import (
     reliability,
     roc,
 )
-from gateway.study.evaluation_runs import (
-    Plan,
-    evaluate,
-    fitted,
-    one_run,
-    record,
-    seeds_of,
-)
+from gateway.study.evaluation_runs import Plan, evaluate, fitted, one_run, record, seeds_of
 from gateway.study.scenarios_family import DEVELOPMENT, REPORTING, draw
 from tests.simrun import Flags, codec
 

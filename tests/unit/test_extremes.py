@@ -4,8 +4,6 @@
 a conversion or an index that a number could break ends the run.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -33,8 +31,7 @@ def _marks(setup):
 
 
 @pytest.mark.parametrize(
-    "setup",
-    [pytest.param(s, marks=_marks(s), id="-".join(map(str, s[:4]))) for s in SETUPS],
+    "setup", [pytest.param(s, marks=_marks(s), id="-".join(map(str, s[:4]))) for s in SETUPS]
 )
 def test_nothing_that_drives_say_raises(setup):
     wanted = stretches(setup)

@@ -1,7 +1,5 @@
 """A log's table made from many ticks in a call, against one with a view of every tick."""
 
-from __future__ import annotations
-
 import re
 
 import pyarrow.parquet as pq

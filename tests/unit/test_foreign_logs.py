@@ -6,11 +6,8 @@ SavvyCAN's exporters, BUSMASTER's log converter, and CSS' description of the CLX
 """
 # ruff: noqa: E501 lines of logs
 
-from __future__ import annotations
-
 import gzip
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
@@ -103,7 +100,7 @@ TEXTS = [
 ]  # fmt: skip
 
 
-def lines_of(path: Path) -> tuple[list[str], dict[str, int]]:
+def lines_of(path):
     """Frames as `time id#data`, counts of what is no frame; counts add up to the lines."""
     reader = open_reader(path, strict=False)
     frames = [frame for block in reader.blocks() for frame in block.frames()]
@@ -121,16 +118,14 @@ def lines_of(path: Path) -> tuple[list[str], dict[str, int]]:
 
 @pytest.mark.parametrize(("name", "text", "frames", "counts"), TEXTS)
 @pytest.mark.parametrize("encoding", ["utf-8", "gz", "utf-16"])
-def test_lines(
-    tmp_path: Path, name: str, text: str, frames: list[str], counts: dict[str, int], encoding: str
-) -> None:
+def test_lines(tmp_path, name, text, frames, counts, encoding):
     path = tmp_path / name
     data = text.lstrip("\ufeff").encode(encoding) if encoding == "utf-16" else text.encode()
     path.write_bytes(gzip.compress(data) if encoding == "gz" else data)
     assert lines_of(path) == (frames, counts)
 
 
-def test_times_before_the_trigger_are_kept(tmp_path: Path) -> None:
+def test_times_before_the_trigger_are_kept(tmp_path):
     path = tmp_path / "a.asc"
     path.write_text(EVENTS + "-0.02 1 181 Rx d 1 01\n0.0 1 181 Rx d 1 02\n")
     assert lines_of(path)[0] == ["0.98 181#01", "1 181#02"]
@@ -140,9 +135,7 @@ def test_times_before_the_trigger_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.asc", "a.trc", "a.csv"])
-def test_strict_stops_at_the_first_fault_and_gives_what_came_before(
-    tmp_path: Path, name: str
-) -> None:
+def test_strict_stops_at_the_first_fault_and_gives_what_came_before(tmp_path, name):
     heads = {"a.asc": EVENTS, "a.trc": TRC.format("1.1"), "a.csv": "time,id,len,data\n"}
     good = {"a.asc": "{} 1 300 Rx d 1 11", "a.trc": " 1) {} Rx 0300 1 11", "a.csv": "{},300,1,11"}
     text = heads[name] + "".join(good[name].format(k) + "\n" for k in range(4))
@@ -171,7 +164,7 @@ ODD = {
 
 @pytest.mark.parametrize("every", [1, 2, 7, 40, 999])
 @pytest.mark.parametrize("odd", ODD)
-def test_lines_one_by_one_and_many_at_once(tmp_path: Path, odd: str, every: int) -> None:
+def test_lines_one_by_one_and_many_at_once(tmp_path, odd, every):
     """Compiled for runs of plain lines; the others in between are read by Python."""
     lines = list(MANY[:700] if every < 40 else MANY)
     for k in range(len(lines) // every * every, 0, -every):
@@ -179,7 +172,7 @@ def test_lines_one_by_one_and_many_at_once(tmp_path: Path, odd: str, every: int)
     path = tmp_path / "a.asc"
     path.write_text(EVENTS + "\n".join(lines) + "\n")
     frames, counts = lines_of(path)
-    expected: Counter[str] = Counter()
+    expected = Counter()
     for line in lines:
         if line in ODD:
             expected[ODD[line]] += 1
@@ -196,7 +189,7 @@ def test_lines_one_by_one_and_many_at_once(tmp_path: Path, odd: str, every: int)
 
 
 @pytest.mark.parametrize("base", ["hex", "dec"])
-def test_a_base_that_changes(tmp_path: Path, base: str) -> None:
+def test_a_base_that_changes(tmp_path, base):
     other = "dec" if base == "hex" else "hex"
     lines = [f"{k}.0 1 100 Rx d 1 16" for k in range(50)]
     path = tmp_path / "a.asc"
@@ -208,7 +201,7 @@ def test_a_base_that_changes(tmp_path: Path, base: str) -> None:
 
 @pytest.mark.timeout(30)  # of minutes if every line were looked at
 @pytest.mark.parametrize("suffix", [".asc", ".trc", ".asc.gz", ".csv"])
-def test_gigabytes_of_blank_lines(tmp_path: Path, suffix: str) -> None:
+def test_gigabytes_of_blank_lines(tmp_path, suffix):
     path = tmp_path / f"log{suffix}"
     text = b"\n" * (50 << 20)
     path.write_bytes(gzip.compress(text, 1) if suffix.endswith(".gz") else text)
@@ -218,7 +211,7 @@ def test_gigabytes_of_blank_lines(tmp_path: Path, suffix: str) -> None:
 # ---- patterns ----------------------------------------------------------------------------------
 
 
-def test_a_pattern(tmp_path: Path) -> None:
+def test_a_pattern(tmp_path):
     path = tmp_path / "a.dat"
     path.write_text("time id data\n3E8 181 01 02\n3E9 18FEF100 0x03,0x4\n3EA oops\n3EB 181 01 02")
     reader = open_reader(path, strict=False, line="{ms:x} {id:x} {data}")
@@ -232,7 +225,7 @@ def test_a_pattern(tmp_path: Path) -> None:
     assert "column 5: {id} expected, 'oops' found" in reader.problems[0].text
 
 
-def test_fields_in_any_order(tmp_path: Path) -> None:
+def test_fields_in_any_order(tmp_path):
     path = tmp_path / "a.dat"
     path.write_text(
         "[2] 17,3 can7 <385> 2023-05-15T10:00:00.25 x\n[1] 9 can8 <386> 2023-05-15T10:00:01 y\n"
@@ -253,7 +246,7 @@ def test_fields_in_any_order(tmp_path: Path) -> None:
      ("{s} {id} {id} {data}", "{id} stands twice"), ("{s} {ident} {data}", "{ident}"),
      ("{s} {id} {data", "is no field")],
 )  # fmt: skip
-def test_patterns_that_cannot_be_used(pattern: str, why: str) -> None:
+def test_patterns_that_cannot_be_used(pattern, why):
     with pytest.raises(PatternError, match=why):
         Pattern(pattern)
 
@@ -318,9 +311,7 @@ DIALECTS = [
 
 
 @pytest.mark.parametrize(("name", "text", "frames", "counts"), DIALECTS)
-def test_lines_of_dialects(
-    tmp_path: Path, name: str, text: str, frames: list[str], counts: dict[str, int]
-) -> None:
+def test_lines_of_dialects(tmp_path, name, text, frames, counts):
     path = tmp_path / name
     path.write_text(text)
     assert lines_of(path) == (frames, counts)
@@ -337,9 +328,7 @@ def test_lines_of_dialects(
     ],
 )
 @pytest.mark.parametrize("between", ["\n", "\n\n\n\n"])
-def test_candumps_differences_and_times_since_the_start(
-    tmp_path: Path, stamps: list[float], times: list[str], note: str, between: str
-) -> None:
+def test_candumps_differences_and_times_since_the_start(tmp_path, stamps, times, note, between):
     path = tmp_path / "a.log"
     lines = [f" ({stamp:010.6f})  can0  123   [1]  01{between}" for stamp in stamps]
     path.write_text("".join(lines))
@@ -349,7 +338,7 @@ def test_candumps_differences_and_times_since_the_start(
     assert reader.notes == [note]
 
 
-def test_a_date_without_a_zone_is_said(tmp_path: Path) -> None:
+def test_a_date_without_a_zone_is_said(tmp_path):
     path = tmp_path / "a.log"
     path.write_text(" (2023-05-15 10:00:00.100000)  can0  123   [1]  01\n")
     reader = open_reader(path, strict=False)
@@ -358,16 +347,14 @@ def test_a_date_without_a_zone_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["  can0  RX - -  123   [2]  01 02", "  can0  123   [2]  01 02"])
-def test_without_times_the_cure_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str
-) -> None:
+def test_without_times_the_cure_is_named(tmp_path, capsys, line):
     path = tmp_path / "a.log"
     path.write_text(line + "\n")
     assert main(["convert", str(path), str(tmp_path / "out.log"), "--frames"]) == 2
     assert "record with `candump -L IF`" in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_stamp_that_may_mean_anything_is_an_error(tmp_path: Path) -> None:
+def test_a_stamp_that_may_mean_anything_is_an_error(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("Timestamp;Type;ID;Data\n100000250;0;123;0102\n")
     reader = open_reader(path, strict=False)
@@ -381,9 +368,7 @@ def test_a_stamp_that_may_mean_anything_is_an_error(tmp_path: Path) -> None:
     [(BUS.format("DEC", "SYSTEM") + "16:08:48:7100 Rx 1 385 s 2 255 001\n", BUSMASTER),
      (" (1684144800.100000)  can0  00000123   [8]  remote request\n", SCREEN)],
 )  # fmt: skip
-def test_a_proposed_pattern_is_read_as_the_recorder_wrote_it(
-    tmp_path: Path, text: str, pattern: str
-) -> None:
+def test_a_proposed_pattern_is_read_as_the_recorder_wrote_it(tmp_path, text, pattern):
     found = proposed(text.splitlines())
     assert found is not None
     assert found[:3] == (pattern, 1, 0)

@@ -1,7 +1,5 @@
 """The examples that `--help` of each verb ends with: they run, in their order, in one folder."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

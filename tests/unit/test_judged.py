@@ -1,7 +1,5 @@
 """Little load, coasting, brakes, wrong commands, missing messages: unknown, and accuses nobody."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
@@ -10,7 +8,6 @@ import pytest
 
 import gateway
 from dbc.e2e import protect
-from dbc.frame import Frame
 from dbc.frames import block_of
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.gateway import Gateway
@@ -27,7 +24,7 @@ SECONDS = 5.0
 
 
 @cache
-def recorded(load: float, drives: int, lost: bool = False) -> list[list[Frame]]:
+def recorded(load, drives, lost=False):
     """Frames by tick; load per unit of rated torque; lost: wheel 1 carries nothing, 1.5 to 3 s."""
     loss = {"at_s": 1.5, "for_s": 1.5, "drive": 1, "kind": "adhesion_loss", "depth": 1.0}
     run = scenario(
@@ -39,7 +36,7 @@ def recorded(load: float, drives: int, lost: bool = False) -> list[list[Frame]]:
     return [simulation.step((), k * TICK) for k in range(1, round(SECONDS * 100) + 1)]
 
 
-def with_status(frames: list[list[Frame]], factor: float = 1.0, state: int = 2, begin: float = 2.0):
+def with_status(frames, factor=1.0, state=2, begin=2.0):
     """The first drive's `Status` with another command or state, from `begin` to 4 s."""
     spec = codec((1, 2, 3)).by_name["Drive1_Status"]
     out = []
@@ -59,7 +56,7 @@ def with_status(frames: list[list[Frame]], factor: float = 1.0, state: int = 2, 
     return out
 
 
-def judged(frames: list[list[Frame]], drives: int):
+def judged(frames, drives):
     """Per tick: the drives as the gateway sees them."""
     core = Gateway(
         parse({"drive": [{"node": n + 1} for n in range(drives)]}),
@@ -73,7 +70,7 @@ def judged(frames: list[list[Frame]], drives: int):
     return rows
 
 
-def flags(rows, drive: int, begin: float, end: float) -> set[Flag]:
+def flags(rows, drive, begin, end):
     return {row[drive].adhesion for row in rows[round(begin * 100) : round(end * 100)]}
 
 
@@ -163,7 +160,7 @@ def test_a_loss_beside_motion_that_is_stamped_late_is_told_a_tick_later_at_most(
     """A service that reads once a tick stamps what was measured at its begin at its end."""
     ids = {codec((1, 2, 3)).by_name[f"Drive{n}_Motion"].can_id for n in (1, 2, 3)}
 
-    def tick_of_loss(late: bool) -> int:
+    def tick_of_loss(late):
         frames = [
             [f._replace(t_ns=(k + 1) * TICK) if late and f.can_id in ids else f for f in tick]
             for k, tick in enumerate(recorded(0.6, 3, lost=True))
@@ -178,7 +175,7 @@ COASTS_S = 2.2
 END_S = 4.0
 
 
-def said(*, commands: bool, slows: bool = False):
+def said(*, commands, slows=False):
     """Flags and reasons of all drives from half a second after the train has begun to coast."""
     speeds = [[0.0, 120.0], [COASTS_S, 120.0], [END_S, 40.0 if slows else 120.0]]
     train = scenario(

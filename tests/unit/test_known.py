@@ -1,7 +1,5 @@
 """What share of the time flags knew; scenarios that would judge nothing are refused."""
 
-from __future__ import annotations
-
 import csv
 
 import pytest

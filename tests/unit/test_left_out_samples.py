@@ -1,7 +1,5 @@
 """Samples left out without counting, gaps and blocks, and samples that were only delayed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

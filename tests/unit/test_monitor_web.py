@@ -1,7 +1,5 @@
 """The page's server: each rule of security allowed and refused, real sockets for slow readers."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -320,7 +318,7 @@ def test_what_stops_the_feed_stops_the_server():
     assert [str(error) for error in told] == ["broken"]
 
 
-def opened(port: int, room: int) -> socket.socket:
+def opened(port, room):
     """A viewer that reads the handshake's answer, and nothing after it."""
     made = socket.socket()
     made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
@@ -469,7 +467,7 @@ def test_a_port_in_use_is_told():
             bind(where)
 
 
-def command(*words: str, cwd=None, env=None):
+def command(*words, cwd=None, env=None):
     done = subprocess.run(
         [sys.executable, "-m", "gateway", "monitor", *words], capture_output=True, text=True,
         check=False, cwd=cwd, env={**os.environ, **(env or {})}, timeout=120,

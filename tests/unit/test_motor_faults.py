@@ -1,14 +1,10 @@
 """Faults of a motor (the 350 kW one turns beyond ten samples a revolution), and echoed torque."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import pytest
 
 from dbc.e2e import protect
 from dbc.frame import SECOND
-from dbc.frames import Block, block_of
+from dbc.frames import block_of
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
@@ -74,7 +70,7 @@ TORQUE = MOTION.signals[MOTION.column("Torque")]
 MASK = (1 << TORQUE.length) - 1 << TORQUE.start
 
 
-def blocks(depth: float, seed: int) -> Iterator[Block]:
+def blocks(depth, seed):
     """Frames by tick: from the loss on, drive 2's torque is the one of before."""
     lost = {"at_s": LOSS_S, "for_s": LAST_S, "drive": 2, "kind": "adhesion_loss", "depth": depth}
     world = scenario({
@@ -105,7 +101,7 @@ def blocks(depth: float, seed: int) -> Iterator[Block]:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_torque_that_no_current_makes_is_not_believed(detector, depth, seed):
     core = Gateway(parse({"adhesion": {"detector": detector}}), BOUND, 0)
-    said: dict[int, list[Flag]] = {node: [] for node in NODES}
+    said = {node: [] for node in NODES}
     for k, block in enumerate(blocks(depth, seed), start=1):
         core.step(block, k * TICK)
         for drive in core.view.drives:

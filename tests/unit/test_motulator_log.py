@@ -14,7 +14,6 @@ from gateway.settings.config import parse
 from gateway.study.evaluation import listen
 from gateway.study.held_world import OtherMachine, periods
 from sim.physics.plant import BENCH, DT, OUT
-from sim.scenario import Scenario
 from tests.simrun import scenario, values
 
 SPEED, LOAD_NM = 150.0, 18.0
@@ -22,13 +21,13 @@ SPEED, LOAD_NM = 150.0, 18.0
 NODES = (1, 2, 3)
 
 
-def quiet(**table) -> Scenario:
+def quiet(**table):
     sensors = {"current_noise_var": 0.0}
     load = {"kind": "preset", "torque_nm": LOAD_NM}
     return scenario(duration_s=1.5, sensors=sensors, load=load, **table)
 
 
-def steady(scenario: Scenario) -> np.ndarray:
+def steady(scenario):
     """Three drives in the steady state, from the phasors of the machine's equations.
 
     Over a period the mean of u = R i + L di/dt + psi de/dt is R mean(i) + (L di + psi de) / DT.

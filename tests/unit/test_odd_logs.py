@@ -1,16 +1,12 @@
 """Logs of people's programs that are odd and yet right, or wrong in a way that must be seen."""
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Sequence
-from pathlib import Path
 
 import can
 import pytest
 
 from dbc.candump.grammar import Verdict, format_frame
-from dbc.frame import SECOND, Frame
+from dbc.frame import SECOND
 from dbc.logs.opening import open_reader
 from dbc.logs.proposals import proposed
 from dbc.tolerant import read_any_dbc
@@ -19,7 +15,7 @@ ASC = "date Mon Mar 4 10:31:20.000 am 2024\nbase hex  timestamps absolute\n"
 TRC = ";$FILEVERSION={}\n;$STARTTIME=43000.0\n"
 
 
-def read(folder: Path, name: str, text: str, encoding: str = "latin-1"):
+def read(folder, name, text, encoding="latin-1"):
     """Frames, counts of lines that are none, and notes."""
     path = folder / name
     path.write_bytes(text.encode(encoding))
@@ -32,7 +28,7 @@ def read(folder: Path, name: str, text: str, encoding: str = "latin-1"):
     return frames, counts, reader.notes
 
 
-def shown(frames: Sequence[Frame]) -> list[str]:
+def shown(frames):
     return [format_frame(frame).split()[-1].decode() for frame in frames]
 
 

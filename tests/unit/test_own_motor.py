@@ -1,7 +1,5 @@
 """Motors of one's own in scenarios, and worlds that detectors were not tuned on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Rows of results name the code that made them; a skipped test on a real bus has failed."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import subprocess

@@ -1,7 +1,5 @@
 """Wheels that run away beside others are never `Adhering` for long; steady ones are no liars."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,12 +14,12 @@ from tests.simrun import CLASSIC, FD_FILE, TICK, codec, flags_and_speeds, scenar
 MOST_TICKS = 20
 
 
-def loss(drive: int, at_s: float) -> dict:
+def loss(drive, at_s):
     """A quarter, within 6 s: the load alone shows it late."""
     return {"at_s": at_s, "drive": drive, "kind": "adhesion_loss", "depth": 0.25, "ramp_s": 6.0}
 
 
-def running_away(seconds: float, events: list[dict], drives: int, nm: float = 18.0, **config):
+def running_away(seconds, events, drives, nm=18.0, **config):
     """Flags and speeds; nothing limits the slip."""
     run = scenario(
         seed=5, duration_s=seconds, drives=drives, slip_limiter="none", event=events,
@@ -30,7 +28,7 @@ def running_away(seconds: float, events: list[dict], drives: int, nm: float = 18
     return flags_and_speeds(run, codec(tuple(range(1, drives + 1))), **config)
 
 
-def longest_good(flags, speeds, drive: int, train: int) -> int:
+def longest_good(flags, speeds, drive, train):
     """Ticks in a row: drive is called adhering and more than 10 % from a wheel that holds."""
     longest = now = 0
     apart = np.abs(speeds[:, drive] / speeds[:, train] - 1.0) > 0.1

@@ -1,7 +1,5 @@
 """`traction-gateway shrink`: from a long log to a few frames after which a flag is the same."""
 
-from __future__ import annotations
-
 import json
 import re
 from functools import reduce

@@ -1,7 +1,5 @@
 """Formats that keep a channel's number: what does not come back is counted. And MF4 that is cut."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 
@@ -20,7 +18,7 @@ NUMBERED = [".asc", ".blf", ".trc", ".mf4"]
 MOST = {".asc": 99_999, ".blf": 65_534, ".trc": 99_999, ".mf4": 255}
 
 
-def there_and_back(path: Path, names: list[str]) -> tuple[list[str], int]:
+def there_and_back(path, names):
     """Channels of frames of every kind as candump text has them, and how many were counted."""
     kinds = [(0, b"\1"), (FD, bytes(12)), (REMOTE, b""), (ERROR, b"")]
     frames = [
@@ -36,7 +34,7 @@ def there_and_back(path: Path, names: list[str]) -> tuple[list[str], int]:
     found = sorted(f for block in reader.blocks() for f in block.frames())
     assert len(found) == len(frames)
     channels = [interface(f.channel) for f in found[::4]]
-    return channels, sink.reduced["channel"]  # type: ignore[attr-defined, no-any-return]
+    return channels, sink.reduced["channel"]
 
 
 @pytest.mark.parametrize("suffix", NUMBERED)
@@ -52,14 +50,12 @@ def there_and_back(path: Path, names: list[str]) -> tuple[list[str], int]:
         (["1", "can1", "vcan1"], ["can1"] * 3, 1),
     ],
 )
-def test_what_has_no_number_of_its_own_is_counted(
-    tmp_path: Path, suffix: str, names: list[str], found: list[str], lost: int
-) -> None:
+def test_what_has_no_number_of_its_own_is_counted(tmp_path, suffix, names, found, lost):
     assert there_and_back(tmp_path / f"a{suffix}", names) == (found, 4 * lost)
 
 
 @pytest.mark.parametrize("suffix", NUMBERED)
-def test_the_largest_number_and_the_next(tmp_path: Path, suffix: str) -> None:
+def test_the_largest_number_and_the_next(tmp_path, suffix):
     most = MOST[suffix]
     names = [f"can{most}", f"can{most + 1}", "can300" if suffix != ".mf4" else "can3"]
     found = [names[0], "can0", names[2]]
@@ -67,20 +63,18 @@ def test_the_largest_number_and_the_next(tmp_path: Path, suffix: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", NUMBERED)
-def test_channels_of_a_log_that_are_not_written_do_not_count(tmp_path: Path, suffix: str) -> None:
+def test_channels_of_a_log_that_are_not_written_do_not_count(tmp_path, suffix):
     """As with --log-channel: their names are still there."""
     block = block_of([Frame(T0, 1, b"", 0, "can0"), Frame(T0, 2, b"", 0, "vcan0")])
     sink = frame_sink(tmp_path / f"a{suffix}", suffix)
     sink.add(block.part(1, 2))
     sink.close()
-    assert not sink.reduced["channel"]  # type: ignore[attr-defined]
+    assert not sink.reduced["channel"]
 
 
 @pytest.mark.parametrize("share", [99, 90, 50, 10, 2])
 @pytest.mark.parametrize("zipped", [False, True])
-def test_mf4_that_is_cut_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], share: int, zipped: bool
-) -> None:
+def test_mf4_that_is_cut_says_so(tmp_path, capsys, share, zipped):
     log, path = tmp_path / "a.log", tmp_path / ("a.mf4.gz" if zipped else "a.mf4")
     log.write_text("".join(f"(1684144800.{k:06}) can0 123#{k:08X}\n" for k in range(500)))
     assert main(["convert", "--frames", str(log), str(tmp_path / "whole.mf4")]) == 0
@@ -93,9 +87,7 @@ def test_mf4_that_is_cut_says_so(
     assert f"cannot be read: the file is cut: it has {len(data)} bytes" in told
 
 
-def test_mf4_that_is_damaged_does_not_say_that_it_is_cut(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mf4_that_is_damaged_does_not_say_that_it_is_cut(tmp_path, capsys):
     log, path = tmp_path / "a.log", tmp_path / "a.mf4"
     log.write_text("(1684144800.123456) can0 123#01\n")
     assert main(["convert", "--frames", str(log), str(path)]) == 0
