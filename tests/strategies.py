@@ -1,7 +1,5 @@
 """All Hypothesis strategies of the project, by area."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hypothesis import strategies as st
@@ -13,13 +11,13 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 MAX_NS = 9_000_000_000 * 1_000_000_000 - 1
 
 
-def stamps() -> st.SearchStrategy[int]:
+def stamps():
     """Nanoseconds a candump line can hold, whole microseconds included on purpose."""
     micros = st.integers(0, MAX_NS // 1000).map(lambda us: 1000 * us)
     return micros | st.integers(0, MAX_NS)
 
 
-def channels() -> st.SearchStrategy[str]:
+def channels():
     """Interface names as candump writes them."""
     usual = st.sampled_from(["can0", "vcan0", "can1", "slcan0"])
     odd = st.text(
@@ -31,7 +29,7 @@ def channels() -> st.SearchStrategy[str]:
 
 
 @st.composite
-def frames(draw: st.DrawFn) -> Frame:
+def frames(draw):
     """Any frame a candump log can say."""
     kind = draw(st.sampled_from(["classic", "raw", "fd", "remote", "error"]))
     extended = kind != "error" and draw(st.booleans())
@@ -54,7 +52,7 @@ def frames(draw: st.DrawFn) -> Frame:
     return Frame(draw(stamps()), can_id, data, flags, draw(channels()), dlc)
 
 
-def log_lines() -> st.SearchStrategy[bytes]:
+def log_lines():
     """Bytes of all kinds, with pieces of the grammar thrown in so that deep branches are met."""
     words = b"( ) . # ## _ R8 123 20000040 0 (1.000000) (1.000000000) DROPCOUNT: 45123#81:00:"
     piece = st.sampled_from([*words.split(), b" can0 ", b" ", b"\r", b"\0", b"\n"])
@@ -78,7 +76,7 @@ class Layout(NamedTuple):
 
 
 @st.composite
-def layouts(draw: st.DrawFn) -> Layout:
+def layouts(draw):
     """A signal anywhere in a message, any byte order and width."""
     size = draw(st.sampled_from(sorted(FD_LENGTHS - {0})))
     is_float = size >= 4 and draw(st.integers(0, 4)) == 0
@@ -105,7 +103,7 @@ def layouts(draw: st.DrawFn) -> Layout:
 # ---- sim: wheel and rail -----------------------------------------------------------------------
 
 
-def contacts() -> st.SearchStrategy[tuple[str, float, float, float]]:
+def contacts():
     """Rail condition, train speed m/s, sliding speed m/s, wheel load times radius Nm."""
     return st.tuples(
         st.sampled_from(["dry", "wet", "leaves"]),

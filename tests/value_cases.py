@@ -3,18 +3,16 @@
 `run_case(Case(..))` gives it tick by tick.
 """
 
-from __future__ import annotations
-
 import math
 import traceback
 from functools import cache
 from typing import NamedTuple
 
 from dbc.frame import MS, SECOND
-from dbc.frames import Block, block_of
+from dbc.frames import block_of
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.gateway import Gateway
-from gateway.settings.config import Config, parse
+from gateway.settings.config import parse
 from sim.physics.plant import MOTORS
 from sim.scenario import parse as scenario
 from sim.simulation import Simulation
@@ -81,32 +79,23 @@ class Outcome(NamedTuple):
     off_rpm: list[float]
 
     @property
-    def mine(self) -> list[Row]:
+    def mine(self):
         """The drive's whose values are wrong, during the fault."""
         return self.rows[self.case.drive][self.case.begin : self.case.begin + self.case.ticks]
 
     @property
-    def after(self) -> list[Row]:
+    def after(self):
         """The same drive's, after the fault."""
         return self.rows[self.case.drive][self.case.begin + self.case.ticks :]
 
     @property
-    def others(self) -> list[list[Row]]:
+    def others(self):
         """The other drives', from the begin of the fault on."""
         return [rows[self.case.begin :] for d, rows in enumerate(self.rows) if d != self.case.drive]
 
 
 @cache
-def honest(
-    speed: float,
-    motor: str,
-    fd: bool,
-    ticks: int,
-    load: float = LOAD,
-    nodes: tuple[int, ...] = NODES,
-    gains: float = 0.0,
-    begin: int = 0,
-) -> list[Block]:
+def honest(speed, motor, fd, ticks, load=LOAD, nodes=NODES, gains=0.0, begin=0):
     """Frames of the ticks of drives that turn steadily; nobody obeys a flag.
 
     gains: electrical rad/s2 from tick `begin` on.
@@ -124,7 +113,7 @@ def honest(
     return [block_of(simulation.step((), k * TICK)) for k in range(1, ticks + 1)]
 
 
-def config_of(case: Case) -> Config:
+def config_of(case):
     """Three drives, no thermal calibration."""
     return parse({
         "dbc": {"file": "traction_fd.dbc" if case.fd else "traction.dbc"},
@@ -133,7 +122,7 @@ def config_of(case: Case) -> Config:
     })  # fmt: skip
 
 
-def run_case(case: Case) -> Outcome:
+def run_case(case):
     """Play the honest frames through the fault into a gateway; never raises what `step` raises."""
     ticks = case.begin + case.ticks + case.tail
     begin = case.begin if case.gains else 0
@@ -142,9 +131,9 @@ def run_case(case: Case) -> Outcome:
     )
     bound = codec(case.nodes, FD_FILE if case.fd else CLASSIC)
     core, faults = Gateway(config_of(case), bound, 0), ValueFaults(bound, case.nodes)
-    rows: list[list[Row]] = [[] for _ in case.nodes]
-    off: list[float] = []
-    off_rpm: list[float] = []
+    rows = [[] for _ in case.nodes]
+    off = []
+    off_rpm = []
     rated = MOTORS[case.motor].I_rated / math.sqrt(2.0)
     for tick, sent in enumerate(frames, start=1):
         now = case.begin < tick <= case.begin + case.ticks
@@ -165,7 +154,7 @@ def run_case(case: Case) -> Outcome:
     return Outcome(case, rows, "", off, off_rpm)
 
 
-def _row(tick: int, drive) -> Row:
+def _row(tick, drive):
     numbers = (drive.speed_rad_s, drive.load_nm, drive.loss_probability, drive.nis)
     known = [math.nan if x is None else x for x in numbers]
     words = drive.adhesion, drive.adhesion_reason, drive.health, drive.sensor
