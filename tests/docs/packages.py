@@ -30,8 +30,6 @@ text { font: 12px sans-serif; fill: #263238 }
 .arrow { fill: none; stroke: #546e7a; stroke-width: 1.4; marker-end: url(#head) }
 """
 
-Imports = dict[str, set[str]]
-
 
 class Place(NamedTuple):
     """In a row: the box of a package (to: ""), or an arrow that passes it."""

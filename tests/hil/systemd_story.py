@@ -25,8 +25,6 @@ STOPPED_S = 3.0
 """After that long a stopped gateway has been found out, whatever a guest's clock makes of it."""
 FRAME = struct.Struct("=IB3x8s")
 
-Story = dict[str, object]
-
 
 def systemctl(*words):
     done = subprocess.run(["systemctl", *words], capture_output=True, text=True, check=False)

@@ -1,7 +1,5 @@
 """What the chain tests take for a machine that stalled; needs no bus."""
 
-from collections.abc import Callable, Iterable
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -29,9 +27,6 @@ def frames(used):
     simulation = Simulation(parse_text(SCENARIO, "t"), used.codec, start_ns=200 * MS)
     drives = simulation.step((), 700 * MS)
     return sorted([*drives, *(Frame(k * 10 * MS, FLAGS_ID, bytes(8)) for k in range(100))])
-
-
-Log = Callable[[Iterable[Frame]], Path]
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import _traction_core
 import pytest
@@ -32,7 +31,6 @@ BUS = "vcan0"
 PACKAGES = ("dbc", "estimators", "gateway", "sim")
 
 pytestmark = pytest.mark.thorough
-Story = dict[str, Any]
 
 
 def _program(path, text):

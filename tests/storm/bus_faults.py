@@ -18,7 +18,6 @@ from dbc.frames import EMPTY, Block, blank, join
 from tests.storm.value_faults import VALUE_KINDS
 
 Flags = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 BUS_KINDS: Final = (
     "drop", "duplicate", "reorder", "delay", "corrupt", "second_sender", "flood", "bus_off",

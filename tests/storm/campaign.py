@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import gateway
 from dbc.frames import Block, join
@@ -23,7 +22,6 @@ from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 from tests.storm.value_faults import Error, ValueFaults
 from tests.storm.values import truth_at
 
-Ints = NDArray[np.int64]
 CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
 QUEUE = 278
 """Frames that the kernel keeps for a process that does not read; the newest are lost."""

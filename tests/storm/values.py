@@ -13,7 +13,6 @@ second sender is not judged at all (R09). Currents that are late or another driv
 gateway began cannot be known from right ones: they have left no place of the current's angle.
 """
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,8 +45,6 @@ LEARN_TICKS: Final = 60
 """These show by a step of the current's angle only, for which its place must have been learnt."""
 FEWEST: Final = 2
 """Drives without which the others cannot be compared."""
-
-Broken = Callable[[int, str, int, str], None]
 
 
 class Truth(NamedTuple):

@@ -4,11 +4,10 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 
 import pytest
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import sync_playwright
 
 from tests.monitored import recorded, write
 
@@ -68,9 +67,6 @@ def address(log):
     """Where the page of the log is."""
     with monitor(log, "--web", "127.0.0.1:0") as where:
         yield where
-
-
-Opener = Callable[..., Page]
 
 
 @pytest.fixture
