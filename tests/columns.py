@@ -1,7 +1,5 @@
 """Fields of records under the short names of the oracles in `tests/reference/`."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -67,7 +65,7 @@ class SlowState(NamedTuple):
     steady: Flags
 
 
-def told_of(records: Records) -> Told:
+def told_of(records):
     """Fields of these records."""
     return Told(
         records, records["health"], records["health_reason"], records["speed_rad_s"],
@@ -75,12 +73,12 @@ def told_of(records: Records) -> Told:
     )  # fmt: skip
 
 
-def told(n: int) -> Told:
+def told(n):
     """Of N drives of which nothing is known."""
     return told_of(estimates(n))
 
 
-def inputs_of(status: Records) -> Inputs:
+def inputs_of(status):
     """Fields of these records."""
     return Inputs(
         status["reason"], status["sample_fresh"].view(np.bool_),
@@ -89,12 +87,12 @@ def inputs_of(status: Records) -> Inputs:
     )  # fmt: skip
 
 
-def inputs(n: int) -> Inputs:
+def inputs(n):
     """Of N drives of which nothing is known."""
     return inputs_of(statuses(n))
 
 
-def slow_of(drives: Records) -> SlowState:
+def slow_of(drives):
     """Columns of these records."""
     return SlowState(
         drives["speed"], drives["command"], drives["previous_command"], drives["irms"],
@@ -103,6 +101,6 @@ def slow_of(drives: Records) -> SlowState:
     )  # fmt: skip
 
 
-def slow(n: int) -> SlowState:
+def slow(n):
     """Of N drives, of which nothing has been received."""
     return slow_of(drive_inputs(n))

@@ -1,15 +1,11 @@
 """Options of the test run."""
 
-from __future__ import annotations
-
-import pytest
-
 from tests.fuzz import load_fuzz, load_gate
 
 load_gate()
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     group = parser.getgroup("vcan", "tests on a real SocketCAN interface")
     group.addoption(
         "--require-vcan",
@@ -51,6 +47,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     if config.getoption("--fuzz"):
         load_fuzz(config.getoption("--fuzz"))

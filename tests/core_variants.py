@@ -11,8 +11,6 @@ and use the core that `build` has left; without one they build it.
 in ziglang.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -24,7 +22,6 @@ from core_build import HEADERS, SOURCES
 
 OUT = Path("out/core").absolute()
 OWN = ("tests/unit/test_e2e.py", "tests/unit/test_e2e_reference.py", "tests/unit/test_records.py",
-       "tests/property/test_e2e_property.py",
        "tests/unit/test_codec_reference.py",
        "tests/unit/test_flags.py",
        "tests/unit/test_flags_reference.py",
@@ -92,7 +89,7 @@ FLAGS = {
 """Of several names behind one `-fsanitize=` zig takes some, and leaves out AddressSanitizer."""
 
 
-def build(name: str) -> Path:
+def build(name):
     """A folder with the core in this variant."""
     if shutil.which("gcc") is None:
         sys.exit(f"core variants: {name} needs gcc (Debian: apt-get install gcc)")
@@ -111,14 +108,14 @@ def build(name: str) -> Path:
     return place
 
 
-def built(name: str) -> Path:
+def built(name):
     """The folder that `build` has left, or a new one if it is older than a source."""
     made = OUT / name / "sitecustomize.py"
     newest = max(Path(one).stat().st_mtime for one in (*SOURCES, *HEADERS))
     return made.parent if made.exists() and made.stat().st_mtime > newest else build(name)
 
 
-def run(place: Path, tests: list[str], **environment: str) -> int:
+def run(place, tests, **environment):
     """Exit status of pytest on the core in this folder."""
     paths = os.pathsep.join([str(place), str(Path.cwd())])
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *tests]
@@ -127,7 +124,7 @@ def run(place: Path, tests: list[str], **environment: str) -> int:
     ).returncode
 
 
-def sanitize(arguments: list[str]) -> int:
+def sanitize(arguments):
     """Run tests; the hostile ones if none are named."""
     place = built("sanitize")
     library = subprocess.run(
@@ -139,7 +136,7 @@ def sanitize(arguments: list[str]) -> int:
                ASAN_OPTIONS="detect_leaks=0", UBSAN_OPTIONS="print_stacktrace=1")  # fmt: skip
 
 
-def unreached(place: Path, source: str) -> tuple[int, list[str]]:
+def unreached(place, source):
     """Lines of code in a source, and the lines and branches of it that nothing has run."""
     data = place / "objects" / Path(source).with_suffix(".gcda")
     if not data.exists():
@@ -167,7 +164,7 @@ def unreached(place: Path, source: str) -> tuple[int, list[str]]:
     return len(lines), left
 
 
-def coverage(arguments: list[str]) -> int:
+def coverage(arguments):
     """0 if the core's own tests pass and run all of it."""
     place = built("coverage")
     for counts in place.rglob("*.gcda"):

@@ -1,18 +1,12 @@
 """A bank of filters in tests: stepped with sound inputs, its findings as objects."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from gateway.core import inputs
 from gateway.core.codes import Health, Reason
-from tests.columns import Told
 from tests.receivers import Received
-from tests.sample_rows import Samples
-from tests.stations import Bank
 
 
 class DriveEstimate(NamedTuple):
@@ -27,7 +21,7 @@ class DriveEstimate(NamedTuple):
     """Why, where it is not tracking."""
 
 
-def estimates_of(told: Told) -> list[DriveEstimate]:
+def estimates_of(told):
     """What is told of every drive."""
     rows = zip(
         told.health.tolist(), told.speed.tolist(), told.load.tolist(), told.sigma.tolist(),
@@ -41,7 +35,7 @@ def estimates_of(told: Told) -> list[DriveEstimate]:
     ]
 
 
-def step(bank: Bank, samples: Samples, heard: Sequence[bool], now: int) -> list[DriveEstimate]:
+def step(bank, samples, heard, now):
     """One tick; heard: which drives' newest sample is within its limit."""
     m, come = len(samples.drive), inputs.statuses(len(heard))
     come["reason"], come["sample_fresh"] = Reason.NONE, heard

@@ -4,25 +4,18 @@ A run changes between honest frames, so that filters and detectors are in the mi
 and stretches in which a rule makes the values of some messages of some drives.
 """
 
-from __future__ import annotations
-
-import argparse
-import itertools
-import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 import gateway
-from dbc.codec import Codec
 from dbc.e2e import protect
-from dbc.frames import Block
-from dbc.spec import MessageSpec, SignalSpec
+from dbc.spec import SignalSpec
 from gateway.core.gateway import Gateway
-from gateway.settings.config import Config, parse
+from gateway.settings.config import parse
 from tests.simrun import CLASSIC, FD_FILE, codec
 from tests.value_cases import TICK, honest
 
@@ -50,51 +43,51 @@ class At(NamedTuple):
 Rule = Callable[[At, Sequence[SignalSpec]], list[int]]
 
 
-def _all(pick: Callable[[SignalSpec], int]) -> Rule:
+def _all(pick):
     return lambda _at, signals: [_legal(s, pick(s)) for s in signals]
 
 
-def _legal(s: SignalSpec, raw: int) -> int:
+def _legal(s, raw):
     return min(max(raw, s.raw_min), s.raw_max)
 
 
-def _pattern(*values: float) -> Rule:
+def _pattern(*values):
     """Every signal goes through parts of its highest value, the next signal a step behind."""
 
-    def rule(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+    def rule(at, signals):
         n = len(values)
         return [_legal(s, round(values[(at.k - j) % n] * s.raw_max)) for j, s in enumerate(signals)]
 
     return rule
 
 
-def _ends(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+def _ends(at, signals):
     return [int(at.rng.choice([s.raw_min, s.raw_max])) for s in signals]
 
 
-def _any_legal(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+def _any_legal(at, signals):
     return [int(at.rng.integers(s.raw_min, s.raw_max, endpoint=True)) for s in signals]
 
 
-def _any_bits(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+def _any_bits(at, signals):
     return [int(at.rng.integers(0, 1 << s.length)) for s in signals]
 
 
-def _edges(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+def _edges(at, signals):
     return [
         int(at.rng.choice([s.raw_min, s.raw_max, 0, 1, -1, s.not_available or 0, s.start_raw]))
         for s in signals
     ]
 
 
-def _sometimes(rule: Rule, share: float) -> Rule:
+def _sometimes(rule, share):
     return lambda at, signals: rule(at, signals) if at.rng.random() < share else at.raws
 
 
-def _axis(*parts: float) -> Rule:
+def _axis(*parts):
     """Currents (or whatever there is) in fixed proportions: on one axis."""
 
-    def rule(at: At, signals: Sequence[SignalSpec]) -> list[int]:
+    def rule(at, signals):
         return [_legal(s, round(parts[j % len(parts)] * at.raws[0])) for j, s in enumerate(signals)]
 
     return rule
@@ -152,16 +145,16 @@ class Setup(NamedTuple):
     """With the bench's calibration, so that temperatures are judged by the model."""
 
     @property
-    def nodes(self) -> tuple[int, ...]:
+    def nodes(self):
         """CANopen numbers."""
         return tuple(range(1, self.drives + 1))
 
     @property
-    def codec(self) -> Codec:
+    def codec(self):
         """Bound for these drives."""
         return codec(self.nodes, FD_FILE if self.fd else CLASSIC)
 
-    def config(self) -> Config:
+    def config(self):
         """Of the gateway."""
         more = {"thermal": {"calibration": str(CALIBRATION)}} if self.thermal else {}
         return parse({
@@ -179,7 +172,7 @@ class Stretch(NamedTuple):
     drives: tuple[int, ...]
 
 
-def stretches(setup: Setup) -> list[Stretch]:
+def stretches(setup):
     """All rules, on each message and on all of them; of one drive and of all."""
     names = {spec.kind for spec in setup.codec.messages if spec.node and not spec.is_gateway}
     everyone = tuple(range(setup.drives))
@@ -192,14 +185,14 @@ def stretches(setup: Setup) -> list[Stretch]:
     ]
 
 
-def fits(spec: MessageSpec, message: str) -> bool:
+def fits(spec, message):
     """Whether a stretch changes this message."""
     if message == "electrical":
         return spec.kind in ("PhaseCurrents", "StatorVoltages", "Samples")
     return message in ("all", spec.kind)
 
 
-def changed(setup: Setup, stretch: Stretch, blocks: Sequence[Block], seed: int) -> Iterator[Block]:
+def changed(setup, stretch, blocks, seed):
     """Honest frames of consecutive ticks, their values made by the stretch's rule."""
     specs = {
         spec.can_id: spec
@@ -211,8 +204,8 @@ def changed(setup: Setup, stretch: Stretch, blocks: Sequence[Block], seed: int) 
         key: [s for s in spec.signals if s.name not in HEADER] for key, spec in specs.items()
     }
     rng = np.random.default_rng([seed, 1])
-    count: dict[int, int] = {}
-    first: dict[int, list[int]] = {}
+    count = {}
+    first = {}
     for block in blocks:
         out = block._replace(data=block.data.copy())
         for k, can_id in enumerate(block.can_id.tolist()):
@@ -234,7 +227,7 @@ def changed(setup: Setup, stretch: Stretch, blocks: Sequence[Block], seed: int) 
         yield out
 
 
-def _raw(word: int, s: SignalSpec) -> int:
+def _raw(word, s):
     raw = word >> s.start & ((1 << s.length) - 1)
     return raw - (1 << s.length) if s.is_signed and raw >> s.length - 1 else raw
 
@@ -250,14 +243,14 @@ class Raised(NamedTuple):
 
 
 def run(
-    setup: Setup, wanted: Sequence[Stretch], seed: int = 1, lengths: tuple[int, int] = LENGTHS,
-    made: type[Gateway] = Gateway,
-) -> list[Raised]:  # fmt: skip
+    setup, wanted, seed = 1, lengths = LENGTHS,
+    made = Gateway,
+):  # fmt: skip
     """One stretch after the other, honest frames between; a gateway that raised is replaced."""
     long, period = lengths[0], sum(lengths)
     ticks = HONEST_TICKS + period * TOGETHER
     frames = honest(setup.speed, setup.motor, setup.fd, ticks, 0.6, setup.nodes)
-    out: list[Raised] = []
+    out = []
     core, first = None, 0
     for number, stretch in enumerate(wanted):
         if number % TOGETHER == 0 or core is None:
@@ -278,41 +271,3 @@ def run(
             out.append(Raised(f"{name}:{last.lineno}", what, setup, stretch, tick - begin))
             core = None
     return out
-
-
-def main() -> int:
-    """Print where anything raises, by place; 1 if anything does."""
-    parser = argparse.ArgumentParser(prog="python -m tests.extremes", description=__doc__)
-    parser.add_argument("--drives", default="1,2,3")
-    parser.add_argument("--filters", default="ekf,ukf")
-    parser.add_argument("--bus", default="classic,fd")
-    parser.add_argument("--speeds", default="100,290")
-    parser.add_argument("--messages", default=",".join(MESSAGES))
-    parser.add_argument("--rules", default=",".join(RULES))
-    parser.add_argument("--ticks", default="30,40", help="of a stretch, and of honest ones after")
-    options = parser.parse_args()
-    long, again = map(int, options.ticks.split(","))
-    seen: dict[str, list[Raised]] = {}
-    setups = itertools.product(
-        map(int, options.drives.split(",")), options.filters.split(","), options.bus.split(","),
-        map(float, options.speeds.split(",")),
-    )  # fmt: skip
-    for drives, kind, bus, speed in setups:
-        setup = Setup(drives, kind, bus == "fd", speed)
-        wanted = [
-            s for s in stretches(setup)
-            if s.rule in options.rules.split(",") and s.message in options.messages.split(",")
-        ]  # fmt: skip
-        for raised in run(setup, wanted, lengths=(long, again)):
-            seen.setdefault(f"{raised.place} {raised.error}", []).append(raised)
-            if len(seen[f"{raised.place} {raised.error}"]) <= 3:
-                print(raised, flush=True)
-        print(f"{setup}: {len(wanted)} stretches", flush=True)
-    for place, cases in seen.items():
-        rules = sorted({(c.stretch.rule, c.stretch.message) for c in cases})
-        print(f"{place}: {len(cases)} cases; {rules}")
-    return int(bool(seen))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

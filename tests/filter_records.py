@@ -1,26 +1,22 @@
 """Records of the filters, made from rows and columns as tests have them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
-from dbc.records import Columns
 from estimators import filters
 from estimators.models import pmsm
-from estimators.models.pmsm import Noise, Pmsm, Rated
 from tests.core_calls import acquisition
 
 
-def samples(drive, u, y, n_sub, n_gap, nis=np.nan) -> Columns:
+def samples(drive, u, y, n_sub, n_gap, nis=np.nan):
     """`struct filter_sample` of M rows; u and y (M, 2)."""
     made = filters.sample_records(drive, u, y, n_sub, n_gap)
     made.nis = nis
     return made
 
 
-def acquire(drives: Columns, par: Pmsm, rows, dt: float) -> None:
+def acquire(drives, par, rows, dt):
     """Feed rows (drive, u, y, n_sub, n_gap) to the flux chords."""
     acquisition.add(samples(*rows[:5]), pmsm.table(par), drives, acquisition.limits(), dt)
 
@@ -34,23 +30,21 @@ class Estimate(NamedTuple):
     spread: np.ndarray
 
 
-def estimate(drives: Columns) -> Estimate:
+def estimate(drives):
     """What the chords say."""
     return Estimate(
         drives.ready == 1, drives.w.copy(), acquisition.theta(drives), drives.spread.copy()
     )
 
 
-def check(drives: Columns, x: np.ndarray) -> np.ndarray:
+def check(drives, x):
     """Consistency (N,) of filters with the states x (N, 5)."""
     each = filters.unstarted(len(x))
     each.x = x
     return np.array(acquisition.check(drives, each))
 
 
-def start_states(
-    drives: Columns, par: Pmsm, noise: Noise, rated: Rated
-) -> tuple[np.ndarray, np.ndarray]:
+def start_states(drives, par, noise, rated):
     """First x (N, 5) and P (N, 5, 5) of all filters."""
     each, table = filters.unstarted(len(drives)), pmsm.table(par)
     for k in range(len(drives)):

@@ -1,18 +1,16 @@
 """How many examples a property test looks at: `pytest --fuzz FACTOR` looks at more."""
 
-from __future__ import annotations
-
 from hypothesis import settings
 
 _USUAL = 100
 
 
-def examples(count: int) -> int:
+def examples(count):
     """So many examples, times the factor of the run. Asked at import, by the decorators."""
     return count * settings().max_examples // _USUAL
 
 
-def load_gate() -> None:
+def load_gate():
     """The same examples every time, so that the gate fails for what was changed.
 
     No deadline: the first example pays for compiling, it would judge the compiler.
@@ -21,7 +19,7 @@ def load_gate() -> None:
     settings.load_profile("gate")
 
 
-def load_fuzz(factor: int) -> None:
+def load_fuzz(factor):
     """Random examples, `factor` times as many."""
     many = _USUAL * factor
     settings.register_profile("fuzz", deadline=None, max_examples=many, print_blob=True)

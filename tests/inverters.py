@@ -1,17 +1,11 @@
 """Simulated drives that speak like other makers' inverters, and the DBCs of such."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
-from dbc.frame import Frame
 from gateway.hil.inverter_sim import Inverters
 from gateway.mapping.plan import plans
-from gateway.settings.config import Config
 from tests.simrun import codec
 
 
-def spoken(config: Config, frames: list[Frame]) -> list[Frame]:
+def spoken(config, frames):
     """Frames of simulated drives 1.. (classic) as the configuration's inverters send them."""
     return Inverters(plans(config), codec(config.nodes)).convert(frames)
 
@@ -31,7 +25,7 @@ BA_DEF_DEF_ "GenMsgCycleTime" 0;
 """
 
 
-def write_dbc(path: Path, messages: dict[str, tuple[int, int, list[str]]]) -> Path:
+def write_dbc(path, messages):
     """A DBC: by name (identifier, cycle in ms, signals as DBC has them after `SG_`)."""
     text = "\n".join(
         f"BO_ {can_id} {name}: 8 Inverter\n" + "".join(f" SG_ {s} Vector__XXX\n" for s in signals)

@@ -1,19 +1,14 @@
 """Adhesion alone, as `gateway/core/tick.c` does it: for tests that give it whatever they like."""
 
-from __future__ import annotations
-
 from _traction_core import lib
 
-from dbc.frame import Nanos
-from dbc.records import Records, pointer
-from estimators.detect import Opinion
-from gateway.core.adhesion import AdhesionMonitor
+from dbc.records import pointer
 
 
 def detect(
-    monitor: AdhesionMonitor, estimates: Records, inputs: Records, drives: Records, status: Records,
-    now: Nanos,
-) -> Opinion:  # fmt: skip
+    monitor, estimates, inputs, drives, status,
+    now,
+):  # fmt: skip
     """One tick. estimates, inputs, drives, status: records of N drives."""
     mine, received = (
         pointer("struct adhesion", monitor.record),

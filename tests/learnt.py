@@ -1,18 +1,15 @@
 """Load references and responses of the compiled core in tests: arrays in, arrays out."""
 
-from __future__ import annotations
-
 import numpy as np
 from _traction_core import ffi, lib
 
 from dbc.records import COMMAND_RESPONSE, LOAD_OBSERVATION, LOAD_RATIO, LOAD_SPREAD
-from tests.reference.command_response import Heard
 
 
 class Loads:
     """What is learnt of N drives' loads: `estimators/detect/load_reference.c`."""
 
-    def __init__(self, n: int, spread: float) -> None:
+    def __init__(self, n, spread):
         self.ratios = np.zeros(n, LOAD_RATIO)
         self.all = ffi.from_buffer("struct load_spread *", np.zeros(1, LOAD_SPREAD))
         self.drives = ffi.from_buffer("struct load_ratio[]", self.ratios)
@@ -20,7 +17,7 @@ class Loads:
         lib.load_reference_reset(self.all, self.drives, n, spread)
 
     @property
-    def spread(self) -> float:
+    def spread(self):
         return self.all.spread
 
     @property
@@ -31,16 +28,16 @@ class Loads:
     def variance(self):
         return self.ratios["variance"]
 
-    def observe(self, load, common, known, healthy, *, relative=True) -> None:
+    def observe(self, load, common, known, healthy, *, relative=True):
         """Spread, then ratios."""
         self.watch(load, common, known, relative=relative)
         self.learn(load, common, healthy, relative=relative)
 
-    def watch(self, load, common, known, *, relative=True) -> None:
+    def watch(self, load, common, known, *, relative=True):
         seen = self._observed(load, common, known, known)
         lib.update_spread(self.all, self.drives, seen, self.n, relative)
 
-    def learn(self, load, common, healthy, *, relative=True) -> None:
+    def learn(self, load, common, healthy, *, relative=True):
         seen = self._observed(load, common, healthy, healthy)
         lib.update_ratios(self.all, self.drives, seen, self.n, relative)
 
@@ -65,12 +62,12 @@ class Loads:
 class Responses(Loads):
     """The same of loads over commands: `estimators/detect/command_response.c`."""
 
-    def __init__(self, n: int, spread: float) -> None:
+    def __init__(self, n, spread):
         super().__init__(n, spread)
         self.records = np.zeros(n, COMMAND_RESPONSE)
         self.each = ffi.from_buffer("struct command_response[]", self.records)
 
-    def hear(self, heard: Heard) -> None:
+    def hear(self, heard):
         """Everything but how long deficits have stood."""
         one = self.records
         one["load"], one["acceleration_torque"] = heard.load, heard.excess
@@ -78,7 +75,7 @@ class Responses(Loads):
         one["command"], one["previous_command"] = heard.command, heard.before
         one["command_age_s"], one["usable"] = heard.age_s, heard.usable
 
-    def respond(self, heard: Heard, dt: float):
+    def respond(self, heard, dt):
         """(N,) probabilities, and where they are valid."""
         self.hear(heard)
         valid = np.full(self.n, 7, dtype=np.uint8)
@@ -89,7 +86,7 @@ class Responses(Loads):
         assert set(valid) <= {0, 1}
         return np.array(lost), valid.astype(bool)
 
-    def learn_response(self, heard: Heard, healthy, dt: float) -> None:
+    def learn_response(self, heard, healthy, dt):
         self.hear(heard)
         workspace = ffi.new("struct load_observation[]", self.n)
         lib.learn_responses(
@@ -97,7 +94,7 @@ class Responses(Loads):
             workspace,
         )  # fmt: skip
 
-    def fuse(self, heard: Heard, compared, alone, away, valid):
+    def fuse(self, heard, compared, alone, away, valid):
         """(N,) probabilities, and where they are known."""
         self.hear(heard)
         lost = [

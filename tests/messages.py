@@ -1,20 +1,17 @@
 """Messages entered into a `Batch` as the kernel would."""
 
-from __future__ import annotations
-
 import struct
-from collections.abc import Sequence
 
 import numpy as np
 
-from gateway.io.batch import NATIVE, Batch
+from gateway.io.batch import NATIVE
 from gateway.io.wire import FD_SIZE
 
 TRUNCATED = 0x20
 """MSG_TRUNC."""
 
 
-def put(batch: Batch, payload: bytes, control: Sequence[tuple[int, int, bytes]]) -> None:
+def put(batch, payload, control):
     """One message; control: (level, type, data) each."""
     k = batch.filled
     entries = b"".join(

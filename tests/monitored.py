@@ -1,7 +1,5 @@
 """A bus with drives and a gateway on it, recorded, for the tests of the monitor."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 
@@ -28,19 +26,19 @@ class Run(NamedTuple):
     views: list[GatewayView]
 
     @property
-    def frames(self) -> list[Frame]:
+    def frames(self):
         return sorted(self.drives + self.gateway, key=lambda f: f.t_ns)
 
-    def observer(self, **options) -> Observer:
+    def observer(self, **options):
         return Observer(codec(), self.config, **options)
 
 
-def config_of(nodes=(1, 2, 3), **more) -> Config:
+def config_of(nodes=(1, 2, 3), **more):
     return parse({"drive": [{"node": n} for n in nodes], **more})
 
 
 @cache
-def recorded() -> Run:
+def recorded():
     """Three drives, of which the second loses adhesion from 1.2 s to 2.0 s; from 0 to 3 s."""
     world = scenario(
         {
@@ -61,7 +59,7 @@ def recorded() -> Run:
     return Run(config, drives, own, views)
 
 
-def play(observer: Observer, frames, until_ns: int | None = None, step_ns: int = 7_000_000):
+def play(observer, frames, until_ns=None, step_ns=7_000_000):
     """Give all frames in cuts of `step_ns`; the snapshot at the end."""
     frames = sorted(frames, key=lambda f: f.t_ns)
     end = frames[-1].t_ns if until_ns is None else until_ns
@@ -75,13 +73,13 @@ def play(observer: Observer, frames, until_ns: int | None = None, step_ns: int =
     return observer.snapshot(end)
 
 
-def write(path, frames) -> None:
+def write(path, frames):
     with Writer(path) as log:
         for frame in sorted(frames, key=lambda f: f.t_ns):
             log.write(frame, "vcan0")
 
 
-def shadow_views(run: Run) -> list[GatewayView]:
+def shadow_views(run):
     """What a gateway of its own makes of the drives' frames, tick by tick as replay does."""
     frames = sorted(run.drives, key=lambda f: f.t_ns)
     first = frames[0].t_ns

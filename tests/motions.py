@@ -1,7 +1,5 @@
 """A `MotionMonitor` in tests: of drives whose filters, samples and readings are given."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from dbc.records import ROTOR, zeros

@@ -1,15 +1,11 @@
 """What a worker of a fleet does in tests: as it should, but for logs that kill it."""
 
-from __future__ import annotations
-
 import os
 
-from gateway.fleet.logs import Job, Settings
-from gateway.fleet.table import Row
 from gateway.fleet.task import one_log
 
 
-def kill_or_work(one: Job, settings: Settings) -> Row:
+def kill_or_work(one, settings):
     """`poison.log` kills every worker, `once.log` the first that meets it, half-way."""
     met = settings.folder / f"{one.path.name}.met"
     if one.path.name == "poison.log" or (one.path.name == "once.log" and not met.exists()):

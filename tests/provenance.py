@@ -1,7 +1,5 @@
 """Which code a long run's row in a file of results is of."""
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys
@@ -22,10 +20,10 @@ ENVIRONMENT: Final = ".venv"
 CORE: Final = "_traction_core.abi3.so"
 
 
-def commit_of(folder: Path) -> str:
+def commit_of(folder):
     """Which commit the code in a repository is of, `-dirty` if it was changed since."""
 
-    def git(*words: str) -> str:
+    def git(*words):
         done = subprocess.run(
             ["git", "-C", str(folder), *words], capture_output=True, text=True, check=False
         )
@@ -36,7 +34,7 @@ def commit_of(folder: Path) -> str:
     return (git("rev-parse", "--short", "HEAD") or "unknown") + ("-dirty" if changed else "")
 
 
-def code_of(folder: Path) -> str:
+def code_of(folder):
     """Hash of the modules below a folder that this process has loaded: commits may share it.
 
     Of the compiled core its sources, which are the same in every clone. Without what cannot change

@@ -1,7 +1,5 @@
 """A `struct receiver` in tests, with just what the stations behind it read."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,12 +4,9 @@ A pure function of its sources gives the same arrays as long as these are the sa
 in the file's name.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +16,7 @@ KEPT = ROOT / "out" / "recorded"
 SUFFIXES = {".py", ".c", ".h", ".dbc", ".toml"}
 
 
-def recorded(
-    name: str,
-    make: Callable[[], dict[str, np.ndarray]],
-    sources: Iterable[Path],
-    *arguments: object,
-) -> dict[str, np.ndarray]:
+def recorded(name, make, sources, *arguments):
     """What `make` gives. sources: files and folders that it depends on, and its arguments."""
     digest = hashlib.sha256(repr((sys.version, np.__version__, arguments)).encode())
     for source in sources:
@@ -39,7 +31,7 @@ def recorded(
         return dict(file)
 
 
-def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
+def _write(path, arrays):
     """Whole or not at all: several processes may write the same."""
     KEPT.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{os.getpid()}-{path.name}")

@@ -1,13 +1,9 @@
 """Samples and readings of a tick, as `receive.c` fills them, in the words of the references."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from gateway.core.receiving import Receiver
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,7 +22,7 @@ class Samples(NamedTuple):
     steps: Ints
     gap: Ints
 
-    def first(self, count: int) -> Samples:
+    def first(self, count):
         """The first `count` rows, as views."""
         return Samples(
             self.drive[:count], self.u[:count], self.y[:count], self.steps[:count], self.gap[:count]
@@ -46,7 +42,7 @@ class Readings(NamedTuple):
     angle: Array
 
 
-def workspace(rows: int) -> Samples:
+def workspace(rows):
     """Space for the samples of `rows` frames, eight each."""
     m = 8 * rows
     return Samples(
@@ -58,17 +54,17 @@ def workspace(rows: int) -> Samples:
     )
 
 
-def readings(rows: int) -> Readings:
+def readings(rows):
     """Room for so many."""
     drive, t_ns = (np.zeros(rows, dtype=np.int64) for _ in range(2))
     return Readings(drive, t_ns, np.zeros(rows), np.zeros(rows), np.zeros(rows))
 
 
-def samples_of(receiver: Receiver) -> Samples:
+def samples_of(receiver):
     """The receiver's own space for them."""
     return Samples(*(receiver.space[f"sample_{name}"] for name in Samples._fields))
 
 
-def readings_of(receiver: Receiver) -> Readings:
+def readings_of(receiver):
     """The receiver's own space for them."""
     return Readings(*(receiver.space[f"motion_{name}"] for name in Readings._fields))

@@ -1,14 +1,12 @@
 """Frames as a drive would send them, for tests of the inbox and the core."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import numpy as np
 
 import dbc
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.e2e import protect
 from dbc.frame import BRS, FD, Frame
 
@@ -18,19 +16,19 @@ MS = 1_000_000
 R_S, L_S, PSI, POLES = 0.28, 3.465e-3, 0.1989, 4
 
 
-def codec_for(nodes=(1, 2, 3), path=CLASSIC) -> Codec:
+def codec_for(nodes=(1, 2, 3), path=CLASSIC):
     return bind(path, nodes)
 
 
 class Sender:
     """One message of one drive: counters and protection like the real thing."""
 
-    def __init__(self, codec: Codec, name: str) -> None:
+    def __init__(self, codec, name):
         self.codec = codec
         self.spec = codec.by_name[name]
         self.counter = 0
 
-    def frame(self, t_ns: int, **values) -> Frame:
+    def frame(self, t_ns, **values):
         drives = any(s.name == "Quality" for s in self.spec.signals)
         given = {"Quality": 1, **values} if drives else values
         payload = self.codec.encode(self.spec, given)
@@ -47,7 +45,7 @@ class SteadyDrive:
     over a sample interval is exact.
     """
 
-    def __init__(self, codec: Codec, node: int, w: float, load: float, theta: float = 0.3) -> None:
+    def __init__(self, codec, node, w, load, theta=0.3):
         self.node, self.w, self.theta = node, w, theta
         self.load = load
         self.currents = Sender(codec, f"Drive{node}_PhaseCurrents")
@@ -57,17 +55,17 @@ class SteadyDrive:
         self.celsius = (60.0, 50.0, 48.0, 20.0)
         self.command = 20.0
 
-    def current(self, t: float) -> complex:
+    def current(self, t):
         i_q = self.load / (1.5 * POLES * PSI)
         return 1j * i_q * np.exp(1j * (self.theta + self.w * t))
 
-    def mean_voltage(self, a: float, b: float) -> complex:
+    def mean_voltage(self, a, b):
         i_q = self.load / (1.5 * POLES * PSI)
         flux = L_S * 1j * i_q + PSI
         turn = (np.exp(1j * self.w * b) - np.exp(1j * self.w * a)) * np.exp(1j * self.theta)
         return (flux * turn + R_S * 1j * i_q * turn / (1j * self.w)) / (b - a)
 
-    def frames(self, k: int, period: float = 2e-3) -> list[Frame]:
+    def frames(self, k, period=2e-3):
         """Sample k: currents and voltages at (k + 1) periods, slow messages when due."""
         t = (k + 1) * period
         t_ns = round(t * 1e9)

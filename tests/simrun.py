@@ -1,15 +1,17 @@
 """Running scenarios, and a gateway reduced to the flags it sends, for tests of the simulator."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 import dbc
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.e2e import protect
 from dbc.frame import Frame
-from sim.scenario import Scenario, parse
+from gateway.core.gateway import Gateway
+from gateway.settings.config import parse as parse_config
+from sim.scenario import parse
 from sim.simulation import Simulation
 
 CLASSIC = Path(dbc.__path__[0]) / "traction.dbc"
@@ -18,22 +20,22 @@ TICK = 10_000_000
 
 
 @cache
-def codec(nodes: tuple[int, ...] = (1, 2, 3), path: Path = CLASSIC) -> Codec:
+def codec(nodes=(1, 2, 3), path=CLASSIC):
     return bind(path, nodes)
 
 
-def scenario(**table) -> Scenario:
+def scenario(**table):
     return parse({"title": "test", "duration_s": 5.0, **table})
 
 
-def run(simulation: Simulation, seconds: float, tick: int = TICK) -> list[Frame]:
+def run(simulation, seconds, tick=TICK):
     out = []
     for k in range(1, round(seconds * 1e9) // tick + 1):
         out += simulation.step((), k * tick)
     return out
 
 
-def values(frames, name: str, codec_: Codec | None = None) -> list[dict[str, float]]:
+def values(frames, name, codec_=None):
     """Decoded values of one message, with `t_s`, in order."""
     c = codec_ or codec()
     spec = c.by_name[name]
@@ -48,11 +50,11 @@ def values(frames, name: str, codec_: Codec | None = None) -> list[dict[str, flo
 class Flags:
     """`Gateway_Adhesion` frames as a gateway sends them."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.spec = codec().by_name["Gateway_Adhesion"]
         self.counter = 0
 
-    def frame(self, t_ns: int, **states: int) -> Frame:
+    def frame(self, t_ns, **states):
         """States by name as raw numbers; 3, which no gateway sends, is possible here."""
         payload = codec().encode(self.spec, {})
         for name, state in states.items():
@@ -61,3 +63,17 @@ class Flags:
         protect(self.spec, payload, self.counter)
         self.counter += 1
         return Frame(t_ns, self.spec.can_id, bytes(payload))
+
+
+def flags_and_speeds(simulated, coded, **config):
+    """Adhesion flags and true rotor speeds of a scenario, both (ticks, N)."""
+    nodes = tuple(range(1, simulated.drives + 1))
+    simulation = Simulation(simulated, coded, nodes=nodes)
+    drives = {"drive": [{"node": node} for node in nodes]}
+    core = Gateway(parse_config({"dbc": {"file": str(coded.path)}, **drives, **config}), coded, 0)
+    flags = []
+    for k in range(1, round(simulated.duration_s * 100) + 1):
+        core.step(simulation.step((), k * TICK), k * TICK)
+        flags.append([drive.adhesion for drive in core.view.drives])
+    speeds = np.reshape([row.speed_rad_s for row in simulation.truth_rows()], (-1, len(nodes)))
+    return np.array(flags), np.abs(speeds[: len(flags)])

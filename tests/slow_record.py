@@ -1,7 +1,5 @@
 """A record of slow messages alone: motors that warm and cool with a changing duty."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -3,15 +3,11 @@
 The product has no such calls. Here they are methods of the product's own objects.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
-from numpy.typing import NDArray
 
 import gateway.core.estimate
 import gateway.core.flags
@@ -20,21 +16,15 @@ import gateway.core.inputs
 import gateway.core.integrity
 import gateway.core.motion
 import gateway.core.thermal
-from dbc.frame import Frame, Nanos
 from dbc.frames import Block, block_of
-from dbc.records import FLAG, FLAG_INPUTS, Records, pointer
+from dbc.records import FLAG, FLAG_INPUTS, pointer
 from gateway.core.codes import FaultClass, FaultSensor, Flag, Reason
-from gateway.core.flags import Timing
-from gateway.core.inbox import Temperatures
-from gateway.core.receiving import Receiver
-from gateway.core.supervision import Supervision
-from gateway.core.temperature import SensorMonitor
 from gateway.core.thermal import AMBIENT
 from gateway.core.view import Wear
 from gateway.settings.calibration import POINTS
 from gateway.study.calibrating import Sample
 from tests import columns
-from tests.sample_rows import Samples, samples_of
+from tests.sample_rows import samples_of
 
 
 class Report(NamedTuple):
@@ -53,28 +43,28 @@ class Report(NamedTuple):
 class Inbox(gateway.core.inbox.Inbox):
     """Takes the frames of a tick."""
 
-    def take(self, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
+    def take(self, frames, now):
         """In the order of their time stamps, then ids; gives them as a block, in that order."""
         return receive(self, frames, now)
 
     @property
-    def restart(self) -> set[int]:
+    def restart(self):
         """Drives whose filter starts anew in this tick."""
         return set(np.flatnonzero(self.receiver.drives["restart"]).tolist())
 
     @property
-    def samples(self) -> Samples:
+    def samples(self):
         """Of the last tick."""
         return last_samples(self)
 
 
-def last_samples(inbox: gateway.core.inbox.Inbox) -> Samples:
+def last_samples(inbox):
     """Samples of the last tick."""
     receiver = inbox.receiver
     return samples_of(receiver).first(receiver.pointer.tick.samples)
 
 
-def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, now: Nanos) -> Block:
+def receive(inbox, frames, now):
     """`receive_frames`, `check_timeouts`, and emergencies."""
     block = frames if isinstance(frames, Block) else block_of(frames)
     receiver = inbox.receiver
@@ -92,11 +82,11 @@ def receive(inbox: gateway.core.inbox.Inbox, frames: Iterable[Frame] | Block, no
 class Bank(gateway.core.estimate.Bank):
     """Filters what the receiver holds."""
 
-    def link(self) -> None:
+    def link(self):
         super().link()
         self.told = columns.told_of(self.estimates)
 
-    def run(self, receiver: Any, inputs: Records, now: Nanos) -> None:
+    def run(self, receiver, inputs, now):
         """`run_filters`; receiver: `struct receiver *`; inputs: `input_status` (N,).
 
         There has to be room for its samples.
@@ -109,7 +99,7 @@ class Bank(gateway.core.estimate.Bank):
 class InputMonitor(gateway.core.inputs.InputMonitor):
     """Judges what the receiver holds."""
 
-    def assess(self, intruder: bool, now: Nanos) -> None:
+    def assess(self, intruder, now):
         """`assess_inputs`; `heartbeat_lost` is the caller's."""
         channels = pointer("struct drive_channels", self.channels)
         status = pointer("struct input_status", self.status)
@@ -119,7 +109,7 @@ class InputMonitor(gateway.core.inputs.InputMonitor):
 class MotionMonitor(gateway.core.motion.MotionMonitor):
     """Compares speeds and torques with the estimates."""
 
-    def observe(self, now: Nanos) -> None:
+    def observe(self, now):
         """`observe_load`: changes the estimates to what is to be used."""
         lib.observe_load(self.pointer, now)
 
@@ -127,18 +117,16 @@ class MotionMonitor(gateway.core.motion.MotionMonitor):
 class TemperatureMonitor(gateway.core.thermal.TemperatureMonitor):
     """Judges the temperatures that the receiver holds."""
 
-    def hear(self, inbox: gateway.core.inbox.Inbox, now: Nanos, out: Records) -> None:
+    def hear(self, inbox, now, out):
         """`monitor_temperatures`, into out (N,) of `flag_inputs`."""
         inputs = ffi.from_buffer("struct flag_inputs[]", out)
         lib.monitor_temperatures(self.pointer, inbox.receiver.pointer, now, inputs)
 
-    def tell(self, now: Nanos, out: Records) -> None:
+    def tell(self, now, out):
         """`report_temperatures`: evidence where it can have changed, into out (N,)."""
         lib.report_temperatures(self.pointer, now, ffi.from_buffer("struct flag_inputs[]", out))
 
-    def add_readings(
-        self, readings: Sequence[Temperatures], now: Nanos, beside: Receiver | None = None
-    ) -> None:
+    def add_readings(self, readings, now, beside=None):
         """One tick of readings that came in no frame: a recording's; nothing is reported.
 
         beside: what else the drives have sent, for the thermal model.
@@ -151,7 +139,7 @@ class TemperatureMonitor(gateway.core.thermal.TemperatureMonitor):
         lib.advance_temperatures(self.pointer, receiver, bool(readings), now)
 
     @property
-    def last(self) -> Sample | None:
+    def last(self):
         """The newest second, in the temperature cycle that completed it."""
         if not self.record["second_complete"][0]:
             return None
@@ -161,14 +149,14 @@ class TemperatureMonitor(gateway.core.thermal.TemperatureMonitor):
         )
         return Sample(mean[:, :AMBIENT], square, speed, ambient)
 
-    def report(self, drive: int, now: Nanos, limit_ns: Nanos) -> Report:
+    def report(self, drive, now, limit_ns):
         """Evidence for one motor at `now`; `limit_ns` is the age limit of its temperatures."""
         self.motors["age_limit_ns"][drive] = limit_ns
         out = np.zeros(1, FLAG_INPUTS)
         lib.report_motor(self.pointer, drive, now, pointer("struct flag_inputs", out))
         return self.to_report(drive, out[0])
 
-    def to_report(self, drive: int, found: Any) -> Report:
+    def to_report(self, drive, found):
         """One motor's `flag_inputs` in words."""
         mixed, largest = (float(found[name]) for name in ("mixed_c", "maisd_k"))
         return Report(
@@ -182,12 +170,12 @@ class TemperatureMonitor(gateway.core.thermal.TemperatureMonitor):
 class IntegrityMonitor(gateway.core.integrity.IntegrityMonitor):
     """What speaks against all drives."""
 
-    def tick(self, now: Nanos, own: int) -> None:
+    def tick(self, now, own):
         """own: frames with our own identifiers received in this tick."""
         lib.check_integrity(self.pointer, own, now)
 
     @property
-    def mute(self) -> bool:
+    def mute(self):
         """Whether nothing is sent in this tick: not in the one that finds an intruder."""
         return bool(self.pointer.mute)
 
@@ -195,7 +183,7 @@ class IntegrityMonitor(gateway.core.integrity.IntegrityMonitor):
 class Flags(gateway.core.flags.Flags):
     """From what is found to flags, in three steps."""
 
-    def link(self) -> None:
+    def link(self):
         super().link()
         self._rules = pointer("struct flag_rules", self.rules)
         self._inputs = pointer("struct flag_inputs", self.inputs)
@@ -204,17 +192,17 @@ class Flags(gateway.core.flags.Flags):
         self._drives = pointer("struct drive_status", self.status.drives)
         self._train = pointer("struct train_status", self.status.train)
 
-    def collect_evidence(self) -> None:
+    def collect_evidence(self):
         """Fill `evidence` from the inputs of this tick."""
         n = len(self.inputs)
         lib.collect_evidence(self._rules, self._train_inputs, self._inputs, n, self._evidence)
 
-    def debounce(self, now_ns: int) -> bool:
+    def debounce(self, now_ns):
         """Feed `evidence` to every flag; whether one has changed."""
         n = len(self.inputs)
         return bool(lib.debounce_flags(self._rules, self._evidence, n, now_ns, self._drives))
 
-    def publish(self, now_ns: int) -> None:
+    def publish(self, now_ns):
         """Fill everything else in `status`."""
         lib.publish(
             self._train_inputs, self._inputs, self._evidence, len(self.inputs), now_ns,
@@ -222,44 +210,44 @@ class Flags(gateway.core.flags.Flags):
         )  # fmt: skip
 
 
-def flag(start_ns: int) -> Records:
+def flag(start_ns):
     """One `flag`, unknown since `start_ns`."""
     made = np.zeros(1, FLAG)
     made["since_ns"] = start_ns
     return made
 
 
-def debounce(flag: Records, evidence: int, timing: Timing, tick_ns: int, now_ns: int) -> bool:
+def debounce(flag, evidence, timing, tick_ns, now_ns):
     """Feed one tick of evidence (`Flag`, or `UNCHANGED`) to one flag; whether it has changed."""
     by = ffi.new("struct flag_timing *", timing)
     return bool(lib.debounce(pointer("struct flag", flag), evidence, by, tick_ns, now_ns))
 
 
-def loss_evidence(rules: Records, probability: float) -> int:
+def loss_evidence(rules, probability):
     """Evidence of a probability of lost adhesion; `UNCHANGED` between the two thresholds."""
     return int(lib.loss_evidence(pointer("struct flag_rules", rules), probability))
 
 
-def is_fresh(inbox: gateway.core.inbox.Inbox, row: int, now: Nanos) -> bool:
+def is_fresh(inbox, row, now):
     """Whether the last good value of channel `row` is within its age limit and it is known."""
     return bool(lib.is_channel_fresh(inbox.receiver.pointer.channels + row, now))
 
 
-def any_lost(watch: Supervision, now: Nanos) -> bool:
+def any_lost(watch, now):
     """Whether any supervised node is silent for too long."""
     return any(lib.is_node_lost(watch.pointer, row, now) for row in range(len(watch.nodes)))
 
 
-def _drive(sensors: SensorMonitor, drive: int) -> Any:
+def _drive(sensors, drive):
     return pointer("struct temperature_drive", sensors.drives) + drive
 
 
-def sensor_fault(sensors: SensorMonitor, drive: int, k: int, now: Nanos) -> FaultClass:
+def sensor_fault(sensors, drive, k, now):
     """Of one sensor; UNKNOWN while it has never been heard, NONE for one that is not configured."""
     return FaultClass(lib.temperature_sensor_fault(_drive(sensors, drive), k, now))
 
 
-def sensors_valid(sensors: SensorMonitor, now: Nanos) -> NDArray[np.bool_]:
+def sensors_valid(sensors, now):
     """(N, P): configured, heard and without fault."""
     values, valid = np.empty(sensors.configured.shape), np.empty_like(sensors.configured)
     lib.temperature_values(
@@ -269,21 +257,19 @@ def sensors_valid(sensors: SensorMonitor, now: Nanos) -> NDArray[np.bool_]:
     return valid
 
 
-def not_yet_valid(sensors: SensorMonitor, drive: int) -> bool:
+def not_yet_valid(sensors, drive):
     """Whether a configured sensor has never given a valid value."""
     return bool(lib.temperature_not_yet_valid(_drive(sensors, drive)))
 
 
-def sensor_verdict(
-    sensors: SensorMonitor, drive: int, now: Nanos
-) -> tuple[FaultClass, FaultSensor]:
+def sensor_verdict(sensors, drive, now):
     """The drive's first sensor fault and whose it is."""
     own = _drive(sensors, drive)
     kind, whose = lib.temperature_fault(own, now), lib.temperature_fault_sensor(own, now)
     return FaultClass(kind), FaultSensor(whose)
 
 
-def add_reading(sensors: SensorMonitor, reading: Temperatures) -> None:
+def add_reading(sensors, reading):
     """Accept one reading of one drive."""
     drive, configured = _drive(sensors, reading.drive), sensors.configured[reading.drive]
     lib.temperature_add_reading(drive, reading.t_ns)

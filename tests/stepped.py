@@ -3,16 +3,11 @@
 And for gateways that break a rule: what a hook changes between two stations, the later ones see.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import Any
 
-import numpy as np
 from _traction_core import lib
 
 from dbc.frame import Nanos
-from dbc.frames import Block
 from gateway.core.gateway import Gateway
 
 Hook = Callable[[Gateway], None]
@@ -32,25 +27,25 @@ class Stepped(Gateway):
     now: Nanos
     """Of the tick."""
 
-    def __init__(self, *given: Any) -> None:
+    def __init__(self, *given):
         self.hooks, self.now = {}, 0
         super().__init__(*given)
 
-    def after(self, station: str, hook: Hook) -> None:
+    def after(self, station, hook):
         """One more."""
         self.hooks.setdefault(station, []).append(hook)
 
-    def _done(self, station: str) -> None:
+    def _done(self, station):
         for hook in self.hooks.get(station, ()):
             hook(self)
 
-    def _run(self, block: Block, ends: np.ndarray, now: Nanos) -> int:
+    def _run(self, block, ends, now):
         """The first tick of `run`."""
         self._run_one(block.part(0, int(ends[0])), now)
         self._now, self._view = now, None
         return 1
 
-    def _run_one(self, block: Block, now: Nanos) -> None:
+    def _run_one(self, block, now):
         self.now = now
         part = block.ordered()
         if part.size > self._capacity:
@@ -60,7 +55,7 @@ class Stepped(Gateway):
         self._say(now)
         self.inbox.read_emergencies(part, 0)
 
-    def _receive(self, part: Block, now: Nanos) -> None:
+    def _receive(self, part, now):
         p, at = self.pointer, part.columns()
         assert lib.receive_frames(p.receiver, at, 0, part.size, now)
         lib.check_integrity(p.integrity, p.receiver.tick.own, now)
@@ -73,7 +68,7 @@ class Stepped(Gateway):
         lib.assess_inputs(p.receiver, p.channels, p.integrity.intruder, now, p.inputs)
         self._done("inputs")
 
-    def _judge(self, now: Nanos) -> None:
+    def _judge(self, now):
         p = self.pointer
         lib.run_filters(p.estimator, p.receiver, p.inputs, p.estimates, now)
         lib.observe_load(p.motion, now)
@@ -88,7 +83,7 @@ class Stepped(Gateway):
         self._done("adhesion")
         lib.monitor_temperatures(p.temperatures, p.receiver, now, p.flag_inputs)
 
-    def _say(self, now: Nanos) -> None:
+    def _say(self, now):
         p, n = self.pointer, self.pointer.drive_count
         lib.fill_train_inputs(p.integrity, p.adhesion.common_mode.state, p.train_inputs)
         self._gather()
@@ -109,7 +104,7 @@ class Stepped(Gateway):
             lib.bus_load_transmit(p.load, p.transmitter, p.sent_count, p.sent)
         self._done("sent")
 
-    def _gather(self) -> None:
+    def _gather(self):
         """`flag_inputs` but for the temperatures."""
         out, status, estimates = self.flags.inputs, self.inputs.status, self.bank.estimates
         for name, theirs in OF_STATUS.items():

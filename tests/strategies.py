@@ -1,12 +1,9 @@
 """All Hypothesis strategies of the project, by area."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from dbc.e2e import Check
 from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 
 # ---- dbc: frames and log lines -----------------------------------------------------------------
@@ -14,13 +11,13 @@ from dbc.frame import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, Frame
 MAX_NS = 9_000_000_000 * 1_000_000_000 - 1
 
 
-def stamps() -> st.SearchStrategy[int]:
+def stamps():
     """Nanoseconds a candump line can hold, whole microseconds included on purpose."""
     micros = st.integers(0, MAX_NS // 1000).map(lambda us: 1000 * us)
     return micros | st.integers(0, MAX_NS)
 
 
-def channels() -> st.SearchStrategy[str]:
+def channels():
     """Interface names as candump writes them."""
     usual = st.sampled_from(["can0", "vcan0", "can1", "slcan0"])
     odd = st.text(
@@ -32,7 +29,7 @@ def channels() -> st.SearchStrategy[str]:
 
 
 @st.composite
-def frames(draw: st.DrawFn) -> Frame:
+def frames(draw):
     """Any frame a candump log can say."""
     kind = draw(st.sampled_from(["classic", "raw", "fd", "remote", "error"]))
     extended = kind != "error" and draw(st.booleans())
@@ -55,7 +52,7 @@ def frames(draw: st.DrawFn) -> Frame:
     return Frame(draw(stamps()), can_id, data, flags, draw(channels()), dlc)
 
 
-def log_lines() -> st.SearchStrategy[bytes]:
+def log_lines():
     """Bytes of all kinds, with pieces of the grammar thrown in so that deep branches are met."""
     words = b"( ) . # ## _ R8 123 20000040 0 (1.000000) (1.000000000) DROPCOUNT: 45123#81:00:"
     piece = st.sampled_from([*words.split(), b" can0 ", b" ", b"\r", b"\0", b"\n"])
@@ -79,7 +76,7 @@ class Layout(NamedTuple):
 
 
 @st.composite
-def layouts(draw: st.DrawFn) -> Layout:
+def layouts(draw):
     """A signal anywhere in a message, any byte order and width."""
     size = draw(st.sampled_from(sorted(FD_LENGTHS - {0})))
     is_float = size >= 4 and draw(st.integers(0, 4)) == 0
@@ -100,50 +97,13 @@ def layouts(draw: st.DrawFn) -> Layout:
 # ---- dbc: protection ---------------------------------------------------------------------------
 
 
-def checks() -> st.SearchStrategy[Check]:
-    """Verdicts of receiver cycles, good ones more often so that VALID is reached."""
-    return st.sampled_from([*Check, Check.OK, Check.OK])
-
-
 # ---- estimators: motors, filter states, samples ------------------------------------------------
-
-
-def motor_rows() -> st.SearchStrategy[tuple[float, ...]]:
-    """Motor constants (R_s, L_s, psi_f, p, J, B, k_p), bench size to traction size."""
-    return st.tuples(
-        st.floats(0.0, 0.5),
-        st.floats(5e-4, 1e-2),
-        st.floats(0.05, 2.0),
-        st.integers(1, 8).map(float),
-        st.floats(0.01, 10.0),
-        st.floats(0.0, 0.5),
-        st.sampled_from([1.0, 1.5]),
-    )
-
-
-def filter_states() -> st.SearchStrategy[list[float]]:
-    """State [i_alpha, i_beta, w_e, theta_e, T_L]: anything a drive may do."""
-    limits = (60.0, 60.0, 500.0, 3.14159, 60.0)
-    return st.tuples(*(st.floats(-limit, limit) for limit in limits)).map(list)
-
-
-def sample_rows(
-    drives: int,
-) -> st.SearchStrategy[list[tuple[int, float, float, float, float, int]]]:
-    """Rows (drive, u_alpha, u_beta, i_alpha, i_beta, missing sub-steps): sense, the
-    largest values a frame can hold, and no numbers at all.
-    """
-    volt = st.floats(-100.0, 100.0) | st.sampled_from([0.0, 3276.6, float("nan"), float("inf")])
-    ampere = st.floats(-50.0, 50.0) | st.sampled_from([0.0, -655.32, float("nan"), float("-inf")])
-    gap = st.sampled_from([0, 0, 0, 1, 16, 800])
-    row = st.tuples(st.integers(0, drives - 1), volt, volt, ampere, ampere, gap)
-    return st.lists(row, max_size=40)
 
 
 # ---- sim: wheel and rail -----------------------------------------------------------------------
 
 
-def contacts() -> st.SearchStrategy[tuple[str, float, float, float]]:
+def contacts():
     """Rail condition, train speed m/s, sliding speed m/s, wheel load times radius Nm."""
     return st.tuples(
         st.sampled_from(["dry", "wet", "leaves"]),

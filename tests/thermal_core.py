@@ -1,7 +1,5 @@
 """The core's interacting filters and thermal monitor for tests: records in, arrays out."""
 
-from __future__ import annotations
-
 import numpy as np
 from _traction_core import lib
 

@@ -1,7 +1,5 @@
 """Views of ticks as the columns that reports take."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dbc.records import DRIVE_STATUS, TRAIN_STATUS
@@ -17,7 +15,7 @@ def or_nan(value):
     return np.nan if value is None else value
 
 
-def ticks(*views) -> Ticks:
+def ticks(*views):
     """Of one or several ticks; no temperatures came in them."""
     k, n = len(views), len(views[0].drives)
     drives, train = np.zeros((k, n), DRIVE_STATUS), np.zeros(k, TRAIN_STATUS)

@@ -1,34 +1,23 @@
 """One drive's values are wrong, counters and checksums right: what the gateway makes of it.
 
-    python -m tests.value_cases                      every kind, speed, motor, filter and bus
-    python -m tests.value_cases --kinds held,late --motors bench --filters ekf --bus classic
-
-Prints a table: when the flag of the drive left Adhering, what it said then, what it was at the end
-of the fault and when it was Adhering again. `run_case(Case(..))` gives the same tick by tick.
+`run_case(Case(..))` gives it tick by tick.
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 import traceback
-from collections.abc import Iterator
 from functools import cache
-from itertools import product
 from typing import NamedTuple
 
-import numpy as np
-
 from dbc.frame import MS, SECOND
-from dbc.frames import Block, block_of
+from dbc.frames import block_of
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.gateway import Gateway
-from gateway.settings.config import Config, parse
+from gateway.settings.config import parse
 from sim.physics.plant import MOTORS
 from sim.scenario import parse as scenario
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, FD_FILE, codec
-from tests.storm.value_faults import VALUE_KINDS, ValueFaults
+from tests.storm.value_faults import ValueFaults
 
 TICK = 10 * MS
 BEGIN_TICK = 300
@@ -90,32 +79,23 @@ class Outcome(NamedTuple):
     off_rpm: list[float]
 
     @property
-    def mine(self) -> list[Row]:
+    def mine(self):
         """The drive's whose values are wrong, during the fault."""
         return self.rows[self.case.drive][self.case.begin : self.case.begin + self.case.ticks]
 
     @property
-    def after(self) -> list[Row]:
+    def after(self):
         """The same drive's, after the fault."""
         return self.rows[self.case.drive][self.case.begin + self.case.ticks :]
 
     @property
-    def others(self) -> list[list[Row]]:
+    def others(self):
         """The other drives', from the begin of the fault on."""
         return [rows[self.case.begin :] for d, rows in enumerate(self.rows) if d != self.case.drive]
 
 
 @cache
-def honest(
-    speed: float,
-    motor: str,
-    fd: bool,
-    ticks: int,
-    load: float = LOAD,
-    nodes: tuple[int, ...] = NODES,
-    gains: float = 0.0,
-    begin: int = 0,
-) -> list[Block]:
+def honest(speed, motor, fd, ticks, load=LOAD, nodes=NODES, gains=0.0, begin=0):
     """Frames of the ticks of drives that turn steadily; nobody obeys a flag.
 
     gains: electrical rad/s2 from tick `begin` on.
@@ -133,7 +113,7 @@ def honest(
     return [block_of(simulation.step((), k * TICK)) for k in range(1, ticks + 1)]
 
 
-def config_of(case: Case) -> Config:
+def config_of(case):
     """Three drives, no thermal calibration."""
     return parse({
         "dbc": {"file": "traction_fd.dbc" if case.fd else "traction.dbc"},
@@ -142,7 +122,7 @@ def config_of(case: Case) -> Config:
     })  # fmt: skip
 
 
-def run_case(case: Case) -> Outcome:
+def run_case(case):
     """Play the honest frames through the fault into a gateway; never raises what `step` raises."""
     ticks = case.begin + case.ticks + case.tail
     begin = case.begin if case.gains else 0
@@ -151,9 +131,9 @@ def run_case(case: Case) -> Outcome:
     )
     bound = codec(case.nodes, FD_FILE if case.fd else CLASSIC)
     core, faults = Gateway(config_of(case), bound, 0), ValueFaults(bound, case.nodes)
-    rows: list[list[Row]] = [[] for _ in case.nodes]
-    off: list[float] = []
-    off_rpm: list[float] = []
+    rows = [[] for _ in case.nodes]
+    off = []
+    off_rpm = []
     rated = MOTORS[case.motor].I_rated / math.sqrt(2.0)
     for tick, sent in enumerate(frames, start=1):
         now = case.begin < tick <= case.begin + case.ticks
@@ -174,109 +154,8 @@ def run_case(case: Case) -> Outcome:
     return Outcome(case, rows, "", off, off_rpm)
 
 
-def _row(tick: int, drive) -> Row:
+def _row(tick, drive):
     numbers = (drive.speed_rad_s, drive.load_nm, drive.loss_probability, drive.nis)
     known = [math.nan if x is None else x for x in numbers]
     words = drive.adhesion, drive.adhesion_reason, drive.health, drive.sensor
     return Row(tick, *words, *known)
-
-
-class Summary(NamedTuple):
-    """Of one case. times in ms, None for never.
-
-    off: of the currents, percent of rated; left: until the flag was not Adhering, or the sensor's
-    fault was said; lost: until AdhesionLost was said; again: after the fault, until the drive is
-    Adhering for good; others: what flags of other drives said beside Adhering.
-    """
-
-    off: str
-    left: int | None
-    said: str
-    lost: int | None
-    good_ms: int
-    again: int | None
-    others: str
-
-
-def summary(outcome: Outcome) -> Summary:
-    """What the table prints."""
-    mine, begin = outcome.mine, outcome.case.begin
-    away = [r for r in mine if r.flag is not Flag.GOOD or r.sensor is Flag.BAD]
-    lost = [r for r in mine + outcome.after if r.flag is Flag.BAD]
-    first = away[0] if away else None
-    said = "-"
-    if first is not None:
-        said = f"{first.flag.name}/{first.reason.name}/{first.health.name}"
-        said += "/SENSOR" if first.sensor is Flag.BAD else ""
-    again = None
-    for r in reversed(outcome.after):
-        if r.flag is not Flag.GOOD:
-            break
-        again = (r.tick - begin - outcome.case.ticks) * 10
-    others = {
-        f"{r.flag.name}/{r.reason.name}"
-        for rows in outcome.others
-        for r in rows
-        if r.flag is not Flag.GOOD
-    }
-    return Summary(
-        f"{100.0 * sum(outcome.off) / max(len(outcome.off), 1):.0f}",
-        (first.tick - begin) * 10 if first else None,
-        said,
-        (lost[0].tick - begin) * 10 if lost else None,
-        10 * sum(r.flag is Flag.GOOD and r.sensor is not Flag.BAD for r in mine),
-        again,
-        ",".join(sorted(others)) or "-",
-    )
-
-
-HEAD = (
-    "bus", "motor", "filter", "rad/s", "kind", "off %", "left ms", "said first", "lost ms",
-    "good ms", "again ms", "others", "raised",
-)  # fmt: skip
-
-
-def cells(outcome: Outcome) -> tuple[str, ...]:
-    """One line of the table."""
-    case, s = outcome.case, summary(outcome)
-    return (
-        "fd" if case.fd else "classic", case.motor, case.filter, f"{case.speed:.0f}", case.kind,
-        *("-" if x is None else str(x) for x in s), outcome.raised or "-",
-    )  # fmt: skip
-
-
-def cases(kinds, speeds, motors, filters, buses, begin: int = BEGIN_TICK) -> Iterator[Case]:
-    """All combinations."""
-    for fd, motor, name, speed, kind in product(buses, motors, filters, speeds, kinds):
-        yield Case(kind, speed, motor, name, fd, begin)
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.value_cases",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--kinds", default=",".join(("none", *VALUE_KINDS)))
-    parser.add_argument("--speeds", default=",".join(f"{w:.0f}" for w in SPEEDS))
-    parser.add_argument("--motors", default=",".join(MOTOR_NAMES))
-    parser.add_argument("--filters", default=",".join(FILTERS))
-    parser.add_argument("--bus", default="classic,fd")
-    parser.add_argument("--begin", type=int, default=BEGIN_TICK, help="tick; 0: start of the log")
-    options = parser.parse_args()
-    wanted = cases(
-        options.kinds.split(","), [float(w) for w in options.speeds.split(",")],
-        options.motors.split(","), options.filters.split(","),
-        [bus == "fd" for bus in options.bus.split(",")], options.begin,
-    )  # fmt: skip
-    widths = (8, 15, 7, 6, 12, 6, 8, 38, 8, 8, 9, 24, 1)
-    print(*(name.ljust(w) for name, w in zip(HEAD, widths, strict=True)), sep="")
-    for case in wanted:
-        row = cells(run_case(case))
-        print(*(x.ljust(w) for x, w in zip(row, widths, strict=True)), sep="", flush=True)
-
-
-if __name__ == "__main__":
-    with np.errstate(all="ignore"):
-        main()

@@ -1,7 +1,5 @@
 """A source without a bus or a log, and a real server, for the tests of the monitor's page."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time
@@ -9,15 +7,7 @@ from contextlib import contextmanager
 
 from gateway.core.codes import FaultClass, FaultSensor, Flag, GatewayState, Health, Reason
 from gateway.monitor.model.access import Access, Listen
-from gateway.monitor.model.snapshot import (
-    DriveRow,
-    Event,
-    GatewayRow,
-    Lateness,
-    LinkRow,
-    Snapshot,
-    Trace,
-)
+from gateway.monitor.model.snapshot import DriveRow, GatewayRow, Lateness, LinkRow, Snapshot, Trace
 from gateway.monitor.web import bind, make_app, make_server
 
 FULL = DriveRow(
@@ -35,7 +25,7 @@ LINK = LinkRow("warning", 51.5, 3667.0, 26253, 2, 1, {"crc": 3, "sequence": 1})
 LATE = Lateness((0, 1, 2, 4, 8), (10, 20, 0, 5), 35, 7, 7)
 
 
-def snapshot(t_s: float = 1.0, points: int = 10, events: tuple[Event, ...] = (), **changes):
+def snapshot(t_s=1.0, points=10, events=(), **changes):
     """Two drives, of which the second was never heard."""
     first = round(t_s * 10) - points + 1
     t = tuple((first + k) / 10 for k in range(points))
@@ -51,26 +41,26 @@ class FakeSource:
 
     title = "a.log"
 
-    def __init__(self, *, live: bool = False, make=snapshot) -> None:
+    def __init__(self, *, live=False, make=snapshot):
         self.paused, self.speed = False, 1.0
         self.span_s = None if live else (0.0, 60.0)
         self.behind = self.closed = False
         self.t_s = 1.0
         self.make = make
-        self.log: list[tuple[str, float]] = []
+        self.log = []
 
-    def advance(self, wall_dt_s: float) -> Snapshot:
+    def advance(self, wall_dt_s):
         self.log.append(("advance", wall_dt_s))
         if not self.paused:
             self.t_s += wall_dt_s * self.speed
         return self.make(self.t_s)
 
-    def seek(self, t_s: float, patience_s: float | None = None) -> Snapshot:
+    def seek(self, t_s, patience_s=None):
         self.log.append(("seek", t_s))
         self.t_s = min(t_s, 60.0)
         return self.make(self.t_s)
 
-    def close(self) -> None:
+    def close(self):
         self.closed = True
 
 

@@ -1,7 +1,5 @@
 """`python -m tests.docs.codes`: write docs/codes.md, what `traction-gateway explain` prints."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from gateway.reports import explanations
@@ -25,7 +23,7 @@ EXITS = """
 """
 
 
-def page() -> str:
+def page():
     """The whole of it."""
     return f"{HEAD}\n{explanations.tables()}\n{EXITS}"
 

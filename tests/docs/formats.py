@@ -3,8 +3,6 @@
 `python -m tests.docs.formats` writes it anew.
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 from itertools import pairwise
@@ -38,7 +36,7 @@ PARTS: Final = {
 }  # fmt: skip
 
 
-def there_and_back(kind: str, frames: list[Frame]) -> tuple[list[Frame], dict[str, int]]:
+def there_and_back(kind, frames):
     """The frames as a file of this ending gives them back, and what was counted when writing."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"x{kind}"
@@ -54,7 +52,7 @@ def there_and_back(kind: str, frames: list[Frame]) -> tuple[list[Frame], dict[st
     return found, {what: n for what, n in counted.items() if n}
 
 
-def kept(kind: str, part: str) -> str:
+def kept(kind, part):
     """yes, or what was counted."""
     frames = [
         f._replace(t_ns=T0 + k * 1_000_000, channel="can0") for k, f in enumerate(PARTS[part])
@@ -69,7 +67,7 @@ def kept(kind: str, part: str) -> str:
     return f"no, counted: {lost}" if not found else f"but for {lost}, counted"
 
 
-def times(kind: str) -> str:
+def times(kind):
     """Largest error, and whether the first time is kept."""
     frames = [Frame(T0 + k * 1_234_567, 0x181, b"", 0, "can0") for k in range(200)]
     found, _ = there_and_back(kind, frames)
@@ -84,7 +82,7 @@ def times(kind: str) -> str:
     return exact if first <= max(steps) else f"{exact}, the first {first} ns"
 
 
-def channels(kind: str) -> str:
+def channels(kind):
     """name, number or none."""
     frames = [Frame(T0 + k, 0x181, b"", 0, name) for k, name in enumerate(("vcan1", "can2"))]
     found, counted = there_and_back(kind, frames)
@@ -97,7 +95,7 @@ def channels(kind: str) -> str:
     return "none, counted: `channel`"
 
 
-def table() -> str:
+def table():
     """A row for each ending."""
     heads = ["ending", *PARTS, "time", "channel"]
     lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
@@ -107,7 +105,7 @@ def table() -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
+def main():
     """Write the table into the page."""
     text = PAGE.read_text(encoding="utf-8")
     made = f"{MARK}\n{table()}\n{MARK}"

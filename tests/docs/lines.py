@@ -3,10 +3,7 @@
 `python -m tests.docs.lines` sets the numbers anew.
 """
 
-from __future__ import annotations
-
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +21,7 @@ class Link(NamedTuple):
     defined: int
 
 
-def definition(path: Path, name: str) -> int:
+def definition(path, name):
     """Line of the first definition of a function, from 1; 0: there is none."""
     if path.suffix == ".py":
         pattern = re.compile(rf"\s*(?:async )?def {name}\(")
@@ -36,18 +33,18 @@ def definition(path: Path, name: str) -> int:
     return 0
 
 
-def links() -> Iterator[Link]:
+def links():
     """Of all pages in docs/."""
     for page in sorted((ROOT / "docs").glob("*.md")):
         for name, path, line in LINK.findall(page.read_text(encoding="utf-8")):
             yield Link(page, name, path, int(line), definition(ROOT / path, name))
 
 
-def renumber() -> None:
+def renumber():
     """Write the lines as they are into the pages."""
     for page in {link.page for link in links()}:
 
-        def current(found: re.Match[str]) -> str:
+        def current(found):
             return f"[`{found[1]}`](../{found[2]}#L{definition(ROOT / found[2], found[1])})"
 
         page.write_text(LINK.sub(current, page.read_text(encoding="utf-8")), encoding="utf-8")

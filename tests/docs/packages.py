@@ -5,8 +5,6 @@ others imply is left out: a to c where a imports b and b imports c. `python -m t
 draws it anew.
 """
 
-from __future__ import annotations
-
 import ast
 import itertools
 import textwrap
@@ -32,8 +30,6 @@ text { font: 12px sans-serif; fill: #263238 }
 .arrow { fill: none; stroke: #546e7a; stroke-width: 1.4; marker-end: url(#head) }
 """
 
-Imports = dict[str, set[str]]
-
 
 class Place(NamedTuple):
     """In a row: the box of a package (to: ""), or an arrow that passes it."""
@@ -43,7 +39,7 @@ class Place(NamedTuple):
     to: str = ""
 
 
-def layers() -> list[list[str]]:
+def layers():
     """Packages row by row, the highest first, as the import contracts have them."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = [c for c in project["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
@@ -54,10 +50,10 @@ def layers() -> list[list[str]]:
     return rows + [[name.strip() for name in layer.split("|")] for layer in below]
 
 
-def imports(names: set[str]) -> Imports:
+def imports(names):
     """For each package, the others of which one of its modules imports something."""
     graph = grimp.build_graph(*sorted({name.split(".")[0] for name in names}), cache_dir=None)
-    found: Imports = {name: set() for name in names}
+    found = {name: set() for name in names}
     for module in graph.modules:
         for target in graph.find_modules_directly_imported_by(module):
             a, b = _package(module, names), _package(target, names)
@@ -66,15 +62,15 @@ def imports(names: set[str]) -> Imports:
     return found
 
 
-def _package(module: str, names: set[str]) -> str:
+def _package(module, names):
     """Empty for `gateway` itself and for `gateway.__main__`, which are in no layer."""
     parts = module.split(".")
     return next((name for name in (".".join(parts[:2]), parts[0]) if name in names), "")
 
 
-def reachable(edges: Imports, start: str) -> set[str]:
+def reachable(edges, start):
     """All that `start` imports, directly or not."""
-    found: set[str] = set()
+    found = set()
     waiting = set(edges[start])
     while waiting:
         found.add(name := waiting.pop())
@@ -82,7 +78,7 @@ def reachable(edges: Imports, start: str) -> set[str]:
     return found
 
 
-def reduced(edges: Imports) -> Imports:
+def reduced(edges):
     """The arrows that no others imply (transitive reduction of a graph without circles)."""
     return {
         a: {b for b in targets if not any(b in reachable(edges, c) for c in targets - {b})}
@@ -90,7 +86,7 @@ def reduced(edges: Imports) -> Imports:
     }
 
 
-def paths(rows: list[list[str]], edges: Imports) -> list[list[Place]]:
+def paths(rows, edges):
     """Each arrow, row by row."""
     at = {name: y for y, row in enumerate(rows) for name in row}
     return [
@@ -100,7 +96,7 @@ def paths(rows: list[list[str]], edges: Imports) -> list[list[Place]]:
     ]
 
 
-def arrange(rows: list[list[str]], arrows: list[list[Place]]) -> dict[Place, float]:
+def arrange(rows, arrows):
     """Middle of each place, pixels from the picture's: near what it is linked to, so few cross."""
     lines = [[Place(y, name) for name in row] for y, row in enumerate(rows)]
     for arrow in arrows:
@@ -118,17 +114,17 @@ def arrange(rows: list[list[str]], arrows: list[list[Place]]) -> dict[Place, flo
     return x
 
 
-def _middles(line: list[Place]) -> list[tuple[Place, float]]:
+def _middles(line):
     widths = [_width(place) for place in line]
     ends = itertools.accumulate(widths)
     return [(p, e - w / 2 - sum(widths) / 2) for p, w, e in zip(line, widths, ends, strict=True)]
 
 
-def _width(place: Place) -> int:
+def _width(place):
     return LANE if place.to else BOX
 
 
-def svg() -> str:
+def svg():
     """The picture."""
     rows = layers()
     edges = reduced(imports({name for row in rows for name in row}))
@@ -151,7 +147,7 @@ def svg() -> str:
     ])  # fmt: skip
 
 
-def _arrow(arrow: list[Place], x: dict[Place, float], half: float) -> str:
+def _arrow(arrow, x, half):
     out = f"M{x[arrow[0]] + half:.0f} {_top(arrow[0].row) + HEIGHT}"
     for above, place in itertools.pairwise(arrow):
         was, here, top = x[above] + half, x[place] + half, _top(place.row)
@@ -161,11 +157,11 @@ def _arrow(arrow: list[Place], x: dict[Place, float], half: float) -> str:
     return f'<path class="arrow" d="{out}"/>'
 
 
-def _top(row: int) -> int:
+def _top(row):
     return EDGE + ROW * row
 
 
-def _box(place: Place, middle: float) -> str:
+def _box(place, middle):
     """Name, sub-packages, the first sentence of its docstring; C is another colour."""
     folder = ROOT / place.name.replace(".", "/")
     module = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")

@@ -1,10 +1,7 @@
 """The fenced blocks of the documents: what a reader would copy into a terminal or a file."""
 
-from __future__ import annotations
-
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,20 +24,20 @@ class Block(NamedTuple):
     text: str
 
     @property
-    def commands(self) -> bool:
+    def commands(self):
         """True if it looks like something for a terminal."""
         return any(PROGRAMS.match(line) for line in self.text.splitlines())
 
 
-def pages() -> list[str]:
+def pages():
     """All documents a user reads."""
     files = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [str(path.relative_to(ROOT)) for path in files]
 
 
-def blocks(page: str) -> Iterator[Block]:
+def blocks(page):
     """In order; a comment just before a block says how it is run, or what file it is."""
-    said: dict[str, str] = {}
+    said = {}
     language, begin, inside = "", 0, None
     for number, line in enumerate((ROOT / page).read_text(encoding="utf-8").splitlines(), 1):
         if inside is not None:
@@ -59,7 +56,7 @@ def blocks(page: str) -> Iterator[Block]:
             said = {}
 
 
-def folder_for(tmp: Path) -> Path:
+def folder_for(tmp):
     """A folder that has of the repository what its pages name, and a `train.toml` of one's own."""
     for name in ("dbc", "examples"):
         (tmp / name).symlink_to(ROOT / name)

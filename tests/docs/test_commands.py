@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ ALL = [block for page in pages() for block in blocks(page)]
 REASONS = ("no, ", "vcan")
 
 
-def run_page(page: str, where: str, folder: Path, first: Sequence[str] = ()) -> list[str]:
+def run_page(page, where, folder, first=()):
     """Run the page's blocks of that kind; files are written as they come. Gives what was run.
 
     first: what the shell is started by.
@@ -58,10 +57,16 @@ def test_what_a_sentence_names_exists(page):
 
 FIRST = ("README.md", "docs/inverters.md", "docs/tutorials/")
 """Pages that a new user follows: for every change. `make test-all` has the others."""
+MINUTES = "docs/tutorials/hil_tests.md"
+"""Its verbs and its suite are run by test_testing.py and test_hil_mutate.py."""
+
+
+def is_for_later(page):
+    return page == MINUTES or not page.startswith(FIRST)
 
 
 @pytest.mark.parametrize("page", [
-    pytest.param(page, marks=[pytest.mark.thorough] * (not page.startswith(FIRST)))
+    pytest.param(page, marks=[pytest.mark.thorough] * is_for_later(page))
     for page in sorted({b.page for b in ALL if b.language == "sh" and b.run == "here"})
 ])  # fmt: skip
 @pytest.mark.slow

@@ -38,5 +38,5 @@ def test_every_file_in_a_table_of_the_architecture_exists():
     assert not [name for name in sorted(named) if not list(ROOT.glob(name))]
 
 
-def _names(cell: str) -> list[str]:
+def _names(cell):
     return [name for name in cell.split("`")[1::2] if "." in name]

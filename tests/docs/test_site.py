@@ -2,7 +2,6 @@
 
 import logging
 from html.parser import HTMLParser
-from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -22,21 +21,21 @@ pytestmark = [
 class Page(HTMLParser):
     """Anchors and references of one page."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         super().__init__()
-        self.anchors: set[str] = set()
-        self.links: list[str] = []
-        self.text: list[str] = []
+        self.anchors = set()
+        self.links = []
+        self.text = []
         self.feed(path.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         for name, value in attrs:
             if name == "id" and value:
                 self.anchors.add(value)
             if value and ((tag == "a" and name == "href") or name == "src"):
                 self.links.append(value)
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.text.append(data)
 
 

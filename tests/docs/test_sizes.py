@@ -8,7 +8,7 @@ FOLDERS = ("gateway", "dbc", "sim", "estimators")
 MOST, USUAL, TOP = 400, 150, 20
 
 
-def lines() -> dict[Path, list[str]]:
+def lines():
     paths = [p for folder in FOLDERS for p in (ROOT / folder).rglob("*.*")]
     return {p: p.read_text().splitlines() for p in paths if p.suffix in (".py", ".c", ".h")}
 

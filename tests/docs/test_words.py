@@ -1,13 +1,10 @@
 """The product speaks the field's words: names.md's are gone, and one name means one thing."""
 
-from __future__ import annotations
-
 import ast
 import io
 import re
 import tokenize
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,13 +35,13 @@ PROTOCOLS = {
 MOST = 6
 
 
-def sources(*endings: str) -> Iterator[Path]:
+def sources(*endings):
     for package in PACKAGES:
         for ending in endings:
             yield from sorted((ROOT / package).rglob(f"*{ending}"))
 
 
-def identifiers(path: Path) -> set[str]:
+def identifiers(path):
     """Of Python or C, without comments and texts."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
@@ -54,7 +51,7 @@ def identifiers(path: Path) -> set[str]:
     return set(re.findall(r"[A-Za-z_]\w*", code))
 
 
-def gone(name: str) -> bool:
+def gone(name):
     return bool(GONE & set(name.lower().strip("_").split("_"))) and name not in THEIRS
 
 

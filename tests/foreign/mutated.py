@@ -5,8 +5,6 @@
 No traceback, an exit code of the contract, and counts that add up to the lines, in every one.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import gzip
@@ -16,7 +14,6 @@ import re
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -35,7 +32,7 @@ _COUNTS: Final = re.compile(r"^(?:lines|objects|frames and records|rows): (.*)$"
 _GOOD: Final = ("ok", "fd", "remote", "error_frame")
 
 
-def seeds(folder: Path) -> list[Path]:
+def seeds(folder):
     """The real logs in every format."""
     out = []
     for number, log in enumerate(LOGS):
@@ -49,7 +46,7 @@ def seeds(folder: Path) -> list[Path]:
     return out
 
 
-def mutated(data: bytes, rng: random.Random, *, text: bool) -> tuple[str, bytes]:
+def mutated(data, rng, *, text):
     """One accident: its name, and the file after it."""
     kinds = ["cut", "doubled", "swapped", "bits", "hole", "zeros"]
     kind = rng.choice([*kinds, "re-encoded", "line ends", "word"] if text else kinds)
@@ -92,7 +89,7 @@ def mutated(data: bytes, rng: random.Random, *, text: bool) -> tuple[str, bytes]
     return kind, b"".join(lines)
 
 
-def run(*words: object) -> tuple[int, str, str]:
+def run(*words):
     """A verb: exit code, stdout, stderr. Raises what it should have caught."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -100,7 +97,7 @@ def run(*words: object) -> tuple[int, str, str]:
     return code, out.getvalue(), err.getvalue()
 
 
-def faults_of(code: int, said: str, told: str, out: Path) -> Iterator[str]:
+def faults_of(code, said, told, out):
     """What is not as promised."""
     if code not in CODES:
         yield f"exit code {code}"
@@ -126,7 +123,7 @@ def faults_of(code: int, said: str, told: str, out: Path) -> Iterator[str]:
         yield f"exit code 0 with {bad} faults beside {frames} frames"
 
 
-def one_log(seed: Path, folder: Path, number: int) -> tuple[str, list[str]]:
+def one_log(seed, folder, number):
     """Convert one mutation to candump; its kind and what went wrong."""
     rng = random.Random(number)
     kind, data = mutated(seed.read_bytes(), rng, text=seed.suffix not in (".blf", ".mf4"))
@@ -153,7 +150,7 @@ def one_log(seed: Path, folder: Path, number: int) -> tuple[str, list[str]]:
     return kind, [f"{number} {seed.name} {kind}: {text}" for text in wrong]
 
 
-def one_configuration(number: int, folder: Path) -> tuple[str, list[str]]:
+def one_configuration(number, folder):
     """A mutated configuration, or mapped DBC, through `check`; a DBC through `convert`."""
     rng = random.Random(number)
     source = rng.choice(CONFIGURATIONS)
@@ -181,10 +178,10 @@ def one_configuration(number: int, folder: Path) -> tuple[str, list[str]]:
     return kind, [f"{number} {source.name} {kind}: {text}" for text in wrong]
 
 
-def campaign(logs: int, configurations: int, first: int = 0) -> tuple[Counter[str], list[str]]:
+def campaign(logs, configurations, first=0):
     """All of them: how many of each kind, and every fault."""
-    kinds: Counter[str] = Counter()
-    wrong: list[str] = []
+    kinds = Counter()
+    wrong = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         originals = seeds(folder)
@@ -199,7 +196,7 @@ def campaign(logs: int, configurations: int, first: int = 0) -> tuple[Counter[st
     return kinds, wrong
 
 
-def main() -> int:
+def main():
     """Print what was done; exit 1 if anything was wrong."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=500)

@@ -7,15 +7,12 @@ call with one input. What is found is saved below `--work` and printed; then tha
 Exit code 1 where anything was found.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
@@ -36,7 +33,7 @@ UNITS = {
 NAMES = tuple(UNITS)
 
 
-def instrumented() -> dict[str, str]:
+def instrumented():
     """Environment in which the core is one that libFuzzer and the sanitizers watch."""
     spec = find_spec("atheris")
     if spec is None or spec.origin is None:
@@ -49,7 +46,7 @@ def instrumented() -> dict[str, str]:
     }  # fmt: skip
 
 
-def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
+def _run(name, seed, options):
     """One process of one target; what it came to."""
     commit, work = commit_of(Path(__file__).parent), options.work / name
     work.mkdir(parents=True, exist_ok=True)
@@ -70,7 +67,7 @@ def _run(name: str, seed: int, options: argparse.Namespace) -> dict:
     return {"target": name, "seed": seed, "commit": commit, **told}
 
 
-def summary(lines: Sequence[dict]) -> str:
+def summary(lines):
     """Markdown: a row per target, over all runs."""
     out = [
         "| target | runs | executions | a second | inside the inputs | found |",
@@ -92,7 +89,7 @@ def summary(lines: Sequence[dict]) -> str:
     return "\n".join([*out, "", f"{total:,} executions."])
 
 
-def main() -> int:
+def main():
     """Run what is asked for, and add it to the file."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzzing", description=__doc__)
     parser.add_argument("--targets", nargs="+", choices=NAMES, default=list(NAMES))
@@ -110,9 +107,9 @@ def main() -> int:
     first, _, last = options.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)
     lock = threading.Lock()
-    lines: list[dict] = []
+    lines = []
 
-    def one(job: tuple[int, str]) -> None:
+    def one(job):
         line = _run(job[1], job[0], options)
         with lock:
             lines.append(line)

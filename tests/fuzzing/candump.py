@@ -1,11 +1,8 @@
 """Fuzz target: the candump reader. Input: the text of a log, or a gzip file."""
 
-from __future__ import annotations
-
 import io
 import random
 from collections import Counter
-from collections.abc import Callable, Sequence
 from zlib import crc32
 
 from dbc.candump import reader as module
@@ -30,9 +27,7 @@ LONGEST_LINE = 160
 Told = tuple[list[Frame], Counter[Verdict], int, list, int, str]
 
 
-def candump(
-    data: bytes, parse: Callable = parse_line, reader: type[Reader] = Reader, every: int = READERS
-) -> int:
+def candump(data, parse=parse_line, reader=Reader, every=READERS):
     """Every line has one verdict; the reader equals the reference. Returns the lines looked at."""
     if data.startswith(ZIPPED):
         return _zipped(data, reader, every)
@@ -68,7 +63,7 @@ def candump(
     return len(lines)
 
 
-def readers(data: bytes, tokens: Sequence[bytes], reader: type[Reader] = Reader) -> int:
+def readers(data, tokens, reader=Reader):
     """Every input through the reader, as a log of hundreds of lines. Returns the lines read.
 
     Of a text most lines are mutations of its own; which, the text says, so that a case repeats.
@@ -80,7 +75,7 @@ def readers(data: bytes, tokens: Sequence[bytes], reader: type[Reader] = Reader)
     return candump(b"\n".join((*grown, data)), reader=reader, every=1)
 
 
-def _read(reader: type[Reader], data: bytes, strict: bool, mark: int) -> Told:
+def _read(reader, data, strict, mark):
     """What is read, as the reference reads it; in small pieces: lines are cut everywhere."""
     usual, module._CHUNK = module._CHUNK, 8 + mark // READERS % 200
     try:
@@ -92,7 +87,7 @@ def _read(reader: type[Reader], data: bytes, strict: bool, mark: int) -> Told:
     return found
 
 
-def _told(reader: Reader, frames) -> Told:
+def _told(reader, frames):
     found, fault, line = [], "", 0
     try:
         for frame in frames:
@@ -104,7 +99,7 @@ def _told(reader: Reader, frames) -> Told:
     return found, +reader.counts, reader.lines, reader.problems, reader.drops, fault
 
 
-def _zipped(data: bytes, reader: type[Reader], every: int) -> int:
+def _zipped(data, reader, every):
     """Whatever can be unpacked is read, and strict reading says that it was damaged."""
     log = reader(Held(data))
     read = _told(log, iter(log))

@@ -4,8 +4,6 @@ Started by `python -m tests.fuzzing`, in a process of its own: what is instrumen
 before anything is imported, and libFuzzer ends the process.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -28,7 +26,7 @@ PACKAGES = {
 PART = 1 << 10
 
 
-def _dictionary(tokens: tuple[bytes, ...], report: str) -> str:
+def _dictionary(tokens, report):
     """A file of words as libFuzzer reads them."""
     path = Path(report).with_suffix(".dict")
     words = ("".join(f"\\x{byte:02x}" for byte in token) for token in tokens if len(token) <= 64)
@@ -36,7 +34,7 @@ def _dictionary(tokens: tuple[bytes, ...], report: str) -> str:
     return str(path)
 
 
-def main() -> None:
+def main():
     """Arguments: target, seconds, most executions, seed, longest input (0: the target's), output
     folder, report."""
     name, seconds, runs, seed, longest, out, report = sys.argv[1:]
@@ -52,11 +50,11 @@ def main() -> None:
     began = time.monotonic()
     end, most = began + float(seconds), int(runs)
 
-    def tell() -> None:
+    def tell():
         line = {**state, "seconds": round(time.monotonic() - began, 1)}
         Path(report).write_text(json.dumps(line))
 
-    def once(data: bytes) -> None:
+    def once(data):
         state["executions"] += 1
         try:
             state["items"] += target.run(data)
@@ -74,7 +72,7 @@ def main() -> None:
                 sys.stderr.flush()
                 os._exit(0)
 
-    def other(data: bytes, most: int, seed: int) -> bytes:
+    def other(data, most, seed):
         if seed & 1:
             return atheris.Mutate(data, most)
         return mutate(data, random.Random(seed), target.tokens, kept, most)

@@ -5,23 +5,12 @@ a drive with a right checksum, whatever its content; one that was tampered with;
 the end of a tick. What is missing at the end reads as zeros.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from zlib import crc32
 
 import numpy as np
 
-from dbc.e2e import (
-    COUNTERS,
-    MAX_DELTA,
-    Check,
-    Profile,
-    Receiver,
-    SmState,
-    counter_of,
-    protect,
-)
+from dbc.e2e import COUNTERS, MAX_DELTA, Check, Profile, Receiver, SmState, counter_of, protect
 from dbc.frame import BRS, ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Frame
 from dbc.spec import Match
 from gateway.core.gateway import Gateway
@@ -62,42 +51,42 @@ LONGEST = 16
 class _Bytes:
     """Reads on, zeros behind the end."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data):
         self.data, self.at = data, 0
 
-    def take(self, n: int) -> bytes:
+    def take(self, n):
         piece = self.data[self.at : self.at + n]
         self.at += n
         return piece.ljust(n, b"\0")
 
-    def byte(self) -> int:
+    def byte(self):
         return self.take(1)[0]
 
 
 class Twin:
     """The receive path in plain Python, by `Codec.match` and `dbc.e2e.Receiver`."""
 
-    def __init__(self, codec, tick_ns: int) -> None:
+    def __init__(self, codec, tick_ns):
         self.codec = codec
         self.receivers = {
             m.key: Receiver(m) for m in codec.messages if m.node in NODES and not m.is_gateway
         }
         self.own = {m.key for m in codec.messages if m.is_gateway} | OWN_CANOPEN
-        self.last: dict[int, int] = {}
-        self.latest: dict[int, Frame] = {}
-        self.copies: Counter[int] = Counter()
-        self.fouls: dict[int, list[int]] = {}
-        self.guarded: dict[int, int] = {}
+        self.last = {}
+        self.latest = {}
+        self.copies = Counter()
+        self.fouls = {}
+        self.guarded = {}
         self.limit = {m.key: 3 * m.cycle_ns + tick_ns for m in codec.messages}
 
-    def take(self, frames: list[Frame], now: int) -> Counter[str]:
+    def take(self, frames, now):
         ends = Counter(self._end(f, now) for f in sorted(frames, key=lambda f: (f.t_ns, f.can_id)))
         for key, last in self.last.items():
             if now - last > self.limit[key]:
                 self.receivers[key].cycle(Check.NO_NEW_DATA)
         return ends
 
-    def _end(self, frame: Frame, now: int) -> str:
+    def _end(self, frame, now):
         if frame.flags & ERROR:
             return "error_frame"
         if frame.flags & REMOTE:
@@ -127,7 +116,7 @@ class Twin:
         doubted = state is SmState.INVALID or frame.t_ns < self.guarded.get(key, -1)
         return "not_yet_valid" if doubted else "used"
 
-    def _order(self, key: int, frame: Frame, spec) -> None:
+    def _order(self, key, frame, spec):
         """What the counter of a frame with a right checksum says of who sends."""
         last = self.latest.setdefault(key, frame)
         if last is frame or spec.profile is Profile.NONE:
@@ -146,7 +135,7 @@ class Twin:
         elif frame.t_ns - last.t_ns < TOO_SOON * (ahead or turn) * spec.cycle_ns:
             self._foul(key, frame.t_ns)
 
-    def _foul(self, key: int, t_ns: int) -> None:
+    def _foul(self, key, t_ns):
         """A sign of a second sender; a run of them is doubted for a while."""
         run = self.fouls.setdefault(key, [])
         if run and t_ns - run[-1] > GUARD_NS:
@@ -156,7 +145,7 @@ class Twin:
             self.guarded[key] = min(t_ns + GUARD_NS, LAST)
 
 
-def ticks_of(data: bytes) -> tuple[int, list[tuple[list[Frame], int]]]:
+def ticks_of(data):
     """Which codec, and the ticks of a program: frames and `now` each."""
     source = _Bytes(data)
     head = source.byte()
@@ -178,7 +167,7 @@ def ticks_of(data: bytes) -> tuple[int, list[tuple[list[Frame], int]]]:
     return which, ticks
 
 
-def _stamp(source: _Bytes, now: int) -> int:
+def _stamp(source, now):
     how = source.byte()
     if how < 0xC0:
         return max(FIRST, now - (how & 15) * MS)
@@ -188,7 +177,7 @@ def _stamp(source: _Bytes, now: int) -> int:
     return int.from_bytes(source.take(8), "little", signed=True)
 
 
-def _sent(source: _Bytes, which: int, counters: list[int], now: int) -> Frame:
+def _sent(source, which, counters, now):
     """A frame of a drive with a right checksum, and any content."""
     how = source.byte()
     k = how % len(SPECS[which])
@@ -206,7 +195,7 @@ def _sent(source: _Bytes, which: int, counters: list[int], now: int) -> Frame:
     return Frame(_stamp(source, now), spec.can_id, bytes(payload), flags)
 
 
-def _any(source: _Bytes, now: int) -> Frame:
+def _any(source, now):
     can_id = int.from_bytes(source.take(4), "little")
     flags = source.byte() & 63
     if not flags & EXTENDED and can_id & 1 << 31:
@@ -215,7 +204,7 @@ def _any(source: _Bytes, now: int) -> Frame:
     return Frame(_stamp(source, now), can_id, source.take(size), flags, "", source.byte() % 17 - 1)
 
 
-def _tampered(frame: Frame, how: int, source: _Bytes) -> Frame:
+def _tampered(frame, how, source):
     if how == 1:
         return frame._replace(flags=source.byte() & 63)
     if how == 2:
@@ -232,12 +221,7 @@ def _tampered(frame: Frame, how: int, source: _Bytes) -> Frame:
     return frame
 
 
-def frames(
-    data: bytes,
-    inbox: type[Inbox] = Inbox,
-    gateway: type[Gateway] = Gateway,
-    every: int = STEPS,
-) -> int:
+def frames(data, inbox=Inbox, gateway=Gateway, every=STEPS):
     """Nothing raises, every frame ends in the counter that the plain twin says. Returns frames."""
     which, ticks = ticks_of(data)
     codec, config = CODECS[which], CONFIGS[which]
@@ -250,7 +234,7 @@ def frames(
         box = core.inbox
     else:
         box = inbox(codec, NODES, period, Supervision(NODES, 300 * MS))
-    sent: dict[int, Receiver] = {}
+    sent = {}
     total = 0
     for came, now in ticks:
         before = Counter(box.counts)
@@ -268,7 +252,7 @@ def frames(
     return total
 
 
-def _as_told(ends: Counter[str], expected: Counter[str], received: int) -> None:
+def _as_told(ends, expected, received):
     told = {name: ends[name] for name in ENDS}
     told["used"] = sum(ends[name] for name in USED)
     told["foreign"] = sum(ends[name] for name in FOREIGN)
@@ -276,7 +260,7 @@ def _as_told(ends: Counter[str], expected: Counter[str], received: int) -> None:
     assert +Counter(told) == expected, (told, expected)
 
 
-def _well_formed(codec, out: list[Frame], now: int, sent: dict[int, Receiver]) -> None:
+def _well_formed(codec, out, now, sent):
     """Ours, of the right length and kind, in sequence, with a right checksum, no state Invalid."""
     for frame in out:
         match, spec = codec.match(frame)

@@ -1,10 +1,6 @@
 """Mutations by seed that know a little of the text: words, numbers and lines, not only bytes."""
 
-from __future__ import annotations
-
-import random
 import re
-from collections.abc import Sequence
 
 _WORD = re.compile(rb"[A-Za-z0-9_]+")
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
@@ -18,13 +14,7 @@ NUMBERS = (
 ODD = (0, 1, 9, 10, 13, 0x20, 0x22, 0x23, 0x27, 0x2E, 0x5B, 0x5D, 0x7F, 0x80, 0xC0, 0xFF)
 
 
-def mutate(
-    data: bytes,
-    rng: random.Random,
-    tokens: Sequence[bytes],
-    corpus: Sequence[bytes],
-    most: int,
-) -> bytes:
+def mutate(data, rng, tokens, corpus, most):
     """Another input of at most `most` bytes, one to four steps from `data`."""
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 3, 4))):
@@ -32,9 +22,7 @@ def mutate(
     return bytes(out[:most])
 
 
-def _step(
-    data: bytearray, rng: random.Random, tokens: Sequence[bytes], corpus: Sequence[bytes]
-) -> bytearray:
+def _step(data, rng, tokens, corpus):
     size = len(data)
     at = rng.randrange(size + 1)
     end = min(size, at + rng.choice((1, 1, 2, 4, 8, 32)))
@@ -71,9 +59,7 @@ def _step(
     return data
 
 
-def _replace(
-    data: bytearray, rng: random.Random, what: re.Pattern[bytes], by: Sequence[bytes]
-) -> None:
+def _replace(data, rng, what, by):
     """One match, anywhere, by another word."""
     if not data:
         return

@@ -1,7 +1,5 @@
 """The eight targets: what is called with an input, how long inputs are, words of the grammar."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -29,12 +27,12 @@ class Target(NamedTuple):
     is_slow: bool = True
     """Slow enough for a mutator in Python that knows words and numbers; else libFuzzer's own."""
 
-    def corpus(self) -> list[bytes]:
+    def corpus(self):
         """The inputs kept in the repository, in order of their names."""
         return [path.read_bytes() for path in sorted((CORPUS / self.name).iterdir())]
 
 
-def _words(text: str) -> tuple[bytes, ...]:
+def _words(text):
     return tuple(word.replace("~", " ").replace("^", "\n").encode() for word in text.split())
 
 

@@ -3,15 +3,12 @@
 `make fuzz-deep` runs them with coverage for as long as one likes; what that found has a name here.
 """
 
-from __future__ import annotations
-
 import gzip
 import random
 import subprocess
 import sys
 import tomllib
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ from dbc.spec import DbcMismatch
 from gateway.core.gateway import Gateway
 from gateway.core.supervision import Life, Supervision
 from gateway.settings import calibration
-from gateway.settings.config import Config, ConfigError, load, parse
+from gateway.settings.config import ConfigError, load, parse
 from sim import scenario as scenarios
 from sim.scenario import ScenarioError, parse_text
 from tests.dbc_text import write
@@ -47,7 +44,7 @@ MUTATIONS = {
 MOST_BYTES = 100_000
 
 
-def mutations(name: str, count: int) -> list[bytes]:
+def mutations(name, count):
     """The same ones every time."""
     target, rng = TARGETS[name], random.Random(name)
     corpus = target.corpus()
@@ -57,7 +54,7 @@ def mutations(name: str, count: int) -> list[bytes]:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_every_target_holds(name: str) -> None:
+def test_every_target_holds(name):
     target = TARGETS[name]
     inputs = [*target.corpus(), *mutations(name, MUTATIONS[name])]
     items = sum(target.run_all(data) for data in inputs)
@@ -65,7 +62,7 @@ def test_every_target_holds(name: str) -> None:
     assert items >= 5
 
 
-def test_the_corpus_is_small_and_complete() -> None:
+def test_the_corpus_is_small_and_complete():
     assert sorted(p.name for p in CORPUS.iterdir()) == sorted(TARGETS) == sorted(NAMES)
     assert set(UNITS) == set(PACKAGES) == set(TARGETS)
     assert all(TARGETS[name].items == UNITS[name] for name in NAMES)
@@ -74,14 +71,14 @@ def test_the_corpus_is_small_and_complete() -> None:
     assert sum(path.stat().st_size for path in files) < MOST_BYTES
 
 
-def test_mutations_differ_and_stay_within_bounds() -> None:
+def test_mutations_differ_and_stay_within_bounds():
     made = mutations("candump", 300)
     assert made == mutations("candump", 300)
     assert len(set(made)) > 200
     assert max(map(len, made)) <= TARGETS["candump"].longest
 
 
-def test_the_summary_adds_up() -> None:
+def test_the_summary_adds_up():
     run = {"target": "dbc", "executions": 1000, "items": 7, "seconds": 10.0, "found": 1}
     said = summary([run, run, {"target": "frames", "executions": 5, "found": 0}])
     assert "| dbc | 2 | 2,000 | 100 | 14 codecs | 2 |" in said
@@ -91,7 +88,7 @@ def test_the_summary_adds_up() -> None:
 # ---- a broken product is found -----------------------------------------------------------------
 
 
-def _fails(run, name: str) -> None:
+def _fails(run, name):
     """Some input of the gate makes the target fail."""
     for data in [*TARGETS[name].corpus(), *mutations(name, MUTATIONS[name])]:
         try:
@@ -108,41 +105,29 @@ class _Miscounts(Reader):
 
 
 class _NeverStrict(Reader):
-    def __init__(self, source, *, strict: bool = False) -> None:
+    def __init__(self, source, *, strict=False):
         super().__init__(source)
 
 
-def _no_remote(line: bytes):
+def _no_remote(line):
     verdict, frame = parse_line(line)
     return (Verdict.OK if verdict is Verdict.REMOTE else verdict), frame
 
 
-def _raises_on_high_bytes(line: bytes):
-    line.decode("ascii")
-    return parse_line(line)
-
-
 @pytest.mark.parametrize(
-    "broken",
-    [
-        {"reader": _Miscounts},
-        {"reader": _NeverStrict},
-        {"parse": _raises_on_high_bytes},
-        {"parse": lambda line: (Verdict.OK, None)},
-        {"parse": _no_remote},
-    ],
+    "broken", [{"reader": _Miscounts}, {"reader": _NeverStrict}, {"parse": _no_remote}]
 )
-def test_a_broken_reader_is_found(broken) -> None:
+def test_a_broken_reader_is_found(broken):
     _fails(lambda data: candump.candump(data, every=1, **broken), "candump")
 
 
 @pytest.mark.parametrize("broken", [_Miscounts, _NeverStrict])
-def test_a_reader_that_is_broken_on_long_logs_is_found(broken) -> None:
+def test_a_reader_that_is_broken_on_long_logs_is_found(broken):
     tokens = TARGETS["readers"].tokens
     _fails(lambda data: candump.readers(data, tokens, broken), "readers")
 
 
-def test_a_reader_is_given_the_lines_that_are_said() -> None:
+def test_a_reader_is_given_the_lines_that_are_said():
     read = []
 
     class Counts(Reader):
@@ -171,13 +156,6 @@ class _LosesOne(Inbox):
         return super().take(list(came)[1:], now)
 
 
-class _Raises(Inbox):
-    def take(self, came, now):
-        if any(f.t_ns < 0 for f in came):
-            raise ValueError
-        return super().take(came, now)
-
-
 class _Repeats(Gateway):
     """The last frame of a tick goes out twice."""
 
@@ -191,13 +169,13 @@ class _Unprotected(Gateway):
         return [f._replace(data=b"\0" + f.data[1:]) for f in super().step(came, now)]
 
 
-@pytest.mark.parametrize("broken", [_TakesAnyLength, _LosesOne, _Raises])
-def test_a_broken_decoder_is_found(broken) -> None:
+@pytest.mark.parametrize("broken", [_TakesAnyLength, _LosesOne])
+def test_a_broken_decoder_is_found(broken):
     _fails(lambda data: frames.frames(data, inbox=broken, every=1 << 40), "frames")
 
 
 @pytest.mark.parametrize("broken", [_Repeats, _Unprotected])
-def test_a_broken_core_is_found(broken) -> None:
+def test_a_broken_core_is_found(broken):
     _fails(lambda data: frames.frames(data, gateway=broken, every=1), "frames")
 
 
@@ -210,12 +188,12 @@ class _Divides(Gateway):
         return out
 
 
-def test_a_gateway_that_divides_by_a_value_is_found() -> None:
+def test_a_gateway_that_divides_by_a_value_is_found():
     _fails(lambda data: values.values(data, gateway=_Divides), "values")
 
 
 @pytest.mark.parametrize("broken", [_Unprotected])
-def test_a_broken_tick_is_found(broken) -> None:
+def test_a_broken_tick_is_found(broken):
     _fails(lambda data: tick.tick(data, broken, every=1), "tick")
 
 
@@ -235,7 +213,7 @@ for data in mutations("tick", 300):
 """
 
 
-def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path) -> None:
+def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path):
     """It crashes, or breaks what lies there; with sanitizers a step behind the end is enough."""
     source, before = "gateway/core/current_plausibility.c", "[p->samples % CURRENT_HISTORY]"
     lines = (core.ROOT / source).read_text().splitlines()
@@ -250,7 +228,7 @@ def test_a_core_that_follows_a_damaged_count_out_of_its_ring_is_found(tmp_path) 
     assert done.returncode != 0
 
 
-def _bare_cantools(path: Path, nodes, contract):
+def _bare_cantools(path, nodes, contract):
     """A loader that lets out whatever cantools raises."""
     from cantools.database import load_file
 
@@ -258,7 +236,7 @@ def _bare_cantools(path: Path, nodes, contract):
     return bind(path, nodes, contract)
 
 
-def _silent(path: Path, nodes, contract):
+def _silent(path, nodes, contract):
     try:
         return bind(path, nodes, contract)
     except DbcMismatch:
@@ -266,15 +244,15 @@ def _silent(path: Path, nodes, contract):
 
 
 @pytest.mark.parametrize("broken", [_bare_cantools, _silent])
-def test_a_broken_dbc_loader_is_found(broken) -> None:
+def test_a_broken_dbc_loader_is_found(broken):
     _fails(lambda data: texts.dbc(data, broken), "dbc")
 
 
-def _bare_toml(path: Path) -> Config:
+def _bare_toml(path):
     return parse(tomllib.loads(path.read_text()), str(path))
 
 
-def _no_path(path: Path) -> Config:
+def _no_path(path):
     try:
         return load(path)
     except ConfigError as error:
@@ -282,15 +260,15 @@ def _no_path(path: Path) -> Config:
 
 
 @pytest.mark.parametrize("broken", [_bare_toml, _no_path])
-def test_a_broken_configuration_is_found(broken) -> None:
+def test_a_broken_configuration_is_found(broken):
     _fails(lambda data: texts.config(data, broken), "config")
 
 
-def _bare_scenario(path: Path) -> scenarios.Scenario:
+def _bare_scenario(path):
     return scenarios.parse(tomllib.loads(path.read_text()))
 
 
-def _two_lines(path: Path) -> scenarios.Scenario:
+def _two_lines(path):
     try:
         return scenarios.load(path)
     except ScenarioError as error:
@@ -299,14 +277,14 @@ def _two_lines(path: Path) -> scenarios.Scenario:
 
 
 @pytest.mark.parametrize("broken", [_bare_scenario, _two_lines])
-def test_a_broken_scenario_loader_is_found(broken) -> None:
+def test_a_broken_scenario_loader_is_found(broken):
     _fails(lambda data: texts.scenario(data, broken), "scenario")
 
 
 # ---- every identifier, kind and length ---------------------------------------------------------
 
 
-def test_no_wrong_kind_or_length_is_decoded() -> None:
+def test_no_wrong_kind_or_length_is_decoded():
     """Every 11-bit identifier, all 64 flags, lengths 0..64: only our messages are, as they are.
 
     The bytes are right for the message, checksum and counter too, whatever kind and length the
@@ -316,7 +294,7 @@ def test_no_wrong_kind_or_length_is_decoded() -> None:
         specs = {m.can_id: m for m in codec.messages if m.node in frames.NODES and not m.is_gateway}
         flags, length = (a.ravel() for a in np.meshgrid(np.arange(64), np.arange(65)))
         room = len(flags)
-        ends: Counter[str] = Counter()
+        ends = Counter()
         right = 0
         for can_id, spec in specs.items():
             box = Inbox(codec, frames.NODES, 10 * MS, Supervision(frames.NODES, 300 * MS))
@@ -356,25 +334,6 @@ def test_no_wrong_kind_or_length_is_decoded() -> None:
         assert ends["received"] == len(specs) * room - right
 
 
-def test_no_other_identifier_is_decoded() -> None:
-    """All 2,048 identifiers but the drives', 16 random kinds and lengths each, are no messages."""
-    codec = frames.CODECS[0]
-    mine = {m.can_id for m in codec.messages if m.node in frames.NODES and not m.is_gateway}
-    box = Inbox(codec, frames.NODES, 10 * MS, Supervision(frames.NODES, 300 * MS))
-    ids = np.array([n for n in range(0x800) if n not in mine], np.uint32)
-    rng = np.random.default_rng(1)
-    for _ in range(16):
-        rows = blank(len(ids), ["can0"])
-        rows.t_ns[:], rows.can_id[:] = MS, ids
-        rows.flags[:], rows.length[:] = rng.integers(64, size=(len(ids))), rng.integers(65)
-        rows.data[:] = rng.integers(256, size=rows.data.shape)
-        box.take(rows, MS)
-    counts = box.counts
-    assert counts["received"] == 16 * len(ids)
-    foreign = ("error_frame", "remote", "own", "canopen", "unknown_id")
-    assert sum(counts[name] for name in foreign) == counts["received"]
-
-
 # ---- found ---------------------------------------------------------------------------------------
 
 
@@ -383,7 +342,7 @@ LONG = "9" * 5000
 
 
 @pytest.mark.parametrize("text", [f"x = {DEEP}", f"x = {LONG}", f'x = """{LONG}'])
-def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text: str, tmp_path: Path) -> None:
+def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text, tmp_path):
     """tomllib raises RecursionError and bare ValueErrors."""
     with pytest.raises(ConfigError) as refused:
         load(Held(text.encode(), "train.toml"))
@@ -398,16 +357,7 @@ def test_toml_that_tomllib_cannot_hold_is_one_clear_line(text: str, tmp_path: Pa
         calibration.load(path, (1,), 5.0)
 
 
-def test_a_key_with_line_ends_makes_one_line() -> None:
-    with pytest.raises(ConfigError) as refused:
-        load(Held(b'"a\\nb\\u001b[31m" = 1\n', "train.toml"))
-    assert refused.value.problems == ["a\\nb\\x1b[31m: unknown key; remove it or correct its name"]
-    with pytest.raises(ScenarioError) as unfit:
-        parse_text('title = "t"\nduration_s = 1\n"a\\nb" = 1\n')
-    assert unfit.value.problems == ("a\\nb: unknown key",)
-
-
-def test_a_name_with_a_nul_is_refused() -> None:
+def test_a_name_with_a_nul_is_refused():
     config = load(Held(b'dbc.file = "a\\u0000b"\nthermal.calibration = "c\\u0000d"\n', "t.toml"))
     with pytest.raises(DbcMismatch, match="cannot be read: embedded null byte"):
         bind(config.dbc_path, (1,))
@@ -415,22 +365,7 @@ def test_a_name_with_a_nul_is_refused() -> None:
         calibration.load(config.calibration_path, (1,), 5.0)
 
 
-def test_control_characters_of_a_dbc_do_not_reach_the_terminal(tmp_path: Path) -> None:
-    path = tmp_path / "odd.dbc"
-    path.write_bytes(b'VERSION ""\nBU_: A\nBO_ 1 M\x1b[2J: 8 A\n')
-    with pytest.raises(DbcMismatch) as refused:
-        bind(path, ())
-    assert all(line.isprintable() for line in refused.value.problems)
-    assert "\\x1b" in refused.value.problems[0]
-
-
-def test_control_characters_of_a_log_do_not_reach_the_terminal() -> None:
-    reader = Reader(Held(b"(1.0) \x1b[2J\x0b can0\n"))
-    assert list(reader) == []
-    assert reader.problems[0].text == "(1.0) \\x1b[2J\\x0b can0"
-
-
-def test_strict_says_that_a_zipped_log_is_cut() -> None:
+def test_strict_says_that_a_zipped_log_is_cut():
     """The last piece looked like a whole line of the same length: nothing was said."""
     line = b"(1.000000) can0 123#1122\n"
     whole = gzip.compress(2 * line, mtime=0) + gzip.compress(line[:-1], mtime=0)
@@ -443,7 +378,7 @@ def test_strict_says_that_a_zipped_log_is_cut() -> None:
         list(Reader(Held(whole[:-4] + b"\1\0\0\0"), strict=True))
 
 
-def test_a_time_below_zero_is_no_time() -> None:
+def test_a_time_below_zero_is_no_time():
     """-1 stands for "none": a frame with it was used, and its silence never noticed."""
     codec = frames.CODECS[0]
     spec = codec.by_name["Drive1_Motion"]
@@ -455,7 +390,7 @@ def test_a_time_below_zero_is_no_time() -> None:
     assert box.counts["decoded"] == box.counts["not_available"] == 0
 
 
-def test_a_heartbeat_from_the_future_is_no_life() -> None:
+def test_a_heartbeat_from_the_future_is_no_life():
     """It kept its node alive until then: no silence was ever noticed."""
     watch = Supervision(frames.NODES, 300 * MS)
     box = Inbox(frames.CODECS[0], frames.NODES, 10 * MS, watch)
@@ -468,13 +403,6 @@ def test_a_heartbeat_from_the_future_is_no_life() -> None:
     assert watch.life(1, 411 * MS) is Life.LOST
 
 
-def test_more_poles_than_a_float_can_hold_are_refused() -> None:
-    """Accepted, and then an OverflowError at the start."""
-    text = "[motor.x]\nR_s = 1\nL_s = 1\npsi_pm = 1\nJ = 1\nI_rated = 1\nT_rated = 1\n"
-    with pytest.raises(ConfigError, match=r"motor\.x\.pole_pairs: "):
-        load(Held(f"{text}pole_pairs = 1{400 * '0'}\n".encode(), "train.toml"))
-
-
 @pytest.mark.parametrize(
     ("by", "said"),
     [
@@ -483,7 +411,7 @@ def test_more_poles_than_a_float_can_hold_are_refused() -> None:
         ("Y", "M.W: is multiplexed by itself"),
     ],
 )
-def test_a_multiplexer_that_is_not_there_is_named(by: str, said: str, tmp_path: Path) -> None:
+def test_a_multiplexer_that_is_not_there_is_named(by, said, tmp_path):
     """A KeyError; and where signals select each other decoding would not end."""
     path = write(
         tmp_path / "mux.dbc",

@@ -1,20 +1,17 @@
 """Fuzz targets: configuration, scenario and DBC. Input: the text of the file."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import re
 import shutil
 import tempfile
 import tomllib
-from collections.abc import Callable, Collection
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.contract import ANY, CLASSIC, FD
 from dbc.spec import DbcMismatch
 from gateway.core.gateway import Gateway
@@ -40,14 +37,14 @@ FOLDER = Path(tempfile.mkdtemp(prefix="fuzzing", dir=_SHARED if _SHARED.is_dir()
 atexit.register(shutil.rmtree, FOLDER, ignore_errors=True)
 
 
-def _file(data: bytes, suffix: str) -> Path:
+def _file(data, suffix):
     """In memory where the system has such a folder; one per process, overwritten."""
     path = FOLDER / f"{os.getpid()}.{suffix}"
     path.write_bytes(data)
     return path
 
 
-def _readable(problems: Collection[str]) -> None:
+def _readable(problems):
     """A person can read them: some, each a line, none endless."""
     assert problems
     for problem in problems:
@@ -57,7 +54,7 @@ def _readable(problems: Collection[str]) -> None:
         assert len(problem) <= LONGEST, problem
 
 
-def _placed(problems: Collection[str], data: bytes, model: type, apart: str) -> None:
+def _placed(problems, data, model, apart):
     """Each begins with the path of a key, where the file is TOML at all."""
     try:
         text = data.decode()
@@ -78,7 +75,7 @@ def _placed(problems: Collection[str], data: bytes, model: type, apart: str) -> 
         assert head[0] in known, problem
 
 
-def config(data: bytes, read: Callable[[Path], Config] = load, every: int = GATEWAYS) -> int:
+def config(data, read=load, every=GATEWAYS):
     """A Config, or a ConfigError with a path in every line. Returns 1 for a Config."""
     try:
         found = read(Held(data, "train.toml"))
@@ -94,7 +91,7 @@ def config(data: bytes, read: Callable[[Path], Config] = load, every: int = GATE
     return 1
 
 
-def _drives(found: Config) -> None:
+def _drives(found):
     """What was accepted makes a gateway that takes frames, or is refused as a ConfigError."""
     try:
         # A motor that cannot be overflows its noise: no harm, the drive is never believed.
@@ -109,7 +106,7 @@ def _drives(found: Config) -> None:
             gateway.step([f for f in _SENT if now - TICK < f.t_ns <= now], now)
 
 
-def scenario(data: bytes, read: Callable[[Path], Scenario] = load_scenario) -> int:
+def scenario(data, read=load_scenario):
     """A Scenario, or a ScenarioError with a path in every line. Returns 1 for a Scenario."""
     try:
         found = read(_file(data, "toml"))
@@ -126,7 +123,7 @@ def scenario(data: bytes, read: Callable[[Path], Scenario] = load_scenario) -> i
     return 1
 
 
-def dbc(data: bytes, read: Callable[..., Codec] = bind) -> int:
+def dbc(data, read=bind):
     """A Codec that decodes and encodes anything, or a DbcMismatch. Returns 1 for a Codec."""
     path = _file(data, "dbc")
     mark = crc32(data)

@@ -8,11 +8,8 @@ afterwards. It may not fail, nor send what is none of its frames; in a core with
 (`python -m tests.core_variants`) they look on.
 """
 
-from __future__ import annotations
-
 import random
 import struct
-from collections.abc import Iterator
 from functools import cache
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -23,7 +20,7 @@ from numpy.typing import NDArray
 
 from dbc.codec import Codec
 from dbc.e2e import protect
-from dbc.frame import SECOND, Frame
+from dbc.frame import SECOND
 from dbc.frames import Block, block_of
 from dbc.spec import MessageSpec
 from gateway.core.gateway import Gateway
@@ -130,7 +127,7 @@ class Held(NamedTuple):
     specs: dict[int, MessageSpec]
 
 
-def _leaves(array: NDArray[Any]) -> Iterator[NDArray[Any]]:
+def _leaves(array):
     """Every number of a record as a column of its own."""
     if array.dtype.names is None:
         yield array.reshape(-1)
@@ -139,7 +136,7 @@ def _leaves(array: NDArray[Any]) -> Iterator[NDArray[Any]]:
         yield from _leaves(array[name])
 
 
-def _fields(gateway: Gateway) -> Iterator[NDArray[Any]]:
+def _fields(gateway):
     for place, wanted in STATE.items():
         if place.startswith("thermal.model") and gateway.thermal.model is None:
             continue
@@ -151,7 +148,7 @@ def _fields(gateway: Gateway) -> Iterator[NDArray[Any]]:
             yield from _leaves(part)
 
 
-def _arrays(owner: Any, seen: dict[int, Any]) -> Iterator[NDArray[Any]]:
+def _arrays(owner, seen):
     """All memory of NumPy's below an object of ours, each once."""
     if id(owner) in seen:
         return
@@ -174,7 +171,7 @@ def _arrays(owner: Any, seen: dict[int, Any]) -> Iterator[NDArray[Any]]:
 
 
 @cache
-def _held(which: int, made: type[Gateway]) -> Held:
+def _held(which, made):
     setup = SETUPS[which]
     ticks = WARM_TICKS + LONGEST
     blocks = honest(setup.speed, setup.motor, setup.fd, ticks, 0.6, setup.nodes)
@@ -187,7 +184,7 @@ def _held(which: int, made: type[Gateway]) -> Held:
                 specs)  # fmt: skip
 
 
-def _damage(held: Held, source: _Bytes) -> None:
+def _damage(held, source):
     """Other bytes in one number of a record."""
     choice, at, how = struct.unpack("<HHB", source.take(5))
     column = held.fields[choice % len(held.fields)]
@@ -203,7 +200,7 @@ def _damage(held: Held, source: _Bytes) -> None:
         column[at] = number >> SPARE if column.itemsize < 8 and column.dtype.kind == "i" else number
 
 
-def _other_bits(held: Held, block: Block, source: _Bytes) -> None:
+def _other_bits(held, block, source):
     """In one of the drives' frames, and its checksum made anew."""
     row, at, bits = source.take(3)
     row %= block.size
@@ -218,7 +215,7 @@ def _other_bits(held: Held, block: Block, source: _Bytes) -> None:
 
 
 @np.errstate(all="ignore")
-def tick(data: bytes, gateway: type[Gateway] = Gateway, every: int = READ) -> int:
+def tick(data, gateway=Gateway, every=READ):
     """Nothing fails; of one input in `every`, what is sent is well formed; returns ticks."""
     source = _Bytes(data)
     read = crc32(data) % every == 0
@@ -226,7 +223,7 @@ def tick(data: bytes, gateway: type[Gateway] = Gateway, every: int = READ) -> in
     for array, kept in held.arrays:
         array[...] = kept
     skipped, done = 0, 0
-    extra: list[Frame] = []
+    extra = []
     block = _next(held, done, skipped)
     while source.at < len(data) and done < LONGEST - 1:
         what = source.byte()
@@ -257,14 +254,14 @@ def tick(data: bytes, gateway: type[Gateway] = Gateway, every: int = READ) -> in
     return done
 
 
-def _next(held: Held, done: int, skipped: int) -> Block:
+def _next(held, done, skipped):
     if done >= len(held.blocks):
         return block_of(())
     block = held.blocks[done]
     return block._replace(t_ns=block.t_ns + skipped, data=block.data.copy())
 
 
-def _step(held: Held, read: bool, block: Block, extra: list[Frame], now: int) -> None:
+def _step(held, read, block, extra, now):
     sent = held.gateway.step(block_of([*block.frames(), *extra]) if extra else block, now)
     if read:
         for frame in sent:

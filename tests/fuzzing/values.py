@@ -4,12 +4,9 @@ A byte for the set-up, then four bytes each: which fault, of which message, of w
 many ticks; honest frames before the first. What is missing at the end reads as zeros.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import islice
 
-from dbc.e2e import Receiver
 from gateway.core.gateway import Gateway
 from tests.extremes import MESSAGES, RULES, Setup, Stretch, changed
 from tests.fuzzing.frames import _well_formed
@@ -26,12 +23,12 @@ SPEEDS = (100.0, 290.0)
 
 
 @cache
-def _setup(head: int) -> Setup:
+def _setup(head):
     kind, fd = ("ekf", "ukf")[head & 1], bool(head & 2)
     return Setup(DRIVES, kind, fd, SPEEDS[head >> 2 & 1])
 
 
-def steps_of(data: bytes) -> tuple[Setup, list[tuple[str, str, tuple[int, ...], int]]]:
+def steps_of(data):
     """Set-up, and (fault, message, drives, ticks) one after the other."""
     setup = _setup(data[0] & 7 if data else 0)
     steps, total = [], 0
@@ -48,14 +45,14 @@ def steps_of(data: bytes) -> tuple[Setup, list[tuple[str, str, tuple[int, ...], 
     return setup, steps
 
 
-def values(data: bytes, gateway: type[Gateway] = Gateway) -> int:
+def values(data, gateway=Gateway):
     """Nothing raises and what is sent is well formed; returns ticks with a fault."""
     setup, steps = steps_of(data)
     ticks = WARM_TICKS + LONGEST
     blocks = iter(honest(setup.speed, setup.motor, setup.fd, ticks, 0.6, setup.nodes))
     core = gateway(setup.config(), setup.codec, 0)
     faults = ValueFaults(setup.codec, setup.nodes)
-    sent: dict[int, Receiver] = {}
+    sent = {}
     tick = done = 0
     for name, message, drives, count in [("none", "all", (), WARM_TICKS), *steps]:
         part = list(islice(blocks, count))

@@ -1,7 +1,5 @@
 """Pieces of the chain tests: message sets, processes, recordings, and what the wire says."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import re
@@ -12,24 +10,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import gateway
 from dbc.candump.reader import Reader
 from dbc.codec import Codec, bind
 from dbc.e2e import COUNTERS, MAX_DELTA, Check, Receiver, counter_of, crc_ok
-from dbc.frame import Frame
 from dbc.spec import MessageSpec
 from gateway.core.codes import Flag
 from gateway.io.transport import EMCY_ID, HEARTBEAT_ID
 from gateway.reports.expectations import FlagTrack
 from gateway.settings.config import shipped_dbc
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 PATIENCE_S = 90.0
 TICK_NS = 10_000_000
@@ -60,14 +54,12 @@ class Change(NamedTuple):
     flag: Flag
 
 
-def stale_ns(spec: MessageSpec) -> int:
+def stale_ns(spec):
     """Age at which a message is stale: three cycles and a tick."""
     return 3 * spec.cycle_ns + TICK_NS
 
 
-def setting(
-    vcan: Vcan, folder: Path, drives: int, *, fd: bool = False, slower: bool = False
-) -> Setting:
+def setting(vcan, folder, drives, *, fd=False, slower=False):
     """The shipped message set, or a copy of the classic one for a slower bus."""
     dbc = shipped_dbc("traction_fd.dbc" if fd else "traction.dbc")
     if slower:
@@ -85,7 +77,7 @@ def setting(
     return Setting(codec, config, nodes, bus, drives)
 
 
-def for_slower_bus(dbc: Path, folder: Path) -> Path:
+def for_slower_bus(dbc, folder):
     """A copy of the classic DBC that says so, as users make it: 40 % of the frames.
 
     Currents and voltages every 5 ms instead of 2, Motion every 20 instead of 10.
@@ -103,7 +95,7 @@ def for_slower_bus(dbc: Path, folder: Path) -> Path:
 
 
 @contextmanager
-def memory_folder() -> Iterator[Path]:
+def memory_folder():
     """A folder in memory: writing to the host's files stops a user-mode kernel altogether."""
     folder = Path(tempfile.mkdtemp(dir="/dev/shm"))
     try:
@@ -112,7 +104,7 @@ def memory_folder() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def favoured(vcan: Vcan, priority: int) -> list[str]:
+def favoured(vcan, priority):
     """What a command line begins with.
 
     In a kernel of our own, with one processor, somebody must wait: other work for the drives, and
@@ -121,7 +113,7 @@ def favoured(vcan: Vcan, priority: int) -> list[str]:
     return ["chrt", "-R", "-f", str(priority)] if vcan.own_kernel else []
 
 
-def program(vcan: Vcan, verb: str, *words: str) -> list[str]:
+def program(vcan, verb, *words):
     """A command line of ours."""
     first = favoured(vcan, 10 if verb == "sim" else 20)
     return [*first, sys.executable, "-m", "gateway", verb, *words]
@@ -130,7 +122,7 @@ def program(vcan: Vcan, verb: str, *words: str) -> list[str]:
 class Recording:
     """candump beside the others; `end` gives the log. It lives through a link that is down."""
 
-    def __init__(self, vcan: Vcan, folder: Path, name: str = "") -> None:
+    def __init__(self, vcan, folder, name=""):
         """name: the interface, or "any" for those, too, that are not there yet."""
         name = name or vcan.name
         folder.mkdir(parents=True)
@@ -145,7 +137,7 @@ class Recording:
         # It makes its file once it listens; a gateway that comes to a late link listens, too.
         wait_for(lambda: any(folder.iterdir()) and vcan.listeners(name) > before, "candump")
 
-    def end(self) -> Path:
+    def end(self):
         """Call it when the bus is quiet: candump has read all once the log does not grow."""
         (log,) = self._folder.glob("candump-*.log")
         size = -1
@@ -159,7 +151,7 @@ class Recording:
 class FlagSocket:
     """The gateway's adhesion frames only, as they come: next to no work for a slow machine."""
 
-    def __init__(self, vcan: Vcan, codec: Codec) -> None:
+    def __init__(self, vcan, codec):
         self._codec = codec
         self._raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         only = struct.pack("=II", FLAGS_ID, 0x7FF)
@@ -167,7 +159,7 @@ class FlagSocket:
         self._raw.bind((vcan.name,))
         self._raw.settimeout(PATIENCE_S)
 
-    def until(self, nodes: tuple[int, ...], flag: Flag) -> None:
+    def until(self, nodes, flag):
         """Wait for a frame that says `flag` for all `nodes`."""
         deadline = time.monotonic() + PATIENCE_S
         spec = self._codec.by_id[FLAGS_ID]
@@ -181,11 +173,11 @@ class FlagSocket:
                 return
         raise AssertionError(f"{flag.name} of {nodes}: not within {PATIENCE_S} s")
 
-    def close(self) -> None:
+    def close(self):
         self._raw.close()
 
 
-def wait_for(fulfilled: Callable[[], object], what: str) -> None:
+def wait_for(fulfilled, what):
     """Poll a condition; the machine may be very slow."""
     deadline = time.monotonic() + PATIENCE_S
     while not fulfilled():
@@ -196,13 +188,11 @@ def wait_for(fulfilled: Callable[[], object], what: str) -> None:
 Changes = dict[tuple[str, int], list[Change]]
 
 
-def changes(
-    log: Path, codec: Codec, nodes: tuple[int, ...], until_ns: int | None = None
-) -> Changes:
+def changes(log, codec, nodes, until_ns=None):
     """Changes of every flag in a log, its first value included; node 0: of the set."""
     track = FlagTrack(codec, nodes)
     track.add(f for f in Reader(log) if until_ns is None or f.t_ns < until_ns)
-    found: Changes = {}
+    found = {}
     for key, seen in track.seen.items():
         kept = found.setdefault(key, [])
         for t_ns, flag in seen:
@@ -211,12 +201,12 @@ def changes(
     return found
 
 
-def farewell_ns(log: Path) -> int:
+def farewell_ns(log):
     """When the gateway began to say goodbye: three last flag frames of unknown."""
     return [f.t_ns for f in Reader(log) if f.can_id == FLAGS_ID][-3]
 
 
-def stalled(log: Path, used: Setting, *, injected: bool = False) -> str:
+def stalled(log, used, *, injected=False):
     """How the machine stood still or lost frames while the drives were there; empty if not.
 
     Judged from the wire; nothing here looks at flags. A drive whose program has no processor is
@@ -239,7 +229,7 @@ def stalled(log: Path, used: Setting, *, injected: bool = False) -> str:
 
 
 @contextmanager
-def excused(log: Path, used: Setting, *, injected: bool = False) -> Iterator[None]:
+def excused(log, used, *, injected=False):
     """A failure on a machine that stalled says nothing: it is printed and passed over."""
     try:
         yield
@@ -250,12 +240,12 @@ def excused(log: Path, used: Setting, *, injected: bool = False) -> Iterator[Non
         print(f"does not count ({why}): {failure}")
 
 
-def _away(who: str, frames: Sequence[Frame], limit_ns: int) -> str:
+def _away(who, frames, limit_ns):
     longest = max((b.t_ns - a.t_ns for a, b in itertools.pairwise(frames)), default=limit_ns + 1)
     return f"{who}: away for {longest / 1e6:.0f} ms" if longest > limit_ns else ""
 
 
-def _jumped(spec: MessageSpec, frames: Sequence[Frame]) -> str:
+def _jumped(spec, frames):
     """More frames in a row are missing than the protection tolerates."""
     counters = [counter_of(spec, f.data) or 0 for f in frames]
     steps = [(b - a) % COUNTERS[spec.profile] for a, b in itertools.pairwise(counters)]
@@ -263,19 +253,19 @@ def _jumped(spec: MessageSpec, frames: Sequence[Frame]) -> str:
     return f"{spec.name}: {jumps} jumps of the counter" if jumps else ""
 
 
-def _late(spec: MessageSpec, frames: Sequence[Frame]) -> str:
+def _late(spec, frames):
     """Too many frames have waited for a processor and come in bursts."""
     gaps = [b.t_ns - a.t_ns for a, b in itertools.pairwise(frames)]
     late = sum(gap > 2 * spec.cycle_ns for gap in gaps)
     return f"{spec.name}: {late} of {len(gaps)} late" if late > MOST_LATE * len(gaps) else ""
 
 
-def drives_ns(log: Path, used: Setting) -> list[int]:
+def drives_ns(log, used):
     """Stamps of everything that drives sent."""
     return [f.t_ns for f in Reader(log) if f.can_id in used.drives]
 
 
-def own_frames(log: Path, codec: Codec) -> int:
+def own_frames(log, codec):
     """Number of the gateway's frames; each one is protected well and follows the one before."""
     receivers = {m.can_id: Receiver(m) for m in codec.messages if m.is_gateway}
     count = 0
@@ -288,9 +278,9 @@ def own_frames(log: Path, codec: Codec) -> int:
     return count
 
 
-def lost_spans(truth: Path, drive: int) -> list[tuple[float, float]]:
+def lost_spans(truth, drive):
     """(from, to) in s where `sim --truth` says that the drive had no adhesion."""
-    spans: list[tuple[float, float]] = []
+    spans = []
     with truth.open(newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if int(row["drive"]) == drive]
     for before, row in itertools.pairwise(rows):

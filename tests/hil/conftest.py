@@ -5,18 +5,14 @@ namespace or in user-mode-linux (`gateway.hil.vcan`), once, with all selected vc
 every report as a line, and each test here waits for its lines and passes them on as its own.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -38,11 +34,11 @@ OWN_CLOCK = "the wall clock is set only where it is not the machine's own"
 class Inside:
     """Plugin of the inner run: every report as one line of JSON."""
 
-    def __init__(self, config: pytest.Config, path: Path) -> None:
+    def __init__(self, config, path):
         self._config = config
         self._file = path.open("a", encoding="utf-8")
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+    def pytest_runtest_logreport(self, report):
         data = self._config.hook.pytest_report_to_serializable(config=self._config, report=report)
         self._file.write(json.dumps(data, default=str) + "\n")
         self._file.flush()
@@ -51,14 +47,14 @@ class Inside:
 class Outside:
     """Plugin of the outer run: starts the inner one and hands out its reports."""
 
-    def __init__(self, config: pytest.Config) -> None:
+    def __init__(self, config):
         self._config = config
-        self._job: Any = None
-        self._directory: Any = None
+        self._job = None
+        self._directory = None
         self._read = 0
-        self._reports: dict[str, list[pytest.TestReport]] = {}
+        self._reports = {}
 
-    def reports(self, item: pytest.Item) -> list[pytest.TestReport]:
+    def reports(self, item):
         """The inner run's reports of a test; one failed report if there are none."""
         reason = way().reason
         if reason:
@@ -84,18 +80,18 @@ class Outside:
                 return [_verdict(item, "failed", self._told(directory, "fell silent"))]
             time.sleep(0.05)
 
-    def _patience(self) -> int:
+    def _patience(self):
         return LONG if self._config.getoption("--counts") == "full" else 1
 
-    def _not_here(self, item: pytest.Item, reason: str) -> pytest.TestReport:
+    def _not_here(self, item, reason):
         outcome = "failed" if self._config.getoption("--require-vcan") else "skipped"
         return _verdict(item, outcome, " ".join(reason.splitlines()[-2:]))
 
-    def _started(self, session: pytest.Session) -> Path:
+    def _started(self, session):
         """Directory of the inner run; started by whoever comes first (also of xdist workers)."""
         if self._directory is not None:
             return self._directory
-        base: Path = self._config._tmp_path_factory.getbasetemp()  # type: ignore[attr-defined]
+        base = self._config._tmp_path_factory.getbasetemp()
         shared = hasattr(self._config, "workerinput")
         self._directory = (base.parent if shared else base) / "vcan"
         try:
@@ -112,7 +108,7 @@ class Outside:
             self._job = Job([command], self._directory, environment(self._directory))
         return self._directory
 
-    def _command(self, wanted: list[str]) -> list[str]:
+    def _command(self, wanted):
         assert self._directory is not None
         limit = INNER_TIMEOUT_S * self._patience()
         return [
@@ -126,7 +122,7 @@ class Outside:
             *wanted,
         ]
 
-    def _take_in(self, directory: Path) -> bool:
+    def _take_in(self, directory):
         """Read the complete lines that are new."""
         path = directory / "reports"
         if not path.is_file():
@@ -145,11 +141,11 @@ class Outside:
             self._reports.setdefault(report.nodeid, []).append(report)
         return bool(complete)
 
-    def _told(self, directory: Path, what: str) -> str:
+    def _told(self, directory, what):
         tail = self._job.tail() if self._job else "see the worker that started it"
         return f"the run inside ({directory}) {what}:\n{tail}"
 
-    def pytest_unconfigure(self) -> None:
+    def pytest_unconfigure(self):
         if self._job is None:
             return
         # Other xdist workers may still wait for reports of the run that this one started.
@@ -160,12 +156,12 @@ class Outside:
             time.sleep(0.1)
         self._give_up()
 
-    def _give_up(self) -> None:
+    def _give_up(self):
         self._job.stop()
         (self._directory / "done").touch()
 
 
-def oblige(reports: list[pytest.TestReport]) -> None:
+def oblige(reports):
     """What was skipped has failed: there is SocketCAN, but not all that the tests need of it."""
     for report in reports:
         reason = str(report.longrepr)
@@ -174,7 +170,7 @@ def oblige(reports: list[pytest.TestReport]) -> None:
             report.longrepr = f"may not be skipped with --require-vcan: {reason}"
 
 
-def _verdict(item: pytest.Item, outcome: str, text: str) -> pytest.TestReport:
+def _verdict(item, outcome, text):
     where = (str(item.path), item.location[1] or 0, f"Skipped: {text}")
     return pytest.TestReport(
         nodeid=item.nodeid,
@@ -187,7 +183,7 @@ def _verdict(item: pytest.Item, outcome: str, text: str) -> pytest.TestReport:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     inside = config.getoption("--vcan-inside")
     if inside:
         config.pluginmanager.register(Inside(config, Path(inside)), "vcan-inside")
@@ -196,7 +192,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+def pytest_runtest_protocol(item, nextitem):
     outside = item.config.pluginmanager.get_plugin("vcan-outside")
     if outside is None or item.get_closest_marker("vcan") is None:
         return None
@@ -219,7 +215,7 @@ class Vcan:
     """True in user-mode-linux: clocks and modules are not those of the machine."""
     _started: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
-    def link(self, action: str, name: str = "", mtu: int = 72) -> None:
+    def link(self, action, name="", mtu=72):
         """`up`, `down`, `create` (and up) or `delete` an interface; the first one by default."""
         name = name or self.name
         commands = {
@@ -231,12 +227,12 @@ class Vcan:
         for command in commands[action]:
             subprocess.run(["ip", *command.split()], check=True)
 
-    def send(self, *texts: str, name: str = "") -> None:
+    def send(self, *texts, name=""):
         """Frames by can-utils, such as `181#0102`, `181#R`, `181##1AA` (FD)."""
         for text in texts:
             subprocess.run(["cansend", name or self.name, text], check=True)
 
-    def record(self, path: Path, name: str = "", count: int = 0) -> subprocess.Popen[bytes]:
+    def record(self, path, name="", count=0):
         """`candump -L` into a file, listening on return; ends after `count` frames, if given.
 
         What it has not read when it is terminated is lost: leave it a quiet moment first.
@@ -250,17 +246,17 @@ class Vcan:
             time.sleep(0.01)
         return process
 
-    def listeners(self, name: str = "") -> int:
+    def listeners(self, name=""):
         """Number of sockets that receive everything from an interface."""
         text = Path("/proc/net/can/rcvlist_all").read_text(encoding="ascii")
         return sum(line.split()[:1] == [name or self.name] for line in text.splitlines())
 
-    def start(self, *command: str, **options: Any) -> subprocess.Popen[bytes]:
+    def start(self, *command, **options):
         """A process that is ended with the test."""
         self._started.append(subprocess.Popen(command, **options))
         return self._started[-1]
 
-    def stop_all(self) -> None:
+    def stop_all(self):
         """End what `start` started."""
         for process in self._started:
             process.terminate()
@@ -272,7 +268,7 @@ class Vcan:
 
 
 @pytest.fixture
-def vcan(request: pytest.FixtureRequest) -> Iterator[Vcan]:
+def vcan(request):
     """Fresh `vcan0` and `vcan1`, up; both are gone afterwards."""
     assert request.config.getoption("--vcan-inside"), (
         "mark tests that use `vcan` with the mark vcan"
@@ -289,14 +285,14 @@ def vcan(request: pytest.FixtureRequest) -> Iterator[Vcan]:
 
 
 @pytest.fixture
-def own_clock(vcan: Vcan) -> None:
+def own_clock(vcan):
     """Only in a kernel of our own: setting the wall clock would set that of the machine."""
     if not vcan.own_kernel:
         pytest.skip(OWN_CLOCK)
 
 
 @pytest.fixture(scope="session")
-def stable() -> Iterator[Stable]:
+def stable():
     """Where programs start without seconds of imports."""
     stable = Stable()
     yield stable

@@ -1,11 +1,8 @@
 """What somebody else reads on the bus: flags by python-can and cantools, with none of our code."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,7 +28,7 @@ class Said(NamedTuple):
 class Observer:
     """A listener for the gateway's flags, status and heartbeat."""
 
-    def __init__(self, name: str, dbc: Path, nodes: tuple[int, ...]) -> None:
+    def __init__(self, name, dbc, nodes):
         """Bind to an interface, which may be down; nodes: drives whose flags are read."""
         database = cantools.database.load_file(dbc)
         assert isinstance(database, cantools.database.Database)
@@ -39,7 +36,7 @@ class Observer:
         self._nodes = nodes
         self.heard = 0
         """Frames of any of the four kinds since this was last set to 0."""
-        self.flags: list[Said] = []
+        self.flags = []
         """Flag frames since this was last cleared."""
         only = [
             {"can_id": can_id, "can_mask": 0x7FF, "extended": False}
@@ -47,7 +44,7 @@ class Observer:
         ]
         self._bus = can.Bus(interface="socketcan", channel=name, can_filters=only)
 
-    def take(self) -> None:
+    def take(self):
         """Read what waits. A link that goes down is told by an error, once."""
         while True:
             try:
@@ -66,13 +63,13 @@ class Observer:
                 reason, counter = (int(str(values[name])) for name in ("Reason", "Counter"))
                 self.flags.append(Said(message.timestamp, flags, reason, counter))
 
-    def forget(self) -> None:
+    def forget(self):
         """Read what waits and drop it."""
         self.take()
         self.flags.clear()
         self.heard = 0
 
-    def until(self, fulfilled: Callable[[], object], what: str) -> float:
+    def until(self, fulfilled, what):
         """Read until a condition holds; returns after how many seconds it did."""
         began = time.monotonic()
         while True:
@@ -82,26 +79,26 @@ class Observer:
             assert time.monotonic() - began < PATIENCE_S, f"{what}: not within {PATIENCE_S} s"
             time.sleep(0.005)
 
-    def until_flags(self, count: int) -> float:
+    def until_flags(self, count):
         """Read until there are so many flag frames; returns after how many seconds."""
         return self.until(lambda: len(self.flags) >= count, f"{count} flag frames")
 
-    def watch(self, seconds: float) -> None:
+    def watch(self, seconds):
         """Read for so long."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self.take()
             time.sleep(min(left, 0.02))
 
-    def all_good(self) -> bool:
+    def all_good(self):
         """Whether the newest flag frame says that every drive adheres."""
         return bool(self.flags) and set(self.flags[-1].flags) == {GOOD}
 
-    def close(self) -> None:
+    def close(self):
         self._bus.shutdown()
 
 
-def await_stop(pid: int) -> None:
+def await_stop(pid):
     """Wait until the kernel says that a process stands still."""
     deadline = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{pid}/stat").read_text("ascii").rsplit(")", 1)[1].split()[0] != "T":
@@ -109,7 +106,7 @@ def await_stop(pid: int) -> None:
         time.sleep(0.001)
 
 
-def end_process(pid: int, number: int) -> None:
+def end_process(pid, number):
     """Send a signal to a process that may have gone already."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, number)

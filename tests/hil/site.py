@@ -6,13 +6,10 @@ import json
 import random
 import signal
 import statistics
-from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import pytest
 
 from tests.hil.chain import Setting, memory_folder, setting
 from tests.hil.observer import Observer, end_process
@@ -46,32 +43,32 @@ class Site:
     drives: int = 0
     _started: list[int] = field(default_factory=list)
 
-    def count(self, full: int) -> int:
+    def count(self, full):
         """How often, in this run."""
         return full // self.share
 
     @property
-    def trap(self) -> Path:
+    def trap(self):
         """A file that stops the gateway between deciding and sending."""
         return self.folder / "trap"
 
-    def run(self) -> int:
+    def run(self):
         """Start the gateway; its pid."""
         self.gateway = self.another_gateway("gateway.txt", self.trap)
         return self.gateway
 
-    def another_gateway(self, log: str = "another.txt", trap: Path | None = None) -> int:
+    def another_gateway(self, log="another.txt", trap=None):
         """Start a gateway that is not `self.gateway`; its pid."""
         words = ("run", *self.used.bus, "--quiet", "--config", str(self.used.config))
         priority = 20 if self.vcan.own_kernel else 0
         return self._start(words, log, priority, trap)
 
-    def drive(self, channel: str = "") -> int:
+    def drive(self, channel=""):
         """Start the drives, on another interface if one is named; their pid."""
         self.drives = self.more_drives(len(self.used.nodes), channel, "drives.txt")
         return self.drives
 
-    def more_drives(self, count: int, channel: str = "", log: str = "more.txt") -> int:
+    def more_drives(self, count, channel="", log="more.txt"):
         """Start drives 1 to `count` that are not `self.drives`; their pid."""
         scenario = self.folder / f"{count}.toml"
         scenario.write_text(f"{SCENARIO}drives = {count}\n")
@@ -81,19 +78,17 @@ class Site:
         priority = 10 if self.vcan.own_kernel and not self.drives else 0
         return self._start(words, log, priority)
 
-    def _start(
-        self, words: Sequence[str], log: str, priority: int, trap: Path | None = None
-    ) -> int:
+    def _start(self, words, log, priority, trap=None):
         self._started.append(self.stable.start(words, self.folder / log, priority, trap))
         return self._started[-1]
 
-    def kill(self, pid: int, number: int = signal.SIGKILL) -> int | None:
+    def kill(self, pid, number=signal.SIGKILL):
         """End a program and wait for it; how it ended."""
         end_process(pid, number)
         self._started.remove(pid)
         return self.stable.ended(pid, block=True)
 
-    def note(self, what: str, **figures: float | str) -> None:
+    def note(self, what, **figures):
         """A line for the report; of a run in full it is kept."""
         print(f"{what}: " + ", ".join(f"{name} {value}" for name, value in figures.items()))
         if self.share == 1:
@@ -106,7 +101,7 @@ class Site:
             with KEPT.open("a", encoding="utf-8") as file:
                 file.write(json.dumps({"what": what, **figures, **run}) + "\n")
 
-    def note_times(self, what: str, seconds: list[float], then: str = "first flag frame") -> None:
+    def note_times(self, what, seconds, then="first flag frame"):
         """How long it took each time until `then`."""
         ordered = sorted(round(each, 3) for each in seconds)
         p99_s = ordered[int(0.99 * (len(ordered) - 1))]
@@ -114,24 +109,24 @@ class Site:
         self.note(what, times=len(ordered), until=then, median_s=middle, p99_s=p99_s,
                   longest_s=ordered[-1])  # fmt: skip
 
-    def observer(self) -> Observer:
+    def observer(self):
         """Somebody else at the bus."""
         return Observer(self.vcan.name, self.used.codec.path, self.used.nodes)
 
-    def check_alive(self) -> None:
+    def check_alive(self):
         """Neither program has ended by itself."""
         for name, pid in (("gateway", self.gateway), ("drives", self.drives)):
             text = (self.folder / f"{name}.txt").read_text()
             assert self.stable.ended(pid) is None, f"{name} ended: {text[-2000:]}"
 
-    def end(self) -> None:
+    def end(self):
         """Kill what still runs."""
         for pid in self._started:
             end_process(pid, signal.SIGKILL)
 
 
 @contextmanager
-def open_site(vcan: Vcan, stable: Stable, config: pytest.Config, more: str = "") -> Iterator[Site]:
+def open_site(vcan, stable, config, more=""):
     """A site without programs. more: lines at the end of the gateway's configuration."""
     share = 1 if config.getoption("--counts") == "full" else CI_SHARE
     with memory_folder() as folder:

@@ -14,46 +14,39 @@ A gateway stops itself (SIGSTOP) between deciding and sending as soon as the fil
 which it takes away: a signal from outside would hardly ever come just there.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import subprocess
 import sys
 import traceback
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 
 class Stable:
     """The asking end."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         """Open it; takes seconds."""
         pipe = subprocess.PIPE
         self._process = subprocess.Popen([sys.executable, __file__], stdin=pipe, stdout=pipe)
         assert self._process.stdout is not None
         assert self._process.stdout.readline() == b'"warm"\n'
 
-    def close(self) -> None:
+    def close(self):
         """End it; its programs are the caller's to end."""
         self._process.communicate(timeout=20)
 
-    def start(
-        self, words: Sequence[str], log: Path, priority: int = 0, trap: Path | None = None
-    ) -> int:
+    def start(self, words, log, priority=0, trap=None):
         """Fork a program; its outputs go to `log`. Returns its pid."""
         request = {"start": list(words), "log": str(log), "priority": priority}
         return int(self._ask(**request, trap=str(trap or "")))
 
-    def ended(self, pid: int, *, block: bool = False) -> int | None:
+    def ended(self, pid, *, block=False):
         """How a program ended: exit code, or minus the signal; None while it runs."""
         answer = self._ask(wait=pid, block=block)
         return None if answer is None else int(answer)
 
-    def _ask(self, **request: Any) -> Any:
+    def _ask(self, **request):
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps(request).encode() + b"\n")
@@ -63,7 +56,7 @@ class Stable:
         return json.loads(answer)
 
 
-def _child(request: dict[str, Any]) -> None:
+def _child(request):
     """What a fork does instead of going on; never returns."""
     code = 70
     try:
@@ -89,23 +82,23 @@ def _child(request: dict[str, Any]) -> None:
         os._exit(code)
 
 
-def _set_trap(path: str) -> None:
+def _set_trap(path):
     """See above. Nothing but the moment of the stop is different."""
     from gateway.core.gateway import Gateway
 
     step = Gateway.step
 
-    def trapped(self: Gateway, *given: Any) -> Any:
+    def trapped(self, *given):
         decided = step(self, *given)
         if os.path.exists(path):  # noqa: PTH110 - in every tick
             os.unlink(path)  # noqa: PTH108
             os.kill(os.getpid(), signal.SIGSTOP)
         return decided
 
-    Gateway.step = trapped  # type: ignore[method-assign]
+    Gateway.step = trapped
 
 
-def _warm() -> None:
+def _warm():
     """Import what `run` and `sim` import and make what they make, by the commands themselves."""
     import can.interfaces.socketcan  # noqa: F401
 
@@ -124,11 +117,11 @@ def _warm() -> None:
     assert main(words) == 0
 
 
-def _serve() -> None:
+def _serve():
     answers = os.fdopen(os.dup(1), "w", encoding="ascii")
     os.dup2(2, 1)  # nothing that a library prints is an answer
 
-    def say(answer: object) -> None:
+    def say(answer):
         answers.write(json.dumps(answer) + "\n")
         answers.flush()
 

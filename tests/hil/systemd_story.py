@@ -4,8 +4,6 @@ Runs as root in the guest (`uml/systemd.sh`), uses nothing but Python, `systemct
 judges nothing: `test_systemd.py` does. `python systemd_story.py FILE`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -14,7 +12,6 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 BUS = "vcan0"
@@ -28,29 +25,27 @@ STOPPED_S = 3.0
 """After that long a stopped gateway has been found out, whatever a guest's clock makes of it."""
 FRAME = struct.Struct("=IB3x8s")
 
-Story = dict[str, object]
 
-
-def systemctl(*words: str) -> str:
+def systemctl(*words):
     done = subprocess.run(["systemctl", *words], capture_output=True, text=True, check=False)
     return done.stdout + done.stderr
 
 
-def show(unit: str, *names: str) -> dict[str, str]:
+def show(unit, *names):
     lines = systemctl("show", unit, "-p", ",".join(names)).splitlines()
     return dict(line.split("=", 1) for line in lines if "=" in line)
 
 
-def pid() -> int:
+def pid():
     return int(show(GATEWAY, "MainPID")["MainPID"])
 
 
-def journal() -> str:
+def journal():
     words = ("journalctl", "--no-pager", "-o", "cat", "-u", GATEWAY)
     return subprocess.run(words, capture_output=True, text=True, check=False).stdout
 
 
-def until(what: str, so: Callable[[], bool]) -> None:
+def until(what, so):
     deadline = time.monotonic() + PATIENCE_S
     while not so():
         if time.monotonic() > deadline:
@@ -63,12 +58,12 @@ def until(what: str, so: Callable[[], bool]) -> None:
 class Bus:
     """Who hears the gateway."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         self.socket.bind((BUS,))
         self.socket.settimeout(0.05)
 
-    def heard(self, seconds: float) -> list[tuple[float, int]]:
+    def heard(self, seconds):
         """(time, identifier) of what comes within so many seconds."""
         found, deadline = [], time.monotonic() + seconds
         while time.monotonic() < deadline:
@@ -81,12 +76,12 @@ class Bus:
             found.append((time.monotonic(), FRAME.unpack(data)[0]))
         return found
 
-    def until_flags(self, what: str) -> float:
+    def until_flags(self, what):
         """Time of the first flag from now on."""
         self.heard(0.02)
-        found: list[float] = []
+        found = []
 
-        def listen() -> bool:
+        def listen():
             found.extend(t for t, number in self.heard(0.1) if number == FLAGS)
             return bool(found)
 
@@ -94,7 +89,7 @@ class Bus:
         return found[0]
 
 
-def identity(number: int) -> Story:
+def identity(number):
     """What the kernel says of a process."""
     text = Path(f"/proc/{number}/status").read_text(encoding="ascii")
     said = {key: value.split() for key, value in (x.split(":", 1) for x in text.splitlines())}
@@ -105,7 +100,7 @@ def identity(number: int) -> Story:
     }
 
 
-def started() -> Story:
+def started():
     """Both units by the commands of docs/deploy.md."""
     enabled = systemctl("enable", "--now", LINKS.removesuffix(".service"), GATEWAY)
     until("started", lambda: show(GATEWAY, "ActiveState")["ActiveState"] == "active")
@@ -123,7 +118,7 @@ def started() -> Story:
     }  # fmt: skip
 
 
-def stopped() -> Story:
+def stopped():
     """A process that stands: what is heard of it, and how it comes back."""
     bus, before = Bus(), pid()
     bus.until_flags("flags before the stop")
@@ -140,22 +135,19 @@ def stopped() -> Story:
     }  # fmt: skip
 
 
-def unplugged() -> Story:
+def unplugged():
     """The interface goes and comes: udev starts the links unit, nobody else."""
     before = pid()
     subprocess.run(["ip", "link", "delete", BUS], check=True)
     until("waits", lambda: "waits" in show(GATEWAY, "StatusText")["StatusText"])
     waits = show(GATEWAY, "ActiveState", "StatusText")
     subprocess.run(["ip", "link", "add", BUS, "type", "vcan"], check=True)
-    until(
-        "up",
-        lambda: bool(int(Path(f"/sys/class/net/{BUS}/flags").read_text("ascii"), 16) & UP),
-    )
+    until("up", lambda: bool(int(Path(f"/sys/class/net/{BUS}/flags").read_text("ascii"), 16) & UP))
     Bus().until_flags("flags after plugging in")
     return {"waits": waits, "same": pid() == before}
 
 
-def with_a_key() -> Story:
+def with_a_key():
     """Authenticated flags: a key that only root can read, by LoadCredential=."""
     key = ETC / "auth.key"
     key.write_text("000102030405060708090a0b0c0d0e0f\n", encoding="ascii")
@@ -181,7 +173,7 @@ def with_a_key() -> Story:
     }  # fmt: skip
 
 
-def misconfigured() -> Story:
+def misconfigured():
     """A configuration that cannot be used is not tried again."""
     path = ETC / f"{BUS}.toml"
     path.write_text("[loop]\nperiod_ms = 'fast'\n", encoding="ascii")
@@ -193,7 +185,7 @@ def misconfigured() -> Story:
     return {"gateway": told, "journal": journal()}
 
 
-def killed() -> Story:
+def killed():
     """Death after death: after five it stays down."""
     systemctl("reset-failed", GATEWAY)
     systemctl("start", "--no-block", GATEWAY)
@@ -213,7 +205,7 @@ def killed() -> Story:
     return {"deaths": deaths, "silent": silent, "gateway": show(GATEWAY, "ActiveState", "Result")}
 
 
-def ended() -> Story:
+def ended():
     """Asked to end, in order."""
     systemctl("reset-failed", GATEWAY)
     systemctl("start", GATEWAY)
@@ -230,9 +222,9 @@ def ended() -> Story:
 CHAPTERS = (started, stopped, unplugged, with_a_key, misconfigured, killed, ended)
 
 
-def main() -> None:
+def main():
     """All of it, in this order; each goes on where the one before has ended."""
-    story: dict[str, Story] = {}
+    story = {}
     for chapter in CHAPTERS:
         began = time.monotonic()
         story[chapter.__name__] = chapter()

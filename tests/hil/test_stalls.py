@@ -1,9 +1,5 @@
 """What the chain tests take for a machine that stalled; needs no bus."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,33 +8,30 @@ from dbc.candump.writer import Writer
 from dbc.frame import MS, Frame
 from sim.scenario import parse_text
 from sim.simulation import Simulation
-from tests.hil.chain import FLAGS_ID, Setting, excused, setting, stalled
+from tests.hil.chain import FLAGS_ID, excused, setting, stalled
 
 SCENARIO = 'title = "t"\nseed = 1\nduration_s = 1\ndrives = 2\n'
 SECOND_DRIVE = (0x182, 0x282, 0x382, 0x1C2, 0x482)
 
 
 @pytest.fixture(params=["classic", "fd", "slower"])
-def used(request: pytest.FixtureRequest, tmp_path: Path) -> Setting:
+def used(request, tmp_path):
     vcan = SimpleNamespace(name="vcan0")
     kind = request.param
-    return setting(vcan, tmp_path, 2, fd=kind == "fd", slower=kind == "slower")  # type: ignore[arg-type]
+    return setting(vcan, tmp_path, 2, fd=kind == "fd", slower=kind == "slower")
 
 
 @pytest.fixture
-def frames(used: Setting) -> list[Frame]:
+def frames(used):
     """Half a second of drives, and the gateway's ticks from before to after."""
     simulation = Simulation(parse_text(SCENARIO, "t"), used.codec, start_ns=200 * MS)
     drives = simulation.step((), 700 * MS)
     return sorted([*drives, *(Frame(k * 10 * MS, FLAGS_ID, bytes(8)) for k in range(100))])
 
 
-Log = Callable[[Iterable[Frame]], Path]
-
-
 @pytest.fixture
-def log(tmp_path: Path) -> Log:
-    def write(frames: Iterable[Frame]) -> Path:
+def log(tmp_path):
+    def write(frames):
         with Writer(tmp_path / "x.log") as writer:
             for frame in frames:
                 writer.write(frame._replace(channel="vcan0"))
@@ -47,11 +40,11 @@ def log(tmp_path: Path) -> Log:
     return write
 
 
-def test_a_quiet_run_is_one(used: Setting, frames: list[Frame], log: Log) -> None:
+def test_a_quiet_run_is_one(used, frames, log):
     assert stalled(log(frames), used) == ""
 
 
-def test_a_drive_spoke_in_bursts(used: Setting, frames: list[Frame], log: Log) -> None:
+def test_a_drive_spoke_in_bursts(used, frames, log):
     """Each batch within the time limit of its messages; nothing is missing."""
     spec = min(used.drives.values(), key=lambda spec: spec.cycle_ns)
     batch = 4 * spec.cycle_ns
@@ -62,7 +55,7 @@ def test_a_drive_spoke_in_bursts(used: Setting, frames: list[Frame], log: Log) -
     assert stalled(log(sorted(late)), used).startswith(f"{spec.name}: ")
 
 
-def test_the_gateway_was_away(used: Setting, frames: list[Frame], log: Log) -> None:
+def test_the_gateway_was_away(used, frames, log):
     left = [f for f in frames if f.can_id != FLAGS_ID or f.t_ns != 400 * MS]
     assert stalled(log(left), used) == "the gateway: away for 20 ms"
     assert stalled(log(left), used, injected=True) == "the gateway: away for 20 ms"
@@ -70,26 +63,24 @@ def test_the_gateway_was_away(used: Setting, frames: list[Frame], log: Log) -> N
     assert stalled(log(sorted(left)), used) == ""
 
 
-def test_outside_the_drives_time_the_gateway_may_do_as_it_likes(
-    used: Setting, frames: list[Frame], log: Log
-) -> None:
+def test_outside_the_drives_time_the_gateway_may_do_as_it_likes(used, frames, log):
     left = [f for f in frames if f.can_id != FLAGS_ID or 150 * MS < f.t_ns < 750 * MS]
     assert stalled(log(left), used) == ""
 
 
-def test_all_drives_were_silent(used: Setting, frames: list[Frame], log: Log) -> None:
+def test_all_drives_were_silent(used, frames, log):
     left = [f for f in frames if f.can_id == FLAGS_ID or not 400 * MS < f.t_ns < 440 * MS]
     assert ": away for 4" in stalled(log(left), used)
     assert "the drives: away for 4" in stalled(log(left), used, injected=True)
 
 
-def test_one_drive_was_silent(used: Setting, frames: list[Frame], log: Log) -> None:
+def test_one_drive_was_silent(used, frames, log):
     left = [f for f in frames if f.can_id not in SECOND_DRIVE or not 400 < f.t_ns / MS < 440]
     assert stalled(log(left), used).startswith("Drive2_")
     assert stalled(log(left), used, injected=True) == ""
 
 
-def test_frames_were_lost_in_a_row(used: Setting, frames: list[Frame], log: Log) -> None:
+def test_frames_were_lost_in_a_row(used, frames, log):
     motion = [f for f in frames if f.can_id == 0x381]
     # All stamps are close together: what arrives says that time has gone on without the others.
     assert stalled(log(f for f in frames if f not in motion[5:7]), used) == ""
@@ -98,9 +89,7 @@ def test_frames_were_lost_in_a_row(used: Setting, frames: list[Frame], log: Log)
     assert stalled(log(left), used) == "Drive1_Motion: 1 jumps of the counter"
 
 
-def test_only_what_failed_on_such_a_machine_is_passed_over(
-    used: Setting, frames: list[Frame], log: Log, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_only_what_failed_on_such_a_machine_is_passed_over(used, frames, log, capsys):
     good, bad = log(frames), [f for f in frames if f.can_id == FLAGS_ID or f.t_ns < 400 * MS]
     with pytest.raises(AssertionError, match="wrong"), excused(good, used):
         raise AssertionError("wrong")

@@ -4,8 +4,6 @@ The guest is told what to do by `systemd_story.py`, once; each test looks at a c
 how long there says nothing of a machine: the guest has one processor and slow system calls.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -14,7 +12,6 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import _traction_core
 import pytest
@@ -34,16 +31,15 @@ BUS = "vcan0"
 PACKAGES = ("dbc", "estimators", "gateway", "sim")
 
 pytestmark = pytest.mark.thorough
-Story = dict[str, Any]
 
 
-def _program(path: Path, text: str) -> None:
+def _program(path, text):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
     path.chmod(0o755)
 
 
-def _lay_out(job: Path) -> None:
+def _lay_out(job):
     """What goes to /opt and /etc in the guest, instead of what pip would install."""
     opt, base = job / "opt", Path(sys.base_prefix)
     # A service sees no homes, where an interpreter may live.
@@ -84,7 +80,7 @@ def _lay_out(job: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def story(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Story:
+def story(request, tmp_path_factory):
     why = guest().reason
     if not why and not (SYSTEMD.exists() and shutil.which("udevadm")):
         why = "systemd and udev are not installed (apt-get install systemd udev)"
@@ -103,11 +99,10 @@ def story(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         assert job.exit_code() == 0, job.tail(80)
     finally:
         job.stop()
-    told: Story = json.loads((folder / "story.json").read_text(encoding="utf-8"))
-    return told
+    return json.loads((folder / "story.json").read_text(encoding="utf-8"))
 
 
-def test_both_units_start(story: Story) -> None:
+def test_both_units_start(story):
     told = story["started"]
     assert told["gateway"] == {
         "ActiveState": "active", "SubState": "running", "NRestarts": "0",
@@ -120,7 +115,7 @@ def test_both_units_start(story: Story) -> None:
 
 
 @pytest.mark.parametrize("chapter", ["started", "with_a_key"])
-def test_it_is_nobody_with_a_priority_and_no_rights(story: Story, chapter: str) -> None:
+def test_it_is_nobody_with_a_priority_and_no_rights(story, chapter):
     told = story[chapter]["identity"]
     assert len(set(told["Uid"])) == 1
     assert 61184 <= int(told["Uid"][0]) <= 65519, "systemd's dynamic users"
@@ -131,21 +126,21 @@ def test_it_is_nobody_with_a_priority_and_no_rights(story: Story, chapter: str) 
     assert int(told["VmLck"][0]) > 100_000, "kB"
 
 
-def test_a_stopped_process_says_nothing_and_is_replaced(story: Story) -> None:
+def test_a_stopped_process_says_nothing_and_is_replaced(story):
     told = story["stopped"]
     assert told["frames"] == []
     assert told["gateway"] == {"ActiveState": "active", "NRestarts": "1"}
     assert "Watchdog timeout" in told["journal"]
 
 
-def test_an_interface_that_is_plugged_in_again_is_set_up(story: Story) -> None:
+def test_an_interface_that_is_plugged_in_again_is_set_up(story):
     told = story["unplugged"]
     assert told["waits"]["ActiveState"] == "active"
     assert told["waits"]["StatusText"].startswith(f"waits: {BUS} is ")
     assert told["same"]
 
 
-def test_a_key_that_only_root_can_read_comes_as_a_credential(story: Story) -> None:
+def test_a_key_that_only_root_can_read_comes_as_a_credential(story):
     told = story["with_a_key"]
     assert len(told["lines"]) == 2
     assert told["flags"] > 10
@@ -153,7 +148,7 @@ def test_a_key_that_only_root_can_read_comes_as_a_credential(story: Story) -> No
     assert int(told["trip"]) == 1
 
 
-def test_a_configuration_that_cannot_be_used_is_not_tried_again(story: Story) -> None:
+def test_a_configuration_that_cannot_be_used_is_not_tried_again(story):
     told = story["misconfigured"]
     assert told["gateway"] == {
         "ActiveState": "failed", "Result": "exit-code", "ExecMainStatus": "2", "NRestarts": "0"
@@ -161,14 +156,14 @@ def test_a_configuration_that_cannot_be_used_is_not_tried_again(story: Story) ->
     assert "loop.period_ms: unknown key" in told["journal"]
 
 
-def test_after_five_deaths_in_a_minute_it_stays_down(story: Story) -> None:
+def test_after_five_deaths_in_a_minute_it_stays_down(story):
     told = story["killed"]
     assert told["deaths"] == 5
     assert told["silent"]
     assert told["gateway"]["ActiveState"] == "failed"
 
 
-def test_it_ends_in_order(story: Story) -> None:
+def test_it_ends_in_order(story):
     told = story["ended"]
     assert told["gateway"] == {
         "ActiveState": "inactive", "Result": "success", "ExecMainStatus": "0"

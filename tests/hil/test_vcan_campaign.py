@@ -5,26 +5,17 @@ each count by default, all of it with `--counts full` (`make campaign`). Times a
 `--campaign-seed`, which every failure names.
 """
 
-from __future__ import annotations
-
-import random
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 import can
 import pytest
 
 from gateway.core.inbox import ELECTRICAL
 from tests.hil.observer import GOOD, await_stop, end_process
-from tests.hil.site import Site, open_site
-from tests.hil.stable import Stable
-
-if TYPE_CHECKING:
-    from conftest import Vcan
+from tests.hil.site import open_site
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow, pytest.mark.thorough]
 
@@ -39,13 +30,13 @@ MOST_LATE = 2
 
 
 @pytest.fixture
-def site(vcan: Vcan, stable: Stable, request: pytest.FixtureRequest) -> Iterator[Site]:
+def site(vcan, stable, request):
     with open_site(vcan, stable, request.config) as site:
         yield site
 
 
 @contextmanager
-def round_of(site: Site, what: str, number: int) -> Iterator[None]:
+def round_of(site, what, number):
     """Says which round failed, and that the gateway is as it was."""
     try:
         yield
@@ -55,12 +46,12 @@ def round_of(site: Site, what: str, number: int) -> Iterator[None]:
         pytest.fail(f"{what} {number} (see --campaign-seed): {failure}\nthe gateway said: {said}")
 
 
-def away_s(rng: random.Random) -> float:
+def away_s(rng):
     """How long something is away: often just a blink, else longer than anything stays fresh."""
     return rng.uniform(0.0, 0.05) if rng.random() < 0.25 else rng.uniform(LONGEST_AGE_S, 0.6)
 
 
-def test_the_link_goes_down_and_up(site: Site) -> None:
+def test_the_link_goes_down_and_up(site):
     site.run()
     site.drive()
     seen = site.observer()
@@ -81,7 +72,7 @@ def test_the_link_goes_down_and_up(site: Site) -> None:
     site.note_times("link down and up", back)
 
 
-def test_the_interface_is_deleted_and_made_again(site: Site) -> None:
+def test_the_interface_is_deleted_and_made_again(site):
     site.run()
     site.drive()
     seen = site.observer()
@@ -105,7 +96,7 @@ def test_the_interface_is_deleted_and_made_again(site: Site) -> None:
     site.note_times("interface deleted and made again", back)
 
 
-def test_the_gateway_is_killed(site: Site) -> None:
+def test_the_gateway_is_killed(site):
     site.drive()
     seen = site.observer()
     back, late = [], 0
@@ -135,7 +126,7 @@ def test_the_gateway_is_killed(site: Site) -> None:
     site.note("of these starts the first flag was decided too late to be sent", times=late)
 
 
-def test_the_gateway_is_stopped(site: Site) -> None:
+def test_the_gateway_is_stopped(site):
     """What was decided before a stop must not be said after it.
 
     Half of the stops come at any time, half between deciding and sending. In half of the rounds
@@ -171,7 +162,7 @@ def test_the_gateway_is_stopped(site: Site) -> None:
     site.note_times("gateway stopped and continued", back, "its fifth flag frame")
 
 
-def test_the_drives_fall_silent(site: Site) -> None:
+def test_the_drives_fall_silent(site):
     """How old a drive's last frame is, by the kernel's stamps, when its flag first says unknown."""
     electrical = [i for i, m in site.used.drives.items() if m.kind in ELECTRICAL]
     site.run()
@@ -181,7 +172,7 @@ def test_the_drives_fall_silent(site: Site) -> None:
     heard = can.Bus(interface="socketcan", channel=site.vcan.name, can_filters=only)
     age, last = [], dict.fromkeys(electrical, 0.0)
 
-    def listen() -> None:
+    def listen():
         while (message := heard.recv(0)) is not None:
             last[message.arbitration_id] = message.timestamp
 

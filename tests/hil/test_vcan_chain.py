@@ -1,19 +1,15 @@
 """The main job on a real bus: drives in one process, gateway in another, candump beside them."""
 
-from __future__ import annotations
-
 import csv
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from dbc.candump.reader import Reader
@@ -25,7 +21,6 @@ from tests.hil.chain import (
     FLAGS_ID,
     PATIENCE_S,
     TICK_NS,
-    Change,
     FlagSocket,
     Recording,
     Setting,
@@ -39,9 +34,6 @@ from tests.hil.chain import (
     program,
     setting,
 )
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
@@ -74,12 +66,12 @@ class Run(NamedTuple):
 
 
 @pytest.fixture
-def folder() -> Iterator[Path]:
+def folder():
     with memory_folder() as path:
         yield path
 
 
-def run_chain(vcan: Vcan, folder: Path, used: Setting, seconds: float) -> Run:
+def run_chain(vcan, folder, used, seconds):
     """Gateway, drives and candump, from the gateway's first frame to its last."""
     scenario, truth = folder / "s.toml", folder / "truth.csv"
     scenario.write_text(SCENARIO.format(seconds=seconds, drives=len(used.nodes)))
@@ -102,7 +94,7 @@ def run_chain(vcan: Vcan, folder: Path, used: Setting, seconds: float) -> Run:
     return Run(used, recording.end(), truth, int(sent[1]), timing)
 
 
-def checked_run(vcan: Vcan, folder: Path, drives: int, seconds: float, fd: bool) -> Run:
+def checked_run(vcan, folder, drives, seconds, fd):
     """A run whose wire and replay are right.
 
     It is tried again where the machine stalled; classic then at a rate that a slower one carries.
@@ -123,7 +115,7 @@ def checked_run(vcan: Vcan, folder: Path, drives: int, seconds: float, fd: bool)
     return run
 
 
-def check_wire(run: Run) -> None:
+def check_wire(run):
     """The recording says what happened, without a gap and well protected."""
     used = run.used
     codec, nodes = used.codec, used.nodes
@@ -142,13 +134,13 @@ def check_wire(run: Run) -> None:
     assert seen["comm", 0][-1].flag is Flag.BAD
 
 
-def without_doubts(said: list[Change]) -> list[Change]:
+def without_doubts(said):
     """Without an unknown of a few ticks between two verdicts.
 
     Where stamps jitter, the ticks about the edges of a loss leave it open: neither adhering nor
     lost.
     """
-    kept: list[Change] = []
+    kept = []
     for c in said:
         doubted = len(kept) > 1 and kept[-1].flag is UNKNOWN
         if doubted and c.t_ns - kept[-1].t_ns <= DOUBT_TICKS * TICK_NS:
@@ -158,13 +150,13 @@ def without_doubts(said: list[Change]) -> list[Change]:
     return kept
 
 
-def by_ticks(said: list[Change], t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def by_ticks(said, t_ns):
     """The flag at each time, which is none before the first change."""
     changed_ns = np.array([c.t_ns for c in said])
     return np.array([c.flag for c in said])[np.searchsorted(changed_ns, t_ns, "right") - 1]
 
 
-def check_replay(run: Run) -> None:
+def check_replay(run):
     """A replay of the recording says the same, each verdict within two ticks.
 
     What one leaves open and the other does not are a few ticks: live stamps are those of the wire,
@@ -187,7 +179,7 @@ def check_replay(run: Run) -> None:
         assert (one != other).sum() <= 2 * DOUBT_TICKS + 2 * (len(said) - 1), (key, of_wire)
 
 
-def test_main_job_and_its_replay(vcan: Vcan, folder: Path) -> None:
+def test_main_job_and_its_replay(vcan, folder):
     run = checked_run(vcan, folder, drives=3, seconds=8.0, fd=False)
     cantools = Path(sys.executable).with_name("cantools")
     decoded = subprocess.run(
@@ -207,14 +199,14 @@ def test_main_job_and_its_replay(vcan: Vcan, folder: Path) -> None:
     assert 0.0 < on_bus[-1] <= float(rows[-1]["below_us"])
 
 
-def test_main_job_on_can_fd(vcan: Vcan, folder: Path) -> None:
+def test_main_job_on_can_fd(vcan, folder):
     run = checked_run(vcan, folder, drives=2, seconds=6.0, fd=True)
     text = run.log.read_text()
     assert " 181##" in text
     assert " 1A0#" in text
 
 
-def test_late_interface_and_a_link_that_goes_and_comes(vcan: Vcan, folder: Path) -> None:
+def test_late_interface_and_a_link_that_goes_and_comes(vcan, folder):
     """Flags are unknown when the drives cannot be heard, and come back by themselves."""
     used = setting(vcan, folder, drives=3, slower=vcan.own_kernel)
     codec, nodes = used.codec, used.nodes

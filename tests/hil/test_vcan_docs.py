@@ -1,20 +1,12 @@
 """What the pages show for a CAN interface, as it stands there, on a real one."""
 
-from __future__ import annotations
-
 import subprocess
-from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 from tests.docs.pages import blocks, folder_for, pages
 from tests.docs.test_commands import run_page
 from tests.hil.chain import ATTEMPTS, Recording, favoured, setting, stalled
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
@@ -24,7 +16,7 @@ TOO_SLOW = "this machine could not keep up"
 
 
 @pytest.fixture
-def no_bus(vcan: Vcan) -> Iterator[Vcan]:
+def no_bus(vcan):
     """The pages make `vcan0` themselves."""
     vcan.link("delete")
     try:
@@ -34,7 +26,7 @@ def no_bus(vcan: Vcan) -> Iterator[Vcan]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_what_a_page_shows_works_on_a_bus(no_bus: Vcan, page: str, tmp_path: Path) -> None:
+def test_what_a_page_shows_works_on_a_bus(no_bus, page, tmp_path):
     """A page shows the shipped rates, which a kernel in user mode carries only just.
 
     On a machine that stalls every time the commands run to their end, with a verdict.

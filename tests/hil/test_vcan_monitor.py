@@ -1,13 +1,9 @@
 """The monitor's source on a real bus, beside the gateway and simulated drives as processes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -16,11 +12,7 @@ from gateway.io.bus import open_transport
 from gateway.io.permission import Mode, allowed
 from gateway.io.prepare import prepare
 from gateway.monitor.model.observer import Observer
-from gateway.monitor.model.snapshot import Snapshot
 from gateway.monitor.sources import LiveSource, silently
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 pytestmark = pytest.mark.vcan
 
@@ -28,7 +20,7 @@ PATIENCE_S = 60.0
 """Loading a program takes seconds in user-mode-linux."""
 
 
-def until(source: LiveSource, fulfilled: Callable[[Snapshot], bool], what: str) -> Snapshot:
+def until(source, fulfilled, what):
     """Look ten times a second until it holds."""
     deadline = time.monotonic() + PATIENCE_S
     while not fulfilled(shown := source.advance(0.1)):
@@ -37,12 +29,12 @@ def until(source: LiveSource, fulfilled: Callable[[Snapshot], bool], what: str) 
     return shown
 
 
-def transmitted(name: str) -> int:
+def transmitted(name):
     """Frames that this kernel has sent on an interface."""
     return int(Path(f"/sys/class/net/{name}/statistics/tx_packets").read_text("ascii"))
 
 
-def test_a_monitor_sees_drives_and_gateway_and_sends_nothing(vcan: Vcan) -> None:
+def test_a_monitor_sees_drives_and_gateway_and_sends_nothing(vcan):
     config, codec = prepare(None)
     bus = {"interface": "socketcan", "channel": vcan.name}
     transport = open_transport(silently(bus), allowed(Mode.LISTEN, config, codec))

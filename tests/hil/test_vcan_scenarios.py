@@ -1,11 +1,6 @@
 """The scenario files of the virtual clock, unchanged, on a real bus: `hil` in real time."""
 
-from __future__ import annotations
-
 import subprocess
-from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -14,9 +9,6 @@ from gateway.commands.common import FAILED, INCONCLUSIVE
 from gateway.hil.overload import ON_THE_WIRE
 from sim.scenario import builtin, builtin_names
 from tests.hil.chain import ATTEMPTS, Recording, excused, memory_folder, program, setting
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 pytestmark = [pytest.mark.vcan, pytest.mark.slow]
 
@@ -27,7 +19,7 @@ QUICK = ("demo", "lossy_bus", "silent", "stuck_sensor")
 
 
 @pytest.fixture
-def folder() -> Iterator[Path]:
+def folder():
     with memory_folder() as path:
         yield path
 
@@ -35,7 +27,7 @@ def folder() -> Iterator[Path]:
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.thorough] * (n not in QUICK)) for n in NAMES]
 )
-def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: str) -> None:
+def test_the_same_scenarios_hold_on_a_real_bus(vcan, folder, name):
     scenario = builtin(name)
     injected = any(event.kind in ON_THE_WIRE for event in scenario.event)
     # A kernel in user mode carries the shipped rate of three drives only just.
@@ -62,7 +54,7 @@ def test_the_same_scenarios_hold_on_a_real_bus(vcan: Vcan, folder: Path, name: s
     assert suite.get("failures") == "0"
 
 
-def test_the_report_of_a_real_bus_has_timing_and_truth(vcan: Vcan, folder: Path) -> None:
+def test_the_report_of_a_real_bus_has_timing_and_truth(vcan, folder):
     """Verdicts are not asked for here: a machine that stalls has a report too."""
     used = setting(vcan, folder, builtin("release").drives, slower=vcan.own_kernel)
     results = folder / "results"

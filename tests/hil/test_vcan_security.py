@@ -1,25 +1,18 @@
 """Authenticated flags between processes on a real bus, and what an attacker gets there."""
 
-from __future__ import annotations
-
 import random
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.frame import Frame
-from dbc.secoc_receiver import SURE, Genuine, Verifier
+from dbc.secoc_receiver import SURE, Verifier
 from gateway.io.socketcan import SocketCan
 from gateway.settings.config import shipped_dbc
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 pytestmark = pytest.mark.vcan
 
@@ -32,14 +25,14 @@ ADHESION, FAULTS, AUTH = 0x1A0, 0x2A0, 0x320
 class Listener:
     """A receiver of authenticated flags with a socket of its own."""
 
-    def __init__(self, name: str, codec: Codec) -> None:
+    def __init__(self, name, codec):
         self.bus, self.codec = SocketCan(name), codec
         self.bus.open()
         self.receiver = Verifier(KEY, 1 << 40)
-        self.heard: list[Frame] = []
-        self.genuine: list[Genuine] = []
+        self.heard = []
+        self.genuine = []
 
-    def take(self, timeout_s: float = 0.05) -> None:
+    def take(self, timeout_s=0.05):
         for frame in self.bus.receive(timeout_s):
             self.heard.append(frame)
             if frame.can_id in (ADHESION, FAULTS):
@@ -51,7 +44,7 @@ class Listener:
                 if found is not None:
                     self.genuine.append(found)
 
-    def until_more(self, count: int) -> None:
+    def until_more(self, count):
         """Until so many more flags are genuine."""
         wanted, deadline = len(self.genuine) + count, time.monotonic() + PATIENCE_S
         while len(self.genuine) < wanted:
@@ -59,13 +52,13 @@ class Listener:
             self.take()
 
 
-def test_flags_stay_genuine_over_forgeries_and_a_killed_gateway(vcan: Vcan, tmp_path: Path) -> None:
+def test_flags_stay_genuine_over_forgeries_and_a_killed_gateway(vcan, tmp_path):
     (tmp_path / "auth.key").write_text(KEY.hex())
     (tmp_path / "auth.key").chmod(0o600)
     (tmp_path / "train.toml").write_text("[authentication]\n")
     bus = ("-i", "socketcan", "-c", vcan.name)
 
-    def gateway() -> subprocess.Popen[bytes]:
+    def gateway():
         return vcan.start(
             sys.executable, "-m", "gateway", "run", *bus, "--quiet",
             "--config", str(tmp_path / "train.toml"),
@@ -124,7 +117,7 @@ def test_flags_stay_genuine_over_forgeries_and_a_killed_gateway(vcan: Vcan, tmp_
     listener.bus.close()
 
 
-def test_who_only_listens_sends_nothing(vcan: Vcan) -> None:
+def test_who_only_listens_sends_nothing(vcan):
     watcher = SocketCan(vcan.name)
     watcher.open()
     done = subprocess.run(

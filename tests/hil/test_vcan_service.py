@@ -1,7 +1,5 @@
 """The gateway as the service that systemd starts: nobody's, without rights, on a real bus."""
 
-from __future__ import annotations
-
 import os
 import select
 import shlex
@@ -12,21 +10,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
 import gateway
 from dbc.codec import bind
 from dbc.e2e import crc_ok
-from dbc.frame import Frame
 from gateway.io.socketcan import SocketCan
 from gateway.settings.config import shipped_dbc
-
-if TYPE_CHECKING:
-    from conftest import Vcan
 
 pytestmark = pytest.mark.vcan
 
@@ -37,7 +29,7 @@ ADHESION = 0x1A0
 
 
 @pytest.fixture
-def shared() -> Iterator[Path]:
+def shared():
     """A folder of the guest's own that nobody in particular may look into, and not write to."""
     folder = Path(tempfile.mkdtemp(dir="/dev/shm"))
     folder.chmod(0o755)
@@ -48,13 +40,13 @@ def shared() -> Iterator[Path]:
 class Manager:
     """The service manager's end."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.path = folder / "notify"
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind(str(self.path))
         self.path.chmod(0o666)
 
-    def until(self, line: str, process: subprocess.Popen[bytes]) -> None:
+    def until(self, line, process):
         """Wait for a line; a process that has ended will not send it."""
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
@@ -69,13 +61,13 @@ class Manager:
 
 
 @pytest.fixture
-def manager(shared: Path) -> Iterator[Manager]:
+def manager(shared):
     manager = Manager(shared)
     yield manager
     manager.socket.close()
 
 
-def open_to_all(*wanted: Path) -> str:
+def open_to_all(*wanted):
     """Shell lines that make paths reachable for everybody, in a mount namespace of one's own.
 
     An interpreter or a checkout below somebody's home is not what a service would be given: such
@@ -96,7 +88,7 @@ def open_to_all(*wanted: Path) -> str:
     return "\n".join([*lines, "umount -l $aside", "rmdir $aside"])
 
 
-def nobodys(vcan: Vcan, manager: Manager, *words: str) -> subprocess.Popen[bytes]:
+def nobodys(vcan, manager, *words):
     """`run` as uid nobody without capabilities, home or a place to write but a temporary one."""
     nobody = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups",
               "--no-new-privs", "--bounding-set=-all", "--inh-caps=-all")  # fmt: skip
@@ -112,16 +104,16 @@ def nobodys(vcan: Vcan, manager: Manager, *words: str) -> subprocess.Popen[bytes
                       stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
 
 
-def flags(bus: SocketCan, count: int) -> list[Frame]:
+def flags(bus, count):
     deadline = time.monotonic() + PATIENCE_S
-    found: list[Frame] = []
+    found = []
     while len(found) < count:
         assert time.monotonic() < deadline, f"{len(found)} of {count} flag frames"
         found += [f for f in bus.receive(0.1) if f.can_id == ADHESION]
     return found
 
 
-def test_nobody_without_rights_sends_flags(vcan: Vcan, manager: Manager) -> None:
+def test_nobody_without_rights_sends_flags(vcan, manager):
     mapped = Path("/proc/self/uid_map").read_text(encoding="ascii").split()
     if int(mapped[2]) <= NOBODY:
         pytest.skip("only one user exists in this user namespace: run the tests as root")
@@ -155,8 +147,8 @@ def test_nobody_without_rights_sends_flags(vcan: Vcan, manager: Manager) -> None
     bus.close()
 
 
-def test_the_link_script_makes_a_bench_bus_and_leaves_it_alone(vcan: Vcan) -> None:
-    def script() -> str:
+def test_the_link_script_makes_a_bench_bus_and_leaves_it_alone(vcan):
+    def script():
         words = ["sh", str(ROOT / "gateway/service/links.sh"), vcan.name]
         environment = {"PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin", "TYPE": "vcan",
                        "DATA_BITRATE": "5000000", "TXQUEUELEN": "7"}  # fmt: skip
@@ -166,7 +158,7 @@ def test_the_link_script_makes_a_bench_bus_and_leaves_it_alone(vcan: Vcan) -> No
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    def shown() -> str:
+    def shown():
         words = ["ip", "-details", "link", "show", vcan.name]
         return subprocess.run(words, capture_output=True, text=True, check=True).stdout
 

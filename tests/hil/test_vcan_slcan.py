@@ -4,15 +4,12 @@ vcan has no error frames, no queue and no plug. An slcan link over a pseudo term
 three: the test plays the serial CAN adapter at the other end.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import pytest
@@ -37,7 +34,7 @@ DATA = Frame(0, 0x1A0, b"\x01\x02")
 
 
 @pytest.fixture
-def adapter() -> Iterator[Adapter]:
+def adapter():
     try:
         adapter = Adapter()
     except OSError as error:
@@ -48,7 +45,7 @@ def adapter() -> Iterator[Adapter]:
 
 
 @pytest.fixture
-def bus(adapter: Adapter) -> Iterator[SocketCan]:
+def bus(adapter):
     bus = SocketCan(adapter.name)
     bus.open()
     adapter.commands()  # the commands that open the channel
@@ -56,8 +53,8 @@ def bus(adapter: Adapter) -> Iterator[SocketCan]:
     bus.close()
 
 
-def until(bus: SocketCan, fulfilled: Callable[[], bool]) -> list[Frame]:
-    frames: list[Frame] = []
+def until(bus, fulfilled):
+    frames = []
     deadline = time.monotonic() + PATIENCE_S
     while not fulfilled():
         assert time.monotonic() < deadline, f"not within {PATIENCE_S} s: {bus.status}"
@@ -65,17 +62,17 @@ def until(bus: SocketCan, fulfilled: Callable[[], bool]) -> list[Frame]:
     return frames
 
 
-def test_frames_go_both_ways(bus: SocketCan, adapter: Adapter) -> None:
+def test_frames_go_both_ways(bus, adapter):
     adapter.says("t18121122")
     (frame,) = until(bus, lambda: bus.status.received == 1)
     assert frame._replace(t_ns=0) == Frame(0, 0x181, b"\x11\x22", 0, adapter.name)
     assert bus.send(DATA) is SendResult.SENT
-    heard: list[str] = []
+    heard = []
     until(bus, lambda: bool(heard.extend(adapter.commands()) or heard))
     assert heard == ["t1A020102"]
 
 
-def test_bus_states_are_told_by_error_frames(bus: SocketCan, adapter: Adapter) -> None:
+def test_bus_states_are_told_by_error_frames(bus, adapter):
     for text, state in (
         ("sw000100", BusState.WARNING),
         ("sp000130", BusState.PASSIVE),
@@ -86,9 +83,7 @@ def test_bus_states_are_told_by_error_frames(bus: SocketCan, adapter: Adapter) -
         assert all(frame.flags == ERROR for frame in frames)
 
 
-def test_in_bus_off_nothing_is_queued_that_would_leave_stale(
-    bus: SocketCan, adapter: Adapter
-) -> None:
+def test_in_bus_off_nothing_is_queued_that_would_leave_stale(bus, adapter):
     adapter.says("sb000255")
     until(bus, lambda: bus.status.bus_state is BusState.BUS_OFF)
     assert {bus.send(DATA) for _ in range(50)} == {SendResult.DOWN}
@@ -101,12 +96,12 @@ def test_in_bus_off_nothing_is_queued_that_would_leave_stale(
     adapter.says("sa000000")
     adapter.commands()
     assert bus.send(Frame(0, 0x1A0, b"new")) is SendResult.SENT
-    heard: list[str] = []
+    heard = []
     until(bus, lambda: bool(heard.extend(adapter.commands()) or "t1A036E6577" in heard))
     assert "t1A020102" not in heard
 
 
-def test_a_full_queue_is_counted_and_does_not_block(bus: SocketCan) -> None:
+def test_a_full_queue_is_counted_and_does_not_block(bus):
     results = [bus.send(DATA) for _ in range(3000)]  # nobody reads the line
     assert results[0] is SendResult.SENT
     assert results[-1] is SendResult.FULL
@@ -115,9 +110,7 @@ def test_a_full_queue_is_counted_and_does_not_block(bus: SocketCan) -> None:
     assert bus.status.state is LinkState.UP
 
 
-def test_unplugging_is_survived_and_the_next_adapter_is_used(
-    bus: SocketCan, adapter: Adapter
-) -> None:
+def test_unplugging_is_survived_and_the_next_adapter_is_used(bus, adapter):
     adapter.unplug()
     until(bus, lambda: bus.status.state is LinkState.ABSENT)
     assert bus.send(DATA) is SendResult.DOWN
@@ -146,7 +139,7 @@ T_S = 0.01
 STALL_S = 2.0
 
 
-def stalled(bus: SocketCan, adapter: Adapter) -> list[Arrival]:
+def stalled(bus, adapter):
     """Flag frames that come where nobody reads the line for two seconds, of a loop at 100 Hz.
 
     Every tick sends a flag frame, protected as ours are, that says when.
@@ -155,7 +148,7 @@ def stalled(bus: SocketCan, adapter: Adapter) -> list[Arrival]:
     began, arrived = time.monotonic(), list[Arrival]()
     stall, ending = (began + 0.5, began + 0.5 + STALL_S), began + 2.5 + STALL_S
 
-    def read() -> None:
+    def read():
         rest = b""
         while (now := time.monotonic()) < ending:
             if stall[0] <= now < stall[1]:
@@ -183,7 +176,7 @@ def stalled(bus: SocketCan, adapter: Adapter) -> list[Arrival]:
     return arrived
 
 
-def believed_late(arrived: list[Arrival]) -> bool:
+def believed_late(arrived):
     """Whether a receiver of the standard takes a late flag for valid."""
     receiver = Receiver(bind(shipped_dbc("traction.dbc"), (1, 2, 3)).by_id[FLAGS])
     states = []
@@ -201,9 +194,7 @@ def believed_late(arrived: list[Arrival]) -> bool:
 
 
 @pytest.mark.parametrize("newest", [False, True])
-def test_after_a_stall_next_to_nothing_leaves_late_and_nothing_of_it_is_believed(
-    adapter: Adapter, newest: bool
-) -> None:
+def test_after_a_stall_next_to_nothing_leaves_late_and_nothing_of_it_is_believed(adapter, newest):
     """Two frames are out of reach: one in the controller, and the one that waits for it.
 
     Without `newest` the kernel's whole queue leaves, enough for a receiver to trust it.
@@ -224,7 +215,7 @@ def test_after_a_stall_next_to_nothing_leaves_late_and_nothing_of_it_is_believed
     assert believed_late(arrived) is not newest
 
 
-def test_our_frames_go_before_those_of_other_programs(adapter: Adapter) -> None:
+def test_our_frames_go_before_those_of_other_programs(adapter):
     other, ours = SocketCan(adapter.name), SocketCan(adapter.name, newest=True)
     other.open()
     ours.open()
@@ -232,7 +223,7 @@ def test_our_frames_go_before_those_of_other_programs(adapter: Adapter) -> None:
     for k in range(8):  # nobody reads
         assert other.send(Frame(0, 0x600 + k, b"")) is SendResult.SENT
     assert ours.send(DATA) is SendResult.SENT
-    heard: list[str] = []
+    heard = []
     until(ours, lambda: bool(heard.extend(adapter.commands()) or len(heard) == 9))
     assert heard.index("t1A020102") <= 2  # one has left the kernel, one is on its way out
     other.close()
@@ -240,7 +231,7 @@ def test_our_frames_go_before_those_of_other_programs(adapter: Adapter) -> None:
 
 
 @pytest.fixture
-def watched(adapter: Adapter) -> Iterator[SocketCan]:
+def watched(adapter):
     """A transport with netlink, on a socket that gets no error frames."""
     bus = SocketCan(adapter.name, links=Links(adapter.name))
     bus.open()
@@ -250,9 +241,7 @@ def watched(adapter: Adapter) -> Iterator[SocketCan]:
     bus.close()
 
 
-def test_bus_states_are_told_by_netlink_where_error_frames_are_not(
-    watched: SocketCan, adapter: Adapter
-) -> None:
+def test_bus_states_are_told_by_netlink_where_error_frames_are_not(watched, adapter):
     for text, state in (
         ("sw000100", BusState.WARNING),
         ("sp000130", BusState.PASSIVE),
@@ -265,7 +254,7 @@ def test_bus_states_are_told_by_netlink_where_error_frames_are_not(
     assert watched.send(DATA) is SendResult.DOWN
 
 
-def test_a_controller_that_is_off_already_is_seen_at_start(adapter: Adapter) -> None:
+def test_a_controller_that_is_off_already_is_seen_at_start(adapter):
     adapter.says("sb000255")
     time.sleep(0.1)
     bus = SocketCan(adapter.name, links=Links(adapter.name))
@@ -275,9 +264,7 @@ def test_a_controller_that_is_off_already_is_seen_at_start(adapter: Adapter) -> 
     bus.close()
 
 
-def test_a_link_that_will_stay_off_is_said_at_start_with_the_cure(
-    adapter: Adapter, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_link_that_will_stay_off_is_said_at_start_with_the_cure(adapter, caplog):
     subprocess.run(["ip", "link", "set", adapter.name, "txqueuelen", "500"], check=True)
     bus = open_transport({"interface": "socketcan", "channel": adapter.name}, Allow({}))
     said = [record.getMessage() for record in caplog.records]
@@ -287,9 +274,7 @@ def test_a_link_that_will_stay_off_is_said_at_start_with_the_cure(
     bus.close()
 
 
-def test_who_is_off_again_and_again_stays_silent_until_it_is_past(
-    adapter: Adapter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_is_off_again_and_again_stays_silent_until_it_is_past(adapter, monkeypatch):
     monkeypatch.setattr(socketcan, "BUS_OFF_WINDOW_NS", 5 * SECOND)
     bus = SocketCan(adapter.name, links=Links(adapter.name))
     bus.open()

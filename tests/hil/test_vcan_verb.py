@@ -1,7 +1,5 @@
 """`vcan -- COMMAND`: exit code, output, signals, files and links of a command that runs inside."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -19,20 +17,20 @@ ON_A_BUS = "no, tests/hil runs it where there is SocketCAN"
 
 
 @pytest.fixture(autouse=True)
-def somewhere(request: pytest.FixtureRequest) -> None:
+def somewhere(request):
     if way().reason:
         obliged = request.config.getoption("--require-vcan")
         (pytest.fail if obliged else pytest.skip)(way().reason)
 
 
-def vcan(*words: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def vcan(*words, folder, **environment):
     return subprocess.run(
         [*VCAN, *words], capture_output=True, text=True, check=False, cwd=folder, timeout=120,
         env={**os.environ, "PYTHONPATH": str(HERE), **environment},
     )  # fmt: skip
 
 
-def test_what_a_command_does_comes_through(tmp_path: Path) -> None:
+def test_what_a_command_does_comes_through(tmp_path):
     inside = (
         'echo "$GREETING"; echo bad >&2; pwd; echo kept >file; '
         "candump -n 1 there >other & until grep -q there /proc/net/can/rcvlist_all; do :; done; "
@@ -56,7 +54,7 @@ def test_what_a_command_does_comes_through(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_is_for_the_command(tmp_path: Path, kind: signal.Signals) -> None:
+def test_a_signal_is_for_the_command(tmp_path, kind):
     waits = (
         "import signal, sys, time\n"
         f"signal.signal({int(kind)}, lambda *_: sys.exit(9))\n"
@@ -71,7 +69,7 @@ def test_a_signal_is_for_the_command(tmp_path: Path, kind: signal.Signals) -> No
         assert process.wait(timeout=30) == 9
 
 
-def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path: Path) -> None:
+def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path):
     state = "ip -d link show can0 | grep -o 'state BUS-OFF'"
     inside = (
         "echo bus-off >$VCAN_FIFOS/can0; "
@@ -84,7 +82,7 @@ def test_a_link_goes_to_bus_off_and_is_unplugged(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == ((125, "") if outside else (0, "state BUS-OFF\n"))
 
 
-def test_a_test_has_an_interface_of_its_own(tmp_path: Path) -> None:
+def test_a_test_has_an_interface_of_its_own(tmp_path):
     (tmp_path / "test_bus.py").write_text(
         "import can\n"
         "def test_frames_arrive(socketcan):\n"
@@ -102,11 +100,11 @@ def test_a_test_has_an_interface_of_its_own(tmp_path: Path) -> None:
     assert "1 passed" in done.stdout
 
 
-def test_the_tutorial_works(tmp_path: Path) -> None:
+def test_the_tutorial_works(tmp_path):
     assert run_page("docs/tutorials/vcan.md", ON_A_BUS, tmp_path)
 
 
-def _plugins() -> set[str]:
+def _plugins():
     from importlib.metadata import entry_points
 
     return {entry.name for entry in entry_points(group="pytest11")}

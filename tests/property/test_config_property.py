@@ -1,10 +1,7 @@
 """Every number of a configuration has bounds; within them nothing raises, beyond is one line."""
 
-from __future__ import annotations
-
 import math
 import types
-from collections.abc import Iterator
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import pytest
@@ -32,7 +29,7 @@ Bounds = tuple[float, float, bool]
 """Lowest, highest, whole numbers only."""
 
 
-def limits(metadata: tuple[Any, ...]) -> list[tuple[float, float]]:
+def limits(metadata):
     found = [m.func for m in metadata if isinstance(m, AfterValidator)]
     out = [(w.low, w.high) for w in found if isinstance(w, Within)]
     low = [m.ge for m in metadata if isinstance(m, Ge | Interval) and m.ge is not None]
@@ -42,7 +39,7 @@ def limits(metadata: tuple[Any, ...]) -> list[tuple[float, float]]:
     return out + list(zip(low, high, strict=False))
 
 
-def numbers(kind: Any, metadata: tuple[Any, ...], path: str) -> Iterator[tuple[str, Any]]:
+def numbers(kind, metadata, path):
     """Paths of all numbers below a type, with their bounds or None."""
     origin = get_origin(kind)
     if origin is Annotated:
@@ -74,7 +71,7 @@ KEYS: dict[str, Any] = dict(numbers(Config, (), ""))
 BOUNDED: dict[str, Bounds] = {path: found for path, found in KEYS.items() if found is not None}
 
 
-def place(path: str) -> list[str | int]:
+def place(path):
     """Where a number of that path stands in `BASE`."""
     concrete = {"drive.*": "drive.0", "motor.*": "motor.x", "use.*": "use.Ia",
                 "cycle_ms.*": "cycle_ms.M", "not_available.*": "not_available.0"}  # fmt: skip
@@ -83,10 +80,10 @@ def place(path: str) -> list[str | int]:
     return [int(part) if part.isdigit() else part for part in path.split(".")]
 
 
-def with_number(path: str, value: float) -> dict[str, Any]:
+def with_number(path, value):
     """`BASE` with one number set."""
 
-    def changed(table: Any, where: list[str | int]) -> Any:
+    def changed(table, where):
         if not where:
             return value
         first, *rest = where
@@ -99,7 +96,7 @@ def with_number(path: str, value: float) -> dict[str, Any]:
     return changed(BASE, place(path))
 
 
-def refused(raw: dict[str, Any]) -> list[str]:
+def refused(raw):
     """What is wrong with it; empty where it is good."""
     try:
         parse(raw)
@@ -155,7 +152,7 @@ def test_a_choice_is_one_line(path, allowed):
         assert line.startswith(f"{path}: expected 100, 200, 500 or 1000 Hz")
 
 
-def between(path: str) -> st.SearchStrategy[float]:
+def between(path):
     """Anything allowed, small and large numbers alike."""
     low, high, whole = BOUNDED[path]
     if whole:
@@ -166,10 +163,10 @@ def between(path: str) -> st.SearchStrategy[float]:
 
 
 @st.composite
-def configurations(draw: st.DrawFn) -> dict[str, Any]:
+def configurations(draw):
     """Within bounds, the motors' numbers of machines that there could be."""
 
-    def some(*paths: str) -> dict[str, Any]:
+    def some(*paths):
         chosen = draw(st.sets(st.sampled_from(paths)))
         return {path.split(".")[-1]: draw(between(path)) for path in sorted(chosen)}
 
@@ -208,7 +205,7 @@ SENT = [frame for k in range(25) for n in (1, 2, 3)
         for frame in SteadyDrive(CODECS["traction.dbc"], n, 80.0 * n, 15.0).frames(k)]  # fmt: skip
 
 
-def accepted(raw: dict[str, Any]) -> Config | None:
+def accepted(raw):
     """None where the numbers do not go together, which is said in lines."""
     lines = refused(raw)
     assert all(line.startswith("motor.x.") for line in lines), lines

@@ -1,7 +1,5 @@
 """A receiver of authenticated flags against every bus that hypothesis thinks of."""
 
-from __future__ import annotations
-
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -23,28 +21,28 @@ Pair = tuple[int, bytes, int, int, int]
 class Bus(RuleBasedStateMachine):
     """A sender that is started again at will, and a bus that loses, repeats, reorders, forges."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.trip = 1
         self.sender = Authenticator(KEY, 1)
         self.receiver = Verifier(KEY, self.sender.freshness)
         self.now = 1000 * SECOND
         self.heard_ns = self.now
-        self.made: list[Pair] = []
-        self.accepted: list[int] = []
+        self.made = []
+        self.accepted = []
         self.missed = 0
         self.starts = 0
 
-    def make(self, key: int) -> Pair:
+    def make(self, key):
         data = len(self.made).to_bytes(8, "big")
         self.made.append((key, data, *self.sender.sign(key, data), len(self.made)))
         return self.made[-1]
 
-    def hear(self, key: int, data: bytes, low: int, mac: int) -> bool:
+    def hear(self, key, data, low, mac):
         self.receiver.flag(key, data, self.now)
         return self.take(low, mac)
 
-    def take(self, low: int, mac: int) -> bool:
+    def take(self, low, mac):
         genuine = self.receiver.auth(low, mac, self.now)
         if genuine is None:
             return False
@@ -54,7 +52,7 @@ class Bus(RuleBasedStateMachine):
         self.accepted.append(place)
         return True
 
-    def arrive(self, key: int) -> bool:
+    def arrive(self, key):
         """The next genuine pair reaches the receiver."""
         self.now += 10 * MS
         pair = self.make(key)
@@ -66,13 +64,13 @@ class Bus(RuleBasedStateMachine):
         return False
 
     @rule(key=KEYS)
-    def genuine(self, key: int) -> None:
+    def genuine(self, key):
         in_reach = self.starts == 0 and self.missed < WINDOW
         self.missed += 1
         assert self.arrive(key) or not in_reach
 
     @rule(key=KEYS)
-    def genuine_for_a_while(self, key: int) -> None:
+    def genuine_for_a_while(self, key):
         """Whatever was before: a sender that goes on is believed, and stays so."""
         self.now += QUIET_NS
         near = self.starts <= AT_ONCE and self.missed < 60_000
@@ -81,14 +79,14 @@ class Bus(RuleBasedStateMachine):
         assert all(heard[first - 1 :])
 
     @rule(count=st.integers(1, 3 * WINDOW))
-    def lost(self, count: int) -> None:
+    def lost(self, count):
         self.sender.freshness += count
         self.missed += count
         self.now += 10 * MS * count
 
     @precondition(lambda self: self.starts < TRIPS)
     @rule(steps=st.integers(1, 3))
-    def restarted(self, steps: int) -> None:
+    def restarted(self, steps):
         steps = min(steps, TRIPS - self.starts)
         self.trip += steps
         self.starts += steps
@@ -96,12 +94,12 @@ class Bus(RuleBasedStateMachine):
         self.now += SECOND
 
     @rule(ns=st.integers(0, 5 * SECOND))
-    def silence(self, ns: int) -> None:
+    def silence(self, ns):
         self.now += ns
 
     @precondition(lambda self: self.made)
     @rule(data=st.data())
-    def repeated(self, data: st.DataObject) -> None:
+    def repeated(self, data):
         """Any pair of the past, also of those that were accepted or overtaken."""
         pair = data.draw(st.sampled_from(self.made))
         before = list(self.accepted)
@@ -109,7 +107,7 @@ class Bus(RuleBasedStateMachine):
 
     @precondition(lambda self: self.made)
     @rule(data=st.data(), changed=st.binary(min_size=8, max_size=8), key=KEYS)
-    def forged_flag(self, data: st.DataObject, changed: bytes, key: int) -> None:
+    def forged_flag(self, data, changed, key):
         """A true tag behind a flag frame that it does not belong to."""
         pair = data.draw(st.sampled_from(self.made))
         if (key, changed) != pair[:2]:
@@ -117,19 +115,19 @@ class Bus(RuleBasedStateMachine):
 
     @rule(key=KEYS, changed=st.binary(min_size=8, max_size=8), low=st.integers(0, 0xFFFF),
           mac=st.integers(0, 0xFFFFFFFF), times=st.integers(1, 40))  # fmt: skip
-    def forged(self, key: int, changed: bytes, low: int, mac: int, times: int) -> None:
+    def forged(self, key, changed, low, mac, times):
         for k in range(times):
             self.hear(key, b"\xff" + changed[1:], low, (mac + k) & 0xFFFFFFFF)
 
     @rule(key=KEYS)
-    def of_another_key(self, key: int) -> None:
+    def of_another_key(self, key):
         forger = Authenticator(OTHER, self.trip)
         forger.freshness = self.sender.freshness
         data = b"\xff" * 8
         assert not self.hear(key, data, *forger.sign(key, data))
 
     @rule(key=KEYS, forgeries=st.integers(1, 60), low=st.integers(0, 0xFFFF))
-    def flooded(self, key: int, forgeries: int, low: int) -> None:
+    def flooded(self, key, forgeries, low):
         """Forged tags between a flag frame and its own: it still counts, as it would without."""
         in_reach = self.starts == 0 and self.missed < WINDOW
         self.now += 10 * MS
@@ -145,12 +143,12 @@ class Bus(RuleBasedStateMachine):
             assert not in_reach
 
     @rule()
-    def receiver_restarted(self) -> None:
+    def receiver_restarted(self):
         """It has kept its freshness."""
         self.receiver = Verifier(KEY, self.receiver.freshness)
 
     @invariant()
-    def accepted_once_and_forwards(self) -> None:
+    def accepted_once_and_forwards(self):
         assert self.accepted == sorted(set(self.accepted))
 
 

@@ -1,7 +1,5 @@
 """Candump: writing and reading are inverse, and no bytes whatever make the reader raise."""
 
-from __future__ import annotations
-
 import io
 
 import pytest
@@ -22,7 +20,7 @@ from tests.strategies import frames, log_lines
 
 @given(frames())
 @settings(max_examples=examples(500))
-def test_parse_of_format_is_the_frame(frame: Frame) -> None:
+def test_parse_of_format_is_the_frame(frame):
     line = format_frame(frame)
     verdict, back = parse_line(line)
     assert back == frame
@@ -32,7 +30,7 @@ def test_parse_of_format_is_the_frame(frame: Frame) -> None:
 
 @given(log_lines() | st.binary(max_size=80))
 @settings(max_examples=examples(1000))
-def test_any_bytes_get_a_verdict(line: bytes) -> None:
+def test_any_bytes_get_a_verdict(line):
     verdict, frame = parse_line(line)
     assert (frame is not None) == (verdict <= Verdict.ERROR_FRAME)
     if frame is not None:
@@ -41,7 +39,7 @@ def test_any_bytes_get_a_verdict(line: bytes) -> None:
 
 @given(st.lists(frames().map(format_frame) | log_lines(), max_size=20), st.booleans())
 @settings(max_examples=examples(300))
-def test_counts_add_up_to_the_lines(lines: list[bytes], terminated: bool) -> None:
+def test_counts_add_up_to_the_lines(lines, terminated):
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
     reader = Reader(io.BytesIO(data))
     found = list(reader)
@@ -83,16 +81,14 @@ NO_FRAMES = st.sampled_from([
     st.sampled_from([0, 1, 3, 100]),
 )
 @settings(max_examples=examples(1000))
-def test_reading_equals_the_reference(
-    lines: list[bytes], terminated: bool, strict: bool, chunk: int, problems: int
-) -> None:
+def test_reading_equals_the_reference(lines, terminated, strict, chunk, problems):
     """Frames, verdicts, counts and the fault in strict mode are those of reading line by line."""
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(candump, "_CHUNK", chunk)
         patch.setattr(candump, "PROBLEMS_KEPT", problems)
         reader = Reader(io.BytesIO(data), strict=strict)
-        found: list[Frame] = []
+        found = []
         fault = ""
         try:
             for frame in reader:
@@ -105,7 +101,7 @@ def test_reading_equals_the_reference(
 
 @given(st.lists(frames().map(format_frame) | log_lines(), max_size=10))
 @settings(deadline=None)
-def test_strict_stops_at_the_first_fault(lines: list[bytes]) -> None:
+def test_strict_stops_at_the_first_fault(lines):
     data = b"".join(line.replace(b"\n", b"") + b"\n" for line in lines)
     lenient = Reader(io.BytesIO(data))
     found = list(lenient)
@@ -120,7 +116,7 @@ def test_strict_stops_at_the_first_fault(lines: list[bytes]) -> None:
 
 @given(frames(), st.data())
 @settings(max_examples=examples(300))
-def test_a_cut_last_line_is_never_another_frame(frame: Frame, data: st.DataObject) -> None:
+def test_a_cut_last_line_is_never_another_frame(frame, data):
     line = format_frame(frame)
     size = data.draw(st.integers(0, len(line) - 1))
     found = list(Reader(io.BytesIO(line + b"\n" + line[:size])))
@@ -141,7 +137,7 @@ ODD_FRAMES = st.builds(
 
 @given(st.lists(frames(), max_size=20), st.sampled_from(["", "vcan1"]), st.integers(1, 5))
 @settings(max_examples=examples(300))
-def test_a_block_is_written_as_its_frames_are(many: list[Frame], channel: str, room: int) -> None:
+def test_a_block_is_written_as_its_frames_are(many, channel, room):
     """Whatever room there is for lines at once."""
     one, other = io.BytesIO(), io.BytesIO()
     writer = Writer(one)
@@ -159,7 +155,7 @@ def test_a_block_is_written_as_its_frames_are(many: list[Frame], channel: str, r
 @example(Frame(-(1 << 63) - 1, 1), "can0")
 @example(Frame(0, 1 << 64), "can0")
 @example(Frame(0, 1, b"", REMOTE, "", 1 << 31), "can0")
-def test_a_written_line_equals_the_reference(frame: Frame, channel: str) -> None:
+def test_a_written_line_equals_the_reference(frame, channel):
     try:
         line = format_frame(frame, channel)
     except ValueError:
@@ -172,7 +168,7 @@ def test_a_written_line_equals_the_reference(frame: Frame, channel: str) -> None
 @example(Frame(0, 1), Frame(0, 1, bytes(8), BRS))
 @example(Frame(0, 1), Frame(0, 0x800))
 @example(Frame(0, 1), Frame(0, 1, bytes(65), FD))
-def test_what_no_line_can_say_is_refused_in_a_block_too(good: Frame, odd: Frame) -> None:
+def test_what_no_line_can_say_is_refused_in_a_block_too(good, odd):
     """And what stands before it is written."""
     stream = io.BytesIO()
     writer = Writer(stream)

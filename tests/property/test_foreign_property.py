@@ -1,7 +1,5 @@
 """A mapped drive under hostile frames: good only on what really came, and nothing ever raises."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from hypothesis import given, settings

@@ -8,8 +8,6 @@
 not add up, memory or descriptors grow, a tick sent no flags, or the loop falls behind the bus.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import platform
@@ -27,7 +25,7 @@ RESULTS: Final = Path(__file__).parent / "results.json"
 HOURS: Final = {"full": 1.0, "slow": 720.0, "real": 1.0}
 
 
-def main() -> int:
+def main():
     """Run one and keep what it came to beside the others."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("kind", choices=HOURS)

@@ -1,22 +1,18 @@
 """What a soak writes down while it runs: memory, descriptors, counters, frames sent."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os
 import sys
 from array import array
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from dbc.codec import Codec
-from dbc.frame import Frame
 from tests.storm.campaign import ENDS
 
 PAGE: Final = os.sysconf("SC_PAGE_SIZE")
@@ -35,15 +31,15 @@ class Books:
     """
 
     codec: Codec
-    hours: array[float] = field(default_factory=lambda: array("d"))
+    hours: array = field(default_factory=lambda: array("d"))
     """Time of each reading in the clock that the gateway runs on."""
-    rss_mb: array[float] = field(default_factory=lambda: array("d"))
-    blocks: array[int] = field(default_factory=lambda: array("q"))
+    rss_mb: array = field(default_factory=lambda: array("d"))
+    blocks: array = field(default_factory=lambda: array("q"))
     """Pieces of memory that Python holds: to the piece, where RSS is to the page."""
-    descriptors: array[int] = field(default_factory=lambda: array("q"))
+    descriptors: array = field(default_factory=lambda: array("q"))
     sent: Counter[str] = field(default_factory=Counter)
 
-    def read(self, hours: float) -> None:
+    def read(self, hours):
         """One reading. Collects garbage: what is left is held."""
         gc.collect()
         pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -52,12 +48,12 @@ class Books:
         self.blocks.append(sys.getallocatedblocks())
         self.descriptors.append(len(os.listdir("/proc/self/fd")))  # noqa: PTH208
 
-    def count(self, frames: list[Frame]) -> None:
+    def count(self, frames):
         """Frames that the gateway has sent in a tick."""
         by_id = self.codec.by_id
         self.sent.update(by_id[f.can_id].name if f.can_id in by_id else "CANopen" for f in frames)
 
-    def slope(self, readings: array[float] | array[int]) -> float:
+    def slope(self, readings):
         """Least squares, per hour, after the first readings; NaN of one (a machine that stood)."""
         first = int(len(readings) * SETTLED)
         hours = np.array(self.hours[first:])
@@ -65,7 +61,7 @@ class Books:
             return math.nan
         return float(np.polyfit(hours - hours[0], readings[first:], 1)[0])
 
-    def summary(self) -> dict[str, float | int | dict[str, int]]:
+    def summary(self):
         """What the readings come to."""
         first = int(len(self.hours) * SETTLED)
         return {
@@ -80,12 +76,12 @@ class Books:
         }
 
 
-def unaccounted(counts: Counter[str]) -> int:
+def unaccounted(counts):
     """Frames received that ended in no counter, or in two."""
     return counts["received"] - sum(counts[name] for name in ENDS)
 
 
-def wrong(result: Mapping[str, Any]) -> list[str]:
+def wrong(result):
     """What of a soak's result may not be; what is not known may not be, either."""
     sent, memory = result["sent"], result["rss_mb_per_hour"]
     first, most = result["descriptors_first"], result["descriptors_most"]

@@ -5,28 +5,23 @@ millisecond of their times. Where the kernel has no CAN the frames travel over a
 as real `struct can_frame` bytes.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing
-import socket
 import time
 from array import array
-from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
 from bench.live import Pair, as_node
 from dbc.codec import bind
-from dbc.frame import SECOND, Nanos
+from dbc.frame import SECOND
 from gateway.core.gateway import Gateway
 from gateway.io.canopen_node import CanopenNode
-from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.live import Stop, run_live
 from gateway.io.realtime import Ticker
 from gateway.io.socketcan import SocketCan
 from gateway.io.wire import pack
-from gateway.settings.config import Config, parse
+from gateway.settings.config import parse
 from tests.simrun import CLASSIC
 from tests.soak.books import Books, unaccounted
 from tests.storm.campaign import CALIBRATION
@@ -36,7 +31,7 @@ DRIVES: Final = tuple(range(1, 2 * len(NODES) + 1))
 READ_S: Final = 60
 
 
-def payloads() -> list[list[bytes]]:
+def payloads():
     """What six drives send in each tick of a loop of the train; the last three mimic the first."""
     codec, honest = bind(CLASSIC, DRIVES), train()
     out = []
@@ -47,7 +42,7 @@ def payloads() -> list[list[bytes]]:
     return out
 
 
-def speak(theirs: socket.socket, loop: list[list[bytes]], ticks: int, told: Path) -> None:
+def speak(theirs, loop, ticks, told):
     """Send tick by tick on absolute deadlines, and say how many frames that were."""
     theirs.setblocking(True)
     start, frames = time.monotonic_ns(), 0
@@ -64,21 +59,19 @@ def speak(theirs: socket.socket, loop: list[list[bytes]], ticks: int, told: Path
 class Watch:
     """Called by the loop after every tick: keeps the books, ends the run."""
 
-    def __init__(
-        self, books: Books, kernel: Pair, stop: Stop, told: Path, most_s: float, every_s: float
-    ) -> None:
+    def __init__(self, books, kernel, stop, told, most_s, every_s):
         self.books, self.stop, self.told = books, stop, told
         self.kernel = kernel
         self.every, self.most = round(every_s * SECOND), round(most_s * SECOND)
-        self.left: int | None = None
+        self.left = None
         """Frames received when all had been sent: what is still in the socket comes after."""
-        self.first: Nanos | None = None
-        self.due: Nanos = 0
+        self.first = None
+        self.due = 0
         self.ages = array("d")
         """Age of the newest sample at each reading, ms: grows if the two clocks part."""
-        self.decided: Callable[[], Nanos | None] = lambda: None
+        self.decided = lambda: None
 
-    def __call__(self, seen: LiveSnapshot) -> None:
+    def __call__(self, seen):
         self.books.count(list(seen.sent))
         self.kernel.swallow()
         now = seen.now_ns
@@ -97,10 +90,10 @@ class Watch:
             self.left = seen.status.received
 
 
-def run(seconds: float, folder: Path, every_s: float = READ_S) -> dict[str, object]:
+def run(seconds, folder, every_s=READ_S):
     """Run for so long, and what it came to. folder: for notes between the two processes."""
     codec = bind(CLASSIC, DRIVES)
-    config: Config = parse({
+    config = parse({
         "drive": [{"node": node} for node in DRIVES],
         "thermal": {"calibration": str(CALIBRATION)},
     })  # fmt: skip

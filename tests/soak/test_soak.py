@@ -1,7 +1,5 @@
 """The soaks, short: nothing that the gateway holds grows, and every frame is accounted for."""
 
-from __future__ import annotations
-
 import json
 import math
 

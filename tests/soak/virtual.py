@@ -3,19 +3,15 @@
 Both play a recorded hour or loop again and again; counters go on where it is joined.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
-from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Final, NamedTuple
 
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.frame import SECOND
-from dbc.frames import Block, block_of
-from gateway.core.gateway import Gateway, GatewayView
+from dbc.frames import block_of
+from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
 from sim.scenario import parse as parse_scenario
 from sim.simulation import Simulation
@@ -37,7 +33,7 @@ class Soaked(NamedTuple):
     """Drives' flags, by tick."""
     ticks: int
 
-    def summary(self) -> dict[str, object]:
+    def summary(self):
         """As JSON."""
         return {
             **self.books.summary(),
@@ -48,14 +44,7 @@ class Soaked(NamedTuple):
         }
 
 
-def soak(
-    core: Gateway,
-    codec: Codec,
-    came: Callable[[int], Block],
-    ticks: int,
-    tick_ns: int,
-    every: int,
-) -> Soaked:
+def soak(core, codec, came, ticks, tick_ns, every):
     """Step so many ticks; read memory and descriptors every so many."""
     books, said = Books(codec), Counter[str]()
     for tick in range(1, ticks + 1):
@@ -66,14 +55,14 @@ def soak(
     return Soaked(books, core.inbox.counts, said, ticks)
 
 
-def _listen(view: GatewayView | None, said: Counter[str]) -> None:
+def _listen(view, said):
     assert view is not None
     for drive in view.drives:
         said[f"adhesion {drive.adhesion.name}"] += 1
         said[f"thermal {drive.thermal.name}"] += 1
 
 
-def full_traffic(seconds: int, every_s: int = 60) -> Soaked:
+def full_traffic(seconds, every_s=60):
     """Three drives with everything they send: the train of the storm in fair weather."""
     honest = train()
     config = parse({"thermal": {"calibration": str(CALIBRATION)}})
@@ -81,7 +70,7 @@ def full_traffic(seconds: int, every_s: int = 60) -> Soaked:
     return soak(core, honest.codec, honest.sent, seconds * 100, TICK, every_s * 100)
 
 
-def slow_dbc(folder: Path) -> Path:
+def slow_dbc(folder):
     """The message set with a second between slow messages: what a long record holds."""
     text = CLASSIC.read_text(encoding="utf-8")
     for node in NODES:
@@ -97,7 +86,7 @@ def slow_dbc(folder: Path) -> Path:
 
 
 @cache
-def slow_round(path: Path, span_s: int) -> tuple[Codec, list[Block]]:
+def slow_round(path, span_s):
     """The second of two rounds alike, by the second: the first brings motors to their warmth."""
     codec = bind(path, NODES)
     duty = [(0.0, 60.0), (0.25, 140.0), (0.27, 140.0), (0.58, 80.0), (0.6, 80.0), (0.97, 60.0)]
@@ -117,7 +106,7 @@ def slow_round(path: Path, span_s: int) -> tuple[Codec, list[Block]]:
     return codec, [b._replace(t_ns=b.t_ns - span_s * SECOND) for b in frames[span_s:]]
 
 
-def slow_messages(hours: int, path: Path, span_s: int = HOUR) -> Soaked:
+def slow_messages(hours, path, span_s=HOUR):
     """Motion, Status and Temperatures once a second, and a step of the core as often.
 
     The gateway itself steps a hundred times as often, mostly with nothing to do: thirty days of
@@ -127,7 +116,7 @@ def slow_messages(hours: int, path: Path, span_s: int = HOUR) -> Soaked:
     codec, recorded = slow_round(path, span_s)
     config = parse({"dbc": {"file": str(path)}, "thermal": {"calibration": str(CALIBRATION)}})
 
-    def came(tick: int) -> Block:
+    def came(tick):
         turn, k = divmod(tick - 1, span_s)
         block = recorded[k]
         return block._replace(t_ns=block.t_ns + turn * span_s * SECOND)

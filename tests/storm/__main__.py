@@ -7,34 +7,23 @@ Writes a line per seed, with the commit of the code that was loaded at the start
 all of them came to. Exit code 1 where a rule was broken.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from tests.storm.bus_faults import BUS_KINDS, KINDS
-from tests.storm.campaign import (
-    CODE,
-    COMMIT,
-    VALUE_SEEDS,
-    Result,
-    in_calls,
-    uncovered,
-    weather,
-)
+from tests.storm.campaign import CODE, COMMIT, VALUE_SEEDS, in_calls, uncovered, weather
 from tests.storm.oracle import COMMON, OF_ALL
 from tests.storm.train import PHASES
 
 STATES = ("unknown", "good", "bad")
 
 
-def _line(result: Result, seconds: float) -> dict:
+def _line(result, seconds):
     return {
         "seed": result.seed,
         "commit": COMMIT,
@@ -50,32 +39,32 @@ def _line(result: Result, seconds: float) -> dict:
     }
 
 
-def _by_phase(met: Counter) -> dict[str, int]:
+def _by_phase(met):
     """Ticks by fault and phase: the drives are summed up, a file of 100 seeds is kept."""
-    out: Counter = Counter()
+    out = Counter()
     for (kind, phase, *_), n in sorted(met.items()):
         out[f"{kind} {phase}"] += n
     return dict(out)
 
 
-def _run(seed: int, ticks: int) -> tuple[Result, float]:
+def _run(seed, ticks):
     began = time.perf_counter()
     return weather(seed, ticks), time.perf_counter() - began
 
 
-def _code(line: dict) -> str:
+def _code(line):
     """What ran: older lines know the commit alone."""
     return str(line.get("code") or line["commit"])
 
 
-def _sum(lines: list[dict], key: str) -> Counter:
-    total: Counter = Counter()
+def _sum(lines, key):
+    total = Counter()
     for line in lines:
         total.update(line[key])
     return total
 
 
-def summary(lines: list[dict]) -> str:
+def summary(lines):
     """Markdown: what was run, said, met and counted."""
     said, met, counts = (_sum(lines, key) for key in ("said", "met", "counts"))
     ticks = sum(line["ticks"] for line in lines)
@@ -106,12 +95,12 @@ def summary(lines: list[dict]) -> str:
     return "\n".join(out + [f"- seed {seed}: {v}" for seed, v in broken])
 
 
-def _kinds(seeds: Iterable[int]) -> Sequence[str]:
+def _kinds(seeds):
     """Kinds of faults that these seeds may bring."""
     return KINDS if any(seed in VALUE_SEEDS for seed in seeds) else BUS_KINDS
 
 
-def main() -> int:
+def main():
     """Run what is asked for and not done yet."""
     parser = argparse.ArgumentParser(prog="python -m tests.storm", description=__doc__)
     parser.add_argument("--seeds", default="0-19", help="first-last, or one")
@@ -122,7 +111,7 @@ def main() -> int:
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     wanted = range(int(first), int(last or first) + 1)
-    kept: dict[int, dict] = {}
+    kept = {}
     if options.o is not None and options.o.exists():
         kept = {row["seed"]: row for row in map(json.loads, options.o.read_text().splitlines())}
     # A seed that broke a rule ended early, and is run again.

@@ -7,9 +7,7 @@ copy that is whole, of a frame that was spoilt, is as good as that. A frame with
 (`value_faults`) is genuine, too.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,10 +15,9 @@ from numpy.typing import NDArray
 
 from dbc.frame import ERROR, EXTENDED, FD, MS, REMOTE, SECOND, Nanos
 from dbc.frames import EMPTY, Block, blank, join
-from tests.storm.value_faults import VALUE_KINDS, ValueFaults
+from tests.storm.value_faults import VALUE_KINDS
 
 Flags = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 BUS_KINDS: Final = (
     "drop", "duplicate", "reorder", "delay", "corrupt", "second_sender", "flood", "bus_off",
@@ -65,20 +62,14 @@ class Arrived(NamedTuple):
 NOTHING: Final = Arrived(EMPTY, np.zeros(0, dtype=np.bool_))
 
 
-def plan(
-    seed: int,
-    ticks: int,
-    drives: int,
-    between: float = 350.0,
-    kinds: Sequence[str] = BUS_KINDS,
-) -> list[Fault]:
+def plan(seed, ticks, drives, between=350.0, kinds=BUS_KINDS):
     """Random faults of these kinds, in order of time; `between`: mean ticks from one to the next.
 
     They last 1 to 1000 ticks, short ones as often as long ones, and may overlap. A kind that is
     added to `kinds` changes what a seed brings. Wrong values are always one drive's.
     """
     rng = np.random.default_rng([seed, _PLAN])
-    out: list[Fault] = []
+    out = []
     at = 0.0
     while (at := at + rng.exponential(between)) < ticks:
         kind = kinds[int(rng.integers(len(kinds)))]
@@ -95,26 +86,20 @@ def plan(
 class HostileBus:
     """Carries the frames of one tick after the other; what is late is kept for later ticks."""
 
-    def __init__(
-        self,
-        faults: Sequence[Fault],
-        ids: Sequence[Collection[int]],
-        seed: int,
-        values: ValueFaults | None = None,
-    ) -> None:
+    def __init__(self, faults, ids, seed, values=None):
         """faults: in order of time; ids: identifiers of each drive's frames.
 
         values: who makes values wrong; without, faults of these kinds do nothing.
         """
         self._values = values
         self._coming = list(faults)[::-1]
-        self._active: list[Fault] = []
+        self._active = []
         self._ids = [np.array(sorted(each), dtype=np.uint32) for each in ids]
         self._all = np.concatenate(self._ids)
         self._rng = np.random.default_rng([seed, _CHANCE])
         self._late = NOTHING
 
-    def active(self, tick: int) -> list[Fault]:
+    def active(self, tick):
         """Faults of this tick; to be asked of every tick in turn."""
         while self._coming and self._coming[-1].first <= tick:
             self._active.append(self._coming.pop())
@@ -122,7 +107,7 @@ class HostileBus:
             self._active = [fault for fault in self._active if fault.last > tick]
         return self._active
 
-    def carry(self, sent: Block, other: Callable[[], Block], tick: int, now: Nanos) -> Arrived:
+    def carry(self, sent, other, tick, now):
         """What arrives by `now` of what the drives have sent since the tick before.
 
         other: gives frames of the same drives at some other time, for a second sender.
@@ -164,32 +149,31 @@ class Hit(NamedTuple):
     tick: int
     now: Nanos
 
-    def some(self, rng: np.random.Generator) -> Flags:
+    def some(self, rng):
         """Of its drives' frames those that chance picks."""
-        picked: Flags = self.mine & (rng.random(len(self.mine)) < self.fault.amount)
-        return picked
+        return self.mine & (rng.random(len(self.mine)) < self.fault.amount)
 
 
-def _drop(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _drop(rng, came, hit):
     return _pick(came, ~hit.some(rng))
 
 
-def _duplicate(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _duplicate(rng, came, hit):
     copies = came.block.pick(hit.some(rng))
     copies = copies._replace(t_ns=np.minimum(copies.t_ns + COPY_NS, hit.now))
     return _both(came, _forged(copies))
 
 
-def _reorder(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _reorder(rng, came, hit):
     by = rng.integers(0, LONGEST_REORDER_NS, len(hit.mine))
     return _later(came, np.where(hit.some(rng), by, 0))
 
 
-def _delay(_rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _delay(_rng, came, hit):
     return _later(came, np.where(hit.mine, round(2 * MS + hit.fault.amount * LONGEST_DELAY_NS), 0))
 
 
-def _corrupt(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _corrupt(rng, came, hit):
     some = hit.some(rng)
     block = came.block.pick(np.arange(came.block.size))
     for k in np.flatnonzero(some).tolist():
@@ -197,7 +181,7 @@ def _corrupt(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
     return Arrived(block, (came.genuine | _instead(came, some)) & ~some)
 
 
-def _instead(came: Arrived, spoilt: Flags) -> Flags:
+def _instead(came, spoilt):
     """The copies of genuine frames that are spoilt."""
     block, out = came.block, np.zeros(len(spoilt), dtype=np.bool_)
     for k in np.flatnonzero(spoilt & came.genuine).tolist():
@@ -206,7 +190,7 @@ def _instead(came: Arrived, spoilt: Flags) -> Flags:
     return out
 
 
-def _damage(rng: np.random.Generator, block: Block, k: int) -> None:
+def _damage(rng, block, k):
     """Flip one to three bits, or else make it a frame of another length or kind."""
     length, how = int(block.length[k]), rng.integers(10)
     if how < 8 and length:
@@ -220,7 +204,7 @@ def _damage(rng: np.random.Generator, block: Block, k: int) -> None:
         block.flags[k] ^= int(rng.choice([EXTENDED, REMOTE, ERROR, FD]))
 
 
-def _flood(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _flood(rng, came, hit):
     many = blank(FLOOD_FRAMES, ["flood"])
     many.t_ns[:] = np.sort(rng.integers(hit.now - 10 * MS + 1, hit.now + 1, FLOOD_FRAMES))
     anything = rng.integers(0, 1 << 29, FLOOD_FRAMES)
@@ -233,7 +217,7 @@ def _flood(rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
     return _both(came, _forged(many.pick(foreign)))
 
 
-def _gone(rng: np.random.Generator, _came: Arrived, hit: Hit) -> Arrived:
+def _gone(rng, _came, hit):
     if hit.fault.kind == "bus_off" or hit.tick > hit.fault.first:
         return NOTHING
     errors = blank(BURST_ERRORS, ["error"])
@@ -246,12 +230,12 @@ def _gone(rng: np.random.Generator, _came: Arrived, hit: Hit) -> Arrived:
     return _forged(errors)
 
 
-def _stepped(_rng: np.random.Generator, came: Arrived, hit: Hit) -> Arrived:
+def _stepped(_rng, came, hit):
     by = HOUR_NS if hit.fault.amount >= 0.5 else -HOUR_NS
     return _forged(came.block._replace(t_ns=came.block.t_ns + by))
 
 
-def _second(other: Block, ids: NDArray[np.uint32], fault: Fault, now: Nanos) -> Arrived:
+def _second(other, ids, fault, now):
     """The same drives once more, with counters of their own, between the genuine frames."""
     others = other.pick(_among(other.can_id, ids))
     shift = round(fault.amount * MS)
@@ -270,23 +254,22 @@ _ORDER: Final = {kind: k for k, kind in enumerate(("second_sender", *_ACTS))} | 
 """Who speaks, what becomes of it on the way, and what the receiver's clock says of it."""
 
 
-def _forged(block: Block) -> Arrived:
+def _forged(block):
     return Arrived(block, np.zeros(block.size, dtype=np.bool_))
 
 
-def _among(can_id: NDArray[np.uint32], ids: NDArray[np.uint32]) -> Flags:
+def _among(can_id, ids):
     """`numpy.isin` for a few: it sorts, which is a quarter of the cost of a storm."""
-    among: Flags = (can_id[:, None] == ids).any(axis=1)
-    return among
+    return (can_id[:, None] == ids).any(axis=1)
 
 
-def _pick(came: Arrived, which: Flags | Ints) -> Arrived:
+def _pick(came, which):
     return Arrived(came.block.pick(which), came.genuine[which])
 
 
-def _both(first: Arrived, second: Arrived) -> Arrived:
+def _both(first, second):
     return Arrived(join(first.block, second.block), np.concatenate([first.genuine, second.genuine]))
 
 
-def _later(came: Arrived, by_ns: Ints) -> Arrived:
+def _later(came, by_ns):
     return came._replace(block=came.block._replace(t_ns=came.block.t_ns + by_ns))

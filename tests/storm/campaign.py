@@ -3,32 +3,25 @@
 python -m tests.storm --seeds 0-19 --ticks 100000
 """
 
-from __future__ import annotations
-
 from collections import Counter
-from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 import gateway
-from dbc.frame import Frame
 from dbc.frames import Block, join
 from gateway.core.codes import REJECTED
-from gateway.core.flags import Status
 from gateway.core.gateway import Gateway
-from gateway.settings.config import Config, parse
+from gateway.settings.config import parse
 from tests.provenance import code_of, commit_of
 from tests.storm.bus_faults import BUS_KINDS, KINDS, NOTHING, Arrived, Fault, HostileBus, plan
 from tests.storm.oracle import Oracle, Violation
-from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, Train, train
+from tests.storm.train import LOOP_TICKS, NODES, PHASES, TICK, train
 from tests.storm.value_faults import Error, ValueFaults
 from tests.storm.values import truth_at
 
-Ints = NDArray[np.int64]
 CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
 QUEUE = 278
 """Frames that the kernel keeps for a process that does not read; the newest are lost."""
@@ -68,14 +61,14 @@ class Result(NamedTuple):
     frames: int
     rejected: Counter[str]
 
-    def text(self) -> str:
+    def text(self):
         """The violations, and the command and commit that repeat them."""
         lines = [f"  tick {v.tick} drive {v.drive} {v.rule}: {v.what}" for v in self.found]
         again = f"python -m tests.storm --seeds {self.seed} --ticks {self.ticks} # on {COMMIT}"
         return "\n".join([f"seed {self.seed}: {again}", *lines])
 
 
-def config_of(seed: int):
+def config_of(seed):
     """EKF and UKF, detectors (`median` is much like `kmeans`), by seed.
 
     Classic CAN, from seed 1000 on CAN FD, of those with wrong values half and half.
@@ -89,7 +82,7 @@ def config_of(seed: int):
     })  # fmt: skip
 
 
-def in_calls(seed: int) -> bool:
+def in_calls(seed):
     """Whether this seed's gateway does several ticks in a call, as in a replay, by default.
 
     Every filter with every detector is stepped both ways.
@@ -97,24 +90,24 @@ def in_calls(seed: int) -> bool:
     return seed // 12 % 2 == 1
 
 
-def creeps(seed: int) -> bool:
+def creeps(seed):
     """Whether no drive of this seed's train limits its slip, so that wheels run away."""
     return seed in VALUE_SEEDS and seed // 48 % 2 == 1
 
 
-def train_of(seed: int) -> Train:
+def train_of(seed):
     """The honest train of a seed."""
     return train(config_of(seed).dbc_path, creeps(seed))
 
 
-def first_of(seed: int) -> int:
+def first_of(seed):
     """First tick: short storms with wrong values begin anywhere in the train's round."""
     if seed not in VALUE_SEEDS:
         return 1
     return 1 + int(np.random.default_rng([seed, _FIRST]).integers(LOOP_TICKS))
 
 
-def faults_of(seed: int, ticks: int, between: float = 350.0) -> list[Fault]:
+def faults_of(seed, ticks, between=350.0):
     """The plan of a seed, from its first tick on."""
     kinds = KINDS if seed in VALUE_SEEDS else BUS_KINDS
     ahead = first_of(seed) - 1
@@ -140,23 +133,21 @@ class Tick(NamedTuple):
 class Watched:
     """A gateway from its start on, an oracle beside it, and what both came to."""
 
-    def __init__(
-        self, config: Config, honest: Train, tick: int, lengths: np.random.Generator | None
-    ) -> None:
+    def __init__(self, config, honest, tick, lengths):
         """tick: the first; lengths: of calls of several ticks, None for single steps."""
         self._core = Gateway(config, honest.codec, (tick - 1) * TICK)
         self._oracle = Oracle(honest.codec, config, tick)
         self._honest, self._lengths, self._length = honest, lengths, 1
-        self._waiting: list[Tick] = []
+        self._waiting = []
         self._fed = 0
         """Frames that the gateway was given."""
 
     @property
-    def found(self) -> list[Violation]:
+    def found(self):
         """Rules broken so far, in ticks that are done."""
         return self._oracle.found
 
-    def stood(self, missed: int, dropped: int) -> None:
+    def stood(self, missed, dropped):
         """Before a tick: the process has stood for so many, and so many frames are lost unread."""
         self._flush()
         self._core.integrity.note_lost(dropped)
@@ -164,7 +155,7 @@ class Watched:
         if missed:
             self._core.integrity.note_overrun(missed)
 
-    def take(self, tick: Tick) -> None:
+    def take(self, tick):
         """One tick, or one more of those that wait to be done together."""
         if self._lengths is None:
             self._fed += tick.came.block.size
@@ -176,7 +167,7 @@ class Watched:
             self._flush()
             self._length = int(self._lengths.integers(1, MOST_TICKS + 1))
 
-    def end(self, tick: int) -> tuple[Counter[str], Counter[tuple[str, int]]]:
+    def end(self, tick):
         """Frames by what became of them, and ticks by what was said."""
         self._flush()
         seen = self._core.inbox.counts
@@ -184,13 +175,13 @@ class Watched:
             self.found.append(Violation(tick, "counted", 0, f"frames do not add up: {dict(seen)}"))
         return seen, self._oracle.said
 
-    def _flush(self) -> None:
+    def _flush(self):
         waiting, self._waiting = self._waiting, []
         if not waiting:
             return
         block, ends = _joined([tick.came.block for tick in waiting])
         self._fed += block.size
-        out: dict[int, list[Frame]] = {}
+        out = {}
         done = first = 0
         while done < len(ends):
             rest = block.part(first, block.size)
@@ -206,12 +197,12 @@ class Watched:
             what = f"frames of no tick: {out}"
             self.found.append(Violation(waiting[-1].tick, "form", 0, what))
 
-    def _look(self, tick: Tick, out: list[Frame], status: Status | None) -> None:
+    def _look(self, tick, out, status):
         truth = truth_at(self._honest, tick.phase, tick.error)
         self._oracle.look(tick.tick, tick.came, out, status, truth, tick.faults)
 
 
-def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None = None) -> Result:
+def weather(seed, ticks, between=350.0, several=None):
     """Run one seed.
 
     between: mean ticks from one fault to the next; several: whether the gateway does several ticks
@@ -227,12 +218,12 @@ def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None 
     bus = HostileBus(faults_of(seed, ticks, between), ids, seed, values)
     several = in_calls(seed) if several is None else several
     lengths = np.random.default_rng([seed, _LENGTHS]) if several else None
-    met: Counter[tuple[str, str, int]] = Counter()
-    counts: Counter[str] = Counter()
-    found: list[Violation] = []
-    said: Counter[tuple[str, int]] = Counter()
+    met = Counter()
+    counts = Counter()
+    found = []
+    said = Counter()
 
-    def end() -> None:
+    def end():
         came, told = watched.end(tick)
         counts.update(came)
         said.update(told)
@@ -272,7 +263,7 @@ def weather(seed: int, ticks: int, between: float = 350.0, several: bool | None 
     return Result(seed, done, found, said, met, counts["received"], counts)
 
 
-def _joined(blocks: list[Block]) -> tuple[Block, Ints]:
+def _joined(blocks):
     """One behind the other, and where each ends. Of channels nobody asks here."""
     columns = zip(*(block[:6] for block in blocks), strict=True)
     one = [np.concatenate(column) for column in columns]
@@ -280,12 +271,12 @@ def _joined(blocks: list[Block]) -> tuple[Block, Ints]:
     return Block(*one, channel, ["bus"]), np.cumsum([block.size for block in blocks])
 
 
-def _queued(waiting: Arrived, came: Arrived) -> Arrived:
+def _queued(waiting, came):
     block = join(waiting.block, came.block).part(0, QUEUE)
     return Arrived(block, np.concatenate([waiting.genuine, came.genuine])[:QUEUE])
 
 
-def uncovered(met: Counter[tuple], kinds: Sequence[str] = BUS_KINDS) -> list[tuple[str, str]]:
+def uncovered(met, kinds=BUS_KINDS):
     """Pairs of fault and phase that were never met."""
     seen = {(kind, phase) for kind, phase, *_ in met}
     return [(kind, phase) for kind in kinds for phase in PHASES if (kind, phase) not in seen]

@@ -1,9 +1,6 @@
 """A storm as a candump log: what arrives at the gateway, as a recorder would write it."""
 
-from __future__ import annotations
-
 from contextlib import suppress
-from pathlib import Path
 
 from dbc.candump.writer import Writer
 from tests.storm.bus_faults import HostileBus
@@ -12,7 +9,7 @@ from tests.storm.train import NODES, TICK
 from tests.storm.value_faults import ValueFaults
 
 
-def write_storm(path: Path, seed: int, ticks: int) -> None:
+def write_storm(path, seed, ticks):
     """So many ticks of a seed, without what no line of candump's can say."""
     honest, first = train_of(seed), first_of(seed)
     drives = [spec for spec in honest.codec.messages if not spec.is_gateway]

@@ -25,8 +25,6 @@ drive speaks again or what it sent is too old: counters and checksums cannot kno
 docs/reliability.md, R09). What a full queue has lost while the process stood tells of no sender.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from functools import lru_cache
@@ -35,15 +33,11 @@ from typing import NamedTuple
 import numpy as np
 from crccheck.crc import Crc8Autosar
 
-from dbc.codec import Codec
 from dbc.dataids import p02_data_ids
-from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND, Frame
+from dbc.frame import ERROR, EXTENDED, MS, REMOTE, SECOND
 from gateway.core.codes import Health
-from gateway.core.flags import Status
-from gateway.settings.config import Config
-from tests.storm.bus_faults import Arrived, Fault
 from tests.storm.train import TICK
-from tests.storm.values import Truth, ValueRules
+from tests.storm.values import ValueRules
 
 SLOW = ("Motion", "Status", "Temperatures")
 ADHESION, FAULTS, ESTIMATE = 0x1A0, 0x2A0, 0x500
@@ -71,13 +65,13 @@ SPEED_SHARE, SPEED_RAD_S = 0.2, 6.0
 
 
 @lru_cache(maxsize=1 << 14)
-def _checksum(data: bytes) -> int:
+def _checksum(data):
     """Most flag frames say what those sixteen before them said."""
     return int(Crc8Autosar.calc(data))
 
 
 @lru_cache(maxsize=1 << 10)
-def _two_bits(word: int) -> list[int]:
+def _two_bits(word):
     return [(word >> 2 * k) & 3 for k in range(16)]
 
 
@@ -93,7 +87,7 @@ class Violation(NamedTuple):
 class Oracle:
     """Looks at every tick of one gateway from its start on."""
 
-    def __init__(self, codec: Codec, config: Config, tick: int) -> None:
+    def __init__(self, codec, config, tick):
         """tick: the gateway's first."""
         self.nodes = config.nodes
         self.n = len(self.nodes)
@@ -115,7 +109,7 @@ class Oracle:
         self.ids = {
             spec.can_id: p02_data_ids(spec.can_id) for spec in codec.messages if spec.is_gateway
         }
-        self.counters: dict[int, int] = {}
+        self.counters = {}
         self.adhesion = [UNKNOWN] * self.n
         self.thermal = [UNKNOWN] * self.n
         self.since = [tick] * self.n
@@ -129,7 +123,7 @@ class Oracle:
         self.any_sampled = tick
         """And with fresh currents and voltages of any drive."""
         self.whole = dict.fromkeys((*OF_ALL, COMMON), UNKNOWN)
-        self.health: list[int | None] = [None] * self.n
+        self.health = [None] * self.n
         """As told in this tick; None where it was not."""
         self.told = [math.nan] * self.n
         """Speed as last estimated, rad/s."""
@@ -142,14 +136,14 @@ class Oracle:
         self.shared = [tick - GUARD_TICKS - 1] * self.n
         """Last tick in which a second sender had been there for long enough."""
         self._values = ValueRules(config, tick)
-        self.found: list[Violation] = []
-        self._read: Counter[tuple[int, ...]] = Counter()
+        self.found = []
+        self._read = Counter()
         """Ticks by all that was said in them: a few dozen different ones."""
 
     def look(
-        self, tick: int, arrived: Arrived, out: list[Frame], status: Status | None,
-        truth: Truth, faults: list[Fault],
-    ) -> None:  # fmt: skip
+        self, tick, arrived, out, status,
+        truth, faults,
+    ):  # fmt: skip
         """One tick. status: where the gateway was stepped singly."""
         now = tick * TICK
         mine = arrived.genuine
@@ -179,20 +173,20 @@ class Oracle:
         self._read[(*self.adhesion, *self.thermal, *self.whole.values())] += 1
 
     @property
-    def said(self) -> Counter[tuple[str, int]]:
+    def said(self):
         """Ticks by flag and state, over all drives."""
         names = ["adhesion"] * self.n + ["thermal"] * self.n + list(self.whole)
-        out: Counter[tuple[str, int]] = Counter()
+        out = Counter()
         for states, ticks in self._read.items():
             for name, state in zip(names, states, strict=True):
                 out[name, state] += ticks
         return out
 
-    def note_lost(self, frames: int) -> None:
+    def note_lost(self, frames):
         """So many were dropped unread since the last tick."""
         self.dropped |= frames > 0
 
-    def _note_gateway(self, tick: int) -> None:
+    def _note_gateway(self, tick):
         """Ticks that the gateway has missed, frames that it knows are lost."""
         if tick - self.looked > 1:
             self.missed = tick
@@ -200,7 +194,7 @@ class Oracle:
             self.lost = tick
         self.looked, self.dropped = tick, False
 
-    def _runs(self, tick: int, fresh: np.ndarray, sampled: list[bool]) -> None:
+    def _runs(self, tick, fresh, sampled):
         """For how long what each drive's flags rest on has been fresh: what is not begins anew."""
         known = self.heard.reshape(fresh.shape)
         linked = fresh.all(axis=1)
@@ -218,7 +212,7 @@ class Oracle:
         if not (any(sampled) or any(self.doubled)):
             self.any_sampled = tick + 1
 
-    def _believable(self, now: int, sampled: list[bool]) -> list[bool]:
+    def _believable(self, now, sampled):
         """By drive: fresh currents and voltages, its own or, while two speak for it, anybody's."""
         newest = np.maximum(self.last, self.lent).reshape(self.n, self.kinds)
         fresh = now - newest <= self.limit.reshape(newest.shape)
@@ -226,15 +220,15 @@ class Oracle:
         return [own or (twice > 0 and any_of) for own, twice, any_of in
                 zip(sampled, self.doubled, heard, strict=True)]  # fmt: skip
 
-    def _lent_warmth(self, tick: int, drive: int) -> bool:
+    def _lent_warmth(self, tick, drive):
         """Whether temperatures that were another sender's are still fresh."""
         slot = (drive + 1) * self.kinds - 1
         return tick * TICK - self.lent.item(slot) <= self.limit.item(slot)
 
-    def _broken(self, tick: int, rule: str, drive: int, what: str) -> None:
+    def _broken(self, tick, rule, drive, what):
         self.found.append(Violation(tick, rule, drive, what))
 
-    def _form(self, tick: int, frame: Frame) -> None:
+    def _form(self, tick, frame):
         data, ids = frame.data, self.ids.get(frame.can_id)
         if ids is None or len(data) != 8 or frame.flags or frame.t_ns != tick * TICK:
             self._broken(tick, "form", 0, f"strange frame {frame}")
@@ -250,7 +244,7 @@ class Oracle:
         ):
             self._broken(tick, "form", 0, f"{frame.can_id:X}: checksum")
 
-    def _states(self, tick: int, data: bytes) -> list[int]:
+    def _states(self, tick, data):
         word = int.from_bytes(data, "little") >> 16
         states = _two_bits(word & 0xFFFFFFFF)
         mine = [states[node - 1] for node in self.nodes]
@@ -258,7 +252,7 @@ class Oracle:
             self._broken(tick, "form", 0, f"states {states}")
         return mine
 
-    def _note_lent(self, arrived: Arrived, now: int) -> None:
+    def _note_lent(self, arrived, now):
         """What came in the name of drives that two senders speak for."""
         if not any(self.doubled):
             return
@@ -269,7 +263,7 @@ class Oracle:
         doubled = (slots >= 0) & np.array(self.doubled, dtype=bool)[slots // self.kinds]
         self.lent[slots[doubled]] = block.t_ns[theirs][doubled]
 
-    def _adhesion(self, tick: int, data: bytes, believable: list[bool], until: int) -> None:
+    def _adhesion(self, tick, data, believable, until):
         """until: tick up to which the gateway has heard the bus."""
         alone, common = tick - self.any_sampled, (data[6] >> 4) & 3
         self._whole(tick, COMMON, common, [alone], (self.good, self.clear))
@@ -294,7 +288,7 @@ class Oracle:
                 self._broken(tick, "hasty", d + 1, f"after {fine} ticks of fresh samples")
             self.adhesion[d] = state
 
-    def _faults(self, tick: int, data: bytes) -> None:
+    def _faults(self, tick, data):
         for d, state in enumerate(self._states(tick, data)):
             before, fine = self.thermal[d], tick - self.warm[d]
             if before == BAD and state == UNKNOWN:
@@ -308,9 +302,7 @@ class Oracle:
             self._whole(tick, name, state, [tick - since for since in began], TIMES[name])
         self.whole[OVERRUN] = (word >> OF_ALL[OVERRUN]) & 3
 
-    def _whole(
-        self, tick: int, name: str, state: int, fine: list[int], times: tuple[int, int]
-    ) -> None:
+    def _whole(self, tick, name, state, fine, times):
         """A state of all drives is read. fine: ticks since the first good one, by drive."""
         before, (good, clear) = self.whole[name], times
         if state > BAD:
@@ -324,7 +316,7 @@ class Oracle:
             self._broken(tick, rule, 0, f"{name} says good after {min(fine)} good ticks")
         self.whole[name] = state
 
-    def _stand(self, tick: int, believable: list[bool]) -> None:
+    def _stand(self, tick, believable):
         """What was last read, against what there is now."""
         for d, state in enumerate(self.thermal):
             if state == GOOD and self.warm[d] > tick:
@@ -344,7 +336,7 @@ class Oracle:
         if self.whole[OVERRUN] != wanted:
             self._broken(tick, "overrun", 0, f"says {self.whole[OVERRUN]}, {wanted} is right")
 
-    def _estimates(self, tick: int, out: list[Frame], status: Status | None) -> None:
+    def _estimates(self, tick, out, status):
         """Health and speed: from the wire, and in ticks that send none what would be sent.
 
         That is known of single steps. Else nothing is, and a drive counts as tracking from its last
@@ -363,7 +355,7 @@ class Oracle:
                 self.tracked[d] = tick + 1
         self.health, self.told = health, speed
 
-    def _tracking(self, tick: int, speed: list[float]) -> None:
+    def _tracking(self, tick, speed):
         for d, (health, told) in enumerate(zip(self.health, self.told, strict=True)):
             if self.adhesion[d] != GOOD:
                 self.apart[d] = 0
@@ -376,7 +368,7 @@ class Oracle:
             if self.apart[d] > APART_TICKS:
                 self._broken(tick, "untracked", d + 1, f"Adhering, {off:.1f} rad/s off the truth")
 
-    def _second_senders(self, faults: list[Fault]) -> None:
+    def _second_senders(self, faults):
         """Ticks that each drive has shared its identifiers, both of them heard."""
         both = [f.drive for f in faults if f.kind == "second_sender"]
         if not both:

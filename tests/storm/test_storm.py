@@ -4,8 +4,6 @@ What is run here: 20 seeds of 1e5 ticks; `make soak` runs 100 of 1e6. A failure 
 that repeats it.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import count as count_up
 

@@ -5,8 +5,6 @@ period, so counters go on where one round ends and the next begins; on CAN FD th
 in 80 s, while the train stands.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -36,7 +34,7 @@ SHIFT = 1337
 """Ticks from which a second sender's frames are taken."""
 
 
-def _scenario(creeps: bool):
+def _scenario(creeps):
     """Two rounds: the first brings motors and stamps into their stride."""
     speed = [(0.0, 0.0), (6.0, 0.0), (20.0, 110.0), (40.0, 110.0), (62.0, 0.0)]
     # The first load is what the motors are warm from, about as warm as the rounds keep them.
@@ -89,13 +87,13 @@ class Train(NamedTuple):
     creep: np.ndarray
     phase: np.ndarray
 
-    def sent(self, tick: int) -> Block:
+    def sent(self, tick):
         """What the drives send in the 10 ms that end with this tick (from 1)."""
         turn, k = divmod(tick - 1, LOOP_TICKS)
         block = self.frames[k]
         return block._replace(t_ns=block.t_ns + turn * LOOP_NS)
 
-    def elsewhere(self, tick: int) -> Block:
+    def elsewhere(self, tick):
         """Frames of the same drives from another time, stamped with this one."""
         at = (tick - 1 + SHIFT) % LOOP_TICKS
         block = self.frames[at]
@@ -103,7 +101,7 @@ class Train(NamedTuple):
 
 
 @cache
-def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
+def train(dbc=CLASSIC, creeps=False):
     """creeps: no drive limits its slip, so wheels run away."""
     sources = ROOT / "dbc", ROOT / "sim", Path(__file__), ROOT / "tests" / "simrun.py"
     kept = recorded("train", lambda: _record(dbc, creeps), sources, dbc.name, creeps)
@@ -114,7 +112,7 @@ def train(dbc: Path = CLASSIC, creeps: bool = False) -> Train:
     return Train(codec(NODES, dbc), blocks, *more)
 
 
-def _record(dbc: Path, creeps: bool) -> dict[str, np.ndarray]:
+def _record(dbc, creeps):
     """From the simulator; frames tick by tick, and the ends of the ticks among them."""
     bound = codec(NODES, dbc)
     simulation = Simulation(_scenario(creeps), bound, nodes=NODES)
@@ -125,7 +123,7 @@ def _record(dbc: Path, creeps: bool) -> dict[str, np.ndarray]:
         rolling.append(simulation._plant.w_train)
     rows = simulation.truth_rows()[-LOOP_TICKS * len(NODES) :]
 
-    def of(name: str, kind: type) -> np.ndarray:
+    def of(name, kind):
         column = [getattr(row, name) for row in rows]
         return np.array(column, dtype=kind).reshape(LOOP_TICKS, len(NODES))
 
@@ -144,7 +142,7 @@ def _record(dbc: Path, creeps: bool) -> dict[str, np.ndarray]:
     return {**columns, "ends": ends, **truth, "phase": phase}
 
 
-def _phases(speed: np.ndarray, lost: np.ndarray) -> np.ndarray:
+def _phases(speed, lost):
     mean = speed.mean(axis=1)
     rising = np.gradient(mean)
     out = np.full(LOOP_TICKS, PHASES.index("traction"))

@@ -6,17 +6,14 @@ protection finds nothing. Currents are those of `PhaseCurrents` (classic CAN) or
 May know: bits, the message set. May not know: the plant, the gateway, clocks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.codec import Codec
 from dbc.e2e import protect
-from dbc.frames import EMPTY, Block
+from dbc.frames import EMPTY
 from dbc.spec import MessageSpec, SignalSpec
 
 Raws = list[int]
@@ -63,13 +60,13 @@ class ValueFaults:
     fault, and `late` begins with it.
     """
 
-    def __init__(self, codec: Codec, nodes: Sequence[int]) -> None:
+    def __init__(self, codec, nodes):
         """nodes: CANopen numbers of the drives, in order.
 
         Raises ValueError for a DBC with big-endian or float signals.
         """
         self._drives = len(nodes)
-        self._messages: dict[int, _Message] = {}
+        self._messages = {}
         for spec in codec.messages:
             if spec.node in nodes and not spec.is_gateway:
                 self._messages[spec.can_id] = _message(spec, nodes.index(spec.node))
@@ -79,13 +76,13 @@ class ValueFaults:
                 self._current_id[message.drive] = can_id
         self._before = EMPTY
         """The honest frames of the tick before."""
-        self._kept: dict[tuple[str, int], int] = {}
+        self._kept = {}
         """What is held of a message, by kind and identifier, as an integer of its payload."""
         self._none = Error(np.zeros(self._drives), np.zeros(self._drives))
         self.error = self._none
         """Of the last tick."""
 
-    def apply(self, faults: Sequence[tuple[str, int]], sent: Block) -> Block:
+    def apply(self, faults, sent):
         """The frames of a tick with these faults, (kind, drive from 0) each; others pass unchanged.
 
         To be asked of every tick in turn, also without faults. Kinds that are unknown are passed
@@ -108,7 +105,7 @@ class ValueFaults:
         self._before = sent
         return out
 
-    def _make_wrong(self, kind: str, drive: int, sent: Block, out: Block) -> None:
+    def _make_wrong(self, kind, drive, sent, out):
         """One fault. sent: what is true; out: what becomes of it, in place."""
         # Of `late` and `other_drive`: the rows where the honest currents are that are sent instead.
         lent = iter(self._instead(kind, drive, sent))
@@ -138,7 +135,7 @@ class ValueFaults:
                 protect(spec, payload, _counter(spec, payload))
                 out.data[k, : spec.length] = np.frombuffer(payload, dtype=np.uint8)
 
-    def _error(self, drives: set[int], sent: Block, out: Block) -> Error:
+    def _error(self, drives, sent, out):
         error = Error(np.zeros(self._drives), np.zeros(self._drives))
         for can_id, message in self._messages.items():
             if message.drive not in drives:
@@ -152,7 +149,7 @@ class ValueFaults:
                     column[message.drive] = size * signals[0].scale
         return error
 
-    def _held(self, kind: str, can_id: int, signals: Sequence[SignalSpec], word: int) -> int:
+    def _held(self, kind, can_id, signals, word):
         """The frame with the values from before the fault, or from its first such frame."""
         if not signals:
             return word
@@ -163,7 +160,7 @@ class ValueFaults:
         kept = self._kept[key]
         return _with(word, signals, [_get(kept, s) for s in signals])
 
-    def _instead(self, kind: str, drive: int, sent: Block) -> list[int]:
+    def _instead(self, kind, drive, sent):
         """Payloads whose currents are sent instead, one for each of the drive's frames."""
         if kind == "late":
             can_id = self._current_id[drive]
@@ -174,7 +171,7 @@ class ValueFaults:
         return []
 
 
-def _message(spec: MessageSpec, drive: int) -> _Message:
+def _message(spec, drive):
     if any(s.is_big_endian or s.is_float for s in spec.signals):
         msg = f"{spec.name}: only little-endian integers can be made wrong"
         raise ValueError(msg)
@@ -185,34 +182,34 @@ def _message(spec: MessageSpec, drive: int) -> _Message:
     return _Message(spec, drive, values, currents, motion)
 
 
-def _words(block: Block, can_id: int) -> list[int]:
+def _words(block, can_id):
     """Payloads with this identifier, in order, as integers."""
-    rows: NDArray[np.int64] = np.flatnonzero(block.can_id == can_id)
+    rows = np.flatnonzero(block.can_id == can_id)
     return [
         int.from_bytes(block.data[k, : block.length[k]].tobytes(), "little") for k in rows.tolist()
     ]
 
 
-def _counter(spec: MessageSpec, payload: bytearray) -> int:
+def _counter(spec, payload):
     return _get(int.from_bytes(payload, "little"), spec.signals[spec.column("Counter")])
 
 
-def _get(word: int, signal: SignalSpec) -> int:
+def _get(word, signal):
     raw = word >> signal.start & ((1 << signal.length) - 1)
     return raw - (1 << signal.length) if signal.is_signed and raw >> signal.length - 1 else raw
 
 
-def _with(word: int, signals: Sequence[SignalSpec], raws: Raws) -> int:
+def _with(word, signals, raws):
     for signal, raw in zip(signals, raws, strict=True):
         mask = (1 << signal.length) - 1
         word = word & ~(mask << signal.start) | (raw & mask) << signal.start
     return word
 
 
-def _scaled(factor: float) -> Callable[[Sequence[SignalSpec], Raws], Raws]:
+def _scaled(factor):
     """Not available stays so; what is too large saturates."""
 
-    def change(signals: Sequence[SignalSpec], raws: Raws) -> Raws:
+    def change(signals, raws):
         return [
             raw if raw == s.not_available else _within(s, round(raw * factor))
             for s, raw in zip(signals, raws, strict=True)
@@ -221,14 +218,14 @@ def _scaled(factor: float) -> Callable[[Sequence[SignalSpec], Raws], Raws]:
     return change
 
 
-def _within(signal: SignalSpec, raw: int) -> int:
+def _within(signal, raw):
     return min(max(raw, signal.raw_min), signal.raw_max)
 
 
-def _rotated(signals: Sequence[SignalSpec], raws: Raws) -> Raws:
+def _rotated(signals, raws):
     if signals[-1].name == "Ic":
         return raws[1:] + raws[:1]
-    out: Raws = []
+    out = []
     for a, b, signal in zip(raws[::2], raws[1::2], signals[1::2], strict=True):
         none = signal.not_available
         third = none if none is not None and none in (a, b) else _within(signal, -a - b)
@@ -236,7 +233,7 @@ def _rotated(signals: Sequence[SignalSpec], raws: Raws) -> Raws:
     return out
 
 
-def _swapped(signals: Sequence[SignalSpec], raws: Raws) -> Raws:
+def _swapped(signals, raws):
     if signals[-1].name == "Ic":
         return [raws[1], raws[0], raws[2]]
     return [raw for a, b in zip(raws[::2], raws[1::2], strict=True) for raw in (b, a)]

@@ -13,16 +13,11 @@ second sender is not judged at all (R09). Currents that are late or another driv
 gateway began cannot be known from right ones: they have left no place of the current's angle.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from gateway.settings.config import Config
-from tests.storm.bus_faults import Fault
-from tests.storm.train import LOOP_TICKS, Train
+from tests.storm.train import LOOP_TICKS
 from tests.storm.value_faults import KINDS_OF_CURRENT, VALUE_KINDS, Error
 
 GOOD, BAD = 1, 2
@@ -51,8 +46,6 @@ LEARN_TICKS: Final = 60
 FEWEST: Final = 2
 """Drives without which the others cannot be compared."""
 
-Broken = Callable[[int, str, int, str], None]
-
 
 class Truth(NamedTuple):
     """What is so at a tick, (N,) each: as in `Train`; error: of the values that were sent."""
@@ -64,7 +57,7 @@ class Truth(NamedTuple):
     error: Error
 
 
-def truth_at(train: Train, phase: int, error: Error) -> Truth:
+def truth_at(train, phase, error):
     """phase: of the train's round, in ticks."""
     k = phase % LOOP_TICKS
     return Truth(train.speed[k], train.lost[k], train.load[k], train.creep[k], error)
@@ -73,7 +66,7 @@ def truth_at(train: Train, phase: int, error: Error) -> Truth:
 class ValueRules:
     """Judges the flags as last read, in every tick."""
 
-    def __init__(self, config: Config, tick: int) -> None:
+    def __init__(self, config, tick):
         """tick: the gateway's first."""
         motors = [config.motors[d.motor] for d in config.drive]
         self.n = n = len(motors)
@@ -102,9 +95,9 @@ class ValueRules:
         """Last ticks in which the wheel did not hold, and in which the flag need not be known."""
 
     def look(
-        self, tick: int, flags: Sequence[int], sensor: int, truth: Truth, faults: Sequence[Fault],
-        broken: Broken,
-    ) -> None:  # fmt: skip
+        self, tick, flags, sensor, truth, faults,
+        broken,
+    ):  # fmt: skip
         """One tick. flags, sensor: as last read from the wire."""
         self._note(tick, truth, faults)
         for d, flag in enumerate(flags):
@@ -123,11 +116,11 @@ class ValueRules:
         self.before = list(flags)
 
     @staticmethod
-    def _of(drive: int, faults: Sequence[Fault]) -> str:
+    def _of(drive, faults):
         kinds = [f.kind for f in faults if f.kind in VALUE_KINDS and f.drive == drive]
         return ", ".join(kinds) or "a fault that has ended"
 
-    def _note(self, tick: int, truth: Truth, faults: Sequence[Fault]) -> None:
+    def _note(self, tick, truth, faults):
         gone = tick - self.looked > 1
         self.looked = tick
         if gone or any(f.kind not in VALUE_KINDS for f in faults):
@@ -156,12 +149,12 @@ class ValueRules:
             if not (turns[d] and carries[d]):
                 self.idle[d] = tick
 
-    def _innocent(self, tick: int, d: int) -> bool:
+    def _innocent(self, tick, d):
         """The wheel holds and has held; the drive's values are wrong or were so of late."""
         held = tick - self.slid[d] > HELD_TICKS
         return held and tick - self.last_wrong[d] <= AFTER_TICKS
 
-    def _untouched(self, tick: int, d: int) -> bool:
+    def _untouched(self, tick, d):
         """Only another drive's values are wrong, and enough drives are left to compare."""
         recent = [tick - last <= AFTER_TICKS for last in self.last_wrong]
         if recent[d] or not any(recent) or self.n - sum(recent) < FEWEST:

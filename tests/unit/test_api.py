@@ -1,7 +1,5 @@
 """The Python API as a notebook uses it: `import gateway`, a log, tables."""
 
-from __future__ import annotations
-
 import csv
 import inspect
 import subprocess

@@ -1,7 +1,5 @@
 """Sensors that are bad from the first reading on, among motors that are compared: never heat."""
 
-from __future__ import annotations
-
 import pytest
 
 from gateway.core.codes import FaultClass, Flag, Reason

@@ -1,7 +1,5 @@
 """The bank on samples of a true motor: what it does about holes, doubts and high speeds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -13,7 +11,7 @@ from gateway.settings.sections import Estimator
 from tests.estimates import step
 from tests.sample_rows import Samples
 from tests.stations import Bank
-from tests.unit.test_est_truth import TICK_S, Rows, Truth, motor, sampled
+from tests.unit.test_est_truth import TICK_S, Rows, motor, sampled
 
 TICK = 80
 """Sub-steps in 10 ms."""
@@ -21,17 +19,17 @@ LONGEST_GAP = 64
 """Sub-steps that a filter predicts, `gateway/core/estimate.c`."""
 
 
-def bank(n: int, every: int = 16, **config) -> Bank:
+def bank(n, every=16, **config):
     return Bank([BENCH_MOTOR] * n, Estimator(**config), 0.02 if every >= 16 else 0.05)
 
 
-def steady(w: float, load: float, n: int = 2, seconds: float = 0.6) -> Truth:
+def steady(w, load, n=2, seconds=0.6):
     shape = (round(seconds / TICK_S), n)
     angles = np.linspace(-3.0, 3.0, n)
     return motor(np.full(n, w), angles, np.full(shape, w), np.full(shape, load))
 
 
-def without(rows: Rows, lost: np.ndarray) -> Rows:
+def without(rows, lost):
     """The rows but for those where `lost` (M,); the gap of the next row of the drive grows."""
     gap = rows.n_gap.copy()
     for d in np.unique(rows.drive):
@@ -45,7 +43,7 @@ def without(rows: Rows, lost: np.ndarray) -> Rows:
     return Rows(*(column[~lost] for column in rows._replace(n_gap=gap)))
 
 
-def advance(filters: Bank, rows: Rows, end: int, fresh: bool = True):
+def advance(filters, rows, end, fresh=True):
     """One tick that ends with sub-step `end`."""
     now = slice(*np.searchsorted(rows.tick, [end - TICK, end]))
     n = len(filters.x)
@@ -54,17 +52,17 @@ def advance(filters: Bank, rows: Rows, end: int, fresh: bool = True):
     return step(filters, picked, heard, end * 125_000)
 
 
-def run(filters: Bank, truth: Truth, rows: Rows):
+def run(filters, truth, rows):
     """(estimates, true load) of every tick."""
     for end in range(TICK, len(truth.w) + 1, TICK):
         yield end, advance(filters, rows, end), truth.load[end - 1]
 
 
-def healths(filters: Bank, truth: Truth, rows: Rows) -> list[list[Health]]:
+def healths(filters, truth, rows):
     return [[e.health for e in estimates] for _, estimates, _ in run(filters, truth, rows)]
 
 
-def hole(rows: Rows, begin: int, steps: int, drive: int = 0) -> Rows:
+def hole(rows, begin, steps, drive=0):
     inside = (rows.tick >= begin) & (rows.tick < begin + steps) & (rows.drive == drive)
     return without(rows, inside)
 
@@ -145,7 +143,7 @@ def test_a_doubt_silences_at_once():
     assert [e.health for e in after] == [Health.CONVERGING, Health.TRACKING]
 
 
-def stepped(kind: str, change, rows: Rows | None = None):
+def stepped(kind, change, rows=None):
     """(health, error of the load) of drive 0 by tick, from the one on before which it is changed.
 
     change: of the filters, after 30 ticks of tracking.

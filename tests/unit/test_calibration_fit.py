@@ -1,4 +1,4 @@
-"""What `calibrate` says of its own models: how far off they are, and where they do not hold."""
+"""What `calibrate` says of logs and its models: what lacks, how far off they are, who echoes."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,8 @@ import pytest
 from estimators.thermal.model import TYPICAL, Inputs, predict
 from estimators.thermal.monitor import Known
 from estimators.thermal.record import Record
+from gateway.mapping.command_fit import Commanded, fell_alone, repeats_torque
+from gateway.study.calibrating import Learner, Sample
 from gateway.study.calibration_fit import draw, fits, lines
 
 N, NODES, NOISE_K = 1200, (4, 7), 0.05
@@ -60,3 +62,97 @@ def test_a_sensor_that_is_not_there_is_not_judged(record, tmp_path):
     text = paths[0].read_text(encoding="utf-8")
     assert "drive end" in text
     assert "non-drive end" not in text
+
+
+def learner(seconds, **changes):
+    """After one log of so many seconds; changes: of each second, whole columns."""
+    made = Learner((4, 7), 3.0)
+    made.begin()
+    rng = np.random.default_rng(1)
+    for _ in range(seconds):
+        known = {
+            "temperature": rng.normal(60.0, 1.0, (2, 3)), "square": rng.uniform(1.0, 9.0, 2),
+            "speed": np.full(2, 20.0), "ambient": np.full(2, 25.0),
+        }  # fmt: skip
+        made.seconds[-1].append(Sample(**{**known, **changes}))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("name", "what"), [("square", "Irms"), ("speed", "Motion"), ("ambient", "Temperatures")]
+)
+def test_a_signal_that_never_came_is_named_with_its_drive(name, what):
+    (line,) = learner(600, **{name: np.array([5.0, np.nan])}).lacks()
+    assert line.startswith("drive 7: ")
+    assert what in line
+
+
+def test_each_drive_and_signal_has_its_line():
+    nothing = np.full(2, np.nan)
+    assert len(learner(600, square=nothing, speed=nothing).lacks()) == 4
+
+
+def test_too_short_a_log_and_a_duty_that_never_changes():
+    assert learner(0).lacks() == ["no second with temperatures"]
+    (line,) = learner(700).lacks()
+    assert line.startswith("210 s of a run"), "the rest of it is to fit"
+    (line,) = learner(1200, square=np.full(2, 4.0)).lacks()
+    assert "record a changing duty" in line
+
+
+T = np.arange(100) * 0.1
+RATED_NM = 30.0
+
+
+def demand(t=T):
+    """Up, steady, down, in steps of 0.1 Nm."""
+    return np.round(np.interp(t, [0.0, 2.0, 7.0, 9.0], [0.0, 20.0, 20.0, 5.0]), 1)
+
+
+def noisy(course, seed=1):
+    return np.round(course + np.random.default_rng(seed).normal(0.0, 0.8, len(course)), 1)
+
+
+def drive(command, torque, node=1):
+    return Commanded(node, T, command, torque, RATED_NM)
+
+
+def test_a_command_with_the_noise_of_the_torque_is_found():
+    torque = noisy(demand())
+    (found,) = repeats_torque(drive(torque, torque))
+    assert found.fits is False
+    assert "repeats Torque" in found.text
+
+
+@pytest.mark.parametrize("torque", [noisy(demand()), demand(), np.full(100, np.nan)],
+                         ids=["noise", "none", "unknown"])  # fmt: skip
+def test_a_command_that_is_asked_for_is_not(torque):
+    assert not list(repeats_torque(drive(demand(), torque)))
+
+
+def test_too_few_commands_say_nothing():
+    torque = noisy(demand())[:20]
+    assert not list(repeats_torque(Commanded(1, T[:20], torque, torque, RATED_NM)))
+
+
+def test_a_command_that_falls_alone_with_its_torque_is_named():
+    fallen = demand() - 15.0 * ((T > 4.0) & (T < 5.0))
+    drives = [drive(demand(), noisy(demand()), 1), drive(fallen, noisy(fallen), 2),
+              drive(demand(), noisy(demand(), 3), 3)]  # fmt: skip
+    found = fell_alone(drives)
+    assert list(found) == [2]
+    assert found[2].fits is None
+    assert "alone 3." in found[2].text
+    assert "from 20 to 5 Nm" in found[2].text
+    backwards = [one._replace(command=-one.command, torque=-one.torque) for one in drives]
+    assert list(fell_alone(backwards)) == [2]
+    assert fell_alone(drives[1:]) == {}
+
+
+def test_commands_that_fall_together_and_a_torque_that_falls_alone_are_fine():
+    fallen = demand() - 15.0 * ((T > 4.0) & (T < 5.0))
+    assert fell_alone([drive(fallen, noisy(fallen), n) for n in (1, 2, 3)]) == {}
+    drives = [drive(demand(), noisy(fallen if n == 2 else demand()), n) for n in (1, 2, 3)]
+    assert fell_alone(drives) == {}
+    silent = [one._replace(t=T[:0], command=T[:0], torque=T[:0]) for one in drives]
+    assert fell_alone(silent) == {}

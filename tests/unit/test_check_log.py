@@ -1,7 +1,5 @@
 """`check --log`: which unit, sign, phase order, pole pair number or flux fits a recording."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

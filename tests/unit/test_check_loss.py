@@ -1,7 +1,5 @@
 """`check` sends a synthetic loss through the configuration, and says what is found and when."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from pathlib import Path
@@ -14,7 +12,7 @@ from gateway.core.codes import Reason
 from gateway.hil.measured import Measured
 from gateway.hil.synthetic_loss import losses, never
 from gateway.mapping import plan as foreign
-from gateway.settings.config import Config, load, parse
+from gateway.settings.config import load, parse
 from tests.unit.test_foreign import mapped
 
 ROOT = Path(__file__).parents[2]
@@ -25,15 +23,15 @@ SOON_MS = 200
 """Of the virtual clock: the next torque command and some debounce."""
 
 
-def drives(n: int, motor: str = "bench") -> list[dict[str, object]]:
+def drives(n, motor="bench"):
     return [{"node": k, "motor": motor} for k in range(1, n + 1)]
 
 
-def tried(config: Config):
+def tried(config):
     return list(losses(config, bind(config.dbc_path, config.nodes)))
 
 
-def checked(capsys, path: Path) -> tuple[int, str, str]:
+def checked(capsys, path):
     code = main(["check", str(path), "--no-timing"])
     return code, *capsys.readouterr()
 

@@ -1,7 +1,5 @@
 """`dbc/decode.c` and `dbc/encode.c` equal the reference in plain Python, on any numbers."""
 
-from __future__ import annotations
-
 import copy
 import math
 from pathlib import Path
@@ -29,13 +27,13 @@ ODD = (0.0, -0.0, 0.5, -0.5, 1.5, 2.5, 1e308, -1e308, 2.0**53 + 2, -(2.0**62), 2
        1.5 * 2.0**63, 2.0**64, math.inf, -math.inf, math.nan)  # fmt: skip
 
 
-def of(*signals: SignalSpec, size: int = 64) -> Codec:
+def of(*signals, size=64):
     """A codec of one message."""
     spec = MessageSpec("M", 1, size, True, False, 0, Profile.NONE, b"", signals, 0, 0, "M")
     return Codec(Path("one.dbc"), [spec])
 
 
-def limits(start: int, length: int, **more) -> SignalSpec:
+def limits(start, length, **more):
     """An integer whose range is that of its type."""
     signed = more.get("is_signed", False)
     low = -(1 << (length - 1)) if signed else 0
@@ -43,12 +41,12 @@ def limits(start: int, length: int, **more) -> SignalSpec:
     return SignalSpec(f"S{start}", start, length, **more)
 
 
-def start_of(first: int, big: bool) -> int:
+def start_of(first, big):
     """Where a DBC has the signal begin whose bits begin here in its own order."""
     return 8 * (first >> 3) + 7 - (first & 7) if big else first
 
 
-def assert_decodes_as_the_reference(codec: Codec, payload: np.ndarray, message: int = 0) -> None:
+def assert_decodes_as_the_reference(codec, payload, message=0):
     index = np.full(len(payload), message, np.int32)
     value, validity = codec.decode_rows(index, payload)
     plain_value, plain_validity = reference.decode_rows(codec, index.tolist(), payload)
@@ -65,12 +63,12 @@ def assert_decodes_as_the_reference(codec: Codec, payload: np.ndarray, message: 
                 assert reading.raw == plain[name].raw
 
 
-def assert_encodes_as_the_reference(codec: Codec, values: dict[str, float | None]) -> None:
+def assert_encodes_as_the_reference(codec, values):
     spec = codec.messages[0]
     assert codec.encode(spec, values) == reference.encode(spec, values), values
 
 
-def random_payload(rng: np.random.Generator, spec: MessageSpec, rows: int) -> np.ndarray:
+def random_payload(rng, spec, rows):
     payload = np.zeros((rows, 64), np.uint8)
     payload[:, : spec.length] = rng.integers(0, 256, (rows, spec.length))
     payload[0], payload[1, : spec.length] = 0, 0xFF
@@ -144,7 +142,7 @@ def test_a_range_beyond_single_precision_ends_with_it(sign):
         assert made["F"].value == sign * float(np.finfo(np.float32).max)
 
 
-def _placed(signal: SignalSpec, bits: int) -> np.ndarray:
+def _placed(signal, bits):
     first = signal.start
     if signal.is_big_endian:
         first = 8 * (first >> 3) + 7 - (first & 7)
@@ -203,7 +201,7 @@ def test_halves_are_rounded_to_even():
             assert_encodes_as_the_reference(codec, dict.fromkeys(names, number))
 
 
-def multiplexed(bits: int, signed: bool = False, more: int = 0) -> Codec:
+def multiplexed(bits, signed=False, more=0):
     """A selector S0 of so many bits; S16 at its values -1 to 1, S24 at 2 and 5, S32 always."""
     always = [limits(48 + k, 1) for k in range(more)]
     return of(

@@ -1,14 +1,16 @@
-"""Completion by the shell itself: the script is sourced and asked, as a person's tab would."""
-
-from __future__ import annotations
+"""Completion by the shell itself, and `explain`: every code of the message set has its words."""
 
 import re
 import subprocess
 import sys
 
+import cantools
 import pytest
 
 from gateway.cli import VERBS, main
+from gateway.core.codes import FaultClass, Health, Reason
+from gateway.settings.config import shipped_dbc
+from tests.docs.codes import PAGE, page
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +24,7 @@ def script(tmp_path_factory):
     return path
 
 
-def completed(script, *words: str) -> set[str]:
+def completed(script, *words):
     """What bash offers for the last word."""
     function = re.search(r"complete .*-F (\w+) traction-gateway", script.read_text())
     assert function
@@ -62,3 +64,56 @@ def test_without_shtab_it_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 2
     assert "needs shtab: pip install 'shtab" in capsys.readouterr().err
+
+
+NOT_AVAILABLE = 15
+"""All ones: the signal itself is not available, whatever it is."""
+
+
+def said(capsys, *words, code=0):
+    assert main(list(words)) == code
+    return capsys.readouterr()
+
+
+def test_every_code_of_the_message_set_is_explained(capsys):
+    """The DBC's own value tables are what a person reads the codes in."""
+    everything = said(capsys, "explain").out
+    db = cantools.database.load_file(shipped_dbc("traction.dbc"))
+    count = 0
+    for message, signal in (
+        ("Gateway_Adhesion", "Reason"), ("Drive1_Estimate", "Health"),
+        ("Drive1_Thermal", "FaultClass"),
+    ):  # fmt: skip
+        choices = db.get_message_by_name(message).get_signal_by_name(signal).choices
+        for number, name in choices.items():
+            if number == NOT_AVAILABLE:
+                continue
+            assert f"{signal} {number} {name}: " in everything
+            count += 1
+    assert count == len(Reason) + len(Health) + len(FaultClass)
+
+
+@pytest.mark.parametrize("word", ["8", "TooFewDrives", "toofewdrives", "TOO_FEW_DRIVES"])
+def test_by_number_or_name(capsys, word):
+    out = said(capsys, "explain", word).out
+    assert out.startswith("Reason 8 TooFewDrives: too few drives are known")
+    assert "\n  do       " in out
+    assert ("FaultClass 8" in out) == (word == "8")
+
+
+def test_what_there_is_not_is_refused(capsys):
+    assert "did you mean TooFewDrives?" in said(capsys, "explain", "TooFewDrive", code=2).err
+    assert "no code 99" in said(capsys, "explain", "8", "99", code=2).err
+
+
+def test_the_page_is_what_is_printed():
+    assert PAGE.read_text(encoding="utf-8") == page()
+
+
+@pytest.mark.parametrize(("words", "name"), [((), "traction.dbc"), (("--fd",), "traction_fd.dbc")])
+def test_the_message_set_as_a_file(capsys, tmp_path, words, name):
+    path = tmp_path / "mine.dbc"
+    assert "written" in said(capsys, "dbc", *words, "-o", str(path)).out
+    assert path.read_bytes() == shipped_dbc(name).read_bytes()
+    assert "is there already" in said(capsys, "dbc", "-o", str(path), code=2).err
+    assert path.read_bytes() == shipped_dbc(name).read_bytes()

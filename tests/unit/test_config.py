@@ -38,10 +38,7 @@ def test_every_problem_is_listed_with_its_path():
 
 def test_consistency_is_checked_across_sections():
     found = problems(
-        {
-            "drive": [{"node": 1}, {"node": 1, "motor": "big"}],
-            "adhesion": {"observe": "speed"},
-        }
+        {"drive": [{"node": 1}, {"node": 1, "motor": "big"}], "adhesion": {"observe": "speed"}}
     )
     text = "\n".join(found)
     assert "node 1 stands twice" in text

@@ -1,7 +1,5 @@
 """bind: one error that lists everything; what a user's own DBC may leave out."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -21,7 +19,7 @@ FOREIGN = Path(__file__).parents[1] / "data" / "dbc"
 TEXT = (FOLDER / "traction.dbc").read_text()
 
 
-def problems_of(path: Path, nodes: tuple[int, ...] = (1, 2), contract=None) -> tuple[str, ...]:
+def problems_of(path, nodes=(1, 2), contract=None):
     with pytest.raises(DbcMismatch) as caught:
         bind(path, nodes, contract)
     assert str(path) in str(caught.value)
@@ -29,7 +27,7 @@ def problems_of(path: Path, nodes: tuple[int, ...] = (1, 2), contract=None) -> t
     return caught.value.problems
 
 
-def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+def changed(tmp_path, *changes):
     text = TEXT
     for pattern, replacement in changes:
         text, count = re.subn(pattern, replacement, text, flags=re.MULTILINE)
@@ -39,7 +37,7 @@ def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
-def without(text: str, name: str) -> str:
+def without(text, name):
     """The DBC text without one message and everything said about its id."""
     can_id = re.search(rf"^BO_ (\d+) {name}:", text, re.MULTILINE)[1]
     text = re.sub(rf"^BO_ {can_id} .*\n(?: SG_ .*\n)+\n", "", text, flags=re.MULTILINE)
@@ -50,7 +48,7 @@ def without(text: str, name: str) -> str:
     )
 
 
-def test_the_contract_is_chosen_by_the_file() -> None:
+def test_the_contract_is_chosen_by_the_file():
     assert not bind(FOLDER / "traction.dbc", (1,)).fd
     assert bind(FOLDER / "traction_fd.dbc", (1,)).fd
     assert "Drive1_Samples: message missing" in problems_of(FOLDER / "traction.dbc", (1,), FD)
@@ -63,7 +61,7 @@ def test_the_contract_is_chosen_by_the_file() -> None:
     )
 
 
-def test_every_mismatch_in_one_error(tmp_path: Path) -> None:
+def test_every_mismatch_in_one_error(tmp_path):
     path = changed(
         tmp_path,
         (r'(SG_ Torque .*) "Nm" Gateway\n\nBO_ 898', r'\1 "kNm" Gateway\n\nBO_ 898'),
@@ -91,7 +89,7 @@ def test_every_mismatch_in_one_error(tmp_path: Path) -> None:
     ])  # fmt: skip
 
 
-def test_drives_that_are_not_asked_for_may_be_missing(tmp_path: Path) -> None:
+def test_drives_that_are_not_asked_for_may_be_missing(tmp_path):
     path = tmp_path / "one.dbc"
     text = TEXT
     for kind in ("PhaseCurrents", "StatorVoltages", "Motion", "Status", "Temperatures"):
@@ -101,7 +99,7 @@ def test_drives_that_are_not_asked_for_may_be_missing(tmp_path: Path) -> None:
     assert len(problems_of(path, (1, 2, 3))) == 5
 
 
-def test_missing_signal_and_widths(tmp_path: Path) -> None:
+def test_missing_signal_and_widths(tmp_path):
     path = changed(
         tmp_path,
         (r"^ SG_ Ualpha .*\n((?: SG_.*\n)+\nBO_ 642)", r"\1"),
@@ -119,7 +117,7 @@ def test_missing_signal_and_widths(tmp_path: Path) -> None:
     ]
 
 
-def test_duplicates_that_cantools_lets_pass(tmp_path: Path) -> None:
+def test_duplicates_that_cantools_lets_pass(tmp_path):
     path = write(
         tmp_path / "twice.dbc",
         message(5, "A", 8, signal("X", 0, 8), signal("X", 8, 8)),
@@ -134,7 +132,7 @@ def test_duplicates_that_cantools_lets_pass(tmp_path: Path) -> None:
     )
 
 
-def test_all_overlaps_and_misfits_not_only_the_first(tmp_path: Path) -> None:
+def test_all_overlaps_and_misfits_not_only_the_first(tmp_path):
     path = write(
         tmp_path / "layout.dbc",
         message(5, "A", 2, signal("X", 0, 9), signal("Y", 8, 8), signal("Z", 12, 8)),
@@ -149,7 +147,7 @@ def test_all_overlaps_and_misfits_not_only_the_first(tmp_path: Path) -> None:
     ]
 
 
-def test_numbers_no_frame_has_are_refused_by_line(tmp_path: Path) -> None:
+def test_numbers_no_frame_has_are_refused_by_line(tmp_path):
     """Before cantools, which would try to find memory for them."""
     path = write(
         tmp_path / "huge.dbc",
@@ -170,7 +168,7 @@ def test_numbers_no_frame_has_are_refused_by_line(tmp_path: Path) -> None:
     )
 
 
-def test_protection_attributes_are_checked(tmp_path: Path) -> None:
+def test_protection_attributes_are_checked(tmp_path):
     path = write(
         tmp_path / "e2e.dbc",
         message(5, "A", 1),
@@ -195,7 +193,7 @@ def test_protection_attributes_are_checked(tmp_path: Path) -> None:
     ]
 
 
-def test_data_ids_by_rule_by_id_and_by_list(tmp_path: Path) -> None:
+def test_data_ids_by_rule_by_id_and_by_list(tmp_path):
     listed = bytes(range(16))
     path = write(
         tmp_path / "ids.dbc",
@@ -226,7 +224,7 @@ def test_data_ids_by_rule_by_id_and_by_list(tmp_path: Path) -> None:
     }
 
 
-def test_own_dbc_without_protection_and_codes(tmp_path: Path) -> None:
+def test_own_dbc_without_protection_and_codes(tmp_path):
     """A user's DBC may declare no E2E at all, no codes and its own scaling."""
     lines = [
         line
@@ -246,7 +244,7 @@ def test_own_dbc_without_protection_and_codes(tmp_path: Path) -> None:
     assert absent.validity.name != "VALID"
 
 
-def test_slower_copy_changes_the_periods(tmp_path: Path) -> None:
+def test_slower_copy_changes_the_periods(tmp_path):
     path = changed(tmp_path, (r'("GenMsgCycleTime" BO_ \d+) 2;', r"\1 20;"))
     assert bind(path, (1,)).by_name["Drive1_PhaseCurrents"].cycle_ns == 20_000_000
 
@@ -259,7 +257,7 @@ def test_slower_copy_changes_the_periods(tmp_path: Path) -> None:
         ("opendbc_tesla_excerpt.dbc", "UI_mapSpeedLimit"),
     ],
 )
-def test_real_files_that_are_refused(name: str, text: str) -> None:
+def test_real_files_that_are_refused(name, text):
     (problem,) = problems_of(FOREIGN / name, (), ANY)
     assert text in problem
     assert "\n" not in problem
@@ -272,9 +270,7 @@ def test_real_files_that_are_refused(name: str, text: str) -> None:
         ("opendbc_tesla_excerpt.dbc", 49, "delete the line", r"^VAL_ 568 UI_map.*\n", ""),
     ],
 )
-def test_the_cure_of_a_refused_file_cures_it(
-    tmp_path: Path, name: str, line: int, cure: str, broken: str, mended: str
-) -> None:
+def test_the_cure_of_a_refused_file_cures_it(tmp_path, name, line, cure, broken, mended):
     (problem,) = problems_of(FOREIGN / name, (), ANY)
     assert problem.startswith(f"line {line}: ")
     assert cure in problem
@@ -284,7 +280,7 @@ def test_the_cure_of_a_refused_file_cures_it(
     assert load(path).messages
 
 
-def test_any_other_syntax_error_has_its_line_and_no_invented_cure(tmp_path: Path) -> None:
+def test_any_other_syntax_error_has_its_line_and_no_invented_cure(tmp_path):
     path = tmp_path / "bracket.dbc"
     path.write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ x : 0|8@1+ (1,0) [0|1 "" A\n')
     (problem,) = problems_of(path, (), ANY)
@@ -293,7 +289,7 @@ def test_any_other_syntax_error_has_its_line_and_no_invented_cure(tmp_path: Path
     assert "BU_" not in problem
 
 
-def test_every_unused_value_table_has_its_line(tmp_path: Path) -> None:
+def test_every_unused_value_table_has_its_line(tmp_path):
     path = tmp_path / "tables.dbc"
     head = 'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ x : 0|8@1+ (1,0) [0|1] "" A\n'
     path.write_text(head + 'VAL_ 1 y 0 "a" ;\nVAL_ 2 x 0 "a" ;\n')
@@ -306,7 +302,7 @@ def test_every_unused_value_table_has_its_line(tmp_path: Path) -> None:
     assert second.startswith("VAL_ 2 x: ")
 
 
-def test_cycle_time_that_is_no_time(tmp_path: Path) -> None:
+def test_cycle_time_that_is_no_time(tmp_path):
     path = write(
         tmp_path / "cycle.dbc",
         message(5, "A", 8),
@@ -318,7 +314,7 @@ def test_cycle_time_that_is_no_time(tmp_path: Path) -> None:
     assert problems_of(path, (), ANY) == ("B: GenMsgCycleTime 'soon' is not a time in ms",)
 
 
-def test_files_that_are_no_dbc(tmp_path: Path) -> None:
+def test_files_that_are_no_dbc(tmp_path):
     assert problems_of(tmp_path / "none.dbc") == ("no such file",)
     (problem,) = problems_of(tmp_path)
     assert problem.startswith("cannot be read")
@@ -333,13 +329,13 @@ def test_files_that_are_no_dbc(tmp_path: Path) -> None:
     assert "Drive1_Motion: message missing" in problems_of(bare, (1,))
 
 
-def test_foreign_file_without_messages_binds_to_nothing() -> None:
+def test_foreign_file_without_messages_binds_to_nothing():
     codec = bind(FOREIGN / "cantools_cp1252.dbc", (), ANY)
     assert codec.messages == ()
     assert codec.width == 0
 
 
-def test_half_floats_and_zero_scale_are_refused(tmp_path: Path) -> None:
+def test_half_floats_and_zero_scale_are_refused(tmp_path):
     path = write(
         tmp_path / "odd.dbc",
         message(5, "A", 8, signal("X", 0, 16, "-"), signal("Z", 32, 8, rest='(0,0) [0|0] ""')),

@@ -1,7 +1,5 @@
 """Candump lines: every case gets the verdict it deserves, and the counts add up to the lines."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import random
@@ -24,7 +22,7 @@ T = b"(1436509052.249713) can0 "
 NS = 1_436_509_052_249_713_000
 
 
-def frame(can_id: int, data: bytes = b"", flags: int = 0, dlc: int = -1) -> Frame:
+def frame(can_id, data=b"", flags=0, dlc=-1):
     return Frame(NS, can_id, data, flags, "can0", dlc)
 
 
@@ -147,36 +145,36 @@ LINES = [
 
 @pytest.mark.parametrize(("body", "verdict", "wanted"), GOOD)
 @pytest.mark.parametrize("end", [b"", b"\n", b"\r\n", b" R\n", b" T", b" R\r\n", b"  \n"])
-def test_frames(body: bytes, verdict: Verdict, wanted: Frame, end: bytes) -> None:
+def test_frames(body, verdict, wanted, end):
     sent = TX if end.startswith(b" T") else 0
     assert parse_line(T + body + end) == (verdict, wanted._replace(flags=wanted.flags | sent))
 
 
 @pytest.mark.parametrize(("body", "verdict"), BAD)
-def test_what_is_no_frame(body: bytes, verdict: Verdict) -> None:
+def test_what_is_no_frame(body, verdict):
     assert parse_line(T + body) == (verdict, None)
 
 
 @pytest.mark.parametrize(("line", "verdict"), LINES)
-def test_whole_lines(line: bytes, verdict: Verdict) -> None:
+def test_whole_lines(line, verdict):
     assert parse_line(line) == (verdict, None)
 
 
-def test_time_is_whole_nanoseconds() -> None:
+def test_time_is_whole_nanoseconds():
     assert parse_line(b"(1436509052.249713123) can0 1#")[1] is None
     assert parse_line(b"(1436509052.249713123) can0 001#")[1].t_ns == 1436509052249713123
     assert parse_line(b"(0000000000.000001) can0 001#")[1].t_ns == 1000
     assert parse_line(b"(8999999999.999999999) can0 001#")[1].t_ns == 8999999999999999999
 
 
-def test_names_are_padded_and_keep_their_bytes() -> None:
+def test_names_are_padded_and_keep_their_bytes():
     assert parse_line(b"(1.000000)   can0 001#")[1].channel == "can0"
     odd = parse_line(b"(1.000000) c\xff\xe9 001#")[1]
     assert format_frame(odd) == b"(0000000001.000000) c\xff\xe9 001#"
     assert parse_line("(1.000000) über 001#".encode())[1].channel == "über"
 
 
-def test_reader_gives_the_same_as_parse_line() -> None:
+def test_reader_gives_the_same_as_parse_line():
     """The compiled reader and the grammar agree on every case above."""
     lines = [T + body for body, *_ in GOOD + BAD] + [line for line, _ in LINES]
     frames, reader = read(b"\n".join(lines) + b"\n")
@@ -192,10 +190,10 @@ def test_reader_gives_the_same_as_parse_line() -> None:
 class Many(io.RawIOBase):
     """The same line again and again; a gigabyte of it packs into a megabyte."""
 
-    def __init__(self, line: bytes, size: int) -> None:
+    def __init__(self, line, size):
         self.piece, self.left = line * (1 << 20), size
 
-    def read(self, size: int = -1) -> bytes:
+    def read(self, size=-1):
         data = self.piece[: min(size, self.left)]
         self.left -= len(data)
         return data
@@ -206,15 +204,13 @@ class Many(io.RawIOBase):
     ("line", "size", "verdict"),
     [
         pytest.param(b"\n", 1 << 31, Verdict.BLANK, marks=pytest.mark.slow),
-        (b"\r\n", 1 << 27, Verdict.BLANK),
-        (b"#\n", 1 << 27, Verdict.COMMENT),
-        (b"a\n", 1 << 27, Verdict.MALFORMED),
+        (b"\r\n", 1 << 25, Verdict.BLANK),
+        (b"#\n", 1 << 25, Verdict.COMMENT),
+        (b"a\n", 1 << 25, Verdict.MALFORMED),
     ],
     ids=["2 GiB of newlines", "blank", "comments", "no frames"],
 )
-def test_a_bomb_of_short_lines_is_read_and_counted(
-    line: bytes, size: int, verdict: Verdict
-) -> None:
+def test_a_bomb_of_short_lines_is_read_and_counted(line, size, verdict):
     reader = Reader(Many(line, size))
     assert sum(block.size for block in reader.blocks()) == 0
     assert +reader.counts == {verdict: size // len(line)}
@@ -225,7 +221,7 @@ def test_a_bomb_of_short_lines_is_read_and_counted(
 # ---- the end of the file -----------------------------------------------------------------------
 
 
-def read(data: bytes) -> tuple[list[Frame], Reader]:
+def read(data):
     """What is read, which is what the reference reads."""
     reader = Reader(io.BytesIO(data))
     frames = list(reader)
@@ -239,7 +235,7 @@ def read(data: bytes) -> tuple[list[Frame], Reader]:
 LAST = b"(1.000000) can0 123#1122334455667788\n(2.000000) can0 123#1122334455667788\n"
 
 
-def test_every_cut_of_the_last_line() -> None:
+def test_every_cut_of_the_last_line():
     """However the last line is cut, no other frame comes out of it."""
     whole, _ = read(LAST)
     start = LAST.index(b"\n") + 1
@@ -251,7 +247,7 @@ def test_every_cut_of_the_last_line() -> None:
         assert reader.lines == 2
 
 
-def test_a_text_that_ends_anywhere_in_its_first_line() -> None:
+def test_a_text_that_ends_anywhere_in_its_first_line():
     for line in (b"(1.000000)  can0 123#1122 T\r\n", T + b"7FF##1" + b"00" * 64 + b" R\n"):
         for size in range(len(line)):
             frames, reader = read(line[:size])
@@ -259,7 +255,7 @@ def test_a_text_that_ends_anywhere_in_its_first_line() -> None:
             assert reader.counts == ({V.CUT: 1} if size else {})
 
 
-def test_more_interfaces_than_are_looked_up_in_c() -> None:
+def test_more_interfaces_than_are_looked_up_in_c():
     lines = [b"(1.000000) a%d 123#%02X\n" % (k % 100, k) for k in range(256)]
     frames, reader = read(b"".join(lines))
     assert [f.channel for f in frames] == [f"a{k % 100}" for k in range(256)]
@@ -283,7 +279,7 @@ def test_more_interfaces_than_are_looked_up_in_c() -> None:
         (b"20000040#00", b"20000040#00", V.ERROR_FRAME),
     ],
 )
-def test_unterminated_last_lines(before: bytes, last: bytes, verdict: Verdict) -> None:
+def test_unterminated_last_lines(before, last, verdict):
     data = (T + before + b"\n" if before else b"") + T + last
     frames, reader = read(data)
     assert reader.counts[verdict] >= 1
@@ -292,20 +288,20 @@ def test_unterminated_last_lines(before: bytes, last: bytes, verdict: Verdict) -
         assert reader.problems[-1][:2] == (reader.lines, V.CUT)
 
 
-def test_trailing_nuls_of_a_power_loss() -> None:
+def test_trailing_nuls_of_a_power_loss():
     frames, reader = read(LAST + b"\0" * 4096)
     assert len(frames) == 2
     assert reader.counts == {V.OK: 2, V.CUT: 1}
 
 
-def test_a_line_without_end_is_not_collected() -> None:
+def test_a_line_without_end_is_not_collected():
     """Gigabytes without a line end are one malformed line, read piece by piece."""
 
     class Endless(io.RawIOBase):
         left = 64 << 20
         largest = 0
 
-        def read(self, size: int = -1) -> bytes:
+        def read(self, size=-1):
             self.largest = max(self.largest, size)
             size = min(size, self.left)
             self.left -= size
@@ -322,7 +318,7 @@ def test_a_line_without_end_is_not_collected() -> None:
     assert reader.counts == {V.OK: 4, V.MALFORMED: 1}
 
 
-def test_frames_across_chunk_borders() -> None:
+def test_frames_across_chunk_borders():
     count = 60_000
     line = b"(%010d.%06d) vcan0 %03X#%016X\n"
     data = b"".join(line % (k // 1000, k % 1000, k % 0x7FF, k) for k in range(count))
@@ -335,7 +331,7 @@ def test_frames_across_chunk_borders() -> None:
 # ---- gzip --------------------------------------------------------------------------------------
 
 
-def test_gzip_whole_and_in_members(tmp_path: Path) -> None:
+def test_gzip_whole_and_in_members(tmp_path):
     path = tmp_path / "log.gz"
     path.write_bytes(gzip.compress(LAST) + gzip.compress(LAST) + b"\0" * 32)
     reader = Reader(path)
@@ -345,7 +341,7 @@ def test_gzip_whole_and_in_members(tmp_path: Path) -> None:
     assert reader.lines == 4
 
 
-def test_a_packed_log_that_is_left_early_leaves_no_thread(tmp_path: Path) -> None:
+def test_a_packed_log_that_is_left_early_leaves_no_thread(tmp_path):
     path = tmp_path / "long.log.gz"
     path.write_bytes(gzip.compress(LAST * 400_000, 1))
     others, blocks = threading.active_count(), Reader(path).blocks()
@@ -355,7 +351,7 @@ def test_a_packed_log_that_is_left_early_leaves_no_thread(tmp_path: Path) -> Non
     assert threading.active_count() == others
 
 
-def test_gzip_cut_short_gives_what_is_good_and_says_so(tmp_path: Path) -> None:
+def test_gzip_cut_short_gives_what_is_good_and_says_so(tmp_path):
     lines = b"".join(b"(%d.000000) can0 123#%016X\n" % (k, k * 7919) for k in range(20_000))
     packed = gzip.compress(lines)
     path = tmp_path / "cut.log.gz"
@@ -378,7 +374,7 @@ def test_gzip_cut_short_gives_what_is_good_and_says_so(tmp_path: Path) -> None:
     assert "damaged" in damaged.truncated
 
 
-def test_of_a_large_damaged_file_little_is_lost(tmp_path: Path) -> None:
+def test_of_a_large_damaged_file_little_is_lost(tmp_path):
     rng = random.Random(5)
     lines = b"".join(
         b"(%d.%06d) can0 123#%016X\n" % (k, rng.randrange(10**6), rng.randrange(1 << 64))
@@ -397,7 +393,7 @@ def test_of_a_large_damaged_file_little_is_lost(tmp_path: Path) -> None:
 # ---- strict, missing, real ---------------------------------------------------------------------
 
 
-def test_strict_stops_with_the_line_number(tmp_path: Path) -> None:
+def test_strict_stops_with_the_line_number(tmp_path):
     path = tmp_path / "bad.log"
     path.write_bytes(b"# head\n" + LAST + b"\nDROPCOUNT: x\n" + LAST)
     reader = Reader(path, strict=True)
@@ -412,23 +408,23 @@ def test_strict_stops_with_the_line_number(tmp_path: Path) -> None:
     assert lenient.counts[V.MALFORMED] == 1
 
 
-def test_strict_accepts_everything_that_is_no_fault() -> None:
+def test_strict_accepts_everything_that_is_no_fault():
     text = b"# c\n\n" + LAST + b"(1.000000) can0 45123#81:00:12345678#11\n"
     assert len(list(Reader(io.BytesIO(text), strict=True))) == 2
 
 
-def test_a_missing_file_is_an_os_error(tmp_path: Path) -> None:
+def test_a_missing_file_is_an_os_error(tmp_path):
     with pytest.raises(FileNotFoundError):
         list(Reader(tmp_path / "none.log"))
 
 
-def test_problems_are_bounded() -> None:
+def test_problems_are_bounded():
     _, reader = read(b"junk\n" * 10_000)
     assert len(reader.problems) == 100
     assert reader.counts == {V.MALFORMED: 10_000}
 
 
-def test_counts_agree_when_the_reading_stops_early() -> None:
+def test_counts_agree_when_the_reading_stops_early():
     reader = Reader(io.BytesIO(LAST * 40_000))
     frames = iter(reader)
     for _ in range(3):
@@ -444,7 +440,7 @@ def test_counts_agree_when_the_reading_stops_early() -> None:
         ("savvycan_tesla_model_s_head.log", 120, {"vcan0"}),
     ],
 )
-def test_real_logs(name: str, count: int, channels: set[str]) -> None:
+def test_real_logs(name, count, channels):
     """Frames equal python-can's own reader; writing gives the log back."""
     import can
 
@@ -467,11 +463,11 @@ def test_real_logs(name: str, count: int, channels: set[str]) -> None:
 
 
 @pytest.mark.parametrize(("_body", "_verdict", "wanted"), GOOD)
-def test_written_lines_come_back(_body: bytes, _verdict: Verdict, wanted: Frame) -> None:
+def test_written_lines_come_back(_body, _verdict, wanted):
     assert parse_line(format_frame(wanted))[1] == wanted
 
 
-def test_the_direction_comes_back(tmp_path: Path) -> None:
+def test_the_direction_comes_back(tmp_path):
     wanted = [frame._replace(flags=frame.flags | tx) for *_, frame in GOOD for tx in (0, TX)]
     for one in wanted:
         line = format_frame(one)
@@ -483,7 +479,7 @@ def test_the_direction_comes_back(tmp_path: Path) -> None:
     assert list(Reader(tmp_path / "x.log")) == wanted
 
 
-def test_how_lines_are_written() -> None:
+def test_how_lines_are_written():
     assert format_frame(frame(0x1A, b"\x0f")) == T + b"01A#0F"
     assert format_frame(Frame(1_000_001, 1, b"", REMOTE)) == b"(0000000000.001000001) can0 001#R"
     assert format_frame(Frame(0, 1), "vcan7") == b"(0000000000.000000) vcan7 001#"
@@ -515,12 +511,12 @@ def test_how_lines_are_written() -> None:
         Frame(0, 1, channel="a\nb"),
     ],
 )
-def test_what_no_line_can_say_is_refused(impossible: Frame) -> None:
+def test_what_no_line_can_say_is_refused(impossible):
     with pytest.raises(ValueError, match="cannot be written"):
         format_frame(impossible)
 
 
-def test_writer_and_reader_are_inverse(tmp_path: Path) -> None:
+def test_writer_and_reader_are_inverse(tmp_path):
     frames = [wanted for _, _, wanted in GOOD]
     for name in ("out.log", "out.log.gz"):
         path = tmp_path / name
@@ -542,7 +538,7 @@ def test_writer_and_reader_are_inverse(tmp_path: Path) -> None:
     assert stream.getvalue() == b"(0000000000.000000) vcan3 001#\n"
 
 
-def test_gaps_between_parts_are_blanks_up_to_a_names_length() -> None:
+def test_gaps_between_parts_are_blanks_up_to_a_names_length():
     stamp, rest = b"(0000000001.000000)", b"can0 123#11\n"
     lines = [stamp + b" " * wide + rest for wide in (0, 1, 21, 22, 500)] + [
         stamp + b" " * 40 + b"\n"

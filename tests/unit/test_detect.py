@@ -18,12 +18,6 @@ def evidence(*load, spread=0.7, usable=None):
     return Evidence(x, np.full(len(x), spread), good)
 
 
-@given(loads)
-def test_bound_never_falls_from_sweep_to_sweep(x):
-    bounds = [infer(x, *starts(x, 0.49), DEFAULT_PRIORS, sweeps).bound for sweeps in range(1, 9)]
-    assert (np.diff(bounds, axis=0) >= -1e-8).all()
-
-
 @given(loads, st.randoms(use_true_random=False))
 def test_permuted_drives_give_permuted_answers(x, random):
     order = list(range(len(x)))

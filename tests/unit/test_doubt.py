@@ -1,7 +1,5 @@
 """What speaks against all flags at once, in a whole gateway: lost frames, a second gateway."""
 
-from __future__ import annotations
-
 import pytest
 
 from dbc.frame import ERROR, EXTENDED, FD, REMOTE, Frame

@@ -1,7 +1,5 @@
 """Batched reading against the reading of one frame, and over a real socket of the kernel."""
 
-from __future__ import annotations
-
 import errno
 import socket
 import struct
@@ -20,11 +18,11 @@ from tests.reference.socketcan import unpack
 REAL, NOW = 1_790_000_000 * SECOND, 50 * SECOND
 
 
-def stamp(ns: int) -> tuple[int, int, bytes]:
+def stamp(ns):
     return (socket.SOL_SOCKET, 35, struct.pack("@ll", *divmod(ns, SECOND)))
 
 
-def drops(count: int) -> tuple[int, int, bytes]:
+def drops(count):
     return (socket.SOL_SOCKET, 40, struct.pack("=I", count))
 
 
@@ -40,7 +38,7 @@ fd = st.builds(
 )  # fmt: skip
 
 
-def _head(word: int, length: int, raw: int = 0) -> bytes:
+def _head(word, length, raw=0):
     """A classic frame of zeros."""
     return struct.pack("=IBBBB", word, length, 0, 0, raw) + bytes(8)
 
@@ -55,7 +53,7 @@ _LONG_REQUEST = struct.pack("=IBBBB", 0x4000_0000, 128, 0, 0, 0) + bytes(8)
 @example([(_head(0x4000_0181, 3), 0), (_head(0x4000_0181, 0), 0), (_head(0x4000_0181, 8, 13), 0)])
 @example([(_head(0x181, 8, 13), 0), (_head(0x181, 8, 16), 0), (_head(0x181, 8, 8), 0)])
 @given(st.lists(st.tuples(st.one_of(classic, fd, st.binary(max_size=90)), st.integers(0, 10**9))))
-def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, int]]) -> None:
+def test_rows_are_what_the_reading_of_one_frame_gives(items):
     batch = Batch(64)
     items = items[:64]
     for payload, age in items:
@@ -74,7 +72,7 @@ def test_rows_are_what_the_reading_of_one_frame_gives(items: list[tuple[bytes, i
         assert not data[length:].any()
 
 
-def test_stamps_drops_and_unknown_control_in_any_order() -> None:
+def test_stamps_drops_and_unknown_control_in_any_order():
     batch = Batch(8)
     frame = struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + bytes(8)
     other = (socket.SOL_SOCKET, 99, b"abc")
@@ -91,7 +89,7 @@ def test_stamps_drops_and_unknown_control_in_any_order() -> None:
     assert batch.to_block(REAL, NOW, SECOND, "vcan0")[3] == 4
 
 
-def test_control_that_is_cut_off_or_too_short_is_not_read() -> None:
+def test_control_that_is_cut_off_or_too_short_is_not_read():
     batch = Batch(4)
     frame = struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + bytes(8)
     level, kind, data = stamp(REAL - 5)
@@ -106,7 +104,7 @@ def test_control_that_is_cut_off_or_too_short_is_not_read() -> None:
     assert dropped == 0
 
 
-def test_what_was_taken_stays_when_the_room_is_filled_again() -> None:
+def test_what_was_taken_stays_when_the_room_is_filled_again():
     batch = Batch(2)
     put(batch, struct.pack("=IBBBB", 0x181, 1, 0, 0, 0) + b"\x01" * 8, [])
     first, *_ = batch.to_block(REAL, NOW, SECOND, "vcan0")
@@ -115,7 +113,7 @@ def test_what_was_taken_stays_when_the_room_is_filled_again() -> None:
     assert (first.can_id.item(0), first.data.item(0, 0)) == (0x181, 1)
 
 
-def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full() -> None:
+def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full():
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     batch = Batch(4)
     with ours, theirs:
@@ -142,7 +140,7 @@ def test_a_real_socket_is_read_in_one_call_until_it_is_empty_or_the_room_is_full
     assert closed.value.errno == errno.EBADF
 
 
-def test_the_kernels_own_stamp_is_read() -> None:
+def test_the_kernels_own_stamp_is_read():
     receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     batch = Batch(2)

@@ -1,7 +1,5 @@
 """Node 32: heartbeat, emergencies, and NMT start that only a lone master sends."""
 
-from __future__ import annotations
-
 import logging
 from itertools import pairwise
 
@@ -18,28 +16,26 @@ T0 = 77 * SECOND + 123
 PRE_OPERATIONAL, OPERATIONAL = b"\x7f", b"\x05"
 
 
-def heartbeat(node: int, state: bytes) -> Frame:
+def heartbeat(node, state):
     return Frame(0, 0x700 + node, state)
 
 
-def run(
-    node: CanopenNode, seconds: float, frames: dict[int, list[Frame]] | None = None, t0: int = T0
-) -> list[Frame]:
+def run(node, seconds, frames=None, t0=T0):
     """Step every 10 ms; `frames` by tick."""
-    out: list[Frame] = []
+    out = []
     for k in range(round(seconds * 100)):
         out += node.step((frames or {}).get(k, []), t0 + k * 10 * MS)
     return out
 
 
-def test_boot_up_then_a_heartbeat_every_100_ms() -> None:
+def test_boot_up_then_a_heartbeat_every_100_ms():
     out = run(CanopenNode(), 1.0)
     assert [f.can_id for f in out] == [0x720] * 11
     assert [f.data for f in out] == [b"\x00"] + [b"\x05"] * 10
     assert [(f.t_ns - T0) // MS for f in out[1:]] == [100 * k for k in range(10)]
 
 
-def test_a_stall_gives_one_heartbeat_and_no_burst() -> None:
+def test_a_stall_gives_one_heartbeat_and_no_burst():
     node = CanopenNode()
     run(node, 0.05)
     late = node.step([], T0 + 5 * SECOND + 50 * MS)
@@ -48,14 +44,14 @@ def test_a_stall_gives_one_heartbeat_and_no_burst() -> None:
     assert len(node.step([], T0 + 5 * SECOND + 100 * MS)) == 1
 
 
-def test_without_being_master_no_nmt_frame_is_ever_made() -> None:
+def test_without_being_master_no_nmt_frame_is_ever_made():
     node = CanopenNode((1, 2, 3))
     frames = {k: [heartbeat(n, PRE_OPERATIONAL) for n in (1, 2, 3)] for k in range(0, 500, 10)}
     assert {f.can_id for f in run(node, 5.0, frames)} == {0x720}
     assert node.starts_sent == 0
 
 
-def test_the_master_starts_configured_drives_one_by_one_after_listening() -> None:
+def test_the_master_starts_configured_drives_one_by_one_after_listening():
     node = CanopenNode((1, 3), nmt_master=True)
     frames = {5: [heartbeat(n, PRE_OPERATIONAL) for n in (1, 2, 3)]}
     frames |= {k: [heartbeat(n, OPERATIONAL) for n in (1, 3)] for k in range(30, 300, 10)}
@@ -66,7 +62,7 @@ def test_the_master_starts_configured_drives_one_by_one_after_listening() -> Non
     assert all(allow.permits(f) for f in out)
 
 
-def test_a_drive_that_stays_pre_operational_is_told_once_a_second() -> None:
+def test_a_drive_that_stays_pre_operational_is_told_once_a_second():
     node = CanopenNode((4,), nmt_master=True)
     frames = {k: [heartbeat(4, PRE_OPERATIONAL)] for k in range(0, 1000, 10)}
     out = [f for f in run(node, 5.0, frames) if f.can_id == 0x000]
@@ -75,12 +71,12 @@ def test_a_drive_that_stays_pre_operational_is_told_once_a_second() -> None:
 
 
 @pytest.mark.parametrize("state", [b"\x00", b"\x04", b"\x05", b"", b"\x7f\x00"])
-def test_only_pre_operational_drives_are_started(state: bytes) -> None:
+def test_only_pre_operational_drives_are_started(state):
     node = CanopenNode((1,), nmt_master=True)
     assert {f.can_id for f in run(node, 1.0, {0: [heartbeat(1, state)]})} == {0x720}
 
 
-def test_another_master_ends_starting_for_good(caplog: pytest.LogCaptureFixture) -> None:
+def test_another_master_ends_starting_for_good(caplog):
     node = CanopenNode((1,), nmt_master=True)
     frames = {k: [heartbeat(1, PRE_OPERATIONAL)] for k in range(0, 300, 10)}
     frames[7] = [Frame(0, 0x000, b"\x80\x00")]
@@ -93,7 +89,7 @@ def test_another_master_ends_starting_for_good(caplog: pytest.LogCaptureFixture)
 
 
 @pytest.mark.parametrize("flags", [EXTENDED, REMOTE, ERROR])
-def test_frames_that_are_no_nmt_command_do_not_stop_the_master(flags: int) -> None:
+def test_frames_that_are_no_nmt_command_do_not_stop_the_master(flags):
     node = CanopenNode((1,), nmt_master=True)
     frames = {0: [Frame(0, 0x000, b"", flags), heartbeat(1, PRE_OPERATIONAL)]}
     run(node, 1.0, frames)
@@ -101,12 +97,12 @@ def test_frames_that_are_no_nmt_command_do_not_stop_the_master(flags: int) -> No
     assert node.starts_sent == 1
 
 
-def test_broadcast_is_no_drive() -> None:
+def test_broadcast_is_no_drive():
     with pytest.raises(ValueError, match="broadcast"):
         CanopenNode((0, 1), nmt_master=True)
 
 
-def emergencies(frames: list[Frame]) -> list[tuple[int, int]]:
+def emergencies(frames):
     consumer = EmcyConsumer()
     for frame in frames:
         if frame.can_id == 0x0A0:
@@ -114,7 +110,7 @@ def emergencies(frames: list[Frame]) -> list[tuple[int, int]]:
     return [(e.code, e.register) for e in consumer.log]
 
 
-def test_faults_are_announced_on_change_and_reset_when_all_are_gone() -> None:
+def test_faults_are_announced_on_change_and_reset_when_all_are_gone():
     node = CanopenNode()
     run(node, 0.1)
     node.set_errors([GatewayError.COMMUNICATION])
@@ -128,7 +124,7 @@ def test_faults_are_announced_on_change_and_reset_when_all_are_gone() -> None:
     assert emergencies(run(node, 1.0, t0=T0 + 4 * SECOND)) == [(0, 0)]
 
 
-def test_all_faults_at_once_come_one_per_inhibit_time() -> None:
+def test_all_faults_at_once_come_one_per_inhibit_time():
     node = CanopenNode()
     node.set_errors(list(GatewayError))
     out = [f for f in run(node, 1.0) if f.can_id == 0x0A0]
@@ -136,9 +132,9 @@ def test_all_faults_at_once_come_one_per_inhibit_time() -> None:
     assert {b.t_ns - a.t_ns for a, b in pairwise(out)} == {20 * MS}
 
 
-def test_a_flapping_fault_is_bounded_by_the_inhibit_time() -> None:
+def test_a_flapping_fault_is_bounded_by_the_inhibit_time():
     node = CanopenNode()
-    out: list[Frame] = []
+    out = []
     for k in range(1000):
         node.set_errors([GatewayError.SENSOR] if k % 2 else [])
         out += node.step([], T0 + k * MS)
@@ -146,13 +142,13 @@ def test_a_flapping_fault_is_bounded_by_the_inhibit_time() -> None:
     assert all(len(f.data) == 8 for f in out if f.can_id == 0x0A0)
 
 
-def test_error_register_bits() -> None:
+def test_error_register_bits():
     assert error_register([]) == 0
     assert error_register([GatewayError.SENSOR]) == 0x21
     assert error_register(GatewayError) == 0xB1
 
 
-def test_what_is_sent_is_what_the_library_reads() -> None:
+def test_what_is_sent_is_what_the_library_reads():
     node = CanopenNode((4,), nmt_master=True)
     node.set_errors([GatewayError.SENSOR])
     out = run(node, 1.0, {0: [Frame(T0, 0x704, b"\x7f")]})
@@ -164,7 +160,7 @@ def test_what_is_sent_is_what_the_library_reads() -> None:
     assert EMCY_STRUCT.unpack(emergency.data) == (GatewayError.SENSOR, 0x21, bytes(5))
 
 
-def test_a_simulated_drive_obeys_the_library_s_commands() -> None:
+def test_a_simulated_drive_obeys_the_library_s_commands():
     for command, state in COMMAND_TO_STATE.items():
         library = NmtSlave(3, None)
         library._state = 5

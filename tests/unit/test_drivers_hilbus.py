@@ -1,21 +1,18 @@
 """A scenario on a real bus, without the bus: what is judged, and how it ends."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
 from argparse import Namespace
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import pytest
 
-from dbc.codec import Codec, bind
-from dbc.frame import MS, SECOND, Frame
-from dbc.frames import Block, block_of
+from dbc.codec import bind
+from dbc.frame import MS, SECOND
+from dbc.frames import block_of
 from gateway.cli import main
 from gateway.core.gateway import Gateway
 from gateway.hil import buses as hilbus
@@ -27,8 +24,8 @@ from gateway.io.transport import SendResult, Status
 from gateway.reports.expectations import Verdict
 from gateway.reports.reporting import Reporting, leave
 from gateway.reports.truth import HEADER
-from gateway.settings.config import Config, parse
-from sim.scenario import Scenario, parse_text
+from gateway.settings.config import parse
+from sim.scenario import parse_text
 from sim.simulation import Simulation
 
 LATE_NS = 200 * MS
@@ -53,20 +50,20 @@ never = true
 class World:
     """Drives, their process, the bus and its clock; the drives leave when the scenario ends."""
 
-    def __init__(self, scenario: Scenario, codec: Codec) -> None:
+    def __init__(self, scenario, codec):
         self.now_ns = 0
         self.status = Status()
         self.ended_ns = LATE_NS + round(scenario.duration_s * SECOND)
         self.terminated = False
         self.returncode = 0
-        self.words: list[str] = []
+        self.words = []
         self._simulation = Simulation(scenario, codec, self_start=False)
-        self._sent: list[Frame] = []
+        self._sent = []
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now_ns += round(seconds * SECOND)
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self, timeout_s):
         assert timeout_s == 0.0
         if not LATE_NS <= self.now_ns <= self.ended_ns:
             return []
@@ -75,17 +72,17 @@ class World:
         self.status.received += len(frames)
         return [f._replace(t_ns=f.t_ns + LATE_NS) for f in frames]
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s):
         return block_of(self.receive(timeout_s))
 
-    def send(self, frame: Frame) -> SendResult:
+    def send(self, frame):
         self._sent.append(frame)
         return self.status.count(SendResult.SENT)
 
-    def close(self) -> None:
+    def close(self):
         pass
 
-    def start(self, words: list[str]) -> World:
+    def start(self, words):
         """The drives' process; of the truth it leaves one row."""
         self.words = words
         if "--truth" in words:
@@ -93,24 +90,24 @@ class World:
             path.write_text(f"{','.join(HEADER)}\n0.010,1,2.5,0,9.5,0,1,0\n")
         return self
 
-    def poll(self) -> int | None:
+    def poll(self):
         """The process is gone a while after its last frame."""
         return 0 if self.now_ns > self.ended_ns + 100 * MS else None
 
-    def terminate(self) -> None:
+    def terminate(self):
         self.terminated = True
 
-    def wait(self, timeout: float) -> int:
+    def wait(self, timeout):
         assert timeout > 0
         return 0
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
+def run(monkeypatch):
     def run(
-        world: World, scenario: Scenario, config: Config, codec: Codec,
-        left: Reporting | None = None,
-    ) -> Outcome:  # fmt: skip
+        world, scenario, config, codec,
+        left = None,
+    ):  # fmt: skip
         monkeypatch.setattr(
             hilbus, "Ticker", lambda period: Ticker(period, lambda: world.now_ns, world.sleep)
         )
@@ -121,9 +118,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Outcome]:
     return run
 
 
-def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(
-    run: Callable[..., Outcome],
-) -> None:
+def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(run):
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
     codec = bind(config.dbc_path, config.nodes)
@@ -141,16 +136,14 @@ class Interrupted(World):
 
     number = signal.SIGINT
 
-    def poll(self) -> int | None:
+    def poll(self):
         if LATE_NS + 500 * MS < self.now_ns < LATE_NS + 520 * MS:
             os.kill(os.getpid(), self.number)
         return super().poll()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_run_that_a_signal_ends_has_no_verdict(
-    run: Callable[..., Outcome], number: signal.Signals
-) -> None:
+def test_a_run_that_a_signal_ends_has_no_verdict(run, number):
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
     codec = bind(config.dbc_path, config.nodes)
@@ -162,7 +155,7 @@ def test_a_run_that_a_signal_ends_has_no_verdict(
     assert world.terminated
 
 
-def test_drives_that_fail_give_no_verdict(run: Callable[..., Outcome]) -> None:
+def test_drives_that_fail_give_no_verdict(run):
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
     codec = bind(config.dbc_path, config.nodes)
@@ -172,9 +165,7 @@ def test_drives_that_fail_give_no_verdict(run: Callable[..., Outcome]) -> None:
         run(world, scenario, config, codec)
 
 
-def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(
-    run: Callable[..., Outcome], tmp_path: Path
-) -> None:
+def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(run, tmp_path):
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
     codec = bind(config.dbc_path, config.nodes)
@@ -200,7 +191,7 @@ def test_the_report_of_a_bus_has_its_timing_and_ends_with_the_scenario(
 class Slow(World):
     """The drives' process wakes every 30 ms and sends what was due since then."""
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self, timeout_s):
         if self.now_ns // (10 * MS) % 3:
             return []
         frames = super().receive(timeout_s)
@@ -212,7 +203,7 @@ class Slow(World):
 class Standing(World):
     """The gateway's process stands still for five ticks, once."""
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         super().sleep(seconds)
         if LATE_NS + 500 * MS <= self.now_ns < LATE_NS + 510 * MS:
             self.now_ns += 50 * MS
@@ -223,9 +214,7 @@ class Standing(World):
     [(World, ""), (Slow, "the drives' samples came up to .* ms late"),
      (Standing, "the gateway missed 5 ticks")],
 )  # fmt: skip
-def test_a_machine_that_cannot_keep_up_is_noticed(
-    run: Callable[..., Outcome], kind: type[World], why: str
-) -> None:
+def test_a_machine_that_cannot_keep_up_is_noticed(run, kind, why):
     scenario = parse_text(SCENARIO, "nothing")
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
     codec = bind(config.dbc_path, config.nodes)
@@ -240,12 +229,10 @@ def test_a_machine_that_cannot_keep_up_is_noticed(
      (False, "late", 3, "error")],
 )  # fmt: skip
 def test_what_fails_on_such_a_machine_is_inconclusive(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    held: bool, overload: str, code: int, kind: str,
-) -> None:  # fmt: skip
-    def run(
-        _o: object, _n: str, scenario: Scenario, config: Config, codec: Codec, _l: object
-    ) -> Outcome:
+    monkeypatch, tmp_path, capsys,
+    held, overload, code, kind,
+):  # fmt: skip
+    def run(_o, _n, scenario, config, codec, _l):
         return Outcome(
             scenario, [Verdict("flag", held, "seen")], Gateway(config, codec, 0), overload
         )
@@ -261,7 +248,7 @@ def test_what_fails_on_such_a_machine_is_inconclusive(
     assert [case.tag for case in suite.iter() if case.tag in counts] == [kind] * bool(kind)
 
 
-def test_bus_options_are_handed_on() -> None:
+def test_bus_options_are_handed_on():
     options = Namespace(interface="socketcan", channel="vcan0", bitrate=None, fd=True)
     assert bus_arguments(options) == ["-i", "socketcan", "-c", "vcan0", "--fd"]
     assert bus_arguments(Namespace(data_bitrate=5_000_000)) == ["--data-bitrate", "5000000"]

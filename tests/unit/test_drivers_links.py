@@ -1,7 +1,5 @@
 """What netlink says of a link: answers taken apart, advice, and the thread that asks."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import subprocess
@@ -19,11 +17,11 @@ from gateway.io.wire import BusState
 SET_UP = Facts(3, True, True, "can", BusState.ACTIVE, 100, 1_000_000, 5_000_000, 10)
 
 
-def attribute(kind: int, content: bytes) -> bytes:
+def attribute(kind, content):
     return struct.pack("=HH", 4 + len(content), kind) + content + bytes(-len(content) % 4)
 
 
-def answer(state: int = 0, restart_ms: int = 100, kind: bytes = b"can") -> bytes:
+def answer(state=0, restart_ms=100, kind=b"can"):
     """RTM_NEWLINK as the kernel writes it (linux/if_link.h, linux/can/netlink.h)."""
     timing = struct.pack("=8I", 500_000, *range(7))
     data = attribute(1, timing) + attribute(4, struct.pack("=I", state))
@@ -37,26 +35,26 @@ def answer(state: int = 0, restart_ms: int = 100, kind: bytes = b"can") -> bytes
 @pytest.mark.parametrize(
     ("code", "state"), [(0, "active"), (1, "warning"), (2, "passive"), (3, "bus-off"), (4, None)]
 )
-def test_an_answer_of_a_controller(code: int, state: str | None) -> None:
+def test_an_answer_of_a_controller(code, state):
     found = facts(answer(code))
     expected = None if state is None else BusState(state)
     assert found == Facts(3, True, True, "can", expected, 100, 500_000, 0, 10)
 
 
-def test_a_virtual_link_has_no_controller() -> None:
+def test_a_virtual_link_has_no_controller():
     found = facts(answer(3, kind=b"vcan"))
     assert found is not None
     assert (found.kind, found.state, found.restart_ms) == ("vcan", None, 0)
     assert advice("vcan0", found) == []
 
 
-def test_no_such_link_and_no_answer_are_none() -> None:
+def test_no_such_link_and_no_answer_are_none():
     failure = struct.pack("=IHHIIi", 36, 2, 0, 1, 0, -19) + bytes(16)
     assert facts(failure) is None
     assert facts(b"") is None
 
 
-def test_the_question_is_what_the_library_reads() -> None:
+def test_the_question_is_what_the_library_reads():
     asked = ifinfmsg(question("can0"))
     asked.decode()
     assert asked["header"]["type"] == 18
@@ -73,7 +71,7 @@ def test_the_question_is_what_the_library_reads() -> None:
         ({"data_bitrate": 2_000_000}, "ip link set can0 type can dbitrate 5000000"),
     ],
 )
-def test_advice_names_the_command(change: dict[str, int], cure: str) -> None:
+def test_advice_names_the_command(change, cure):
     told = (1_000_000, 5_000_000)
     assert advice("can0", SET_UP, *told) == []
     (line,) = advice("can0", SET_UP._replace(**change), *told)
@@ -81,12 +79,12 @@ def test_advice_names_the_command(change: dict[str, int], cure: str) -> None:
     assert cure in line
 
 
-def test_rates_that_nobody_named_or_knows_are_not_compared() -> None:
+def test_rates_that_nobody_named_or_knows_are_not_compared():
     assert advice("can0", SET_UP._replace(bitrate=500_000)) == []
     assert advice("can0", SET_UP._replace(bitrate=0), 1_000_000) == []
 
 
-def test_a_link_of_this_machine_is_asked_for() -> None:
+def test_a_link_of_this_machine_is_asked_for():
     """The loopback interface is everywhere; asking needs no right."""
     asker = Links("lo")
     began = time.monotonic_ns()
@@ -106,7 +104,7 @@ def test_a_link_of_this_machine_is_asked_for() -> None:
     assert "links" not in [t.name for t in threading.enumerate()]
 
 
-def test_a_link_that_is_not_there() -> None:
+def test_a_link_that_is_not_there():
     asker = Links("nosuchlink")
     assert asker.start()
     assert asker.news()[1] is None
@@ -114,15 +112,15 @@ def test_a_link_that_is_not_there() -> None:
     asker.close()
 
 
-def test_without_netlink_nothing_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> socket.socket:
+def test_without_netlink_nothing_is_started(monkeypatch):
+    def refuse(*_):
         raise PermissionError
 
     monkeypatch.setattr(links.socket, "socket", refuse)
     assert not Links("lo").start()
 
 
-def test_advice_is_said_once_and_again_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_advice_is_said_once_and_again_when_it_changes(monkeypatch):
     asker = Links("can0", 500_000)
     monkeypatch.setattr(asker, "_found", (1, answer(restart_ms=0)))
     asker.news()
@@ -136,7 +134,7 @@ def test_advice_is_said_once_and_again_when_it_changes(monkeypatch: pytest.Monke
     assert len(asker.advice()) == 1
 
 
-def test_the_library_is_loaded_at_start_and_not_before() -> None:
+def test_the_library_is_loaded_at_start_and_not_before():
     """It takes as long as ten ticks; and who opens no SocketCAN should not wait for it."""
     program = """
 import sys

@@ -1,14 +1,11 @@
 """The log is bounded, whatever the bus does."""
 
-from __future__ import annotations
-
 import io
 import json
 import logging
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -16,11 +13,11 @@ import pytest
 
 from dbc.codec import bind
 from dbc.frame import MS, SECOND, Frame
-from dbc.frames import Block, block_of
+from dbc.frames import block_of
 from gateway.core.gateway import Gateway
 from gateway.io import log_setup as logs
 from gateway.io.canopen_node import CanopenNode
-from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.live import Stop, run_live
 from gateway.io.outputs import Outputs
 from gateway.io.realtime import Ticker
 from gateway.io.service import Manager, Overseer
@@ -29,26 +26,26 @@ from gateway.settings.config import parse
 
 
 class Clock:
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 1000 * SECOND
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now
 
-    def seconds(self) -> float:
+    def seconds(self):
         return self.now / SECOND
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now += round(seconds * SECOND)
 
 
 @pytest.fixture
-def clock() -> Clock:
+def clock():
     return Clock()
 
 
 @pytest.fixture
-def written(clock: Clock) -> Iterator[io.StringIO]:
+def written(clock):
     """What a handler with the limit lets through of everything that is logged."""
     stream = io.StringIO()
     handler = logging.StreamHandler(stream)
@@ -62,7 +59,7 @@ def written(clock: Clock) -> Iterator[io.StringIO]:
     root.removeHandler(handler)
 
 
-def test_a_place_in_the_code_has_ten_lines_a_minute(clock: Clock, written: io.StringIO) -> None:
+def test_a_place_in_the_code_has_ten_lines_a_minute(clock, written):
     log = logging.getLogger("storm")
     for k in range(1000):
         log.warning("frame %d is bad", k)
@@ -77,7 +74,7 @@ def test_a_place_in_the_code_has_ten_lines_a_minute(clock: Clock, written: io.St
     assert len(lines) == 15
 
 
-def test_what_was_left_out_is_said_with_the_next_line(clock: Clock, written: io.StringIO) -> None:
+def test_what_was_left_out_is_said_with_the_next_line(clock, written):
     log = logging.getLogger("storm")
     for k in range(25):
         clock.sleep(60.0 if k == 24 else 0.0)
@@ -87,7 +84,7 @@ def test_what_was_left_out_is_said_with_the_next_line(clock: Clock, written: io.
     assert lines[-1] == "100 % of 24 (14 more suppressed)"
 
 
-def test_what_nobody_has_told_of_is_counted() -> None:
+def test_what_nobody_has_told_of_is_counted():
     limit = logs.Limited(lambda: 0.0)
     record = logging.LogRecord("a", logging.INFO, "a.py", 1, "text", (), None)
     assert [limit.filter(record) for _ in range(13)] == [True] * 10 + [False] * 3
@@ -97,11 +94,11 @@ def test_what_nobody_has_told_of_is_counted() -> None:
 class Storm:
     """A bus on which everything goes wrong in every tick, and never the same way twice."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.status = Status(state=LinkState.UP)
         self.tick = 0
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s):
         self.tick += 1
         k = self.tick
         self.status.state = LinkState.DOWN if k % 2 else LinkState.UP
@@ -111,14 +108,14 @@ class Storm:
                *(Frame(k, 0x700 + n, b"\x7f") for n in (1, 2, 3))]  # fmt: skip
         return block_of(bad)
 
-    def send(self, frame: Frame) -> SendResult:
+    def send(self, frame):
         kinds = (SendResult.FAILED, SendResult.FULL, SendResult.DOWN, SendResult.REFUSED)
         return self.status.count(kinds[self.tick % 4])
 
-    def close(self) -> None: ...
+    def close(self): ...
 
 
-def test_a_storm_of_everything_is_a_few_lines_a_minute(clock: Clock, written: io.StringIO) -> None:
+def test_a_storm_of_everything_is_a_few_lines_a_minute(clock, written):
     minutes = 1
     storm, stop = Storm(), Stop()
     config = parse({})
@@ -128,7 +125,7 @@ def test_a_storm_of_everything_is_a_few_lines_a_minute(clock: Clock, written: io
     manager = Manager("/nowhere/notify", SECOND)
     overseer = Overseer(Outputs(core.outbox.specs.values()), manager, "vcan0", 0)
 
-    def on_tick(seen: LiveSnapshot) -> None:
+    def on_tick(seen):
         overseer.completed(seen)
         if seen.tick >= minutes * 6000:
             stop()
@@ -148,10 +145,10 @@ def test_a_storm_of_everything_is_a_few_lines_a_minute(clock: Clock, written: io
     assert any("more suppressed" in line for line in lines)
 
 
-def test_lines_for_the_journal_carry_their_level() -> None:
+def test_lines_for_the_journal_carry_their_level():
     made = logs.Marked(logging.Formatter("%(name)s: %(message)s"))
 
-    def line(level: int, text: str) -> str:
+    def line(level, text):
         return made.format(logging.LogRecord("bus", level, "", 1, text, (), None))
 
     assert line(logging.INFO, "up") == "<6>bus: up"
@@ -159,8 +156,8 @@ def test_lines_for_the_journal_carry_their_level() -> None:
     assert line(logging.ERROR, "a\nb") == "<3>bus: a\n<3>b"
 
 
-def test_a_line_of_json_has_everything() -> None:
-    def line(level: int, text: str, args: tuple[object, ...] = (), **more: object) -> dict:
+def test_a_line_of_json_has_everything():
+    def line(level, text, args=(), **more):
         record = logging.LogRecord("bus", level, "x.py", 1, text, args, more.pop("exc_info", None))
         vars(record).update(more)
         text = logs.Json().format(record)
@@ -181,7 +178,7 @@ def test_a_line_of_json_has_everything() -> None:
 
 
 @pytest.mark.parametrize("form", ["--log-format=json", "--log-format json", "--log-f json"])
-def test_the_log_of_a_verb_as_json(form: str) -> None:
+def test_the_log_of_a_verb_as_json(form):
     words = ["run", "-v", "-i", "virtual", "-c", "x", "--quiet", "--duration", "0.05"]
     done = subprocess.run(
         [sys.executable, "-m", "gateway", *words, *form.split()],
@@ -197,7 +194,7 @@ def test_the_log_of_a_verb_as_json(form: str) -> None:
     assert not [line for line in done.stderr.splitlines() if line.startswith(("INFO", "WARNING"))]
 
 
-def test_an_error_ends_a_log_of_json_with_a_line_of_json() -> None:
+def test_an_error_ends_a_log_of_json_with_a_line_of_json():
     words = ["check", "no-such.toml", "--log-format", "json"]
     done = subprocess.run(
         [sys.executable, "-m", "gateway", *words], capture_output=True, text=True, check=False
@@ -208,7 +205,7 @@ def test_an_error_ends_a_log_of_json_with_a_line_of_json() -> None:
     assert "no-such.toml" in got["message"]
 
 
-def test_json_for_the_journal_has_its_level_before_it() -> None:
+def test_json_for_the_journal_has_its_level_before_it():
     made = logs.Marked(logs.Json())
     line = made.format(logging.LogRecord("bus", logging.WARNING, "", 1, "down", (), None))
     assert line.startswith("<4>{")
@@ -216,7 +213,7 @@ def test_json_for_the_journal_has_its_level_before_it() -> None:
 
 
 @pytest.mark.parametrize("journal", [True, False])
-def test_stderr_is_the_journal_only_where_systemd_says_so(journal: bool) -> None:
+def test_stderr_is_the_journal_only_where_systemd_says_so(journal):
     read, write = os.pipe()
     there = os.fstat(write)
     inode = there.st_ino if journal else there.st_ino + 1

@@ -1,10 +1,7 @@
 """The python-can transport over its `virtual` bus, and over buses that fail."""
 
-from __future__ import annotations
-
 import errno
 import time
-from collections.abc import Iterator
 
 import can
 import pytest
@@ -26,12 +23,12 @@ FRAMES = [
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_frames_survive_the_way_through_a_message(frame: Frame) -> None:
+def test_frames_survive_the_way_through_a_message(frame):
     assert from_message(to_message(frame)) == frame
 
 
 @pytest.fixture
-def pair() -> Iterator[tuple[PythonCan, PythonCan]]:
+def pair():
     options = {"interface": "virtual", "channel": "pair", "fd": True}
     a, b = PythonCan(options), PythonCan(options)
     a.open()
@@ -41,9 +38,7 @@ def pair() -> Iterator[tuple[PythonCan, PythonCan]]:
     b.close()
 
 
-def test_what_one_sends_the_other_receives_in_one_batch(
-    pair: tuple[PythonCan, PythonCan],
-) -> None:
+def test_what_one_sends_the_other_receives_in_one_batch(pair):
     a, b = pair
     before = time.monotonic_ns()
     for frame in FRAMES:
@@ -58,7 +53,7 @@ def test_what_one_sends_the_other_receives_in_one_batch(
     assert (a.status.sent, b.status.received) == (len(FRAMES), len(FRAMES))
 
 
-def test_error_frames_are_flagged_and_move_the_bus_state() -> None:
+def test_error_frames_are_flagged_and_move_the_bus_state():
     receiver = PythonCan({"interface": "virtual", "channel": "errors"})
     receiver.open()
     with can.Bus(interface="virtual", channel="errors") as sender:
@@ -69,9 +64,7 @@ def test_error_frames_are_flagged_and_move_the_bus_state() -> None:
     receiver.close()
 
 
-def test_waiting_ends_without_frames_and_with_the_first(
-    pair: tuple[PythonCan, PythonCan],
-) -> None:
+def test_waiting_ends_without_frames_and_with_the_first(pair):
     a, b = pair
     started = time.monotonic_ns()
     assert b.receive(0.01) == []
@@ -80,7 +73,7 @@ def test_waiting_ends_without_frames_and_with_the_first(
     assert len(b.receive(30.0)) == 1
 
 
-def test_fd_needs_to_be_asked_for() -> None:
+def test_fd_needs_to_be_asked_for():
     bus = PythonCan({"interface": "virtual", "channel": "classic"})
     bus.open()
     assert bus.send(FRAMES[4]) is SendResult.FAILED
@@ -90,7 +83,7 @@ def test_fd_needs_to_be_asked_for() -> None:
     assert bus.send(FRAMES[0]) is SendResult.DOWN
 
 
-def test_unknown_interface_or_option_is_a_configuration_error() -> None:
+def test_unknown_interface_or_option_is_a_configuration_error():
     with pytest.raises(ConfigError, match="nonsense"):
         PythonCan({"interface": "nonsense", "channel": "0"}).open()
 
@@ -98,10 +91,10 @@ def test_unknown_interface_or_option_is_a_configuration_error() -> None:
 class Clock:
     """A clock the test moves."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 100 * SECOND
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now
 
 
@@ -113,31 +106,31 @@ class BadBus(can.BusABC):
     send_error: int | None = None
     made = 0
 
-    def __init__(self, channel: object = None, **_: object) -> None:
+    def __init__(self, channel=None, **_):
         if BadBus.absent:
             raise can.CanInitializationError("device unplugged")
         super().__init__(channel=channel)
         BadBus.made += 1
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+    def _recv_internal(self, timeout):
         if BadBus.broken:
             raise can.CanOperationError("device unplugged")
         return None, True
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+    def send(self, msg, timeout=None):
         if BadBus.send_error is not None:
             raise can.CanOperationError("transmit", BadBus.send_error)
 
 
 @pytest.fixture
-def bad(monkeypatch: pytest.MonkeyPatch) -> type[BadBus]:
+def bad(monkeypatch):
     monkeypatch.setattr(can, "Bus", lambda **options: BadBus(channel=options["channel"]))
     for name, value in (("absent", False), ("broken", False), ("send_error", None), ("made", 0)):
         monkeypatch.setattr(BadBus, name, value)
     return BadBus
 
 
-def test_an_absent_device_is_waited_for_and_a_lost_one_opened_again(bad: type[BadBus]) -> None:
+def test_an_absent_device_is_waited_for_and_a_lost_one_opened_again(bad):
     clock = Clock()
     bad.absent = True
     bus = PythonCan({"interface": "x", "channel": "0"}, clock, clock)
@@ -164,7 +157,7 @@ def test_an_absent_device_is_waited_for_and_a_lost_one_opened_again(bad: type[Ba
     ("code", "result"),
     [(errno.ENOBUFS, SendResult.FULL), (errno.EIO, SendResult.FAILED), (0, SendResult.FAILED)],
 )
-def test_refused_sends_are_counted(bad: type[BadBus], code: int, result: SendResult) -> None:
+def test_refused_sends_are_counted(bad, code, result):
     bus = PythonCan({"interface": "x", "channel": "0"})
     bus.open()
     bad.send_error = code
@@ -173,7 +166,7 @@ def test_refused_sends_are_counted(bad: type[BadBus], code: int, result: SendRes
     bus.close()
 
 
-def test_a_device_with_its_own_epoch_is_stamped_between_two_reads() -> None:
+def test_a_device_with_its_own_epoch_is_stamped_between_two_reads():
     mono, real = Clock(), Clock()
     options = {"interface": "virtual", "channel": "epoch", "preserve_timestamps": True}
     bus = PythonCan(options, mono, real)

@@ -1,42 +1,45 @@
-"""Ticker and histogram, on a clock that only the test moves."""
+"""Ticker, histogram and latency by stage, on a clock that only the test moves."""
 
-from __future__ import annotations
+import csv
 
+import numpy as np
 import pytest
 
 from dbc.frame import MS
 from gateway.io.realtime import Histogram, Ticker
+from gateway.io.timing import STAGES, Timing
+from gateway.reports.timing import leave
 
 
 class Clock:
     """Monotonic time that advances by sleeping, `late_ns` more than asked."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now = 1_000 * MS
         self.late_ns = 0
         self.sleeps = 0
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.sleeps += 1
         self.now += round(seconds * 1e9) + self.late_ns
 
 
-def make(period_ns: int = 10 * MS) -> tuple[Clock, Ticker]:
+def make(period_ns=10 * MS):
     clock = Clock()
     return clock, Ticker(period_ns, clock, clock.sleep)
 
 
-def test_first_tick_is_now_and_sets_the_grid() -> None:
+def test_first_tick_is_now_and_sets_the_grid():
     clock, ticker = make()
     assert ticker.wait() == (0, 1_000 * MS, 0)
     assert ticker.wait() == (1, 1_010 * MS, 0)
     assert clock.sleeps == 1
 
 
-def test_deadlines_are_absolute_so_lateness_does_not_add_up() -> None:
+def test_deadlines_are_absolute_so_lateness_does_not_add_up():
     clock, ticker = make()
     clock.late_ns = 2 * MS
     ticks = [ticker.wait() for _ in range(50)]
@@ -45,7 +48,7 @@ def test_deadlines_are_absolute_so_lateness_does_not_add_up() -> None:
     assert ticker.missed == 0
 
 
-def test_work_within_the_period_does_not_shift_the_grid() -> None:
+def test_work_within_the_period_does_not_shift_the_grid():
     clock, ticker = make()
     ticker.wait()
     clock.now += 7 * MS
@@ -56,7 +59,7 @@ def test_work_within_the_period_does_not_shift_the_grid() -> None:
     ("stall_ms", "number", "missed"),
     [(9, 1, 0), (19, 1, 0), (20, 2, 1), (29, 2, 1), (5_000, 500, 499)],
 )
-def test_missed_ticks_are_skipped_and_counted(stall_ms: int, number: int, missed: int) -> None:
+def test_missed_ticks_are_skipped_and_counted(stall_ms, number, missed):
     clock, ticker = make()
     ticker.wait()
     clock.now += stall_ms * MS
@@ -68,10 +71,10 @@ def test_missed_ticks_are_skipped_and_counted(stall_ms: int, number: int, missed
     assert ticker.missed == missed
 
 
-def test_a_sleep_that_ends_early_is_repeated() -> None:
+def test_a_sleep_that_ends_early_is_repeated():
     clock = Clock()
 
-    def short(seconds: float) -> None:
+    def short(seconds):
         clock.sleep(min(seconds, 0.004))
 
     ticker = Ticker(10 * MS, clock, short)
@@ -80,7 +83,7 @@ def test_a_sleep_that_ends_early_is_repeated() -> None:
     assert clock.sleeps == 3
 
 
-def test_lateness_is_counted_per_tick() -> None:
+def test_lateness_is_counted_per_tick():
     clock, ticker = make()
     clock.late_ns = 300_000
     for _ in range(10):
@@ -89,12 +92,12 @@ def test_lateness_is_counted_per_tick() -> None:
     assert ticker.lateness.largest == 300_000
 
 
-def test_period_must_be_positive() -> None:
+def test_period_must_be_positive():
     with pytest.raises(ValueError, match="period_ns"):
         Ticker(0)
 
 
-def test_histogram_quantile_is_a_bound_within_a_quarter() -> None:
+def test_histogram_quantile_is_a_bound_within_a_quarter():
     histogram = Histogram()
     values = [k * k * 37 for k in range(1, 1001)]
     for value in values:
@@ -104,7 +107,7 @@ def test_histogram_quantile_is_a_bound_within_a_quarter() -> None:
         assert exact <= histogram.quantile(fraction) <= exact * 1.25
 
 
-def test_histogram_small_values_are_exact_and_odd_values_are_safe() -> None:
+def test_histogram_small_values_are_exact_and_odd_values_are_safe():
     histogram = Histogram()
     assert histogram.quantile(0.99) == 0
     for value in range(8):
@@ -116,7 +119,7 @@ def test_histogram_small_values_are_exact_and_odd_values_are_safe() -> None:
     assert histogram.quantile(1.0) <= 1 << 70
 
 
-def test_histogram_never_grows() -> None:
+def test_histogram_never_grows():
     histogram = Histogram()
     size = len(histogram.counts)
     for bit in range(64):
@@ -124,3 +127,68 @@ def test_histogram_never_grows() -> None:
         histogram.add((1 << bit) - 1)
     assert len(histogram.counts) == size
     assert sum(histogram.counts) == histogram.total == 128
+
+
+def largest(timing):
+    return {name: h.largest for name, h in timing.stages.items()}
+
+
+def test_the_stages_of_a_tick_add_up():
+    timing = Timing(Histogram())
+    timing.add(1 * MS, woken=4 * MS, read=5 * MS, stepped=9 * MS, sent=11 * MS)
+    assert largest(timing) == dict(
+        zip(STAGES, (3 * MS, 1 * MS, 4 * MS, 2 * MS, 10 * MS), strict=True)
+    )
+    assert timing.latency.total == 1
+
+
+def test_a_frame_may_come_while_the_tick_begins():
+    timing = Timing(Histogram())
+    timing.add(5 * MS, woken=4 * MS, read=6 * MS, stepped=7 * MS, sent=8 * MS)
+    assert largest(timing) == dict(zip(STAGES, (0, 1 * MS, 1 * MS, 1 * MS, 3 * MS), strict=True))
+
+
+def test_a_tick_that_decides_nothing_new_is_not_counted():
+    timing = Timing(Histogram())
+    timing.add(None, 1, 2, 3, 4)
+    assert timing.latency.total == 0
+    timing.add(1, 2, 3, 4, 5)
+    timing.add(1, 12, 13, 14, 15)
+    assert timing.latency.total == 1
+    timing.add(11, 12, 13, 14, 15)
+    assert timing.latency.total == 2
+
+
+def test_octaves_hold_every_value_once():
+    histogram = Histogram()
+    values = np.random.default_rng(3).integers(0, 5000, 400).tolist()
+    for value in values:
+        histogram.add(value)
+    octaves = histogram.octaves()
+    assert [a for a, _, _ in octaves[1:]] == [b for _, b, _ in octaves[:-1]]
+    for begin, below, count in octaves:
+        assert count == sum(begin <= value < below for value in values)
+    assert sum(count for _, _, count in octaves) == 400
+    assert Histogram().octaves() == []
+
+
+@pytest.mark.parametrize("decided", [[], [0, 2 * MS]])
+def test_the_report_says_what_the_histograms_hold(tmp_path, decided):
+    timing = Timing(Histogram())
+    for k, stamp in enumerate(decided):
+        timing.lateness.add(100_000)
+        begin = stamp + (k + 1) * MS
+        timing.add(stamp, begin, begin + 10_000, begin + 400_000, begin + 500_000)
+    leave(tmp_path, timing.stage_rows(), "Timing of a test", 10 * MS, 2, 0)
+    with (tmp_path / "timing.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    counted = dict.fromkeys(("lateness", *STAGES), 0)
+    for row in rows:
+        counted[row["stage"]] += int(row["count"])
+        assert float(row["from_us"]) < float(row["below_us"])
+    assert set(counted.values()) == {len(decided)}
+    text = (tmp_path / "report.md").read_text()
+    assert "2 ticks of 10 ms, 0 missed" in text
+    if decided:
+        assert "| frame to flag | 2 | 1.573 | 2.500 | 2.500 | 2.500 | 25.0 % |" in text
+    assert "data:image/svg+xml" in (tmp_path / "report.html").read_text()

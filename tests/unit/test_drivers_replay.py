@@ -1,12 +1,9 @@
 """Replay: ticks, dropped and skipped time, whatever the size of the blocks."""
 
-import io
-
 import numpy as np
 import pytest
 
 from dbc.candump.grammar import format_frame
-from dbc.candump.reader import Reader
 from dbc.frame import MS, SECOND, Frame
 from dbc.frames import in_blocks
 from gateway.core.gateway import Gateway
@@ -35,19 +32,6 @@ def run(frames, size, wanted=None):
         lambda now, out, _view: said.append((now, out)),
     )
     return done, said
-
-
-@pytest.mark.parametrize("size", [1, 7, 33])
-def test_the_size_of_blocks_changes_nothing(size):
-    frames = log()
-    frames[50:50] = [frames[20], frames[3]._replace(t_ns=START - SECOND)]
-    whole, wanted = run(frames, 10_000)
-    done, said = run(frames, size)
-    assert said == wanted
-    assert done[:5] == whole[:5]
-    assert done.gateway.inbox.counts == whole.gateway.inbox.counts
-    assert whole.gateway.inbox.counts["time_back"] == 2
-    assert whole.frames == whole.gateway.inbox.counts["received"] == len(frames)
 
 
 def test_ticks_are_on_the_grid_of_the_first_frame_to_the_first_after_the_last():
@@ -99,22 +83,6 @@ def test_a_file_that_is_no_log_is_told_by_its_first_line(tmp_path):
         list(open_log(path, strict=False).blocks)
     path.write_text("")
     assert list(open_log(path, strict=False).blocks) == []
-
-
-def test_text_and_frames_give_the_same():
-    frames = log()
-    text = b"".join(format_frame(f) + b"\n" for f in frames)
-    from gateway.settings.config import parse
-
-    config = parse({})
-    said = []
-    replay(
-        Reader(io.BytesIO(text)).blocks(),
-        lambda start: Gateway(config, CODEC, start),
-        10 * MS,
-        lambda now, out, _view: said.append((now, out)),
-    )
-    assert said == run(frames, 10_000)[1]
 
 
 def healthy(seconds=8.0, skip=()):

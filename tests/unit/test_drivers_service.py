@@ -1,7 +1,5 @@
 """What the service manager is told: the real core on a bus that fails on demand, a real socket."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal
@@ -9,18 +7,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 from dbc.codec import bind
-from dbc.frame import MS, SECOND, Frame
-from dbc.frames import EMPTY, Block
+from dbc.frame import MS, SECOND
+from dbc.frames import EMPTY
 from gateway.core.gateway import Gateway
 from gateway.io.canopen_node import CanopenNode
-from gateway.io.live import LiveSnapshot, Stop, run_live
+from gateway.io.live import Stop, run_live
 from gateway.io.outputs import MOST_LATE, Outputs
 from gateway.io.realtime import Ticker
 from gateway.io.service import FEEDS, Manager, Overseer
@@ -35,11 +31,11 @@ ADHESION, STATUS = 0x1A0, 0x4A0
 class Listener:
     """The service manager's end of the socket."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name):
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind("\0" + name[1:] if name[0] == "@" else name)
 
-    def heard(self, wait_s: float = 0.0) -> list[str]:
+    def heard(self, wait_s=0.0):
         """Everything that waits; waits for the first."""
         found = []
         while select.select([self.socket], [], [], 0.0 if found else wait_s)[0]:
@@ -48,7 +44,7 @@ class Listener:
 
 
 @pytest.fixture
-def listener(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Listener]:
+def listener(tmp_path, monkeypatch):
     listener = Listener(str(tmp_path / "notify"))
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
     monkeypatch.setenv("WATCHDOG_USEC", str(WATCHDOG_NS // 1000))
@@ -60,16 +56,16 @@ def listener(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Listen
 class Rig:
     """The core, a bus and a virtual clock; `at` has what happens before which tick."""
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener):
         self.listener = listener
         self.now = 5 * SECOND
         self.status = Status(state=LinkState.UP)
         self.result = SendResult.SENT
-        self.change: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-        self.slow: Callable[[int], bool] = lambda tick: False
-        self.at: dict[int, Callable[[], None]] = {}
-        self.told: list[tuple[int, str]] = []
-        self.sent: list[Frame] = []
+        self.change = lambda frames: frames
+        self.slow = lambda tick: False
+        self.at = {}
+        self.told = []
+        self.sent = []
         config = parse({"bus": {"on_intruder": "stop"}})
         self.core = Gateway(config, bind(config.dbc_path, config.nodes), self.now)
         self.node = CanopenNode(config.nodes)
@@ -77,34 +73,34 @@ class Rig:
 
     # What the loop wants of a core, a transport and a clock.
 
-    def step(self, frames: Block, now_ns: int) -> list[Frame]:
+    def step(self, frames, now_ns):
         out = self.change(self.core.step(frames, now_ns))
         if self.slow(self._tick):
             self.now += 30 * MS
         return out
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         return getattr(self.core, name)
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s):
         return EMPTY
 
-    def send(self, frame: Frame) -> SendResult:
+    def send(self, frame):
         self.sent.append(frame)
         return self.status.count(self.result)
 
-    def close(self) -> None: ...
+    def close(self): ...
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now += round(seconds * SECOND)
 
-    def run(self, ticks: int) -> list[tuple[int, str]]:
+    def run(self, ticks):
         """(tick, line) of everything that the service manager heard."""
         stop = Stop()
         outputs = Outputs(self.core.outbox.specs.values(), lambda: self.core.silent)
         overseer = Overseer(outputs, Manager.from_environment(), "can7", 4 * SECOND)
 
-        def on_tick(seen: LiveSnapshot) -> None:
+        def on_tick(seen):
             overseer.completed(seen)
             self.told += [(seen.tick, s) for m in self.listener.heard() for s in m.splitlines()]
             self._tick = seen.tick + 1
@@ -122,16 +118,16 @@ class Rig:
                 self.told += [(self._tick, line) for line in message.splitlines()]
         return self.told
 
-    def ticks_of(self, line: str) -> list[int]:
+    def ticks_of(self, line):
         return [tick for tick, said in self.told if said == line]
 
 
 @pytest.fixture
-def rig(listener: Listener) -> Rig:
+def rig(listener):
     return Rig(listener)
 
 
-def test_ready_after_the_first_tick_fed_four_times_in_its_time_and_stopping_once(rig: Rig) -> None:
+def test_ready_after_the_first_tick_fed_four_times_in_its_time_and_stopping_once(rig):
     rig.run(301)
     assert rig.told[:3] == [(0, "READY=1"), (0, "STATUS=runs on can7"), (0, "WATCHDOG=1")]
     assert rig.ticks_of("READY=1") == [0]
@@ -142,15 +138,15 @@ def test_ready_after_the_first_tick_fed_four_times_in_its_time_and_stopping_once
     ]  # fmt: skip
 
 
-def nothing(_: list[Frame]) -> list[Frame]:
+def nothing(_):
     return []
 
 
-def without(can_id: int) -> Callable[[list[Frame]], list[Frame]]:
+def without(can_id):
     return lambda frames: [f for f in frames if f.can_id != can_id]
 
 
-def flipped(frames: list[Frame]) -> list[Frame]:
+def flipped(frames):
     return [f._replace(data=bytes((f.data[0], f.data[1], f.data[2] ^ 1, *f.data[3:])))
             for f in frames]  # fmt: skip
 
@@ -158,10 +154,10 @@ def flipped(frames: list[Frame]) -> list[Frame]:
 class Repeated:
     """The same frame again and again, as a caching bug would send it."""
 
-    def __init__(self) -> None:
-        self.first: dict[int, Frame] = {}
+    def __init__(self):
+        self.first = {}
 
-    def __call__(self, frames: list[Frame]) -> list[Frame]:
+    def __call__(self, frames):
         return [self.first.setdefault(f.can_id, f) for f in frames]
 
 
@@ -172,9 +168,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_loop_that_sends_no_good_frames_is_not_kept_alive(
-    rig: Rig, fault: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_loop_that_sends_no_good_frames_is_not_kept_alive(rig, fault, caplog):
     rig.at[100] = lambda: setattr(rig, "change", FAULTS[fault])
     rig.run(400)
     fed = rig.ticks_of("WATCHDOG=1")
@@ -188,7 +182,7 @@ def test_a_loop_that_sends_no_good_frames_is_not_kept_alive(
     assert "this tick does not count" in caplog.text
 
 
-def test_frames_that_are_due_again_feed_it_again(rig: Rig) -> None:
+def test_frames_that_are_due_again_feed_it_again(rig):
     rig.at[100] = lambda: setattr(rig, "change", nothing)
     rig.at[150] = lambda: setattr(rig, "change", lambda frames: frames)
     rig.run(400)
@@ -200,18 +194,18 @@ def test_frames_that_are_due_again_feed_it_again(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("result", [SendResult.FAILED, SendResult.REFUSED])
-def test_frames_that_nobody_takes_make_nobody_ready(rig: Rig, result: SendResult) -> None:
+def test_frames_that_nobody_takes_make_nobody_ready(rig, result):
     rig.result = result
     rig.run(50)
     assert not rig.ticks_of("READY=1")
     assert not rig.ticks_of("WATCHDOG=1")
 
 
-def test_a_bus_that_is_not_there_is_a_state_of_a_service_that_runs(rig: Rig) -> None:
+def test_a_bus_that_is_not_there_is_a_state_of_a_service_that_runs(rig):
     rig.status.state, rig.status.note = LinkState.ABSENT, "can7 is not there: No such device"
     rig.result = SendResult.DOWN
 
-    def comes() -> None:
+    def comes():
         rig.status.state, rig.status.note, rig.result = LinkState.UP, "", SendResult.SENT
 
     rig.at[200] = comes
@@ -226,16 +220,14 @@ def test_a_bus_that_is_not_there_is_a_state_of_a_service_that_runs(rig: Rig) -> 
     ]  # fmt: skip
 
 
-def test_a_full_queue_is_said_and_survived(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_full_queue_is_said_and_survived(rig, caplog):
     rig.result = SendResult.FULL
     rig.run(50)
     assert rig.ticks_of("WATCHDOG=1") == [0, 25]
     assert "transmit queue is full" in caplog.text
 
 
-def test_a_loop_that_decides_too_late_is_not_kept_alive(
-    rig: Rig, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_loop_that_decides_too_late_is_not_kept_alive(rig, caplog):
     """The loop runs and its heartbeat goes, but not one flag leaves."""
     rig.at[100] = lambda: setattr(rig, "slow", lambda _: True)
     rig.run(500)
@@ -252,9 +244,7 @@ def test_a_loop_that_decides_too_late_is_not_kept_alive(
 
 
 @pytest.mark.parametrize("slow", ["one", "every second", "half"])
-def test_late_ticks_now_and_then_are_harmless(
-    rig: Rig, slow: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_late_ticks_now_and_then_are_harmless(rig, slow, caplog):
     """One, all that bring what goes out once a second, even half of them: flags still leave."""
     rig.slow = {
         "one": lambda tick: tick == 142, "every second": lambda tick: tick > 0 and tick % 100 == 0,
@@ -269,7 +259,7 @@ def test_late_ticks_now_and_then_are_harmless(
         assert "this tick does not count" not in caplog.text
 
 
-def test_a_start_is_not_ready_before_its_frames_leave(rig: Rig) -> None:
+def test_a_start_is_not_ready_before_its_frames_leave(rig):
     rig.slow = lambda tick: tick < 50
     rig.run(300)
     ready = rig.ticks_of("READY=1")
@@ -278,7 +268,7 @@ def test_a_start_is_not_ready_before_its_frames_leave(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("result", [SendResult.DOWN, SendResult.FULL])
-def test_a_bus_that_takes_nothing_restarts_nobody(rig: Rig, result: SendResult) -> None:
+def test_a_bus_that_takes_nothing_restarts_nobody(rig, result):
     """Nor does it where a tick was late before, or is in between."""
     rig.at[100] = lambda: setattr(rig, "result", result)
     rig.slow = lambda tick: tick in (98, 99, 150)
@@ -288,8 +278,8 @@ def test_a_bus_that_takes_nothing_restarts_nobody(rig: Rig, result: SendResult) 
     assert max(later - tick for tick, later in pairwise(fed)) < 40
 
 
-def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig: Rig) -> None:
-    def intrude() -> None:
+def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig):
+    def intrude():
         rig.core.integrity.record["intruder"] = 1
 
     rig.at[100] = intrude
@@ -299,8 +289,8 @@ def test_silence_on_purpose_is_fed_as_long_as_the_heartbeat_goes(rig: Rig) -> No
     assert any("somebody else sends" in said for _, said in rig.told)
 
 
-def test_a_fault_of_the_program_says_stopping(rig: Rig) -> None:
-    def fail(_: list[Frame]) -> list[Frame]:
+def test_a_fault_of_the_program_says_stopping(rig):
+    def fail(_):
         raise ZeroDivisionError
 
     rig.at[10] = lambda: setattr(rig, "change", fail)
@@ -309,7 +299,7 @@ def test_a_fault_of_the_program_says_stopping(rig: Rig) -> None:
     assert rig.ticks_of("STOPPING=1") == [10]
 
 
-def test_a_flapping_link_is_a_line_of_status_a_second(rig: Rig) -> None:
+def test_a_flapping_link_is_a_line_of_status_a_second(rig):
     for tick in range(1, 1000):
         state = LinkState.DOWN if tick % 2 else LinkState.UP
         rig.at[tick] = lambda state=state: setattr(rig.status, "state", state)
@@ -317,7 +307,7 @@ def test_a_flapping_link_is_a_line_of_status_a_second(rig: Rig) -> None:
     assert len([said for _, said in rig.told if said.startswith("STATUS=")]) <= 12
 
 
-def test_a_full_socket_never_blocks_and_ready_comes_through_later(rig: Rig) -> None:
+def test_a_full_socket_never_blocks_and_ready_comes_through_later(rig):
     manager = Manager.from_environment()
     taken = 0
     while manager.say("STATUS=fills the queue"):
@@ -329,9 +319,7 @@ def test_a_full_socket_never_blocks_and_ready_comes_through_later(rig: Rig) -> N
     assert rig.ticks_of("WATCHDOG=1") == [1]
 
 
-def test_the_manager_may_have_made_its_socket_again(
-    listener: Listener, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_manager_may_have_made_its_socket_again(listener, tmp_path, caplog):
     manager = Manager.from_environment()
     assert manager.say("STATUS=Zug fährt")
     assert listener.heard() == ["STATUS=Zug fährt"]
@@ -346,7 +334,7 @@ def test_the_manager_may_have_made_its_socket_again(
     again.socket.close()
 
 
-def test_an_abstract_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_abstract_socket(monkeypatch):
     name = f"@traction-gateway-test-{os.getpid()}"
     listener = Listener(name)
     monkeypatch.setenv("NOTIFY_SOCKET", name)
@@ -355,8 +343,8 @@ def test_an_abstract_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     listener.socket.close()
 
 
-def test_without_a_manager_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
+def test_without_a_manager_nothing_is_opened(monkeypatch):
+    def refuse(*_):
         raise AssertionError
 
     monkeypatch.setattr(socket, "socket", refuse)
@@ -377,9 +365,7 @@ def test_without_a_manager_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) ->
         ({"WATCHDOG_USEC": "²"}, 0),
     ],
 )
-def test_the_watchdog_is_for_the_process_that_it_names(
-    given: dict[str, str], watchdog_ns: int
-) -> None:
+def test_the_watchdog_is_for_the_process_that_it_names(given, watchdog_ns):
     assert Manager.from_environment(given).watchdog_ns == watchdog_ns
 
 
@@ -406,14 +392,14 @@ sys.exit(main(sys.argv[1:]))
 PATIENCE_S = 120.0
 
 
-def start(*program: str) -> subprocess.Popen[bytes]:
+def start(*program):
     words = ("run", "--quiet", "-i", "virtual", "-c", "service")
     return subprocess.Popen(
         [sys.executable, *program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
 
 
-def until(listener: Listener, line: str, times: int = 1) -> None:
+def until(listener, line, times=1):
     """Wait until a line was heard so often."""
     deadline = time.monotonic() + PATIENCE_S
     while times > 0:
@@ -421,7 +407,7 @@ def until(listener: Listener, line: str, times: int = 1) -> None:
         times -= sum(line in message.splitlines() for message in listener.heard(1.0))
 
 
-def test_a_stopped_process_is_silent_and_an_ended_one_says_so(listener: Listener) -> None:
+def test_a_stopped_process_is_silent_and_an_ended_one_says_so(listener):
     process = start("-m", "gateway")
     try:
         until(listener, "READY=1")
@@ -441,7 +427,7 @@ def test_a_stopped_process_is_silent_and_an_ended_one_says_so(listener: Listener
         process.communicate()
 
 
-def test_a_tick_that_never_ends_lets_the_watchdog_starve(listener: Listener) -> None:
+def test_a_tick_that_never_ends_lets_the_watchdog_starve(listener):
     process = start("-c", HANGS)
     try:
         until(listener, "READY=1")

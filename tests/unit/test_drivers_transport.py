@@ -1,52 +1,42 @@
 """Allow-list, guard and the factory that picks a transport."""
 
-from __future__ import annotations
-
 import argparse
-from pathlib import Path
 
 import pytest
 from can.cli import add_bus_arguments
 
 from dbc.codec import bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from dbc.frames import Block, block_of
+from dbc.frames import block_of
 from gateway.io.bus import bus_options, open_transport
 from gateway.io.pythoncan import PythonCan
-from gateway.io.transport import (
-    Allow,
-    Guarded,
-    LinkState,
-    SendResult,
-    Status,
-    monotonic_stamp,
-)
+from gateway.io.transport import Allow, Guarded, LinkState, SendResult, Status, monotonic_stamp
 from gateway.settings.config import ConfigError, shipped_dbc
 
 
 class Recorder:
     """A transport that keeps what it is given."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.status = Status()
-        self.sent: list[Frame] = []
-        self.calls: list[str] = []
+        self.sent = []
+        self.calls = []
 
-    def open(self) -> None:
+    def open(self):
         self.calls.append("open")
 
-    def receive(self, timeout_s: float) -> list[Frame]:
+    def receive(self, timeout_s):
         self.calls.append(f"receive {timeout_s}")
         return []
 
-    def receive_block(self, timeout_s: float) -> Block:
+    def receive_block(self, timeout_s):
         return block_of(self.receive(timeout_s))
 
-    def send(self, frame: Frame) -> SendResult:
+    def send(self, frame):
         self.sent.append(frame)
         return self.status.count(SendResult.SENT)
 
-    def close(self) -> None:
+    def close(self):
         self.calls.append("close")
 
 
@@ -78,14 +68,14 @@ BAD = [
 
 
 @pytest.mark.parametrize("frame", GOOD)
-def test_allowed_frames_pass(frame: Frame) -> None:
+def test_allowed_frames_pass(frame):
     inner = Recorder()
     assert Guarded(inner, ALLOW).send(frame) is SendResult.SENT
     assert inner.sent == [frame]
 
 
 @pytest.mark.parametrize("frame", BAD)
-def test_everything_else_is_refused_and_counted(frame: Frame) -> None:
+def test_everything_else_is_refused_and_counted(frame):
     inner = Recorder()
     guarded = Guarded(inner, ALLOW)
     assert guarded.send(frame) is SendResult.REFUSED
@@ -94,7 +84,7 @@ def test_everything_else_is_refused_and_counted(frame: Frame) -> None:
     assert f"{frame.can_id:03X}#" in guarded.status.note
 
 
-def test_spam_on_every_identifier_lets_nothing_else_out() -> None:
+def test_spam_on_every_identifier_lets_nothing_else_out():
     inner = Recorder()
     guarded = Guarded(inner, ALLOW)
     for flags in (0, EXTENDED, REMOTE, ERROR, FD, FD | BRS):
@@ -104,7 +94,7 @@ def test_spam_on_every_identifier_lets_nothing_else_out() -> None:
     assert {f.can_id for f in inner.sent} == {0x1A0, 0x501, 0x720}
 
 
-def test_broadcast_nmt_cannot_even_be_configured() -> None:
+def test_broadcast_nmt_cannot_even_be_configured():
     with pytest.raises(ValueError, match="broadcast"):
         Allow({}, started=(0, 1))
     with pytest.raises(ValueError, match="broadcast"):
@@ -112,7 +102,7 @@ def test_broadcast_nmt_cannot_even_be_configured() -> None:
 
 
 @pytest.mark.parametrize("file", ["traction.dbc", "traction_fd.dbc"])
-def test_the_list_of_a_dbc_is_the_gateways_own_messages_for_its_drives(file: str) -> None:
+def test_the_list_of_a_dbc_is_the_gateways_own_messages_for_its_drives(file):
     codec = bind(shipped_dbc(file), (1, 2, 3))
     allow = Allow.from_codec(codec, (1, 3))
     allowed = {
@@ -129,7 +119,7 @@ def test_the_list_of_a_dbc_is_the_gateways_own_messages_for_its_drives(file: str
     assert [n for n in range(128) if master.permits(Frame(0, 0, bytes((1, n))))] == [1, 3]
 
 
-def test_the_guard_passes_everything_but_sending_through() -> None:
+def test_the_guard_passes_everything_but_sending_through():
     inner = Recorder()
     guarded = Guarded(inner, ALLOW)
     guarded.open()
@@ -139,26 +129,26 @@ def test_the_guard_passes_everything_but_sending_through() -> None:
     assert guarded.status is inner.status
 
 
-def test_stamps_move_only_between_the_last_read_and_now() -> None:
+def test_stamps_move_only_between_the_last_read_and_now():
     assert monotonic_stamp(stamp_ns=990, real_ns=1000, now_ns=500, bound_ns=100) == 490
     assert monotonic_stamp(stamp_ns=0, real_ns=1000, now_ns=500, bound_ns=100) == 400
     assert monotonic_stamp(stamp_ns=5000, real_ns=1000, now_ns=500, bound_ns=100) == 500
 
 
-def parsed(*arguments: str) -> argparse.Namespace:
+def parsed(*arguments):
     parser = argparse.ArgumentParser()
     add_bus_arguments(parser)
     return parser.parse_args(arguments)
 
 
-def test_options_are_python_cans_own() -> None:
+def test_options_are_python_cans_own():
     options = bus_options(
         parsed("-i", "virtual", "-c", "x", "--fd", "--bus-kwargs", "rx_queue_size=7")
     )
     assert options == {"interface": "virtual", "channel": "x", "fd": True, "rx_queue_size": 7}
 
 
-def test_the_factory_opens_python_can_for_other_interfaces() -> None:
+def test_the_factory_opens_python_can_for_other_interfaces():
     transport = open_transport(parsed("-i", "virtual", "-c", "factory"))
     assert isinstance(transport, PythonCan)
     assert transport.status.state is LinkState.UP
@@ -169,7 +159,7 @@ def test_the_factory_opens_python_can_for_other_interfaces() -> None:
     guarded.close()
 
 
-def test_environment_names_the_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment_names_the_interface(monkeypatch):
     monkeypatch.setenv("CAN_INTERFACE", "virtual")
     monkeypatch.setenv("CAN_CHANNEL", "from-env")
     transport = open_transport(parsed())
@@ -178,7 +168,7 @@ def test_environment_names_the_interface(monkeypatch: pytest.MonkeyPatch) -> Non
     transport.close()
 
 
-def test_no_interface_is_one_clear_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_no_interface_is_one_clear_line(monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
@@ -189,7 +179,7 @@ def test_no_interface_is_one_clear_line(monkeypatch: pytest.MonkeyPatch, tmp_pat
         open_transport({"interface": "warp", "channel": "0"})
 
 
-def test_socketcan_takes_no_foreign_options() -> None:
+def test_socketcan_takes_no_foreign_options():
     with pytest.raises(ConfigError, match="local_loopback: not an option of socketcan"):
         open_transport(
             {"interface": "socketcan", "channel": "vcan0", "bus_kwargs": {"local_loopback": 1}}

@@ -1,7 +1,5 @@
 """`dbc/e2e.c` equals the library and the reference receiver, on good, damaged and random frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """exp, log, erfc and log Gamma of the core: exact values, error bounds of the header, limits."""
 
-from __future__ import annotations
-
 import math
 from decimal import Decimal, getcontext
 from fractions import Fraction

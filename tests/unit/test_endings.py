@@ -100,12 +100,21 @@ COMPUTING = {
 }  # fmt: skip
 
 
+def in_turn(names):
+    """One signal each for a change, the other one before a release."""
+    other = pytest.mark.thorough
+    return [
+        pytest.param(name, number, marks=[other] * ((k + j) % 2), id=f"{name}-{number.name[3:]}")
+        for k, name in enumerate(names)
+        for j, number in enumerate((signal.SIGINT, signal.SIGTERM))
+    ]
+
+
 def placed(words, inputs, out):
     return [w.replace("IN/", f"{inputs}/").replace("OUT/", f"{out}/") for w in words]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
-@pytest.mark.parametrize("name", WRITING)
+@pytest.mark.parametrize(("name", "number"), in_turn(WRITING))
 def test_what_a_signal_ends_says_so_and_leaves_nothing_half_written(inputs, tmp_path, name, number):
     process = start(placed(WRITING[name], inputs, tmp_path))
     wait_for_part(process, tmp_path)
@@ -120,8 +129,7 @@ def test_what_a_signal_ends_says_so_and_leaves_nothing_half_written(inputs, tmp_
         assert files(tmp_path) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
-@pytest.mark.parametrize("name", COMPUTING)
+@pytest.mark.parametrize(("name", "number"), in_turn(COMPUTING))
 def test_a_signal_ends_what_computes(inputs, tmp_path, name, number):
     process = start(placed(COMPUTING[name], inputs, tmp_path))
     # MF4 keeps what its clock allows, one member of all these: it is at its end soon.
@@ -132,7 +140,9 @@ def test_a_signal_ends_what_computes(inputs, tmp_path, name, number):
     assert files(tmp_path) == []
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=[pytest.mark.thorough] * (k >= 3)) for k in range(8)]
+)
 def test_at_any_moment_a_file_is_whole_or_not_there(inputs, tmp_path, seed):
     """Also before the first line of ours runs, and after the last."""
     draw = random.Random(seed)

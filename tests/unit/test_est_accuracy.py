@@ -3,8 +3,6 @@
 Tuned on seeds 5, 101 and 102; these are others. Bounds are the measured values plus a tenth.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -19,13 +17,13 @@ from tests.core_calls.filters import sweep
 from tests.filter_records import acquire, start_states
 from tests.unit.test_est_acquisition import rated
 from tests.unit.test_est_ekf import bench
-from tests.unit.test_est_truth import TICK_S, Truth, motor, sampled
+from tests.unit.test_est_truth import TICK_S, motor, sampled
 
 DRIVES = 12
 SEEDS = (201, 202, 203)
 
 
-def scenario(w: float, seed: int, ticks: int = 12_000) -> Truth:
+def scenario(w, seed, ticks=12_000):
     """Constant speed, loads 5-25 Nm with two steps and one loss of 20-100 %, edges of 4 ms."""
     rng = np.random.default_rng(seed)
     t = np.arange(ticks)
@@ -44,15 +42,13 @@ def scenario(w: float, seed: int, ticks: int = 12_000) -> Truth:
     return motor(np.full(DRIVES, w), theta, ref, load * math.copysign(1.0, w))
 
 
-def load_rmse(w: float, every: int, kind: str = "ekf", **changes: float) -> float:
+def load_rmse(w, every, kind="ekf", **changes):
     """Nm over all drives and seeds from 0.25 s, filters started by acquisition at 0.1 s."""
     errors, _ = load_errors(w, every, kind, **changes)
     return math.sqrt(np.mean(np.square(errors)))
 
 
-def load_errors(
-    w: float, every: int, kind: str = "ekf", theta_var: float = THETA_VAR, **wrong: float
-) -> tuple[np.ndarray, np.ndarray]:
+def load_errors(w, every, kind="ekf", theta_var=THETA_VAR, **wrong):
     """Errors and loads, Nm, (T, N)."""
     par, _ = bench(DRIVES)
     par = par._replace(**{name: getattr(par, name) * factor for name, factor in wrong.items()})

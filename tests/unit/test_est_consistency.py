@@ -4,8 +4,6 @@ Fifty motors move by the filters' model with process noise Q and are measured wi
 is left of chi-square is the filters' own fault. Bands after Bar-Shalom, Li, Kirubarajan 2001, 5.4.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,7 +27,7 @@ WINDOW = 100
 FIRST_P = np.array([0.01, 0.01, 4.0, 1e-3, 4.0])
 
 
-def control(par: pmsm.Pmsm, x: np.ndarray, w_ref: float) -> np.ndarray:
+def control(par, x, w_ref):
     """Voltage (N, 2) that holds the speed, from the true state: the filter is told it exactly."""
     turn = np.exp(1j * x[:, THETA_E])
     i = (x[:, 0] + 1j * x[:, 1]) / turn
@@ -40,9 +38,7 @@ def control(par: pmsm.Pmsm, x: np.ndarray, w_ref: float) -> np.ndarray:
     return np.stack([u.real, u.imag], axis=1)
 
 
-def track(
-    kind: str, w: float, every: int, samples: int, seed: int, worse: float = 1.0
-) -> tuple[np.ndarray, ...]:
+def track(kind, w, every, samples, seed, worse=1.0):
     """NEES (samples, RUNS) and NIS (samples, RUNS) of filters in a world of their own model.
 
     worse: variance of the sensors over the one that the filter is told.
@@ -99,11 +95,11 @@ def test_a_filter_that_believes_too_much_is_found(kind, every):
     assert nis.mean() > 2.5
 
 
-def nominal_windows(kind: str) -> np.ndarray:
+def nominal_windows(kind):
     """Mean NIS of 100 samples in a row, drives tracked, moving, and 300 ms off any loss."""
     config, honest = parse({"estimator": {"kind": kind}}), train()
     core = Gateway(config, honest.codec, 0)
-    runs: list[list[float]] = [[] for _ in NODES]
+    runs = [[] for _ in NODES]
     windows = []
     for tick in range(1, LOOP_TICKS + 1):
         tracked = [core.bank.filters.steps[d] >= SETTLE_STEPS for d in range(len(NODES))]

@@ -1,52 +1,25 @@
-"""Extended Kalman filter: linear limit, filterpy, and what it does in the odd case."""
-
-from __future__ import annotations
+"""Extended and unscented Kalman filter: filterpy, and what they do in the odd case."""
 
 import numpy as np
 import pytest
-from filterpy.kalman import ExtendedKalmanFilter
+from filterpy.kalman import ExtendedKalmanFilter, JulierSigmaPoints, UnscentedKalmanFilter
 
 from estimators.models import pmsm
-from estimators.models.pmsm import SUB_STEP_S, Noise, Pmsm
-from tests.reference import ekf, kalman, motor_model
+from estimators.models.pmsm import SUB_STEP_S
+from tests.reference import ekf, motor_model, ukf
 
 
-def bench(n: int) -> tuple[Pmsm, Noise]:
+def bench(n):
     par = pmsm.repeat(pmsm.BENCH_MOTOR, n)
     rated = pmsm.Rated(np.full(n, 25.0), np.full(n, 30.0))
     return par, pmsm.default_noise(par, rated)
 
 
-def start(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def start(n, seed):
     rng = np.random.default_rng(seed)
     x = rng.uniform(-1.0, 1.0, (n, 5)) * [20.0, 20.0, 200.0, 3.0, 20.0]
     A = rng.normal(size=(n, 5, 5)) * np.array([0.3, 0.3, 3.0, 0.1, 3.0])[:, None]
     return x, A @ np.swapaxes(A, 1, 2) + 1e-3 * np.eye(5)
-
-
-def test_linear_limit_is_the_kalman_filter():
-    """Without magnet flux the motor is linear: same numbers as the linear filter."""
-    par, noise = bench(3)
-    par = par._replace(psi_f=np.zeros(3))
-    x, P = start(3, 1)
-    x_kf, P_kf = x.copy(), P.copy()
-    F = motor_model.jacobian(par, x, SUB_STEP_S)
-    rng = np.random.default_rng(2)
-    for _ in range(50):
-        u, y = rng.normal(size=(3, 2)) * 20.0, rng.normal(size=(3, 2)) * 5.0
-        x, P = ekf.predict(par, noise, x, P, u, 4, SUB_STEP_S)
-        x, P, innovation = ekf.update(noise, x, P, y)
-        v = motor_model.turning(u, x_kf[:, 2], 4, SUB_STEP_S)
-        for j in range(4):
-            x_kf, P_kf = kalman.predict(x_kf, P_kf, F, noise.Q[:, :, None] * np.eye(5))
-            x_kf[:, :2] += SUB_STEP_S / par.L_s[:, None] * v[:, j]
-        x_kf, P_kf, other = kalman.update(
-            x_kf, P_kf, y, np.eye(2, 5), noise.R[:, :, None] * np.eye(2)
-        )
-        assert np.abs(motor_model.wrap(x[:, 3] - x_kf[:, 3])) == pytest.approx(0.0, abs=1e-8)
-        assert x[:, [0, 1, 2, 4]] == pytest.approx(x_kf[:, [0, 1, 2, 4]], rel=1e-9, abs=1e-9)
-        assert pytest.approx(P_kf, rel=1e-9, abs=1e-9) == P
-        assert innovation.nis == pytest.approx(other.nis, rel=1e-9)
 
 
 def test_equals_filterpy_over_many_steps():
@@ -73,30 +46,6 @@ def test_equals_filterpy_over_many_steps():
         assert motor_model.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
         assert np.delete(x[0], 3) == pytest.approx(np.delete(other.x, 3), rel=1e-9, abs=1e-9)
         assert P[0] == pytest.approx(other.P, rel=1e-9, abs=1e-9)
-
-
-def test_batch_equals_singles():
-    par, noise = bench(4)
-    par = par._replace(R_s=np.array([0.2, 0.25, 0.3, 0.35]))
-    x, P = start(4, 6)
-    u, y = np.full((4, 2), 12.0), np.full((4, 2), 3.0)
-    together = ekf.update(noise, *ekf.predict(par, noise, x, P, u, 16, SUB_STEP_S), y)
-    for k in range(4):
-        one = slice(k, k + 1)
-        par_k = Pmsm(*(value[one] for value in par))
-        noise_k = Noise(*(value[one] for value in noise))
-        prior = ekf.predict(par_k, noise_k, x[one], P[one], u[one], 16, SUB_STEP_S)
-        alone = ekf.update(noise_k, *prior, y[one])
-        assert together[0][k] == pytest.approx(alone[0][0], rel=1e-12)
-        assert together[1][k] == pytest.approx(alone[1][0], rel=1e-12, abs=1e-15)
-
-
-def test_coasting_over_nothing_changes_nothing():
-    par, noise = bench(2)
-    x, P = start(2, 7)
-    x_after, P_after = ekf.coast(par, noise, x, P, 0, SUB_STEP_S)
-    assert (x_after == x).all()
-    assert (P_after == P).all()
 
 
 def test_coasting_admits_ignorance_of_torque():
@@ -149,16 +98,32 @@ def test_the_covariance_follows_the_derivative_of_the_whole_prediction(w):
         assert signs * np.sqrt(np.diag(got)) == pytest.approx(column, abs=tolerance)
 
 
-def test_variances_have_a_floor():
-    _, noise = bench(1)
-    P = np.zeros((1, 5, 5))
-    x, P, _ = ekf.update(noise, np.zeros((1, 5)), P, np.ones((1, 2)))
-    assert np.diag(P[0]).tolist() == [ekf.FLOOR] * 5
-    assert ekf.healthy(x, P).all()
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
-def test_unhealthy_states_are_told(bad):
-    x, P = start(3, 9)
-    P[1, 2, 2] = bad
-    assert ekf.healthy(x, P).tolist() == [True, False, True]
+@pytest.mark.parametrize("kappa", [0.0, 1.0])
+def test_ukf_equals_filterpy_over_many_steps(kappa):
+    par, noise = bench(1)
+    x, P = start(1, 3)
+    x[0, 3] = 3.1  # close to the seam
+    points = JulierSigmaPoints(5, kappa)
+    other = UnscentedKalmanFilter(
+        5,
+        2,
+        SUB_STEP_S,
+        hx=lambda z: z[:2],
+        fx=lambda z, dt, u: motor_model.step(par, z[None], u[None], dt)[0],
+        points=points,
+    )
+    other.x, other.P = x[0].copy(), P[0].copy()
+    other.Q, other.R = np.diag(noise.Q[0]), np.diag(noise.R[0])
+    rng = np.random.default_rng(5)
+    for _ in range(150):
+        u, y = rng.normal(size=2) * 20.0, x[0, :2] + rng.normal(size=2)
+        x, P, ok = ukf.predict(par, noise, x, P, u[None], 2, SUB_STEP_S, kappa)
+        x, P, _ = ekf.update(noise, x, P, y[None])
+        assert ok.all()
+        v = motor_model.turning(u[None], other.x[None, 2], 2, SUB_STEP_S)[0]
+        other.predict(u=v[0])
+        other.predict(u=v[1])
+        other.update(y)
+        assert motor_model.wrap(x[:, 3] - other.x[3]) == pytest.approx([0.0], abs=1e-9)
+        assert np.delete(x[0], 3) == pytest.approx(np.delete(other.x, 3), rel=1e-9, abs=1e-9)
+        assert P[0] == pytest.approx(other.P, rel=1e-9, abs=1e-9)

@@ -1,7 +1,5 @@
 """The filters equal the reference with any registers, and what they do with bad samples."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,7 @@ class Case(NamedTuple):
     lean: np.ndarray
 
 
-def case(n: int = 3, seed: int = 1, ticks: int = 1600, fastest: float = 200.0) -> Case:
+def case(n=3, seed=1, ticks=1600, fastest=200.0):
     """Turning drives with lost samples; filters start near the truth, each motor different."""
     rng = np.random.default_rng(seed)
     par, noise = bench(n)
@@ -39,7 +37,7 @@ def case(n: int = 3, seed: int = 1, ticks: int = 1600, fastest: float = 200.0) -
     return Case(par, noise, rows, x, P, rng.uniform(-0.5, 0.5, n))
 
 
-def sweep(kind: str, c: Case, rows: Rows | None = None, bits: int = 0):
+def sweep(kind, c, rows=None, bits=0):
     """(x, P, nis, ok)."""
     x, P = c.x.copy(), c.P.copy()
     samples = filters.sample_records(*(rows or c.rows)[:5])
@@ -47,7 +45,7 @@ def sweep(kind: str, c: Case, rows: Rows | None = None, bits: int = 0):
     return x, P, nis, ok
 
 
-def twin(kind: str, c: Case):
+def twin(kind, c):
     x, P = c.x.copy(), c.P.copy()
     r = c.rows
     samples = (r.drive, r.u, r.y, r.n_sub, r.n_gap, SUB_STEP_S)

@@ -1,7 +1,5 @@
 """Motor model: the paper's numbers, derivatives by central differences, the coast law."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,12 +10,12 @@ from estimators.models.pmsm import BENCH_MOTOR, BENCH_RATED, SUB_STEP_S
 from tests.reference import motor_model
 
 
-def random_states(n: int, seed: int = 0) -> np.ndarray:
+def random_states(n, seed=0):
     rng = np.random.default_rng(seed)
     return rng.uniform(-1.0, 1.0, (n, 5)) * [40.0, 40.0, 400.0, math.pi, 40.0]
 
 
-def central_differences(function, x: np.ndarray) -> np.ndarray:
+def central_differences(function, x):
     """d function / d x, (N, 5, 5), step by column as large as the column's own scale allows."""
     columns = []
     for j, h in enumerate([1e-3, 1e-3, 1e-2, 1e-5, 1e-3]):
@@ -26,7 +24,7 @@ def central_differences(function, x: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=2)
 
 
-def other_motor(n: int) -> pmsm.Pmsm:
+def other_motor(n):
     """Friction and another Park constant, so that no entry is hidden by a zero."""
     return pmsm.repeat(pmsm.motors((0.05, 1e-3, 0.9, 3.0, 2.0, 0.4, 1.0)), n)
 

@@ -6,8 +6,6 @@ Speed PI over a current controller that knows the true state. numba, which no pr
 makes a minute of what takes half an hour without.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -113,7 +111,7 @@ def _run(m, w_0, theta_0, w_ref, load, u_out, i_out, w_out, theta_out):
             theta_out[t, n] = theta
 
 
-def motor(w_0, theta_0, w_ref, load, machine=BENCH) -> Truth:
+def motor(w_0, theta_0, w_ref, load, machine=BENCH):
     """Run N drives from speeds w_0 (N,) and angles theta_0 (N,) along w_ref, load (T, N)."""
     shape = w_ref.shape
     u, i = np.empty(shape, complex), np.empty(shape, complex)
@@ -122,7 +120,7 @@ def motor(w_0, theta_0, w_ref, load, machine=BENCH) -> Truth:
     return Truth(u, i, w, theta, load)
 
 
-def sampled(truth: Truth, every: int, noise_var: float, seed: int, lost: float = 0.0) -> Rows:
+def sampled(truth, every, noise_var, seed, lost=0.0):
     """What arrives: a sample every `every` ticks with noise, quantised, some lost.
 
     2 ms and slower: 0.02 A and 0.1 V as on the classic bus; below: 0.05 A and 0.25 V.

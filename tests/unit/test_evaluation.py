@@ -11,7 +11,6 @@ from gateway.cli import main
 from gateway.core.codes import Flag
 from gateway.reports.scoring import Score, Truth, everyone, quantile, score_flag
 from gateway.settings.config import ConfigError
-from gateway.study import evaluation
 from gateway.study.evaluation import (
     LEVELS,
     Estimates,
@@ -21,16 +20,7 @@ from gateway.study.evaluation import (
     reliability,
     roc,
 )
-from gateway.study.evaluation_runs import (
-    Plan,
-    evaluate,
-    fitted,
-    judge,
-    known_detectors,
-    one_run,
-    record,
-    seeds_of,
-)
+from gateway.study.evaluation_runs import Plan, evaluate, fitted, one_run, record, seeds_of
 from gateway.study.scenarios_family import DEVELOPMENT, REPORTING, draw
 from tests.simrun import Flags, codec
 
@@ -332,17 +322,3 @@ def test_what_cannot_be_evaluated_is_said_in_one_line(words, message, capsys):
     err = capsys.readouterr().err.strip().splitlines()
     assert len(err) == 1
     assert message in err[0]
-
-
-def test_detectors_the_configuration_refuses_are_named():
-    good, bad = known_detectors(["vb", "nonsense"], Plan((), (), ()))
-    assert good == ["vb"]
-    assert len(bad) == 1
-
-
-def test_judging_needs_only_frames():
-    assert "sim" not in evaluation.__dict__
-    scenario = draw("n1", 1).model_copy(update={"duration_s": 0.6})
-    config, c = fitted(Plan((), ("median",), ()), "median", scenario)
-    found = judge(record(scenario, config, c), config, c)
-    assert found.flags.losses == 0

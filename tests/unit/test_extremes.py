@@ -1,10 +1,8 @@
 """No number on the wire raises: extreme but legal raw values through the whole core.
 
-`python -m tests.extremes` runs all of them; `make test-all` runs these here under sanitizers, where
+`make test-all` runs all set-ups, under sanitizers too, where
 a conversion or an index that a number could break ends the run.
 """
-
-from __future__ import annotations
 
 from itertools import product
 
@@ -33,8 +31,7 @@ def _marks(setup):
 
 
 @pytest.mark.parametrize(
-    "setup",
-    [pytest.param(s, marks=_marks(s), id="-".join(map(str, s[:4]))) for s in SETUPS],
+    "setup", [pytest.param(s, marks=_marks(s), id="-".join(map(str, s[:4]))) for s in SETUPS]
 )
 def test_nothing_that_drives_say_raises(setup):
     wanted = stretches(setup)

@@ -400,7 +400,7 @@ def is_worker(process):
         return False
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_workers_that_are_killed_at_any_moment_cost_nothing(logs, ran, tmp_path, seed):
     import random
     import threading

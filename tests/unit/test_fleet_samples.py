@@ -1,9 +1,6 @@
 """A log's table made from many ticks in a call, against one with a view of every tick."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -20,9 +17,6 @@ from gateway.io.replay import OneChannel, open_log, replay
 from gateway.reports.record import ADHESION, FAULT, Changes, camel
 from gateway.settings.config import load
 from tests.storm.campaign import CALIBRATION
-
-ROOT = Path(__file__).resolve().parents[2]
-REAL = ROOT / "tests/data/temperatures/kona_523.log.gz"
 
 
 class Plain:
@@ -160,19 +154,3 @@ def test_holes_silence_and_damage_are_the_same(logs, tmp_path, text):
     # Some rows are of one drive alone.
     ticks = [r["t_ns"] for r in table]
     assert any(ticks.count(t) < 3 for t in set(ticks))
-
-
-def test_stamps_from_zero_are_the_same(logs, tmp_path):
-    lines = (logs / "demo.log").read_text().splitlines(keepends=True)[:8000]
-    first = stamp(lines[0])
-    log = tmp_path / "zero.log"
-    log.write_text("".join(f"({stamp(s) - first:.6f}) {s.split(' ', 1)[1]}" for s in lines))
-    _, row = same(log, tmp_path / "out")
-    assert row.first_ns == 0
-
-
-def test_a_real_log_is_the_same(tmp_path):
-    """A car's; once through signals of its own, once as a bus on which no drive is known."""
-    table, _ = same(REAL, tmp_path / "a", ROOT / "examples/inverters/hyundai_kona.toml")
-    assert len(table) > 50
-    same(REAL, tmp_path / "b")

@@ -1,7 +1,5 @@
 """Inverters with messages of their own: mapped, translated, judged; what `check` says of them."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections import Counter
@@ -16,7 +14,7 @@ from gateway.core.gateway import Gateway
 from gateway.mapping.plan import fitted, plans
 from gateway.mapping.translate import Translator
 from gateway.settings import calibration
-from gateway.settings.config import Config, ConfigError, load, parse
+from gateway.settings.config import ConfigError, load, parse
 from sim.simulation import Simulation
 from tests.inverters import spoken, write_dbc
 from tests.simrun import TICK, codec, run, scenario
@@ -31,11 +29,11 @@ FORMS = {
 }
 
 
-def signed(name: str, at: int, scale: float = 0.1) -> str:
+def signed(name, at, scale=0.1):
     return f'{name} : {at}|16@1- ({scale},0) [{-32766 * scale}|{32766 * scale}] ""'
 
 
-def mapped(tmp: Path, form: str = "phases", cycle: int = 2, drives: int = 3, **more) -> Config:
+def mapped(tmp, form="phases", cycle=2, drives=3, **more):
     """Drives that send this form of currents and voltages, and the rest, on messages of theirs."""
     currents, voltages = FORMS[form]
     tables = []
@@ -69,7 +67,7 @@ def train():
     return run(Simulation(loss(), codec()), 3.5)
 
 
-def played(gateway: Gateway, frames) -> list[tuple]:
+def played(gateway, frames):
     """Adhesion flags tick by tick."""
     frames, k, out = sorted(frames, key=lambda f: f.t_ns), 0, []
     for tick in range(1, frames[-1].t_ns // TICK + 1):
@@ -119,10 +117,10 @@ def test_without_voltages_or_currents_nothing_is_known(tmp_path, train, without)
     assert gateway.view.drives[0].adhesion_reason is Reason.CONFIG
 
 
-def translated(config: Config, frames, now: int = 10**12) -> tuple[list, Counter]:
+def translated(config, frames, now=10**12):
     """What is made for the first drive, decoded: (kind, time in ms, values)."""
     taken = fitted(codec(), plans(config))
-    counts: Counter = Counter()
+    counts = Counter()
     block = Translator(plans(config), taken).translate(frames, now, counts)
     out = []
     for frame in block.frames():
@@ -231,8 +229,7 @@ def test_others_go_on_as_they_are(tmp_path, train):
     assert said[250][0] is Flag.BAD
 
 
-@pytest.mark.parametrize("motion_ms", [2, 3, 5, 20])
-@pytest.mark.parametrize("cycle", [2, 10])
+@pytest.mark.parametrize(("cycle", "motion_ms"), [(2, 3), (2, 20), (10, 2), (10, 5)])
 def test_drives_whose_speed_comes_at_another_pace(tmp_path, train, cycle, motion_ms):
     config = mapped(tmp_path, "rotor", cycle, drives=1)
     path = tmp_path / "1.dbc"
@@ -243,7 +240,7 @@ def test_drives_whose_speed_comes_at_another_pace(tmp_path, train, cycle, motion
     assert {flags[0] for flags in said[206:299]} == {Flag.BAD}
 
 
-def problems(config: Config) -> str:
+def problems(config):
     with pytest.raises(ConfigError) as error:
         Gateway(config, codec(), 0)
     return "\n".join(error.value.problems)

@@ -1,7 +1,5 @@
 """The words of the message set are those of the DBC, number by number."""
 
-from __future__ import annotations
-
 import cantools
 import numpy as np
 import pytest

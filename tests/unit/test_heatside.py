@@ -9,7 +9,7 @@ import pytest
 from estimators.thermal import model
 from estimators.thermal.model import TYPICAL, Inputs, predict
 from estimators.thermal.monitor import OWN_K
-from gateway.core.codes import NEVER, FaultClass, FaultSensor, Flag, Reason
+from gateway.core.codes import FaultClass, Flag, Reason
 from gateway.core.inbox import Temperatures
 from gateway.core.supervision import Supervision
 from gateway.hil.fitting import scenario_thermal
@@ -135,41 +135,6 @@ def test_healthy_motors_are_good_and_a_hot_winding_is_named():
     assert reports[1].sensor is Flag.GOOD, "the sensor is right: it is hot"
 
 
-@pytest.mark.parametrize(
-    ("lump", "rate", "classes"),
-    [
-        (model.WINDING, 0.3, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
-        (model.WINDING, 0.7, (FaultClass.OVERHEATING, FaultClass.WINDING_RESISTANCE)),
-        (model.DRIVE_END, 0.25, (FaultClass.BEARING,)),
-        (model.OTHER_END, 0.25, (FaultClass.BEARING,)),
-    ],
-)
-def test_quick_heat_is_not_called_its_sensors(lump, rate, classes):
-    rig = Rig()
-    rig.run(30)
-    hot = np.zeros((3, 5))
-    hot[1, lump] = rate
-    reports = rig.run(25, extra=hot)
-    assert [r.thermal for r in reports] == [Flag.GOOD, Flag.BAD, Flag.GOOD]
-    assert reports[1].fault_class in classes
-    assert reports[1].sensor is Flag.GOOD
-
-
-def test_a_motor_that_may_well_be_ill_is_not_good_before_it_is_named():
-    rig = Rig()
-    rig.run(20)
-    now, monitor = rig.k * 100 * MS, rig.side.model
-    for probability, flag, reason in (
-        (0.49, Flag.GOOD, Reason.NONE),
-        (0.51, Flag.UNKNOWN, Reason.DIVERGED),
-    ):
-        monitor.motors["fault_probability"][1] = probability
-        now += 100 * MS
-        report = rig.side.report(1, now, 310 * MS)
-        assert (report.thermal, report.reason) == (flag, reason)
-        assert rig.side.report(0, now, 310 * MS).thermal is Flag.GOOD
-
-
 @pytest.mark.parametrize("line", [Line(fresh=False), Line(irms=None), Line(speed=None)])
 def test_blind_is_unknown_and_says_stale(line):
     rig = Rig()
@@ -178,43 +143,6 @@ def test_blind_is_unknown_and_says_stale(line):
     assert (reports[0].thermal, reports[0].reason) == (Flag.UNKNOWN, Reason.STALE)
     assert {r.reason for r in reports[1:]} == {Reason.TOO_FEW_DRIVES}, "one other is too few"
     assert {r.thermal for r in rig.run(20)} == {Flag.GOOD}, "and it comes back"
-
-
-def test_one_motor_without_others_is_unknown():
-    rig = Rig()
-    rig.run(20)
-    rig.side.model.motors["off_k"][0] = np.nan
-    rig.side.motors["valid_until_ns"] = NEVER
-    report = rig.side.report(0, rig.k * 100 * MS, 310 * MS)
-    assert (report.thermal, report.reason) == (Flag.UNKNOWN, Reason.TOO_FEW_DRIVES)
-
-
-def test_a_sensor_that_creeps_is_the_sensors_and_no_heat():
-    rig = Rig()
-    rig.run(30)
-    motors = rig.side.model.motors
-    motors["held"][2] = True
-    motors["kind"][2] = 0.0
-    motors["kind"][2, 6] = 0.95
-    rig.side.motors["valid_until_ns"] = NEVER
-    found = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
-    assert (found.thermal, found.sensor) == (Flag.UNKNOWN, Flag.BAD)
-    assert (found.fault_class, found.fault_sensor) == (
-        FaultClass.SENSOR_BIAS, FaultSensor.DRIVE_END,
-    )  # fmt: skip
-
-
-def test_hot_motor_or_sensor_is_unknown_and_no_guess():
-    rig = Rig()
-    rig.run(30)
-    motors = rig.side.model.motors
-    motors["held"][2] = True
-    motors["kind"][2] = 0.0
-    motors["kind"][2, 0], motors["kind"][2, 5] = 0.9, 0.05
-    rig.side.motors["valid_until_ns"] = NEVER
-    report = rig.side.report(2, rig.k * 100 * MS, 310 * MS)
-    assert (report.thermal, report.sensor) == (Flag.UNKNOWN, Flag.UNKNOWN)
-    assert (report.fault_class, report.reason) == (FaultClass.UNKNOWN, Reason.DIVERGED)
 
 
 def cells(with_heat=True):

@@ -1,7 +1,5 @@
 """The examples that `--help` of each verb ends with: they run, in their order, in one folder."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
@@ -58,6 +56,7 @@ def words_of(example):
     return shlex.split(example.replace("socketcan", "virtual"))
 
 
+@pytest.mark.thorough  # The verbs have tests of their own; their options are looked at above.
 @pytest.mark.slow
 def test_they_run(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
@@ -75,6 +74,7 @@ def test_they_run(tmp_path, monkeypatch, capfd):
         assert (tmp_path / name).stat().st_size > 0
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_services_serve_until_they_are_ended(tmp_path):
     shutil.copy(ROOT / "examples" / "train.toml", tmp_path)

@@ -1,7 +1,5 @@
 """`hil --mutate`: gateways with a fault, and whether scenarios notice them."""
 
-from __future__ import annotations
-
 import random
 from functools import cache, partial
 

@@ -1,7 +1,5 @@
 """Logs that are no files, and names and titles with what a terminal or a parser would obey."""
 
-from __future__ import annotations
-
 import io
 import logging
 import os
@@ -9,19 +7,15 @@ import pty
 import re
 import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from gateway.cli import main
 from gateway.io.log_setup import begin
-from gateway.reports import page
-from sim.scenario import parse
 
 ESCAPE = "\x1b[2J\x1b]0;owned\x07"
 """Clears a screen and names its window."""
-TITLE = f"wet{ESCAPE}\x9b2J\x00\nrail [/red]"
 SHOWN = r"wet\x1b[2J\x1b]0;owned\x07\x9b2J\x00\nrail [/red]"
 SCENARIO = """
 title = "wet\\u001b[2J\\u001b]0;owned\\u0007\\u009b2J\\u0000\\nrail [/red]"
@@ -37,7 +31,7 @@ LINES = b"(1.000000) can\xc2\x9b[/x] 181#0011223344556677\n" * 3
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 
 
-def harmless(text: str) -> None:
+def harmless(text):
     """No control character but the line end."""
     assert CONTROL.search(text) is None, repr(text)
 
@@ -46,7 +40,7 @@ def harmless(text: str) -> None:
 
 
 @pytest.fixture(params=["fifo", "zero", "null", "socket"])
-def no_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+def no_file(request, tmp_path):
     """In a folder of its own, under the name of a log."""
     path = tmp_path / "a.log"
     if request.param == "fifo":
@@ -71,18 +65,14 @@ def no_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     ],
     ids=lambda words: words[0],
 )
-def test_a_device_without_an_end_is_no_configuration(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_without_an_end_is_no_configuration(words, tmp_path, capsys):
     endless = tmp_path / "endless.toml"
     endless.symlink_to("/dev/zero")
     assert main([word.format(endless) for word in words]) == 2
     assert "larger than 64 MiB" in capsys.readouterr().err
 
 
-def test_a_dbc_without_an_end_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dbc_without_an_end_is_refused(tmp_path, capsys):
     (tmp_path / "endless.dbc").symlink_to("/dev/zero")
     (tmp_path / "train.toml").write_text('dbc = {file = "endless.dbc"}\ndrive = [{node = 1}]\n')
     assert main(["check", str(tmp_path / "train.toml")]) == 2
@@ -91,9 +81,7 @@ def test_a_dbc_without_an_end_is_refused(
 
 @pytest.mark.timeout(120)  # who opens a FIFO that nobody writes to waits for ever
 @pytest.mark.parametrize("verb", ["replay", "convert", "calibrate", "monitor"])
-def test_what_is_no_file_is_refused_in_words(
-    verb: str, no_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_file_is_refused_in_words(verb, no_file, tmp_path, capsys):
     words = {
         "replay": ["replay", no_file], "convert": ["convert", no_file, tmp_path / "out.csv"],
         "calibrate": ["calibrate", no_file, "-o", tmp_path / "out.toml"],
@@ -109,9 +97,7 @@ def test_what_is_no_file_is_refused_in_words(
 
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("ending", ["asc", "blf", "parquet", "mf4", "log.gz"])
-def test_whatever_its_name_ends_with(
-    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_whatever_its_name_ends_with(ending, tmp_path, capsys):
     path = tmp_path / f"a.{ending}"
     os.mkfifo(path)
     assert main(["convert", str(path), str(tmp_path / "out.csv")]) == 2
@@ -121,9 +107,7 @@ def test_whatever_its_name_ends_with(
 # ---- titles and names --------------------------------------------------------------------------
 
 
-def test_a_title_is_shown_as_text_in_terminal_html_and_junit(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_title_is_shown_as_text_in_terminal_html_and_junit(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(SCENARIO)
     junit, results = tmp_path / "j.xml", tmp_path / "results"
     words = ["hil", str(tmp_path / "s.toml"), "--junit", str(junit), "--results", str(results)]
@@ -138,7 +122,7 @@ def test_a_title_is_shown_as_text_in_terminal_html_and_junit(
     assert f"<title>{SHOWN}</title>" in whole
 
 
-def test_a_title_on_a_real_terminal(tmp_path: Path) -> None:
+def test_a_title_on_a_real_terminal(tmp_path):
     """There a bar is drawn beside it, whose markup a title has none of."""
     (tmp_path / "s.toml").write_text(SCENARIO)
     inner, outer = pty.openpty()
@@ -153,22 +137,8 @@ def test_a_title_on_a_real_terminal(tmp_path: Path) -> None:
     harmless(done.stdout)
 
 
-def test_a_page_whose_title_is_a_name_of_a_log(tmp_path: Path) -> None:
-    page.write(tmp_path, f"Replay of {TITLE}</title>", "text", [])
-    whole = (tmp_path / "report.html").read_text(encoding="utf-8")
-    harmless(whole)
-    assert f"<title>Replay of {SHOWN}&lt;/title&gt;</title>" in whole
-
-
-def test_titles_without_them_stay_as_they_are() -> None:
-    title = "Nasse Schiene: Über 25 %, «zwei»"
-    assert parse({"title": title, "duration_s": 1}).title == title
-
-
 @pytest.mark.parametrize("verb", ["replay", "check", "convert", "calibrate", "hil"])
-def test_names_in_a_refusal_are_text(
-    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_in_a_refusal_are_text(verb, tmp_path, capsys):
     path = tmp_path / f"a{ESCAPE}.toml"
     path.write_text("not = 'ours'\n")
     more = {"convert": [str(tmp_path / "out.csv")], "calibrate": ["-o", str(tmp_path / "c.toml")]}
@@ -178,7 +148,7 @@ def test_names_in_a_refusal_are_text(
     assert r"\x1b[2J" in said.err
 
 
-def test_channels_of_a_log_are_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_channels_of_a_log_are_text(tmp_path, capsys):
     """A C1 control character is no blank, and `[/x]` is markup to who draws."""
     (tmp_path / "a.log").write_bytes(LINES)
     assert main(["replay", str(tmp_path / "a.log")]) == 0
@@ -187,7 +157,7 @@ def test_channels_of_a_log_are_text(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert r"can\x9b[/x]" in "".join(said.err.split("\n"))
 
 
-def test_a_line_of_the_log_stays_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_of_the_log_stays_one(monkeypatch):
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setattr(logging, "root", logging.RootLogger(logging.WARNING))

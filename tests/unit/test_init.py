@@ -1,7 +1,5 @@
 """`init`: a first configuration from a DBC's names and units, and from a recording."""
 
-from __future__ import annotations
-
 import itertools
 import tomllib
 from pathlib import Path
@@ -29,7 +27,7 @@ MOTOR = {
 }  # fmt: skip
 
 
-def made(path: Path) -> dict:
+def made(path):
     return tomllib.loads(path.read_text())
 
 

@@ -1,7 +1,5 @@
 """What speaks against all flags at once: how long it is held, and which reason goes first."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

@@ -1,18 +1,21 @@
-"""What cannot be judged is unknown and accuses nobody: little load, wrong commands, cut-outs."""
-
-from __future__ import annotations
+"""Little load, coasting, brakes, wrong commands, missing messages: unknown, and accuses nobody."""
 
 from functools import cache
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+import gateway
 from dbc.e2e import protect
-from dbc.frame import Frame
+from dbc.frames import block_of
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.gateway import Gateway
 from gateway.settings.config import parse
+from gateway.study.held_world import STATUS
 from sim.simulation import Simulation
-from tests.simrun import TICK, codec, scenario
+from tests.sender import CLASSIC, FD_FILE
+from tests.simrun import TICK, codec, flags_and_speeds, scenario
 
 SPEED = 150.0
 RATED_NM = 30.0
@@ -21,7 +24,7 @@ SECONDS = 5.0
 
 
 @cache
-def recorded(load: float, drives: int, lost: bool = False) -> list[list[Frame]]:
+def recorded(load, drives, lost=False):
     """Frames by tick; load per unit of rated torque; lost: wheel 1 carries nothing, 1.5 to 3 s."""
     loss = {"at_s": 1.5, "for_s": 1.5, "drive": 1, "kind": "adhesion_loss", "depth": 1.0}
     run = scenario(
@@ -33,7 +36,7 @@ def recorded(load: float, drives: int, lost: bool = False) -> list[list[Frame]]:
     return [simulation.step((), k * TICK) for k in range(1, round(SECONDS * 100) + 1)]
 
 
-def with_status(frames: list[list[Frame]], factor: float = 1.0, state: int = 2, begin: float = 2.0):
+def with_status(frames, factor=1.0, state=2, begin=2.0):
     """The first drive's `Status` with another command or state, from `begin` to 4 s."""
     spec = codec((1, 2, 3)).by_name["Drive1_Status"]
     out = []
@@ -53,7 +56,7 @@ def with_status(frames: list[list[Frame]], factor: float = 1.0, state: int = 2, 
     return out
 
 
-def judged(frames: list[list[Frame]], drives: int):
+def judged(frames, drives):
     """Per tick: the drives as the gateway sees them."""
     core = Gateway(
         parse({"drive": [{"node": n + 1} for n in range(drives)]}),
@@ -67,7 +70,7 @@ def judged(frames: list[list[Frame]], drives: int):
     return rows
 
 
-def flags(rows, drive: int, begin: float, end: float) -> set[Flag]:
+def flags(rows, drive, begin, end):
     return {row[drive].adhesion for row in rows[round(begin * 100) : round(end * 100)]}
 
 
@@ -87,12 +90,6 @@ def test_a_drive_that_coasts_alone_is_unknown():
 def test_drives_that_coast_together_adhere():
     rows = judged(recorded(0.03, 3), 3)
     assert all(flags(rows, drive, 0.5, SECONDS) == {Flag.GOOD} for drive in range(3))
-
-
-def test_a_drive_that_is_asked_for_nothing_among_others_is_not_said_to_adhere():
-    """Its own slip control may be what asks for nothing."""
-    rows = judged(with_status(recorded(0.6, 3, lost=True), 0.0, begin=0.0), 3)
-    assert Flag.GOOD not in flags(rows, 0, 1.7, 3.0)
 
 
 @pytest.mark.parametrize("drives", [1, 2, 3])
@@ -163,7 +160,7 @@ def test_a_loss_beside_motion_that_is_stamped_late_is_told_a_tick_later_at_most(
     """A service that reads once a tick stamps what was measured at its begin at its end."""
     ids = {codec((1, 2, 3)).by_name[f"Drive{n}_Motion"].can_id for n in (1, 2, 3)}
 
-    def tick_of_loss(late: bool) -> int:
+    def tick_of_loss(late):
         frames = [
             [f._replace(t_ns=(k + 1) * TICK) if late and f.can_id in ids else f for f in tick]
             for k, tick in enumerate(recorded(0.6, 3, lost=True))
@@ -172,3 +169,137 @@ def test_a_loss_beside_motion_that_is_stamped_late_is_told_a_tick_later_at_most(
 
     assert 150 <= tick_of_loss(late=False) <= 153
     assert tick_of_loss(late=True) <= tick_of_loss(late=False) + 1
+
+
+COASTS_S = 2.2
+END_S = 4.0
+
+
+def said(*, commands, slows=False):
+    """Flags and reasons of all drives from half a second after the train has begun to coast."""
+    speeds = [[0.0, 120.0], [COASTS_S, 120.0], [END_S, 40.0 if slows else 120.0]]
+    train = scenario(
+        duration_s=END_S, drives=3, seed=5, motion={"profile": speeds},
+        load={"kind": "preset", "transition": "linear",
+              "profile": [[0.0, 15.0], [2.0, 15.0], [COASTS_S, 0.0]]},
+    )  # fmt: skip
+    simulation, gateway, out = Simulation(train, codec()), Gateway(parse({}), codec(), 0), []
+    for tick in range(1, round(END_S * 100)):
+        block = block_of(simulation.step((), tick * TICK))
+        if not commands:
+            block = block.pick([can_id not in STATUS for can_id in block.can_id])
+        gateway.step(block, tick * TICK)
+        if tick >= 100 * (COASTS_S + 0.5):
+            out += [(drive.adhesion, drive.adhesion_reason) for drive in gateway.view.drives]
+    return set(out)
+
+
+def test_wheels_that_roll_with_the_others_adhere():
+    assert said(commands=True) == {(Flag.GOOD, Reason.NONE)}
+
+
+@pytest.mark.parametrize("how", [{"commands": False}, {"commands": True, "slows": True}])
+def test_nobody_knows_where_more_may_have_been_asked_or_a_brake_slows_them(how):
+    """Without commands a train that coasts and one whose wheels are all lost look alike."""
+    assert {flag for flag, _ in said(**how)} == {Flag.UNKNOWN}
+
+
+NODES = (1, 2, 3)
+CALIBRATION = Path(gateway.__path__[0]) / "bench_calibration.toml"
+FLAGS = ("adhesion", "thermal", "sensor", "comm", "estimator")
+SLOW, FAST = 200.0, 600.0
+"""Electrical rad/s: above and below ten samples of 2 ms in a revolution."""
+DAY = 550
+"""Ticks, of which the last 50 are looked at: thermal flags need 5 s."""
+
+
+def known(without, w_e, path=CLASSIC):
+    """Flags of drive 1 that are known, with those messages of the drives not sent."""
+    used = codec(NODES, path)
+    run = scenario(seed=3, duration_s=6.0, motion={"profile": [[0.0, w_e]]})
+    simulation = Simulation(run, used, nodes=NODES)
+    tables = {"thermal": {"calibration": str(CALIBRATION)}, "drive": [{"node": n} for n in NODES]}
+    core = Gateway(parse(tables), used, 0)
+    gone = {m.can_id for m in used.messages if m.name.partition("_")[2] in without}
+    assert len(gone) >= len(NODES) * len(without)
+    seen = []
+    for now in range(TICK, DAY * TICK + 1, TICK):
+        core.step([f for f in simulation.step((), now) if f.can_id not in gone], now)
+        seen.append([getattr(core.view.drives[0], flag) for flag in FLAGS])
+    last = np.array(seen[-50:])
+    assert not (last == Flag.BAD).any()
+    always = (last == Flag.GOOD).all(axis=0)
+    assert (always | (last == Flag.UNKNOWN).all(axis=0)).all()
+    return {flag for flag, is_known in zip(FLAGS, always, strict=True) if is_known}
+
+
+@pytest.mark.parametrize(
+    ("without", "w_e", "unknown"),
+    [
+        ((), SLOW, ""),
+        ((), FAST, ""),
+        (("PhaseCurrents",), SLOW, "adhesion estimator comm"),
+        (("StatorVoltages",), FAST, "adhesion estimator comm"),
+        (("Motion",), SLOW, "thermal"),
+        (("Motion",), FAST, "thermal adhesion estimator"),
+        (("Status",), FAST, "thermal"),
+        (("Temperatures",), FAST, "thermal sensor"),
+        (("Status", "Temperatures"), FAST, "thermal sensor"),
+        (("Motion", "Status", "Temperatures"), SLOW, "thermal sensor"),
+    ],
+)
+def test_what_is_unknown_without_a_message(without, w_e, unknown):
+    assert known(without, w_e) == set(FLAGS) - set(unknown.split())
+
+
+def test_on_can_fd_currents_alone_are_enough_at_any_speed():
+    without = ("Motion", "Status", "Temperatures")
+    assert known(without, FAST, FD_FILE) == {"adhesion", "comm", "estimator"}
+    assert known(("Samples",), FAST, FD_FILE) == {"thermal", "sensor"}
+
+
+MOTOR = "traction_350kw"
+LOAD_NM = -283.0
+"""Of 796 Nm rated. A rotor that slows by 10 rad/s^2 takes 110 Nm more."""
+ONE = {"at_s": 2.0, "for_s": 0.5, "drive": 1, "kind": "adhesion_loss", "depth": 0.8}
+ALL = {"at_s": 1.0, "drive": "all", "kind": "adhesion_loss", "depth": 0.3, "ramp_s": 0.5}
+BRAKES = [[0.5, 540.0], [8.5, 380.0]]
+"""Electrical rad/s: 10 rad/s^2 at the rotor, an emergency brake of 1.4 m/s^2, from 38 m/s."""
+
+
+def braked(seconds, **changes):
+    run = scenario(seed=3, duration_s=seconds, motor={"name": MOTOR}, **changes)
+    drives = [{"node": node, "motor": MOTOR} for node in NODES]
+    return flags_and_speeds(run, codec(NODES), drive=drives)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_emergency_brake_is_no_loss_of_all(sign):
+    profile = [[at, sign * speed] for at, speed in BRAKES]
+    load = {"kind": "preset", "torque_nm": sign * LOAD_NM}
+    flags, _ = braked(3.0, motion={"profile": profile}, load=load, event=[ONE])
+    assert (flags[60:195] == Flag.GOOD).all()
+    assert (flags[60:, 1:] == Flag.GOOD).all()
+    assert (flags[205:245, 0] == Flag.BAD).all()
+    assert (flags[260:, 0] == Flag.GOOD).all()
+
+
+def test_nobody_knows_for_longer_whether_brakes_or_a_loss_of_all_slow_the_rotors():
+    load = {"kind": "preset", "torque_nm": LOAD_NM}
+    flags, _ = braked(8.0, motion={"profile": BRAKES}, load=load)
+    assert not (flags == Flag.BAD).any()
+    assert (flags[60:200] == Flag.GOOD).all()
+    assert (flags[550:] == Flag.UNKNOWN).all()
+
+
+def test_all_wheels_that_slide_gently_are_not_adhering_beyond_a_tenth():
+    """Less is missing than an emergency brake would take; nothing limits the slip."""
+    load = {"kind": "rail", "torque_nm": LOAD_NM}
+    motion = {"profile": [[0.0, 540.0]], "effort_nm": 800.0}
+    flags, speeds = braked(8.0, motion=motion, load=load, slip_limiter="none", event=[ALL])
+    assert (flags[60:100] == Flag.GOOD).all()
+    slid = speeds < 0.9 * speeds[100]
+    assert slid[-1].all()
+    for drive in range(len(NODES)):
+        first = int(np.argmax(slid[:, drive]))
+        assert not (flags[first + 20 :, drive] == Flag.GOOD).any()

@@ -1,8 +1,9 @@
-"""The 2 sigma band of a load says how far it is off: neither narrower nor wider."""
+"""The 2 sigma band of a load holds what it promises, and losses are found on reporting seeds."""
 
 import numpy as np
 import pytest
 
+from bench.adhesion import DEVELOPMENT, REPORTING, pooled
 from bench.load_band import one, together
 
 SEEDS = (41, 42)
@@ -29,3 +30,22 @@ def test_the_band_of_the_filters_holds_what_it_promises(world, kind, motor):
 def test_a_sensor_that_is_noisier_widens_it():
     quiet, noisy = (one(("held", kind, "bench", SEEDS[0])) for kind in ("one", "rough"))
     assert np.median(noisy.sigma) > 2.0 * np.median(quiet.sigma)
+
+
+def test_seeds_for_tuning_and_reporting_are_apart():
+    assert not set(DEVELOPMENT) & set(REPORTING)
+
+
+@pytest.mark.slow
+def test_random_losses_on_the_classic_bus():
+    score = pooled(REPORTING[:10])
+    assert score.f1 >= 0.95
+    assert score.good_share >= 0.98
+    assert score.median_delay_ms < 40
+
+
+@pytest.mark.slow
+def test_nothing_is_raised_on_healthy_runs():
+    score = pooled(REPORTING[:6], healthy=True)
+    assert score.false_positive == 0
+    assert score.good_share >= 0.98

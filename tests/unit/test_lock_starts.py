@@ -3,8 +3,6 @@
 Of both motors, on both buses; and through ten thousand crossings of pi.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +14,7 @@ from gateway.settings.sections import Estimator
 from tests.estimates import step
 from tests.sample_rows import Samples
 from tests.stations import Bank
-from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, Truth, motor, sampled
+from tests.unit.test_est_truth import BENCH, KW_350, TICK_S, Machine, motor, sampled
 
 ANGLES = np.linspace(-np.pi, np.pi, 36, endpoint=False)
 STARTS = 40
@@ -44,7 +42,7 @@ KINDS = {
 }
 
 
-def start(kind: Kind, seed: int, every: int) -> Truth:
+def start(kind, seed, every):
     """One start of 36 motors that differ by their angle: even seeds roll, odd ones stand."""
     rng = np.random.default_rng([seed, every])
     n = len(ANGLES)
@@ -69,7 +67,7 @@ def start(kind: Kind, seed: int, every: int) -> Truth:
     return motor(first, angles, profile, loads, kind.plant)
 
 
-def followed(kind: Kind, truth: Truth, every: int, seed: int) -> np.ndarray:
+def followed(kind, truth, every, seed):
     """(T, N) which motors are said to be tracked, tick by tick: rightly, or it fails here."""
     rows = sampled(truth, every, 2e-4 * (kind.ours.I_rated / BENCH_MOTOR.I_rated) ** 2, seed)
     n = len(ANGLES)

@@ -1,9 +1,5 @@
 """Text of programs that nobody knows: refused with a cure, proposed for, read by a pattern."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from dbc.candump.grammar import Verdict
@@ -16,7 +12,7 @@ from tests.unit.test_foreign_logs import lines_of
 BYTES = "02 A0 03 04 05 06 07 F1"
 
 
-def convert(path: Path, *options: str) -> int:
+def convert(path, *options):
     return main(["convert", str(path), str(path.parent / "out.log"), "--frames", *options])
 
 
@@ -26,9 +22,7 @@ def convert(path: Path, *options: str) -> int:
      f"{{}} 181 8 {BYTES}", f"0.0{{}} can0 181 {BYTES}", f"0.0{{}}\t181\t8\t{BYTES}",
      "0.0{} 181 02-A0-03", "10:00:00.0{} Rx 1 181 8 2 01 02"],
 )  # fmt: skip
-def test_text_that_no_reader_knows_is_refused_and_the_cure_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str
-) -> None:
+def test_text_that_no_reader_knows_is_refused_and_the_cure_named(tmp_path, capsys, line):
     path = tmp_path / "a.txt"
     path.write_text("".join(line.format(k) + "\n" for k in range(10, 22)))
     assert convert(path) == 2
@@ -36,7 +30,7 @@ def test_text_that_no_reader_knows_is_refused_and_the_cure_named(
     assert not (tmp_path / "out.log").exists()
 
 
-def test_an_empty_pattern_is_no_pattern(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_pattern_is_no_pattern(tmp_path, capsys):
     path = tmp_path / "a.log"
     path.write_text("(1.000000) can0 181#01\n")
     assert convert(path, "--line", "") == 2
@@ -44,13 +38,13 @@ def test_an_empty_pattern_is_no_pattern(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize("bus", ["", "2"])
-def test_crtd_needs_its_types(tmp_path: Path, bus: str) -> None:
+def test_crtd_needs_its_types(tmp_path, bus):
     path = tmp_path / "a.txt"
     path.write_text(f"1.0 {bus}R11 181 01\n1.1 {bus}T29 182 02\n1.2 {bus}R12 183 03\n")
     assert lines_of(path) == (["1 181#01", "1.1 00000182#02 T"], {"malformed": 1})
 
 
-def faults_of(path: Path, line: str, *, strict: bool = False) -> tuple[list[str], list[str]]:
+def faults_of(path, line, *, strict=False):
     """Frames as `id#data`, faults with their lines."""
     reader = open_reader(path, strict=strict, line=line)
     frames = [f"{f.can_id:03X}#{f.data.hex()}" for b in reader.blocks() for f in b.frames()]
@@ -64,9 +58,7 @@ def faults_of(path: Path, line: str, *, strict: bool = False) -> tuple[list[str]
      ("01 0x 04", 13, "x 04"), ("01;;04", 12, ";04"), ("01 012 04", 12, "012 04"),
      ("01 02 // 03", 15, "// 03"), ("01 -- 04", 13, "- 04")],
 )  # fmt: skip
-def test_a_damaged_byte_never_shortens_a_frame(
-    tmp_path: Path, separator: str, data: str, column: int, found: str
-) -> None:
+def test_a_damaged_byte_never_shortens_a_frame(tmp_path, separator, data, column, found):
     path = tmp_path / "a.txt"
     lines = ["1.0 181 01 02", f"2.0 181 {data}", "3.0 181 0x01,0x2 ,3,", "4.0 181 "]
     path.write_text("".join(line.replace(" ", separator, 2) + "\n" for line in lines))
@@ -80,7 +72,7 @@ def test_a_damaged_byte_never_shortens_a_frame(
         faults_of(path, pattern, strict=True)
 
 
-def test_a_comment_behind_the_data_that_the_pattern_names(tmp_path: Path) -> None:
+def test_a_comment_behind_the_data_that_the_pattern_names(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("1.0 181 01 02 // 03\n2.0 181 01 zz // 03\n")
     frames, faults = faults_of(path, "{s} {id} {data} // {skip}")
@@ -89,7 +81,7 @@ def test_a_comment_behind_the_data_that_the_pattern_names(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("data", ["300 02", "AA 3", "17,,3", "17x3"])
-def test_decimal_bytes(tmp_path: Path, data: str) -> None:
+def test_decimal_bytes(tmp_path, data):
     path = tmp_path / "a.txt"
     path.write_text(f"1.0 181 17-3\n2.0 181 {data}\n3.0 181 255 008\n")
     frames, faults = faults_of(path, "{s} {id} {data:d}")
@@ -104,9 +96,7 @@ def test_decimal_bytes(tmp_path: Path, data: str) -> None:
      ("10:00:00.123456789", 1684144800_123456789), ("10:00:00.12345678901+02:00", None),
      ("10:61:00+02:00", None)],
 )  # fmt: skip
-def test_dates_to_the_nanosecond_with_their_zone(
-    tmp_path: Path, stamp: str, t_ns: int | None
-) -> None:
+def test_dates_to_the_nanosecond_with_their_zone(tmp_path, stamp, t_ns):
     path = tmp_path / "a.txt"
     path.write_text(f"2023-05-15T08:00:00Z 181 00\n2023-05-15T{stamp} 181 01\n")
     reader = open_reader(path, strict=False, line="{date} {id} {data}")
@@ -121,9 +111,7 @@ def test_dates_to_the_nanosecond_with_their_zone(
      ("{s:x}", "1", "FFFFFFFFF"), ("{s}", "1", "99999999999"), ("{clock}", "0:00:01", "25:61:61.5"),
      ("{clock}", "0:00:01", "24:00:00"), ("{clock}", "0:00:01", "10:00:60")],
 )  # fmt: skip
-def test_times_that_are_none_are_malformed(
-    tmp_path: Path, pattern: str, good: str, bad: str
-) -> None:
+def test_times_that_are_none_are_malformed(tmp_path, pattern, good, bad):
     path = tmp_path / "a.txt"
     path.write_text(f"{good} 181 01\n {bad} 181 02\n")
     reader = open_reader(path, strict=False, line=f"{pattern} {{id}} {{data}}")
@@ -134,9 +122,7 @@ def test_times_that_are_none_are_malformed(
 
 
 @pytest.mark.parametrize("end", ["\n", ""])
-def test_a_pattern_that_fits_no_line_names_line_and_column(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], end: str
-) -> None:
+def test_a_pattern_that_fits_no_line_names_line_and_column(tmp_path, capsys, end):
     path = tmp_path / "a.txt"
     path.write_text("a header\n" + "1.0;181;2;01 02\n" * 2 + "the end" + end)
     assert convert(path, "--line", "{s};{id},{data}") == 2
@@ -145,9 +131,7 @@ def test_a_pattern_that_fits_no_line_names_line_and_column(
 
 
 @pytest.mark.parametrize(("last", "cut"), [("3.0 Tx 181 03", 0), ("3.0 Tx 182 03", 1)])
-def test_a_last_line_is_compared_with_others_of_its_identifier(
-    tmp_path: Path, last: str, cut: int
-) -> None:
+def test_a_last_line_is_compared_with_others_of_its_identifier(tmp_path, last, cut):
     path = tmp_path / "a.txt"
     path.write_text(f"1.0 Rx 181 01\n2.0 Rx 181 02\n{last}")
     reader = open_reader(path, strict=False, line="{s} {dir} {id} {data}")
@@ -180,9 +164,7 @@ def test_a_last_line_is_compared_with_others_of_its_identifier(
      ("10:00:00.0{} can0 181 3 02 A0 03", 1, "{clock} {channel} {id} {dlc} {data}", ""),
      ("0.0{} 181 3 02 A0 03 .x.", 1, "{s} {id} {dlc} {data} {skip}", "")],
 )  # fmt: skip
-def test_patterns_of_common_dialects_are_proposed(
-    line: str, step: int, pattern: str, assumed: str
-) -> None:
+def test_patterns_of_common_dialects_are_proposed(line, step, pattern, assumed):
     lines = [line.format(10 + k * step) for k in range(12)]
     found = proposed(["# a comment", "some header", *lines])
     assert found is not None
@@ -193,7 +175,7 @@ def test_patterns_of_common_dialects_are_proposed(
 
 
 @pytest.mark.parametrize("separator", [" ", ";", ", "])
-def test_numbers_of_lines_are_no_times(separator: str) -> None:
+def test_numbers_of_lines_are_no_times(separator):
     lines = [f"{k};0.0{10 + k};181;3;02 A0 03".replace(";", separator) for k in range(12)]
     found = proposed(lines)
     assert found is not None
@@ -205,11 +187,11 @@ def test_numbers_of_lines_are_no_times(separator: str) -> None:
     [["1.0 181 2 01 02", "2.0 181 3 01 02", "3.0 181 4 01 02", "4.0 181 1 01 02"],
      ["hello world", "nothing of that kind"], ["1.0 oops 181 01 0", "", "xyz 02"], [], [""]],
 )  # fmt: skip
-def test_nothing_is_proposed_where_nothing_fits(lines: list[str]) -> None:
+def test_nothing_is_proposed_where_nothing_fits(lines):
     assert proposed(lines) is None
 
 
-def test_a_damaged_line_does_not_change_the_proposal() -> None:
+def test_a_damaged_line_does_not_change_the_proposal():
     lines = [f"0.0{k} 181 3 02 A0 03" for k in range(10, 60)]
     lines[20:22] = ["0.030 181 3 02 A0", "0.031 181 3 02 A0 zz"]
     found = proposed(lines)
@@ -217,7 +199,7 @@ def test_a_damaged_line_does_not_change_the_proposal() -> None:
     assert found[:3] == ("{s} {id} {dlc} {data}", 48, 2)
 
 
-def test_what_was_assumed_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_assumed_is_printed(tmp_path, capsys):
     path = tmp_path / "a.txt"
     path.write_text("".join(f"{k}0 181 3 02 A0 03\n" for k in range(12)))
     assert convert(path, "--line", "auto") == 0

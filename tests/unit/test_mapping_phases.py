@@ -1,9 +1,6 @@
 """A phase current that is not available: what becomes of the other two."""
 
-from __future__ import annotations
-
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +15,7 @@ NONE = 0x7FFF
 PHASES = ("Ia", "Ib", "Ic")
 
 
-def translated(folder: Path, names: tuple[str, ...], raw: tuple[int, ...], kind: str):
+def translated(folder, names, raw, kind):
     """Values of our message of this kind, by its signals; samples with a phase that is derived."""
     voltages = ("Ualpha", "Ubeta")
     rows = {"Cur": (0x600, 10, [f'{n} : {16 * k}|16@1- (0.1,0) [0|0] "A"'

@@ -1,7 +1,5 @@
 """Who may look: every rule allowed once and refused once."""
 
-from __future__ import annotations
-
 import pytest
 
 from gateway.monitor.model.access import (

@@ -1,7 +1,5 @@
 """The feed: pictures, points of traces, what viewers may ask, events to the log."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging
@@ -16,7 +14,7 @@ from tests.watched import FakeSource, snapshot
 class Clock:
     now = 100.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now
 
 
@@ -26,7 +24,7 @@ def feed_of(**options):
     return Feed(source, clock=clock, **options), source, clock
 
 
-def event(k: int, level: str = "info") -> Event:
+def event(k, level="info"):
     return Event(float(k), level, 1, f"event {k}")
 
 
@@ -87,11 +85,11 @@ def test_of_a_bus_nothing_can_be_asked():
     assert (source.paused, source.speed) == (False, 1.0)
 
 
-def message(picture: Picture, before: Picture | None = None):
+def message(picture, before=None):
     return json.loads(picture.message(before))
 
 
-def picture(t_s: float, **more) -> Picture:
+def picture(t_s, **more):
     return Picture(1, snapshot(t_s, **more), {"title": "x"})
 
 

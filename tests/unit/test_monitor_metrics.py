@@ -1,7 +1,5 @@
 """Metrics: the text parses, names keep the conventions, nothing unknown has a number."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -20,7 +18,7 @@ from tests.watched import EMPTY, FULL, FakeSource, snapshot
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def text_of(**changes) -> str:
+def text_of(**changes):
     feed = Feed(FakeSource(make=lambda t_s: snapshot(t_s, **changes)))
     feed.counts["slow"] = 2
     feed.happened["error"] = 3
@@ -30,9 +28,9 @@ def text_of(**changes) -> str:
     return generate_latest(registry).decode()
 
 
-def parsed(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+def parsed(text):
     """(name, labels) -> value; no sample comes twice."""
-    found: dict = {}
+    found = {}
     for family in text_string_to_metric_families(text):
         for sample in family.samples:
             key = (sample.name.removeprefix(PREFIX), tuple(sorted(sample.labels.items())))
@@ -159,11 +157,11 @@ def test_names_keep_the_conventions():
             assert (family.type == "counter") == sample.name.endswith("_total"), sample.name
 
 
-def names_in(expression: str) -> set[str]:
+def names_in(expression):
     return set(re.findall(r"\btraction_gateway_\w+", expression))
 
 
-def expressions(node) -> list[str]:
+def expressions(node):
     if isinstance(node, dict):
         if node.get("type") == "datasource":
             return []
@@ -175,7 +173,7 @@ def expressions(node) -> list[str]:
 
 def test_every_query_of_the_dashboard_names_what_exists():
     board = json.loads((EXAMPLES / "grafana.json").read_text())
-    known: dict[str, set[str]] = {}
+    known = {}
     for family in text_string_to_metric_families(text_of()):
         for sample in family.samples:
             known.setdefault(sample.name, set()).update(sample.labels)

@@ -23,7 +23,7 @@ MS = 1_000_000
 END = 3_000 * MS
 
 
-def texts(shown) -> list[str]:
+def texts(shown):
     return [event.text for event in shown.events]
 
 
@@ -157,7 +157,7 @@ def test_a_shadow_is_what_replay_says_and_is_marked():
     assert play(run.observer(show_shadow=True), run.frames, END).gateway.source == "bus"
 
 
-def corrupted(frame: Frame, byte: int) -> Frame:
+def corrupted(frame, byte):
     data = bytearray(frame.data)
     data[byte] ^= 0x41
     return frame._replace(data=bytes(data))
@@ -257,7 +257,7 @@ def test_emergencies_and_lost_heartbeats_are_told():
     assert told[-1] == (3, "info", "heartbeat: Operational")
 
 
-def size_of(item, seen) -> int:
+def size_of(item, seen):
     """Members of all containers that an object holds on to."""
     if id(item) in seen or isinstance(item, type):
         return 0
@@ -275,7 +275,7 @@ def size_of(item, seen) -> int:
     return len(inner) + sum(size_of(part, seen) for part in inner)
 
 
-def hostile(start_ns: int, seconds: float):
+def hostile(start_ns, seconds):
     """Every identifier there is, emergencies, forged flags, error frames: 2000 a second."""
     for k in range(round(seconds * 2000)):
         t_ns = start_ns + k * 500_000
@@ -377,7 +377,7 @@ def test_lateness_is_the_delay_that_was_put_in_and_drift_is_none():
     assert sum(late.counts) == late.total
     assert len(late.edges_us) == len(late.counts) + 1
 
-    def between(low: int, high: int) -> int:
+    def between(low, high):
         rows = zip(late.edges_us, late.edges_us[1:], late.counts, strict=False)
         return sum(n for a, b, n in rows if a >= low and b <= high)
 

@@ -32,7 +32,7 @@ def log(tmp_path_factory):
     return path
 
 
-def source(path, **options) -> LogSource:
+def source(path, **options):
     return LogSource(path, lambda: recorded().observer(**options))
 
 
@@ -163,7 +163,7 @@ def test_logs_that_cannot_be_watched_are_refused(tmp_path):
 class Fake:
     """A transport that gives the frames of a list by the clock; reads are counted."""
 
-    def __init__(self, frames) -> None:
+    def __init__(self, frames):
         self.frames = sorted(frames, key=lambda f: f.t_ns)
         self.now = 0
         self.status = Status(state=LinkState.UP)
@@ -180,7 +180,7 @@ class Fake:
         self.reads += 1
         return block_of(self.frames[first : self.given])
 
-    def at(self, now: int) -> None:
+    def at(self, now):
         """Let it be that late, and everything until then be read."""
         self.now = now
         before = self.reads

@@ -28,49 +28,49 @@ def log(tmp_path_factory):
 class Screen:
     """An app under test: its screen as lines."""
 
-    def __init__(self, source, size=(80, 24)) -> None:
+    def __init__(self, source, size=(80, 24)):
         self.now = 0.0
         self.app = MonitorApp(source, refresh_s=None, clock=lambda: self.now)
         self.source = source
         self.size = size
 
-    def run(self, steps) -> None:
-        async def inner() -> None:
+    def run(self, steps):
+        async def inner():
             async with self.app.run_test(size=self.size) as self.pilot:
                 await self.pilot.pause()
                 await steps(self)
 
         asyncio.run(inner())
 
-    async def press(self, *keys) -> list[str]:
+    async def press(self, *keys):
         await self.pilot.press(*keys)
         return await self.settled()
 
-    async def settled(self) -> list[str]:
+    async def settled(self):
         """A seek may take several looks."""
         while self.source.behind:
             self.app.tick()
         await self.pilot.pause()
         return self.lines()
 
-    async def tick(self, seconds) -> list[str]:
+    async def tick(self, seconds):
         self.now += seconds
         self.app.tick()
         return await self.settled()
 
-    def lines(self) -> list[str]:
+    def lines(self):
         strips = self.app.screen._compositor.render_strips()
         return ["".join(segment.text for segment in strip) for strip in strips]
 
 
-def opened(log, at=0.0, **options) -> LogSource:
+def opened(log, at=0.0, **options):
     source = LogSource(log, lambda: recorded().observer(**options))
     source.paused = True
     source.seek(at)
     return source
 
 
-def text_of(lines) -> str:
+def text_of(lines):
     return "\n".join(lines)
 
 
@@ -275,7 +275,7 @@ def test_the_newest_events_are_the_ones_that_are_shown():
     assert [line.split()[-1] for line in plain] == ["17", "18", "19"]
 
 
-def curve(t_s, load_nm, sigma_nm, size) -> list[str]:
+def curve(t_s, load_nm, sigma_nm, size):
     """The lines of a plot of 10 s."""
     nothing = (None,) * len(t_s)
     trace = Trace(1, t_s, nothing, load_nm, sigma_nm, nothing, (Flag.UNKNOWN,) * len(t_s))
@@ -336,7 +336,7 @@ def test_a_strip_shows_the_gravest_and_a_bar_what_is_not_known():
 # ---- the verb ----------------------------------------------------------------------------------
 
 
-def refused(capsys, *words) -> str:
+def refused(capsys, *words):
     assert main(["monitor", *map(str, words)]) == 2
     said = capsys.readouterr().err.strip()
     assert said.startswith("traction-gateway: ")

@@ -1,7 +1,5 @@
 """The page's server: each rule of security allowed and refused, real sockets for slow readers."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -108,13 +106,6 @@ def test_the_code_of_others_is_what_its_list_says():
     assert {name for name, _ in listed} == {p.name for p in folder.iterdir()} - {"README.md"}
     for name, expected in listed:
         assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == expected, name
-
-
-@pytest.mark.parametrize("name", ["127.0.0.1:8090", "localhost:8090", "[::1]:8090", "localhost:99"])
-def test_names_of_this_machine_are_allowed(name):
-    with client_of() as client:
-        assert client.get("/", headers={"host": name}).status_code == 200
-        assert look(client, host=name, origin=f"http://{name}")["head"]
 
 
 @pytest.mark.parametrize("name", ["evil.example", "evil.example:8090", "10.1.2.3:8090", ""])
@@ -327,7 +318,7 @@ def test_what_stops_the_feed_stops_the_server():
     assert [str(error) for error in told] == ["broken"]
 
 
-def opened(port: int, room: int) -> socket.socket:
+def opened(port, room):
     """A viewer that reads the handshake's answer, and nothing after it."""
     made = socket.socket()
     made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
@@ -476,7 +467,7 @@ def test_a_port_in_use_is_told():
             bind(where)
 
 
-def command(*words: str, cwd=None, env=None):
+def command(*words, cwd=None, env=None):
     done = subprocess.run(
         [sys.executable, "-m", "gateway", "monitor", *words], capture_output=True, text=True,
         check=False, cwd=cwd, env={**os.environ, **(env or {})}, timeout=120,

@@ -1,13 +1,18 @@
-"""Faults of a motor; the 350 kW one mostly turns beyond ten samples per revolution."""
-
-from __future__ import annotations
+"""Faults of a motor (the 350 kW one turns beyond ten samples a revolution), and echoed torque."""
 
 import pytest
 
+from dbc.e2e import protect
+from dbc.frame import SECOND
+from dbc.frames import block_of
 from gateway.core.codes import Flag, Health, Reason
 from gateway.core.gateway import Gateway
+from gateway.settings.config import parse
 from gateway.study.evaluation_runs import Plan, fitted, one_run, record
 from gateway.study.scenarios_family import draw
+from sim.scenario import parse as scenario
+from sim.simulation import Simulation
+from tests.simrun import CLASSIC, codec
 
 MOTOR = "traction_350kw"
 OPEN_S = 1.0
@@ -53,3 +58,57 @@ def test_a_flux_off_by_a_fifth_raises_nothing_and_hides_nothing(seed):
     assert flags.alarms == 0
     assert flags.missed == 0
     assert flags.f1 > 0.75
+
+
+NODES, TICK = (1, 2, 3), 10_000_000
+LOSS_S, LAST_S, END_S = 2.0, 1.5, 4.5
+SPEED = 380.0
+"""rad/s, electrical: eight samples of current a revolution."""
+BOUND = codec(NODES, CLASSIC)
+MOTION = BOUND.by_name["Drive2_Motion"]
+TORQUE = MOTION.signals[MOTION.column("Torque")]
+MASK = (1 << TORQUE.length) - 1 << TORQUE.start
+
+
+def blocks(depth, seed):
+    """Frames by tick: from the loss on, drive 2's torque is the one of before."""
+    lost = {"at_s": LOSS_S, "for_s": LAST_S, "drive": 2, "kind": "adhesion_loss", "depth": depth}
+    world = scenario({
+        "title": "echo", "seed": seed, "duration_s": END_S, "drives": 3, "event": [lost],
+        "motion": {"start": "rolling", "profile": [(0.0, SPEED), (END_S, SPEED)]},
+        "load": {"torque_nm": 18.0},
+    })  # fmt: skip
+    simulation = Simulation(world, BOUND, nodes=NODES)
+    kept = 0
+    for k in range(1, round(END_S * SECOND / TICK)):
+        block = block_of(simulation.step((), k * TICK))
+        for row in range(block.size):
+            if block.can_id[row] != MOTION.can_id:
+                continue
+            word = int.from_bytes(block.data[row, : MOTION.length].tobytes(), "little")
+            if not LOSS_S <= k * TICK / SECOND < LOSS_S + LAST_S:
+                kept = word & MASK
+                continue
+            payload = bytearray((word & ~MASK | kept).to_bytes(MOTION.length, "little"))
+            counter = MOTION.signals[MOTION.column("Counter")]
+            protect(MOTION, payload, word >> counter.start & ((1 << counter.length) - 1))
+            block.data[row, : MOTION.length] = list(payload)
+        yield block
+
+
+@pytest.mark.parametrize("detector", ["switching", "vb"])
+@pytest.mark.parametrize("depth", [0.95, 0.7])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_torque_that_no_current_makes_is_not_believed(detector, depth, seed):
+    core = Gateway(parse({"adhesion": {"detector": detector}}), BOUND, 0)
+    said = {node: [] for node in NODES}
+    for k, block in enumerate(blocks(depth, seed), start=1):
+        core.step(block, k * TICK)
+        for drive in core.view.drives:
+            said[drive.node].append(drive.adhesion)
+    begin, end = round(LOSS_S * 100), round((LOSS_S + LAST_S) * 100)
+    assert Flag.GOOD not in said[2][begin + 20 : end]
+    assert set(said[2][begin - 50 : begin]) == {Flag.GOOD}
+    assert said[2][-1] is Flag.GOOD
+    for node in (1, 3):
+        assert set(said[node][begin - 50 :]) == {Flag.GOOD}

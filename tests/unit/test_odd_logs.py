@@ -1,47 +1,181 @@
 """Logs of people's programs that are odd and yet right, or wrong in a way that must be seen."""
 
-from __future__ import annotations
-
 import struct
 
 import can
 import pytest
 
-from dbc.candump.grammar import format_frame
+from dbc.candump.grammar import Verdict, format_frame
+from dbc.frame import SECOND
 from dbc.logs.opening import open_reader
 from dbc.logs.proposals import proposed
 from dbc.tolerant import read_any_dbc
 
 ASC = "date Mon Mar 4 10:31:20.000 am 2024\nbase hex  timestamps absolute\n"
-TRC = ";$FILEVERSION=1.1\n;$STARTTIME=37704.5\n"
+TRC = ";$FILEVERSION={}\n;$STARTTIME=43000.0\n"
+
+
+def read(folder, name, text, encoding="latin-1"):
+    """Frames, counts of lines that are none, and notes."""
+    path = folder / name
+    path.write_bytes(text.encode(encoding))
+    reader = open_reader(path, strict=False)
+    frames = list(reader)
+    counts = {verdict.name.lower(): n for verdict, n in reader.counts.items() if n}
+    assert sum(counts.values()) == reader.lines == len(text.splitlines())
+    for header in ("header", "ok", "fd", "remote", "error_frame"):
+        counts.pop(header, None)
+    return frames, counts, reader.notes
+
+
+def shown(frames):
+    return [format_frame(frame).split()[-1].decode() for frame in frames]
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        # Of python-can's test_CanFdMessage64.asc, shortened: flags 0x11, 12 bytes.
+        ("0.1 CANFD 4 Rx 4EE 0 1 9 12 " + "A1 " * 12 + "1331984 11 0 46500250 460a0250", "##2"),
+        ("0.1 CANFD 1 Rx 123 1 0 8 8 " + "11 " * 8 + "130000 130 0 0 0 0 0 0", "##1"),
+        ("0.1 CANFD 1 Rx 123 0 0 8 8 " + "11 " * 8 + "130000 130 0 0 0 0 0 0", "#1"),
+        ("0.1 CANFD 1 Rx 123 0 0 8 8 " + "11 " * 8 + "130000 130 1000 0 0 0 0 0", "##0"),
+    ],
+)
+def test_fd_is_seen_from_size_and_switches_where_the_flag_is_left_out(tmp_path, line, wanted):
+    frames, counts, _ = read(tmp_path, "a.asc", f"{ASC}{line}\n")
+    assert not counts
+    assert wanted in shown(frames)[0]
+
+
+@pytest.mark.parametrize("base", ["hex", "dec"])
+def test_a_name_that_could_be_a_number_is_a_name(tmp_path, base):
+    """`ID =` says it, decimal in both bases; a frame without it has its number in front."""
+    behind = "Length = 228000 BitCount = 118 ID = "
+    lines = [f"base {base}  timestamps absolute"]
+    lines += [f"0.{k} 1 {name} Rx d 2 01 02 {behind}{number}" for k, (name, number) in enumerate([
+        ("AC", "386"), ("ABCDx", "419361024x"), ("EBC", "387"), ("FACE", "388"), ("Engine", "389"),
+        ("AC", "386"), ("AC", "386"),
+    ])]  # fmt: skip
+    lines += ["0.8 1 123 Rx d 2 01 02"] * 40
+    frames, counts, _ = read(tmp_path, "a.asc", "\n".join(lines) + "\n")
+    assert not counts
+    plain = "123#0102" if base == "hex" else "07B#0102"
+    wanted = ["182#0102", "18FEF100#0102", "183#0102", "184#0102", "185#0102"]
+    assert shown(frames) == [*wanted, "182#0102", "182#0102", *[plain] * 40]
+
+
+@pytest.mark.parametrize(
+    "whole",
+    [
+        "0.3 CANFD 1 Rx 123 1 0 8 8 01 02 03 04 05 06 07 08 130000 130 303000 a b c",
+        "0.3 1 Eng Rx d 2 01 02 Length = 1 BitCount = 1 ID = 419361024x",
+        "0.3 1 AC Rx d 2 01 02 Length = 1 BitCount = 1 ID = 419361024x",
+        "0.3 1 123 Rx r 8",
+        "0.3 1 123 Rx d 2 01 02 Length = 1 BitCount = 1 ID = 291",
+        "0.3 1 18FEF100x Rx d 8 01 02 03 04 05 06 07 08",
+    ],
+)
+def test_a_line_that_was_cut_is_another_frame_nowhere(tmp_path, whole):
+    """Cut behind any character: the frame that it was, or none and the word `cut`."""
+    for size in range(1, len(whole)):
+        frames, counts, _ = read(tmp_path, "a.asc", f"{ASC}{whole}\n{whole[:size]}")
+        twice = frames[1:] == frames[:1] and not counts
+        assert twice or (len(frames) == 1 and counts == {"cut": 1}), whole[:size]
+
+
+@pytest.mark.parametrize(
+    ("first", "later", "encoding"),
+    [
+        ("Mit Mär 4 10:31:20.000 2020", "Mit Mär 4 10:31:21.500 2020", "utf-8"),
+        ("Mit Mär 4 10:31:20.000 2020", "Mit Mär 4 10:31:21.500 2020", "latin-1"),
+        ("04.03.2020 10:31:20", "04.03.2020 10:31:21.500", "utf-8"),
+        ("2020-03-04 10:31:20", "2020-03-04 10:31:21,500", "utf-8"),
+        ("03/04/2020 11:59:59 AM", "03/04/2020 12:00:00.5 PM", "utf-8"),
+        ("Wed 4 Mar 2020 10:31:20", "Wed 4 Mar 2020 10:31:21.5", "utf-8"),
+        ("Wed Mar 4 2020 10:31:20", "Wed Mar 4 2020 10:31:21.5", "utf-8"),
+        ("Mit Dez 30 11:59:59 vorm. 2020", "Mit Dez 30 12:00:00.5 nachm. 2020", "utf-8"),
+        ("mar. mars 3 10:31:20 2020", "mar. mars 3 10:31:21.5 2020", "utf-8"),
+        ("mer. juil. 1 10:31:20 2020", "mer. juil. 1 10:31:21.5 2020", "utf-8"),
+    ],
+)
+def test_a_second_block_is_as_much_later_as_its_date(tmp_path, first, later, encoding):
+    block = "Begin Triggerblock {}\n0.0 1 123 Rx d 1 01\n0.1 1 123 Rx d 1 02\nEnd TriggerBlock\n"
+    blocks = [block.format(date) for date in (first, later)]
+    frames, counts, notes = read(tmp_path, "a.asc", ASC + "".join(blocks), encoding)
+    assert [frame.t_ns * 10 // SECOND for frame in frames] == [0, 1, 15, 16]
+    assert not counts
+    assert not notes
+
+
+def test_a_second_block_of_an_unknown_date_follows_the_first_and_a_note_says_so(tmp_path):
+    block = "Begin Triggerblock yesterday\n0.0 1 123 Rx d 1 01\n0.1 1 123 Rx d 1 02\n"
+    frames, _, notes = read(tmp_path, "a.asc", ASC + block + block)
+    assert [frame.t_ns * 10 // SECOND for frame in frames] == [0, 1, 1, 2]
+    assert notes == ["times begin anew at a date that is not understood: they go on at once"]
+
+
+def test_a_faulty_line_of_a_log_of_differences_keeps_its_own(tmp_path):
+    bad = ["1 123", "1 123 Rx r", "1 123 Rx d", "1 123 Rx d 3 01", "CANFD 1 Rx", "1 XYZ Rx d 1 01"]
+    lines = [f"0.1 {line}\n" for line in ["1 123 Rx d 1 01", *bad, "1 123 Rx d 1 03"]]
+    text = "base hex  timestamps relative\n" + "".join(lines)
+    frames, _, _ = read(tmp_path, "a.asc", text)
+    assert frames[-1].t_ns == (len(bad) + 2) * SECOND // 10
+
+
+@pytest.mark.parametrize("line", [
+    "0.1 1  J1939TP FEE3p 6 0 0 - Rx d 23 A0 0F A6 60 3B D1 40 1F DE 80 25",
+    "0.1 1  OverloadFrame",
+    "0.1 1  Statistic: D 0 R 0 XD 0 XR 0 E 0 O 0 B 0.00%",
+    "0.1 CAN 1 Status:chip status error active",
+])  # fmt: skip
+def test_what_is_no_frame_is_an_event(tmp_path, line):
+    assert read(tmp_path, "a.asc", f"{ASC}{line}\n")[:2] == ([], {"event": 1})
+
+
+def test_what_stands_behind_the_data_is_no_data(tmp_path):
+    text = f"{ASC}0.1 1 123 Rx d 2 01 02  BitCount = 118\n0.2 1 123 Rx d 2 01 02 ACK\n"
+    for base in ("hex", "dec"):
+        frames, counts, _ = read(tmp_path, "a.asc", text.replace("hex", base))
+        assert [frame.data for frame in frames] == [b"\1\2"] * 2
+        assert not counts
+
+
+@pytest.mark.parametrize(("version", "line"), [
+    ("1.0", "     2)    17540 FFFFFFFF  4  00 00 00 08 -- -- -- -- BUSHEAVY"),
+    ("1.1", "     2)    17540.1  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY"),
+    ("2.0", "     14   1500.300 EV Lap"),
+    ("2.1", "     10   7024.500 EV 1  Lap 3"),
+    ("2.1", "     10   7024.500 ST 1  -  Rx - 4 00 00 00 08"),
+])  # fmt: skip
+def test_a_state_in_a_trc_is_an_event(tmp_path, version, line):
+    assert read(tmp_path, "a.trc", TRC.format(version) + line + "\n")[:2] == ([], {"event": 1})
+
+
+def test_a_short_line_of_a_trc_is_a_fault(tmp_path):
+    counts = read(tmp_path, "a.trc", TRC.format("2.1") + "     10   7024.500 DT 1\n")[1]
+    assert counts == {Verdict.MALFORMED.name.lower(): 1}
+
+
 CSV = "timestamp,id,extended,rtr,dlc,data\n"
 START = 40
 """Of a BLF: where its year stands."""
 SCREEN = " (1684144800.{:06d})  can0  {}\n"
 
 
-def read(folder, name, text):
-    """Frames as candump shows them, and counts of the lines that are none."""
-    path = folder / name
-    path.write_bytes(text.encode("latin-1"))
-    reader = open_reader(path, strict=False)
-    shown = [format_frame(frame).split()[-1].decode() for frame in reader]
-    counts = {verdict.name.lower(): n for verdict, n in reader.counts.items() if n}
-    return shown, counts
-
-
 @pytest.mark.parametrize(("name", "text", "wanted", "fault"), [
     ("a.asc", ASC + "0.1 1 \xa0 Rx d 1 01\n0.2 1 123 Rx d 1 01\n", "123#01", "bad_id"),
-    ("a.trc", TRC + " 1) 1059.9  Rx  \xa0  2  00 01\n 2) 1060.9  Rx  0123  2  00 01\n", "123#0001",
+    ("a.trc", TRC.format("1.1") + " 1) 1059.9  Rx  \xa0  2  00 01\n 2) 1060.9  Rx  0123 2 00 01\n",
+     "123#0001",
      "malformed"),
     ("a.asc", ASC + "0.1 1 102 Rx r e4\n0.2 1 123 Rx r 8\n", "123#R8", "bad_length"),
     ("a.csv", CSV + "0.1,0x181,0,1,200,\n0.2,0x181,0,1,8,\n", "181#R8", "bad_length"),
     ("a.csv", CSV + "0.1,181,0,0,2,1 2 3 4\n0.2,181,0,0,2,1 2\n", "181#0102", "bad_length"),
 ])  # fmt: skip
 def test_what_is_no_frame_is_counted_and_the_next_one_is_read(tmp_path, name, text, wanted, fault):
-    shown, counts = read(tmp_path, name, text)
-    assert shown == [wanted]
-    assert counts[fault] == 1
+    frames, counts, _ = read(tmp_path, name, text)
+    assert shown(frames) == [wanted]
+    assert counts == {fault: 1}
 
 
 @pytest.mark.parametrize(("name", "text", "wanted"), [
@@ -52,7 +186,7 @@ def test_what_is_no_frame_is_counted_and_the_next_one_is_read(tmp_path, name, te
     ("a.asc", ASC + "0.1 1 18FF60A2x Rx r Length = 0 BitCount = 0 ID = 18FF60A2x\n", "18FF60A2#R"),
 ])  # fmt: skip
 def test_one_frame_in_an_unusual_form(tmp_path, name, text, wanted):
-    assert read(tmp_path, name, text)[0] == [wanted]
+    assert shown(read(tmp_path, name, text)[0]) == [wanted]
 
 
 def test_what_candump_says_of_an_error_frame_is_a_comment(tmp_path):
@@ -62,9 +196,9 @@ def test_what_candump_says_of_an_error_frame_is_a_comment(tmp_path):
         SCREEN.format(k, error) + "\tprotocol-violation{{bus-error}{}}\n\tbus-error\n"
         for k in range(1, 11)
     )
-    shown, counts = read(tmp_path, "a.txt", text)
-    assert len(shown) == 11
-    assert counts == {"ok": 1, "error_frame": 10, "comment": 20}
+    frames, counts, _ = read(tmp_path, "a.txt", text)
+    assert len(frames) == 11
+    assert counts == {"comment": 20}
 
 
 def test_times_of_two_interfaces_that_come_in_another_order_are_no_differences(tmp_path):

@@ -1,10 +1,7 @@
 """A signal that is not available takes no other signal of its message with it."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +21,7 @@ KNOWN = {
 }
 
 
-def received(kind: str, without: str) -> tuple[float, float, float]:
+def received(kind, without):
     """Speed, current and command of drive 1, NaN where none is known."""
     codec = codec_for()
     gateway = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec, 0)
@@ -37,14 +34,14 @@ def received(kind: str, without: str) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("without", ["FaultCode", "State", "Irms", "TorqueCommand"])
-def test_status(without: str) -> None:
+def test_status(without):
     nan = math.nan
     _, irms, command = received("Status", without)
     assert irms == pytest.approx(nan if without == "Irms" else 70.0, nan_ok=True)
     assert command == pytest.approx(nan if without == "TorqueCommand" else 20.0, nan_ok=True)
 
 
-def test_a_status_without_command_and_current_says_nothing() -> None:
+def test_a_status_without_command_and_current_says_nothing():
     codec = codec_for()
     gateway = Gateway(parse({"drive": [{"node": n} for n in (1, 2, 3)]}), codec, 0)
     sender = Sender(codec, "Drive1_Status")
@@ -57,7 +54,7 @@ def test_a_status_without_command_and_current_says_nothing() -> None:
 
 
 @pytest.mark.parametrize("without", ["Torque", "ElectricalAngle", "Speed"])
-def test_motion(without: str) -> None:
+def test_motion(without):
     speed, *_ = received("Motion", without)
     expected = math.nan if without == "Speed" else 104.72
     assert speed == pytest.approx(expected, abs=0.1, nan_ok=True)
@@ -66,7 +63,7 @@ def test_motion(without: str) -> None:
 # ---- ends of raw ranges of mapped temperatures ---------------------------------------------------
 
 
-def temperatures(folder: Path, raw: list[int]) -> list[float | None]:
+def temperatures(folder, raw):
     """What becomes of the readings of an 8-bit sensor, -40 to 215 degC."""
     file = {"Tmp": (0x600, 100, ['Motor : 0|8@1+ (1,-40) [-40|215] "degC"',
                                  'Bearing : 8|8@1+ (1,-40) [-40|215] "degC"'])}  # fmt: skip
@@ -75,11 +72,11 @@ def temperatures(folder: Path, raw: list[int]) -> list[float | None]:
     config = parse({"drive": [{"node": 1, "signals": {"dbc": "one.dbc", "use": use}}]}, base=folder)
     codec = fitted(codec_for((1,)), plans(config))
     translator = Translator(plans(config), codec)
-    found: list[float | None] = []
+    found = []
     for k, value in enumerate(raw, 1):
         t_ns = k * 100 * MS
         frame = Frame(t_ns, 0x600, bytes([value, 90, *bytes(6)]))
-        counts: Counter[str] = Counter()
+        counts = Counter()
         (made,) = translator.translate(block_of([frame]), t_ns, counts).frames()
         spec = codec.by_name["Drive1_Temperatures"]
         read = codec.decode(spec, made.data)
@@ -88,18 +85,16 @@ def temperatures(folder: Path, raw: list[int]) -> list[float | None]:
     return found
 
 
-def test_a_sensor_that_jumps_to_an_end_has_no_value(tmp_path: Path) -> None:
+def test_a_sensor_that_jumps_to_an_end_has_no_value(tmp_path):
     assert temperatures(tmp_path, [100, 255, 101, 0, 100]) == [60, None, 61, None, 60]
     assert temperatures(tmp_path, [255, 255, 0, 100]) == [None, None, None, 60]
 
 
-def test_a_motor_that_warms_up_to_the_end_is_believed(tmp_path: Path) -> None:
+def test_a_motor_that_warms_up_to_the_end_is_believed(tmp_path):
     assert temperatures(tmp_path, [248, 252, 254, 255, 255]) == [208, 212, 214, 215, 215]
 
 
-def test_check_proposes_codes_where_nothing_says_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_check_proposes_codes_where_nothing_says_them(tmp_path, capsys):
     temperatures(tmp_path, [100])
     text = '[[drive]]\nnode = 1\n[drive.signals]\ndbc = "one.dbc"\n[drive.signals.use]\n'
     path = tmp_path / "train.toml"

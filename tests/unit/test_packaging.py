@@ -1,7 +1,5 @@
 """The package outside of the repository: everything that it needs is inside, everything works."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -27,7 +25,7 @@ BUILD = (
 HERE = f"import {', '.join(PACKAGES)}; print([p.__path__[0] for p in ({', '.join(PACKAGES)})])"
 
 
-def called(*words: str, cwd: Path, **environment: str) -> str:
+def called(*words, cwd, **environment):
     """What it says on stdout. Nothing of this process's paths is handed on."""
     kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
@@ -38,7 +36,7 @@ def called(*words: str, cwd: Path, **environment: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory) -> tuple[Path, Path]:
+def built(tmp_path_factory):
     """(sdist, wheel); the wheel is made of the sdist alone."""
     here = tmp_path_factory.mktemp("built")
     source, out = here / "source", here / "out"
@@ -59,7 +57,7 @@ def built(tmp_path_factory) -> tuple[Path, Path]:
 
 
 @pytest.fixture(scope="module")
-def installed(built, tmp_path_factory) -> Path:
+def installed(built, tmp_path_factory):
     """Programs of an environment that has the wheel, and the locked dependencies on its path."""
     venv = tmp_path_factory.mktemp("environment") / "venv"
     called(sys.executable, "-m", "venv", "--without-pip", str(venv), cwd=venv.parent)
@@ -162,12 +160,12 @@ def test_what_the_demo_needs_is_locked_as_for_the_tests():
     assert not {"pytest", "mypy", "mkdocs", "numba"} & few.keys()
 
 
-def _pins(lock: str) -> dict[str, str]:
+def _pins(lock):
     """Versions by name."""
     text = (ROOT / lock).read_text().lower().replace("_", "-")
     return dict(re.findall(r"^([\w.-]+)(?:\[[^\]]*\])?==(\S+)", text, re.MULTILINE))
 
 
-def _name(requirement: str) -> str:
+def _name(requirement):
     end = next(k for k, c in enumerate(requirement + " ") if not (c.isalnum() or c in "-_."))
     return requirement[:end].lower().replace("_", "-")

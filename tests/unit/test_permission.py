@@ -1,12 +1,10 @@
 """Who may send what: every identifier, every way to run, every channel."""
 
-from __future__ import annotations
-
 import random
 
 import pytest
 
-from dbc.codec import Codec, bind
+from dbc.codec import bind
 from dbc.frame import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from gateway.core.gateway import Gateway
 from gateway.io.bus import open_transport
@@ -14,7 +12,7 @@ from gateway.io.canopen_node import CanopenNode
 from gateway.io.outputs import Outputs
 from gateway.io.permission import Mode, allowed, drives_only
 from gateway.io.transport import Guarded, SendResult, Status
-from gateway.settings.config import Config, ConfigError, parse, shipped_dbc
+from gateway.settings.config import ConfigError, parse, shipped_dbc
 
 FLAGS = {0x1A0: 8, 0x2A0: 8, 0x3A0: 8, 0x4A0: 8}
 SERVICE = {0x720: 1, 0x0A0: 8}
@@ -24,16 +22,16 @@ OWN = FLAGS | SERVICE | DRIVES
 EXTENDED_IDS = 100_000
 
 
-def config(**sections: object) -> Config:
+def config(**sections):
     return parse({"drive": [{"node": 1}, {"node": 3}], **sections})
 
 
 @pytest.fixture(scope="module")
-def codec() -> Codec:
+def codec():
     return bind(shipped_dbc("traction.dbc"), (1, 3))
 
 
-def drives_send(codec: Codec) -> dict[int, int]:
+def drives_send(codec):
     out = {}
     for n in (1, 3):
         out |= {base + n: 8 for base in (0x180, 0x280, 0x380, 0x1C0, 0x480, 0x080, 0x580)}
@@ -53,7 +51,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_every_identifier_length_and_kind_in_every_mode(name: str, codec: Codec) -> None:
+def test_every_identifier_length_and_kind_in_every_mode(name, codec):
     mode, sections, lengths, started = CASES[name]
     expected = drives_send(codec) if lengths is None else lengths
     allow = allowed(mode, config(**sections), codec)
@@ -70,7 +68,7 @@ def test_every_identifier_length_and_kind_in_every_mode(name: str, codec: Codec)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_no_extended_identifier_ever(name: str, codec: Codec) -> None:
+def test_no_extended_identifier_ever(name, codec):
     mode, sections, *_ = CASES[name]
     allow = allowed(mode, config(**sections), codec)
     rng = random.Random(name)
@@ -82,7 +80,7 @@ def test_no_extended_identifier_ever(name: str, codec: Codec) -> None:
     )
 
 
-def test_fd_messages_are_allowed_as_fd_only() -> None:
+def test_fd_messages_are_allowed_as_fd_only():
     codec = bind(shipped_dbc("traction_fd.dbc"), (1, 3))
     allow = drives_only(codec, (1, 3))
     assert allow.permits(Frame(0, 0x181, bytes(64), FD | BRS))
@@ -93,16 +91,16 @@ def test_fd_messages_are_allowed_as_fd_only() -> None:
 class Sink:
     """Takes whatever reaches it."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.status = Status()
-        self.sent: list[Frame] = []
+        self.sent = []
 
-    def send(self, frame: Frame) -> SendResult:
+    def send(self, frame):
         self.sent.append(frame)
         return self.status.count(SendResult.SENT)
 
 
-def test_on_a_channel_that_is_not_named_nothing_is_opened(codec: Codec) -> None:
+def test_on_a_channel_that_is_not_named_nothing_is_opened(codec):
     allow = allowed(Mode.RUN, config(bus={"send_on": ["can0", "can2"]}), codec)
     Guarded(Sink(), allow, "can0")
     with pytest.raises(ConfigError, match=r"channel can1: \[bus\] send_on allows can0, can2"):
@@ -120,7 +118,7 @@ def test_on_a_channel_that_is_not_named_nothing_is_opened(codec: Codec) -> None:
         Guarded(Sink(), nowhere, "can0")
 
 
-def test_a_frame_of_another_channel_is_refused(codec: Codec) -> None:
+def test_a_frame_of_another_channel_is_refused(codec):
     sink = Sink()
     guarded = Guarded(sink, allowed(Mode.RUN, config(), codec), "can0")
     assert not guarded.status.silent
@@ -131,7 +129,7 @@ def test_a_frame_of_another_channel_is_refused(codec: Codec) -> None:
     assert len(sink.sent) == 2
 
 
-def test_for_who_only_listens_a_refusal_is_no_fault(codec: Codec) -> None:
+def test_for_who_only_listens_a_refusal_is_no_fault(codec):
     """A service that listens is ready, and alive, all the same."""
     gateway = Gateway(config(), codec, 0)
     heartbeat = CanopenNode((1, 3))
@@ -144,7 +142,7 @@ def test_for_who_only_listens_a_refusal_is_no_fault(codec: Codec) -> None:
     assert "was failed" in Outputs(specs, listening=True).judge(out, failed, 0)
 
 
-def test_there_is_no_sdo_server_on_the_gateway(codec: Codec) -> None:
+def test_there_is_no_sdo_server_on_the_gateway(codec):
     """Every request, to it and to its drives, meets silence: no answer, no abort, no change."""
     chosen = config(canopen={"nmt_master": True})
     gateway, node = Gateway(chosen, codec, 0), CanopenNode((1, 3), nmt_master=True)

@@ -1,8 +1,7 @@
-"""Rows of results name the code that made them."""
-
-from __future__ import annotations
+"""Rows of results name the code that made them; a skipped test on a real bus has failed."""
 
 import importlib
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -86,3 +85,34 @@ def test_what_names_the_code_is_not_in_its_name(monkeypatch):
     before = code_of(ROOT)
     monkeypatch.delitem(sys.modules, provenance.__name__)
     assert code_of(ROOT) == before
+
+
+PATH = Path(__file__).parents[1] / "hil" / "conftest.py"
+
+
+@pytest.fixture(scope="module")
+def hil():
+    spec = importlib.util.spec_from_file_location("hil_conftest", PATH)
+    module = importlib.util.module_from_spec(spec)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, spec.name, module)  # where its classes look for themselves
+        spec.loader.exec_module(module)
+    return module
+
+
+def report(outcome, reason, when="setup"):
+    where = ("test_x.py", 1, f"Skipped: {reason}") if outcome == "skipped" else None
+    return pytest.TestReport("test_x.py::test", ("test_x.py", 1, "test"), {}, outcome, where, when)
+
+
+def test_a_skipped_test_has_failed(hil):
+    reports = [report("skipped", "no slcan here"), report("passed", "", "teardown")]
+    hil.oblige(reports)
+    assert [each.outcome for each in reports] == ["failed", "passed"]
+    assert "no slcan here" in reports[0].longrepr
+
+
+def test_the_clock_of_the_machine_may_be_left_alone(hil):
+    reports = [report("skipped", hil.OWN_CLOCK)]
+    hil.oblige(reports)
+    assert [each.outcome for each in reports] == ["skipped"]

@@ -118,10 +118,7 @@ def test_the_hot_half_bridge_is_named_and_the_others_are_silent(bridges, label):
 def test_limits_from_one_recording_alone_find_what_is_hot_and_nothing_else(learnt):
     assert learnt.deviation_limit_k[0] == pytest.approx(2.0, abs=0.1)
     hot = {label: hot_bridges(said) for label, said in judged(learnt).items()}
-    assert {label: found for label, found in hot.items() if found} == {
-        "F6": ["HB1"],
-        "F8": ["HB3"],
-    }
+    assert {label: found for label, found in hot.items() if found} == {"F6": ["HB1"], "F8": ["HB3"]}
 
 
 def test_a_hole_says_unknown_and_clears_nothing(bridges):
@@ -169,8 +166,7 @@ def test_the_default_taken_for_a_temperature_is_a_fault_of_what_the_sensors_shar
 
 
 @pytest.mark.parametrize(
-    ("points", "named"),
-    [((1,), FaultSensor.DRIVE_END), ((0, 1, 2), FaultSensor.NONE)],
+    ("points", "named"), [((1,), FaultSensor.DRIVE_END), ((0, 1, 2), FaultSensor.NONE)]
 )
 def test_ff_is_not_available_and_never_215_degrees(points, named):
     frames = []

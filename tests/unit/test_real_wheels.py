@@ -1,7 +1,5 @@
 """Recordings of a robot's wheels: what docs/real_wheels.md says of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ UNLIKE = ("table_exp28", "table_exp40")
 """One wheel of the first was lost for good, against a demand that none carried."""
 
 
-def share(flags: np.ndarray, flag: Flag) -> float:
+def share(flags, flag):
     return float(np.mean(flags[round(100 * SKIP_S) :] == flag))
 
 

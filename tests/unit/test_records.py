@@ -1,7 +1,5 @@
 """Records are laid out as the compiler lays them out, on x86-64 and on AArch64."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The parts of a report, by law: envelopes, intervals, truth, TOML, Markdown, pictures."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from itertools import accumulate, pairwise
@@ -30,7 +28,7 @@ from tests.ticked import ticks
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 
-def view(t_ns, *drives, load=50.0) -> GatewayView:
+def view(t_ns, *drives, load=50.0):
     return GatewayView(
         t_ns, drives, 1, Flag.UNKNOWN, None, Reason.NONE, Reason.NONE, Flag.GOOD, Flag.GOOD,
         Flag.GOOD, Flag.GOOD, GatewayState.RUNNING, 0, 0, 0, load, None, None,
@@ -184,7 +182,7 @@ def test_the_first_frame_of_a_state_from_a_time_on(steps, at):
         assert first(seen, wanted, at) == min(later, default=None)
 
 
-def truth_file(path: Path, *lines: str) -> Path:
+def truth_file(path, *lines):
     path.write_text("\n".join([",".join(HEADER), *lines]) + "\n")
     return path
 

@@ -1,7 +1,9 @@
 """`reproduce adhesion`: Table 1 by hand, the same world with and without a bus, files, bytes."""
 
 import csv
+import io
 import re
+from contextlib import redirect_stderr, redirect_stdout
 
 import numpy as np
 import pytest
@@ -36,11 +38,19 @@ def world(scenario):
 
 
 @pytest.fixture(scope="module")
-def folder(scenario, tmp_path_factory):
-    """A whole run of 0.4 s."""
-    here = tmp_path_factory.mktemp("reproduce") / "new"
-    reproduce.reproduce(scenario, here, seeds=(6, 7))
-    return here
+def made(scenario, tmp_path_factory):
+    """A whole run of 0.4 s, and what it says."""
+    here, out, err = tmp_path_factory.mktemp("reproduce") / "new", io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr("sim.scenario.builtin", lambda _name: scenario)
+        patch.setattr(reproduce.reproduce, "__defaults__", ((6, 7),))
+        assert main(["reproduce", "adhesion", "-o", str(here)]) == 0
+    return here, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture(scope="module")
+def folder(made):
+    return made[0]
 
 
 def test_statistics_by_hand():
@@ -267,19 +277,21 @@ def test_paths_table_holds_every_way_and_filter(folder):
     assert all(-12.0 < v < -9.5 for v in lowest)
 
 
+def test_the_command_says_what_agrees(made):
+    _, out, err = made
+    assert "VMP.PMSM3" in out
+    assert re.search(r"\d+ of 48 quartiles agree .*, \d+ of 48 other .*, \d+ of 96\n", out)
+    assert "figure 9" in err
+
+
+@pytest.mark.thorough  # Two runs; that a scenario gives the same bytes: test_scenarios.
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_bytes(folder, scenario, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("sim.scenario.builtin", lambda _name: scenario)
-    monkeypatch.setattr(reproduce.reproduce, "__defaults__", ((6, 7),))
-    assert main(["reproduce", "adhesion", "-o", str(tmp_path)]) == 0
+def test_the_same_seed_gives_the_same_bytes(folder, scenario, tmp_path):
+    reproduce.reproduce(scenario, tmp_path, seeds=(6, 7))
     names = sorted(p.name for p in folder.iterdir())
     assert names == sorted(p.name for p in tmp_path.iterdir())
     for name in names:
         assert (folder / name).read_bytes() == (tmp_path / name).read_bytes(), name
-    said = capsys.readouterr()
-    assert "VMP.PMSM3" in said.out
-    assert re.search(r"\d+ of 48 quartiles agree .*, \d+ of 48 other .*, \d+ of 96\n", said.out)
-    assert "figure 9" in said.err
 
 
 def test_another_seed_is_another_run(scenario):

@@ -1,7 +1,5 @@
 """Wheels that run away beside others are never `Adhering` for long; steady ones are no liars."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,34 +9,26 @@ from gateway.settings.config import parse
 from sim.physics.plant import MOTORS
 from sim.simulation import Simulation
 from tests.hil.chain import for_slower_bus
-from tests.simrun import CLASSIC, FD_FILE, TICK, codec, scenario
+from tests.simrun import CLASSIC, FD_FILE, TICK, codec, flags_and_speeds, scenario
 
 MOST_TICKS = 20
 
 
-def loss(drive: int, at_s: float) -> dict:
+def loss(drive, at_s):
     """A quarter, within 6 s: the load alone shows it late."""
     return {"at_s": at_s, "drive": drive, "kind": "adhesion_loss", "depth": 0.25, "ramp_s": 6.0}
 
 
-def flags_and_speeds(seconds: float, events: list[dict], drives: int, nm: float = 18.0, **config):
-    """Flags (ticks, N) and true rotor speeds (ticks, N); nothing limits the slip."""
-    nodes = tuple(range(1, drives + 1))
+def running_away(seconds, events, drives, nm=18.0, **config):
+    """Flags and speeds; nothing limits the slip."""
     run = scenario(
         seed=5, duration_s=seconds, drives=drives, slip_limiter="none", event=events,
         motion={"profile": [(0.0, 200.0)]}, load={"torque_nm": nm},
     )  # fmt: skip
-    simulation = Simulation(run, codec(nodes), nodes=nodes)
-    core = Gateway(parse({"drive": [{"node": node} for node in nodes], **config}), codec(nodes), 0)
-    flags = []
-    for k in range(1, round(seconds * 100) + 1):
-        core.step(simulation.step((), k * TICK), k * TICK)
-        flags.append([drive.adhesion for drive in core.view.drives])
-    speeds = np.reshape([row.speed_rad_s for row in simulation.truth_rows()], (-1, drives))
-    return np.array(flags), np.abs(speeds[: len(flags)])
+    return flags_and_speeds(run, codec(tuple(range(1, drives + 1))), **config)
 
 
-def longest_good(flags, speeds, drive: int, train: int) -> int:
+def longest_good(flags, speeds, drive, train):
     """Ticks in a row: drive is called adhering and more than 10 % from a wheel that holds."""
     longest = now = 0
     apart = np.abs(speeds[:, drive] / speeds[:, train] - 1.0) > 0.1
@@ -51,7 +41,7 @@ def longest_good(flags, speeds, drive: int, train: int) -> int:
 @pytest.mark.parametrize("drives", [3, 4])
 def test_two_wheels_that_run_away_together(drives):
     """Those that hold say the same speed and torque all the time, and are right."""
-    flags, speeds = flags_and_speeds(8.0, [loss(1, 4.0), loss(2, 4.0)], drives)
+    flags, speeds = running_away(8.0, [loss(1, 4.0), loss(2, 4.0)], drives)
     assert speeds[-1, 0] > 1.5 * speeds[-1, -1]
     for drive in (0, 1):
         assert longest_good(flags, speeds, drive, drives - 1) <= MOST_TICKS
@@ -62,7 +52,7 @@ def test_two_wheels_that_run_away_together(drives):
 @pytest.mark.parametrize("nm", [18.0, -18.0])
 def test_one_of_two_in_the_first_seconds_of_adhering(nm):
     """Its diameter is not known yet, and the slip is not learnt for one."""
-    flags, speeds = flags_and_speeds(4.0, [loss(1, 1.0)], 2, nm)
+    flags, speeds = running_away(4.0, [loss(1, 1.0)], 2, nm)
     assert abs(speeds[-1, 0] / speeds[-1, 1] - 1.0) > 0.2
     assert longest_good(flags, speeds, 0, 1) <= MOST_TICKS
 
@@ -72,9 +62,7 @@ def test_a_motor_measured_a_little_unlike_the_others():
     motor = {key: getattr(MOTORS["bench"], key) for key in keys}
     motor["psi_pm"] *= 1.001
     drives = [{"node": 1, "motor": "measured"}, {"node": 2}, {"node": 3}]
-    flags, speeds = flags_and_speeds(
-        9.0, [loss(1, 4.0)], 3, motor={"measured": motor}, drive=drives
-    )
+    flags, speeds = running_away(9.0, [loss(1, 4.0)], 3, motor={"measured": motor}, drive=drives)
     assert speeds[-1, 0] > 1.5 * speeds[-1, 2]
     assert longest_good(flags, speeds, 0, 2) <= MOST_TICKS
 
@@ -90,16 +78,9 @@ def test_an_honest_train_on_can_fd_is_adhering_at_every_speed(motor, nm, speed):
         seed=11, duration_s=2.0, motor={"name": motor}, load={"torque_nm": nm},
         motion={"start": "rolling", "profile": [[0.0, speed]]},
     )  # fmt: skip
-    simulation = Simulation(run, codec(nodes, FD_FILE), nodes=nodes)
-    config = {"dbc": {"file": "traction_fd.dbc"}, "drive": [
-        {"node": node, "motor": motor} for node in nodes
-    ]}  # fmt: skip
-    core = Gateway(parse(config), codec(nodes, FD_FILE), 0)
-    flags = []
-    for k in range(1, 201):
-        core.step(simulation.step((), k * TICK), k * TICK)
-        flags.append([drive.adhesion for drive in core.view.drives])
-    assert (np.array(flags)[50:] == Flag.GOOD).all()
+    drives = [{"node": node, "motor": motor} for node in nodes]
+    flags, _ = flags_and_speeds(run, codec(nodes, FD_FILE), drive=drives)
+    assert (flags[50:] == Flag.GOOD).all()
 
 
 @pytest.mark.parametrize("path", [CLASSIC, FD_FILE])
@@ -109,7 +90,7 @@ def test_those_that_hold_beside_one_that_lets_go_are_known(drives, path):
     nodes = tuple(range(1, drives + 1))
     lost = {"at_s": 2.5, "for_s": 1.0, "drive": 1, "kind": "adhesion_loss", "depth": 1.0}
     run = scenario(seed=10, drives=drives, event=[lost])
-    flags = flags_of(run, codec(nodes, path), nodes)
+    flags, _ = flags_and_speeds(run, codec(nodes, path))
     first = int(np.argmax((flags == Flag.GOOD).all(axis=1)))
     assert first < 50
     assert (flags[first:, 1:] == Flag.GOOD).all()
@@ -122,21 +103,9 @@ def test_a_drive_that_is_found_again_puts_nobody_in_doubt(tmp_path):
     nodes = (1, 2, 3)
     for seed in range(1, 6):
         opened = {"at_s": 2.0, "for_s": 1.0, "drive": 1, "kind": "phase_open"}
-        flags = flags_of(scenario(seed=seed, event=[opened]), codec(nodes, dbc), nodes)
+        flags, _ = flags_and_speeds(scenario(seed=seed, event=[opened]), codec(nodes, dbc))
         assert (flags[100:, 1:] == Flag.GOOD).all(), seed
         assert (flags[400:, 0] == Flag.GOOD).all(), seed
-
-
-def flags_of(run, coded, nodes):
-    """Flags (ticks, N) of a scenario."""
-    simulation = Simulation(run, coded, nodes=nodes)
-    config = {"dbc": {"file": str(coded.path)}, "drive": [{"node": node} for node in nodes]}
-    core = Gateway(parse(config), coded, 0)
-    flags = []
-    for k in range(1, round(run.duration_s * 100) + 1):
-        core.step(simulation.step((), k * TICK), k * TICK)
-        flags.append([drive.adhesion for drive in core.view.drives])
-    return np.array(flags)
 
 
 @pytest.mark.parametrize(("path", "drives"), [(CLASSIC, 3), (FD_FILE, 2)])
@@ -163,7 +132,7 @@ def test_a_sender_that_has_a_processor_now_and_then_is_no_fault(path, drives):
 
 def test_the_one_that_holds_is_unknown_soon_where_the_other_is_not_caught():
     """By its speed alone the second of two is no longer known: the limit of 10 % is for both."""
-    flags, speeds = flags_and_speeds(3.0, [{**loss(1, 1.5), "depth": 1.0, "ramp_s": 0.0}], 2)
+    flags, speeds = running_away(3.0, [{**loss(1, 1.5), "depth": 1.0, "ramp_s": 0.0}], 2)
     assert speeds[-1, 0] > 1.5 * speeds[-1, 1]
     assert longest_good(flags, speeds, 1, 0) <= MOST_TICKS
     assert not (flags[:, 1] == Flag.BAD).any()

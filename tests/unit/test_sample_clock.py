@@ -1,7 +1,5 @@
 """`gateway/core/sample_clock.c` equals the reference, sample by sample, from any sender."""
 
-from __future__ import annotations
-
 import cmath
 
 import numpy as np

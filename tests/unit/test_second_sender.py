@@ -3,8 +3,6 @@
 And one sender alone, however late, lost, repeated or restarted, is not taken for two.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -44,7 +42,7 @@ def sent(kind, counter, value):
 class Line:
     """One message as two may send it, and the channel of an inbox that receives it."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind):
         codec = CODECS[kind]
         self.kind, self.turn = kind, 256 if kind == "fd" else 16
         self.period_ns = codec.by_name[f"Drive1_{NAMES[kind]}"].cycle_ns

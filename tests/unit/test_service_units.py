@@ -1,7 +1,5 @@
 """The systemd units as systemd itself judges them, and the script that sets up links."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -18,7 +16,7 @@ MOST_EXPOSED = 15
 
 
 @pytest.fixture
-def analyze(request: pytest.FixtureRequest) -> str:
+def analyze(request):
     found = shutil.which("systemd-analyze")
     if found is None:
         why = "systemd-analyze is not installed (apt-get install systemd)"
@@ -29,7 +27,7 @@ def analyze(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def installed(tmp_path: Path) -> Path:
+def installed(tmp_path):
     """The units with the programs that they start, in a folder instead of /opt."""
     for name in ("bin/traction-gateway", "libexec/links.sh"):
         program = tmp_path / name
@@ -43,7 +41,7 @@ def installed(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def exposure(analyze: str, unit: Path, *, most: int = MOST_EXPOSED) -> tuple[bool, str]:
+def exposure(analyze, unit, *, most=MOST_EXPOSED):
     """Whether a unit is exposed at most so much, and what systemd says."""
     words = ("security", "--offline=yes", "--no-pager", f"--threshold={most}", str(unit))
     done = subprocess.run([analyze, *words], capture_output=True, text=True, check=False)
@@ -51,7 +49,7 @@ def exposure(analyze: str, unit: Path, *, most: int = MOST_EXPOSED) -> tuple[boo
     return done.returncode == 0, done.stdout
 
 
-def test_systemd_finds_nothing_wrong_with_the_units(analyze: str, installed: Path) -> None:
+def test_systemd_finds_nothing_wrong_with_the_units(analyze, installed):
     for name in (GATEWAY, LINKS):
         words = [analyze, "verify", "--man=no", str(installed / name)]
         environment = {**os.environ, "TMPDIR": str(installed)}  # it leaves a folder behind
@@ -60,14 +58,12 @@ def test_systemd_finds_nothing_wrong_with_the_units(analyze: str, installed: Pat
 
 
 @pytest.mark.parametrize(("unit", "most"), [(GATEWAY, MOST_EXPOSED), (LINKS, MOST_EXPOSED - 1)])
-def test_the_exposure_is_what_was_promised(
-    analyze: str, installed: Path, unit: str, most: int
-) -> None:
+def test_the_exposure_is_what_was_promised(analyze, installed, unit, most):
     good, said = exposure(analyze, installed / unit, most=most)
     assert good, said
 
 
-def test_links_are_set_up_with_one_right_only() -> None:
+def test_links_are_set_up_with_one_right_only():
     lines = (UNITS / LINKS).read_text(encoding="utf-8").splitlines()
     for wanted in (
         "DynamicUser=yes", "CapabilityBoundingSet=CAP_NET_ADMIN",
@@ -79,7 +75,7 @@ def test_links_are_set_up_with_one_right_only() -> None:
 
 
 @pytest.mark.parametrize("line", ["NoNewPrivileges=yes", "CapabilityBoundingSet="])
-def test_the_measure_notices_what_goes_missing(analyze: str, installed: Path, line: str) -> None:
+def test_the_measure_notices_what_goes_missing(analyze, installed, line):
     # A threshold just above the unit's own figure: each of these lines is worth more than that.
     unit = installed / GATEWAY
     own = next(k for k in range(100) if exposure(analyze, unit, most=k)[0])
@@ -90,7 +86,7 @@ def test_the_measure_notices_what_goes_missing(analyze: str, installed: Path, li
     assert not exposure(analyze, unit, most=own)[0]
 
 
-def test_the_gateway_asks_for_nothing_that_it_is_not_given() -> None:
+def test_the_gateway_asks_for_nothing_that_it_is_not_given():
     lines = (UNITS / GATEWAY).read_text(encoding="utf-8").splitlines()
     for wanted in (
         "Type=notify", "WatchdogSec=500ms", "DynamicUser=yes", "CapabilityBoundingSet=",
@@ -105,7 +101,7 @@ def test_the_gateway_asks_for_nothing_that_it_is_not_given() -> None:
 class Host:
     """A machine on which `ip` and `sysctl` only write down what they are asked."""
 
-    def __init__(self, folder: Path, shown: str | None, rmem: int = 212992) -> None:
+    def __init__(self, folder, shown, rmem=212992):
         self.log = folder / "asked"
         self.log.touch()
         tools = folder / "tools"
@@ -121,13 +117,13 @@ class Host:
             tool.chmod(0o755)
         self._path = f"{tools}:{os.environ['PATH']}"
 
-    def run(self, **settings: str) -> subprocess.CompletedProcess[str]:
+    def run(self, **settings):
         return subprocess.run(
             ["sh", str(UNITS / "links.sh"), "can0"],
             env={"PATH": self._path, **settings}, capture_output=True, text=True, check=False,
         )  # fmt: skip
 
-    def asked(self) -> list[str]:
+    def asked(self):
         return self.log.read_text().splitlines()
 
 
@@ -135,7 +131,7 @@ DOWN = "3: can0: <NOARP,ECHO> mtu 16 qdisc noop state DOWN mode DEFAULT group de
 UP = "3: can0: <NOARP,UP,LOWER_UP,ECHO> mtu 16 qdisc pfifo_fast state UP mode DEFAULT qlen 10"
 
 
-def test_a_link_that_is_down_is_set_up(tmp_path: Path) -> None:
+def test_a_link_that_is_down_is_set_up(tmp_path):
     host = Host(tmp_path, DOWN)
     done = host.run(BITRATE="500000")
     assert done.returncode == 0, done.stderr
@@ -147,7 +143,7 @@ def test_a_link_that_is_down_is_set_up(tmp_path: Path) -> None:
     ]
 
 
-def test_fd_and_a_controller_without_error_reports(tmp_path: Path) -> None:
+def test_fd_and_a_controller_without_error_reports(tmp_path):
     (tmp_path / "plain").touch()
     host = Host(tmp_path, DOWN, rmem=1 << 24)
     done = host.run(BITRATE="500000", DATA_BITRATE="2000000", RESTART_MS="0")
@@ -160,9 +156,7 @@ def test_fd_and_a_controller_without_error_reports(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("shown", "words"), [(UP, "left as it is"), (None, "not there")])
-def test_a_link_that_is_up_or_absent_is_left_alone(
-    tmp_path: Path, shown: str | None, words: str
-) -> None:
+def test_a_link_that_is_up_or_absent_is_left_alone(tmp_path, shown, words):
     host = Host(tmp_path, shown, rmem=1 << 24)
     done = host.run(BITRATE="500000")
     assert done.returncode == 0
@@ -170,7 +164,7 @@ def test_a_link_that_is_up_or_absent_is_left_alone(
     assert host.asked() == []
 
 
-def test_without_a_bit_rate_nothing_is_set_and_it_is_said(tmp_path: Path) -> None:
+def test_without_a_bit_rate_nothing_is_set_and_it_is_said(tmp_path):
     host = Host(tmp_path, DOWN, rmem=1 << 24)
     done = host.run()
     assert done.returncode != 0

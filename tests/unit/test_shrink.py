@@ -1,7 +1,5 @@
 """`traction-gateway shrink`: from a long log to a few frames after which a flag is the same."""
 
-from __future__ import annotations
-
 import json
 import re
 from functools import reduce
@@ -287,14 +285,6 @@ def test_a_frame_that_candump_cannot_say_is_an_error(tmp_path):
     shrunk_files.write_test(tmp_path, left, wanted, None, LOSS)
     with pytest.raises(BadLogError, match="does not give the same flag"):
         shrunk_files.read_back(tmp_path, left, config, codec)
-
-
-def test_a_log_without_frames_is_refused(tmp_path):
-    config, codec, _ = prepared("slow")
-    log = tmp_path / "empty.log"
-    log.write_text("")
-    with pytest.raises(BadLogError, match="no frame in the log"):
-        shrink(log, config, codec, Wanted(FlagKind.ADHESION, 1, 0.0), 0)
 
 
 def test_a_flag_between_two_frames_is_tested_by_the_next_one(tmp_path):

@@ -1,7 +1,5 @@
 """Signed configurations: nothing but what was signed is taken, and the reason is one line."""
 
-from __future__ import annotations
-
 import random
 import re
 import shutil
@@ -28,7 +26,7 @@ TOML = '[dbc]\nfile = "train.dbc"\n[thermal]\ncalibration = "motors.toml"\n'
 class Signed:
     """A signed configuration with a DBC and a calibration of its own, and its keys elsewhere."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder / "config"
         self.folder.mkdir()
         self.config = self.folder / "train.toml"
@@ -42,10 +40,10 @@ class Signed:
         self.signature = self.folder / "train.toml.sig"
         self.main("sign", "--key", self.private)
 
-    def main(self, verb: str, *words: object) -> None:
+    def main(self, verb, *words):
         assert main([verb, str(self.config), *map(str, words)]) == 0
 
-    def refused(self, capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    def refused(self, capsys, *words):
         """The line with which `verify` refuses."""
         capsys.readouterr()
         public = () if "--public-key" in words else ("--public-key", self.public)
@@ -58,25 +56,23 @@ class Signed:
 
 
 @pytest.fixture
-def signed(tmp_path: Path) -> Signed:
+def signed(tmp_path):
     return Signed(tmp_path)
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Signed:
+def kept(tmp_path_factory):
     """For tests that put back what they change."""
     return Signed(tmp_path_factory.mktemp("signed"))
 
 
-def said_hash(text: str) -> str:
+def said_hash(text):
     found = re.search(r"hash ([0-9a-f]{6})", text)
     assert found is not None, text
     return found[1]
 
 
-def test_what_was_signed_is_taken_and_named_as_on_the_bus(
-    kept: Signed, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_signed_is_taken_and_named_as_on_the_bus(kept, capsys):
     kept.main("verify", "--public-key", kept.public)
     word = said_hash(capsys.readouterr().out)
     kept.main("check", "--public-key", kept.public, "--no-timing")
@@ -89,7 +85,7 @@ def test_what_was_signed_is_taken_and_named_as_on_the_bus(
 
 
 @pytest.mark.parametrize("name", ["train.toml", "train.dbc", "motors.toml", "train.toml.sig"])
-def test_any_changed_byte_is_refused(kept: Signed, name: str) -> None:
+def test_any_changed_byte_is_refused(kept, name):
     """500 mutations in four files; a quarter of them insert or delete."""
     path, rng = kept.folder / name, random.Random(name)
     before = path.read_bytes()
@@ -115,7 +111,7 @@ def test_any_changed_byte_is_refused(kept: Signed, name: str) -> None:
     calibration.of(prepare(kept.config, signature=options)[0])
 
 
-def test_the_reason_names_the_file(signed: Signed, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_reason_names_the_file(signed, capsys):
     for name in ("train.toml", "train.dbc", "motors.toml"):
         path = signed.folder / name
         before = path.read_bytes()
@@ -126,9 +122,7 @@ def test_the_reason_names_the_file(signed: Signed, capsys: pytest.CaptureFixture
         path.write_bytes(before)
 
 
-def test_without_a_signature_or_with_anothers_nothing_runs(
-    signed: Signed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_signature_or_with_anothers_nothing_runs(signed, tmp_path, capsys):
     other = tmp_path / "other.pem", tmp_path / "other.pub.pem"
     make_keys(*other)
     assert "is not of" in signed.refused(capsys, "--public-key", other[1])
@@ -144,9 +138,7 @@ def test_without_a_signature_or_with_anothers_nothing_runs(
 @pytest.mark.parametrize(
     "verb", [("run", "-i", "virtual", "-c", "x"), ("replay", "none.log"), ("hil", "wet_one")]
 )
-def test_every_way_to_run_refuses(
-    signed: Signed, verb: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_way_to_run_refuses(signed, verb, capsys):
     signed.config.write_text(TOML + "[bus]\nfd = true\n")
     words = [*verb, "--config", str(signed.config), "--public-key", str(signed.public)]
     assert main(words) == 2
@@ -157,9 +149,7 @@ def test_every_way_to_run_refuses(
     assert "without --public-key" in capsys.readouterr().err
 
 
-def test_a_dbc_put_beside_the_configuration_is_not_the_shipped_one(
-    signed: Signed, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dbc_put_beside_the_configuration_is_not_the_shipped_one(signed, capsys):
     """A name that ships with the program may be overlaid by a file beside: that is signed, too."""
     signed.config.write_text("")
     signed.main("sign", "--key", signed.private)
@@ -168,9 +158,7 @@ def test_a_dbc_put_beside_the_configuration_is_not_the_shipped_one(
     assert "is not the file that was signed" in signed.refused(capsys)
 
 
-def test_files_of_two_signatures_cannot_be_mixed(
-    signed: Signed, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_files_of_two_signatures_cannot_be_mixed(signed, capsys):
     first = signed.signature.read_text().splitlines(keepends=True)
     signed.config.write_text(TOML + "[loop]\nrate_hz = 200\n")
     signed.main("sign", "--key", signed.private)
@@ -194,15 +182,13 @@ def test_files_of_two_signatures_cannot_be_mixed(
         lambda text: text.replace("calibration", "kalibration"),
     ],
 )
-def test_a_signature_file_is_exactly_what_was_written(
-    signed: Signed, change, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_signature_file_is_exactly_what_was_written(signed, change, capsys):
     text = signed.signature.read_text()
     signed.signature.write_bytes(change(text).encode())
     signed.refused(capsys)
 
 
-def test_no_calibration_is_signed_as_none(signed: Signed) -> None:
+def test_no_calibration_is_signed_as_none(signed):
     signed.config.write_text('[dbc]\nfile = "train.dbc"\n')
     seals = digests(signed.config, load(signed.config))
     assert tuple(seals) == ROLES
@@ -212,7 +198,7 @@ def test_no_calibration_is_signed_as_none(signed: Signed) -> None:
     assert verified(signed.signature, signed.public) == seals
 
 
-def test_openssl_agrees_with_keys_and_signature(signed: Signed, tmp_path: Path) -> None:
+def test_openssl_agrees_with_keys_and_signature(signed, tmp_path):
     if shutil.which("openssl") is None:
         pytest.skip("openssl is not installed")
     said, _, last = signed.signature.read_bytes().rpartition(b"signature ")
@@ -229,9 +215,7 @@ def test_openssl_agrees_with_keys_and_signature(signed: Signed, tmp_path: Path) 
     assert "Successfully" in done.stdout
 
 
-def test_private_keys_are_private_and_of_the_right_kind(
-    signed: Signed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_private_keys_are_private_and_of_the_right_kind(signed, tmp_path, capsys):
     assert signed.private.stat().st_mode & 0o777 == 0o600
     signed.private.chmod(0o644)
     assert main(["sign", str(signed.config), "--key", str(signed.private)]) == 2
@@ -245,18 +229,16 @@ def test_private_keys_are_private_and_of_the_right_kind(
     assert "File exists" in capsys.readouterr().err
 
 
-def test_what_cannot_be_used_is_not_signed(
-    signed: Signed, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_used_is_not_signed(signed, capsys):
     signed.config.write_text("[loop]\nrate = 5\n")
     assert main(["sign", str(signed.config), "--key", str(signed.private)]) == 2
     assert "loop.rate" in capsys.readouterr().err
 
 
-def test_the_hash_covers_configuration_dbc_and_calibration(signed: Signed) -> None:
+def test_the_hash_covers_configuration_dbc_and_calibration(signed):
     """24 bits name a configuration, they do not prove it; the signature does."""
 
-    def word() -> int:
+    def word():
         config = load(signed.config)
         codec = bind(config.dbc_path, config.nodes)
         return calibration.config_hash(config, codec.digest, calibration.of(config))
@@ -274,9 +256,7 @@ def test_the_hash_covers_configuration_dbc_and_calibration(signed: Signed) -> No
     assert len(seen) == 4
 
 
-def test_reports_name_the_configuration(
-    signed: Signed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reports_name_the_configuration(signed, tmp_path, capsys):
     signed.main("verify", "--public-key", signed.public)
     word = said_hash(capsys.readouterr().out)
     log = tmp_path / "drive.log"

@@ -80,17 +80,6 @@ def test_a_majority_is_one():
         assert max(starts) - min(starts) <= 0.05
 
 
-@pytest.mark.parametrize(("name", "drives"), [("n1", 1), ("n2", 2), ("n12", 12), ("n16", 16)])
-def test_numbers_of_drives(name, drives):
-    counts = set()
-    for seed in SEEDS:
-        s = draw(name, seed)
-        assert s.drives == drives
-        counts.add(len({e.drive for e in losses(s)}))
-    assert max(counts) <= max(drives // 2, 1)
-    assert len(counts) > min(drives // 4, 1)
-
-
 def test_braking_pulls_against_the_motion():
     for seed in SEEDS:
         s = draw("braking", seed)
@@ -98,28 +87,6 @@ def test_braking_pulls_against_the_motion():
         assert first * s.load.torque_nm < 0
         assert abs(first) > abs(last)
         assert first * last > 0
-
-
-def test_rough_is_as_rough_as_it_says():
-    for name in ("rough", "healthy_rough"):
-        s = draw(name, 1)
-        assert s.sensors.current_noise_var == 1e-2
-        assert s.sensors.current_offset_within_a == 0.1
-        assert (s.mismatch.R_s_within, s.mismatch.L_s_within, s.mismatch.psi_pm_within) == (
-            0.2, 0.05, 0.03,
-        )  # fmt: skip
-        assert s.load.share_within == 0.1
-        assert [e.depth for e in s.event if e.kind == "frame_loss"] == [0.01]
-    assert all(losses(draw("rough", seed))[0].at_s >= 2.5 for seed in SEEDS)
-
-
-def test_large_goes_to_140_hz():
-    speeds = np.array([[w for _, w in draw("large", s).motion.profile] for s in range(60)])
-    assert np.abs(speeds).max() > 800
-    assert np.abs(speeds).min() < 60
-    assert np.abs(speeds).max() <= 880
-    loads = np.abs([draw("large", s).load.torque_nm for s in range(60)]) / 796
-    assert 0.26 < loads.min() < loads.max() < 1.01
 
 
 def test_other_motors_are_scaled_per_unit():
@@ -152,13 +119,6 @@ def test_hard_driving_is_healthy(seed, motor):
     load = np.array([r.load_nm for r in rows if r.drive == 1])
     assert np.ptp(load) > 0.4 * (30 if motor == "bench" else 796)
     assert s.load.curve
-
-
-def test_crawl_stands_and_moves():
-    _, rows = simulated("crawl", 0)
-    speed = np.abs([r.speed_rad_s for r in rows])
-    assert speed.min() < 0.2
-    assert speed.max() > 0.5
 
 
 def test_slides_are_of_every_kind_and_pure_functions_of_the_seed():

@@ -7,7 +7,6 @@ import pytest
 from dbc.e2e import crc_ok
 from dbc.frame import BRS, FD
 from dbc.spec import Validity
-from sim.scenario import builtin, builtin_names
 from sim.simulation import Simulation
 from tests.simrun import FD_FILE, codec, run, scenario, values
 
@@ -315,17 +314,6 @@ def test_another_motor():
     out = run(simulation, 1.0)
     assert simulation.truth_rows()[-1].load_nm == pytest.approx(80.0, abs=0.5)
     assert values(out, "Drive1_StatorVoltages")[-1]["Udc"] == pytest.approx(560.0, abs=8.0)
-
-
-@pytest.mark.parametrize("name", builtin_names())
-def test_builtin_scenarios_run(name):
-    chosen = builtin(name)
-    simulation = Simulation(chosen, codec())
-    out = run(simulation, 2.2)
-    assert len(out) > 200 * len(simulation.nodes)
-    rows = simulation.truth_rows()
-    assert len(rows) == 220 * len(simulation.nodes)
-    assert all(math.isfinite(x) for r in rows for x in r)
 
 
 def test_truth_as_text():

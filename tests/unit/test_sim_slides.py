@@ -10,7 +10,7 @@ from gateway.study.scenarios_family import draw
 from sim.physics import plant as c
 from sim.physics.adhesion import RAILS, available
 from sim.physics.plant import BENCH, DT, MOTORS, TRAIN, Plant, rail_array
-from sim.scenario import ScenarioError, builtin, parse
+from sim.scenario import builtin, parse
 from sim.simulation import Simulation
 from tests.simrun import CLASSIC, codec, run, scenario, values
 
@@ -283,26 +283,6 @@ def test_a_wheel_of_which_nothing_is_lost_does_not_slide(name, seed):
 
 
 # --- what is refused -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("extra", "message"),
-    [
-        ({"slip_limiter": "off"}, "slip_limiter: "),
-        ({"slip_limiter": "none", "load": {"kind": "preset"}}, "need a wheel on the rail"),
-        ({"slip_limiter": "slow", "traffic": "slow"}, "need a wheel on the rail"),
-        ({"event": [brake(5.0)], "load": {"kind": "preset"}}, "need a wheel on the rail"),
-        ({"event": [brake(5.0)], "traffic": "slow"}, "need a wheel on the rail"),
-        ({"event": [brake(-1.0)]}, "event[0]: value of friction_brake must be 0 or more"),
-        ({"event": [brake(None)]}, "event[0]: friction_brake needs depth or value"),
-        ({"event": [brake(5.0, depth=0.5)]}, "event[0]: friction_brake needs depth or value"),
-        ({"event": [brake("dry")]}, "event[0]: value of friction_brake must be a number"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(extra, message):
-    with pytest.raises(ScenarioError) as caught:
-        parse({"title": "t", "duration_s": 1.0, **extra})
-    assert message in str(caught.value)
 
 
 def test_a_brake_while_the_world_runs():

@@ -9,7 +9,6 @@ from sim.drive_spread import Variety
 from sim.physics import plant as c
 from sim.physics.adhesion import RAILS
 from sim.physics.plant import BENCH, MOTORS, TRACTION_350KW, TRAIN, TRAINS, Plant, parameters
-from sim.scenario import ScenarioError, parse
 from sim.simulation import Simulation
 from tests.simrun import codec, run, scenario, values
 from tests.unit.test_sim_plant import run as advance
@@ -185,26 +184,6 @@ def test_the_driver_asks_for_no_more_than_his_effort():
         out = run(Simulation(scenario(motion=motion, event=[event]), codec()), 4.0)
         command = max(v["TorqueCommand"] for v in values(out, "Drive1_Status"))
         assert command == pytest.approx(most, abs=0.1)
-
-
-@pytest.mark.parametrize(
-    ("extra", "message"),
-    [
-        ({"mismatch": {"R_s": [1.0, 2.0]}}, "mismatch.R_s: 2 numbers for 3 drives"),
-        ({"load": {"share": [1.0]}}, "load.share: 1 numbers for 3 drives"),
-        ({"mismatch": {"L_s": -1.0}}, "mismatch.L_s: expected 0.01 to 100, got -1.0"),
-        ({"mismatch": {"J": 1.0}}, "mismatch.J: unknown key"),
-        ({"load": {"share_within": 1.0}}, "load.share_within: "),
-        ({"load": {"curve": [{"drive": 4, "at_s": 0, "for_s": 1, "amount": 0}]}}, "load.curve[0]"),
-        ({"traffic": "slow", "load": {"share": 1.1}}, "traffic = 'slow' knows no"),
-        ({"traffic": "slow", "event": [{"at_s": 0, "kind": "phase_open"}]}, "knows no"),
-        ({"event": [{"at_s": 0, "kind": "phase_open", "depth": 1.0}]}, "takes neither"),
-    ],
-)  # fmt: skip
-def test_tables_that_make_no_sense_are_refused(extra, message):
-    with pytest.raises(ScenarioError) as caught:
-        parse({"title": "t", "duration_s": 1.0, **extra})
-    assert message in str(caught.value)
 
 
 def test_the_350_kw_motor_meets_its_nameplate():

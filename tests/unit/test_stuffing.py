@@ -1,7 +1,5 @@
 """Bits on the wire against counts by hand and the standard's checksum."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,7 +18,7 @@ def test_the_checksum_is_can_s():
     assert stuffing.crc15(bits) == 0x059E
 
 
-def bits_of(frame: Frame) -> stuffing.Bits:
+def bits_of(frame):
     """Of one frame, by both: the whole and the reference agree."""
     [nominal], [data] = ours.bits_of([frame])
     assert (nominal, data) == stuffing.bits_of(frame)

@@ -1,7 +1,5 @@
 """`gateway/core/temperature.c` equals its reference, on sensors that fail in every way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from _traction_core import lib

@@ -1,7 +1,5 @@
 """`calibrate` reads temperatures alone: the same as the whole gateway, for what the frames cost."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from _traction_core import lib

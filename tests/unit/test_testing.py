@@ -1,7 +1,5 @@
 """The pytest plugin as its user meets it, and the picture of a failure."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -45,7 +43,7 @@ def test_no_such_fault(inverter):
 """
 
 
-def run_pytest(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def run_pytest(folder, *words):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
     return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, timeout=300, check=False
@@ -63,7 +61,7 @@ def test_the_example_suite_passes(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def failures(tmp_path_factory) -> str:
+def failures(tmp_path_factory):
     folder = tmp_path_factory.mktemp("suite")
     (folder / "test_suite.py").write_text(SUITE)
     scenario = (EXAMPLE / "hil_wet_rail.toml").read_text()

@@ -1,7 +1,5 @@
 """`text_read` against a regular expression: which lines of a log are plain, and what they say."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -19,7 +17,7 @@ PLAIN = re.compile(
 MOST_HEAD = 63
 
 
-def expected(line: bytes, unit_ns: int) -> tuple[int, bytes, bytes] | None:
+def expected(line, unit_ns):
     """Time, head and data of a plain line."""
     found = PLAIN.match(line)
     if not found or len(found[3]) > MOST_HEAD or found[3].split()[1] != b"d":
@@ -31,14 +29,14 @@ def expected(line: bytes, unit_ns: int) -> tuple[int, bytes, bytes] | None:
     return t_ns, found[3], bytes.fromhex(found[4].decode())
 
 
-def read(lines: list[bytes], unit_ns: int) -> list[tuple[int, bytes, bytes] | None]:
+def read(lines, unit_ns):
     """What the core says of the same lines; every length of data is taken for the head's."""
-    found: list[tuple[int, bytes, bytes] | None] = []
+    found = []
     for line in lines:
-        heads: list[bytes] = []
+        heads = []
         wanted = expected(line, unit_ns)
 
-        def learn(head: str, _: str, heads: list[bytes] = heads, wanted: object = wanted) -> Known:
+        def learn(head, _, heads=heads, wanted=wanted):
             heads.append(head.encode("latin-1"))
             size = len(wanted[2]) if isinstance(wanted, tuple) else 0
             return Known(1, 0, size, "", -1)
@@ -66,7 +64,7 @@ def read(lines: list[bytes], unit_ns: int) -> list[tuple[int, bytes, bytes] | No
     b"x 1", b"x 1 ", b"\x01x 1 1 d", b"x 1.5 1 d -1",
     b"x 99999999999999 1 d", b"x 0.12345678901 1 d",
 ])  # fmt: skip
-def test_lines(line: bytes, unit_ns: int) -> None:
+def test_lines(line, unit_ns):
     assert read([line], unit_ns) == [expected(line, unit_ns)]
 
 
@@ -75,15 +73,15 @@ def test_lines(line: bytes, unit_ns: int) -> None:
         b"x", b" ", b"\t", b"1", b"1.5", b".", b"d", b" d ", b"0a", b" 0a", b" FF", b"\r", b"g",
     ]), max_size=14).map(b"".join), max_size=4)
 )  # fmt: skip
-def test_any_line(lines: list[bytes]) -> None:
+def test_any_line(lines):
     assert read(lines, SECOND) == [expected(line, SECOND) for line in lines]
 
 
-def test_more_heads_than_the_table_holds() -> None:
+def test_more_heads_than_the_table_holds():
     """Heads beyond it are left to Python, the others are found again."""
-    met: list[str] = []
+    met = []
 
-    def learn(head: str, line: str) -> Known:
+    def learn(head, line):
         assert line == f"1 {head}\n"
         met.append(head)
         return Known(1, 0, 0, "", -1)
@@ -97,12 +95,12 @@ def test_more_heads_than_the_table_holds() -> None:
     assert len(met) == first.plain.sum()
 
 
-def test_a_shape_without_a_head_has_no_plain_lines() -> None:
+def test_a_shape_without_a_head_has_no_plain_lines():
     shape = shape_of(SECOND, 0, 0, "", -1)
     assert not Scanner(lambda _, __: None).scan(b"1 01 02\n", 0, shape).plain.any()
 
 
-def test_a_line_that_does_not_end_waits_and_a_scan_has_an_end() -> None:
+def test_a_line_that_does_not_end_waits_and_a_scan_has_an_end():
     shape = shape_of(SECOND, 0, 1, "", -1)
     line = b"1 a\n"
     scan = Scanner(lambda _, __: None).scan(line + b"2 b", 0, shape)

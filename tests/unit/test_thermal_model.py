@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from estimators.thermal import hypotheses, model
-from estimators.thermal.hypotheses import APART_HIDDEN_K, KINDS, SIZES_K, Belief, side, side_apart
+from estimators.thermal.hypotheses import APART_HIDDEN_K, KINDS, SIZES_K, side, side_apart
 from estimators.thermal.model import TYPICAL, Inputs, inputs_of, predict, steady_state
 from estimators.thermal.model_method import ModelMethod
 from estimators.thermal.record import Record, fading, features, join, split
@@ -110,7 +110,7 @@ def shapes(k):
     return out
 
 
-def believe(z, known, signatures) -> Belief:
+def believe(z, known, signatures):
     return hypotheses.believe(z, known, signatures)
 
 
@@ -180,7 +180,7 @@ def test_heat_or_sensor_is_named_only_when_sure():
         assert int(side(row)) == (share > 0.99)
 
 
-def _apart(rows: list[tuple[dict[str, float], float]]) -> list[int]:
+def _apart(rows):
     """`side_apart` of samples of one motor, each of kinds' probabilities and a sensor's error."""
     kind = np.zeros((len(rows), 1, len(KINDS)))
     for k, (said, _) in enumerate(rows):

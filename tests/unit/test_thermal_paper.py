@@ -6,9 +6,9 @@ from filterpy.kalman import KalmanFilter
 from sklearn.mixture import GaussianMixture
 
 from estimators.thermal import degradation
-from estimators.thermal.maisd_method import PaperMethod, maisd, moving_average
+from estimators.thermal.maisd_method import PaperMethod
 from estimators.thermal.record import Record
-from estimators.thermal.sigma_mixed import Lumps, SigmaMixedFilter, lumps
+from estimators.thermal.sigma_mixed import SigmaMixedFilter, lumps
 from tests.core_calls import mixture
 
 
@@ -104,22 +104,6 @@ def test_without_mixing_it_is_the_kalman_filter():
         np.testing.assert_allclose(states[k, 0], kf.x[:, 0] + drive[k], atol=1e-6)
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_batch_equals_singles_and_permuted_motors_permute(weighted):
-    record = train_record(80)
-    known, run = lumps(record), SigmaMixedFilter(weighted)
-    together = run.run(record, known)
-    for m in range(4):
-        own = Lumps(*(a[m : m + 1] for a in known[:5]), known.apart)
-        one = record._replace(
-            temperature=record.temperature[:, m : m + 1],
-            current_square=record.current_square[:, m : m + 1],
-        )
-        alone = run.run(one, own)
-        np.testing.assert_allclose(together.state[:, m], alone.state[:, 0])
-        np.testing.assert_allclose(together.mixed[:, m], alone.mixed[:, 0])
-
-
 def test_missing_readings_predict_only():
     record = train_record(80)
     known = lumps(record)
@@ -172,16 +156,6 @@ def test_without_the_readings_noise_the_diffusion_would_be_that():
 def test_a_drift_needs_increments_without_jumps():
     with pytest.raises(ValueError, match="too few"):
         degradation.fit(np.arange(4.0), np.arange(4.0))
-
-
-def test_moving_average_and_spread():
-    x = np.random.default_rng(0).normal(size=(50, 4, 3))
-    late = moving_average(x, 5, causal=True)
-    early = moving_average(x, 5, causal=False)
-    np.testing.assert_allclose(late[10], x[6:11].mean(axis=0))
-    np.testing.assert_allclose(early[10], x[10:15].mean(axis=0))
-    np.testing.assert_allclose(late[1], x[:2].mean(axis=0))
-    np.testing.assert_allclose(maisd(x)[3], x[3].std(axis=0))
 
 
 @pytest.mark.parametrize("causal", [False, True])

@@ -43,7 +43,10 @@ def changed(record, change):
     return record._replace(temperature=temperature)
 
 
-every_rival = pytest.mark.parametrize("name", RIVALS["days"])
+every_rival = pytest.mark.parametrize("name", [
+    # It learns for seconds, in NumPy, for a table of comparison.
+    pytest.param(name, marks=[pytest.mark.thorough] * (name == "lstm")) for name in RIVALS["days"]
+])  # fmt: skip
 every_base = pytest.mark.parametrize("base", LENGTH)
 
 

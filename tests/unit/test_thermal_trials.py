@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from gateway.cli import main
+from gateway.commands import reproduce_thermal
 from gateway.study.thermal_dataset import BENCH, DAYS, KINDS, SENSOR_KINDS, SIZE_K, train
 from gateway.study.thermal_heat import MOTORS
 from gateway.study.thermal_other import train as other_train
+from gateway.study.thermal_report import FIGURES, markdown, rows
 from gateway.study.thermal_scores import Diagnosis, Truth, cells, mean, score_alarms, spread, table
 from gateway.study.thermal_trials import FIT_RUNS, REPORTING, UNDECIDED, Trial, confused, trials
 
@@ -183,14 +185,17 @@ def test_wrong_words_are_explained(capsys, words, hint):
     assert REPORTING.start == 1000
 
 
-def test_the_paper_reproduced(tmp_path):
+@pytest.fixture(scope="module")
+def reproduced(tmp_path_factory):
     """Table and figures of one train; the whole command does twenty."""
-    from gateway.commands import reproduce_thermal
-    from gateway.study.thermal_report import FIGURES, markdown, rows
-
-    steps = []
-    outcome = reproduce_thermal.reproduce(tmp_path, steps.append, trains=1)
+    folder, steps = tmp_path_factory.mktemp("paper"), []
+    outcome = reproduce_thermal.reproduce(folder, steps.append, trains=1)
     assert len(steps) == 2 + reproduce_thermal.STEPS
+    return folder, outcome
+
+
+def test_the_paper_reproduced(reproduced):
+    tmp_path, outcome = reproduced
     for name in FIGURES:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
         assert "<svg" in (tmp_path / f"{name}.svg").read_text()[:2000]
@@ -208,14 +213,18 @@ def test_the_paper_reproduced(tmp_path):
     assert ours > causal
     for table in (tmp_path / "table2_days.md").read_text().strip().split("\n\n"):
         assert table in text
-    # Stopped behind its first base: what is done is not done again, and all comes out the same.
-    (tmp_path / "again").mkdir()
-    lines = (tmp_path / "trains.jsonl").read_text().splitlines(keepends=True)
+
+
+@pytest.mark.thorough
+def test_what_was_stopped_behind_its_first_base_comes_out_the_same(reproduced, tmp_path):
+    """What is done is not done again."""
+    folder, outcome = reproduced
+    lines = (folder / "trains.jsonl").read_text().splitlines(keepends=True)
     assert len(lines) == len(reproduce_thermal.BASES)
-    (tmp_path / "again" / "trains.jsonl").write_text(lines[0] + lines[1][:99])
+    (tmp_path / "trains.jsonl").write_text(lines[0] + lines[1][:99])
     shown = []
     again = reproduce_thermal.reproduce(
-        tmp_path / "again", steps.append, trains=1, resume=True, show=shown.append
+        tmp_path, lambda _step: None, trains=1, resume=True, show=shown.append
     )
     for method, scores in outcome.scores["days"].items():
         np.testing.assert_array_equal(again.scores["days"][method], scores)
@@ -223,7 +232,7 @@ def test_the_paper_reproduced(tmp_path):
     timeless = [s._replace(seconds=0.0) for s in again.scores["bench"]["model"]]
     assert timeless == [s._replace(seconds=0.0) for s in outcome.scores["bench"]["model"]]
     for name in FIGURES:
-        first, second = (p / f"{name}.svg" for p in (tmp_path, tmp_path / "again"))
+        first, second = (p / f"{name}.svg" for p in (folder, tmp_path))
         assert first.read_bytes() == second.read_bytes()
 
 

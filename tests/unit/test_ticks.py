@@ -1,7 +1,5 @@
 """Several ticks in a call are those ticks one by one: the same frames, the same state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from _traction_core import lib

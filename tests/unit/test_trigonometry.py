@@ -1,7 +1,5 @@
 """Sines, angles: exact to a rounding, on every machine the same."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,10 +1,7 @@
 """Wrong values behind right counters and checksums: what they are, and what the flags make of them.
 
-Clear cases: steady drives, 60 % of rated torque, one drive wrong for 1.5 s. `python -m
-tests.value_cases` prints them all as a table.
+Clear cases: steady drives, 60 % of rated torque, one drive wrong for 1.5 s.
 """
-
-from __future__ import annotations
 
 import math
 from itertools import product
@@ -26,7 +23,7 @@ AHEAD = 50
 """Ticks before the fault."""
 
 
-def frames_of(kind: str, fd: bool, ticks: int = 20, drive: int = 1):
+def frames_of(kind, fd, ticks=20, drive=1):
     """(honest, sent) by tick, the fault from tick AHEAD + 1 on; and the faults' own record."""
     blocks = honest(200.0, "bench", fd, AHEAD + 2 * ticks)
     faults = ValueFaults(codec(NODES, FD_FILE if fd else CLASSIC), NODES)
@@ -37,7 +34,7 @@ def frames_of(kind: str, fd: bool, ticks: int = 20, drive: int = 1):
     return out
 
 
-def currents(block, node: int, fd: bool) -> list[list[float]]:
+def currents(block, node, fd):
     """Physical currents of a drive, by frame: (Ia, Ib, Ic), or (Ia, Ib) of eight samples."""
     bound = codec(NODES, FD_FILE if fd else CLASSIC)
     spec = bound.by_name[f"Drive{node}_{'Samples' if fd else 'PhaseCurrents'}"]
@@ -126,8 +123,8 @@ def test_not_available_and_saturated_codes_stay_legal(kind, fd):
 def test_a_held_drive_stands_in_all_that_it_says_and_goes_on_counting():
     rows = frames_of("held_drive", fd=True)
     bound = codec(NODES, FD_FILE)
-    said: dict[str, set] = {}
-    counted: dict[str, set] = {}
+    said = {}
+    counted = {}
     for _, sent, _ in rows[AHEAD : AHEAD + 20]:
         for frame in sent.frames():
             spec = bound.by_id.get(frame.can_id)
@@ -153,7 +150,7 @@ def test_the_error_is_that_of_what_was_sent():
 # ---- what the gateway makes of it ----------------------------------------------------------------
 
 
-def judged(case: Case) -> None:
+def judged(case):
     """The promises; raises where one is broken."""
     outcome = run_case(case)
     assert not outcome.raised
@@ -184,7 +181,7 @@ QUICK = {
 }
 
 
-def name_of(case: Case) -> str:
+def name_of(case):
     bus = "fd" if case.fd else "classic"
     return f"{case.kind}-{case.speed:.0f}-{case.motor}-{case.filter}-{bus}"
 

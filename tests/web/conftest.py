@@ -1,17 +1,13 @@
 """A real browser, and the monitor as its own process on a recorded log."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import sync_playwright
 
 from tests.monitored import recorded, write
 
@@ -20,7 +16,7 @@ DESK, PHONE = (1366, 900), (390, 844)
 
 
 @pytest.fixture(scope="module")
-def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+def browser(request):
     """Debian's chromium, headless. Playwright's own is not downloaded: benches are offline.
 
     Of a module: while it is there, no other test in this process can run an event loop.
@@ -39,7 +35,7 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="session")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     """Three drives and a gateway; the second drive loses adhesion from 1.2 s to 2.0 s."""
     path = tmp_path_factory.mktemp("log") / "loss.log"
     write(path, recorded().frames)
@@ -47,7 +43,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def monitor(*words: object) -> Iterator[str]:
+def monitor(*words):
     """The address of a monitor that runs with these words."""
     command = [sys.executable, "-m", "gateway", "monitor", *map(str, words)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -67,25 +63,20 @@ def monitor(*words: object) -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def address(log: Path) -> Iterator[str]:
+def address(log):
     """Where the page of the log is."""
     with monitor(log, "--web", "127.0.0.1:0") as where:
         yield where
 
 
-Opener = Callable[..., Page]
-
-
 @pytest.fixture
-def opened(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Opener]:
+def opened(browser, request):
     """Opens pages; at the end none of them may have had anything to complain of."""
-    complaints: list[str] = []
-    expected: list[str] = []
+    complaints = []
+    expected = []
     with ExitStack() as stack:
 
-        def open_page(
-            where: str, size=DESK, scheme="light", may_complain: str = "", ready=".drive .flag"
-        ) -> Page:
+        def open_page(where, size=DESK, scheme="light", may_complain="", ready=".drive .flag"):
             if may_complain:
                 expected.append(may_complain)
             context = browser.new_context(

@@ -1,14 +1,12 @@
 """The page in real headless Chromium, on a replayed log: what it shows, keys, sizes, contrast."""
 
-from __future__ import annotations
-
 import json
 import re
 import urllib.request
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from gateway.monitor.feed import Feed
 from gateway.monitor.log_source import LogSource
@@ -23,7 +21,7 @@ LOST_S = 1.8
 """Drive 2 has lost adhesion then."""
 
 
-def show(page: Page, t_s: float) -> None:
+def show(page, t_s):
     """Stand still at a time of the log."""
     if page.locator("#play").inner_text() == "Pause":
         page.locator("#play").click()
@@ -32,17 +30,17 @@ def show(page: Page, t_s: float) -> None:
     expect(page.locator("#now")).to_have_text(f"{t_s:.1f}")
 
 
-def value(page: Page, where: str, key: str) -> str:
+def value(page, where, key):
     return page.locator(f"{where} dd[data-key={key}]").inner_text()
 
 
-def figure(number: float | None, digits: int, unit: str = "") -> str:
+def figure(number, digits, unit=""):
     if number is None:
         return "?"
     return f"{number:.{digits}f}{' ' + unit if unit else ''}"
 
 
-def flag(page: Page, where: str, key: str) -> str:
+def flag(page, where, key):
     return page.locator(f"{where} .flag[data-key={key}]").inner_text()
 
 
@@ -113,12 +111,12 @@ READ = "willReadFrequently"
 """A hint of the browser at these tests' own reading of pixels."""
 
 
-def see(page: Page, k: int, colour: str, least: int = SOME) -> None:
+def see(page, k, colour, least=SOME):
     """Wait until so many pixels of a colour are in the k-th plot of drive 2."""
     until(lambda: page.wait_for_timeout(20) or drawn(page, k, colour) >= least, 5.0)
 
 
-def drawn(page: Page, k: int, colour: str) -> int:
+def drawn(page, k, colour):
     """Pixels of a colour in the k-th plot of drive 2."""
     return page.evaluate(
         """([k, colour]) => {
