@@ -138,6 +138,9 @@ TESTS = {
         "estimators/detect/message_passing.c",
     ), ("tests/unit/test_detect_paper.py",)),
     "gateway/core/thermal_log.c": ("tests/unit/test_temperature_reader.py",),
+    **dict.fromkeys(
+        ("gateway/core/tick_log.c", "gateway/core/table_text.c"), ("tests/unit/test_tick_log.py",)
+    ),
     "estimators/thermal/rivals/ekf.c": ("tests/unit/test_thermal_rivals.py",),
 }  # fmt: skip
 """Those that answer for a source."""
