@@ -6,6 +6,7 @@ braking train. Without, the controller sees the plant itself: 20 times faster.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
@@ -15,11 +16,15 @@ from dbc.codec import Codec
 from dbc.frame import Frame, Nanos
 from gateway.core.gateway import Gateway
 from gateway.hil.fitting import fitting
+from gateway.hil.simbus import run_on_bus
 from gateway.hil.slip_controllers import CreepControl, FlagLaw, Timid, late, none, oracle
 from gateway.hil.slip_plant import MOTOR, START_M_S, TRAIN, BrakingTrain, Controller, Moment
 from gateway.hil.slip_rails import AXLES, Track
 from gateway.hil.slip_score import Score, score
+from gateway.io.bus import open_transport
 from gateway.io.canopen_node import CanopenNode
+from gateway.io.live import Stop
+from gateway.io.permission import drives_only
 from gateway.settings.config import Config
 from sim.physics.plant import MOTORS
 from sim.scenario import Scenario, parse
@@ -100,8 +105,30 @@ def ride_with_gateway(
     period: Nanos = config.loop.period_ns
     for tick in range(round(longest_s * config.loop.rate_hz) + 1):
         received = bench.step(sent, tick * period)
+        bench.truth_rows()  # nobody asks for them
         if bench.train.stopped:
             break
         sent = gateway.step(received, tick * period) + node.step(received, tick * period)
     moments = bench.train.moments
     return Run(track, OURS, moments, score(track, moments))
+
+
+def ride_on_bus(track: Track, options: Namespace) -> Run:
+    """One run in real time against a device on the bus of `options` (-i, -c).
+
+    The drives go Operational by themselves. Raises `Ended` where a signal came first.
+    """
+    _, codec = configured(track)
+    bench = Bench(track, codec, self_start=True)
+    transport = open_transport(options, drives_only(codec, bench.nodes))
+    stop = Stop()
+
+    def after_step() -> None:
+        bench.truth_rows()  # nobody asks for them
+        if bench.train.stopped:
+            stop()
+
+    run_on_bus(bench, transport, LONGEST_S, after_step, stop)
+    if stop.ended is not None:
+        raise stop.ended
+    return Run(track, "device", bench.train.moments, score(track, bench.train.moments))

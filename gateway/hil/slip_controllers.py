@@ -92,7 +92,7 @@ holds again."""
 FASTER_M_S2: Final = 0.5
 """A wheel that gains speed in braking finds its grip again."""
 LONGEST_S: Final = 1.0
-"""A cut ends after this at the latest."""
+"""A cut after which a wheel has not gained speed for so long ends."""
 BACK: Final = 0.93
 RETURN: Final = 10.0
 """The limit returns to this of the level at which the wheel was lost, and so much of the rest is
@@ -126,10 +126,10 @@ class FlagLaw:
         lost = seen.flag == LOST
         cutting = self._cut_s < LONGEST_S
         begins = lost & ~cutting & (self._calm_s >= AGAIN_S)
-        self._cut_s = np.where(begins, 0.0, self._cut_s + STEP_S)
         self._sped_up = ~begins & cutting & (self._sped_up | faster)
-        self._cut_s[self._sped_up & ~faster] = np.inf
-        cutting = self._cut_s < LONGEST_S
+        cutting = begins | (cutting & ~(self._sped_up & ~faster))
+        self._cut_s = np.where(begins, 0.0, np.where(cutting, self._cut_s + STEP_S, np.inf))
+        self._cut_s = np.where(cutting & faster, 0.0, self._cut_s)
         self._calm_s = np.where(cutting, 0.0, self._calm_s + STEP_S)
         self._level = np.where(begins, BACK * self._limit, self._level)
         feel = FEEL + QUICKER * np.maximum(self._calm_s - CALM_S, 0.0)

@@ -24,7 +24,7 @@ not slide, for so long."""
 
 
 class Score(NamedTuple):
-    """Of one run; the axles that obey, all of them or the worst.
+    """Of one run, all axles that obey or the worst of them; delays also of one that is stuck.
 
     utilisation: work of the brakes over what rail and demand allowed, 0..1; locked_s: the
     longest time of an axle; false_interventions: how many; delay_s: from the onset of sliding to
@@ -50,29 +50,29 @@ def score(track: Track, moments: Sequence[Moment]) -> Score:
     run = [m for m in moments if m.t_s >= LEAD_IN_S + RISE_S]
     if not run:
         raise ValueError("the run ends before the brake is applied")
-    obeying = [k for k in range(len(track.wheel)) if k not in (track.stuck, track.cut_out)]
+    axles = range(len(track.wheel))
+    obeying = [k for k in axles if k not in (track.stuck, track.cut_out)]
     v = np.array([m.train_m_s for m in run])[:, None]
-    load, peak, creep, best, limit = (
-        np.stack(rows)[:, obeying]
-        for rows in (
-            [m.load_nm for m in run], [m.peak_nm for m in run], [creep_of(m) for m in run],
-            [m.peak_creep for m in run], [m.limit for m in run],
-        )
-    )  # fmt: skip
     asked = np.array([m.asked_nm for m in run])[:, None]
+    peak = np.stack([m.peak_nm for m in run])
+    creep = np.stack([creep_of(m) for m in run])
     allowed = np.minimum(asked, peak)
-    used = (np.clip(load, 0.0, allowed) * v).sum() / (allowed * v).sum()
-    slides = creep > SLIDES * best
+    work = allowed * v
+    used = np.clip(np.stack([m.load_nm for m in run]), 0.0, allowed) * v
+    slides = creep > SLIDES * np.stack([m.peak_creep for m in run])
     needed = slides | (asked > peak)
-    flag = np.stack([m.flag for m in run])[:, obeying]
-    acts = (limit < TOUCHED) | (flag == LOST)
-    last = run[-1]
+    flag = np.stack([m.flag for m in run])
+    acts = (np.stack([m.limit for m in run]) < TOUCHED) | (flag == LOST)
+    delays = [d for k in axles if k != track.cut_out for d in _delays(slides[:, k], acts[:, k])]
     return Score(
-        float(used), float(creep.max()), STEP_S * float((creep > LOCKED).sum(axis=0).max()),
-        sum(_false(acts[:, k], needed[:, k]) for k in range(len(obeying))),
-        float(np.median(delays)) if (delays := _delays(slides, acts)) else float("nan"),
-        last.way_m, STEP_S * len(run),
-    )  # fmt: skip
+        float(used[:, obeying].sum() / work[:, obeying].sum()),
+        float(creep[:, obeying].max()),
+        STEP_S * float((creep[:, obeying] > LOCKED).sum(axis=0).max()),
+        sum(_false(acts[:, k], needed[:, k]) for k in obeying),
+        float(np.median(delays)) if delays else float("nan"),
+        run[-1].way_m,
+        STEP_S * len(run),
+    )
 
 
 def onsets(active: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -87,13 +87,9 @@ def _false(acts: NDArray[np.bool_], needed: NDArray[np.bool_]) -> int:
 
 
 def _delays(slides: NDArray[np.bool_], acts: NDArray[np.bool_]) -> list[float]:
-    """S from each onset of sliding to the axle's next intervention; of those without, to the end.
+    """Times from each onset of sliding to the next intervention, s; without one, to the end.
 
-    An axle on which somebody acts already counts with 0.
+    0 for an axle that is cut already.
     """
-    found = []
-    for k in range(slides.shape[1]):
-        for at in onsets(slides[:, k]):
-            after = acts[at:, k]
-            found.append(STEP_S * float(after.argmax() if after.any() else len(after)))
-    return found
+    after = [acts[at:] for at in onsets(slides)]
+    return [STEP_S * float(a.argmax() if a.any() else len(a)) for a in after]
