@@ -72,7 +72,7 @@ class Timid:
         """Creep and times by the seed."""
         rng = np.random.default_rng([seed, 2])
         self._creep, self._hold_s = float(rng.uniform(0.01, 0.02)), float(rng.uniform(0.5, 1.5))
-        self._level = float(rng.uniform(0.05, 0.25))
+        self._level = float(rng.uniform(0.3, 0.5))
         self._until_s = 0.0
 
     def __call__(self, seen: Seen) -> Array:

@@ -65,7 +65,7 @@ def test_the_flags_of_a_device_on_the_bus_act_on_the_torque(monkeypatch):
     def device(simulation, transport, _seconds, after_step, stop):
         """Every axle is lost for two seconds, on a clock that this machine can keep."""
         transport.close()
-        for tick in range(900):
+        for tick in range(1200):
             data = codec.encode(spec, {f"Adhesion{n}": 2 for n in range(1, AXLES + 1)})
             protect(spec, data, tick)
             flags = [Frame(10 * MS * tick, spec.can_id, bytes(data))] if tick < 200 else []
