@@ -145,6 +145,14 @@ class Ecu:
         out: NDArray[np.bool_] = t_ns < self._flag_ns + FLAG_TIMEOUT_NS
         return out
 
+    def flag(self, t_ns: Nanos) -> int:
+        """What the gateway says of this drive's adhesion: 1 `Adhering`, 2 `AdhesionLost`, else 0.
+
+        0 also where no good flag frame came for 40 ms.
+        """
+        fresh = self._flag_ns is not None and t_ns < self._flag_ns + FLAG_TIMEOUT_NS
+        return self._flag % 3 if fresh else 0
+
     def note_fault(self, fault_class: int, now_ns: Nanos) -> None:
         """EMCY when a fault begins, changes or ends; faults it cannot know of are passed over."""
         known = fault_class if fault_class in EMERGENCY else 1

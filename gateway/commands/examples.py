@@ -1,4 +1,4 @@
-"""Two examples of each verb, at the end of its `--help`; the tests run them in this order."""
+"""Two examples of each use of a verb, at the end of its `--help`; the tests run them in order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ EXAMPLES: Final = {
     "completion": ("completion bash", "completion zsh"),
     "demo": ("demo --duration 5", "demo --headless --duration 5 -o demo.png"),
     "sim": ("sim wet_one -o drive.log", "sim healthy -i socketcan -c vcan0 --duration 5"),
-    "hil": ("hil release", "hil release silent --junit report.xml --results results"),
+    "hil": ("hil release", "hil release silent --junit report.xml --results results",
+            "hil --slip-bench leaves -o slip",
+            "hil --slip-bench wet degraded --controller creep --expect-score 90"),
     "vcan": ("vcan -- cansend vcan0 123#01",
              "vcan --interfaces can0,can1 --candump bus.log -- cansend can1 123#02"),
     "init": ("init --drives 2 -o first.toml", "init --drives 4 --dbc traction.dbc -o four.toml"),

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
-from gateway.commands import hil_mutate
+from gateway.commands import hil_mutate, hil_slip
 from gateway.commands.common import FAILED, GOOD, INCONCLUSIVE, add_bus, add_config, add_signature
 from gateway.commands.progress import Progress, stepped
 from gateway.hil.fitting import fitting
@@ -26,15 +26,17 @@ if TYPE_CHECKING:
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.add_argument("scenario", nargs="+", help="scenario files, or names of shipped ones")
+    parser.add_argument("scenario", nargs="*", help="scenario files, or names of shipped ones")
     add_config(parser)
     add_signature(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="verdicts as JUnit XML")
     parser.add_argument("-o", "--output", type=Path, metavar="LOG",
-                        help="record all frames of the (last) scenario")  # fmt: skip
+                        help="record all frames of the (last) scenario; "
+                        "--slip-bench: the folder of its page")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
                         help="folder for report.html; tables and pictures by scenario")  # fmt: skip
     hil_mutate.arguments(parser)
+    hil_slip.arguments(parser)
     add_bus(parser)
 
 
@@ -45,6 +47,10 @@ def run(options: argparse.Namespace) -> int:
     """
     from sim.scenario import ScenarioError, find
 
+    if options.slip_bench:
+        return hil_slip.run(options)
+    if not options.scenario:
+        raise ScenarioError("hil", ["no scenario: name one, such as `hil wet_one`"])
     scenarios = [(name, find(name)) for name in options.scenario]
     for name, scenario in scenarios:
         if not scenario.expect:

@@ -37,7 +37,8 @@ def helped(verb):
 @pytest.mark.parametrize("verb", sorted(set(cli.VERBS) - {"warm"}))
 def test_help_ends_with_two_examples_of_real_options(verb):
     shown = re.findall(r"^  traction-gateway (.*)$", helped(verb), re.MULTILINE)
-    assert tuple(shown[-2:]) == EXAMPLES[verb]
+    assert len(EXAMPLES[verb]) >= 2
+    assert tuple(shown[-len(EXAMPLES[verb]) :]) == EXAMPLES[verb]
     for example in EXAMPLES[verb]:
         words = shlex.split(example)
         assert words[0] == verb

@@ -1,0 +1,211 @@
+"""A train that brakes on a bench track: the simulator's plant, with somebody in charge of torque.
+
+The mechanics are the plant's. Every 10 ms the rail under each wheel is laid down, the controller
+is asked, and what is to be scored is noted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.hil.slip_rails import AXLE_M, AXLES, Track
+from sim.physics.adhesion import SPEED_FLOOR_M_S, Rail, traction_coefficient
+from sim.physics.plant import (
+    DT,
+    LOAD,
+    SPEED,
+    TRACTION_350KW,
+    Plant,
+    SlipLimiter,
+    Train,
+    parameters,
+    rail_array,
+    set_slip_limiter,
+)
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.int64]
+
+MOTOR: Final = "traction_350kw"
+TRAIN: Final = Train(wheel_radius_m=0.43 / 3.036, mass_kg=151.0)
+"""4 t on each axle (151 kg x 796 Nm / 30 Nm), all of it braked: what rotates is 14 % of it."""
+ROTORS: Final = 1.0 + TRACTION_350KW.J / TRAIN.inertia(TRACTION_350KW)
+"""Torque of the motors over what the rail has to give: the rest slows the rotors."""
+START_M_S: Final = 15.0
+STOP_M_S: Final = 2.0
+"""Below it slip protection is off, as on a train; the way from here is reckoned as asked."""
+LEAD_IN_S: Final = 1.0
+"""A part of the effort is asked for so long: drives are acquired, nothing is scored."""
+LEAD_IN: Final = 0.35
+"""That part: enough load for drives to be compared, less than leaves carry."""
+RISE_S: Final = 0.3
+CLEANED: Final = 0.06
+"""Friction that an axle finds more than the one before it, which has cleaned the rail."""
+STEP: Final = 80
+"""Periods of 125 us from one decision to the next."""
+STANDS: Final = SlipLimiter(0.95, 200.0, 30.0)
+"""An inverter brakes a wheel to a stop, it does not turn it backwards: the lock of this bench."""
+LOCKED: Final = 0.9
+"""Creep from which on a wheel counts as locked."""
+BACKWARD: Final = -1e4
+"""rad/s2, slope of the driver's speed: the brake is applied as far as it goes."""
+_CREEP: Final = np.linspace(0.0, 0.5, 251)
+
+
+class Seen(NamedTuple):
+    """What a controller is given every 10 ms. Arrays (N,), of an axle that is cut out NaN.
+
+    train_m_s: speed of an axle without brake; wheel_m_s: rim speeds; asked_nm, given_nm: brake
+    torque at the rail that is asked of each axle, and its share now; flag: what the device under
+    test says on the bus, 1 adhering, 2 lost, 0 unknown or no device. peak_nm and peak_creep are
+    the truth, for an oracle.
+    """
+
+    t_s: float
+    train_m_s: float
+    wheel_m_s: Array
+    asked_nm: float
+    given_nm: Array
+    flag: Flags
+    peak_nm: Array
+    peak_creep: Array
+
+
+Controller = Callable[[Seen], Array]
+"""Gives (N,) shares 0..1 of the torque asked; called every 10 ms from the start of a run on."""
+
+
+class Moment(NamedTuple):
+    """10 ms of a run. Torques of the wheel's rim on the rail, Nm, braking positive; (N,) each.
+
+    limit: the controller's 0..1; peak_creep: where the rail carries most.
+    """
+
+    t_s: float
+    way_m: float
+    train_m_s: float
+    wheel_m_s: Array
+    asked_nm: float
+    load_nm: Array
+    peak_nm: Array
+    peak_creep: Array
+    limit: Array
+    flag: Flags
+
+
+class BrakingTrain(Plant):
+    """The plant of one track under one controller; `moments` is the run so far."""
+
+    def __init__(
+        self, track: Track, controller: Controller, flags: Callable[[], Flags] | None = None
+    ) -> None:
+        """Rolling at `START_M_S`. flags: what a device under test says, (N,)."""
+        p = parameters(TRACTION_350KW, AXLES)
+        p.wheel = np.array(track.wheel)
+        set_slip_limiter(p, STANDS)
+        angles = 1.3 * np.arange(AXLES, dtype=np.float64)
+        w_0 = START_M_S / TRAIN.wheel_radius_m
+        super().__init__(
+            TRACTION_350KW, angles, on_rail=True, w_0=w_0, load_0=0.0, train=TRAIN, p=p
+        )
+        # One step is fast enough above STOP_M_S: the contact's time constant is 60 us and more.
+        self.state.steps = 1
+        self.state.cut_per_s = self.state.restore_per_s = 0.0
+        self.track, self.moments = track, list[Moment]()
+        self._controller, self._flags = controller, flags or (lambda: np.zeros(AXLES, int))
+        self._t_s = self._way_m = 0.0
+        self._film = np.ones(AXLES)  # what is left of it under each axle
+        self.rails: list[Rail] = []
+
+    @property
+    def stopped(self) -> bool:
+        """True at the end of the run."""
+        return self.v_m_s <= STOP_M_S
+
+    def advance(self, w_ref: Array, *_others: object) -> Array:
+        """As of the plant; of what it is given only the number of periods counts.
+
+        The controller decides in calls that begin at a multiple of 10 ms.
+        """
+        count = len(w_ref)
+        if round(self._t_s / DT) % STEP == 0:
+            self._decide()
+        ones = np.ones((count, AXLES))
+        rails = np.repeat(rail_array(self.rails)[None], count, axis=0)
+        out = super().advance(0.0 * w_ref, np.full(count, BACKWARD), 0.0 * w_ref, ones,
+                              np.zeros_like(ones, bool), rails)  # fmt: skip
+        self._t_s += count * DT
+        self._way_m += count * DT * self.v_m_s
+        self._note(out)
+        return out
+
+    def run(self, most_s: float = 60.0) -> list[Moment]:
+        """To its end without a bus, or for so long."""
+        blank, none = np.zeros(STEP), np.zeros((STEP, AXLES), bool)
+        while not self.stopped and self._t_s < most_s:
+            self.advance(blank, blank, blank, none, none)
+        return self.moments
+
+    def slips(self, drive: int, _condition: Rail) -> bool:
+        """As of the plant, on the track's rail."""
+        return super().slips(drive, self.rails[drive])
+
+    def _decide(self) -> None:
+        """Rails, what is asked and what each axle gets of it."""
+        self.rails = [self._rail(k) for k in range(AXLES)]
+        peak, creep = self._peaks()
+        full = self.track.asked * self.wheel_load_nm
+        if self.track.of_peak is not None:
+            full = self.track.of_peak * float(peak.min())
+        asked = full * float(np.clip(LEAD_IN + (self._t_s - LEAD_IN_S) / RISE_S, LEAD_IN, 1.0))
+        wheel = self.drives.w_m * self.p.wheel * self.train.wheel_radius_m
+        torque, flag = asked * self.drives.limiter, self._flags()
+        seen = Seen(self._t_s, self.v_m_s, wheel.copy(), asked, torque, flag, peak, creep)
+        out = self.track.cut_out
+        if out >= 0:
+            for column in (seen.wheel_m_s, seen.given_nm):
+                column[out] = np.nan
+        limit: Array = np.clip(self._controller(seen), 0.0, 1.0)
+        self.drives.limiter = limit
+        if out >= 0:
+            self.drives.limiter[out] = limit[out] = 0.0
+        if self.track.stuck >= 0:
+            self.drives.limiter[self.track.stuck] = 1.0
+        self.p.effort_nm = asked * ROTORS
+        self.moments.append(Moment(self._t_s, self._way_m, self.v_m_s, wheel, asked,
+                                   np.zeros(AXLES), peak, creep, limit, flag))  # fmt: skip
+
+    def _rail(self, axle: int) -> Rail:
+        """Under this axle; of a film, what the axles before and itself have left."""
+        rail = self.track.rail_at(self._way_m - axle * AXLE_M)
+        better = 1.0 + CLEANED * axle + 1.0 - float(self._film[: axle + 1].prod())
+        return rail._replace(mu_0=rail.mu_0 * better)
+
+    def _peaks(self) -> tuple[Array, Array]:
+        """(N,) Nm that the rail carries at the best creep of up to 0.5, and that creep."""
+        at = {rail: traction_coefficient(rail, _CREEP, self.v_m_s) for rail in set(self.rails)}
+        best = [(float(at[r].max()), float(_CREEP[at[r].argmax()])) for r in self.rails]
+        most, creep = np.array(best).T
+        return self.wheel_load_nm * most, creep
+
+    def _note(self, out: Array) -> None:
+        """The load of this moment, as a mean of what was simulated in it; what a film lost."""
+        moment = self.moments[-1]
+        share = len(out) / STEP
+        moment.load_nm[:] -= share * out[:, :, LOAD].mean(axis=0)
+        if self.track.film_j is not None:
+            radius = self.train.wheel_radius_m
+            slide = np.abs(out[-1, :, SPEED] * self.p.wheel * radius - self.v_m_s)
+            grip = np.abs(out[-1, :, LOAD]) / self.wheel_load_nm * self.train.gravity
+            work = grip * slide * len(out) * DT
+            self._film *= np.exp(-work / self.track.film_j)
+
+
+def creep_of(moment: Moment) -> Array:
+    """(N,) braking positive: 0 rolls, 1 is locked."""
+    out: Array = (moment.train_m_s - moment.wheel_m_s) / max(moment.train_m_s, SPEED_FLOOR_M_S)
+    return out
