@@ -95,19 +95,24 @@ static void learn_scatter(struct switching_noise *noise, double e)
     noise->at = noise->at + 1 < SWITCHING_PAST ? noise->at + 1 : 0;
 }
 
-/* (S24). Neither filters nor observer tell anything of the noise of the other. */
+/* (S24). Neither filters nor observer tell anything of the noise of the other; before any is learnt, it
+ * is what the estimate says of itself. */
 void switching_note_sources(struct switching *s)
 {
     for (int i = 0; i < s->n; i++) {
         const struct switching_load *in = &s->loads[i];
         struct switching_noise *noise = &s->noises[i];
-        if (!in->known || (in->source == noise->source && noise->learnt_s > 0.0))
+        if (!in->known)
             continue;
-        noise->source = in->source;
-        const double variance = larger(noise->variance, square(in->sigma));
-        noise->variance = smaller(variance, NOISE_MOST * NOISE_MOST);
-        noise->learnt_s = noise->lasting = 0.0;
-        noise->count = 0;
+        if (in->source != noise->source) {
+            noise->source = in->source;
+            noise->learnt_s = noise->lasting = 0.0;
+            noise->count = 0;
+        }
+        if (noise->learnt_s == 0.0) {
+            const double variance = larger(noise->variance, square(in->sigma));
+            noise->variance = smaller(variance, NOISE_MOST * NOISE_MOST);
+        }
     }
 }
 

@@ -10,7 +10,7 @@ struct switching_noise switching_noise_unknown(void);
 /* Variance of the error of load i, per unit of rated torque squared: above 0. */
 double switching_noise_of(const struct switching *s, int i);
 
-/* Of a drive whose load comes from another estimate than before nothing is known but what that says. */
+/* Of loads from another estimate than before, and at first, nothing is known but what that says. */
 void switching_note_sources(struct switching *s);
 
 /* From the loads of a step, by the likeliest hypothesis. */

@@ -186,7 +186,7 @@ class Switching:
         self.leads, self.teaches = known & ~apart, known & ~unsure
         self.plain, self.scale = self.leads & self.teaches & (error == 0), (1 + gain) ** 2
         self.error = error
-        self._sources(known & (source != self.source), source, sigma)
+        self._sources(source, sigma)
         self.noise = self._noise()
         before = self.demand
         best = self.all[0].log_weight
@@ -332,17 +332,15 @@ class Switching:
             rho=np.stack([r[0] for r in ratios]), V=np.stack([r[1] for r in ratios]),
         )  # fmt: skip
 
-    def _sources(self, other: Array, source: Array, sigma: Array) -> None:
+    def _sources(self, source: Array, sigma: Array) -> None:
         """(S24)."""
+        other = self.known & (source != self.source)
         self.source = np.where(other, source, self.source)
-        anew = other & (self.learnt_s > 0.0)
-        wider = np.clip(sigma**2, self.variance, 0.2**2)
-        self.variance = np.where(anew, wider, self.variance)
-        self.learnt_s, self.lasting = (
-            np.where(anew, 0.0, x) for x in (self.learnt_s, self.lasting)
-        )
-        for i in np.flatnonzero(anew):
+        self.learnt_s[other] = self.lasting[other] = 0.0
+        for i in np.flatnonzero(other):
             self.past[i].clear()
+        wider = np.clip(sigma**2, self.variance, 0.2**2)
+        self.variance = np.where(self.known & (self.learnt_s == 0.0), wider, self.variance)
 
     def _noise(self) -> Array:
         """Variances of the errors (N,)."""

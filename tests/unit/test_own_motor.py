@@ -1,15 +1,12 @@
-"""Motors of one's own in scenarios, and worlds that detectors were not tuned on."""
+"""Motors of one's own in scenarios."""
 
-import numpy as np
 import pytest
 
 from gateway.cli import main
 from gateway.hil.own_motor import save_scenario, with_motor_of
 from gateway.settings.config import ConfigError, load, parse
 from gateway.settings.motors import TRACTION_350KW
-from gateway.study import roller_world
-from gateway.study.evaluation_runs import Plan, evaluate
-from sim.physics.plant import LOAD, MOTORS, SPEED, TORQUE
+from sim.physics.plant import MOTORS
 from sim.scenario import ScenarioError, find
 from sim.scenario import parse as scenario_of
 
@@ -106,56 +103,3 @@ def test_a_motor_in_the_scenario_itself():
 def test_half_a_motor_is_refused(motor, problem):
     with pytest.raises(ScenarioError, match=problem):
         scenario_of({"title": "a", "duration_s": 1.0, "motor": motor})
-
-
-def test_loss_in_a_train_of_held_speed_is_found_without_commands():
-    plan = Plan(("one_mute",), ("switching",), (0, 1), world="held")
-    (line,) = evaluate(plan)
-    assert line.total.flags.losses == 2
-    assert line.total.flags.missed == 0
-    assert line.total.flags.alarms == 0
-
-
-def test_family_of_another_world_is_refused_and_the_known_are_listed(capsys):
-    assert main(["evaluate", "--world", "held", "--family", "crawl"]) == 2
-    assert "one_mute" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "known"), [(["thermal", "--world", "held"], "ours, other"),
-                         (["--world", "other"], "ours, held, roller")],
-)  # fmt: skip
-def test_a_world_of_the_other_side_is_refused(words, known, capsys):
-    assert main(["evaluate", *words, "--seeds", "0-0"]) == 2
-    assert f"known: {known}" in capsys.readouterr().err
-
-
-def test_healthy_wheels_carry_what_their_motors_give_and_creep_below_the_peak():
-    scenario = roller_world.draw("roller_healthy", 1)
-    rows = roller_world.waveforms("roller_healthy", scenario).rows
-    rated = 30.0
-    assert np.abs(rows[..., LOAD] - rows[..., TORQUE]).max() < 0.02 * rated
-    spread = np.ptp(rows[..., SPEED], axis=1) / np.abs(rows[..., SPEED]).min(axis=1)
-    assert spread.max() < roller_world.PEAK_CREEP[1]
-
-
-@pytest.mark.parametrize("name", ["roller", "roller_slow", "roller_none"])
-@pytest.mark.parametrize("seed", range(2))
-def test_under_a_loss_the_wheel_runs_away_as_its_effort_goes_and_never_turns_back(name, seed):
-    scenario = roller_world.draw(name, seed)
-    rows = roller_world.waveforms(name, scenario).rows
-    (event,) = scenario.event
-    lost = event.drive - 1
-    speed, others = rows[:, lost, SPEED], np.delete(rows[..., SPEED], lost, axis=1).mean(axis=1)
-    effort = np.sign(scenario.load.profile[0][1] * others[0])
-    ahead = effort * (np.abs(speed) - np.abs(others)) / np.abs(others)
-    assert ahead.max() > roller_world.PEAK_CREEP[0]
-    assert (speed / others).min() > -0.1  # it may swing back by as much as its torque's lag
-
-
-def test_loss_on_a_roller_is_found_and_nothing_healthy_is_flagged():
-    plan = Plan(("roller", "roller_healthy"), ("switching",), (0, 1), world="roller")
-    loss, healthy = evaluate(plan)
-    assert loss.total.flags.losses == 2
-    assert loss.total.flags.missed == 0
-    assert healthy.total.flags.alarms == 0

@@ -33,7 +33,7 @@ class Both:
         given = {
             "known": rng.random(n) < known, "apart": rng.random(n) < apart,
             "unsure": rng.random(n) < apart, "gain": rng.choice([0.0, 0.0, 2.5], n),
-            "error": rng.choice([0.0, 0.0, 0.1], n), "sigma": rng.choice([0.0, 0.03, 0.5], n),
+            "error": rng.choice([0.0, 0.0, 0.1], n), "sigma": rng.choice([0.0, 0.01, 0.1], n),
             "source": np.where(rng.random(n) < 0.05, 1 - plain.source, plain.source),
         }  # fmt: skip
         core.loads["load"] = load
