@@ -27,8 +27,8 @@ class Both:
     def __init__(self, n):
         self.core, self.plain = Switching(n), reference.Switching(n)
 
-    def step(self, load, rng, known, apart):
-        """known, apart: the share of drives that are so; other inputs at random."""
+    def step(self, load, rng, known, apart, **others):
+        """known, apart: the share of drives that are so; other inputs at random or as given."""
         core, plain, n = self.core, self.plain, len(load)
         given = {
             "known": rng.random(n) < known, "apart": rng.random(n) < apart,
@@ -36,6 +36,7 @@ class Both:
             "error": rng.choice([0.0, 0.0, 0.1], n), "sigma": rng.choice([0.0, 0.01, 0.1], n),
             "source": np.where(rng.random(n) < 0.05, 1 - plain.source, plain.source),
         }  # fmt: skip
+        given |= others
         core.loads["load"] = load
         for name, value in given.items():
             core.loads[name] = value
@@ -80,6 +81,12 @@ def test_any_loads(seed):
         total = both.core.adhering + both.core.lost
         assert (both.core.lost >= 0).all()
         assert (total <= 1 + 1e-8).all()
+
+
+def test_scatter_of_another_source_begins_anew():
+    rng, both = np.random.default_rng(6), Both(2)
+    for step, load in enumerate(driven(rng, 2, 80)):
+        both.step(load, rng, 1.0, 0.0, error=np.zeros(2), source=np.full(2, step // 25 % 2))
 
 
 def test_silence_contradicts_nothing():
