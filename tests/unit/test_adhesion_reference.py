@@ -108,7 +108,8 @@ class Both:
     def tick(self, told, given, now, operating):
         health, load, speed, command, before, (sent, steady), fresh, measured = given
         told.health[:], told.load[:], told.speed[:] = health, load, speed
-        told.sigma[:], told.nis[:] = 0.5, 1.0
+        told.sigma[:], told.nis[:] = 0.1 * (1 + np.arange(self.n)), 1.0
+        told.estimates["by_observer"] = now // (9 * TICK) % 2
         mine = self.slow
         mine.command[:], mine.before[:], mine.command_ns[:] = command, before, sent
         mine.steady[:], mine.operating[:] = steady, operating
@@ -126,6 +127,8 @@ class Both:
     def same(self, told, again):
         core, plain = self.core, self.plain
         same_numbers(told.estimates, again.estimates)
+        if plain.model is not None:
+            same_numbers(core.switching.loads, plain.model.loads)
         for mine, wanted in (
             (core.rotors, plain.rotors), (core.rotor_inputs, plain.inputs),
             (core.responses, plain.responses), (core.ratios, plain.differences.drives),
@@ -376,3 +379,19 @@ def test_what_lies_behind_the_drives_is_left_alone(detector):
     detect(two, again.estimates[:2], come[:2], drives[:2], status[:2], 0)
     for name in third.keys() - {"rotors"}:
         same_numbers(getattr(core, name)[:2], getattr(two, name))
+
+
+def test_a_train_rolls_whatever_lies_behind_its_drives():
+    """Two drives that are asked for nothing, and room for a third that is."""
+    core = AdhesionMonitor(Adhesion(detector="switching"), [BENCH_MOTOR] * 3, RULES, TICK)
+    core.record["n"] = core.switching.record["n"] = 2
+    core.responses["usable"][2], core.responses["command"][2] = 1, 1.0
+    core.responses["previous_command"][2] = 1.0
+    drives, told, status = receiving.drive_inputs(2), columns.told(2), np.zeros(2, DRIVE_STATUS)
+    told.health[:], told.speed[:], told.load[:] = Health.TRACKING, 25.0, 0.0
+    columns.slow_of(drives).command[:] = 0.0
+    for tick in range(20):
+        come = validity(np.ones(2, dtype=bool), told.speed)
+        detect(core, told.estimates, come, drives, status, tick * TICK)
+    assert core.loss_known[:2].tolist() == [1, 1]
+    assert core.loss_probability[:2].tolist() == [0.0, 0.0]
