@@ -253,6 +253,7 @@ def test_a_reset_forgets_all_but_the_places():
         bus.go_on()
         side.hear(bus.inbox, bus.now, np.zeros(3, FLAG_INPUTS))
     assert side.motors.tobytes() != fresh.motors.tobytes()
+    side.record["second_complete"] = 1
     lib.temperatures_reset(side.pointer)
     assert repr(side.motors.tolist()) == repr(fresh.motors.tolist())
     names = ("next_ns", "next_report_ns", "cycles", "cycle", "second_complete", "dirty")
@@ -320,6 +321,15 @@ def test_a_drive_without_quality_status_or_motion_has_no_load_and_readings_that_
         side.hear(bus.inbox, bus.now, inputs)
     np.testing.assert_array_equal(side.motors["mean"][:, 3:5], np.nan)
     assert np.isfinite(side.motors["mean"][:, 0]).any()
+
+
+def test_loads_may_come_in_the_first_channel_of_all():
+    side, bus, _ = made("none", 3)
+    side.motors["status"] = side.motors["motion"] = 0
+    for _ in range(400):
+        bus.go_on()
+        side.hear(bus.inbox, bus.now, np.zeros(3, FLAG_INPUTS))
+    assert np.isfinite(side.motors["mean"][:, 3:5]).any(axis=0).all()
 
 
 @pytest.mark.parametrize(("gain", "limit_k", "thermal"), [
