@@ -112,7 +112,7 @@ TESTS = {
     "estimators/thermal/trend.c": ("tests/unit/test_thermal_trend.py",),
     **dict.fromkeys(("gateway/core/thermal.c", "gateway/core/thermal_evidence.c"), (
         "tests/unit/test_temperature_monitor.py", "tests/unit/test_thermal.py",
-        "tests/unit/test_bad_from_power_up.py",
+        "tests/unit/test_bad_from_power_up.py", "tests/unit/test_maisd_spikes.py",
     )),
     "gateway/core/busload.c": ("tests/unit/test_outbox.py",),
     "gateway/core/transmit.c": ("tests/unit/test_outbox.py",),

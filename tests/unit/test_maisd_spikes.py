@@ -55,8 +55,11 @@ def sound(drives, seconds, start_c, seed=1):
     return start_c + place + warming * t_s + noise
 
 
-def flags_of(setting, celsius):
-    """A replay: the (drive, class) of all that was ever hot, and of all faults of sensors."""
+def flags_of(setting, celsius, last=None):
+    """A replay: the (drive, class) of all that was ever hot, and of all faults of sensors.
+
+    last: gets the states of the first drive's flags at the end.
+    """
     config, codec = setting
     frames = []
     for j, node in enumerate(config.nodes):
@@ -74,6 +77,8 @@ def flags_of(setting, celsius):
         for name, found in ((FlagKind.THERMAL, hot), (FlagKind.SENSOR, sensors)):
             for j in np.flatnonzero(status["flag"]["state"][:, name] == Flag.BAD).tolist():
                 found.add((j, FaultClass(status["fault_class"][j])))
+        if last is not None:
+            last[:] = status["flag"]["state"][0, [FlagKind.THERMAL, FlagKind.SENSOR]].tolist()
 
     replay(
         [block_of(sorted(frames))], lambda start: Gateway(config, codec, start),
@@ -164,6 +169,22 @@ def test_a_sensor_that_is_off_from_the_start_makes_no_motor_hot(tmp_path, drives
         celsius = sound(drives, 40, start_c)
         celsius[:, 0, 0] += amplitude
         assert flags_of(setting, celsius)[0] == set(), amplitude
+
+
+def test_of_a_point_far_above_from_the_start_on_both_flags_are_unknown(tmp_path):
+    celsius, last = sound(3, 40, 25.0), []
+    celsius[:, 0, 0] += 100.0
+    flags_of(setup(tmp_path, 3), celsius, last)
+    assert last == [Flag.UNKNOWN, Flag.UNKNOWN]
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_reading_that_has_never_changed_is_not_hot_and_one_that_has_is(tmp_path, moving):
+    celsius = sound(3, 40, 25.0)
+    celsius[:, 0, 0] += 20.0
+    if not moving:
+        celsius[:, 0, 0] = 46.0
+    assert bool(flags_of(setup(tmp_path, 3), celsius)[0]) == moving
 
 
 @pytest.mark.parametrize("start_c", STARTS_C)
