@@ -238,14 +238,13 @@ class Simulation:
         losing = self._schedule.losing(t_s)
         depth = self._depth(losing, t_s)
         effect = self._readings.fault_effect(t_s).tolist()
+        plant = self._plant
         for k, node in enumerate(self.nodes):
             speed, angle, load = row[k, [columns.SPEED, columns.ANGLE, columns.LOAD]].tolist()
             slides, deep = bool(losing[k]), depth[k]
-            given = 1.0
-            if self._plant is not None:
-                given = self._plant.given(k, float(row[k, columns.TORQUE]))
-                if self._plant.slips(k, self._rails[k]):
-                    slides, deep = True, max(deep, self._plant.shortage(k, self._rails[k], load))
+            if plant is not None and plant.slips(k, self._rails[k]):
+                slides, deep = True, max(deep, plant.shortage(k, self._rails[k], load))
+            given = plant.given(k, float(row[k, columns.TORQUE])) if plant else 1.0
             moves = round(t_s, 6), node, speed, angle, load, int(slides)
             self._truth.append(Truth(*moves, classes[k], effect[k], deep, given))
 

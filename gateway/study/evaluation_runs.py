@@ -118,7 +118,7 @@ def fitted(
     drives = tuple(Drive(node=n, motor=motor) for n in range(1, scenario.drives + 1))
     config = _base(plan.config, plan.dbc, detector).model_copy(update={"drive": drives})
     if varied:
-        sheet = varied.table()
+        sheet = varied.sheet()
         del sheet["U_dc"]
         config = config.model_copy(update={"motor": {OWN: Motor(**sheet)}})
         return config, varied.codec(_codec(config.dbc_path, config.nodes))

@@ -130,7 +130,7 @@ def draw(name: str, seed: int, motor: str = "bench") -> Scenario:
     begin, last = unit.nm(load), unit.nm(load * between(rng, (0.6, 1.15)))
     table: dict[str, Any] = {
         "title": f"{name} {seed}", "seed": seed, "drives": drives, "duration_s": round(end, 4),
-        "motor": varied.table() if varied else {"name": motor}, "motion": {"speed": speed},
+        "motor": varied.sheet() if varied else {"name": motor}, "motion": {"speed": speed},
         "load": {
             "kind": "preset", "transition": "linear",
             "profile": [[0.0, begin], [round(0.3 * end, 4), begin], [round(end, 4), last]],

@@ -59,7 +59,7 @@ class Variation(NamedTuple):
     motion: bool
     status: bool
 
-    def table(self) -> dict[str, Any]:
+    def sheet(self) -> dict[str, Any]:
         """`[motor]` of a scenario."""
         return asdict(self.motor)
 

@@ -18,7 +18,7 @@ SEEDS = range(60)
 
 def test_every_motor_is_one_that_a_configuration_takes():
     for seed in SEEDS:
-        sheet = variation(seed).table()
+        sheet = variation(seed).sheet()
         link = sheet.pop("U_dc")
         motor = Motor(**sheet)
         rated = motor.voltage(1000.0, motor.I_rated)
