@@ -14,9 +14,9 @@ SEEDS = (41, 42)
     [
         ("held", "one", "bench"),
         ("held", "rough", "bench"),
-        ("families", "single", "bench"),
-        ("families", "rough", "bench"),
-        ("families", "crawl", "traction_350kw"),
+        ("ours", "single", "bench"),
+        ("ours", "rough", "bench"),
+        ("ours", "crawl", "traction_350kw"),
     ],
 )
 def test_the_band_of_the_filters_holds_what_it_promises(world, kind, motor):
