@@ -91,7 +91,7 @@ def shrink(
 ) -> Shrunk:  # fmt: skip
     """The shortest log that was found. before_ns: how long before the evidence it begins.
 
-    step: told of each of `STEPS` before it begins.
+    step: called with each of `STEPS` before it begins.
     Raises ConfigError for a drive that there is not and for a gateway with a state that no start
     record can hold, BadLogError where the flag does not change or the log cannot be shrunk.
     """

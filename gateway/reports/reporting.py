@@ -126,7 +126,7 @@ class Reporting(AbstractContextManager["Reporting"]):
     ) -> Run:
         """Draw the pictures; what the report needs. inside: this folder as the report sees it.
 
-        step: told of each picture before it is drawn, N + 1 times.
+        step: called with each picture before it is drawn, N + 1 times.
         """
         gateway, config = self._gateway, self._config
         assert gateway is not None

@@ -63,7 +63,7 @@ def draw(
 ) -> list[str]:
     """Write them as SVG; their names without suffix: `flags`, then `drive<node>`.
 
-    step: told of each before it is drawn, N + 1 times.
+    step: called with each before it is drawn, N + 1 times.
     """
     with styled():
         step("picture of the flags")
