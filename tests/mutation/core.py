@@ -45,6 +45,9 @@ ACQUISITION = tuple(f"tests/unit/test_est_acquisition.py::{name}" for name in (
     "test_chords_of_known_motion", "test_chords_of_another_length_start_anew",
     "test_no_chord_has_no_direction_and_is_never_ready",
     "test_constants_beyond_any_motor_overflow_a_mean_and_it_starts_anew",
+    "test_the_longest_chord_that_a_flux_explains_bounds_no_speed",
+    "test_a_filter_of_which_any_number_has_diverged_disagrees",
+    "test_on_its_limits_a_filter_is_consistent",
 ))  # fmt: skip
 MOTION = ("tests/unit/test_motion_reference.py", *(
     f"tests/unit/test_motion.py::{name}" for name in (

@@ -252,13 +252,22 @@ def test_a_restart_is_of_one_drive():
     assert state[5].tobytes() == acquisition.start(1)[0].tobytes()
 
 
-def test_a_diverged_state_disagrees():
-    x = np.zeros((2, 5))
-    x[1, 4] = np.nan
-    assert check(acquisition.start(2), x).tolist() == [
-        Consistency.UNKNOWN,
-        Consistency.INCONSISTENT,
-    ]
+def test_a_filter_of_which_any_number_has_diverged_disagrees():
+    x = np.zeros((6, 5))
+    x[range(5), range(5)] = np.nan
+    wanted = [*[Consistency.INCONSISTENT] * 5, Consistency.UNKNOWN]
+    assert check(acquisition.start(6), x).tolist() == wanted
+
+
+@pytest.mark.parametrize(("beyond", "verdicts"), [(False, "CCU"), (True, "III")])
+def test_on_its_limits_a_filter_is_consistent(beyond, verdicts):
+    """Speed: 20 rad/s and half of the chords'; angle: 0.8 rad; not ready: 40 rad/s above w_max."""
+    state = acquisition.start(3)
+    state.ready, state.pairs, state.w, state.w_max = [1, 1, 0], 20, 100.0, 10.0
+    x = np.zeros((3, 5))
+    x[:, 2], x[1, 3] = [170.0, 100.0, -50.0], 0.8
+    x *= 1.0 + 1e-15 * beyond
+    assert [v.name[0] for v in map(Consistency, check(state, x))] == list(verdicts)
 
 
 def constant(m, steps, u):
@@ -271,8 +280,18 @@ def test_no_chord_has_no_direction_and_is_never_ready():
     state, par = acquisition.start(1), bench(1)[0]
     acquire(state, par, constant(60, 16, 0j), TICK_S)
     assert (state.pairs[0], state.ready[0]) == (58, 0)
-    assert np.isfinite(state.w[0])
+    assert (state.w[0], state.theta[0]) == (0.0, -0.5 * math.pi), "of both directions the positive"
     assert check(state, np.array([[0.0, 0.0, 80.0, 0.0, 0.0]])) == Consistency.INCONSISTENT
+
+
+def test_the_longest_chord_that_a_flux_explains_bounds_no_speed():
+    """Of 2 ms and 1 V; 35 % of a length are tolerance."""
+    par = bench(1)[0]
+    psi_f = 0.5 * 16 * TICK_S / (1.0 - 0.35)
+    for flux, w_max in ((psi_f, math.inf), (np.nextafter(psi_f, 1.0), math.pi / (16 * TICK_S))):
+        state = acquisition.start(1)
+        acquire(state, par._replace(psi_f=np.full(1, flux)), constant(3, 16, 1.0 + 0j), TICK_S)
+        assert state.w_max[0] == pytest.approx(w_max, rel=1e-6)
 
 
 def test_constants_beyond_any_motor_overflow_a_mean_and_it_starts_anew():
