@@ -133,7 +133,10 @@ TESTS = {
     "gateway/core/inputs.c": ("tests/unit/test_inputs.py",),
     "estimators/load_observer.c": ("tests/unit/test_est_load_observer.py",),
     "gateway/core/motion.c": MOTION,
-    "gateway/core/tick.c": ("tests/unit/test_ticks.py", "tests/golden/test_golden.py"),
+    "gateway/core/tick.c": (
+        "tests/unit/test_ticks.py", "tests/unit/test_tick_log.py::"
+        "test_a_full_log_takes_no_tick_and_its_memory_outlives_who_reads_it",
+    ),
     "gateway/core/plausibility.c": MOTION,
     "gateway/core/current_plausibility.c": MOTION,
     **dict.fromkeys((

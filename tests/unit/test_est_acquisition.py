@@ -294,11 +294,13 @@ def test_the_longest_chord_that_a_flux_explains_bounds_no_speed():
         assert state.w_max[0] == pytest.approx(w_max, rel=1e-6)
 
 
-def test_constants_beyond_any_motor_overflow_a_mean_and_it_starts_anew():
+@pytest.mark.parametrize(("L_s", "power"), [(1e200, 2), (1e154, 1)])
+def test_constants_beyond_any_motor_overflow_a_mean_and_it_starts_anew(L_s, power):
+    """Each mean, or only their sum."""
     state, par = acquisition.start(1), bench(1)[0]
-    huge = par._replace(L_s=np.full(1, 1e200))
+    huge = par._replace(L_s=np.full(1, L_s))
     rows = constant(6, 16, 1.0 + 0j)
-    rows[2][:, 0] = np.arange(6.0) ** 2
+    rows[2][:, 0] = np.arange(6.0) ** power
     acquire(state, huge, rows, TICK_S)
     assert (state.pairs[0], state.ready[0]) == (0, 0)
     acquire(state, par, constant(40, 16, 1.0 + 0j), TICK_S)

@@ -15,8 +15,19 @@ from tests import slow_record
 
 
 def whole(log, config, codec):
-    """Cycles as the whole gateway sees them, tick by tick."""
-    cycles = CycleLog(len(config.nodes), 100_000)
+    """Cycles as the monitor of the whole gateway has them, tick by tick."""
+    rows, seen = [], [0]
+
+    def note(now, _, gateway):
+        side = gateway.thermal
+        if side.cycles == seen[0]:
+            return
+        seen[0], sensor = side.cycles, side.sensors.drives["sensor"]
+        columns = (
+            side.record["second_complete"][0], sensor["value_c"], side.window.mean,
+            side.window.known, now - sensor["changed_ns"], side.motors["mean"],
+        )  # fmt: skip
+        rows.append([np.array(column) for column in columns])
 
     def make(start):
         gateway = Gateway(config, codec, start)
@@ -24,8 +35,8 @@ def whole(log, config, codec):
         return gateway
 
     blocks = OneChannel(open_log(log, strict=False).blocks, None)
-    replay(blocks, make, config.loop.period_ns, lambda now, _, g: cycles.note(g.thermal, now))
-    return cycles.drain()
+    replay(blocks, make, config.loop.period_ns, note)
+    return [np.array(column) for column in zip(*rows, strict=True)]
 
 
 def alone(log, config, codec):

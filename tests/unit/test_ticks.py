@@ -157,7 +157,8 @@ def test_fd_is_the_same():
 
 @pytest.mark.parametrize("detector", ["median", "kmeans", "vmp"])
 def test_other_detectors_step_one_by_one(detector):
-    same(config_of(detector=detector), train(), 4, 300, 120.0)
+    gateway = same(config_of(detector=detector), train(), 4, 300, 120.0)
+    assert gateway.pointer.stage == lib.STAGE_RECEIVE, "the tick is done"
 
 
 @pytest.mark.parametrize(("seed", "between"), [(4, 120.0), (11, 60.0), (1, 1e9)])
@@ -304,6 +305,17 @@ def test_a_single_emergency_is_read():
     for k in (1, 2):
         gateway.step([Frame(k, 0x081, b"\x10\x23" + bytes(6))] * (k == 1), k * TICK)
         assert gateway.supervision.emcy[1].received == 1
+
+
+@pytest.mark.parametrize(
+    ("detector", "stamps", "can_id", "answer"),
+    [("vb", (1, 2), 0x181, 1), ("vb", (2, 1), 0x181, 0), ("vb", (1, 2), 0x081, 2), ("median", (), 0, 2)],
+)  # fmt: skip
+def test_a_tick_is_not_done_done_or_left_to_python(detector, stamps, can_id, answer):
+    """Frames in another order; an emergency, a detector of Python's."""
+    gateway = Gateway(config_of(detector=detector), train().codec, 0)
+    block = block_of([Frame(t, can_id, bytes(8)) for t in stamps])
+    assert lib.run_one(gateway.pointer, block.size, *block.addresses(), TICK) == answer
 
 
 def test_the_load_of_translated_frames_is_counted_where_they_are_translated():
