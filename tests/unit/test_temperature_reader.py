@@ -108,6 +108,8 @@ def test_a_log_that_is_full_ends_a_call(tmp_path):
     done, _ = reader.run(block, np.minimum(ends, block.size), int(block.t_ns[0]))
     assert reader.changed
     assert done < len(ends)
+    now = block.t_ns[0] + (done - 1) * config.loop.period_ns
+    assert reader.inbox.counts["received"] == np.count_nonzero(block.t_ns <= now), "each once"
     assert len(reader.log.drain().second) == 5
 
 

@@ -309,7 +309,10 @@ def test_a_single_emergency_is_read():
 
 @pytest.mark.parametrize(
     ("detector", "stamps", "can_id", "answer"),
-    [("vb", (1, 2), 0x181, 1), ("vb", (2, 1), 0x181, 0), ("vb", (1, 2), 0x081, 2), ("median", (), 0, 2)],
+    [
+        ("vb", (1, 2), 0x181, 1), ("vb", (2, 1), 0x181, 0), ("vb", (1, 2), 0x081, 2),
+        ("median", (), 0, 2),
+    ],
 )  # fmt: skip
 def test_a_tick_is_not_done_done_or_left_to_python(detector, stamps, can_id, answer):
     """Frames in another order; an emergency, a detector of Python's."""

@@ -134,7 +134,7 @@ def test_any_course_of_a_train(seed, n, ticks, step):
     plain = reference.start(motors)
     rotors = started(plain)
     same(rotors, plain)
-    # Diameters of which little is known, or just enough; and nearly all, of which one learns a minute.
+    # Diameters of which little is known, or just enough; and all that a minute teaches.
     plain.learnt_s[:] = rotors["learnt_s"] = np.resize(((0.0, 3.0), (59.0,))[seed], n)
     plain.far[:] = rotors["far"] = True
     met = {name: set() for name in ("far", "apart", "away", "uncertain", "odd", "above")}
@@ -164,7 +164,8 @@ LIMITS = (0.0, 0.05, 0.1, 0.12, 0.2, 0.25, 0.27, 0.3, 0.35, 0.375, 0.5, 1.0, 1.2
 @pytest.mark.parametrize(
     ("n", "tick_s", "ticks", "speeds", "lost"),
     [
-        (3, 0.01, 1400, [1.0], 0.0), (3, 0.15, 300, [1.0], 0.0), (3, 0.1, 600, [5.0, 5.0, 6.0], 0.0),
+        (3, 0.01, 1400, [1.0], 0.0), (3, 0.15, 300, [1.0], 0.0),
+        (3, 0.1, 600, [5.0, 5.0, 6.0], 0.0),
         (2, 0.1, 600, [3.0, 3.0, 3.12, 5.0, 5.2], 0.3), (1, 0.1, 600, [40.0, 44.0, 41.0], 0.0),
     ],
 )  # fmt: skip
