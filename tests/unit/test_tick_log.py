@@ -8,8 +8,9 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from _traction_core import ffi
+from _traction_core import ffi, lib
 
+from dbc.records import pointer
 from gateway.core.codes import Flag
 from gateway.core.gateway import Gateway
 from gateway.reports.record import _ADHESION, Coded, Table
@@ -71,6 +72,25 @@ def test_words_stand_for_codes_and_a_time_before_zero_is_written():
         "-1.999999999,1,Adhering,1.0000", "-1.999999999,3,AdhesionLost,2.0000",
         "0.000000002,1,Unknown,3.0000", "0.000000002,3,Adhering,4.0000",
     ]  # fmt: skip
+
+
+LINE = lib.TABLE_MAX_HEAD + lib.TABLE_MAX_FIELD
+
+
+@pytest.mark.parametrize(("t_ns", "number", "size", "rows"), [
+    (0, 1.0, LINE, 1), (0, 1.0, LINE - 1, 0), (-1, 1.0, LINE, 0), (0, 450359962737049.5, LINE, 1),
+    (0, 450359962737049.6, LINE, 0),
+])  # fmt: skip
+def test_the_core_leaves_only_what_it_cannot_write(t_ns, number, size, rows):
+    """A row that does not fit, a time before 0, and 2^52 tenths."""
+    times, numbers, nodes = np.array([t_ns]), np.array([number]), np.array([1], np.int32)
+    column = ffi.new("struct table_column *", {"value": pointer("double", numbers), "decimals": 1})
+    table = ffi.new("struct table *", (
+        pointer("int64_t", times), pointer("int32_t", nodes), column, 1, 1,
+    ))  # fmt: skip
+    text, filled = ffi.new("uint8_t[]", size), ffi.new("int64_t *")
+    assert lib.table_write(table, 0, 1, text, size, filled) == rows
+    assert (filled[0] > 0) == rows
 
 
 def noted(gateway, blocks, most):
