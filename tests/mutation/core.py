@@ -157,6 +157,7 @@ JUDGED = (
     "dbc/encode.c",
     "estimators/acquisition.c",
     "estimators/adaptation.c",
+    "estimators/current_calibration.c",
     "estimators/detect/command_response.c",
     "estimators/detect/load_reference.c",
     "estimators/detect/message_passing.c",

@@ -96,7 +96,7 @@ def test_an_open_phase_is_not_learnt():
     assert state.turns[0] == 0
 
 
-@pytest.mark.parametrize("w", [260.0, -320.0, 560.0, 880.0])
+@pytest.mark.parametrize("w", [250.0, -320.0, 560.0, 880.0, -1250.0])
 def test_a_current_on_one_line_is_told_from_one_that_turns_within_two_ticks(w):
     i, _ = currents(1.0, w, 15.0, noise=1e-2)
     state = start(1)
@@ -110,6 +110,14 @@ def test_a_current_on_one_line_is_told_from_one_that_turns_within_two_ticks(w):
     assert current_calibration.is_single_axis(state, 0, 50.0), "too slow to tell: as before"
     feed(state, i[:25], w)
     assert not current_calibration.is_single_axis(state, 0, w)
+
+
+def test_on_its_limits_a_line_is_told_from_a_circle():
+    """Three quarters of the samples with a current; half of the length, and 30 % of it."""
+    state = start(3)
+    state.seen, state.line, state.single_axis = [0.75, 1.0, 1.0], [0.6, 0.5j, -0.3], [0, 0, 1]
+    found = [current_calibration.is_single_axis(state, k, 400.0) for k in range(3)]
+    assert found == [True, False, False]
 
 
 def test_steps_and_errors_of_sensors_are_no_line():
