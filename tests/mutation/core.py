@@ -182,6 +182,7 @@ JUDGED = (
     "estimators/thermal/residuals.c",
     "estimators/thermal/step_detector.c",
     "estimators/thermal/trend.c",
+    "estimators/trigonometry.c",
     "gateway/core/adhesion.c",
     "gateway/core/busload.c",
     "gateway/core/current_plausibility.c",
