@@ -47,6 +47,7 @@ def read(lines, unit_ns):
         if not heads:
             found.append(None)
             continue
+        assert scan.plain.all()
         size = scan.rows.length.item()
         found.append((scan.rows.t_ns.item(), heads[0], scan.rows.data[0, :size].tobytes()))
     return found
@@ -95,9 +96,11 @@ def test_more_heads_than_the_table_holds():
     assert len(met) == first.plain.sum()
 
 
-def test_a_shape_without_a_head_has_no_plain_lines():
-    shape = shape_of(SECOND, 0, 0, "", -1)
-    assert not Scanner(lambda _, __: None).scan(b"1 01 02\n", 0, shape).plain.any()
+@pytest.mark.parametrize(("head_words", "line"), [(0, b"1 01 02\n"), (2, b"1 a\n")])
+def test_a_line_without_its_head_is_not_plain(head_words, line):
+    shape = shape_of(SECOND, 0, head_words, "", -1)
+    anything = Scanner(lambda _, __: Known(1, 0, 0, "", -1))
+    assert not anything.scan(line, 0, shape).plain.any()
 
 
 def test_a_line_that_does_not_end_waits_and_a_scan_has_an_end():
