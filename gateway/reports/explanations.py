@@ -149,7 +149,7 @@ _FAULTS: Final = {
         "a bearing without grease",
     ),
     FaultClass.SENSOR_BIAS: (
-        "a sensor reads too high or too low; the motor is healthy",
+        "a sensor reads too high or too low; it is not the motor",
         "replace or recalibrate the sensor that `FaultSensor` names",
         "contact resistance in the wiring of a PT100",
     ),

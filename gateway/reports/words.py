@@ -17,10 +17,10 @@ COUNTS: Final = {
     "remote": "remote frames: they ask for data and carry none",
     "error": "wrong checksum: corrupted, or sent by another node without E2E protection",
     "repeated": "the same counter as the frame before: sent twice, or the sender hangs",
-    "wrong_sequence": "the counter jumped by more than can be bridged, or two nodes send the message",
+    "wrong_sequence": "the counter jumped by more than can be bridged, or two nodes send it",
     "wrong_length": "length other than in the DBC, or the wrong kind of CAN frame",
-    "not_yet_valid": "correct, but too few correct frames before it: after a start, a silence or an "
-    "error",
+    "not_yet_valid": "correct, but too few correct frames before it: after a start, a silence or "
+    "an error",
     "not_available": "the drive sent the code for `not available`",
     "range": "a value out of range: saturated, or not a measurement",
     "time_back": "a time stamp before that of an earlier frame, or in the future",
@@ -38,7 +38,7 @@ REASONS: Final = {
     Reason.CORRUPTED: "checksums were wrong",
     Reason.SEQUENCE: "frames were missing, repeated or out of order",
     Reason.RANGE: "values were impossible or contradictory",
-    Reason.NOT_AVAILABLE: "the drive sent `not available`, or a value that this flag needs is missing",
+    Reason.NOT_AVAILABLE: "the drive sent `not available`, or does not send a value that is needed",
     Reason.DIVERGED: "the estimator no longer followed the motor, and restarts",
     Reason.TOO_FEW_DRIVES: "too few drives with a valid load to compare",
     Reason.OVERRUN: "the gateway missed its own cycle time",

@@ -7,7 +7,7 @@ from gateway.reports import explanations
 PAGE = Path(__file__).parents[2] / "docs" / "codes.md"
 HEAD = """# Reasons, health, faults
 
-The codes in `Gateway_Adhesion`, `Drive{n}_Estimate` and `Drive{n}_Thermal`: meaning, remedy, example.
+Codes in `Gateway_Adhesion`, `Drive{n}_Estimate` and `Drive{n}_Thermal`: meaning, remedy, example.
 In a terminal: `traction-gateway explain 8`, or `explain TooFewDrives`.
 """
 EXITS = """
