@@ -31,8 +31,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
         "Write a first configuration with comments. From a third-party DBC, signals are chosen\n"
-        "by name and unit; uncertain ones are only put into comments. Then `check` runs, and gives\n"
-        "the exit code. On a terminal, missing options are asked for; otherwise they are guessed."
+        "by name and unit; uncertain ones are only put into comments. Then `check` runs, and\n"
+        "gives the exit code. On a terminal, missing options are asked for; otherwise they are\n"
+        "guessed."
     )
     parser.add_argument("--drives", type=int, metavar="N", help=f"1 to {MOST_DRIVES} (default: 1)")
     parser.add_argument("--dbc", type=Path, metavar="FILE",
