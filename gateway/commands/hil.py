@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="record all frames of the (last) scenario; "
                         "--slip-bench: the folder of its page")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
-                        help="folder for report.html; tables and pictures by scenario")  # fmt: skip
+                        help="folder for report.html, and a folder for each scenario")  # fmt: skip
     hil_mutate.arguments(parser)
     hil_slip.arguments(parser)
     add_bus(parser)

@@ -67,12 +67,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--expect-known", type=known.wanted, action="append", default=[],
         metavar="[FLAG=]PERCENT",
-        help="exit 1 where a drive's adhesion flag (or FLAG=thermal) knew for less of the time",
+        help="exit 1 if a drive's flag (default FLAG: adhesion) was known for less of the time",
     )  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--strict", action="store_true",
-                        help="stop at the first line that is not candump's")  # fmt: skip
+                        help="stop at the first line that cannot be read")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
