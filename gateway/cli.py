@@ -24,7 +24,7 @@ VERBS = {
     "replay": "the gateway over a recorded log, as fast as the machine can",
     "shrink": "a small test out of a long log: the fewest frames that give the same flag",
     "monitor": "a live view of a bus or a log: drives, flags, loads, bus, events",
-    "convert": "a log into candump, ASC, BLF, TRC, or decoded signals in Parquet, MF4, CSV",
+    "convert": "a log into candump, ASC, BLF, TRC, or decoded signals in Parquet, MF4, MCAP, CSV",
     "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",
     "hil": "run scenarios against the gateway and judge their expectations",
     "vcan": "a command where SocketCAN is real, on any Linux machine, without root",
@@ -32,6 +32,7 @@ VERBS = {
     "check": "configuration against DBC, bus load and timing budget, before deployment",
     "explain": "what a Reason, Health or FaultClass means, and what to do about it",
     "dbc": "the message set as a DBC file, classic or CAN FD",
+    "examples": "configurations, tests, CI and container files to start from",
     "keygen": "keys: for signing configurations, or for authenticating flags",
     "sign": "vouch for a configuration, its DBC and its calibration",
     "verify": "whether this configuration is the one that was signed",
@@ -51,7 +52,18 @@ _SERVICES = (["run"], ["monitor"])
 """
 
 
-_BRIEF = {"replay", "check", "convert", "explain", "dbc", "calibrate", "keygen", "sign", "verify"}
+_BRIEF = {
+    "replay",
+    "check",
+    "convert",
+    "explain",
+    "dbc",
+    "examples",
+    "calibrate",
+    "keygen",
+    "sign",
+    "verify",
+}
 """Verbs that leave nothing behind that works on."""
 
 
@@ -81,7 +93,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
         sub.add_argument("--log-format", choices=("text", "json"), default="text",
                          help="format of the log on stderr")  # fmt: skip
         if verb in words:
-            from gateway.commands.examples import examples
+            from gateway.commands.help_examples import examples
 
             module = _module(verb)
             module.arguments(sub)

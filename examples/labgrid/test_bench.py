@@ -1,0 +1,19 @@
+"""Simulated inverters against the gateway that labgrid has started, in real time.
+
+    pytest examples/labgrid --lg-env examples/labgrid/env.yaml --hil-gateway external \
+        --can-interface udp_multicast --can-channel 239.74.163.2
+"""
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def gateway(target):
+    driver = target.get_driver("TractionGatewayDriver")
+    yield
+    target.deactivate(driver)
+
+
+def test_a_lost_wheel_is_reported(inverter, gateway_flags):
+    inverter.lose_adhesion(drive=2, depth=1.0, for_s=1.0)
+    gateway_flags.expect_lost(drive=2, within_ms=500)
