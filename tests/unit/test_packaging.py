@@ -112,7 +112,7 @@ def test_it_runs_from_an_empty_folder(installed, tmp_path):
     (tmp_path / "train.toml").write_text('[dbc]\nfile = "traction_fd.dbc"\n')
     assert "configuration" in called(program, "check", "train.toml", "--no-timing", cwd=tmp_path)
     called(program, "examples", "-o", "examples", cwd=tmp_path)
-    assert "configuration" in called(program, "check", "examples/inverters/nissan_leaf.toml",
+    assert "configuration" in called(program, "check", "examples/train.toml",
                                      "--no-timing", cwd=tmp_path)  # fmt: skip
     called(program, "sim", "release", "-o", "a.log", "--duration", "3", "--truth", "t.csv",
            cwd=tmp_path)  # fmt: skip
