@@ -14,6 +14,8 @@ def gateway(target):
     target.deactivate(driver)
 
 
+@pytest.mark.hil(settle=False)  # the gateway has just started
 def test_a_lost_wheel_is_reported(inverter, gateway_flags):
-    inverter.lose_adhesion(drive=2, depth=1.0, for_s=1.0)
-    gateway_flags.expect_lost(drive=2, within_ms=500)
+    gateway_flags.expect_adhering(drive=2, within_ms=20_000)
+    inverter.lose_adhesion(drive=2, depth=1.0, for_s=2.0)
+    gateway_flags.expect_lost(drive=2, within_ms=2000)

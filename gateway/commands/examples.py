@@ -16,16 +16,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write them. Raises ConfigError where something is there already, OSError."""
-    import shutil
+    from shutil import copyfile
 
+    from gateway.io.whole_file import whole
     from gateway.settings.config import ConfigError
 
     if options.output.exists():
         raise ConfigError(f"{options.output}: is there already", ["name a new folder"])
-    shutil.copytree(
-        shipped(), options.output, ignore=shutil.ignore_patterns("__pycache__"),
-        copy_function=shutil.copyfile,
-    )  # fmt: skip
+    source = shipped()
+    for path in sorted(source.rglob("*")):
+        if path.is_file() and path.parent.name != "__pycache__":
+            with whole(options.output / path.relative_to(source)) as part:
+                copyfile(path, part)
     for path in sorted(options.output.iterdir()):
         print(f"written: {shown(path)}")
     return GOOD
