@@ -1,6 +1,7 @@
 """The labgrid example: a pytest of its own, in real time. Here, where nothing else is running."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -33,5 +34,9 @@ def test_labgrid_starts_the_gateway_and_our_fixtures_see_it(tmp_path):
             env=os.environ | {"PYTHONPATH": path}, check=False, timeout=120,
         )  # fmt: skip
         if done.returncode == 0:
-            break
-    assert "1 passed" in done.stdout, done.stdout
+            assert "1 passed" in done.stdout
+            return
+        missed = re.search(r"ticks missed (\d+)", done.stdout)
+        assert missed, done.stdout
+        assert int(missed[1]), done.stdout
+    pytest.skip("this machine missed ticks in each attempt")
