@@ -119,7 +119,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         """Make the file whole. Raises OSError."""
         with self._file:
             self.flush()
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
 
     def __exit__(self, *error: object) -> None:
         """Finish, or only close the file. Raises OSError."""
