@@ -24,7 +24,7 @@ VERBS = {
     "replay": "run the gateway over a recorded log, as fast as the machine can",
     "shrink": "make a small test from a long log: the fewest frames that give the same flag",
     "monitor": "show a bus or a log live: drives, flags, loads, bus, events",
-    "convert": "convert a log to candump, ASC, BLF, TRC, or its signals to Parquet, MF4, CSV",
+    "convert": "convert a log to candump, ASC, BLF, TRC, or its signals to Parquet, MF4, MCAP, CSV",
     "sim": "simulate inverter ECUs: on a bus in real time, or into a candump log",
     "hil": "run scenarios against the gateway and check their expectations",
     "vcan": "run a command with real SocketCAN interfaces, on any Linux machine, without root",
@@ -32,6 +32,7 @@ VERBS = {
     "check": "check a configuration before deployment: DBC, bus load, timing, detection",
     "explain": "explain a Reason, Health or FaultClass, and what to do about it",
     "dbc": "write the message set as a DBC file, classic or CAN FD",
+    "examples": "write configurations, tests, CI and container files to start from",
     "keygen": "generate keys that sign configurations or authenticate flags",
     "sign": "sign a configuration, with its DBC and its calibration",
     "verify": "verify that a configuration is the one that was signed",
@@ -51,7 +52,18 @@ _SERVICES = (["run"], ["monitor"])
 """
 
 
-_BRIEF = {"replay", "check", "convert", "explain", "dbc", "calibrate", "keygen", "sign", "verify"}
+_BRIEF = {
+    "replay",
+    "check",
+    "convert",
+    "explain",
+    "dbc",
+    "examples",
+    "calibrate",
+    "keygen",
+    "sign",
+    "verify",
+}
 """Verbs that leave nothing behind that works on."""
 
 
@@ -81,7 +93,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
         sub.add_argument("--log-format", choices=("text", "json"), default="text",
                          help="format of the log on stderr")  # fmt: skip
         if verb in words:
-            from gateway.commands.examples import examples
+            from gateway.commands.help_examples import examples
 
             module = _module(verb)
             module.arguments(sub)
