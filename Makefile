@@ -9,7 +9,7 @@ CORE_C := $(wildcard dbc/*.c estimators/*.c estimators/*/*.c estimators/*/*/*.c 
 CORE_H := $(wildcard dbc/*.h estimators/*.h estimators/*/*.h estimators/*/*/*.h gateway/core/*.h sim/*.h sim/*/*.h)
 WARNINGS := -std=c11 -I. -Wall -Wextra -Wconversion -Wshadow -Werror
 
-.PHONY: demo test test-all fuzz fuzz-deep fuzz-tick soak campaign coverage sanitize mutation lint clang format docs bench calibration changelog dist lock clean
+.PHONY: demo test test-all fuzz fuzz-deep fuzz-tick soak campaign coverage sanitize mutation lint lint-c lint-python clang format docs bench calibration changelog dist lock clean
 demo: $(VENV)/.program
 	$(BIN)/traction-gateway demo $(ARGS)
 
@@ -26,6 +26,7 @@ test: $(VENV)/.ready
 PASSED := tests/test-all.passed
 test-all: $(VENV)/.ready
 	git diff --quiet HEAD || { echo "commit first: what passes is written down by commit"; exit 1; }
+	-test -d out/labgrid || $(BIN)/pip install -q --target out/labgrid labgrid==26.0.1
 	$(BIN)/pytest -n auto --dist worksteal --ignore=tests/hil $(ARGS)
 	$(BIN)/pytest tests/hil $(ARGS)
 	$(PIP) --require-hashes -r requirements-compiler.lock
@@ -104,11 +105,14 @@ mutation: $(VENV)/.ready
 docs: $(VENV)/.ready
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build $(ARGS)
 
-lint: $(VENV)/.ready
+# `make -j 2 lint` has the C and the Python of it on a processor each.
+lint: lint-c lint-python
+lint-c: $(VENV)/.ready
 	$(BIN)/clang-format --dry-run -Werror $(CORE_C) $(CORE_H)
 	! command -v gcc >/dev/null || gcc $(WARNINGS) -fsyntax-only $(CORE_C)
 	$(BIN)/clang-tidy --quiet $(CORE_C) -- $(WARNINGS)
 	$(BIN)/cppcheck --quiet --std=c11 -I. --error-exitcode=1 --enable=warning,style,performance,portability $(CORE_C)
+lint-python: $(VENV)/.ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

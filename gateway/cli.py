@@ -19,29 +19,30 @@ from typing import Any, NoReturn
 BEGAN_S = time.monotonic()
 """When this program started, for what is measured from there."""
 VERBS = {
-    "demo": "the whole system on an embedded bus: simulated drives, gateway, display, picture",
-    "run": "the gateway on a bus",
-    "replay": "the gateway over a recorded log, as fast as the machine can",
-    "shrink": "a small test out of a long log: the fewest frames that give the same flag",
-    "monitor": "a live view of a bus or a log: drives, flags, loads, bus, events",
-    "convert": "a log into candump, ASC, BLF, TRC, or decoded signals in Parquet, MF4, CSV",
-    "sim": "simulated inverter ECUs: on a bus in real time, or into a candump log",
-    "hil": "run scenarios against the gateway and judge their expectations",
-    "vcan": "a command where SocketCAN is real, on any Linux machine, without root",
-    "init": "a first configuration, from the names and units in a DBC",
-    "check": "configuration against DBC, bus load and timing budget, before deployment",
-    "explain": "what a Reason, Health or FaultClass means, and what to do about it",
-    "dbc": "the message set as a DBC file, classic or CAN FD",
-    "keygen": "keys: for signing configurations, or for authenticating flags",
-    "sign": "vouch for a configuration, its DBC and its calibration",
-    "verify": "whether this configuration is the one that was signed",
-    "calibrate": "thermal limits from fault-free logs",
-    "reproduce": "a paper's experiment: its tables and figures beside ours, and a report",
-    "warm": "nothing any more: the core is compiled before it is delivered",
-    "fleet": "many logs in many processes, or on a Dask cluster, into Parquet",
-    "fleet-thresholds": "thresholds from a healthy fleet's results",
-    "completion": "a script that completes this program's words in a shell",
-    "evaluate": "the benchmark of detectors: random runs by seed, every detector, one table",
+    "demo": "run the whole system on an embedded bus: simulated drives, gateway, display, picture",
+    "run": "run the gateway on a bus",
+    "replay": "run the gateway over a recorded log, as fast as the machine can",
+    "shrink": "make a small test from a long log: the fewest frames that give the same flag",
+    "monitor": "show a bus or a log live: drives, flags, loads, bus, events",
+    "convert": "convert a log to candump, ASC, BLF, TRC, or its signals to Parquet, MF4, MCAP, CSV",
+    "sim": "simulate inverter ECUs: on a bus in real time, or into a candump log",
+    "hil": "run scenarios against the gateway and check their expectations",
+    "vcan": "run a command with real SocketCAN interfaces, on any Linux machine, without root",
+    "init": "write a first configuration, from the names and units in a DBC",
+    "check": "check a configuration before deployment: DBC, bus load, timing, detection",
+    "explain": "explain a Reason, Health or FaultClass, and what to do about it",
+    "dbc": "write the message set as a DBC file, classic or CAN FD",
+    "examples": "write configurations, tests, CI and container files to start from",
+    "keygen": "generate keys that sign configurations or authenticate flags",
+    "sign": "sign a configuration, with its DBC and its calibration",
+    "verify": "verify that a configuration is the one that was signed",
+    "calibrate": "learn thermal limits from fault-free logs",
+    "reproduce": "repeat a paper's experiment: its tables and figures beside ours, and a report",
+    "warm": "do nothing: the core is compiled when the package is built",
+    "fleet": "replay many logs, in many processes or on a Dask cluster, into Parquet",
+    "fleet-thresholds": "derive thresholds from the results of a healthy fleet",
+    "completion": "print a script that completes verbs and options in a shell",
+    "evaluate": "run the benchmark of detectors: random runs by seed, every detector, one table",
 }
 """Verb -> one line of help; each is the module of that name (`-` is `_`) in `gateway.commands`."""
 _DRIVES = {"demo", "sim", "hil"}
@@ -51,7 +52,18 @@ _SERVICES = (["run"], ["monitor"])
 """
 
 
-_BRIEF = {"replay", "check", "convert", "explain", "dbc", "calibrate", "keygen", "sign", "verify"}
+_BRIEF = {
+    "replay",
+    "check",
+    "convert",
+    "explain",
+    "dbc",
+    "examples",
+    "calibrate",
+    "keygen",
+    "sign",
+    "verify",
+}
 """Verbs that leave nothing behind that works on."""
 
 
@@ -81,7 +93,7 @@ def _parser(words: Sequence[str], *, whole: bool = False) -> argparse.ArgumentPa
         sub.add_argument("--log-format", choices=("text", "json"), default="text",
                          help="format of the log on stderr")  # fmt: skip
         if verb in words:
-            from gateway.commands.examples import examples
+            from gateway.commands.help_examples import examples
 
             module = _module(verb)
             module.arguments(sub)

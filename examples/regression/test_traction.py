@@ -12,7 +12,7 @@ flags are good. Time passes only when a test says so.
 import pytest
 
 
-def test_a_lost_wheel_is_told_and_no_other(inverter, gateway_flags):
+def test_a_lost_wheel_is_flagged_and_no_other(inverter, gateway_flags):
     inverter.lose_adhesion(drive=2, depth=1.0, for_s=1.0)
     gateway_flags.expect_lost(drive=2, within_ms=60)
     gateway_flags.expect_never_lost(drive=1, for_ms=300)

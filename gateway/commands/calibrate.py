@@ -26,12 +26,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("log", type=Path, nargs="+", help="fault-free logs")
     add_config(parser)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml",
+                        help="the calibration to write")  # fmt: skip
     parser.add_argument("--without-model", action="store_true",
-                        help="limits by how motors differ alone, for [thermal] method = 'maisd'; "
-                        "without it logs that give no thermal model are refused")  # fmt: skip
-    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="a picture of each motor: "
-                        "measured, and by its model")  # fmt: skip
+                        help="learn only the differences between motors, for [thermal] method = "
+                        "'maisd'; else logs that give no thermal model are refused")  # fmt: skip
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="pictures of measured and "
+                        "modelled temperatures, one per motor")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if a log has several")
 
 

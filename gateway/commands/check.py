@@ -28,17 +28,17 @@ LOAD_LIMIT_PERCENT = 80.0
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        "Configuration against DBC, bus load and timing budget, before deployment. A synthetic "
-        "loss of 50 % of the load on a drive of each kind goes through the configuration: what is "
-        "found, and after how many ms. Exit 2 where the loss is not found within 1 s."
+        "Check a configuration before deployment: DBC, bus load and timing budget. Also simulate\n"
+        "a loss of 50 % of the load on one drive of each type, and print after how many ms it is\n"
+        "found. Exit 2 if it is not found within 1 s."
     )
     parser.add_argument("config", type=Path, help="the configuration to check")
     add_signature(parser)
     parser.add_argument("--eds", type=Path, action="append", default=[], metavar="FILE",
-                        help="EDS or DCF of a drive: what it sends, by bit")  # fmt: skip
+                        help="EDS or DCF of a drive: print what it sends, bit by bit")  # fmt: skip
     parser.add_argument("--log", type=Path, metavar="FILE",
-                        help="a recording: which units, signs and parameters of the motors fit its "
-                        "first minute; exit 2 where one does not")  # fmt: skip
+                        help="a recording, whose first minute is compared with units, signs and "
+                        "motor parameters; exit 2 if one does not fit")  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument(

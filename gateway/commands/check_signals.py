@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from gateway.core.motion import FEWEST_SAMPLES
 from gateway.mapping.plan import given, raw_ends
 from gateway.settings.signal_map import UNITS
 
 if TYPE_CHECKING:
     from gateway.mapping.plan import Plan
-
-TURN: Final = 8
-"""Samples in an electrical revolution that the filters follow by the currents alone."""
 
 
 def signal_lines(plan: Plan) -> list[str]:
@@ -96,6 +94,6 @@ def _limits(plan: Plan) -> Iterator[str]:
 
 def _rate(plan: Plan, *, measured: bool) -> Iterator[str]:
     cycle_s = plan.spec["PhaseCurrents"].cycle_ns / 1e9
-    rpm = 60.0 / (TURN * cycle_s * plan.motor.pole_pairs)
-    above = "by its measured speed" if measured else "perhaps not at all: no measured speed"
-    yield f"adhesion: {TURN} samples a turn up to {rpm:.0f} rpm; above that {above}"
+    rpm = 60.0 / (FEWEST_SAMPLES * cycle_s * plan.motor.pole_pairs)
+    above = "by measured speed and torque" if measured else "Unknown: no measured speed"
+    yield f"adhesion: by the currents up to {rpm:.0f} rpm; above that {above}"

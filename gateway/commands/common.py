@@ -48,11 +48,11 @@ def add_signature(parser: argparse.ArgumentParser, *, required: bool = False) ->
     """`--public-key`, `--signature`."""
     parser.add_argument(
         "--public-key", type=Path, metavar="PUBLIC.pem", required=required,
-        help="take no configuration that this ed25519 key has not signed",
+        help="refuse a configuration that is not signed with this ed25519 key",
     )  # fmt: skip
     parser.add_argument(
         "--signature", type=Path, metavar="FILE.sig",
-        help="default: beside the configuration, its name and .sig",
+        help="signature (default: the configuration's path plus .sig)",
     )  # fmt: skip
 
 
@@ -70,7 +70,7 @@ def add_line(parser: argparse.ArgumentParser) -> None:
     """`--line`."""
     parser.add_argument(
         "--line", metavar="PATTERN",
-        help="how a line of the log looks, '{ms:x} {id:x} {data}' for one; 'auto' proposes it",
+        help="pattern of a line of the log, such as '{ms:x} {id:x} {data}'; 'auto' proposes one",
     )  # fmt: skip
 
 

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 _EPILOG = """\
 OUT by its ending. Frames: .log and .log.gz (candump -L), .asc, .blf, .trc (python-can).
 Decoded signals by the DBC: .parquet and .csv (.csv.gz), a row per frame and a column per
-signal; .mf4, a channel group per message. With --frames these three hold frames instead:
-.csv as python-can's, .mf4 as bus logging. What each keeps is in docs/files.md.
+signal; .mf4, a channel group per message; .mcap, a topic per message, and all frames. With
+--frames these four hold frames alone: .csv as python-can's, .mf4 as bus logging. What each
+keeps is in docs/files.md.
 """
 
 
@@ -53,7 +54,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dbc", type=Path, metavar="FILE.dbc",
                         help="decode by this DBC, not by the configuration's")  # fmt: skip
     parser.add_argument("--frames", action="store_true",
-                        help="frames, not signals, into .parquet, .mf4, .csv")  # fmt: skip
+                        help="frames, not signals, into .parquet, .mf4, .mcap, .csv")  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="this channel only (default: all)")
     parser.add_argument("--strict", action="store_true",
@@ -130,7 +131,8 @@ def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     report_log(log.reader)
     print(f"frames: read {done.read}, written {done.sink.written}")
     left = dict(done.sink.left_out)
-    if decoder is not None:
+    reduced = getattr(done.sink, "reduced", {})
+    if decoder is not None and "signals" not in reduced:
         left |= {match.name.lower(): n for match, n in decoder.counts.items() if match}
     if done.steps:
         print(
@@ -140,7 +142,6 @@ def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     if any(left.values()):
         words = (f"{cause} {n}" for cause, n in sorted(left.items()) if n)
         print("not written: " + ", ".join(words))
-    reduced = getattr(done.sink, "reduced", {})
     if any(reduced.values()):
         words = (f"{what} {n}" for what, n in sorted(reduced.items()) if n)
         print("written without: " + ", ".join(words))

@@ -11,8 +11,8 @@ from gateway.commands.common import GOOD, shown
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.dbc",
-                        help="where it goes; what is there is not overwritten")  # fmt: skip
-    parser.add_argument("--fd", action="store_true", help="the one for CAN FD")
+                        help="new file for the DBC")  # fmt: skip
+    parser.add_argument("--fd", action="store_true", help="the message set for CAN FD")
 
 
 def run(options: argparse.Namespace) -> int:

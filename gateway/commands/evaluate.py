@@ -18,7 +18,7 @@ WORLDS = ("ours", "ours_held", "held", "motulator", "roller", "other")
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("what", nargs="?", choices=["adhesion", "thermal"], default="adhesion",
-                        help="which side (default: adhesion)")  # fmt: skip
+                        help="which detectors (default: adhesion)")  # fmt: skip
     parser.add_argument("--seeds", default="development", metavar="SET",
                         help="development (default), reporting, or A-B")  # fmt: skip
     parser.add_argument("--family", nargs="+", metavar="NAME",
@@ -31,11 +31,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor", default="bench", metavar="NAME",
                         help="bench (default) or traction_350kw; ranges scale")  # fmt: skip
     parser.add_argument("--world", choices=WORLDS, default="ours",
-                        help="whose machines: ours (default; tuned on). Adhesion: held: a speed "
-                        "held whatever it carries, with families of its own; ours_held: these on "
-                        "our machines; motulator: on those of the library; roller: bogies on "
-                        "rollers with a creep curve of another form. Thermal: other: "
-                        "trains of another structure, at one sample a second")  # fmt: skip
+                        help="simulator: ours (default; the one for tuning). For adhesion: held "
+                        "(constant speed at any load, with families of its own), ours_held (these "
+                        "families in our simulator), motulator (that library's machines), roller "
+                        "(bogies on rollers, another form of creep curve). For thermal: other "
+                        "(trains of another structure, one sample a second)")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, metavar="DIR",
                         help="folder for evaluation.md, evaluation.csv and pictures")  # fmt: skip
     parser.add_argument(

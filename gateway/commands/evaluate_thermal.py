@@ -29,8 +29,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--base", choices=["days", "bench"], default="days",
                        help="samples hours apart (default), or one a second")  # fmt: skip
     group.add_argument("--kind", nargs="+", metavar="NAME",
-                       help="kinds of faults, `none`: fault-free (default: all of these); "
-                       "`sensor_creep`: only when asked for")  # fmt: skip
+                       help="kinds of faults, `none` for fault-free (default: all except "
+                       "`sensor_creep`)")  # fmt: skip
     group.add_argument("--method", nargs="+", metavar="NAME", help="methods (default: all)")
 
 

@@ -25,7 +25,7 @@ BAD_SHOWN = 20
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("log", nargs="+", metavar="PATTERN",
-                        help="files, folders (all below), patterns: 'logs/**/*.log'")  # fmt: skip
+                        help="files, folders (recursive), patterns: 'logs/**/*.log'")  # fmt: skip
     add_config(parser)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR",
                         help="fleet.parquet, fleet.csv and estimates/, a file per log")  # fmt: skip
@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="Dask scheduler instead, tls://HOST:PORT")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
-    parser.add_argument("--force", action="store_true", help="repeat logs that are done")
+    parser.add_argument("--force", action="store_true", help="replay logs again that are done")
 
 
 def _jobs(text: str) -> int:

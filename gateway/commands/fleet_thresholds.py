@@ -12,10 +12,11 @@ from gateway.io.extras import need
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.add_argument("results", type=Path, metavar="DIR", help="what `fleet -o DIR` has left")
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml")
+    parser.add_argument("results", type=Path, metavar="DIR", help="results of `fleet -o DIR`")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml",
+                        help="the thresholds to write")  # fmt: skip
     parser.add_argument("--force", action="store_true",
-                        help="although flags were raised: they were false")  # fmt: skip
+                        help="count flags that were raised as false alarms")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:

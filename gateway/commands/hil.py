@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="record all frames of the (last) scenario; "
                         "--slip-bench: the folder of its page")  # fmt: skip
     parser.add_argument("--results", type=Path, metavar="DIR",
-                        help="folder for report.html; tables and pictures by scenario")  # fmt: skip
+                        help="folder for report.html, and a folder for each scenario")  # fmt: skip
     hil_mutate.arguments(parser)
     hil_slip.arguments(parser)
     add_bus(parser)
@@ -163,13 +163,15 @@ def _outcome(
         from gateway.hil.own_motor import save_scenario
         from sim.scenario import find
 
-        if scenario == find(name):
-            return run_on_real_bus(options, name, scenario, config, codec, left)
-        # The drives' process reads what is simulated from a file.
-        with TemporaryDirectory(prefix="hil-") as here:
-            path = Path(here) / "scenario.toml"
-            save_scenario(scenario, path)
-            return run_on_real_bus(options, str(path), scenario, config, codec, left)
+        with ExitStack() as stack:
+            if scenario != find(name):
+                # The drives' process reads what is simulated from a file.
+                here = stack.enter_context(TemporaryDirectory(prefix="hil-"))
+                name = str(Path(here) / "scenario.toml")
+                save_scenario(scenario, Path(name))
+            bar = Progress(scenario.title, scenario.duration_s, by_itself=False)
+            progress = stack.enter_context(bar).to
+            return run_on_real_bus(options, name, scenario, config, codec, left, progress=progress)
     from gateway.hil.bench import run_virtual
 
     key = None

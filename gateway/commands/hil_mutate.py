@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hil` that are about mutants."""
     parser.add_argument("--mutate", type=int, metavar="N",
-                        help="alter the gateway's flags in N ways: who would notice?")  # fmt: skip
+                        help="alter flags in N ways, and count those noticed")  # fmt: skip
     parser.add_argument("--mutate-seed", type=int, default=0, metavar="SEED",
-                        help="which N (default: 0)")  # fmt: skip
+                        help="seed of the alterations (default: 0)")  # fmt: skip
     parser.add_argument("--expect-noticed", type=float, metavar="PERCENT",
-                        help="exit 1 where less of the mutants is noticed")  # fmt: skip
+                        help="exit 1 if fewer alterations are noticed")  # fmt: skip
 
 
 def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> int:

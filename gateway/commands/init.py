@@ -30,23 +30,23 @@ _EXTENDED: Final = 1 << 31
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.description = (
-        "A first configuration with comments. With a DBC of another maker the signals are chosen "
-        "by their names and units; what is less than likely stands in a comment. Ends with "
-        "`check`, whose exit code it has. What is not given is asked for on a terminal, and "
-        "guessed elsewhere."
+        "Write a first configuration with comments. From a third-party DBC, signals are chosen\n"
+        "by name and unit; uncertain ones are only put into comments. Then `check` runs, and\n"
+        "gives the exit code. On a terminal, missing options are asked for; otherwise they are\n"
+        "guessed."
     )
-    parser.add_argument("--drives", type=int, metavar="N", help=f"1 to {MOST_DRIVES}; default 1")
+    parser.add_argument("--drives", type=int, metavar="N", help=f"1 to {MOST_DRIVES} (default: 1)")
     parser.add_argument("--dbc", type=Path, metavar="FILE",
                         help="DBC of the inverters (default: our own message set)")  # fmt: skip
     parser.add_argument("--log", type=Path, metavar="FILE",
-                        help="a recording of that bus: cycle times and identifiers")  # fmt: skip
+                        help="recording of that bus, for cycle times and identifiers")  # fmt: skip
     add_line(parser)
     parser.add_argument("--id-offset", type=_whole_number, metavar="N", default=0,
-                        help="added to the identifiers of the DBC for the first drive")  # fmt: skip
+                        help="offset of the first drive's identifiers from the DBC's")  # fmt: skip
     parser.add_argument("--id-step", type=_whole_number, metavar="N",
-                        help="added to the identifiers again for each further drive")  # fmt: skip
+                        help="offset from one drive's identifiers to the next's")  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, default=Path("train.toml"), metavar="FILE",
-                        help="default: train.toml; what is there is not overwritten")  # fmt: skip
+                        help="new file for the configuration (default: train.toml)")  # fmt: skip
 
 
 def _whole_number(text: str) -> int:

@@ -12,7 +12,7 @@ from gateway.commands.common import GOOD
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE",
-                        help="the private key; nothing that exists is overwritten")  # fmt: skip
+                        help="the private key; an existing file is not overwritten")  # fmt: skip
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--flags", action="store_true",
@@ -20,7 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     kind.add_argument(
         "--token", action="store_true",
-        help="a token for 'monitor --token-file': who shows it may look",
+        help="a token for 'monitor --token-file', with which viewers log in",
     )  # fmt: skip
 
 

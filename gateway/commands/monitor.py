@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="speed of a log, as a multiple of real time")  # fmt: skip
     parser.add_argument(
         "--shadow", action="store_true",
-        help="where no gateway is heard: show what one would say, marked as such",
+        help="if no gateway is on the bus, show the flags it would send, marked as such",
     )  # fmt: skip
     monitor_web.arguments(parser)
     add_bus(parser)

@@ -31,7 +31,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--token-file", metavar="FILE",
-        help="who shows this token may look; a must for addresses that others can reach",
+        help="viewers log in with this token; required for addresses that others can reach",
     )  # fmt: skip
 
 

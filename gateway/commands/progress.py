@@ -26,9 +26,15 @@ SPEED_OVER_S: Final = 3600.0
 class Progress(AbstractContextManager["Progress"]):
     """A bar on stderr if a person is watching, else nothing. Context manager."""
 
-    def __init__(self, what: str, total: float | None = None, done: float = 0.0) -> None:
-        """what: plain text beside the bar; total: of any unit, None where it is not known."""
+    def __init__(
+        self, what: str, total: float | None = None, done: float = 0.0, *, by_itself: bool = True
+    ) -> None:
+        """what: plain text beside the bar; total: of any unit, None where it is not known.
+
+        by_itself: drawn by a thread; else only in `to`, for a loop in real time.
+        """
         self._bar: Any = None
+        self._by_itself = by_itself
         self._shown = what, total, done
 
     def __enter__(self) -> Progress:
@@ -48,6 +54,7 @@ class Progress(AbstractContextManager["Progress"]):
                 TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(),
                 TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
                 console=console(), transient=True, speed_estimate_period=SPEED_OVER_S,
+                auto_refresh=self._by_itself,
             )  # fmt: skip
             self._bar.start()
             self._task = self._bar.add_task(what, total=total, completed=done)
@@ -62,7 +69,9 @@ class Progress(AbstractContextManager["Progress"]):
     def to(self, done: float, what: str | None = None) -> None:
         """So much is done; what: what comes next."""
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, description=what)
+            self._bar.update(
+                self._task, completed=done, description=what, refresh=not self._by_itself
+            )
 
     def advance(self, by: float = 1.0, what: str | None = None) -> None:
         """So much more is done."""

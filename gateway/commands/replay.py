@@ -21,6 +21,7 @@ from gateway.commands.common import (
     verdict_of_input,
 )
 from gateway.commands.progress import Progress, stepped, track_file
+from gateway.io import extras
 from gateway.io import quick_start as leanstart
 from gateway.io.console import console, note
 from gateway.io.prepare import prepare
@@ -28,7 +29,7 @@ from gateway.reports import known
 from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from dbc.candump.reader import LogReader
     from dbc.codec import Codec
@@ -56,6 +57,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for report.html, flags.csv, estimates.csv and pictures",
     )  # fmt: skip
     parser.add_argument(
+        "--mcap", action="store_true",
+        help="replay.mcap and foxglove.json among the --results, for Foxglove and PlotJuggler",
+    )  # fmt: skip
+    parser.add_argument(
         "--truth", type=Path, metavar="CSV",
         help="ground truth as `sim --truth` writes it, for the report",
     )  # fmt: skip
@@ -67,12 +72,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--expect-known", type=known.wanted, action="append", default=[],
         metavar="[FLAG=]PERCENT",
-        help="exit 1 where a drive's adhesion flag (or FLAG=thermal) knew for less of the time",
+        help="exit 1 if a drive's flag (default FLAG: adhesion) was known for less of the time",
     )  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
     parser.add_argument("--strict", action="store_true",
-                        help="stop at the first line that is not candump's")  # fmt: skip
+                        help="stop at the first line that cannot be read")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
@@ -124,6 +129,8 @@ def run(options: argparse.Namespace) -> int:
     began = time.perf_counter()
     with ExitStack() as stack:
         if left is not None:
+            if options.mcap:
+                sink = sink._replace(read=_messages(stack, left, config, codec))
             stack.enter_context(left)
         if options.output:
             writer = stack.enter_context(Writer(stack.enter_context(whole(options.output))))
@@ -168,9 +175,12 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
 def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Reporting | None:
     """What keeps the run for a report, if one is wanted."""
     if options.results is None:
-        if options.truth is not None:
-            raise ConfigError("--truth", ["is for the report; say where to with --results"])
+        for option in ("truth", "mcap"):
+            if getattr(options, option):
+                raise ConfigError(f"--{option}", ["is for the report; say where to with --results"])
         return None
+    if options.mcap:
+        extras.need(("mcap",), "mcap", "--mcap")
     from gateway.reports.reporting import Reporting
     from gateway.reports.ticks import MOST_OF_LOG
     from gateway.reports.truth import check
@@ -178,6 +188,23 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
     if options.truth is not None:
         check(options.truth)
     return Reporting(options.results, config, codec, MOST_OF_LOG)
+
+
+def _messages(
+    stack: ExitStack, left: Reporting, config: Config, codec: Codec
+) -> Callable[[Block], None]:
+    """What writes the frames read into an MCAP; the ticks of `left` go there, too."""
+    from gateway.io.whole_file import whole, write_text
+    from gateway.logfiles.convert import comments_of
+    from gateway.logfiles.mcap import McapFile
+    from gateway.logfiles.signals import Decoder
+    from gateway.reports.topics import Topics, layout
+
+    path = stack.enter_context(whole(left.folder / "replay.mcap"))
+    file = stack.enter_context(McapFile(path, Decoder(codec), comments_of(codec)))
+    left.uses.append(Topics(config.nodes, file).add)
+    write_text(left.folder / "foxglove.json", layout(config.nodes))
+    return file.add_frames
 
 
 def _report(

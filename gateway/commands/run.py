@@ -46,10 +46,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quiet", action="store_true", help="no live table")
     parser.add_argument(
         "--realtime", type=int, metavar="PRIORITY",
-        help="SCHED_FIFO with this priority (1 to 99) and locked memory; needs the right to it",
+        help="SCHED_FIFO with this priority (1 to 99) and locked memory; needs permission",
     )  # fmt: skip
     parser.add_argument("--kernels", type=Path, metavar="DIR",
-                        help="without effect since nothing is compiled at run time")  # fmt: skip
+                        help="no effect, because nothing is compiled at run time")  # fmt: skip
     add_bus(parser)
 
 

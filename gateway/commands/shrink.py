@@ -33,7 +33,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder for the three files")  # fmt: skip
     add_config(parser)
     parser.add_argument("--before", type=positive_seconds, default=0.05, metavar="SECONDS",
-                        help="begin so long before the evidence (default: 0.05)")  # fmt: skip
+                        help="start this long before the evidence (default: 0.05)")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
 
 

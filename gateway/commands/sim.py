@@ -42,12 +42,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dbc", default="traction.dbc", metavar="FILE",
                         help="message set: traction.dbc, traction_fd.dbc or a file")  # fmt: skip
     parser.add_argument("--wait-for-start", action="store_true",
-                        help="stay pre-operational until an NMT master starts us")  # fmt: skip
+                        help="stay pre-operational until an NMT master starts them")  # fmt: skip
     parser.add_argument("--auth-key", type=Path, metavar="FILE",
                         help="obey only flags authenticated with this key")  # fmt: skip
     parser.add_argument(
         "--auth-after", type=int, default=0, metavar="FRESHNESS",
-        help="of the last flag heard in an earlier run: nothing up to it is believed",
+        help="of the last flag of an earlier run: flags up to this value are rejected",
     )  # fmt: skip
     add_bus(parser)
 

@@ -22,7 +22,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--interfaces", metavar="NAME[,NAME]", default="vcan0",
                         help="vcan interfaces, up, with CAN FD (default: vcan0)")  # fmt: skip
     parser.add_argument("--pair", metavar="NAME,NAME", action="append", default=[],
-                        help="two vxcan interfaces: into one is out of the other")  # fmt: skip
+                        help="two vxcan interfaces, connected to each other")  # fmt: skip
     parser.add_argument(
         "--slcan", metavar="NAME", action="append", default=[],
         help="link of a serial adapter, with error states: `echo bus-off >$VCAN_FIFOS/NAME`",

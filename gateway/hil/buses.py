@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from argparse import Namespace
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from dbc.codec import Codec
@@ -55,12 +56,15 @@ def run_on_real_bus(
     config: Config,
     codec: Codec,
     left: Reporting | None = None,
+    *,
+    progress: Callable[[float], None],
 ) -> Outcome:
     """Run in real time, until the drives have left. Raises `Ended` where a signal came first.
 
     Scenario time starts with the first frame heard from a drive; what is said after its end, when
     the drives are leaving, is not judged. left: what keeps the run for a report, and the truth
-    that the drives' process writes into its folder, on their clock.
+    that the drives' process writes into its folder, on their clock. progress: called once a second,
+    with the scenario's time in s.
     """
     ticker = Ticker(config.loop.period_ns)
     authenticator = flag_authenticator(config)
@@ -77,10 +81,12 @@ def run_on_real_bus(
          *([] if left is None else ["--truth", str(left.folder / TRUTH)])],
     )  # fmt: skip
     first: list[Nanos] = []
+    shown_s = 0
     duration = round(scenario.duration_s * SECOND)
     overload = Overload(scenario, config.loop.period_ns)
 
     def watch(seen: LiveSnapshot) -> None:
+        nonlocal shown_s
         if not first and seen.status.received:
             first.append(seen.now_ns)
         if not first or seen.now_ns - first[0] <= duration:
@@ -89,6 +95,9 @@ def run_on_real_bus(
                 overload.look(gateway, seen)
             if left is not None and first and gateway.view is not None:
                 left.add()
+        if first and seen.now_ns - first[0] >= shown_s * SECOND:
+            progress(shown_s)
+            shown_s += 1
         if child.poll() is not None:
             stop()
 

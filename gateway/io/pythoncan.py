@@ -44,6 +44,13 @@ def complete(chosen: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in dict(found).items() if value is not None}
 
 
+_UNUSABLE = (
+    can.CanInterfaceNotImplementedError, AttributeError, ImportError, NameError, TypeError,
+    ValueError,
+)  # fmt: skip
+"""What python-can raises where an option is wrong, or the maker's library is not there."""
+
+
 class PythonCan:
     """Transport over a `can.Bus` made from python-can's own options."""
 
@@ -66,11 +73,11 @@ class PythonCan:
         self._empty_ns: Nanos = 0
 
     def open(self) -> None:
-        """See Transport. ConfigError for an interface or option that python-can does not know."""
+        """See Transport. ConfigError for an interface or option that python-can cannot use."""
         try:
             self._connect(self._monotonic_ns())
-        except (can.CanInterfaceNotImplementedError, TypeError, ValueError) as error:
-            raise ConfigError("bus", [str(error)]) from None
+        except _UNUSABLE as error:
+            raise ConfigError(f"interface {self._options.get('interface')}", [str(error)]) from None
 
     def close(self) -> None:
         """See Transport."""
@@ -134,7 +141,7 @@ class PythonCan:
     def _reconnect(self, now: Nanos) -> None:
         try:
             self._connect(now)
-        except (can.CanInterfaceNotImplementedError, TypeError, ValueError) as error:
+        except _UNUSABLE as error:
             self.status.note = f"{self.channel}: {error}"
 
     def _drain(self) -> list[Frame]:

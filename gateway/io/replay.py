@@ -58,12 +58,14 @@ class Briefly(NamedTuple):
     """In place of a `Sink`, for who can do without a view of ticks that change nothing.
 
     write: what goes out, of one tick or of many; changed: the gateway, after a tick in which a
-    drive's flag changed; samples: who looks at some of the others, too.
+    drive's flag changed; samples: who looks at some of the others, too; read: what comes in, with
+    the times of the ticks.
     """
 
     write: Callable[[Block], None]
     changed: Callable[[Gateway], None]
     samples: Samples | None = None
+    read: Callable[[Block], None] | None = None
 
 
 class Replayed(NamedTuple):
@@ -203,6 +205,8 @@ def replay(
 
     held = EMPTY
     for new, without in clock.steady(chain([block], stream)):
+        if isinstance(sink, Briefly) and sink.read is not None:
+            sink.read(new)
         dropped = without + held.size
         block = join(held, new)
         even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())

@@ -23,13 +23,17 @@ if TYPE_CHECKING:
 
 FRAMES: Final = (".log", ".log.gz", ".asc", ".blf", ".trc")
 """Endings that hold frames and nothing else."""
-SIGNALS: Final = (".parquet", ".mf4", ".csv", ".csv.gz")
+SIGNALS: Final = (".parquet", ".mf4", ".mcap", ".csv", ".csv.gz")
 """Endings that hold decoded signals, or frames where asked for."""
-ASCENDING: Final = (".asc", ".blf", ".trc", ".mf4")
+ASCENDING: Final = (".asc", ".blf", ".trc", ".mf4", ".mcap")
 """Endings of formats in which time only goes forward."""
 TIME_FAULTS: Final = ("time_back", "before_the_first", "before_1970")
 """Causes for which a frame is not written that are the log's."""
-_EXTRA: Final = {".parquet": ("pyarrow", "parquet"), ".mf4": ("asammdf", "mf4")}
+_EXTRA: Final = {
+    ".parquet": ("pyarrow", "parquet"),
+    ".mf4": ("asammdf", "mf4"),
+    ".mcap": ("mcap", "mcap"),
+}
 
 
 class Done(NamedTuple):
@@ -104,6 +108,10 @@ def frame_sink(path: Path, kind: str) -> Sink:
         from gateway.logfiles.mf4 import Mf4Frames
 
         return Mf4Frames(path)
+    if kind == ".mcap":
+        from gateway.logfiles.mcap import McapFile
+
+        return McapFile(path)
     if kind == ".blf":
         from gateway.logfiles.blf import BlfFile
 
@@ -120,6 +128,10 @@ def signal_sink(path: Path, kind: str, decoder: Decoder, blocks: Iterable[Block]
         from gateway.logfiles.mf4 import Mf4Signals
 
         return Mf4Signals(path, decoder, comments_of(decoder.codec))
+    if kind == ".mcap":
+        from gateway.logfiles.mcap import McapFile
+
+        return McapFile(path, decoder, comments_of(decoder.codec))
     from gateway.logfiles.signal_files import CsvSignals, ParquetSignals
     from gateway.logfiles.signals import seen
 

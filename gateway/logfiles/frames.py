@@ -73,7 +73,7 @@ class Candump:
         self._writer.close()
 
 
-_FLAGS: Final = {
+FLAGS: Final = {
     "extended": EXTENDED, "remote": REMOTE, "error": ERROR, "fd": FD, "brs": BRS, "esi": ESI,
     "tx": TX,
 }  # fmt: skip
@@ -128,7 +128,7 @@ class ParquetFrames(ParquetRows):
             ("time", pa.timestamp("ns", "UTC")),
             ("channel", pa.string()),
             ("id", pa.uint32()),
-            *((name, pa.bool_()) for name in _FLAGS),
+            *((name, pa.bool_()) for name in FLAGS),
             ("dlc", pa.int8()),
             ("data", pa.binary()),
         ]
@@ -144,7 +144,7 @@ class ParquetFrames(ParquetRows):
             pa.array(block.t_ns, pa.timestamp("ns", "UTC")),
             pa.array(names[block.channel], pa.string()),
             pa.array(block.can_id, pa.uint32()),
-            *(pa.array(block.flags & flag != 0) for flag in _FLAGS.values()),
+            *(pa.array(block.flags & flag != 0) for flag in FLAGS.values()),
             pa.array(block.dlc, pa.int8(), mask=block.dlc < 0),
             pa.array(rows, pa.binary()),
         ]
@@ -170,7 +170,7 @@ def read_parquet(path: Path) -> Iterator[Frame]:
 
     try:
         with pq.ParquetFile(path) as file:
-            missing = {"time", "channel", "id", "dlc", "data", *_FLAGS} - _ADDED
+            missing = {"time", "channel", "id", "dlc", "data", *FLAGS} - _ADDED
             missing -= set(file.schema_arrow.names)
             if missing:
                 what = "holds no frames (write them with `convert --frames`); no column "
@@ -186,7 +186,7 @@ def _frames(batch: Any) -> Iterator[Frame]:
     import pyarrow as pa
 
     flags = np.zeros(batch.num_rows, dtype=np.int64)
-    for name, flag in _FLAGS.items():
+    for name, flag in FLAGS.items():
         if name in _ADDED and name not in batch.schema.names:
             continue
         flags |= np.where(batch[name].to_numpy(zero_copy_only=False), flag, 0)

@@ -143,7 +143,7 @@ class CsvSignals:
             first = self._first.get(number, 0)  # of a message without signals there is none
             for place, value in enumerate(values[: len(message.signals)], first):
                 if value == value:  # noqa: PLR0124 - not NaN
-                    row[place] = _number(value)
+                    row[place] = decimal(value)
             if has_marks[k]:
                 row[-1] = done.marks(k, message)
             for (index, place), whole in done.exact.items():
@@ -157,7 +157,7 @@ class CsvSignals:
         self._file.close()
 
 
-def _number(value: float) -> str:
+def decimal(value: float) -> str:
     """15 digits, as many as any decimal keeps; more where they are those of a whole number."""
     if 1e15 <= abs(value) < _LARGEST and value.is_integer():
         return f"{value:.0f}"

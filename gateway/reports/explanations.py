@@ -34,13 +34,13 @@ class Explained(NamedTuple):
 
 _REASONS: Final = {
     Reason.NONE: (
-        "nothing is unknown: every flag says what it knows",
+        "no flag is `Unknown`",
         "nothing",
-        "all drives are driven, and their messages come",
+        "all drives run, and all their messages arrive",
     ),
     Reason.STARTING: (
         REASONS[Reason.STARTING],
-        "wait; after a second of driving look at `Health`, and at the motor's parameters",
+        "wait; if it lasts after a second of driving, look at `Health` and the motor's parameters",
         "the first 0.2 s after the start; a train at standstill",
     ),
     Reason.STALE: (
@@ -50,7 +50,7 @@ _REASONS: Final = {
     ),
     Reason.CORRUPTED: (
         REASONS[Reason.CORRUPTED],
-        "termination, shield, bit rate; where the drive protects nothing, map it without E2E",
+        "check termination, shield and bit rate; map a drive that sends no checksum without E2E",
         "a bus with one terminator; a drive that computes another CRC",
     ),
     Reason.SEQUENCE: (
@@ -70,23 +70,23 @@ _REASONS: Final = {
     ),
     Reason.DIVERGED: (
         REASONS[Reason.DIVERGED],
-        "if it comes back: the motor's parameters (flux and inductance first), and late samples",
-        "a flux of the motor's sheet that is half of the true one",
+        "if it recurs, check flux and inductance, then the other parameters; look for late samples",
+        "the configured flux is half of the true one",
     ),
     Reason.TOO_FEW_DRIVES: (
         REASONS[Reason.TOO_FEW_DRIVES],
         "drive with more than a tenth of rated torque; let the drives send `TorqueCommand`",
-        "the train slows down without load; of two drives one is silent",
+        "the train coasts and slows down; one of two drives is silent",
     ),
     Reason.OVERRUN: (
         REASONS[Reason.OVERRUN],
-        "`run --realtime`, a processor of its own, `check` for the timing budget",
-        "another program computes on the gateway's processor",
+        "use `run --realtime` and a processor of its own; `check` prints the timing budget",
+        "another program loads the gateway's processor",
     ),
     Reason.INTRUDER: (
         REASONS[Reason.INTRUDER],
-        "find who sends: a second gateway, a tester that replays a log; `docs/threats.md`",
-        "a log with the gateway's own frames is sent onto the bus",
+        "find the node: a second gateway, a tester that replays a log; see `docs/threats.md`",
+        "a log that contains the gateway's frames is played onto the bus",
     ),
     Reason.CONFIG: (
         REASONS[Reason.CONFIG],
@@ -96,13 +96,13 @@ _REASONS: Final = {
 }
 _HEALTH: Final = {
     Health.UNKNOWN: (
-        "nothing is estimated of this drive",
+        "no estimate for this drive",
         "see the reason of its flag",
-        "no currents have come yet",
+        "no currents have been received yet",
     ),
     Health.CONVERGING: (
-        "the estimator has begun and is not settled",
-        "wait; drive: at standstill nothing shows the rotor's angle",
+        "the estimator has started and has not settled",
+        "wait, and drive: at standstill the rotor's angle is not observable",
         "the first tenth of a second after a start",
     ),
     Health.TRACKING: (
@@ -111,26 +111,26 @@ _HEALTH: Final = {
         "driving",
     ),
     Health.PREDICTING: (
-        "no fresh sample: the last estimate is continued, for a short while",
+        "no fresh sample: the last estimate is extrapolated for a short time",
         "look for lost frames",
         "20 ms without currents",
     ),
     Health.DIVERGED: (
-        "estimate and measurement contradict one another: it starts anew",
-        "the motor's parameters; late or swapped samples",
-        "a resistance ten times that of the sheet",
+        "estimate and measurement contradict each other: the estimator restarts",
+        "check the motor's parameters; look for late or swapped samples",
+        "the configured resistance is a tenth of the true one",
     ),
     Health.INPUT_INVALID: (
         "the inputs cannot be used: corrupt, out of range, or implausible",
         "see the reason of its flag, and `RejectedFrames`",
-        "held phase currents of a hung converter",
+        "an inverter that hangs and repeats its last phase currents",
     ),
 }
 _FAULTS: Final = {
     FaultClass.UNKNOWN: (
-        "not known; beside a raised flag: it is heat or a sensor, and nobody can tell which",
+        "not known; if a flag is raised: heat or a sensor, undecided which",
         "`calibrate`; look at the motor and at its sensors",
-        "no calibration; too few temperatures for a verdict",
+        "no calibration; too few temperatures",
     ),
     FaultClass.NONE: ("no fault", "nothing", "temperatures as the model expects them"),
     FaultClass.OVERHEATING: (
@@ -140,33 +140,33 @@ _FAULTS: Final = {
     ),
     FaultClass.COOLING_LOSS: (
         "heat does not leave the motor as it should",
-        "fan, filter, air duct",
+        "check fan, filter and air duct",
         "a filter full of leaves",
     ),
     FaultClass.BEARING: (
-        "one end is warmed by friction",
-        "grease, bearing, alignment; `FaultSensor` names the end",
+        "friction heats one end of the motor",
+        "check grease, bearing and alignment at the warmer end",
         "a bearing without grease",
     ),
     FaultClass.SENSOR_BIAS: (
-        "a sensor reads too much or too little; the motor is not concerned",
+        "a sensor reads too high or too low; it is not the motor",
         "replace or recalibrate the sensor that `FaultSensor` names",
-        "a contact resistance in the wire of a PT100",
+        "contact resistance in the wiring of a PT100",
     ),
     FaultClass.SENSOR_STUCK: (
-        "a sensor says the same while the others change",
-        "the sensor, or what converts it",
+        "a sensor's value does not change while the others change",
+        "check the sensor and its converter",
         "a converter that repeats its last value",
     ),
     FaultClass.SENSOR_LOST: (
         "a sensor has no value",
-        "its wire and connector",
+        "check its wiring and connector",
         "an open PT100",
     ),
     FaultClass.WINDING_RESISTANCE: (
         "the winding's resistance does not fit its temperature",
-        "joints and terminals of the phases",
-        "a loose cable shoe",
+        "check joints and terminals of the phases",
+        "a loose cable lug",
     ),
 }
 _KINDS: Final[tuple[tuple[str, Mapping[Any, tuple[str, str, str]]], ...]] = (

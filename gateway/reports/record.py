@@ -61,7 +61,7 @@ def in_words(column: Coded | Column) -> Column:
     return column.words[column.code] if isinstance(column, Coded) else column
 
 
-def _by_code(words: Mapping[Any, str]) -> Column:
+def by_code(words: Mapping[Any, str]) -> Column:
     """(256,): the word of each code."""
     made = np.full(256, "", dtype=object)
     for code, word in words.items():
@@ -69,9 +69,9 @@ def _by_code(words: Mapping[Any, str]) -> Column:
     return made
 
 
-_ADHESION, _FAULT = _by_code(ADHESION), _by_code(FAULT)
+_ADHESION, _FAULT = by_code(ADHESION), by_code(FAULT)
 _REASONS, _HEALTH, _CLASSES = (
-    _by_code({one: camel(one.name) for one in kind}) for kind in (Reason, Health, FaultClass)
+    by_code({one: camel(one.name) for one in kind}) for kind in (Reason, Health, FaultClass)
 )
 
 

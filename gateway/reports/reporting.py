@@ -24,7 +24,7 @@ from gateway.reports.page import literal
 from gateway.reports.provenance import as_toml, program, sha256
 from gateway.reports.record import Recorder
 from gateway.reports.run_report import Run, Timed
-from gateway.reports.ticks import MOST, TickLog
+from gateway.reports.ticks import MOST, TickLog, Use
 from gateway.reports.timing import tables
 from gateway.reports.trace import Trace
 from gateway.reports.truth import Truth, rows
@@ -59,7 +59,9 @@ class Reporting(AbstractContextManager["Reporting"]):
         self.recorder = Recorder(folder, config.nodes)
         self.trace = Trace(config.nodes)
         self.intervals = Intervals(config.nodes)
-        self._ticks = TickLog((self.recorder.add, self.trace.add, self.intervals.add), together)
+        self.uses: list[Use] = [self.recorder.add, self.trace.add, self.intervals.add]
+        """Who gets the ticks."""
+        self._ticks = TickLog(self.uses, together)
         self._config = config
         self._codec = codec
         self._gateway: Gateway | None = None

@@ -7,7 +7,7 @@ from gateway.reports import explanations
 PAGE = Path(__file__).parents[2] / "docs" / "codes.md"
 HEAD = """# Reasons, health, faults
 
-What stands in `Gateway_Adhesion`, `Drive{n}_Estimate` and `Drive{n}_Thermal`, why, and what to do.
+Codes in `Gateway_Adhesion`, `Drive{n}_Estimate` and `Drive{n}_Thermal`: meaning, remedy, example.
 In a terminal: `traction-gateway explain 8`, or `explain TooFewDrives`.
 """
 EXITS = """
@@ -15,7 +15,7 @@ EXITS = """
 
 | code | meaning |
 |---|---|
-| 0 | good; also how `run` and `monitor` end on a signal, which is how they are stopped |
+| 0 | success; also of `run` and `monitor` when a signal stops them |
 | 1 | an expectation failed, or more than 1 % of a log was dropped |
 | 2 | bad input |
 | 3 | inconclusive: `hil` on a bus that this machine could not keep up with |

@@ -27,12 +27,12 @@ PARTS: Final = {
     "raw DLC 9 to 15": [
         Frame(0, 0x187, b"\6" * 8, 0, "", 15), Frame(0, 0x188, b"\7" * 8, 0, "", 9),
     ],
-    "sent": [
+    "Tx": [
         Frame(0, 0x189, b"\1", TX), Frame(0, 0x18FEF100, b"\2", EXTENDED | TX),
         Frame(0, 0x18A, b"\3", 0), Frame(0, 0x18B, b"", REMOTE | TX, "", 2),
     ],
-    "sent, FD": [Frame(0, 0x18C, b"\4" * 12, FD | TX), Frame(0, 0x18D, b"\5" * 12, FD)],
-    "sent, error": [Frame(0, 0, b"", ERROR | TX), Frame(0, 0, b"", ERROR)],
+    "Tx, FD": [Frame(0, 0x18C, b"\4" * 12, FD | TX), Frame(0, 0x18D, b"\5" * 12, FD)],
+    "Tx, error": [Frame(0, 0, b"", ERROR | TX), Frame(0, 0, b"", ERROR)],
 }  # fmt: skip
 
 
@@ -64,7 +64,7 @@ def kept(kind, part):
     counted.pop("channel", None)
     assert counted, f"{kind}: {part}: something is lost without a count: {found}"
     lost = ", ".join(f"`{what}`" for what in sorted(counted))
-    return f"no, counted: {lost}" if not found else f"but for {lost}, counted"
+    return f"no: {lost}" if not found else f"without {lost}"
 
 
 def times(kind):
@@ -76,9 +76,9 @@ def times(kind):
     ]
     first = abs(found[0].t_ns - T0)
     assert all(b.t_ns >= a.t_ns for a, b in pairwise(found))
-    exact = "exact, ns" if not max(steps) else f"{max(steps)} ns"
+    exact = "exact" if not max(steps) else f"to {max(steps)} ns"
     if found[0].t_ns == 0:
-        return f"{exact}, the first is 0"
+        return f"{exact}, starts at 0"
     return exact if first <= max(steps) else f"{exact}, the first {first} ns"
 
 
@@ -92,7 +92,7 @@ def channels(kind):
     if names == ["1", "2"]:
         return "number"
     assert counted["channel"] == len(frames)
-    return "none, counted: `channel`"
+    return "none: `channel`"
 
 
 def table():

@@ -19,7 +19,7 @@ from tests.strategies import frames, log_lines
 
 
 @given(frames())
-@settings(max_examples=examples(500))
+@settings(max_examples=examples(200))
 def test_parse_of_format_is_the_frame(frame):
     line = format_frame(frame)
     verdict, back = parse_line(line)
@@ -29,7 +29,7 @@ def test_parse_of_format_is_the_frame(frame):
 
 
 @given(log_lines() | st.binary(max_size=80))
-@settings(max_examples=examples(1000))
+@settings(max_examples=examples(300))
 def test_any_bytes_get_a_verdict(line):
     verdict, frame = parse_line(line)
     assert (frame is not None) == (verdict <= Verdict.ERROR_FRAME)
@@ -38,7 +38,7 @@ def test_any_bytes_get_a_verdict(line):
 
 
 @given(st.lists(frames().map(format_frame) | log_lines(), max_size=20), st.booleans())
-@settings(max_examples=examples(300))
+@settings(max_examples=examples(150))
 def test_counts_add_up_to_the_lines(lines, terminated):
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
     reader = Reader(io.BytesIO(data))
@@ -80,7 +80,7 @@ NO_FRAMES = st.sampled_from([
     st.integers(1, 200),
     st.sampled_from([0, 1, 3, 100]),
 )
-@settings(max_examples=examples(1000))
+@settings(max_examples=examples(300))
 def test_reading_equals_the_reference(lines, terminated, strict, chunk, problems):
     """Frames, verdicts, counts and the fault in strict mode are those of reading line by line."""
     data = b"\n".join(lines) + (b"\n" if terminated else b"")
@@ -115,7 +115,7 @@ def test_strict_stops_at_the_first_fault(lines):
 
 
 @given(frames(), st.data())
-@settings(max_examples=examples(300))
+@settings(max_examples=examples(150))
 def test_a_cut_last_line_is_never_another_frame(frame, data):
     line = format_frame(frame)
     size = data.draw(st.integers(0, len(line) - 1))
@@ -136,7 +136,7 @@ ODD_FRAMES = st.builds(
 
 
 @given(st.lists(frames(), max_size=20), st.sampled_from(["", "vcan1"]), st.integers(1, 5))
-@settings(max_examples=examples(300))
+@settings(max_examples=examples(150))
 def test_a_block_is_written_as_its_frames_are(many, channel, room):
     """Whatever room there is for lines at once."""
     one, other = io.BytesIO(), io.BytesIO()
@@ -151,7 +151,7 @@ def test_a_block_is_written_as_its_frames_are(many, channel, room):
 
 
 @given(frames() | ODD_FRAMES, st.sampled_from(["can0", "vcan1", "a b"]))
-@settings(max_examples=examples(1000))
+@settings(max_examples=examples(300))
 @example(Frame(-(1 << 63) - 1, 1), "can0")
 @example(Frame(0, 1 << 64), "can0")
 @example(Frame(0, 1, b"", REMOTE, "", 1 << 31), "can0")
@@ -164,7 +164,7 @@ def test_a_written_line_equals_the_reference(frame, channel):
 
 
 @given(frames(), ODD_FRAMES)
-@settings(max_examples=examples(500))
+@settings(max_examples=examples(200))
 @example(Frame(0, 1), Frame(0, 1, bytes(8), BRS))
 @example(Frame(0, 1), Frame(0, 0x800))
 @example(Frame(0, 1), Frame(0, 1, bytes(65), FD))

@@ -160,7 +160,9 @@ def copied(told):
 
 
 @pytest.mark.parametrize("detector", ["vb", "switching"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (2, 3))]
+)
 def test_a_train_that_drives(seed, detector):
     motors = [BENCH_MOTOR] * N
     rng, both, met = np.random.default_rng(seed), Both(motors, detector=detector), set()

@@ -96,7 +96,7 @@ def test_every_code_of_the_message_set_is_explained(capsys):
 @pytest.mark.parametrize("word", ["8", "TooFewDrives", "toofewdrives", "TOO_FEW_DRIVES"])
 def test_by_number_or_name(capsys, word):
     out = said(capsys, "explain", word).out
-    assert out.startswith("Reason 8 TooFewDrives: too few drives are known")
+    assert out.startswith("Reason 8 TooFewDrives: too few drives")
     assert "\n  do       " in out
     assert ("FaultClass 8" in out) == (word == "8")
 

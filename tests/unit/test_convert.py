@@ -3,6 +3,7 @@
 import csv
 import gc
 import gzip
+import json
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -234,6 +235,21 @@ def test_signals_in_csv(tmp_path, source, expected, ending):
     check(found, expected[1])
 
 
+def test_signals_in_mcap(tmp_path, source, expected):
+    from mcap.reader import make_reader
+
+    out = tmp_path / "out.mcap"
+    assert run(source, out) == 0
+    found = {}
+    with out.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            _, bus, name = channel.topic.split("/")
+            for key, value in json.loads(message.data).items():
+                if bus == "can0" and key not in ("labels", "out_of_range"):
+                    found.setdefault(f"{name}.{key}", []).append((message.log_time, value))
+    check(found, expected[1])
+
+
 def test_signals_in_mf4(tmp_path, source, expected):
     out = tmp_path / "out.mf4"
     assert run(source, out) == 0
@@ -415,7 +431,9 @@ def test_what_is_refused(inputs, monkeypatch, capsys, log, out, words, said):
     gc.collect()  # a file that was left open is closed here, where that is no error
 
 
-@pytest.mark.parametrize(("ending", "library"), [(".parquet", "pyarrow"), (".mf4", "asammdf")])
+@pytest.mark.parametrize(
+    ("ending", "library"), [(".parquet", "pyarrow"), (".mf4", "asammdf"), (".mcap", "mcap")]
+)
 def test_a_library_that_is_not_there(
     tmp_path, monkeypatch, capsys,
     ending, library,

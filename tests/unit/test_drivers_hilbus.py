@@ -106,14 +106,16 @@ class World:
 def run(monkeypatch):
     def run(
         world, scenario, config, codec,
-        left = None,
+        left = None, progress = float,
     ):  # fmt: skip
         monkeypatch.setattr(
             hilbus, "Ticker", lambda period: Ticker(period, lambda: world.now_ns, world.sleep)
         )
         monkeypatch.setattr(hilbus, "open_transport", lambda *_: world)
         monkeypatch.setattr(hilbus, "subprocess", SimpleNamespace(Popen=world.start))
-        return run_on_real_bus(Namespace(), "nothing", scenario, config, codec, left)
+        return run_on_real_bus(
+            Namespace(), "nothing", scenario, config, codec, left, progress=progress
+        )
 
     return run
 
@@ -123,8 +125,10 @@ def test_time_starts_with_the_drives_and_their_leaving_is_not_judged(run):
     config = parse({"drive": [{"node": 1}, {"node": 2}]})
     codec = bind(config.dbc_path, config.nodes)
     world = World(scenario, codec)
-    outcome = run(world, scenario, config, codec)
+    shown = []
+    outcome = run(world, scenario, config, codec, progress=shown.append)
     assert outcome.passed, outcome.verdicts
+    assert shown == list(range(int(scenario.duration_s) + 1))
     assert outcome.gateway.view is not None
     assert outcome.gateway.view.comm == 2  # it was said, after the end
     assert world.now_ns < world.ended_ns + 200 * MS
@@ -232,7 +236,8 @@ def test_what_fails_on_such_a_machine_is_inconclusive(
     monkeypatch, tmp_path, capsys,
     held, overload, code, kind,
 ):  # fmt: skip
-    def run(_o, _n, scenario, config, codec, _l):
+    def run(_o, _n, scenario, config, codec, _l, *, progress):
+        progress(1.0)
         return Outcome(
             scenario, [Verdict("flag", held, "seen")], Gateway(config, codec, 0), overload
         )

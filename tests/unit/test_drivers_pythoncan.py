@@ -83,6 +83,22 @@ def test_fd_needs_to_be_asked_for():
     assert bus.send(FRAMES[0]) is SendResult.DOWN
 
 
+@pytest.mark.filterwarnings("ignore")  # of those that were made by half
+@pytest.mark.parametrize("name", sorted(can.VALID_INTERFACES - {"socketcan", "udp_multicast"}))
+def test_without_the_makers_library_each_interface_is_refused_or_waited_for(name):
+    bus = PythonCan({"interface": name, "channel": "0"})
+    refused = ""
+    try:
+        bus.open()
+    except ConfigError as error:
+        refused = str(error)
+    up = name == "virtual"
+    assert refused.startswith(f"interface {name}: ") or bus.status.state is (
+        LinkState.UP if up else LinkState.ABSENT
+    )
+    bus.close()
+
+
 def test_unknown_interface_or_option_is_a_configuration_error():
     with pytest.raises(ConfigError, match="nonsense"):
         PythonCan({"interface": "nonsense", "channel": "0"}).open()

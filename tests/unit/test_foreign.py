@@ -316,7 +316,7 @@ def test_check_says_what_an_example_can_give(path, capsys):
     assert "no counter" in said
     assert ("adhesion: always Unknown" in said) != currents
     assert ("no voltages" in said) != currents
-    assert ("samples a turn up to 188 rpm" in said) == currents
+    assert ("by the currents up to 150 rpm" in said) == currents
 
 
 def test_there_is_an_example_for_every_layout():

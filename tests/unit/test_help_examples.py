@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from gateway import cli
-from gateway.commands.examples import EXAMPLES
+from gateway.commands.help_examples import EXAMPLES
 from gateway.hil.vcan.ways import way
 
 ROOT = Path(__file__).parents[2]

@@ -48,7 +48,7 @@ def test_run_loads_no_cryptography_unless_something_is_authenticated(tmp_path):
 
 
 HEAVY = ("asammdf", "pandas", "pyarrow", "matplotlib", "starlette", "textual", "scipy.linalg",
-         "sklearn", "cantools", "cffi", "rich")  # fmt: skip
+         "sklearn", "cantools", "cffi", "rich", "mcap")  # fmt: skip
 
 
 def program(folder, text):
@@ -140,7 +140,8 @@ code = main(sys.argv[1:])
 print([m for m in {names} if m in sys.modules], code)
 """
 UNUSED = ("scipy", "matplotlib", "cantools", "canopen", "rich", "asyncio", "sklearn", "pywt",
-          "cryptography", "asammdf", "pandas", "pyarrow", "starlette", "textual")  # fmt: skip
+          "cryptography", "asammdf", "pandas", "pyarrow", "mcap", "starlette",
+          "textual")  # fmt: skip
 
 
 def brief(folder, names, *words):

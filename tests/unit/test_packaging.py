@@ -78,6 +78,11 @@ def test_the_wheel_has_everything_that_the_packages_have(built):
         if path.is_file() and "__pycache__" not in path.parts
         if path.suffix not in (".c", ".h") or path.parent.name == "guest"
     }
+    examples = ROOT / "examples"
+    wanted |= {
+        f"gateway/examples/{path.relative_to(examples)}"
+        for path in examples.rglob("*") if path.is_file() and "__pycache__" not in path.parts
+    }  # fmt: skip
     with zipfile.ZipFile(built[1]) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
     assert names == wanted | {"_traction_core.abi3.so"}
@@ -106,6 +111,9 @@ def test_it_runs_from_an_empty_folder(installed, tmp_path):
     assert version == f"traction-gateway {metadata.version('traction-gateway')}"
     (tmp_path / "train.toml").write_text('[dbc]\nfile = "traction_fd.dbc"\n')
     assert "configuration" in called(program, "check", "train.toml", "--no-timing", cwd=tmp_path)
+    called(program, "examples", "-o", "examples", cwd=tmp_path)
+    assert "configuration" in called(program, "check", "examples/train.toml",
+                                     "--no-timing", cwd=tmp_path)  # fmt: skip
     called(program, "sim", "release", "-o", "a.log", "--duration", "3", "--truth", "t.csv",
            cwd=tmp_path)  # fmt: skip
     said = called(program, "replay", "a.log", "--results", "r", "--truth", "t.csv", cwd=tmp_path)

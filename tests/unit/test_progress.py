@@ -7,6 +7,7 @@ import pty
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,16 @@ def test_the_steps_of_a_bar_are_counted_when_they_are_done(monkeypatch, capsys):
         progress.advance()
         assert task.finished
     assert "[said] above" in capsys.readouterr().err
+
+
+def test_a_loop_in_real_time_has_no_thread_that_draws(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    before = threading.active_count()
+    with Progress("bus", 30.0, by_itself=False) as progress:
+        assert threading.active_count() == before
+        capsys.readouterr()
+        progress.to(15.0)
+        assert "50%" in capsys.readouterr().err
 
 
 def test_in_a_pipe_only_notes_are_written(capsys):

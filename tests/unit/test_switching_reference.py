@@ -68,7 +68,9 @@ def test_a_train_that_drives(n, noise):
     assert len(met) > 3, "several numbers of hypotheses"
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (2, 3))]
+)
 def test_any_loads(seed):
     rng, n = np.random.default_rng(seed), 3
     both = Both(n)

@@ -126,7 +126,7 @@ def copied(given):
         *((n, 800, 0.5) for n in (1, 2, 3, 16)), (64, 300, 0.0), (65, 300, 0.5),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough)])
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
 def test_any_course_of_a_train(seed, n, ticks, step):
     motors = [BENCH_MOTOR] * n if seed else [BENCH_MOTOR, OTHER] * n
