@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from gateway.study.thermal_trials import Trial
 
 NOTE: Final = """\
-Per sample against the injection interval; graced: without the onset until the true effect passes 2
-K and the recovery until it is below 1 K. One limit rule for all: the 99 % quantile of a method's
-statistic on a fault-free run that it was not fitted on; best: the limit that would have been best
-in hindsight. Kind `none` is fault-free. Delay (median), motor, class: of the faults that were
-found. Last column: seconds to score one record."""
+Each sample is scored against the injection interval; graced rates leave out the onset until the
+true effect passes 2 K, and the recovery until it is below 1 K. All methods have the same rule for
+their limit: the 99 % quantile of the method's statistic on a fault-free run that it was not fitted
+on; best: the limit that would have been best in hindsight. Kind `none` is fault-free. Delay
+(median), motor and class are those of the faults that were found. Last column: seconds to score one
+record."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
