@@ -1,4 +1,4 @@
-"""`check --eds`: what drives send by their EDS or DCF, to be mapped and supervised by."""
+"""`check --eds`: the messages that drives send according to their EDS or DCF."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `check` says of an inverter with messages of its own: what it can give, and what not."""
+"""`check` for another maker's inverter: which flags its mapped signals support."""
 
 from __future__ import annotations
 

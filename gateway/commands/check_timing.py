@@ -1,4 +1,4 @@
-"""What `check` measures of simulated drives: bus load by exact stuff bits, time of a tick."""
+"""`check`: bus load with the exact stuff bits of simulated drives, and time of a tick."""
 
 from __future__ import annotations
 

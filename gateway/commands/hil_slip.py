@@ -1,4 +1,4 @@
-"""`hil --slip-bench`: how well a gateway, or a controller, uses the adhesion that there is."""
+"""`hil --slip-bench`: how well a gateway, or a controller, uses the available adhesion."""
 
 from __future__ import annotations
 

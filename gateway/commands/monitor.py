@@ -1,4 +1,4 @@
-"""`monitor [LOG]`: what goes on, on a bus or in a log. Reads only.
+"""`monitor [LOG]`: a live view of a bus or a log; read-only.
 
 A form of it is a few lines in `run`: `need` for its extra, `open_source`, then whatever draws.
 """

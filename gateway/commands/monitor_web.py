@@ -1,4 +1,4 @@
-"""`monitor --web`, `monitor --metrics`: where to listen, who may look."""
+"""`monitor --web`, `monitor --metrics`: listening address and access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`warm`: nothing is compiled at run time any more; the verb goes in the next version."""
+"""`warm`: does nothing, because nothing is compiled at run time; removed in the next version."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a worker of a fleet does: one log through the core of `replay`, its file, its row."""
+"""The work for one log of a fleet: the core of `replay`, its file, its row."""
 
 from __future__ import annotations
 

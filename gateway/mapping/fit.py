@@ -1,4 +1,4 @@
-"""Whether measured signals and a motor's parameters belong together: units, signs, phases, flux.
+"""Whether measured signals and a motor's parameters fit: units, signs, phases, flux.
 
 Complex numbers are alpha + j beta, amplitudes. Nothing here needs a filter or a threshold of one:
 each finding is a ratio of two things that were measured.

@@ -1,4 +1,4 @@
-"""Inverters with messages of their own: read their DBC, and plan how ours are made of it.
+"""Inverters with messages of their own: read their DBC, and plan how to convert them to ours.
 
 Only at start. The messages that the core takes from such a drive are made by `translate`: of our
 kinds, with the foreign signals' own resolution and cycle, 32 bits each so that nothing clips. May

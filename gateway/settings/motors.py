@@ -1,4 +1,4 @@
-"""`[motor.NAME]`: parameters of a motor, their bounds, and whether they can be one machine's.
+"""`[motor.NAME]`: parameters of a motor, their bounds, and whether they are consistent.
 
 Bounds hold every permanent-magnet motor from 0.5 kW to 2 MW. May know: numbers. May not know:
 drives, buses, estimators.

@@ -1,4 +1,4 @@
-"""Sections of the configuration: every key with its bounds, and why they are there.
+"""Sections of the configuration: every key with its bounds and their reason.
 
 May know: numbers. May not know: files, buses, clocks, the DBC's contents.
 """

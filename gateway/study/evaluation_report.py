@@ -1,4 +1,4 @@
-"""What an evaluation leaves behind: a Markdown table, CSV files, ROC and reliability pictures."""
+"""The files of an evaluation: a Markdown table, CSV files, ROC and reliability pictures."""
 
 from __future__ import annotations
 
