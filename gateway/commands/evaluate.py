@@ -1,4 +1,4 @@
-"""`evaluate`: benchmark of adhesion detectors on random runs; `evaluate thermal`: of thermal methods."""
+"""`evaluate`: benchmark of adhesion detectors; `evaluate thermal`: of thermal methods."""
 
 from __future__ import annotations
 

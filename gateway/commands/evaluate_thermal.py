@@ -104,11 +104,11 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
             total = sum(sum(names.values()) for names in counts)
             shares = [sum(names.get(k, 0) for names in counts) / max(total, 1) for k in columns]
             rows.append([kind, *(f"{100.0 * share:.0f}" for share in shares)])
-        head = [f"{method}: fault is, told as %", *columns]
+        head = [f"{method}: true fault; named as, %", *columns]
         yield table_of(head, rows)
         wrong, open_ = confused([t for t in found if t.method == method])
         row = [method, f"{100.0 * wrong:.1f}", f"{100.0 * open_:.1f}"]
-        yield table_of(["heat or sensor", "confused, % of told", "undecided %"], [row])
+        yield table_of(["heat or sensor", "confused, % of named", "undecided %"], [row])
     if HEALTHY in kinds:
         rows = [
             [m, f"{30.0 * mean(own).episodes:.1f}", f"{100.0 * mean(own).fpr:.2f}"]

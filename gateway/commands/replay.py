@@ -169,7 +169,7 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
     """What keeps the run for a report, if one is wanted."""
     if options.results is None:
         if options.truth is not None:
-            raise ConfigError("--truth", ["is for the report; say where to with --results"])
+            raise ConfigError("--truth", ["is for the report; add --results DIR"])
         return None
     from gateway.reports.reporting import Reporting
     from gateway.reports.ticks import MOST_OF_LOG
@@ -199,7 +199,7 @@ def _report(
             left.truth, same = read(options.truth, done.first_ns / 1e9, done.last_ns / 1e9)
             facts.append(("truth", literal(options.truth.name)))
             if not same:
-                notes.append("The truth is on another clock than the log: its 0 is taken for the "
+                notes.append("The truth has another clock than the log: its 0 is set to the "
                              "log's first frame.")  # fmt: skip
         run = left.run(options.log.name, facts, notes=notes, step=step)
         step("page")

@@ -65,7 +65,7 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
         reader = log.reader
         faulty = sum(n for v, n in reader.counts.items() if v.is_fault)
         cut = reader.truncated or (
-            "its last line is not whole" if reader.counts[Verdict.CUT] else None
+            "its last line is incomplete" if reader.counts[Verdict.CUT] else None
         )
         row = Row(
             path=shown(one.path), warning=cut,

@@ -260,7 +260,7 @@ def test_everything_wrong_with_a_mapping_is_said_at_once(tmp_path):
     use = {"Tstator": "Tmp.Tstator"}
     text = problems(parse({"drive": [{"node": 1, "signals": {"dbc": silent.name, "use": use}}]},
                           base=tmp_path))  # fmt: skip
-    assert "says no cycle time of Tmp: add cycle_ms.Tmp" in text
+    assert "has no cycle time of Tmp: add cycle_ms.Tmp" in text
     text = problems(parse({"drive": [{"node": 1, "signals": {"dbc": "no.dbc", "use": use}}]},
                           base=tmp_path))  # fmt: skip
     assert "no.dbc: no such file" in text
