@@ -1,10 +1,10 @@
 """A receiver's check of what a tick has sent: due, protected, and accepted by the kernel.
 
 A loop that runs but sends nothing must not feed a watchdog. So the watchdog depends on frames:
-all that were due, with the next counter and a correct checksum, accepted by the kernel or device. A
-bus that is down or full is not a fault of the program: the link's state shows it, and a restart
-does not help. A frame decided too late counts as not sent. This happens to any process now and then,
-so a message counts as missing only if its frames are too late in tick after tick.
+all that were due, with the next counter and a correct checksum, accepted by the kernel or device.
+A bus that is down or full is not a fault of the program: the link's state shows it, and a restart
+does not help. A frame decided too late counts as not sent. This happens to any process now and
+then, so a message counts as missing only if its frames are too late in tick after tick.
 """
 
 from __future__ import annotations
