@@ -88,7 +88,7 @@ WRONG = {
     "voltages turn back": ({"Ubeta": ("scale", -1.0)}, "the voltages turn against"),
     "phases swapped": ({"Ia": ("signal", "Cur.Ib"), "Ib": ("signal", "Cur.Ia")},
                        "two phases are swapped"),
-    "another signal": ({"Ic": ("signal", "Cur.Ia")}, "one of them is another signal"),
+    "another signal": ({"Ic": ("signal", "Cur.Ia")}, "one of them is a wrong signal"),
 }  # fmt: skip
 
 

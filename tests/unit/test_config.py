@@ -75,7 +75,7 @@ def test_only_the_papers_vb_observes_speed():
 @pytest.mark.parametrize("key", ["tolerance", "reuse"])
 def test_only_the_papers_vb_has_a_bound_and_reuses(key):
     assert getattr(parse({"adhesion": {"detector": "paper_vb", key: 0.5}}).adhesion, key) == 0.5
-    with pytest.raises(ConfigError, match=f"adhesion.{key}: detector 'switching' has none"):
+    with pytest.raises(ConfigError, match=f"adhesion.{key}: detector 'switching' has no such key"):
         parse({"adhesion": {key: 0.5}})
     with pytest.raises(ConfigError, match=f"adhesion.{key}"):
         parse({"adhesion": {"detector": "paper_vb", key: -0.5}})
