@@ -1,4 +1,4 @@
-"""Two examples of each use of a verb, for the end of its `--help`; the tests run them in order."""
+"""Two examples of each use of a verb, at the end of its `--help`; the tests run them in order."""
 
 from __future__ import annotations
 

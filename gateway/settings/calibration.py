@@ -24,16 +24,16 @@ from gateway.settings.sections import Strict
 POINTS = ("stator", "drive_end", "non_drive_end")
 
 
-Kelvin = Annotated[float, within(-300, 300, "K", "calibrate again")]
-Noise = Annotated[float, within(0, 100, "K", "calibrate again")]
+Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
+Noise = Annotated[float, within(0, 100, "K", "calibrate anew")]
 Limit = Annotated[
-    float, within(0.01, 100, "K", "beyond that no fault would be found: calibrate again")
+    float, within(0.01, 100, "K", "beyond that no fault would be found: calibrate anew")
 ]
-Gain = Annotated[float, within(0.01, 100, "", "no motor warms like that: calibrate again")]
-Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate again")]
-Held = Annotated[float, within(0, 1e7, "s", "calibrate again")]
-Step = Annotated[float, within(0, 400, "K", "calibrate again")]
-Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate again")]
+Gain = Annotated[float, within(0.01, 100, "", "no motor warms like that: calibrate anew")]
+Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate anew")]
+Held = Annotated[float, within(0, 1e7, "s", "calibrate anew")]
+Step = Annotated[float, within(0, 400, "K", "calibrate anew")]
+Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
 Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
@@ -65,9 +65,9 @@ class FleetHeat(Deferred):
     file from before this was measured, `monitor.OWN_K`).
     """
 
-    scale: Annotated[float, within(1e-6, 1e6, "", "calibrate again")]
+    scale: Annotated[float, within(1e-6, 1e6, "", "calibrate anew")]
     duty: tuple[Duty, Duty, Duty, Duty]
-    own_k: Annotated[float, within(1e-6, 10, "K", "calibrate again")] | None = None
+    own_k: Annotated[float, within(1e-6, 10, "K", "calibrate anew")] | None = None
 
 
 class MotorCalibration(Deferred):
