@@ -98,7 +98,8 @@ def main() -> None:
         print("\n".join(text[-2:]), flush=True)
     if options.output:
         body = (
-            "# Performance\n\nWritten by `make bench`; ratios are to what ran in the same run. "
+            "# Performance\n\nWritten by `make bench`; "
+            "a ratio is to the reference measured in the same run. "
             "Detection: `docs/detection.md`.\n\n" + "\n".join(text)
         )
         options.output.write_text(body + "\n", encoding="utf-8")

@@ -84,7 +84,10 @@ def receiver() -> list[tuple[str, ...]]:
     assert listener.accepted == COUNT
     rows = [("receiver: a genuine pair", f"{spent:.2f} us", f"one MAC {one:.2f} us",
              f"{spent / one:.2f}")]  # fmt: skip
-    for heard, what in ((True, "of a sender it hears"), (False, "of a sender it has to look for")):
+    for heard, what in (
+        (True, "of a sender in step with it"),
+        (False, "of a sender whose freshness it searches"),
+    ):
         listener = Verifier(KEY, FRESH)
         if heard:
             sender = Authenticator(KEY, 1)

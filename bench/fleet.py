@@ -55,7 +55,7 @@ def rows() -> list[tuple[str, ...]]:
         turns = [[alone(logs, count) for count in (1, 2)] for _ in range(3)]
         single, pair = (min(times) for times in zip(*turns, strict=True))
         again = fleet(logs, 2)
-    what = f"plain `replay` of {seconds} s, a log per process: what the machine gives"
+    what = f"plain `replay` of {seconds} s, a log per process: the limit of the machine"
     ratio = f"{2 * single / pair:.2f} x"
     table.append((what, f"{single:.2f} s for 1", f"{pair:.2f} s for 2", ratio))
     what = f"the fleet of {count} logs of {seconds} s again, nothing to do"

@@ -140,7 +140,7 @@ def bill(per_sample_s: float, read_s: float, replay_s: float, line: float) -> li
     samples = TRAINS * DRIVES * HOURS * 3600.0 * FAST_HZ
     # CAN FD: eight samples a frame, a line each.
     lines = samples / 8.0
-    what = f"on paper: {TRAINS} trains x {DRIVES} drives x {HOURS} h at {FAST_HZ / 1000:g} kHz"
+    what = f"calculated: {TRAINS} trains x {DRIVES} drives x {HOURS} h at {FAST_HZ / 1000:g} kHz"
     out = [(what, f"{lines / 1e12:.2f} T lines, {lines * line / 1e12:.0f} TB a day", "", "", "")]
     parts = (
         ("filters alone", samples * per_sample_s),

@@ -1,7 +1,7 @@
 """Reading and decoding: our reader and decoder against the libraries, in the same run.
 
 Reader: every verdict of the strict grammar included. Decoder: all signals of every frame, ranges
-and not-available codes included; `taken in` is the gateway's way in, with routing, E2E and pairing.
+and not-available codes included; `received` is the gateway's way in, with routing, E2E and pairing.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def lines(log: Path) -> list[tuple[str, ...]]:
         ("candump lines, .gz", f"{from_gz:.3f} s", f"decompressor alone {unpacked:.3f} s",
          f"{from_gz / unpacked:.2f}"),
         (f"{size:.0f} MB of candump lines", f"{LARGE * frames / spent / 1e6:.2f} M lines/s",
-         "peak memory before", f"+{grown:.1f} MB"),
+         "growth of peak memory", f"+{grown:.1f} MB"),
     ]  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def decoded(log: Path, dbc: str) -> list[tuple[str, ...]]:
     taken = best(lambda: _taken(codec, frames), 3)
     return [
         *out,
-        (f"taken in, {'FD' if codec.fd else 'classic'}: a tick of 10 ms at a time",
+        (f"received, {'FD' if codec.fd else 'classic'}: a tick of 10 ms at a time",
          f"{1e9 * taken / frames.size:.0f} ns a frame", "", ""),
     ]  # fmt: skip
 

@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path
-        else "not calibrated: flags stay unknown; `traction-gateway calibrate` makes limits"
+        else "not calibrated: flags stay unknown; run `traction-gateway calibrate`"
     )
     print(f"thermal        {calibrated}")
     signed = f"by the owner of {options.public_key}" if config.sealed else "not checked"
@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
             "the DBC (GenMsgCycleTime), fewer drives on this bus, or CAN FD",
         )  # fmt: skip
     if unfound:
-        note("no loss would be told: " + "; ".join(unfound))
+        note("no loss would be found: " + "; ".join(unfound))
     if unfit:
         note(f"{options.log}: " + "; ".join(unfit))
     return BAD_INPUT if unfound or unfit or percent > LOAD_LIMIT_PERCENT else GOOD
@@ -138,7 +138,7 @@ def _print_machine(options: argparse.Namespace, config: Config) -> None:
         rates = (int(bus.get(key) or 0) for key in ("bitrate", "data_bitrate"))
         found += settings.link(str(bus["channel"]), *rates)
     else:
-        print("link           not looked at: name it with -i socketcan -c can0, or in [bus]")
+        print("link           not checked: name it with -i socketcan -c can0, or in [bus]")
     for what, finding, cure in found:
         print(f"{what:<14} {finding}{'' if cure else ', good'}")
         if cure:
@@ -153,11 +153,11 @@ def _heartbeats(config: Config) -> str:
     shortest = HEARTBEAT_LIMIT_NS // 1_000_000
     if (period := config.canopen.heartbeat_ms) is None:
         return (
-            "of any period, or none: from its second one on a drive is lost after "
-            f"{TIMEOUT_PERIODS} of the periods heard, at least {shortest} ms"
+            "of any period, or none: after its second one, a drive is lost after "
+            f"{TIMEOUT_PERIODS} of the received periods, at least {shortest} ms"
         )
     limit = max(shortest, TIMEOUT_PERIODS * period)
-    return f"every {period} ms: from its second one on a drive is lost after {limit} ms of silence"
+    return f"every {period} ms: after its second one, a drive is lost after {limit} ms of silence"
 
 
 def _authentication(config: Config) -> str:

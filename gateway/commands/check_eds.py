@@ -1,4 +1,4 @@
-"""`check --eds`: what drives send by their EDS or DCF, to be mapped and supervised by."""
+"""`check --eds`: the messages that drives send according to their EDS or DCF."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_FAULTS: Final = 20
 def device_lines(path: Path, config: Config) -> Iterator[str]:
     """Of one file. Raises ConfigError where it cannot be read."""
     device = device_of(path)
-    at = f"node {device.node}" if device.node else "node 1, as the file names none"
+    at = f"node {device.node}" if device.node else "node 1, because the file names none"
     yield f"device         {printable(path.name)}: {device.name}, {at}"
     yield f"  heartbeat    {_heartbeat(device, config)}"
     for pdo in device.pdos:
@@ -38,13 +38,13 @@ def device_lines(path: Path, config: Config) -> Iterator[str]:
 def _heartbeat(device: Device, config: Config) -> str:
     if device.heartbeat_fault:
         return (
-            f"1017h {device.heartbeat_fault}, which is no number of ms from 0 to {LONGEST_MS}: "
+            f"1017h {device.heartbeat_fault}, which is not a number of ms from 0 to {LONGEST_MS}: "
             "this device is supervised by its messages only"
         )
     if device.heartbeat_ms is None:
         return "object 1017h is missing: this device is supervised by its messages only"
     if device.heartbeat_ms == 0:
-        return "off (1017h is 0): write a period, or it is supervised by its messages only"
+        return "off (1017h is 0): set a period, or it is supervised by its messages only"
     ours = config.canopen.heartbeat_ms
     if ours and ours != device.heartbeat_ms:
         return f"{device.heartbeat_ms} ms (1017h), but [canopen] heartbeat_ms = {ours}"

@@ -1,4 +1,4 @@
-"""What `check --log` says: which units, signs and motor parameters fit a recording."""
+"""`check --log`: which units, signs and motor parameters fit a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `check` tries: a synthetic loss of adhesion through the configuration."""
+"""`check`: a synthetic loss of adhesion through the configuration."""
 
 from __future__ import annotations
 

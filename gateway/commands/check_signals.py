@@ -1,4 +1,4 @@
-"""What `check` says of an inverter with messages of its own: what it can give, and what not."""
+"""`check` for another maker's inverter: which flags its mapped signals support."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ def _limits(plan: Plan) -> Iterator[str]:
     if thermal:
         yield f"thermal by the model: always Unknown: {', '.join(thermal)}"
     if "Torque" not in use and "Iq" in use and ("Motion" in kinds or "Status" in kinds):
-        yield "torque: of the magnets alone, 1.5 p psi_pm Iq"
+        yield "torque: computed without reluctance torque, 1.5 p psi_pm Iq"
     if "TorqueCommand" not in use and "Status" in kinds:
-        yield "torque command: none; the torque stands for it"
+        yield "torque command: none; the torque is used instead"
     if "Counter" not in use:
-        yield "no counter: a lost frame shows by the time only, a repeated one not at all"
-    yield "no checksum: a corrupted frame that a controller lets pass is believed"
+        yield "no counter: a lost frame is detected by time only, a repeated one not at all"
+    yield "no checksum: a corrupted frame that the CAN controller does not reject is accepted"
 
 
 def _rate(plan: Plan, *, measured: bool) -> Iterator[str]:

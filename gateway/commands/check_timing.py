@@ -1,4 +1,4 @@
-"""What `check` measures of simulated drives: bus load by exact stuff bits, time of a tick."""
+"""`check`: bus load with the exact stuff bits of simulated drives, and time of a tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def print_results(config: Config, codec: Codec, measured: Measured) -> None:
     """Print both."""
     if config.unmapped() is not config:
-        print("timing         as if all drives spoke our message set: without translation")
+        print("timing         measured with our message set for all drives, without translation")
     _print_loads(codec, config, measured.frames)
     _print_timing(measured.times_us, config.loop.period_ns / 1e3)
 
@@ -41,7 +41,7 @@ def _print_loads(codec: Codec, config: Config, frames: list[Frame]) -> None:
             f"  {name:<24} {rate:7.0f} frames/s of {each.mean():5.1f} bits "
             f"({each.min()} to {each.max()}): {share:5.1f} %"
         )
-    what = f"by every stuff bit of {seconds:g} s of simulated drives"
+    what = f"with the exact stuff bits of {seconds:g} s of simulated drives"
     print(f"  {'together':<24} {sum(shares.values()):5.1f} % {what}")
 
 

@@ -118,7 +118,7 @@ def report_dbc(codec: Codec) -> None:
     if codec.left_out:
         count = len(codec.left_out)
         what = "entry is" if count == 1 else "entries are"
-        head = f"{codec.path.name}: {count} {what} not used as written:"
+        head = f"{codec.path.name}: {count} {what} not used, or only in part:"
         console().print(head, markup=False, soft_wrap=True)
         for line in codec.left_out[:ENTRIES_SHOWN]:
             console().print(f"  {line}", markup=False, soft_wrap=True)
@@ -136,7 +136,7 @@ def report_log(reader: LogReader) -> None:
     for text in reader.notes:
         console().print(f"note: {text}", markup=False, soft_wrap=True)
     if reader.counts[Verdict.CUT]:
-        why = reader.truncated or "its last line is not whole"
+        why = reader.truncated or "its last line is incomplete"
         text = f"warning: the log is cut: {why}; its last, incomplete frame is not used"
         console().print(text, markup=False, soft_wrap=True)
 

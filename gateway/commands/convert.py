@@ -137,7 +137,7 @@ def _summary(log: Log, done: Done, decoder: Decoder | None) -> None:
     if done.steps:
         print(
             f"time: the log's clock was set back {done.steps} times; all later times are moved "
-            "forward by that"
+            "forward by the same amount"
         )
     if any(left.values()):
         words = (f"{cause} {n}" for cause, n in sorted(left.items()) if n)

@@ -1,4 +1,4 @@
-"""`evaluate`: the benchmark of detectors on random runs by seed; `evaluate thermal` its twin."""
+"""`evaluate`: benchmark of adhesion detectors; `evaluate thermal`: of thermal methods."""
 
 from __future__ import annotations
 

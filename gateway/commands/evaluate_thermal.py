@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from gateway.study.thermal_trials import Trial
 
 NOTE: Final = """\
-Per sample against the injection interval; graced: without the onset until the true effect passes 2
-K and the recovery until it is below 1 K. One limit rule for all: the 99 % quantile of a method's
-statistic on a fault-free run that it was not fitted on; best: the limit that would have been best
-in hindsight. Kind `none` is fault-free. Delay (median), motor, class: of the faults that were
-found. Last column: seconds to score one record."""
+Each sample is scored against the injection interval; graced rates leave out the onset until the
+true effect passes 2 K, and the recovery until it is below 1 K. All methods have the same rule for
+their limit: the 99 % quantile of the method's statistic on a fault-free run that it was not fitted
+on; best: the limit that would have been best in hindsight. Kind `none` is fault-free. Delay
+(median), motor and class are those of the faults that were found. Last column: seconds to score one
+record."""
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,11 +104,11 @@ def _more(found: Sequence[Trial], kinds: Sequence[str], methods: Sequence[str]) 
             total = sum(sum(names.values()) for names in counts)
             shares = [sum(names.get(k, 0) for names in counts) / max(total, 1) for k in columns]
             rows.append([kind, *(f"{100.0 * share:.0f}" for share in shares)])
-        head = [f"{method}: fault is, told as %", *columns]
+        head = [f"{method}: true fault; named as, %", *columns]
         yield table_of(head, rows)
         wrong, open_ = confused([t for t in found if t.method == method])
         row = [method, f"{100.0 * wrong:.1f}", f"{100.0 * open_:.1f}"]
-        yield table_of(["heat or sensor", "confused, % of told", "undecided %"], [row])
+        yield table_of(["heat or sensor", "confused, % of named", "undecided %"], [row])
     if HEALTHY in kinds:
         rows = [
             [m, f"{30.0 * mean(own).episodes:.1f}", f"{100.0 * mean(own).fpr:.2f}"]

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace, scenarios: list[tuple[str, Scenario]]) -> i
     suite = list(_recorded(options, scenarios))
     failing = [run.name for run in suite if not run.passed]
     if failing:
-        print(f"FAIL as it is, without a mutant: {', '.join(failing)}")
+        print(f"FAIL without a mutant: {', '.join(failing)}")
         return FAILED
     chosen = mutants(options.mutate, options.mutate_seed)
     if len(chosen) < options.mutate:

@@ -1,4 +1,4 @@
-"""`hil --slip-bench`: how well a gateway, or a controller, uses the adhesion that there is."""
+"""`hil --slip-bench`: how well a gateway, or a controller, uses the available adhesion."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _device(options: argparse.Namespace) -> Callable[[Track], Run]:
     name = options.controller
     if hasattr(options, "interface") or hasattr(options, "channel"):
         if name != "gateway":
-            raise ConfigError("--controller", ["on a bus the device's flags are in charge"])
+            raise ConfigError("--controller", ["on a bus the device's flags control the torque"])
         return partial(ride_on_bus, options=options)
     if name == "gateway":
         return ride_with_gateway

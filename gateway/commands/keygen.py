@@ -1,4 +1,4 @@
-"""`keygen`: keys for signing configurations, for authenticating flags, tokens for the page."""
+"""`keygen`: signing keys, authentication keys for flags, and tokens for the monitor's page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`monitor [LOG]`: what goes on, on a bus or in a log. Reads only.
+"""`monitor [LOG]`: a live view of a bus or a log; read-only.
 
 A form of it is a few lines in `run`: `need` for its extra, `open_source`, then whatever draws.
 """
@@ -55,12 +55,15 @@ def run(options: argparse.Namespace) -> int:
     if options.token_file is not None:
         from gateway.settings.config import ConfigError
 
-        raise ConfigError("--token-file", ["says nothing without --web or --metrics"])
+        raise ConfigError("--token-file", ["has no effect without --web or --metrics"])
     need(("textual", "textual_plotext"), "monitor")
     if not sys.stdout.isatty():
         from gateway.settings.config import ConfigError
 
-        raise ConfigError("monitor", ["the output is no terminal, and the view needs one"])
+        raise ConfigError(
+            "monitor",
+            ["the view needs a terminal as output; or use --web"],
+        )
     source = open_source(options)
     from gateway.monitor.terminal import MonitorApp
 

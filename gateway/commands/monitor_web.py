@@ -1,4 +1,4 @@
-"""`monitor --web`, `monitor --metrics`: where to listen, who may look."""
+"""`monitor --web`, `monitor --metrics`: listening address and access."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _where(text: str | None, default: str) -> Listen | None:
         return None
     if Path(text).is_file():
         cure = f"put the log before the option: 'monitor {text} --web'"
-        raise ConfigError(text, [f"is a file and no address; {cure}"])
+        raise ConfigError(text, [f"is a file, not an address; {cure}"])
     host, _, port = default.rpartition(":")
     try:
         return listen(text, Listen(host, int(port)))

@@ -1,4 +1,4 @@
-"""How far a verb is, with the time left: on a terminal, never in a pipe.
+"""Progress of a verb, with the time left: on a terminal, never in a pipe.
 
 Every verb that may take longer than two seconds uses this. The bar is drawn ten times a second by
 itself, so a person sees that the program works, also between two steps.

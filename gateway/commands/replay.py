@@ -177,7 +177,7 @@ def _reporting(options: argparse.Namespace, config: Config, codec: Codec) -> Rep
     if options.results is None:
         for option in ("truth", "mcap"):
             if getattr(options, option):
-                raise ConfigError(f"--{option}", ["is for the report; say where to with --results"])
+                raise ConfigError(f"--{option}", ["is for the report; add --results DIR"])
         return None
     if options.mcap:
         extras.need(("mcap",), "mcap", "--mcap")
@@ -226,7 +226,7 @@ def _report(
             left.truth, same = read(options.truth, done.first_ns / 1e9, done.last_ns / 1e9)
             facts.append(("truth", literal(options.truth.name)))
             if not same:
-                notes.append("The truth is on another clock than the log: its 0 is taken for the "
+                notes.append("The truth has another clock than the log: its 0 is set to the "
                              "log's first frame.")  # fmt: skip
         run = left.run(options.log.name, facts, notes=notes, step=step)
         step("page")

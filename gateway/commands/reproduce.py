@@ -37,7 +37,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def _seed(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a seed: a whole number from 0 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a seed: expected 0, 1, 2 ..")
     return int(text)
 
 

@@ -86,7 +86,10 @@ def _start(options: argparse.Namespace) -> Started:
     log.info("user %d, %s", os.geteuid(), described())
     transport = open_transport(bus_options(options, config), allowed(mode, config, codec))
     if options.kernels:
-        log.warning("--kernels %s: nothing is compiled at run time; leave it out", options.kernels)
+        log.warning(
+            "--kernels %s has no effect, because nothing is compiled at run time; leave it out",
+            options.kernels,
+        )
     ticker = Ticker(config.loop.period_ns)
     _rehearse(config, codec)
     gateway = Gateway(config, codec, ticker.clock(), authenticator)

@@ -1,4 +1,4 @@
-"""`sign CONFIG`: vouch for a configuration, its DBC and its calibration."""
+"""`sign CONFIG`: sign a configuration with its DBC and its calibration."""
 
 from __future__ import annotations
 

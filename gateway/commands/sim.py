@@ -163,7 +163,7 @@ def _on_bus(options: argparse.Namespace, simulation: Any, seconds: float, truth:
             f"{verifier.alone} without a flag, last freshness {verifier.freshness}"
         )
     if overwritten:
-        console().print(f"{overwritten} frames were too old to be sent: this machine stalled")
+        console().print(f"{overwritten} frames became too old to be sent: this machine stalled")
     if stop.ended is not None:
         raise stop.ended
 

@@ -1,4 +1,4 @@
-"""`vcan -- COMMAND ..`: the command where SocketCAN is real, on any Linux machine."""
+"""`vcan -- COMMAND ..`: run a command with real SocketCAN, on any Linux machine."""
 
 from __future__ import annotations
 

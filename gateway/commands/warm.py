@@ -1,4 +1,4 @@
-"""`warm`: nothing is compiled at run time any more; the verb goes in the next version."""
+"""`warm`: does nothing, because nothing is compiled at run time; removed in the next version."""
 
 from __future__ import annotations
 
@@ -17,6 +17,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(_options: argparse.Namespace) -> int:
     """Says so."""
-    print("`warm` does nothing: the core is compiled before it is delivered. The next version does")
-    print("not have this verb; `run` needs no --kernels.")
+    print("`warm` does nothing: the package contains the compiled core. The next version removes")
+    print("this verb; `run` needs no --kernels.")
     return GOOD

@@ -1,1 +1,1 @@
-"""The core: frames in, flags out; every order of a tick stands in `tick.c`."""
+"""The core: frames in, flags out; `tick.c` has the order of everything in a tick."""

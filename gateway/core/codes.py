@@ -1,4 +1,4 @@
-"""Words of the message set: reasons, health, flags. Values are the contract's, section 1.
+"""Enumerations of the message set: reasons, health, flags. Values are the contract's, section 1.
 
 They stand in `gateway/core/records.h`.
 """

@@ -1,4 +1,4 @@
-"""Flags of N drives: their records. The rules are in C.
+"""Flags of N drives: their records. The C sources have the rules.
 
 What a flag follows and how long evidence must hold stands in `gateway/core/flags.c`, the fields of
 the records in `gateway/core/records.h`. May know: flags and reasons. May not know: frames, clocks.

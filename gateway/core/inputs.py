@@ -1,4 +1,4 @@
-"""Which inputs of every drive are valid in a tick: its records. The rules are in C.
+"""Which inputs of every drive are valid in a tick: records. The C sources have the rules.
 
 What makes an input invalid stands in `gateway/core/inputs.c`, the fields of the records in
 `gateway/core/records.h`. May know: channels and their numbers. May not know: frames, clocks,

@@ -1,4 +1,4 @@
-"""What speaks against all drives at once: the driver's notes, and what they come to.
+"""Reasons that make the flags of all drives unknown, from the driver's notes.
 
 Missed ticks, lost frames, a second gateway. The rules are in `gateway/core/integrity.c`. May know:
 reasons and `now`. May not know: frames, clocks. How long an intruder makes flags unknown is the

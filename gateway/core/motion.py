@@ -1,4 +1,4 @@
-"""Measured speed and torque of the drives beside their estimates: records. The rules are in C.
+"""Measured speed and torque compared with the estimates: records. The C sources have the rules.
 
 Where currents come too slowly the load comes from an observer of speed and torque; elsewhere the
 measured speed is a witness, and currents and `Motion` are checked against one another. See

@@ -1,4 +1,4 @@
-"""Currents and `Motion` that are well protected and wrong: records. The rules are in C.
+"""Implausible currents and `Motion` behind a correct checksum: records. C has the rules.
 
 What is checked, and by which limits, stands in `gateway/core/plausibility.c`. May know: numbers.
 May not know: frames, clocks, flags.

@@ -1,4 +1,4 @@
-"""The receiver: records and room for what `gateway/core/receive.c` does with a tick's frames."""
+"""The receiver: records and workspace of `gateway/core/receive.c`."""
 
 from __future__ import annotations
 

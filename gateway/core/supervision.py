@@ -1,4 +1,4 @@
-"""Who is alive on the bus and what they complained of: heartbeats and emergency messages.
+"""Heartbeats and emergency messages: which nodes are alive, and which errors they reported.
 
 May know: frames and times. May not know: clocks, sockets, what the flags make of it.
 Memory is bounded whatever arrives. CiA 301: heartbeat 0x700 + node, one byte of NMT state;

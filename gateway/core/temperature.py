@@ -1,4 +1,4 @@
-"""Validity of temperature sensors: lost, stuck or off; alone or with all of their drive.
+"""Validity of temperature sensors: lost, stuck or biased, alone or all of a drive.
 
 The rules are in `gateway/core/temperature.c`; here are each sensor's limits, and one reading at a
 time.

@@ -1,4 +1,4 @@
-"""The motors' temperatures: their records, and what is known of one motor in words.
+"""The motors' temperatures: their records, and the thermal status of one motor.
 
 The rules are in `gateway/core/thermal.c` (readings, seconds, window averages), `thermal_evidence.c`
 (what they give evidence of), `temperature.c` (validity of sensors) and `estimators/thermal`.

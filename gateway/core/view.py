@@ -1,4 +1,4 @@
-"""What one tick says, as objects: for reports, displays and tests. The loop works on `Status`.
+"""The result of one tick as objects, for reports, displays and tests. The loop uses `Status`.
 
 Made when somebody asks, which a replay without a report does once a change.
 """

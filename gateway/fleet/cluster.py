@@ -1,4 +1,4 @@
-"""Sending the logs of a fleet to Dask: local processes, or a scheduler that is there already.
+"""Runs the logs of a fleet on Dask: local processes, or an existing scheduler.
 
 Who reaches a scheduler runs code as its user. Local ones speak TLS with a certificate that is made
 for this run and kept in memory; a named one is reached as Dask's own configuration says.

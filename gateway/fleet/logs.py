@@ -1,4 +1,4 @@
-"""Which logs a fleet has, which are done, and what tells one state of a log from another."""
+"""Which logs a fleet has, which are done, and whether a log has changed since."""
 
 from __future__ import annotations
 

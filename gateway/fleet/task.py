@@ -1,4 +1,4 @@
-"""One log as a task: its row, whatever becomes of it.
+"""One log as a task, which always gives a row, also after an error.
 
 What computes is imported in the workers only: the others need not wait for it.
 """

@@ -1,4 +1,4 @@
-"""What a worker of a fleet does: one log through the core of `replay`, its file, its row."""
+"""The work for one log of a fleet: the core of `replay`, its file, its row."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
         reader = log.reader
         faulty = sum(n for v, n in reader.counts.items() if v.is_fault)
         cut = reader.truncated or (
-            "its last line is not whole" if reader.counts[Verdict.CUT] else None
+            "its last line is incomplete" if reader.counts[Verdict.CUT] else None
         )
         row = Row(
             path=shown(one.path), warning=cut,

@@ -1,4 +1,4 @@
-"""Simulated drives that speak like other makers' inverters: frames of ours into theirs.
+"""Simulated drives with other makers' messages: our frames translated into theirs.
 
 The reverse of `gateway.mapping.translate`, for `check` and for tests. May know: mappings, frames.
 """

@@ -1,4 +1,4 @@
-"""A second of a simulated bus: its frames, and how long the gateway took for each tick.
+"""One second of a simulated bus: its frames, and the gateway's time for each tick.
 
 Filled by the ticks that `synthetic_loss` runs anyway. May know: frames. May not know: the DBC.
 """

@@ -1,4 +1,4 @@
-"""Gateways with a fault, for the question whether a test suite would notice.
+"""Gateways with a fault, to test whether a test suite would notice.
 
 A mutant alters the flag frames as they stand on the wire. Checksum and counter are made anew, so
 that only what the mutant is about is wrong. The drives of a run heard the frames as they were.

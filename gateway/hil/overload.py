@@ -1,4 +1,4 @@
-"""Whether a machine kept up with a scenario in real time: if not, a failure says nothing."""
+"""Whether a machine kept up with a scenario in real time: if not, a failure is inconclusive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scenario with the configuration's motors: what is simulated is what the filters believe in."""
+"""A scenario with the configuration's motors, so that simulation and filters have the same."""
 
 from __future__ import annotations
 

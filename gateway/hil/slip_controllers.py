@@ -1,4 +1,4 @@
-"""Who can be in charge of torque on the slip-protection bench."""
+"""The controllers of torque on the slip-protection bench."""
 
 from __future__ import annotations
 

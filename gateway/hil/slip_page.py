@@ -1,4 +1,4 @@
-"""What the slip-protection bench found, as one page with pictures."""
+"""The results of the slip-protection bench, as one page with pictures."""
 
 from __future__ import annotations
 

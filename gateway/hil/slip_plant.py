@@ -1,4 +1,4 @@
-"""A train that brakes on a bench track: the simulator's plant, with somebody in charge of torque.
+"""A train that brakes on a bench track: the simulator's plant under a torque controller.
 
 The mechanics are the plant's. Every 10 ms the rail under each wheel is laid down, the controller
 is asked, and what is to be scored is noted.

@@ -1,4 +1,4 @@
-"""What a run on the slip-protection bench is worth."""
+"""The score of a run on the slip-protection bench."""
 
 from __future__ import annotations
 

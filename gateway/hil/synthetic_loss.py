@@ -1,4 +1,4 @@
-"""A synthetic loss of adhesion through a configuration: what is found of it, and when.
+"""A synthetic loss of adhesion through a configuration: whether and when it is found.
 
 Each drive is simulated with its own motor at a steady speed and load at which it can be judged, on
 the virtual clock. At a known time one drive's load halves. The configuration's own gateway (its

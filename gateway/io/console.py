@@ -1,4 +1,4 @@
-"""Where people are told things: stderr. Results go to stdout."""
+"""Messages for people go to stderr. Results go to stdout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where keys and the number of this start come from: files, which only their owner may read.
+"""Keys and the number of this start, from files that only their owner may read.
 
 A credential of the service manager (`LoadCredential=`, in `$CREDENTIALS_DIRECTORY`) comes first,
 else a file beside the configuration. What a key file contains is never said or logged.

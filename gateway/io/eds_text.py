@@ -1,4 +1,4 @@
-"""The text of an EDS or DCF (CiA 306) as sections with keys, and what of it cannot be read.
+"""The text of an EDS or DCF (CiA 306) as sections with keys, and its errors.
 
 Whatever is doubled or no key is left out and listed; the rest is read. May know: text.
 """

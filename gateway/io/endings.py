@@ -1,4 +1,4 @@
-"""How a program is ended from outside: Ctrl-C, SIGTERM, a reader that has left its pipe.
+"""Ends of a program from outside: Ctrl-C, SIGTERM, a reader that has closed its pipe.
 
 A signal is noted and raised between two steps of Python; a compiled call is finished first. Some
 places swallow the exception: finalisers, callbacks of libraries, a bare `except`. A thread notices

@@ -1,4 +1,4 @@
-"""Libraries that not everybody needs: whether they are there, and how to get them."""
+"""Optional libraries: whether they are installed, and how to install them."""
 
 from __future__ import annotations
 

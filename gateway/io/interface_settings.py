@@ -1,4 +1,4 @@
-"""Settings of this machine that the gateway will suffer from, each with the command that cures it.
+"""Settings of this machine that harm the gateway, each with the command that corrects it.
 
 Only looks: nothing is changed. A bench that needs none of it is told so, too: no real-time rights
 are no fault where nobody asks for a priority.

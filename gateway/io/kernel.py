@@ -1,4 +1,4 @@
-"""The system calls of the SocketCAN transport, in one place; tests pass a stand-in."""
+"""The system calls of the SocketCAN transport, in one place; tests replace them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the kernel says of a CAN link over netlink: its controller's state and how it is set up.
+"""State and settings of a CAN link, as the kernel reports them over netlink.
 
 Error frames tell of a change once, and may be lost, or may not be sent at all; this is the second
 witness, and it knows what no frame says: `restart-ms`, bit rates, the length of the queue.

@@ -1,4 +1,4 @@
-"""The time of a log: clocks are set, stamps are wrong, and neither may cost more than itself.
+"""The time of a log: one wrong stamp, or a clock that was set, costs no more than its own frames.
 
 A frame that goes on from the last one counts at once. One whose stamp is far from there waits until
 `AGREEING` frames in a row go on from it: then the log's clock was set, and all of them count. If

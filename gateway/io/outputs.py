@@ -1,10 +1,10 @@
-"""What a tick has sent, looked at as a receiver would: due, protected, and really handed over.
+"""A receiver's check of what a tick has sent: due, protected, and accepted by the kernel.
 
-The loop's own word that it is alive is worth little if nothing leaves, so what feeds a watchdog
-looks at the frames: all that were due, with the checksum and the counter that follow, and accepted
-by the kernel or device. A bus that is down or full is no fault of the program: its state says so,
-and no restart cures it. A frame that was decided too late is one, for it has not left: now and then
-that happens to any process, so only a message of which it is the rule is no longer being sent.
+A loop that runs but sends nothing must not feed a watchdog. So the watchdog depends on frames:
+all that were due, with the next counter and a correct checksum, accepted by the kernel or device.
+A bus that is down or full is not a fault of the program: the link's state shows it, and a restart
+does not help. A frame decided too late counts as not sent. This happens to any process now and
+then, so a message counts as missing only if its frames are too late in tick after tick.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Who may send what: the transmit allow-list of each way to run. Nothing else ever leaves."""
+"""The transmit allow-list of each command. No other frame is ever sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A start without what it does not need: libraries load others of theirs wherever these are there.
+"""A faster start: prevents libraries from loading optional libraries that are not needed.
 
 python-can loads asammdf for MF4 logs, and that pandas and pyarrow: 1 s.
 

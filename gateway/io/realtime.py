@@ -1,4 +1,4 @@
-"""Fixed-rate loop on absolute monotonic deadlines, and the histogram of how late it woke.
+"""Fixed-rate loop on absolute monotonic deadlines, and a histogram of its lateness.
 
 A late tick is not made up for: the missed ones are skipped and counted, the next deadline is
 on the original grid, and the caller gets the true time.

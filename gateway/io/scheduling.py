@@ -1,4 +1,4 @@
-"""What the kernel can do for punctual ticks: a real-time priority, and memory that stays.
+"""Kernel settings for punctual ticks: a real-time priority, and locked memory.
 
 A thread started later by a library would inherit the priority and could keep the loop from ever
 running again; so reset-on-fork is always set. systemd can do both before the program starts

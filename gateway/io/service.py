@@ -1,4 +1,4 @@
-"""What systemd is told: ready, alive, and in one line how it goes (`Type=notify`, `WatchdogSec=`).
+"""Notifications to systemd: ready, alive, and a status line (`Type=notify`, `WatchdogSec=`).
 
 `READY=1` after the first tick whose frames were looked at; an interface that is absent is a state,
 which `STATUS=` names. `WATCHDOG=1` after such ticks only, so neither a loop that hangs nor one that

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: what is half written has another name until it is finished."""
+"""Files that are complete or absent: an incomplete one has another name until it is finished."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Local processes for tasks that know nothing of one another; all of them end with this one."""
+"""Local processes for independent tasks; all of them end with this one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers of channels, for formats that have no names of them."""
+"""Numbers of channels, for formats without channel names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From one file to another: what is at an ending, the frames of it, and a file that is written."""
+"""Converts one file to another: the formats by ending, the frames, and the file written."""
 
 from __future__ import annotations
 

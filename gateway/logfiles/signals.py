@@ -1,4 +1,4 @@
-"""Blocks of frames as decoded signals, for files: what a DBC makes of a log, and what it does not.
+"""Blocks of frames as decoded signals, for files, with a count of what a DBC cannot decode.
 
 Nothing is judged here: a frame with a wrong checksum or counter is decoded like any other.
 """

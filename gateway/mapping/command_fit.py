@@ -1,4 +1,4 @@
-"""Whether `TorqueCommand` is what the train asks for, or what its drive has made of that.
+"""Whether `TorqueCommand` comes from the train, or has passed the drive's own slip control.
 
 A loss is found by a load that its drive does not carry though it is asked to. A command that is
 taken behind the drive's own slip control, or that repeats the measured torque, falls with the load.

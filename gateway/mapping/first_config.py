@@ -111,7 +111,7 @@ def _signals(shared: Shared, use: Mapping[str, Guess]) -> list[str]:
         best = next((g for g in shared.chosen if g.quantity == quantity), None)
         if best is None:
             continue
-        unit = best.signal.unit.strip() or f"the file says no unit: {UNITS[quantity]}?"
+        unit = best.signal.unit.strip() or f"the file has no unit: {UNITS[quantity]}?"
         sign = "" if quantity in use else "# "
         lines.append(f"{sign}{quantity} = {_value(best)}    # {printed(unit)}")
         names = [g.name for g in guesses if g.name != best.name and not _other_node(g, best)]

@@ -1,4 +1,4 @@
-"""Whether measured signals and a motor's parameters belong together: units, signs, phases, flux.
+"""Whether measured signals and a motor's parameters fit: units, signs, phases, flux.
 
 Complex numbers are alpha + j beta, amplitudes. Nothing here needs a filter or a threshold of one:
 each finding is a ratio of two things that were measured.
@@ -69,7 +69,7 @@ class Measured(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """What one comparison says. fits: None where it cannot be told."""
+    """Result of one comparison. fits: None where it cannot be checked."""
 
     fits: bool | None
     text: str
@@ -101,7 +101,7 @@ def named(ratio: float) -> str:
     size = abs(ratio)
     k, word = min(_NAMED, key=lambda one: abs(size / one[0] - 1.0))
     word = word if abs(size / k - 1.0) < _NAME_WITHIN else ""
-    sign = ", of the other sign" if ratio < 0 else ""
+    sign = ", with the other sign," if ratio < 0 else ""
     return f"{size:.3g} times{f' ({word})' if word else ''}{sign}"
 
 
@@ -114,14 +114,14 @@ def _sum(data: Measured, motor: Motor) -> Iterator[Finding]:
     if np.count_nonzero(big) < LEAST:
         yield Finding(
             None,
-            "the sum of the phases cannot be told: the log has no part with a tenth of I_rated",
+            "the sum of the phases cannot be checked: no part of the log has 0.1 I_rated",
         )
         return
     share = float(np.median(np.abs(data.phase_sum[big]) / np.abs(data.current[big])))
     yield Finding(
         share <= SUM,
         f"phase currents add up to {100 * share:.0f} % of their amplitude"
-        + ("" if share <= SUM else ": one of them is another signal, or has another scale"),
+        + ("" if share <= SUM else ": one of them is a wrong signal, or has a wrong scale"),
     )
 
 
@@ -149,13 +149,13 @@ def _slope(x: Array, y: Array) -> float:
 def _rotation(data: Measured, motor: Motor, turns: float | None) -> Iterator[Finding]:
     """Sense of rotation and pole pairs: of currents and voltages against the measured speed."""
     if len(data.speed) < LEAST:
-        yield Finding(None, "no measured speed: sense of rotation and pole pairs cannot be told")
+        yield Finding(None, "no measured speed: sense of rotation and pole pairs cannot be checked")
         return
     if turns is None:
         yield Finding(
             None,
-            "sense of rotation and pole pairs cannot be told: no part of the log is slow enough "
-            "for its samples, with current and a measured speed that they keep step with",
+            "sense of rotation and pole pairs cannot be checked: no part of the log has current "
+            "and a measured speed that fits it, and is slow enough for the rate of samples",
         )
         return
     volts = np.abs(data.voltage[np.isfinite(data.voltage)])
@@ -233,7 +233,7 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
     w = scale * motor.pole_pairs * speed
     fast = np.abs(w) > max(FAST * float(np.abs(w).max()), 20.0)
     if np.count_nonzero(fast) < LEAST:
-        yield Finding(None, "flux linkage cannot be told: the log has no part that is fast enough")
+        yield Finding(None, "flux linkage cannot be checked: no part of the log is fast enough")
         return
     dt = float(np.median(np.diff(data.t)))
     # The voltage is the mean since the sample before.
@@ -242,7 +242,7 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
     emf = u - (motor.R_s + 1j * w * motor.L_s) * current
     linkage = _agreed(np.abs(emf[fast]) / np.abs(w[fast]))
     if linkage is None:
-        yield Finding(None, "flux linkage cannot be told: voltages and speed do not agree")
+        yield Finding(None, "flux linkage cannot be checked: voltages and speed disagree")
         return
     ratio = linkage / motor.psi_pm
     fits = abs(ratio - 1.0) <= WITHIN["flux"]
@@ -266,11 +266,11 @@ def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Fi
     torque = np.interp(t, data.motion_t[known], data.torque[known])
     made = power / speed
     if float(np.abs(made).max()) < 0.1 * motor.T_rated:
-        yield Finding(None, "torque cannot be told: the log has no part with a tenth of T_rated")
+        yield Finding(None, "torque cannot be checked: no part of the log has 0.1 T_rated")
         return
     ratio = _slope(made, torque)
     if np.linalg.norm(torque - ratio * made) > APART * np.linalg.norm(torque):
-        yield Finding(None, "torque cannot be told: it does not follow currents and voltages")
+        yield Finding(None, "torque cannot be checked: it does not follow currents and voltages")
         return
     fits = abs(ratio - 1.0) <= WITHIN["torque"]
     text = f"torque: {named(ratio)} that of currents, voltages and speed"

@@ -1,4 +1,4 @@
-"""Which signals of a foreign DBC may stand for ours, by their names and units.
+"""Which signals of another maker's DBC may be mapped to ours, by their names and units.
 
 A guess, to be looked at by a person: names say what somebody called a signal, not what it is.
 """

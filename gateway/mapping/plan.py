@@ -1,4 +1,4 @@
-"""Inverters with messages of their own: read their DBC, and plan how ours are made of it.
+"""Inverters with messages of their own: read their DBC, and plan how to convert them to ours.
 
 Only at start. The messages that the core takes from such a drive are made by `translate`: of our
 kinds, with the foreign signals' own resolution and cycle, 32 bits each so that nothing clips. May
@@ -107,8 +107,8 @@ def _apart(codec: Codec, planned: list[Plan]) -> None:
             other = taken.setdefault(spec.key, plan.node)
             if other != plan.node and spec.key not in _shared(planned, other, plan):
                 problems.append(
-                    f"drive {plan.node}: {spec.name} ({spec.can_id:#x}) is drive {other}'s as "
-                    "well; give each its id_offset or its own signals"
+                    f"drive {plan.node}: {spec.name} ({spec.can_id:#x}) is also used by drive "
+                    f"{other}; give each its id_offset or its own signals"
                 )
     if problems:
         raise ConfigError("drive.signals", problems)
@@ -187,7 +187,7 @@ def _plan(config: Config, drive: Drive, signals: Signals) -> Plan:
         first = of[parts[0]]
         without = {specs[of[n]].name for n in parts if not specs[of[n]].cycle_ns}
         if without:
-            problems += [f"{path.name} says no cycle time of {name}: add cycle_ms.{name}"
+            problems += [f"{path.name} has no cycle time of {name}: add cycle_ms.{name}"
                          for name in sorted(without)]  # fmt: skip
             continue
         cycle = specs[first].cycle_ns

@@ -1,4 +1,4 @@
-"""Frames of foreign inverters into frames of our kinds, tick by tick; pure.
+"""Converts frames of other makers' inverters to our kinds, tick by tick; pure.
 
 What was not sent is not made up: a value that is missing, invalid or too old becomes the
 not-available code, and a kind whose message does not come is not made. Foreign messages mostly

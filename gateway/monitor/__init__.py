@@ -1,1 +1,1 @@
-"""The live view: an observer of the bus or of a log, and the forms in which it is shown."""
+"""The live view: an observer of a bus or of a log, and its displays."""

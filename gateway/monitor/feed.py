@@ -1,4 +1,4 @@
-"""One source, looked at ten times a second, for any number of viewers; none of them can delay it.
+"""One source, polled ten times a second, for any number of viewers; none of them can delay it.
 
 The source has a thread of its own. Each look becomes a picture; there is only ever the newest, so
 nothing queues up: a viewer who is slow gets fewer of them, and with the next one all points of the

@@ -1,4 +1,4 @@
-"""What stands before every request: verbs, names, the token, and what answers tell a browser.
+"""Checks before every request: methods, host names, the token; and headers of each answer.
 
 Starlette parses; its own middleware does not do the same. `TrustedHostMiddleware` has no rule for
 addresses in numbers, `AuthenticationMiddleware` no limit for wrong tokens, neither knows Origin or

@@ -1,4 +1,4 @@
-"""A log as a source: play, pause, seek. Seeking gives exactly what playing to that time gives."""
+"""A log as a source: play, pause, seek. Seeking gives the same result as playing to that time."""
 
 from __future__ import annotations
 

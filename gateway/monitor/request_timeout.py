@@ -1,4 +1,4 @@
-"""A request has to be whole some seconds after its first byte; uvicorn itself waits for ever.
+"""A request must be complete some seconds after its first byte; uvicorn has no such limit.
 
 Without a limit 64 connections that each send half a request keep everybody else out.
 """

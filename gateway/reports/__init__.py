@@ -1,1 +1,1 @@
-"""What a run leaves behind for people."""
+"""Reports of a run, for people."""

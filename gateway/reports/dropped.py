@@ -1,4 +1,4 @@
-"""How much of the input was left out, and whether that is too much to call a run good."""
+"""How much of the input was left out, and whether that is too much for a good result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every code of a flag frame: what it means, what to do about it, and what brings it about."""
+"""Every code of a flag frame: its meaning, its cause and its remedy."""
 
 from __future__ import annotations
 

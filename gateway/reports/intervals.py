@@ -1,4 +1,4 @@
-"""From when to when each flag said what, and why: the rows of a report's table."""
+"""Intervals of each flag's value, with the reason: the rows of a report's table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""For what share of the time each flag knew: `Unknown` is no news, and none of it is good news."""
+"""For what share of the time each flag was known: always `Unknown` is not good news."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run leaves behind: `flags.csv`, `estimates.csv`, and when flags changed."""
+"""The record of a run: `flags.csv`, `estimates.csv`, and when flags changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `--results` leaves of a run: tables while it goes, pictures and the report at its end.
+"""The files of `--results`: tables during the run, pictures and the report at its end.
 
 Imported only where results are asked for: a run without them pays nothing.
 """

@@ -1,4 +1,4 @@
-"""The report of a run, replayed or on a bench: what it was, what was said, how right that was.
+"""The report of a run, replayed or on a bench: configuration, flags, and their score.
 
 One Markdown text for `report.md` and `report.html`. Nothing in it depends on when or where it was
 written: the same run gives the same bytes.

@@ -1,4 +1,4 @@
-"""Did the flag come, when, and was it false: every rule of it.
+"""Whether a flag came, when, and whether it was false: all rules of scoring.
 
 `first` looks for a state in the flag frames of a run, `judge` matches events of the truth with
 intervals of flags, `score_flag` counts flag frames against the truth.

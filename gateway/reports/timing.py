@@ -1,4 +1,4 @@
-"""What a run leaves behind about its timing: table, histograms in powers of two, a picture."""
+"""The timing of a run: table, histograms in powers of two, a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run was like over time, for pictures: smallest and largest values, in flat memory.
+"""Smallest and largest values of a run over time, for pictures, in constant memory.
 
 A run of any length is kept as at most `MOST` stretches of equally many ticks, each with the
 smallest and the largest value of every column: a spike of one tick in an hour is still in the

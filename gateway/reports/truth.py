@@ -1,4 +1,4 @@
-"""What was really so, where it is known: for pictures, and to judge flags by (`scoring`).
+"""Ground truth, where it is known: for pictures, and to score flags (`scoring`).
 
 The rows are those that `sim --truth` writes; they are put together as they come, so that an hour of
 them takes no more memory than a second.

@@ -1,4 +1,4 @@
-"""What counters and reasons mean, in plain words, for who reads a report."""
+"""Plain-English meaning of counters and reasons, for reports."""
 
 from __future__ import annotations
 

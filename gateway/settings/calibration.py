@@ -27,7 +27,7 @@ POINTS = ("stator", "drive_end", "non_drive_end")
 Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
 Noise = Annotated[float, within(0, 100, "K", "calibrate anew")]
 Limit = Annotated[
-    float, within(0.01, 100, "K", "beyond that no fault would be told: calibrate anew")
+    float, within(0.01, 100, "K", "beyond that no fault would be found: calibrate anew")
 ]
 Gain = Annotated[float, within(0.01, 100, "", "no motor warms like that: calibrate anew")]
 Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate anew")]
@@ -178,16 +178,16 @@ def load(
     known = {m.node for m in calibration.motor}
     problems = []
     if stored != calibration.checksum():
-        problem = "checksum: the file is not what 'traction-gateway calibrate' wrote; measure anew"
+        problem = "checksum: the file was changed after 'traction-gateway calibrate'; run it again"
         problems.append(problem)
     problems += [
-        f"motor: node {n} is configured but not calibrated; calibrate with a log that has it"
+        f"motor: node {n} is configured but not calibrated; add a log with this node"
         for n in nodes
         if n not in known
     ]
     if abs(calibration.window_s - window_s) > 1e-9:
         problems.append(
-            f"window_s: measured with {calibration.window_s} s, configured {window_s} s; "
+            f"window_s: calibrated for {calibration.window_s} s, configured {window_s} s; "
             "limits hold for one window only"
         )
     if problems:

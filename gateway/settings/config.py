@@ -71,7 +71,7 @@ class Config(Strict):
         if not nodes:
             problems.append("drive: at least one [[drive]] is needed")
         problems += [
-            f"drive: node {node} stands twice; give each drive its own node"
+            f"drive: node {node} is used twice; give each drive its own node"
             for node in sorted({n for n in nodes if nodes.count(n) > 1})
         ]
         for position, drive in enumerate(self.drive):
@@ -88,8 +88,9 @@ class Config(Strict):
         for key in ("tolerance", "reuse"):
             if getattr(self.adhesion, key) and "paper_vb" not in self.adhesion.detector:
                 problems.append(
-                    f"adhesion.{key}: detector {self.adhesion.detector!r} has none; leave it at 0, "
-                    "or take detector = 'paper_vb'"
+                    f"adhesion.{key}: detector {self.adhesion.detector!r} has no such key; "
+                    "leave it at 0, "
+                    "or use detector = 'paper_vb'"
                 )
         if self.bus.on_intruder == "tell" and self.authentication is None:
             problems.append(
@@ -196,7 +197,7 @@ def check_seal(path: Path, content: bytes, sealed: str) -> None:
     if hashlib.sha256(content).hexdigest() != sealed:
         raise ConfigError(
             str(path),
-            ["is not the file that was signed; restore that one, or sign anew after a review"],
+            ["is not the file that was signed; restore that one, or sign again after a review"],
         )
 
 

@@ -31,9 +31,9 @@ def share(raw: Mapping[str, Any]) -> tuple[dict[str, Any], dict[int, str], list[
         shared.append(own)
         name = drive.get("inverter")
         if name is None:
-            problems.append(f"{where}.id_offset: belongs to an `inverter`, or into its signals")
+            problems.append(f"{where}.id_offset: needs an `inverter`; or put it into `signals`")
         elif "signals" in own:
-            problems.append(f"{where}: has an `inverter` and `signals`; leave one of them")
+            problems.append(f"{where}: has an `inverter` and `signals`; remove one of them")
         elif name not in inverters or not isinstance(inverters[name], dict):
             problems.append(f"{where}.inverter: no [inverter.{name}]{_near_names(name, inverters)}")
         else:

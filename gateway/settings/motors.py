@@ -1,4 +1,4 @@
-"""`[motor.NAME]`: parameters of a motor, their bounds, and whether they can be one machine's.
+"""`[motor.NAME]`: parameters of a motor, their bounds, and whether they are consistent.
 
 Bounds hold every permanent-magnet motor from 0.5 kW to 2 MW. May know: numbers. May not know:
 drives, buses, estimators.
@@ -55,8 +55,8 @@ class Motor(BaseModel):
         torque = self.torque_nm
         if not TORQUE_RATIO.low <= self.T_rated / torque <= TORQUE_RATIO.high:
             problems.append(
-                f"T_rated: {self.T_rated:g} Nm does not belong to I_rated = {self.I_rated:g} A, "
-                f"with which k_p x pole_pairs x psi_pm x I_rated = {torque:.3g} Nm: correct the "
+                f"T_rated: {self.T_rated:g} Nm does not fit I_rated = {self.I_rated:g} A, which "
+                f"gives k_p x pole_pairs x psi_pm x I_rated = {torque:.3g} Nm: correct the "
                 f"one that is wrong (T_rated may be {TORQUE_RATIO} times that)"
             )
         tau = self.L_s / self.R_s

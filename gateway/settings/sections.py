@@ -1,4 +1,4 @@
-"""Sections of the configuration: every key with its bounds, and why they are there.
+"""Sections of the configuration: every key with its bounds and their reason.
 
 May know: numbers. May not know: files, buses, clocks, the DBC's contents.
 """
@@ -44,11 +44,11 @@ class Extended(Strict):
 Milliseconds = Annotated[
     int, within(0, 500, "ms", "a loss that is found half a second late helps no control")
 ]
-Hold = Annotated[int, within(0, 5000, "ms", "good evidence is there in every tick: give it in ms")]
+Hold = Annotated[int, within(0, 5000, "ms", "longer than any flag needs: give it in ms")]
 Seconds = Annotated[float, within(0, 3600, "s", "give it in seconds")]
 Bitrate = Annotated[int, within(10_000, 1_000_000, "bit/s", "CAN has up to 1 Mbit/s: in bit/s")]
 SensorName = Literal["stator", "drive_end", "non_drive_end"]
-_NOISE = "far from 1e-4, 1e-4, 1e-5, 1e-6, 0.1 no filter follows the motor: variance per 125 us"
+_NOISE = "a filter needs values near 1e-4, 1e-4, 1e-5, 1e-6, 0.1: give a variance per 125 us"
 Variances = tuple[
     Annotated[float, within(1e-8, 1, "A2", _NOISE)],
     Annotated[float, within(1e-8, 1, "A2", _NOISE)],
@@ -128,7 +128,7 @@ class Drive(Extended):
             raise ValueError(msg)
         twice = sorted({name for name in sensors if sensors.count(name) > 1})
         if twice:
-            msg = f"{', '.join(twice)} stands twice; name each sensor once"
+            msg = f"{', '.join(twice)} is listed twice; name each sensor once"
             raise ValueError(msg)
         return sensors
 
@@ -175,10 +175,10 @@ class Adhesion(Extended):
     ] = 0.7
     """Load spread of healthy drives, at 30 Nm."""
     raise_probability: Annotated[
-        float, within(0.71, 0.999, "", "0.7 is said of a drive as long as nobody knows")
+        float, within(0.71, 0.999, "", "0.7 is sent while the probability is not known")
     ] = 0.9
     clear_probability: Annotated[
-        float, within(0.01, 0.69, "", "0.7 is said of a drive as long as nobody knows")
+        float, within(0.01, 0.69, "", "0.7 is sent while the probability is not known")
     ] = 0.5
     raise_ms: Milliseconds = 10
     """This and the next two: a tick longer with a detector without memory."""
@@ -220,12 +220,12 @@ class Canopen(Extended):
 
     nmt_master: bool = False
     heartbeat_ms: int | None = Field(
-        None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as it is heard"
+        None, ge=1, le=65_535, description="period of the drives' heartbeats; None: as received"
     )
 
     @property
     def heartbeat_ns(self) -> int:
-        """Configured period of the drives' heartbeats, ns; 0: as it is heard."""
+        """Configured period of the drives' heartbeats, ns; 0: as received."""
         return 1_000_000 * (self.heartbeat_ms or 0)
 
 

@@ -38,11 +38,11 @@ class Source(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     signal: str = Field(pattern=r"^\w+\.\w+$", description='"Message.Signal" of that DBC')
-    scale: Annotated[float, within(-1e6, 1e6, "", "so large a unit is none")] = 1.0
-    offset: Annotated[float, within(-1e6, 1e6, "", "so large a number is none of a drive's")] = 0.0
+    scale: Annotated[float, within(-1e6, 1e6, "", "no unit is so large")] = 1.0
+    offset: Annotated[float, within(-1e6, 1e6, "", "no offset is so large")] = 0.0
     not_available: tuple[Raw, ...] = Field((), description="raw values that mean no value")
     settle_ms: Annotated[float, within(0, 60_000, "ms", "after power-up, or a silence")] = 0.0
-    """Not believed for so long."""
+    """The signal is not used for this time."""
 
     @model_validator(mode="before")
     @classmethod
@@ -76,7 +76,8 @@ class Signals(BaseModel):
     id_offset: Annotated[int, within(-(2**29), 2**29, "", "identifiers have up to 29 bits")] = 0
     """Added to every identifier of that file."""
     cycle_ms: dict[
-        str, Annotated[float, within(0.1, 3_600_000, "ms", "no frame is shorter: give it in ms")]
+        str,
+        Annotated[float, within(0.1, 3_600_000, "ms", "none is shorter: give it in ms")],
     ] = Field(
         default_factory=dict, description="by message, where that file has no GenMsgCycleTime"
     )

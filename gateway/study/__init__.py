@@ -1,1 +1,1 @@
-"""Both papers, their rivals, evaluation: nobody on a bus needs a line of it."""
+"""Both papers, their rivals, and evaluation: not needed to run on a bus."""

@@ -1,4 +1,4 @@
-"""Judging detectors: everything that is measured of one run, pooled over runs, as a table.
+"""Scoring of detectors: all measures of one run, pooled over runs, as a table.
 
 All of it is read from the frames that the gateway sends: flags from `Gateway_Adhesion`, loss
 probability and load from `Drive{n}_Estimate`. Knows nothing of where the frames came from.

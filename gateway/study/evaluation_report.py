@@ -1,4 +1,4 @@
-"""What an evaluation leaves behind: a Markdown table, CSV files, ROC and reliability pictures."""
+"""The files of an evaluation: a Markdown table, CSV files, ROC and reliability pictures."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ DIGITS: Final = {
     "ROC area": 4, "ECE": 4, "common F1": 4, "common delay ms": 0, "common false / h": 1,
 }  # fmt: skip
 LEGEND: Final = """\
-Judged per drive and flag frame, 30 ms around each edge and the first 0.5 s left out; unknown counts
-as not raised. F1, precision and recall pooled over all runs; mean and standard deviation over runs
-with a loss; F1 uncut: without time in which the rail is back and the drive's own slip limiter still
-holds its torque back. Losses count from 20 % of the demand on. Delay: from the onset to the first
-`AdhesionLost`, of the losses found; abrupt: half of the demand gone within 20 ms. A false alarm is
-a stretch of `AdhesionLost` that touches no loss, per healthy hour of the train. Adhering, unknown,
-false (`AdhesionLost`): share of healthy frames. Dangerous: share of lost frames that say `Adhering`
-later than 100 ms after the onset. Load: estimated minus true load while tracking, % of rated
-torque. ROC area and expected calibration error (ECE) from `LossProbability`. Common: `CommonMode`
-against all drives lost together."""
+Scored per drive and flag frame, without 30 ms around each edge and the first 0.5 s; an unknown flag
+counts as not raised. F1, precision and recall are pooled over all runs; mean and standard deviation
+are over runs with a loss. F1 uncut leaves out the time in which the rail is good again and the
+drive's own slip limiter still holds its torque back. A loss counts if it takes at least 20 % of the
+demand. The delay of the losses found runs from the onset to the first `AdhesionLost`; abrupt: at
+least half of the demand lost within 20 ms. A false alarm is an interval of `AdhesionLost` that
+overlaps no loss, per healthy hour of the train. Adhering, unknown, false (`AdhesionLost`): share of
+healthy frames. Dangerous: share of lost frames that are `Adhering` later than 100 ms after the
+onset. Load: estimated minus true load while tracking, % of rated torque. ROC area and expected
+calibration error (ECE) from `LossProbability`. Common: `CommonMode`, scored against losses of all
+drives together."""
 
 
 def cells(line: Line) -> list[str]:

@@ -1,4 +1,4 @@
-"""A train whose speed is held whatever it carries: a second world to judge detectors in.
+"""A train whose speed is held whatever load it carries: a second world to judge detectors in.
 
 Written apart from `sim/physics/plant.py`, with no mechanics at all. The rotor
 turns at a given speed, as behind an ideally stiff control; the motor's torque is at every instant

@@ -1,4 +1,4 @@
-"""Drives of `motulator` (PyPI): a world whose machines nobody here wrote, to judge detectors in.
+"""Drives of `motulator` (PyPI): a world of another author's machines to judge detectors in.
 
 Of motulator are the machine (flux equations in rotor coordinates), the mechanics, the inverter, the
 modulator with its delay, and the control: speed, current reference and current vector control with

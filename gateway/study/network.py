@@ -1,4 +1,4 @@
-"""A sensor network, simulated: wires between neighbours, and two ways to add up over them.
+"""A simulated sensor network: links between neighbours, and two ways to compute sums over it.
 
 Time goes in synchronous rounds: what is sent in one is there in the next. A node acts on its
 own store and on what came in; nobody looks at another node's store. `Traffic` counts.

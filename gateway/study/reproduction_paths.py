@@ -1,4 +1,4 @@
-"""What quantisation and the bus cost: the same experiment on several ways to the load estimate.
+"""The cost of quantisation and of the bus: one experiment with several sources of the load.
 
 Every path is looked at at the same instants, as one who reads it live would: the last estimate
 that was there. A path without an estimate of every drive takes the instant out for all.

@@ -1,4 +1,4 @@
-"""What paper `adhesion` mentions beside its VB of Table 1: the bound, reuse, two quantities."""
+"""Variants that paper `adhesion` mentions beside Table 1: the bound, reuse, two quantities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report's section on the wire: what rounding, slower samples and the bus cost."""
+"""The report's section on the wire: the cost of rounding, slower samples and the bus."""
 
 from __future__ import annotations
 

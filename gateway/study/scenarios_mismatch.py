@@ -1,4 +1,4 @@
-"""One motor or its sensors off what the data sheet says, and a loss: mismatch against detection.
+"""One motor or its sensors off the data sheet, and a loss: mismatch against detection.
 
 All of these draw the same runs from the same seeds: their rows differ by the mismatch alone.
 Drive 1 is off, any drive loses adhesion. `scenarios_family` has them as the group `mismatch`.

@@ -1,4 +1,4 @@
-"""Temperatures of a log, cycle by cycle, without the rest of a tick of the gateway.
+"""Temperatures of a log, cycle by cycle, without the other stations of a tick.
 
 A record of slow messages costs what its frames cost: no filter, no detector, no frame goes out.
 """

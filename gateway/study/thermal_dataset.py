@@ -1,4 +1,4 @@
-"""Labelled trains for thermal fault detection: four 350 kW motors, their duty, their ills, a fault.
+"""Labelled trains for thermal fault detection: four 350 kW motors, duty, disturbances, a fault.
 
 Two time bases. `DAYS`: the paper's, 360 samples in 100 days, the fault from day 50 (sample 180) to
 day 75 (270). `BENCH`: what a bench sees on CAN, one sample a second for two hours.

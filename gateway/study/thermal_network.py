@@ -1,4 +1,4 @@
-"""Heat of the second world's motors: eight lumps of which each train merges some, cooling by node.
+"""Heat of the second world's motors: eight lumps, some merged in each train, cooling by node.
 
 Written apart from `thermal_heat`, which it shares no number and no equation with: what a method has
 learnt of that one does not help here. May know: heat. May not know: any method of detection.

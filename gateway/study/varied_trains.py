@@ -1,9 +1,9 @@
-"""What other worlds hold constant: a train of any motor on any bus, all of it by seed.
+"""Random trains by seed: any motor on any bus, which the other worlds keep constant.
 
 Motors of 0.5 to 500 kW, their nameplates drawn per unit; currents and voltages every 1 to 10 ms;
-signals of a coarse or a fine step; with and without `Motion` and `Status`; 1 to 16 drives. What
-nobody could tell anything from is not drawn: a drive alone has a command, and a train without
-`Motion` turns so slowly that its currents come ten times a revolution.
+signals of a coarse or a fine step; with and without `Motion` and `Status`; 1 to 16 drives. Trains
+without observable losses are not drawn: a single drive has a command, and a train without `Motion`
+turns so slowly that its currents come ten times a revolution.
 """
 
 from __future__ import annotations

@@ -147,7 +147,7 @@ def test_a_real_cia_402_drive():
 def test_a_maker_without_a_name_or_number(capsys):
     code, out, _ = check(capsys, DATA / "canopennode_ds301.eds")
     assert code == 0
-    assert "canopennode_ds301.eds: New Product, node 1, as the file names none" in out
+    assert "canopennode_ds301.eds: New Product, node 1, because the file names none" in out
 
 
 def test_what_a_dcf_has_configured_counts(dcf):
@@ -257,7 +257,7 @@ def test_a_heartbeat_that_is_no_time_is_said(text, note, dcf, capsys):
     path = dcf(heartbeat=text, text=DCF.replace("rw\nDefaultValue=0\n", "rw\n"))
     assert device_of(path).heartbeat_ms is None
     out = check(capsys, path)[1]
-    assert f"{note} is no number of ms from 0 to 65535" in out
+    assert f"{note} is not a number of ms from 0 to 65535" in out
     assert "missing" not in out
 
 

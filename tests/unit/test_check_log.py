@@ -81,14 +81,14 @@ WRONG = {
     "rad/s for rpm": ({"Speed": ("scale", 0.10472)}, "(rad/s for rpm)"),
     "speed of the other sign": ({"Speed": ("scale", -1.0)}, "Speed has the other sign"),
     "torque of the other sign": ({"Torque": ("scale", -1.0)},
-                                 "of the other sign that of currents"),
+                                 "with the other sign, that of currents"),
     "torque ten times": ({"Torque": ("scale", 10.0)}, "(ten times) that of currents"),
     "voltages line to line": ({"Ualpha": ("scale", 3**0.5), "Ubeta": ("scale", 3**0.5)},
                               "correct psi_pm, or the scale of the voltages"),
     "voltages turn back": ({"Ubeta": ("scale", -1.0)}, "the voltages turn against"),
     "phases swapped": ({"Ia": ("signal", "Cur.Ib"), "Ib": ("signal", "Cur.Ia")},
                        "two phases are swapped"),
-    "another signal": ({"Ic": ("signal", "Cur.Ia")}, "one of them is another signal"),
+    "another signal": ({"Ic": ("signal", "Cur.Ia")}, "one of them is a wrong signal"),
 }  # fmt: skip
 
 

@@ -135,7 +135,7 @@ def test_beyond_the_bounds_nothing_is_found_and_the_key_is_named(section, change
 
 
 def test_a_current_that_the_dbc_cannot_hold_is_a_configuration_that_fails(capsys, tmp_path):
-    """Every number has its bounds, and still no loss would ever be told."""
+    """Every number has its bounds, and still no loss would ever be found."""
     path = tmp_path / "train.toml"
     motor = {**BENCH, "R_s": 0.01, "L_s": 1e-4, "I_rated": 2000.0, "T_rated": 2400.0, "J": 10.0}
     lines = "".join(f"{key} = {value}\n" for key, value in motor.items())
@@ -143,7 +143,7 @@ def test_a_current_that_the_dbc_cannot_hold_is_a_configuration_that_fails(capsys
     code, out, err = checked(capsys, path)
     assert code == 2
     assert "A loss of 50 % on drive 1 is not found within 1 s." in out
-    assert "no loss would be told: drive 1: the drive is Unknown before the loss" in err
+    assert "no loss would be found: drive 1: the drive is Unknown before the loss" in err
     assert f"reason {Reason.RANGE.name.title()}" in err
     assert "give those signals a larger factor" in " ".join(err.split())
 
@@ -204,7 +204,7 @@ def test_a_drive_that_can_never_be_judged_is_not_tried(tmp_path, without, said):
 def test_check_says_that_nothing_was_tried_and_why(capsys):
     code, out, err = checked(capsys, ROOT / "examples" / "inverters" / "bamocar_d3.toml")
     assert code == 2
-    assert "no loss would be told: drive 1: no phase currents" in err
+    assert "no loss would be found: drive 1: no phase currents" in err
     assert "always Unknown: no phase currents" in out
     assert "not tried: no drive can ever be judged" in out
     assert not FOUND.search(out)

@@ -165,10 +165,10 @@ def test_a_report_of_the_timing_needs_a_folder(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("section", "expected"),
     [
-        ("", "after 3 of the periods heard, at least 300 ms"),
+        ("", "after 3 of the received periods, at least 300 ms"),
         (
             "[canopen]\nheartbeat_ms = 1000\n",
-            "every 1000 ms: from its second one on a drive is lost after 3000 ms of silence",
+            "every 1000 ms: after its second one, a drive is lost after 3000 ms of silence",
         ),
         ("[canopen]\nheartbeat_ms = 50\n", "after 300 ms of silence"),
     ],

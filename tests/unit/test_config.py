@@ -41,7 +41,7 @@ def test_consistency_is_checked_across_sections():
         {"drive": [{"node": 1}, {"node": 1, "motor": "big"}], "adhesion": {"observe": "speed"}}
     )
     text = "\n".join(found)
-    assert "node 1 stands twice" in text
+    assert "node 1 is used twice" in text
     assert "no [motor.big]" in text
     assert "adhesion.observe" in text
 
@@ -75,7 +75,7 @@ def test_only_the_papers_vb_observes_speed():
 @pytest.mark.parametrize("key", ["tolerance", "reuse"])
 def test_only_the_papers_vb_has_a_bound_and_reuses(key):
     assert getattr(parse({"adhesion": {"detector": "paper_vb", key: 0.5}}).adhesion, key) == 0.5
-    with pytest.raises(ConfigError, match=f"adhesion.{key}: detector 'switching' has none"):
+    with pytest.raises(ConfigError, match=f"adhesion.{key}: detector 'switching' has no such key"):
         parse({"adhesion": {key: 0.5}})
     with pytest.raises(ConfigError, match=f"adhesion.{key}"):
         parse({"adhesion": {"detector": "paper_vb", key: -0.5}})
@@ -132,7 +132,7 @@ def test_a_drive_has_all_sensors_unless_told_which():
     ("sensors", "said"),
     [
         ([], "drive.0.sensors: at least one is needed"),
-        (["stator", "stator"], "drive.0.sensors: stator stands twice"),
+        (["stator", "stator"], "drive.0.sensors: stator is listed twice"),
         (["winding"], "drive.0.sensors.0: Input should be 'stator', 'drive_end' or"),
     ],
 )

@@ -260,7 +260,7 @@ def test_everything_wrong_with_a_mapping_is_said_at_once(tmp_path):
     use = {"Tstator": "Tmp.Tstator"}
     text = problems(parse({"drive": [{"node": 1, "signals": {"dbc": silent.name, "use": use}}]},
                           base=tmp_path))  # fmt: skip
-    assert "says no cycle time of Tmp: add cycle_ms.Tmp" in text
+    assert "has no cycle time of Tmp: add cycle_ms.Tmp" in text
     text = problems(parse({"drive": [{"node": 1, "signals": {"dbc": "no.dbc", "use": use}}]},
                           base=tmp_path))  # fmt: skip
     assert "no.dbc: no such file" in text
@@ -290,7 +290,7 @@ def test_identifiers_of_the_gateway_and_of_others_are_refused(tmp_path):
     said = problems(load(tmp_path / "a.toml"))
     assert "M160_Temperatures_1 (0xa0) has the identifier of the gateway's emergencies" in said
     (tmp_path / "b.toml").write_text(text.replace("id_offset = 0x40", "id_offset = 0x20"))
-    assert "is drive 1's as well" in problems(load(tmp_path / "b.toml"))
+    assert "is also used by drive 1" in problems(load(tmp_path / "b.toml"))
 
 
 def test_the_mapped_file_is_part_of_the_hash_and_needs_a_signature_of_its_own(tmp_path):

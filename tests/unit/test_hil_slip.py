@@ -45,7 +45,7 @@ def test_a_score_that_is_expected_and_a_function_of_ones_own(tmp_path, capsys):
         (["dry", "--controller", "nobody"], "FILE.py:FUNCTION"),
         (["dry", "--controller", "no.py:f"], "no Python file"),
         (["dry", "--controller", f"{__file__}:no"], "no function"),
-        (["dry", "--controller", "creep", "-i", "virtual", "-c", "x"], "flags are in charge"),
+        (["dry", "--controller", "creep", "-i", "virtual", "-c", "x"], "flags control the torque"),
     ],
 )
 def test_what_is_not_understood_is_refused_with_a_cure(words, cure, capsys):

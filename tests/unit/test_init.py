@@ -182,7 +182,7 @@ def test_a_log_says_cycles_and_identifiers(tmp_path, capsys):
 @pytest.mark.parametrize(("raw", "problem"), [
     ({"drive": [{"node": 1, "inverter": "mime"}], "inverter": {"mine": {}}},
      "drive.0.inverter: no [inverter.mime]; did you mean 'mine'?"),
-    ({"drive": [{"node": 1, "id_offset": 3}]}, "drive.0.id_offset: belongs to an `inverter`"),
+    ({"drive": [{"node": 1, "id_offset": 3}]}, "drive.0.id_offset: needs an `inverter`"),
     ({"drive": [{"node": 1, "inverter": "a", "signals": {}}], "inverter": {"a": {}}},
      "drive.0: has an `inverter` and `signals`"),
     ({"inverter": {"a": {}}}, "inverter: no [[drive]] names one"),

@@ -140,4 +140,4 @@ def test_mcap_without_results_is_refused(tmp_path, capsys):
     with Writer(tmp_path / "x.log") as writer:
         writer.write(Frame(10**9, 0x181, b"", 0, "can0"))
     assert main(["replay", str(tmp_path / "x.log"), "--mcap"]) == 2
-    assert "--mcap: is for the report; say where to with --results" in capsys.readouterr().err
+    assert "--mcap: is for the report; add --results DIR" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The gateway's flags as they stand on the wire, and what a test expects of them."""
+"""The gateway's flags as read from the wire, and a test's expectations of them."""
 
 from __future__ import annotations
 

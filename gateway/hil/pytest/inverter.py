@@ -1,4 +1,4 @@
-"""The simulated inverters as a test handles them: things go wrong from now on, for so long."""
+"""The simulated inverters in a test, with faults that start now and last for a given time."""
 
 from __future__ import annotations
 

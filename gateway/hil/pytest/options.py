@@ -1,4 +1,4 @@
-"""What the command line of pytest says of the bus."""
+"""Options of the pytest command line for the bus."""
 
 from __future__ import annotations
 

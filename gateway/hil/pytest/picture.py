@@ -1,4 +1,4 @@
-"""What a failed expectation shows: a strip of time with flags and truth, and the last frames."""
+"""Picture of a failed expectation: flags and truth over time, and the last frames."""
 
 from __future__ import annotations
 

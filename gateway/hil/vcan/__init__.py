@@ -1,4 +1,4 @@
-"""Commands where SocketCAN is real: a network namespace, or a kernel that runs as a program.
+"""Commands with real SocketCAN: in a network namespace, or in user-mode-linux.
 
 `ways`: which of the two this machine can do; `links`: the interfaces, as lines of a shell; `slcan`:
 a serial adapter, whose link has error states; `job`: a command there; `guest`: what the kernel that

@@ -1,4 +1,4 @@
-"""A command where SocketCAN is real.
+"""A command with real SocketCAN.
 
 Natively a namespace of its own keeps the interfaces away from those of the machine. Where the
 kernel has no CAN, Debian's user-mode-linux boots (about 4 s) with the host's files as root. What

@@ -1,4 +1,4 @@
-"""The interfaces of a command, as lines of a shell that run before it and after it."""
+"""The interfaces of a command, as shell commands that run before and after it."""
 
 from __future__ import annotations
 

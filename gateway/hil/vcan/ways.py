@@ -1,4 +1,4 @@
-"""Where a command finds real SocketCAN on this machine: natively, or in user-mode-linux."""
+"""How a command gets real SocketCAN on this machine: natively, or in user-mode-linux."""
 
 from __future__ import annotations
 

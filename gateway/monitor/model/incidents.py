@@ -1,4 +1,4 @@
-"""What a person wants told: changes, each once, the last 200 of them. Pure."""
+"""Events worth reporting: changes, each once, the last 200 of them. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A snapshot as Prometheus metrics. Pure: what is not known has no sample, and never a NaN.
+"""A snapshot as Prometheus metrics. Pure: an unknown value has no sample, and never NaN.
 
 Names and units as <https://prometheus.io/docs/practices/naming/> wants them: base units, in the
 name. A flag is 0 unknown, 1 good, 2 bad, as on the bus; a state is a sample for each that there

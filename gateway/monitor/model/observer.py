@@ -1,4 +1,4 @@
-"""The observer: everybody's frames in, what a person wants to see out. Pure, bounded.
+"""The observer: frames of all nodes in, a snapshot for the displays out. Pure, bounded.
 
 It hears the bus as any other node does, through the same codec and the same E2E rules, and sends
 nothing. What happens between two calls is decided on a grid of its own, one step per period from

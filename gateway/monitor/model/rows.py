@@ -1,4 +1,4 @@
-"""From what was last believed of each message to the rows that are shown. Pure.
+"""From the last accepted value of each message to the rows of the display. Pure.
 
 Whatever is too old, not valid or contradictory is None or unknown here, never its last value.
 """

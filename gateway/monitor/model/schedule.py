@@ -1,4 +1,4 @@
-"""How late a cyclic message comes, as seen from outside: without its sender's clock. Pure."""
+"""Lateness of a cyclic message, measured without its sender's clock. Pure."""
 
 from __future__ import annotations
 
