@@ -7,14 +7,14 @@ Li and Kirubarajan 2001, section 5.4: filter consistency).
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from _traction_core import lib
 from numpy.typing import NDArray
 
 from estimators._core import Records, pointer
-from estimators.thermal.monitor import ThermalMonitor
+from estimators.thermal.monitor import Coverage, ThermalMonitor
 
 Array = NDArray[np.float64]
 
@@ -26,19 +26,6 @@ MOST_INFLATION: Final = 1.5
 """A model that is wrong by more is not trusted, however wide its band."""
 BAND: Final = 1.96
 """Standard deviations: 95 % of normal numbers."""
-
-
-class Coverage(NamedTuple):
-    """Of M motors; NaN of one with too few blocks.
-
-    inflation (M,): root mean square of the normalised innovations, 1 to `MOST_INFLATION`; covered
-    (M, 2): share within `BAND` times that, in the half of the blocks with less and with more copper loss; lag_one
-    (M,): their correlation from block to block.
-    """
-
-    inflation: Array
-    covered: Array
-    lag_one: Array
 
 
 def innovations(monitor: ThermalMonitor, off: Array, inputs: Records) -> Array:

@@ -119,8 +119,7 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
     known = known._replace(centre=np.nanmedian(middles, axis=0), noise=noise)
     beside = off - np.nanmedian(off, axis=0)
     known = _likeliest(known, inputs, beside, dt)
-    found = coverage.measure(ThermalMonitor(known, dt), beside, inputs)
-    return known._replace(inflation=found.inflation, covered=found.covered)
+    return known._replace(coverage=coverage.measure(ThermalMonitor(known, dt), beside, inputs))
 
 
 def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> Known:

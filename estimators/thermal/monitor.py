@@ -110,14 +110,33 @@ MOST_SAMPLES: Final[int] = lib.THERMAL_BLOCK_MAX
 """Of a block, and of what the step detector looks at."""
 
 
+class Coverage(NamedTuple):
+    """How far the filters' prediction of a fault-free block holds, of M motors: see `coverage`.
+
+    inflation (M,): root mean square of the normalised innovations, at least 1; covered (M, 2):
+    share of them within the band of 95 % times that, in the half of the blocks with less copper
+    loss and in that with more; lag_one (M,): their correlation from block to block. Of a motor with
+    too few blocks 1, NaN, NaN.
+    """
+
+    inflation: Array
+    covered: Array
+    lag_one: Array
+
+    @property
+    def unexplained(self) -> NDArray[np.bool_]:
+        """(M,) whether even the inflated band leaves out too much, at either duty."""
+        return np.asarray((self.covered < LEAST_COVERED).any(axis=1))
+
+
 class Known(NamedTuple):
     """What fault-free runs have shown of a train's motors.
 
     parameters (M, 18): see `model`; centre (M, 3) K: residual beside the peers'; noise (M, 3) K: of
     single readings; scale: of `DISTURBANCES`; duty (4,): mean speed rad/s, and means of the
     squared current A^2, of the frame's cooling and of the winding's heating K/s, of the fleet;
-    own_k: K per root of a minute that lumps deviate by themselves: more where the model is wrong;
-    inflation (M,), covered (M, 2): see `coverage.Coverage`; None where they were not measured.
+    own_k: K per root of a minute that lumps deviate by themselves: more where the model is wrong.
+    coverage: of the filters with all this; None where it was not measured.
     """
 
     parameters: Array
@@ -126,15 +145,7 @@ class Known(NamedTuple):
     scale: float
     duty: Array
     own_k: float = OWN_K
-    inflation: Array | None = None
-    covered: Array | None = None
-
-    @property
-    def explained(self) -> NDArray[np.bool_]:
-        """(M,) whether the inflated filters cover a motor's held-back blocks at either duty."""
-        if self.covered is None:
-            return np.ones(len(self.parameters), dtype=np.bool_)
-        return ~(self.covered < LEAST_COVERED).any(axis=1)
+    coverage: Coverage | None = None
 
 
 class ThermalMonitor(Addressed):
@@ -305,8 +316,9 @@ def _motors(known: Known, block: int) -> Records:
     out["model"] = model.parameter_records(known.parameters)
     out["centre_k"], out["noise_k"] = known.centre, known.noise
     out["block_noise_k"] = reading_noise(known.noise, block)
-    out["inflation"] = 1.0 if known.inflation is None else known.inflation
-    out["unexplained"] = ~known.explained
+    out["inflation"] = 1.0
+    if known.coverage is not None:
+        out["inflation"], out["unexplained"] = known.coverage.inflation, known.coverage.unexplained
     return out
 
 
