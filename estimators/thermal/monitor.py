@@ -87,8 +87,9 @@ SHOWN_K: Final = 0.6
 """What heat has to have made of some reading by now; before, draught does as much in a minute."""
 AMBIGUOUS, MISFIT_K = 0.3, 0.06
 """Where lumps deviate by more than `MISFIT_K` by themselves, what a model of five lumps calls a
-sensor that creeps up may be heat where it has no lump: this share of its probability counts for
-heat, so that neither is named. A sensor that has stepped, or reads low, is named all the same."""
+sensor that creeps may be heat where it has no lump, or, of one that reads low, heat of a motor that
+it is compared with: this share of its probability counts for heat, so that neither is named. A
+sensor that the step detector has seen step is named all the same."""
 LEAST_COVERED: Final = 0.8
 """Of a motor's held-back blocks, in the band of 95 %. One with less has `Reason` Config."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
@@ -244,7 +245,7 @@ class ThermalMonitor(Addressed):
 
         off (B, M, 3) K from the other motors, inputs (B, M) of `struct thermal_sums`.
         """
-        return sum(lib.thermal_likelihood(*each) for each in self.held_back(off, inputs))
+        return float(sum(lib.thermal_likelihood(*each) for each in self.held_back(off, inputs)))
 
     def held_back(self, off: Array, inputs: Records) -> Iterator[tuple[Any, ...]]:
         """For every motor what `thermal_likelihood` takes, without faults."""

@@ -79,8 +79,8 @@ def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
     """A line for each motor of whose filters it is known how far they hold."""
     out = [
         f"drive {node}: filters widened {inflation:.2f} times; their band of 95 % then has "
-        f"{100.0 * light:.0f} % of the blocks with less and {100.0 * heavy:.0f} % of those with more "
-        f"copper loss; correlation from block to block {lag_one:.2f}"
+        f"{100.0 * light:.0f} % of the blocks with less and {100.0 * heavy:.0f} % of those with "
+        f"more copper loss; correlation from block to block {lag_one:.2f}"
         for node, inflation, (light, heavy), lag_one in zip(nodes, *coverage, strict=True)
         if np.isfinite(lag_one)
     ]
