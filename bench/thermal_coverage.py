@@ -1,13 +1,16 @@
 """`python -m bench.thermal_coverage [--world other] [A-B]`: may a coverage decide who is judged?
 
-For each train: what `calibrate` prints (share of the second half of the held-back run within two
-sigma of the first), and the same beside the other motors on one more fault-free run, with its
-autocorrelation from minute to minute. Development seeds.
+For each train: what `calibrate` prints of the model alone (share of the second half of the
+held-back run within two sigma of the first), and the same beside the other motors on one more
+fault-free run, with its autocorrelation from minute to minute. Then the filters' own prediction on
+the held-back run: largest inflation, smallest coverage, motors that are not explained. Development
+seeds.
 """
 
 from __future__ import annotations
 
 import argparse
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +41,20 @@ def lag_one(minutes: Array) -> Array:
     return np.asarray((off[1:] * off[:-1]).sum(axis=0) / (off**2).sum(axis=0))
 
 
-def measured(seed: int, world: str) -> tuple[int, int, int, float] | None:
-    """Motors; of these covered, as `calibrate` prints it, and beside the others; mean lag one.
+class Row(NamedTuple):
+    """Of one train: motors, and how many of them are covered; see above."""
 
-    None of a train with a single motor, which has no others.
-    """
+    motors: int
+    printed: int
+    beside: int
+    lag_one: float
+    inflation: float
+    covered: float
+    unexplained: int
+
+
+def measured(seed: int, world: str) -> Row | None:
+    """None of a train with a single motor, which has no others."""
     runs = runs_of(seed, BENCH, (), world)
     motors = runs.limiting.motors
     if motors < 2:
@@ -53,7 +65,12 @@ def measured(seed: int, world: str) -> tuple[int, int, int, float] | None:
     centre, sigma = np.nanmedian(first, axis=0), np.nanstd(first, axis=0)
     inside = (np.abs(then - centre) <= 2.0 * sigma).mean(axis=0).min(axis=1)
     whole = then[: len(then) // MINUTE * MINUTE].reshape(-1, MINUTE, motors, 3).mean(axis=1)
-    return motors, printed, int((inside >= LEAST_INSIDE).sum()), float(lag_one(whole).mean())
+    own = known.coverage
+    assert own is not None
+    return Row(
+        motors, printed, int((inside >= LEAST_INSIDE).sum()), float(lag_one(whole).mean()),
+        float(own.inflation.max()), float(np.nanmin(own.covered)), int(own.unexplained.sum()),
+    )  # fmt: skip
 
 
 def main() -> None:
@@ -66,12 +83,17 @@ def main() -> None:
         row = measured(seed, options.world)
         if row is not None:
             rows.append(row)
-            print("train {}: {} motors, covered {}, beside the others {}; lag one {:.2f}".format(
-                seed, *row))  # fmt: skip
-    motors, printed, covered, lag = (np.array(part) for part in zip(*rows, strict=True))
+            print(
+                f"train {seed}: {row.motors} motors, covered {row.printed}, beside the others "
+                f"{row.beside}; lag one {row.lag_one:.2f}; filters: inflation {row.inflation:.2f}, "
+                f"covered {row.covered:.2f}, unexplained {row.unexplained}"
+            )
+    every = [np.array(part) for part in zip(*rows, strict=True)]
+    motors, printed, covered, lag, inflation, _, unexplained = every
     print(
         f"{motors.sum()} motors: covered {printed.sum()}, beside the others {covered.sum()}; "
-        f"lag one {lag.mean():.2f}"
+        f"lag one {lag.mean():.2f}; filters: {(inflation > 1.1).sum()} of {len(rows)} trains "
+        f"inflated by more than 1.1, {unexplained.sum()} motors unexplained"
     )
 
 

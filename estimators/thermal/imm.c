@@ -196,8 +196,8 @@ double imm_kinds(const struct imm_config *config, const struct imm_state *state,
             const double shown = shows(config, state, g);
             here = here < shown ? here : shown;
         } else {
-            ambiguous = config->ambiguous * here; /* a sensor that reads high: it may be heat */
             here += above(limit, -size, variance);
+            ambiguous = config->ambiguous * here; /* it may be heat, here or of another motor */
             kind[LOCAL_HEAT[g - 1 - IMM_HEATS]] += state->mode[g] * ambiguous;
         }
         kind[g - 1] = state->mode[g] * (here - ambiguous);

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators._core import Records
-from estimators.thermal import hypotheses, model
+from estimators.thermal import coverage, hypotheses, model
 from estimators.thermal.hypotheses import KINDS, SNAPSHOTS, Belief, Spread
 from estimators.thermal.model import inputs_of, predict, simulate
 from estimators.thermal.monitor import LONGEST_BLOCK_S, Known, ThermalMonitor
@@ -118,7 +118,8 @@ def learn(parameters: Array, runs: Sequence[Record]) -> Known:
     noise = np.sqrt(np.nanmean(np.concatenate(spread, axis=2), axis=2))
     known = known._replace(centre=np.nanmedian(middles, axis=0), noise=noise)
     beside = off - np.nanmedian(off, axis=0)
-    return _likeliest(known, inputs, beside, dt)
+    known = _likeliest(known, inputs, beside, dt)
+    return known._replace(coverage=coverage.measure(ThermalMonitor(known, dt), beside, inputs))
 
 
 def _likeliest(known: Known, inputs: Records, off: Array, dt: float) -> Known:

@@ -14,6 +14,7 @@
 #include "estimators/numbers.h"
 #include "estimators/order_statistics.h"
 #include "estimators/thermal/imm.h"
+#include "estimators/thermal/imm_predict.h"
 #include "estimators/thermal/model.h"
 #include "estimators/thermal/peers.h"
 #include "estimators/thermal/residuals.h"
@@ -147,7 +148,7 @@ void thermal_close_block(const struct thermal_config *config,
         for (int q = 0; q < P; q++)
             motor[m].off_k[q] = was[m * P + q];
     for (int m = 0; m < motors; m++)
-        trusted[m] = motor[m].trusted = !motor[m].held;
+        trusted[m] = motor[m].trusted = !motor[m].held && !known[m].unexplained;
     peers_median(u, trusted, motors, sorted, was);
     for (int m = 0; m < motors; m++) {
         for (int q = 0; q < P; q++) {
@@ -218,13 +219,26 @@ static void hold(struct thermal_motor *motor)
         motor->kind[c] *= shown / larger(total, LEAST);
 }
 
+/* Filters of a motor that its model explains less well than they expect. */
+static struct imm_config inflated(const struct thermal_config *config,
+                                  const struct thermal_motor_config *known)
+{
+    struct imm_config out = config->imm;
+    out.own_k *= known->inflation;
+    for (int i = 0; i < IMM_DISTURBANCES; i++)
+        out.sigma[i] *= known->inflation;
+    return out;
+}
+
 void thermal_judge_block(const struct thermal_config *config,
                          const struct thermal_motor_config *known, struct thermal_motor *motor)
 {
     struct imm_surroundings around;
+    const struct imm_config filters = inflated(config, known);
+    const double noise_k = known->block_noise_k * known->inflation;
     thermal_surroundings(config, &known->model, &motor->inputs, &around);
-    motor->log_likelihood = imm_advance(&config->imm, &around, motor->off_k, known->block_noise_k,
-                                        motor->held, &motor->imm);
+    motor->log_likelihood =
+        imm_advance(&filters, &around, motor->off_k, noise_k, motor->held, &motor->imm);
     motor->size_k = imm_kinds(&config->imm, &motor->imm, motor->kind);
     judge_connectors(config, motor);
     hold(motor);
@@ -304,4 +318,31 @@ double thermal_likelihood(const struct thermal_config *config,
         total += k > 0 ? says : 0.0; /* the first block is the start's */
     }
     return total;
+}
+
+/* Readings that a filter expects, and their covariance, without noise. */
+static void read_expected(const struct imm_state *state, double *mean, double *cov)
+{
+    for (int q = 0; q < P; q++) {
+        mean[q] = state->mean[0][THERMAL_SEEN[q]];
+        for (int r = 0; r < P; r++)
+            cov[q * P + r] = state->cov[0][THERMAL_SEEN[q]][THERMAL_SEEN[r]];
+    }
+}
+
+void thermal_expected(const struct thermal_config *config, const struct thermal_motor_config *known,
+                      const double *off, const struct thermal_sums *inputs, int blocks,
+                      double *mean, double *cov)
+{
+    struct imm_state state, next = {0};
+    struct imm_surroundings around;
+    struct imm_prediction by;
+    imm_start(&config->imm, &state);
+    for (int k = 0; k < blocks; k++) {
+        thermal_surroundings(config, &known->model, &inputs[k], &around);
+        imm_prepare(&config->imm, &around, &by);
+        imm_predict(&config->imm, &around, &by, 0, &state, &next);
+        read_expected(&next, mean + (int64_t)k * P, cov + (int64_t)k * P * P);
+        imm_advance(&config->imm, &around, off + (int64_t)k * P, known->block_noise_k, 0, &state);
+    }
 }

@@ -39,4 +39,11 @@ double thermal_likelihood(const struct thermal_config *config,
                           const struct thermal_motor_config *known, const double *off,
                           const struct thermal_sums *inputs, int blocks);
 
+/* What the healthy filter expects of the same blocks, each from those before: mean (blocks,
+ * THERMAL_POINTS) K, cov (blocks, THERMAL_POINTS, THERMAL_POINTS) K^2 without the readings' noise.
+ * config: with one mode. */
+void thermal_expected(const struct thermal_config *config, const struct thermal_motor_config *known,
+                      const double *off, const struct thermal_sums *inputs, int blocks,
+                      double *mean, double *cov);
+
 #endif

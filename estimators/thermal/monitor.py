@@ -18,7 +18,8 @@ The rules are in `monitor.c`, `imm.c` and `peers.c`; here are their constants, a
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from _traction_core import ffi, lib
@@ -86,8 +87,11 @@ SHOWN_K: Final = 0.6
 """What heat has to have made of some reading by now; before, draught does as much in a minute."""
 AMBIGUOUS, MISFIT_K = 0.3, 0.06
 """Where lumps deviate by more than `MISFIT_K` by themselves, what a model of five lumps calls a
-sensor that creeps up may be heat where it has no lump: this share of its probability counts for
-heat, so that neither is named. A sensor that has stepped, or reads low, is named all the same."""
+sensor that creeps may be heat where it has no lump, or, of one that reads low, heat of a motor that
+it is compared with: this share of its probability counts for heat, so that neither is named. A
+sensor that the step detector has seen step is named all the same."""
+LEAST_COVERED: Final = 0.8
+"""Of a motor's held-back blocks, in the band of 95 %. One with less has `Reason` Config."""
 LOOSE_SHARE, GOOD_SHARE = 0.04, 1e-6
 """Of a loose and of a good connector's readings, that are far off."""
 FAR_SIGMA, FAR_K = 6.0, 3.0
@@ -107,6 +111,25 @@ MOST_SAMPLES: Final[int] = lib.THERMAL_BLOCK_MAX
 """Of a block, and of what the step detector looks at."""
 
 
+class Coverage(NamedTuple):
+    """How far the filters' prediction of a fault-free block holds, of M motors: see `coverage`.
+
+    inflation (M,): root mean square of the normalised innovations, at least 1; covered (M, 2):
+    share of them within the band of 95 % times that, in the half of the blocks with less copper
+    loss and in that with more; lag_one (M,): their correlation from block to block. Of a motor with
+    too few blocks 1, NaN, NaN.
+    """
+
+    inflation: Array
+    covered: Array
+    lag_one: Array
+
+    @property
+    def unexplained(self) -> NDArray[np.bool_]:
+        """(M,) whether even the inflated band leaves out too much, at either duty."""
+        return np.asarray((self.covered < LEAST_COVERED).any(axis=1))
+
+
 class Known(NamedTuple):
     """What fault-free runs have shown of a train's motors.
 
@@ -114,6 +137,7 @@ class Known(NamedTuple):
     single readings; scale: of `DISTURBANCES`; duty (4,): mean speed rad/s, and means of the
     squared current A^2, of the frame's cooling and of the winding's heating K/s, of the fleet;
     own_k: K per root of a minute that lumps deviate by themselves: more where the model is wrong.
+    coverage: of the filters with all this; None where it was not measured.
     """
 
     parameters: Array
@@ -122,6 +146,7 @@ class Known(NamedTuple):
     scale: float
     duty: Array
     own_k: float = OWN_K
+    coverage: Coverage | None = None
 
 
 class ThermalMonitor(Addressed):
@@ -206,11 +231,13 @@ class ThermalMonitor(Addressed):
     def kinds(self) -> tuple[Array, Array]:
         """(M, 11) probability of every kind by now, and (M,) K of what is wrong if anything is.
 
+        0 of a motor that its model does not explain.
         A sensor that has stepped is off for certain, whatever else is wrong beside it.
         """
         motors = pointer("struct thermal_motor", self.motors)
         kind = np.empty((len(self.motors), len(KINDS)))
         lib.thermal_kinds(motors, len(kind), pointer("double", kind))
+        kind[self.known_motors["unexplained"] != 0] = 0.0
         return kind, np.maximum(self.motors["size_k"], np.abs(self.offsets).max(axis=1))
 
     def likelihood(self, off: Array, inputs: Records) -> float:
@@ -218,17 +245,20 @@ class ThermalMonitor(Addressed):
 
         off (B, M, 3) K from the other motors, inputs (B, M) of `struct thermal_sums`.
         """
+        return float(sum(lib.thermal_likelihood(*each) for each in self.held_back(off, inputs)))
+
+    def held_back(self, off: Array, inputs: Records) -> Iterator[tuple[Any, ...]]:
+        """For every motor what `thermal_likelihood` takes, without faults."""
         config = self.config.copy()
-        config["imm"]["modes"], total = 1, 0.0
+        config["imm"]["modes"] = 1
         given = pointer("struct thermal_config", config)
         known = pointer("struct thermal_motor_config", self.known_motors)
         for m in range(len(self.motors)):
             own, sums = np.ascontiguousarray(off[:, m]), np.ascontiguousarray(inputs[:, m])
-            total += lib.thermal_likelihood(
+            yield (
                 given, known + m, pointer("double", own), pointer("struct thermal_sums", sums),
                 len(own),
             )  # fmt: skip
-        return total
 
 
 def imm_config(scale: float, block_s: float, faults: Array) -> Records:
@@ -247,7 +277,9 @@ def imm_config(scale: float, block_s: float, faults: Array) -> Records:
 
 def _config(known: Known, dt_s: float) -> Records:
     """(1,) of `struct thermal_config`. Raises ValueError for samples too close together."""
-    quickest = float(known.parameters[:, [model.K_W, model.K_D, model.K_N]].mean(axis=0).max())
+    # A median: one motor that could not be identified has any rate.
+    rates = known.parameters[:, [model.K_W, model.K_D, model.K_N]]
+    quickest = float(np.median(rates, axis=0).max())
     block = max(round(min(BLOCK_SHARE / quickest, LONGEST_BLOCK_S) / dt_s), 1)
     steady = quickest * STEADY_S < 1.0
     tested = dt_s <= step_detector.SLOWEST_S and steady
@@ -262,7 +294,7 @@ def _config(known: Known, dt_s: float) -> Records:
     out = np.zeros(1, records.THERMAL_CONFIG)
     out["imm"] = imm_config(known.scale, block * dt_s, faults)
     out["imm"]["own_k"] = known.own_k
-    out["imm"]["ambiguous"] = AMBIGUOUS if tested and known.own_k > MISFIT_K else 0.0
+    out["imm"]["ambiguous"] = AMBIGUOUS if known.own_k > MISFIT_K else 0.0
     out["steps"] = step_detector.config(dt_s, tested=tested)
     seen = step_detector.window(out["steps"]) if tested else 0
     if max(block, seen) > MOST_SAMPLES:
@@ -285,6 +317,9 @@ def _motors(known: Known, block: int) -> Records:
     out["model"] = model.parameter_records(known.parameters)
     out["centre_k"], out["noise_k"] = known.centre, known.noise
     out["block_noise_k"] = reading_noise(known.noise, block)
+    out["inflation"] = 1.0
+    if known.coverage is not None:
+        out["inflation"], out["unexplained"] = known.coverage.inflation, known.coverage.unexplained
     return out
 
 

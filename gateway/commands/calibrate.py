@@ -74,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
     print(f"{shown(path)}: {seen}; MAISD limits {limits} K; {model}")
     if learner.fits:
         print("\n".join(calibration_fit.lines(learner.fits)))
+        if learner.coverage is not None:
+            print("\n".join(calibration_fit.filter_lines(learner.coverage, learner.nodes)))
         if options.pictures is not None:
             calibration_fit.draw(options.pictures, learner.fits)
     return GOOD

@@ -91,7 +91,8 @@ _REASONS: Final = {
     Reason.CONFIG: (
         REASONS[Reason.CONFIG],
         "`traction-gateway calibrate` makes limits for the thermal flags from fault-free logs",
-        "a thermal flag without `[thermal] calibration`",
+        "a thermal flag without `[thermal] calibration`; a motor whose thermal model did not hold "
+        "on held-back logs",
     ),
 }
 _HEALTH: Final = {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +17,13 @@ from pydantic import ConfigDict, Field, ValidationError
 from dbc.bounds import within
 from dbc.text import read_bytes, read_toml
 from estimators.thermal import model
-from estimators.thermal.monitor import OWN_K, Known
+from estimators.thermal.monitor import OWN_K, Coverage, Known
 from gateway.settings.config import Config, ConfigError, check_seal
 from gateway.settings.sections import Strict
 
 POINTS = ("stator", "drive_end", "non_drive_end")
+COVERAGE = Coverage._fields
+"""Keys of a motor's heat that say how far its filters hold."""
 
 
 Kelvin = Annotated[float, within(-300, 300, "K", "calibrate anew")]
@@ -34,6 +36,7 @@ Rate = Annotated[float, within(-1e3, 1e3, "", "calibrate anew")]
 Held = Annotated[float, within(0, 1e7, "s", "calibrate anew")]
 Step = Annotated[float, within(0, 400, "K", "calibrate anew")]
 Duty = Annotated[float, within(-1e9, 1e9, "", "calibrate anew")]
+Share = Annotated[float, within(0, 1, "", "calibrate anew")]
 Three = tuple[Kelvin, Kelvin, Kelvin]
 
 
@@ -47,13 +50,18 @@ class MotorHeat(Deferred):
     """One motor's thermal model, see `estimators.thermal.model` and `monitor.Known`.
 
     rates: of its lumps, in the order of `model.NAMES`; offset_k: of the sensors; centre_k: what it
-    differs from the others by in health; noise_k: of readings a second long.
+    differs from the others by in health; noise_k: of readings a second long; inflation, covered,
+    lag_one: see `monitor.Coverage` (None: a file from before they were measured, or too short a
+    log).
     """
 
     rates: tuple[Rate, ...] = Field(min_length=model.RATES, max_length=model.RATES)
     offset_k: Three
     centre_k: Three
     noise_k: tuple[Noise, Noise, Noise]
+    inflation: Annotated[float, within(1, 100, "", "calibrate anew")] | None = None
+    covered: tuple[Share, Share] | None = None
+    lag_one: Annotated[float, within(-1, 1, "", "calibrate anew")] | None = None
 
 
 class FleetHeat(Deferred):
@@ -100,8 +108,16 @@ class Calibration(Deferred):
 
     def checksum(self) -> str:
         """Of everything that was learnt; part of the configuration's hash on the bus."""
-        older = self.heat is not None and self.heat.own_k is None
-        text = self.model_dump_json(exclude={"heat": {"own_k"}} if older else None)
+        # Keys that a file from before them does not have are no part of its checksum.
+        older: dict[str, Any] = {}
+        if self.heat is not None and self.heat.own_k is None:
+            older["heat"] = {"own_k"}
+        older["motor"] = {
+            k: {"heat": set(COVERAGE)}
+            for k, motor in enumerate(self.motor)
+            if motor.heat is not None and motor.heat.inflation is None
+        }
+        text = self.model_dump_json(exclude=older)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def known(self, nodes: tuple[int, ...]) -> Known | None:
@@ -118,6 +134,11 @@ class Calibration(Deferred):
             scale=self.heat.scale,
             duty=np.array(self.heat.duty),
             own_k=OWN_K if self.heat.own_k is None else self.heat.own_k,
+            coverage=Coverage(
+                np.array([cell.inflation or 1.0 for cell in own]),
+                np.array([cell.covered or (np.nan, np.nan) for cell in own]),
+                np.array([np.nan if cell.lag_one is None else cell.lag_one for cell in own]),
+            ),
         )
 
     def centring(self, nodes: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -227,6 +248,11 @@ def to_toml(calibration: Calibration) -> str:
                 f"offset_k = {numbers(motor.heat.offset_k)}",
                 f"centre_k = {numbers(motor.heat.centre_k)}",
                 f"noise_k = {numbers(motor.heat.noise_k)}",
+            ]
+            lines += [
+                f"{name} = {numbers(value) if isinstance(value, tuple) else format(value, '.3f')}"
+                for name in COVERAGE
+                if (value := getattr(motor.heat, name)) is not None
             ]
     body = "\n".join(lines) + "\n"
     # Of the numbers as they will be read: rounded.

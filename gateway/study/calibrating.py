@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from estimators import maisd
 from estimators.thermal import model
 from estimators.thermal.model_method import learn
-from estimators.thermal.monitor import Known
+from estimators.thermal.monitor import Coverage, Known
 from estimators.thermal.record import Record, split
 from estimators.thermal.system_identification import SCALED_SIGMA, identify, scaled
 from gateway.settings.calibration import (
@@ -79,6 +79,7 @@ class Learner:
         """Of every log, second by second."""
         self.dt_s = 1.0
         self.fits: list[Fit] = []
+        self.coverage: Coverage | None = None
         """Of every motor, once a model was learnt."""
         self._last: np.ndarray | None = None
 
@@ -193,7 +194,7 @@ class Learner:
         if np.ptp(np.concatenate([run.current_square.mean(axis=1) for run in runs])) <= 0.0:
             return None
         known = learn(identify(runs[:-1], scaled(runs[:-1]), SCALED_SIGMA), runs)
-        self.fits = fits(known, runs[-1], self.nodes)
+        self.fits, self.coverage = fits(known, runs[-1], self.nodes), known.coverage
         return known
 
     def _record(self, log: list[Sample]) -> Record | None:
@@ -232,11 +233,16 @@ def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
 
 def _motor_heat(known: Known, j: int) -> MotorHeat:
     """Motor j's part of what was learnt."""
+    found = known.coverage
+    measured = found is not None and bool(np.isfinite(found.covered[j]).all())
     return MotorHeat(
         rates=tuple(known.parameters[j, : model.RATES].tolist()),
         offset_k=_three(known.parameters[j, model.OFFSETS]),
         centre_k=_three(known.centre[j]),
         noise_k=_three(known.noise[j]),
+        inflation=float(found.inflation[j]) if found and measured else None,
+        covered=tuple(found.covered[j].tolist()) if found and measured else None,
+        lag_one=float(found.lag_one[j]) if found and measured else None,
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.thermal.model import inputs_of, predict
-from estimators.thermal.monitor import Known
+from estimators.thermal.monitor import Coverage, Known
 from estimators.thermal.record import POINTS, Record
 from estimators.thermal.system_identification import first_readings
 
@@ -73,6 +73,24 @@ def _mean(values: Array) -> Array:
     known = np.isfinite(values)
     mean: Array = np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0)
     return mean
+
+
+def filter_lines(coverage: Coverage, nodes: Sequence[int]) -> list[str]:
+    """A line for each motor of whose filters it is known how far they hold."""
+    out = [
+        f"drive {node}: filters widened {inflation:.2f} times; their band of 95 % then has "
+        f"{100.0 * light:.0f} % of the blocks with less and {100.0 * heavy:.0f} % of those with "
+        f"more copper loss; correlation from block to block {lag_one:.2f}"
+        for node, inflation, (light, heavy), lag_one in zip(nodes, *coverage, strict=True)
+        if np.isfinite(lag_one)
+    ]
+    unexplained = [str(n) for n, no in zip(nodes, coverage.unexplained, strict=True) if no]
+    if unexplained:
+        out.append(
+            f"note: drive {', '.join(unexplained)} will be Unknown with reason Config: the filters "
+            "do not hold; record fault-free logs in which it is driven like the others"
+        )
+    return out
 
 
 def lines(found: Sequence[Fit]) -> list[str]:

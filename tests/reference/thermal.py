@@ -26,13 +26,16 @@ CLASSES = {
 NOTHING = (FaultClass.UNKNOWN, FaultSensor.NONE)
 
 
-def words(motor, kind):
+def words(motor, kind, unexplained=False):
     """Thermal and sensor evidence, reason, class, whose sensor; sensor None: the model tells none.
 
-    motor: one `struct thermal_motor`; kind (11,): `ThermalMonitor.kinds`.
+    motor: one `struct thermal_motor`; kind (11,): `ThermalMonitor.kinds`;
+    unexplained: its model did not hold at calibration.
     """
     if motor["unknown_s"] > BLIND_S:
         return Flag.UNKNOWN, None, Reason.STALE, *NOTHING
+    if unexplained:
+        return Flag.UNKNOWN, None, Reason.CONFIG, *NOTHING
     if not motor["judged"]:
         return Flag.UNKNOWN, None, Reason.STARTING, *NOTHING
     if not np.isfinite(motor["off_k"]).any():

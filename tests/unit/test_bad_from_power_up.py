@@ -129,3 +129,10 @@ def test_a_motor_that_has_been_seen_to_warm_up_to_the_maximum_is_hot():
 
     last = replayed(3, stator, 200)[-1][0]
     assert (last.thermal, last.sensor) == (Flag.BAD, Flag.GOOD)
+
+
+def test_what_alone_moves_is_not_called_hot_beside_sensors_that_stand_still():
+    """Others that have given one value only may be no sensors at all."""
+    reports = replayed(3, lambda j, k: 40.0 + (0.1 * k if j == 0 else 0.0), 90)
+    assert not any(row[0].thermal is Flag.BAD for row in reports)
+    assert {row[0].reason for row in reports[70:]} == {Reason.STARTING}

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from estimators.thermal.model import TYPICAL, Inputs, predict
-from estimators.thermal.monitor import Known
+from estimators.thermal.monitor import Coverage, Known
 from estimators.thermal.record import Record
 from gateway.mapping.command_fit import Commanded, fell_alone, repeats_torque
 from gateway.study.calibrating import Learner, Sample
-from gateway.study.calibration_fit import draw, fits, lines
+from gateway.study.calibration_fit import draw, filter_lines, fits, lines
 
 N, NODES, NOISE_K = 1200, (4, 7), 0.05
 PARAMETERS = np.tile(TYPICAL, (2, 1))
@@ -48,6 +48,14 @@ def test_a_motor_that_drifts_away_later_is_named(record):
     assert found[0].explained
     assert not found[1].explained
     assert "does not explain drive 7" in lines(found)[-1]
+
+
+def test_how_far_the_filters_hold_is_printed_and_who_will_be_unknown():
+    covered = np.array([(0.951, 0.9), (0.97, 0.5)])
+    text = filter_lines(Coverage(np.array([1.0, 1.5]), covered, np.zeros(2)), NODES)
+    assert "drive 4: filters widened 1.00 times" in text[0]
+    assert "95 % of the blocks with less and 90 %" in text[0]
+    assert "drive 7 will be Unknown with reason Config" in text[-1]
 
 
 def test_a_sensor_that_is_not_there_is_not_judged(record, tmp_path):

@@ -180,8 +180,9 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         bus.go_on()
         bus.lost[:], bus.off[:], bus.gone[:] = False, 0.0, False
         side.hear(bus.inbox, bus.now, inputs)
-    motors = side.model.motors
+    motors, unexplained = side.model.motors, side.model.known_motors["unexplained"]
     for _ in range(1000):
+        unexplained[:] = rng.random(3) < 0.1
         motors["unknown_s"] = rng.choice([0.0, 5.0, 5.1], 3, p=[0.8, 0.1, 0.1])
         motors["judged"] = rng.random(3) < 0.9
         motors["off_k"] = np.where(rng.random((3, 3)) < 0.4, np.nan, 1.0)
@@ -200,7 +201,7 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
         for k in range(3):
             side.motors["valid_until_ns"] = NEVER
             told = side.report(k, bus.now, 1 << 60)
-            thermal, own, *rest = reference.words(motors[k], kinds[k])
+            thermal, own, *rest = reference.words(motors[k], kinds[k], unexplained[k])
             if sensor_verdict(side.sensors, k, bus.now)[0] is not FaultClass.NONE:
                 continue
             sensor = Flag.UNKNOWN if not_yet_valid(side.sensors, k) else Flag.GOOD
@@ -213,6 +214,7 @@ def test_evidence_of_the_model_in_any_state_equals_the_reference(seed):
     assert {whose for *_, whose in met} == set(FaultSensor) - {
         FaultSensor.AMBIENT, FaultSensor.CURRENT,
     }  # fmt: skip
+    assert Reason.CONFIG in {reason for _, _, reason, *_ in met}
 
 
 def test_a_step_of_a_sensor_is_a_jump_and_blocks_are_observed():

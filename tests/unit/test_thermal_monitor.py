@@ -220,7 +220,7 @@ def test_one_motor_is_judged_as_beside_motors_that_are_the_model(known):
     record = train(81, HOUR, "bearing_de")
     alike = known._replace(
         parameters=np.tile(FLEET[ILL], (MOTORS, 1)), centre=0.0 * known.centre,
-        noise=np.full((MOTORS, 3), NOISE_K),
+        noise=np.full((MOTORS, 3), NOISE_K), coverage=None,
     )  # fmt: skip
     reading, x = record.temperature.copy(), np.empty(model.LUMPS)
     first = np.array([70.0, 45.0, 45.0])

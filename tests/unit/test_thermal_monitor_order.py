@@ -6,7 +6,7 @@ import pytest
 from estimators.thermal import model
 from estimators.thermal import model_method as method
 from estimators.thermal.model import Inputs, predict
-from estimators.thermal.monitor import AMBIGUOUS, MISFIT_K, Known, ThermalMonitor
+from estimators.thermal.monitor import AMBIGUOUS, MISFIT_K, Coverage, Known, ThermalMonitor
 from estimators.thermal.record import Record
 
 MOTORS, K = 4, 2400
@@ -37,8 +37,9 @@ def turn(record, known):
         temperature=record.temperature[:, TURNED], current_square=record.current_square[:, TURNED]
     )
     known = known._replace(
-        parameters=known.parameters[TURNED], centre=known.centre[TURNED], noise=known.noise[TURNED]
-    )
+        parameters=known.parameters[TURNED], centre=known.centre[TURNED], noise=known.noise[TURNED],
+        coverage=Coverage(*(part[TURNED] for part in known.coverage)),
+    )  # fmt: skip
     return swapped, known
 
 
@@ -179,6 +180,7 @@ def test_what_is_learnt_is_right_and_knows_no_order(known):
     assert got.scale == want.scale
     for name in ("parameters", "centre", "noise", "duty"):
         np.testing.assert_allclose(getattr(got, name), getattr(want, name), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(got.coverage.lag_one, want.coverage.lag_one, rtol=1e-6)
     square, speed = (np.mean([x.mean() for x in c]) for c in
                      ([r.current_square for r in runs], [r.speed for r in runs]))  # fmt: skip
     np.testing.assert_allclose(got.duty[:2], [speed, square])
