@@ -756,6 +756,14 @@ struct rotor {
     double diameter;      /* of the wheel over those of the others, as speeds */
     double learnt_s;      /* for how long `diameter` has been learnt */
     double creep;         /* speed over that of the others, minus 1 */
+    double train_speed;   /* of the first of its motor: what the train allows at least in braking, at
+                             most in traction; NaN: not known */
+    double train_ratio;      /* of the first of its motor: torque over load */
+    double train_learnt_s;
+    double train_load;
+    double slip;
+    double least_speed;
+    double sliding_s;
     double followed_s;    /* for how long the filter has tracked */
     double alone_s;       /* for how long all others have been away */
     double near_s;        /* for how long it has been within the largest creep */
@@ -769,6 +777,7 @@ struct rotor {
     uint8_t apart;               /* 1: too far from the others when that was last known */
     uint8_t away;      /* 1: ran away from the others by its effort, and is not back yet */
     uint8_t uncertain; /* 1: it may be running away, or braked by something else */
+    uint8_t sliding;
     uint8_t odd;       /* 1: its command has been odd for too long */
     uint8_t above;     /* 1: carries more than its command and than the others */
 };

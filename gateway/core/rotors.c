@@ -70,6 +70,7 @@ static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in
 static void note(struct train_tick *t)
 {
     double total = 0.0;
+    int count = 0;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         const struct rotor_inputs *in = &t->in[k];
@@ -83,7 +84,9 @@ static void note(struct train_tick *t)
         r->speed = tracked_speed(r, in, t->now_ns);
         r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
         total += r->load;
+        count++;
     }
+    t->load = count ? total / count : NAN;
     t->braking = total < 0.0;
 }
 
@@ -138,6 +141,7 @@ static double torque_at(const struct rotor *r, double rate, double speed)
 static void accelerate(struct train_tick *t)
 {
     const struct rates rates = median_rates(t);
+    t->rate = rates.steady;
     const int quick = fabs(rates.steady) * ACCELERATION_TAU_S > SINGLE_CHANGE;
     const int slows = t->braking && rates.quick < 0.0;
     for (int k = 0; k < t->n; k++) {
@@ -222,12 +226,83 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
     return r->alone_s > 0.0 && r->alone_s <= ALONE_S && kept;
 }
 
+/* The fastest rotor in braking, the slowest in traction, of those that are tracked; NaN without any. */
+static double leading_speed(const struct train_tick *t, int first)
+{
+    double lead = NAN;
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        const struct rotor *r = &t->rotor[k];
+        if (isnan(r->load) || isnan(r->speed))
+            continue;
+        const int ahead = t->braking ? r->speed > lead : r->speed < lead;
+        lead = isnan(lead) || ahead ? r->speed : lead;
+    }
+    return lead;
+}
+
+#define LEAST_EFFORT 0.1
+#define MOST_SLIP 0.2
+#define SLIDING_S 0.05
+#define HILL 0.005
+#define TRAIN_FIRST_S 0.5
+#define TRAIN_TAU_S 10.0
+
+static int all_adhere(const struct train_tick *t)
+{
+    for (int k = 0; k < t->n; k++)
+        if (t->in[k].operating && !isnan(t->rotor[k].load) && (t->in[k].adhesion != FLAG_GOOD || fabs(t->rotor[k].creep) > LEARN_CREEP))
+            return 0;
+    return 1;
+}
+
+static void learn_train(struct train_tick *t, struct rotor *train)
+{
+    const double before = train->train_load;
+    train->train_load += t->tick_s / ACCELERATION_TAU_S * ((isnan(t->load) ? 0.0 : t->load) - before);
+    const double taken = fabs(train->inertia_kg_m2 * t->rate * train->train_speed / train->rated_nm);
+    if (!(fabs(train->train_load) >= LEAST_EFFORT) || isnan(taken) || !all_adhere(t))
+        return;
+    train->train_learnt_s += t->tick_s;
+    const double tau = smaller(larger(train->train_learnt_s, 10.0 * t->tick_s), TRAIN_TAU_S);
+    train->train_ratio += t->tick_s / tau * (smaller(taken / fabs(train->train_load), 1.5) - train->train_ratio);
+}
+
+/* Follows the bound of the train's speed; which rotors are too far from it. */
+static void compare_with_train(struct train_tick *t, int first)
+{
+    struct rotor *train = &t->rotor[first];
+    learn_train(t, train);
+    const double lead = leading_speed(t, first);
+    const double before = isnan(train->train_speed) ? lead : train->train_speed;
+    double share = MOST_ACCELERATION;
+    if (train->train_learnt_s >= TRAIN_FIRST_S && !isnan(t->load))
+        share = smaller(share, HILL + train->train_ratio * fabs(t->load));
+    const double most = share * train->rated_nm / train->inertia_kg_m2 * t->tick_s;
+    train->train_speed = isnan(lead) ? before : clamp(lead, before - most, before + most);
+    const double certain = isnan(train->least_speed) ? lead : train->least_speed;
+    const double hard = 2.0 * MOST_ACCELERATION * train->rated_nm / train->inertia_kg_m2 * t->tick_s;
+    train->least_speed = isnan(lead) ? certain : clamp(lead, certain - hard, certain + hard);
+    if (fabs(t->load) < LEAST_EFFORT)
+        train->train_speed = train->least_speed = lead;
+    for (int k = first; k < t->n; k = next_alike(t, k))
+        t->rotor[k].slip = NAN, t->rotor[k].sliding = 0;
+    if (!(train->train_speed >= LEAST_SPEED) || !(fabs(t->load) >= LEAST_EFFORT))
+        return;
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        struct rotor *r = &t->rotor[k];
+        r->slip = r->speed / train->train_speed - 1.0;
+        const double slip = (t->braking ? -1.0 : 1.0) * (r->speed / train->least_speed - 1.0);
+        r->sliding_s = !isnan(r->load) && slip > MOST_SLIP ? r->sliding_s + t->tick_s : 0.0;
+        r->sliding = r->sliding_s > SLIDING_S;
+    }
+}
+
 /* 1 if a wheel has left the others for the side that the effort takes it to, until it is back: its
  * own speed has changed, not theirs. */
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
     const double effort = t->braking ? -1.0 : 1.0;
-    const double slip = effort * r->creep;
+    const double slip = effort * (isnan(r->slip) ? r->creep : r->slip);
     if (r->away)
         return slip > LEARN_CREEP;
     return slip > MOST_CREEP && effort * own_change(r) > LEARN_CREEP;
@@ -259,6 +334,7 @@ static void compare_speeds(struct train_tick *t, int first)
 {
     for (int k = first; k < t->n; k = next_alike(t, k))
         t->rotor[k].speed /= t->rotor[k].diameter;
+    compare_with_train(t, first);
     const struct speeds speeds = rank_speeds(t, first);
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
@@ -284,12 +360,12 @@ static void find_apart(struct train_tick *t, int first)
         struct rotor *r = &t->rotor[k];
         const int left = stays(t, r, known, away);
         r->uncertain = r->uncertain || (r->far && !left);
-        if (isnan(r->creep)) {
+        if (isnan(r->creep) && isnan(r->slip)) {
             /* Nobody sees whether it is back. */
             r->uncertain = r->uncertain || r->apart;
             continue;
         }
-        const int beyond = fabs(r->creep) > MOST_CREEP && !left;
+        const int beyond = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP && !left : fabs(r->slip) > 0.06;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
         r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
         r->uncertain = r->uncertain || beyond;
@@ -320,7 +396,8 @@ static void learn_diameters(struct train_tick *t)
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         const int settled = r->learnt_s >= DIAMETER_FIRST_S;
-        const double near = settled ? LEARN_CREEP : MOST_DIAMETER + LEARN_CREEP;
+        (void)settled;
+        const double near = r->learnt_s >= 0.5 ? LEARN_CREEP : MOST_DIAMETER + LEARN_CREEP;
         if (t->in[k].adhesion != FLAG_GOOD || !(fabs(r->creep) <= near))
             continue;
         double wanted = r->diameter * (1.0 + r->creep);

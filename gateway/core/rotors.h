@@ -15,6 +15,7 @@ struct train_tick {
     double *workspace;       /* 2 n numbers */
     struct ranking loads;    /* of all drives, of this tick */
     struct ranking commands; /* valid ones of all drives, per unit of rated torque, without sign */
+    double rate; double load;
     int braking;             /* 1: the loads of all drives brake; written by follow_rotors */
 };
 
