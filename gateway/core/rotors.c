@@ -15,12 +15,10 @@
 #include <math.h>
 
 #include "estimators/numbers.h"
+#include "gateway/core/train_speed.h"
 
 #define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor, */
 #define BRAKE_TAU_S        0.1 /* and where friction brakes may be its cause */
-/* Per unit of rated torque, of what accelerates a rotor: an emergency brake of 1.5 m/s^2 for the
- * 350 kW motor, the wheelset behind its gear included. */
-#define MOST_ACCELERATION 0.15
 /* By its own motors never more than a hill's part and this share of the load: what turns is a few
  * percent of the inertia of a train. All wheels that run away together need more; so does a train that
  * friction brakes slow, and which of the two it is nobody knows. */
@@ -32,7 +30,6 @@
 #define SINGLE_CREDIT 0.05
 #define SINGLE_CHANGE 0.3
 #define GRIPS_S       1.0 /* a wheel that slid has its grip back after so long */
-#define LEAST_SPEED   3.0 /* rad/s at the rotor; below it a share of the speed says nothing */
 /* An estimated speed that differs by more from the measured one, which is up to 10 ms old, is no
  * measure for others: share and rad/s. */
 #define SPEEDS_APART       0.05
@@ -51,6 +48,7 @@
 #define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
 #define DIAMETER_TAU_S   60.0 /* then so slowly: a slip that grows over seconds is no diameter */
 #define MOST_DIAMETER    0.06
+#define SLIDING_S        0.05 /* a rotor that is off the train by so much is lost after so long */
 
 /* ---- Speeds and loads of this tick ---- */
 
@@ -86,7 +84,7 @@ static void note(struct train_tick *t)
         total += r->load;
         count++;
     }
-    t->load = count ? total / count : NAN;
+    t->effort = count > 0 ? fabs(total) / count : 0.0;
     t->braking = total < 0.0;
 }
 
@@ -141,7 +139,6 @@ static double torque_at(const struct rotor *r, double rate, double speed)
 static void accelerate(struct train_tick *t)
 {
     const struct rates rates = median_rates(t);
-    t->rate = rates.steady;
     const int quick = fabs(rates.steady) * ACCELERATION_TAU_S > SINGLE_CHANGE;
     const int slows = t->braking && rates.quick < 0.0;
     for (int k = 0; k < t->n; k++) {
@@ -175,13 +172,6 @@ struct speeds {
     struct ranking tracked; /* of those that are tracked */
     struct ranking all;     /* sorted where fewer than two are tracked: else nobody asks for them */
 };
-
-/* The next rotor with the same motor; n after the last one. */
-static int next_alike(const struct train_tick *t, int k)
-{
-    const int next = t->rotor[k].next_alike;
-    return next > k ? next : t->n;
-}
 
 /* Of the rotors with the motor of rotor `first`. */
 static struct speeds rank_speeds(const struct train_tick *t, int first)
@@ -224,77 +214,6 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
     r->alone_s = alone ? r->alone_s + t->tick_s : 0.0;
     const int kept = fabs(own_change(r)) <= LEARN_CREEP;
     return r->alone_s > 0.0 && r->alone_s <= ALONE_S && kept;
-}
-
-/* The fastest rotor in braking, the slowest in traction, of those that are tracked; NaN without any. */
-static double leading_speed(const struct train_tick *t, int first)
-{
-    double lead = NAN;
-    for (int k = first; k < t->n; k = next_alike(t, k)) {
-        const struct rotor *r = &t->rotor[k];
-        if (isnan(r->load) || isnan(r->speed))
-            continue;
-        const int ahead = t->braking ? r->speed > lead : r->speed < lead;
-        lead = isnan(lead) || ahead ? r->speed : lead;
-    }
-    return lead;
-}
-
-#define LEAST_EFFORT 0.1
-#define MOST_SLIP 0.2
-#define SLIDING_S 0.05
-#define HILL 0.005
-#define TRAIN_FIRST_S 0.5
-#define TRAIN_TAU_S 10.0
-
-static int all_adhere(const struct train_tick *t)
-{
-    for (int k = 0; k < t->n; k++)
-        if (t->in[k].operating && !isnan(t->rotor[k].load) && (t->in[k].adhesion != FLAG_GOOD || fabs(t->rotor[k].creep) > LEARN_CREEP))
-            return 0;
-    return 1;
-}
-
-static void learn_train(struct train_tick *t, struct rotor *train)
-{
-    const double before = train->train_load;
-    train->train_load += t->tick_s / ACCELERATION_TAU_S * ((isnan(t->load) ? 0.0 : t->load) - before);
-    const double taken = fabs(train->inertia_kg_m2 * t->rate * train->train_speed / train->rated_nm);
-    if (!(fabs(train->train_load) >= LEAST_EFFORT) || isnan(taken) || !all_adhere(t))
-        return;
-    train->train_learnt_s += t->tick_s;
-    const double tau = smaller(larger(train->train_learnt_s, 10.0 * t->tick_s), TRAIN_TAU_S);
-    train->train_ratio += t->tick_s / tau * (smaller(taken / fabs(train->train_load), 1.5) - train->train_ratio);
-}
-
-/* Follows the bound of the train's speed; which rotors are too far from it. */
-static void compare_with_train(struct train_tick *t, int first)
-{
-    struct rotor *train = &t->rotor[first];
-    learn_train(t, train);
-    const double lead = leading_speed(t, first);
-    const double before = isnan(train->train_speed) ? lead : train->train_speed;
-    double share = MOST_ACCELERATION;
-    if (train->train_learnt_s >= TRAIN_FIRST_S && !isnan(t->load))
-        share = smaller(share, HILL + train->train_ratio * fabs(t->load));
-    const double most = share * train->rated_nm / train->inertia_kg_m2 * t->tick_s;
-    train->train_speed = isnan(lead) ? before : clamp(lead, before - most, before + most);
-    const double certain = isnan(train->least_speed) ? lead : train->least_speed;
-    const double hard = 2.0 * MOST_ACCELERATION * train->rated_nm / train->inertia_kg_m2 * t->tick_s;
-    train->least_speed = isnan(lead) ? certain : clamp(lead, certain - hard, certain + hard);
-    if (fabs(t->load) < LEAST_EFFORT)
-        train->train_speed = train->least_speed = lead;
-    for (int k = first; k < t->n; k = next_alike(t, k))
-        t->rotor[k].slip = NAN, t->rotor[k].sliding = 0;
-    if (!(train->train_speed >= LEAST_SPEED) || !(fabs(t->load) >= LEAST_EFFORT))
-        return;
-    for (int k = first; k < t->n; k = next_alike(t, k)) {
-        struct rotor *r = &t->rotor[k];
-        r->slip = r->speed / train->train_speed - 1.0;
-        const double slip = (t->braking ? -1.0 : 1.0) * (r->speed / train->least_speed - 1.0);
-        r->sliding_s = !isnan(r->load) && slip > MOST_SLIP ? r->sliding_s + t->tick_s : 0.0;
-        r->sliding = r->sliding_s > SLIDING_S;
-    }
 }
 
 /* 1 if a wheel has left the others for the side that the effort takes it to, until it is back: its
@@ -340,10 +259,11 @@ static void compare_speeds(struct train_tick *t, int first)
         struct rotor *r = &t->rotor[k];
         const double others = reference_speed(t, &speeds, r);
         r->creep = NAN;
-        if (others >= LEAST_SPEED && !isnan(r->speed)) {
+        if (others >= LEAST_SPEED && !isnan(r->speed))
             r->creep = r->speed / others - 1.0;
+        if (!isnan(r->creep) || !isnan(r->slip))
             r->away = (uint8_t)runs_away(t, r);
-        }
+        r->sliding = r->away && r->sliding_s > SLIDING_S;
     }
 }
 
@@ -365,7 +285,8 @@ static void find_apart(struct train_tick *t, int first)
             r->uncertain = r->uncertain || r->apart;
             continue;
         }
-        const int beyond = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP && !left : fabs(r->slip) > 0.06;
+        const int off = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP : is_off_train(r);
+        const int beyond = off && !left;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
         r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
         r->uncertain = r->uncertain || beyond;
@@ -395,9 +316,8 @@ static void learn_diameters(struct train_tick *t)
             return;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
-        const int settled = r->learnt_s >= DIAMETER_FIRST_S;
-        (void)settled;
-        const double near = r->learnt_s >= 0.5 ? LEARN_CREEP : MOST_DIAMETER + LEARN_CREEP;
+        const int rough = r->learnt_s < DIAMETER_ROUGH_S;
+        const double near = rough ? MOST_DIAMETER + LEARN_CREEP : LEARN_CREEP;
         if (t->in[k].adhesion != FLAG_GOOD || !(fabs(r->creep) <= near))
             continue;
         double wanted = r->diameter * (1.0 + r->creep);

@@ -153,7 +153,7 @@ void train_reset(struct rotor *rotors, int n)
             .quick_speed = NAN,
             .creep = NAN,
             .train_speed = NAN,
-            .least_speed = NAN,
+            .train_limit = NAN,
             .slip = NAN,
             .diameter = 1.0,
             .unreliable_until_ns = NO_TIME,
