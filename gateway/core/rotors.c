@@ -221,7 +221,7 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
     const double effort = t->braking ? -1.0 : 1.0;
-    const double slip = effort * (isnan(r->slip) ? r->creep : r->slip);
+    const double slip = isnan(r->slip) ? effort * r->creep : r->slip;
     if (r->away)
         return slip > LEARN_CREEP;
     return slip > MOST_CREEP && effort * own_change(r) > LEARN_CREEP;

@@ -27,16 +27,20 @@
 #define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
 #define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
 
-/* The fastest rotor in braking, the slowest in traction, of those that are tracked; NaN without any. */
+/* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as adhere if
+ * there are any, since a lost one that is caught may pass the train by; NaN without any. */
 static double leading_speed(const struct train_tick *t, int first)
 {
     double lead = NAN;
+    int adheres = 0; /* the one that leads so far */
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const struct rotor *r = &t->rotor[k];
-        if (isnan(r->load) || isnan(r->speed))
+        const int good = t->in[k].adhesion == FLAG_GOOD;
+        if (isnan(r->load) || isnan(r->speed) || good < adheres)
             continue;
         const int leads = t->braking ? r->speed > lead : r->speed < lead;
-        lead = leads || isnan(lead) ? r->speed : lead;
+        lead = leads || isnan(lead) || good > adheres ? r->speed : lead;
+        adheres = good;
     }
     return lead;
 }
@@ -74,7 +78,7 @@ void compare_with_train(struct train_tick *t, int first)
     const int known = t->effort >= LEAST_EFFORT && bound >= LEAST_SPEED && limit >= LEAST_SPEED;
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
-        r->slip = known ? r->speed / bound - 1.0 : NAN;
+        r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;
         const int slides = known && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
         r->sliding_s = slides && !isnan(r->load) ? r->sliding_s + t->tick_s : 0.0;
     }
@@ -83,5 +87,5 @@ void compare_with_train(struct train_tick *t, int first)
 int is_off_train(const struct rotor *r)
 {
     const double most = r->learnt_s < DIAMETER_ROUGH_S ? MOST_DIFFERENCE : MOST_SLIP;
-    return fabs(r->slip) > most;
+    return r->slip > most;
 }
