@@ -36,7 +36,7 @@ static double leading_speed(const struct train_tick *t, int first)
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const struct rotor *r = &t->rotor[k];
         const int good = t->in[k].adhesion == FLAG_GOOD;
-        if (isnan(r->load) || isnan(r->speed) || good < adheres)
+        if (isnan(r->load) || !isfinite(r->speed) || good < adheres)
             continue;
         const int leads = t->braking ? r->speed > lead : r->speed < lead;
         lead = leads || isnan(lead) || good > adheres ? r->speed : lead;
