@@ -18,7 +18,7 @@ LEAST_EFFORT: Final = 0.1
 CATCH_UP: Final = 4.0
 """A bound that has run behind its train returns so many times as fast."""
 FASTEST: Final = (0.15, 0.3)
-"""Per unit of rated torque, on the rotor alone: what changes a train's speed most, and twice that."""
+"""Per unit of rated torque, on the rotor alone: the fastest change of a train, and twice that."""
 UNSEEN_S: Final = 1.0
 MOST_SLIP: Final = 0.06
 MOST_DIFFERENCE: Final = 0.1
@@ -51,7 +51,7 @@ def start(n: int) -> TrainSpeed:
 
 
 def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
-    """Of one motor: who leads of those that adhere, else of all that are tracked; NaN without any."""
+    """Of one motor: who leads of those that adhere, else of all tracked ones; NaN without any."""
     tracked = ~np.isnan(load) & np.isfinite(speed)
     chosen = tracked & good if (tracked & good).any() else tracked
     if not chosen.any():
