@@ -263,7 +263,9 @@ static void compare_speeds(struct train_tick *t, int first)
             r->creep = r->speed / others - 1.0;
         if (!isnan(r->creep) || !isnan(r->slip))
             r->away = (uint8_t)runs_away(t, r);
-        r->sliding = r->away && r->sliding_s > SLIDING_S;
+        /* Only such as have turned with the others. */
+        const int known = r->learnt_s >= DIAMETER_ROUGH_S;
+        r->sliding = known && r->away && r->sliding_s > SLIDING_S;
     }
 }
 

@@ -309,7 +309,8 @@ def _compare_speeds(
             train.creep[k] = train.speed[k] / others - 1.0
         if not math.isnan(train.creep[k]) or not math.isnan(memory.slip[k]):
             train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
-        memory.sliding[k] = train.away[k] and memory.sliding_s[k] > train_speed.SLIDING_S
+        turned = train.away[k] and train.learnt_s[k] >= train_speed.ROUGH_S
+        memory.sliding[k] = turned and memory.sliding_s[k] > train_speed.SLIDING_S
     for k in range(flag.shape[0]):
         stays = _stays(k, tick_s, train)
         train.uncertain[k] = train.uncertain[k] or (train.far[k] and not stays)
