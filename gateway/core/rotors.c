@@ -287,7 +287,7 @@ static void find_apart(struct train_tick *t, int first)
             r->uncertain = r->uncertain || r->apart;
             continue;
         }
-        const int off = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP : is_off_train(r);
+        const int off = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP : is_off_train(t, r);
         const int beyond = off && !left;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
         r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);

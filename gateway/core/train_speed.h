@@ -9,6 +9,6 @@
 void compare_with_train(struct train_tick *t, int first);
 
 /* 1 if a rotor is too far from the train's speed to be adhering. Its slip is not NaN. */
-int is_off_train(const struct rotor *r);
+int is_off_train(const struct train_tick *t, const struct rotor *r);
 
 #endif

@@ -20,7 +20,8 @@ CATCH_UP: Final = 4.0
 FASTEST: Final = (0.15, 0.3)
 """Per unit of rated torque, on the rotor alone: the fastest change of a train, and twice that."""
 UNSEEN_S: Final = 1.0
-MOST_SLIP: Final = 0.07
+MOST_SLIP: Final = 0.06
+SLIP_OF_TWO: Final = 0.08
 MOST_DIFFERENCE: Final = 0.1
 """While a diameter has been learnt for less than `ROUGH_S`."""
 ROUGH_S: Final = 0.5
@@ -87,4 +88,5 @@ def follow(
 
 def is_off(memory: TrainSpeed, k: int, learnt_s: float) -> bool:
     """Whether rotor k slips too much to be adhering."""
-    return bool(memory.slip[k] > (MOST_DIFFERENCE if learnt_s < ROUGH_S else MOST_SLIP))
+    most = SLIP_OF_TWO if len(memory.slip) < 3 else MOST_SLIP
+    return bool(memory.slip[k] > (MOST_DIFFERENCE if learnt_s < ROUGH_S else most))
