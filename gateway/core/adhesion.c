@@ -291,6 +291,17 @@ static void learn(struct adhesion *a, int answered, const struct drive_input *dr
     }
 }
 
+/* A wheel that is further from the speed of the train than any train changes it in the time. */
+static void accuse_sliding(struct adhesion *a)
+{
+    for (int k = 0; k < a->n; k++) {
+        if (!a->rotors[k].sliding)
+            continue;
+        a->loss_probability[k] = 1.0;
+        a->loss_known[k] = a->loads[k].severe_loss = 1;
+    }
+}
+
 void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
                    const struct drive_status *status, int64_t now_ns)
 {
@@ -303,6 +314,7 @@ void adhesion_fuse(struct adhesion *a, const struct drive_input *drives,
         fuse_views(a, now_ns);
         find_severe(a);
     }
+    accuse_sliding(a);
     note_known(a, now_ns);
     debounce(&a->common_mode, common_mode_evidence(a), &a->rules->timing[FLAG_ADHESION],
              a->rules->tick_ns, now_ns);

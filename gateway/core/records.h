@@ -755,22 +755,28 @@ struct rotor {
     double quick_speed;         /* and less smoothed */
     double acceleration_torque; /* that accelerates the rotor with its train */
     double brake_torque;        /* more of it, if friction brakes slow the train; else 0 */
-    double braked_creep;  /* creep of its wheel if they do not, and it was credited with that */
-    double diameter;      /* of the wheel over those of the others, as speeds */
-    double learnt_s;      /* for how long `diameter` has been learnt */
-    double creep;         /* speed over that of the others, minus 1 */
-    double followed_s;    /* for how long the filter has tracked */
-    double alone_s;       /* for how long all others have been away */
-    double near_s;        /* for how long it has been within the largest creep */
-    double slides_s;      /* for how long it has carried more than the others while apart */
-    double uncommanded_s; /* for how long it has carried what it was not asked for */
-    double odd_s;         /* for how long its command has been odd */
+    double braked_creep; /* creep of its wheel if they do not, and it was credited with that */
+    double diameter;     /* of the wheel over those of the others, as speeds */
+    double learnt_s;     /* for how long `diameter` has been learnt */
+    double creep;        /* speed over that of the others, minus 1 */
+    double slip;        /* speed over `train_speed`, minus 1; NaN: not known, or nothing is asked */
+    double train_speed; /* of the first of its motor: bound of the train's speed; NaN: not known */
+    double train_limit; /* the same for a train that changes its speed faster than any does */
+    double unseen_s;    /* of the first: for how long no rotor has been tracked */
+    double sliding_s;   /* for how long it has been far beyond `train_limit` */
+    double followed_s;  /* for how long the filter has tracked */
+    double alone_s;     /* for how long all others have been away */
+    double near_s;      /* for how long it has been within the largest creep */
+    double slides_s;    /* for how long it has carried more than the others while apart */
+    double uncommanded_s;        /* for how long it has carried what it was not asked for */
+    double odd_s;                /* for how long its command has been odd */
     int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: reliable */
     int32_t motor;               /* the first rotor with the same ratings; constant */
     int32_t next_alike;          /* the next one with the same ratings; 0: none */
     uint8_t far;                 /* 1: too far from the others, the diameter not being known */
     uint8_t apart;               /* 1: too far from the others when that was last known */
     uint8_t away;      /* 1: ran away from the others by its effort, and is not back yet */
+    uint8_t sliding;   /* 1: so far from the train's speed that it is lost, whatever it carries */
     uint8_t uncertain; /* 1: it may be running away, or braked by something else */
     uint8_t odd;       /* 1: its command has been odd for too long */
     uint8_t above;     /* 1: carries more than its command and than the others */

@@ -15,12 +15,10 @@
 #include <math.h>
 
 #include "estimators/numbers.h"
+#include "gateway/core/train_speed.h"
 
 #define ACCELERATION_TAU_S 0.5 /* time constant of the acceleration of a rotor, */
 #define BRAKE_TAU_S        0.1 /* and where friction brakes may be its cause */
-/* Per unit of rated torque, of what accelerates a rotor: an emergency brake of 1.5 m/s^2 for the
- * 350 kW motor, the wheelset behind its gear included. */
-#define MOST_ACCELERATION 0.15
 /* By its own motors never more than a hill's part and this share of the load: what turns is a few
  * percent of the inertia of a train. All wheels that run away together need more; so does a train that
  * friction brakes slow, and which of the two it is nobody knows. */
@@ -32,7 +30,6 @@
 #define SINGLE_CREDIT 0.05
 #define SINGLE_CHANGE 0.3
 #define GRIPS_S       1.0 /* a wheel that slid has its grip back after so long */
-#define LEAST_SPEED   3.0 /* rad/s at the rotor; below it a share of the speed says nothing */
 /* An estimated speed that differs by more from the measured one, which is up to 10 ms old, is no
  * measure for others: share and rad/s. */
 #define SPEEDS_APART       0.05
@@ -51,6 +48,7 @@
 #define DIAMETER_FIRST_S 3.0  /* of adhering; until then any diameter is expected */
 #define DIAMETER_TAU_S   60.0 /* then so slowly: a slip that grows over seconds is no diameter */
 #define MOST_DIAMETER    0.06
+#define SLIDING_S        0.05 /* a rotor that is off the train by so much is lost after so long */
 
 /* ---- Speeds and loads of this tick ---- */
 
@@ -70,6 +68,7 @@ static double tracked_speed(const struct rotor *r, const struct rotor_inputs *in
 static void note(struct train_tick *t)
 {
     double total = 0.0;
+    int count = 0;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
         const struct rotor_inputs *in = &t->in[k];
@@ -83,7 +82,9 @@ static void note(struct train_tick *t)
         r->speed = tracked_speed(r, in, t->now_ns);
         r->load = copysign(1.0, in->speed_rad_s) * in->load_nm / r->rated_nm;
         total += r->load;
+        count++;
     }
+    t->effort = count > 0 ? fabs(total) / count : 0.0;
     t->braking = total < 0.0;
 }
 
@@ -172,13 +173,6 @@ struct speeds {
     struct ranking all;     /* sorted where fewer than two are tracked: else nobody asks for them */
 };
 
-/* The next rotor with the same motor; n after the last one. */
-static int next_alike(const struct train_tick *t, int k)
-{
-    const int next = t->rotor[k].next_alike;
-    return next > k ? next : t->n;
-}
-
 /* Of the rotors with the motor of rotor `first`. */
 static struct speeds rank_speeds(const struct train_tick *t, int first)
 {
@@ -227,7 +221,7 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
     const double effort = t->braking ? -1.0 : 1.0;
-    const double slip = effort * r->creep;
+    const double slip = isnan(r->slip) ? effort * r->creep : r->slip;
     if (r->away)
         return slip > LEARN_CREEP;
     return slip > MOST_CREEP && effort * own_change(r) > LEARN_CREEP;
@@ -259,15 +253,19 @@ static void compare_speeds(struct train_tick *t, int first)
 {
     for (int k = first; k < t->n; k = next_alike(t, k))
         t->rotor[k].speed /= t->rotor[k].diameter;
+    compare_with_train(t, first);
     const struct speeds speeds = rank_speeds(t, first);
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         struct rotor *r = &t->rotor[k];
         const double others = reference_speed(t, &speeds, r);
         r->creep = NAN;
-        if (others >= LEAST_SPEED && !isnan(r->speed)) {
+        if (others >= LEAST_SPEED && !isnan(r->speed))
             r->creep = r->speed / others - 1.0;
+        if (!isnan(r->creep) || !isnan(r->slip))
             r->away = (uint8_t)runs_away(t, r);
-        }
+        /* Only such as have turned with the others. */
+        const int known = r->learnt_s >= DIAMETER_ROUGH_S;
+        r->sliding = known && r->away && r->sliding_s > SLIDING_S;
     }
 }
 
@@ -284,12 +282,13 @@ static void find_apart(struct train_tick *t, int first)
         struct rotor *r = &t->rotor[k];
         const int left = stays(t, r, known, away);
         r->uncertain = r->uncertain || (r->far && !left);
-        if (isnan(r->creep)) {
+        if (isnan(r->creep) && isnan(r->slip)) {
             /* Nobody sees whether it is back. */
             r->uncertain = r->uncertain || r->apart;
             continue;
         }
-        const int beyond = fabs(r->creep) > MOST_CREEP && !left;
+        const int off = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP : is_off_train(t, r);
+        const int beyond = off && !left;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
         r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);
         r->uncertain = r->uncertain || beyond;
@@ -319,8 +318,8 @@ static void learn_diameters(struct train_tick *t)
             return;
     for (int k = 0; k < t->n; k++) {
         struct rotor *r = &t->rotor[k];
-        const int settled = r->learnt_s >= DIAMETER_FIRST_S;
-        const double near = settled ? LEARN_CREEP : MOST_DIAMETER + LEARN_CREEP;
+        const int rough = r->learnt_s < DIAMETER_ROUGH_S;
+        const double near = rough ? MOST_DIAMETER + LEARN_CREEP : LEARN_CREEP;
         if (t->in[k].adhesion != FLAG_GOOD || !(fabs(r->creep) <= near))
             continue;
         double wanted = r->diameter * (1.0 + r->creep);

@@ -5,6 +5,12 @@
 #include "estimators/order_statistics.h"
 #include "gateway/core/records.h"
 
+#define LEAST_SPEED 3.0 /* rad/s at the rotor; below it a share of the speed says nothing */
+/* Per unit of rated torque, of what accelerates a rotor: an emergency brake of 1.5 m/s^2 for the
+ * 350 kW motor, the wheelset behind its gear included. */
+#define MOST_ACCELERATION 0.15
+#define DIAMETER_ROUGH_S  0.5 /* of adhering, after which a diameter is known to within a percent */
+
 /* What assess_train works on. */
 struct train_tick {
     struct rotor *rotor;
@@ -15,8 +21,16 @@ struct train_tick {
     double *workspace;       /* 2 n numbers */
     struct ranking loads;    /* of all drives, of this tick */
     struct ranking commands; /* valid ones of all drives, per unit of rated torque, without sign */
-    int braking;             /* 1: the loads of all drives brake; written by follow_rotors */
+    double effort;           /* magnitude of their mean; written by follow_rotors, as is: */
+    int braking;             /* 1: the loads of all drives brake */
 };
+
+/* The next rotor with the same motor; n after the last one. */
+static inline int next_alike(const struct train_tick *t, int k)
+{
+    const int next = t->rotor[k].next_alike;
+    return next > k ? next : t->n;
+}
 
 /* Speeds, loads and accelerations of this tick; who is apart from the others or runs away;
  * diameters of wheels. Needs all of the workspace. */

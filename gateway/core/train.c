@@ -152,6 +152,9 @@ void train_reset(struct rotor *rotors, int n)
             .slow_speed = NAN,
             .quick_speed = NAN,
             .creep = NAN,
+            .train_speed = NAN,
+            .train_limit = NAN,
+            .slip = NAN,
             .diameter = 1.0,
             .unreliable_until_ns = NO_TIME,
         };

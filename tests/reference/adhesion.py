@@ -314,6 +314,8 @@ class Adhesion:
     def _end(self, now: int) -> None:
         """Since when loads are known; all drives at once."""
         alone, each = self.alone, self.each
+        for k in np.flatnonzero(self.rotors["sliding"]):
+            self.lost[k], self.lost_known[k], self.severe[k] = 1.0, True, True
         for k in range(self.n):
             if not self.known[k]:
                 self.known_ns[k] = NEVER

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gateway.core.codes import NEVER, Flag, Health, Reason
 from gateway.settings.config import Motor
 from tests.columns import SlowState, Told
+from tests.reference import train_speed
 
 ACCELERATION_TAU_S: Final = 0.5
 """Time constant of a rotor's acceleration."""
@@ -95,7 +96,7 @@ class Train(NamedTuple):
     meanwhile; away: left the others for the side that the effort takes it to, and is not back yet;
     uncertain: it may be running away, or braked by something else; doubt_ns: until then its
     currents accuse nobody; uncommanded_s, odd_s: for how long, odd: too long; above: carries more
-    than its command and than the others, in this tick; speed, load: of one tick.
+    than its command and than the others, in this tick; speed, load: of one tick; train: its speed.
     """
 
     rated: Array
@@ -123,6 +124,7 @@ class Train(NamedTuple):
     above: Flags
     speed: Array
     load: Array
+    train: train_speed.TrainSpeed
 
 
 def start(motors: Sequence[Motor]) -> Train:
@@ -140,7 +142,7 @@ def start(motors: Sequence[Motor]) -> Train:
         np.array([ratings.index(m) for m in ratings], dtype=np.int64), unknown[0],
         unknown[4], np.zeros(n), np.zeros(n), np.ones(n), np.zeros(n), unknown[1], np.zeros(n),
         np.zeros(n), far, apart, np.zeros(n), np.zeros(n), away, uncertain, doubt_ns, np.zeros(n),
-        np.zeros(n), odd, above, unknown[2], unknown[3],
+        np.zeros(n), odd, above, unknown[2], unknown[3], train_speed.start(n),
     )  # fmt: skip
 
 
@@ -249,7 +251,8 @@ def _runs_away(k: int, effort: float, train: Train) -> bool:
 
     It has where its own speed has changed, not theirs; until it is back. effort: 1, braking -1.
     """
-    slip = effort * train.creep[k]
+    slip = train.train.slip[k]
+    slip = effort * train.creep[k] if math.isnan(slip) else slip
     if train.away[k]:
         return bool(slip > LEARN_CREEP)
     return bool(slip > MOST_CREEP and effort * _own_change(k, train) > LEARN_CREEP)
@@ -268,8 +271,9 @@ def _learn_diameters(tick_s: float, flag: Ints, operating: Flags, train: Train) 
         # A drive that is cut out keeps its flag, and stops nobody from learning.
         lost = lost or (flag[k] == Flag.BAD and operating[k])
     for k in range(flag.shape[0]):
-        settled = train.learnt_s[k] >= DIAMETER_FIRST_S
-        near = LEARN_CREEP if settled else MOST_DIAMETER + LEARN_CREEP
+        near = LEARN_CREEP
+        if train.learnt_s[k] < train_speed.ROUGH_S:
+            near += MOST_DIAMETER
         if lost or flag[k] != Flag.GOOD or not abs(train.creep[k]) <= near:
             continue
         wanted = train.diameter[k] * (1.0 + train.creep[k])
@@ -280,7 +284,7 @@ def _learn_diameters(tick_s: float, flag: Ints, operating: Flags, train: Train) 
 
 
 def _compare_speeds(
-    tick_s: float, braking: bool, flag: Ints, operating: Flags, train: Train
+    tick_s: float, braking: bool, effort: float, flag: Ints, operating: Flags, train: Train
 ) -> None:
     """Who turns faster or slower than the others; learns diameters while nobody slips."""
     for k in range(flag.shape[0]):
@@ -294,20 +298,29 @@ def _compare_speeds(
             train.far[k] = abs(creep) > MOST_APART
     for k in range(flag.shape[0]):
         train.speed[k] /= train.diameter[k]
+    memory, fastest = train.train, train.rated / train.inertia
+    train_speed.follow(
+        memory, train.motor, train.speed, train.load, flag, fastest, effort, braking, tick_s
+    )
     for k in range(flag.shape[0]):
         others = _speed_of_others(k, braking, train)
         train.creep[k] = math.nan
         if others >= LEAST_SPEED_RAD_S and not math.isnan(train.speed[k]):
             train.creep[k] = train.speed[k] / others - 1.0
+        if not math.isnan(train.creep[k]) or not math.isnan(memory.slip[k]):
             train.away[k] = _runs_away(k, -1.0 if braking else 1.0, train)
+        turned = train.away[k] and train.learnt_s[k] >= train_speed.ROUGH_S
+        memory.sliding[k] = turned and memory.sliding_s[k] > train_speed.SLIDING_S
     for k in range(flag.shape[0]):
         stays = _stays(k, tick_s, train)
         train.uncertain[k] = train.uncertain[k] or (train.far[k] and not stays)
-        if math.isnan(train.creep[k]):
+        slip = memory.slip[k]
+        if math.isnan(train.creep[k]) and math.isnan(slip):
             # Nobody sees whether it is back.
             train.uncertain[k] = train.uncertain[k] or train.apart[k]
             continue
-        beyond = abs(train.creep[k]) > MOST_CREEP and not stays
+        far = train_speed.is_off(memory, k, train.learnt_s[k])
+        beyond = (abs(train.creep[k]) > MOST_CREEP if math.isnan(slip) else far) and not stays
         train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
         train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < NEAR_S)
         train.uncertain[k] = train.uncertain[k] or beyond
@@ -377,9 +390,11 @@ def assess_train(
     far. Changes commanded (N,), false where a command cannot be believed, and `told` of drives that
     are not judged.
     """
-    braking = _note(measured, now, tick_s, told, train) < 0.0
+    total = _note(measured, now, tick_s, told, train)
+    braking, count = total < 0.0, int((np.asarray(told.health) == Health.TRACKING).sum())
     _accelerate(tick_s, braking, train)
-    _compare_speeds(tick_s, braking, flag, slow.operating, train)
+    effort = abs(total) / count if count else 0.0
+    _compare_speeds(tick_s, braking, effort, flag, slow.operating, train)
     for k in range(flag.shape[0]):
         train.above[k] = False
         if not commanded[k] or told.health[k] != Health.TRACKING:

@@ -98,3 +98,14 @@ def test_with_the_gateway_on_the_bus_less_is_locked_and_more_used_than_without()
     assert ours.score > none.score + 0.3
     assert ours.stopping_m < none.stopping_m
     assert ours.locked_s < 0.5 * none.locked_s
+
+
+@pytest.mark.parametrize("track", [LIBRARY["film"], LIBRARY["wet"]], ids=lambda track: track.name)
+def test_no_wheel_locks_or_slides_as_adhering_where_all_slide_at_once(track):
+    run = ride_with_gateway(track)
+    assert run.score.locked_s == 0.0
+    assert run.score.score > 0.85
+    dangerous = np.stack([(creep_of(m) > 0.1) & (m.flag == 1) for m in run.moments])
+    for axle in dangerous.T:
+        longest = max(len(part) for part in "".join(map(str, axle.astype(int))).split("0"))
+        assert longest * 0.01 <= 0.2

@@ -1,0 +1,92 @@
+/* The speed of the train, which no message carries: a bound of it, by the rotors of the last seconds.
+ *
+ * No train changes its speed faster than by MOST_ACCELERATION, and no wheel that brakes turns faster
+ * than its train, none that pulls slower. So the rotor that leads, the fastest in braking, the slowest in
+ * traction, is followed at that rate at most: wheels that slide all at once leave this speed behind,
+ * whatever their loads answer to their commands. Where the bound has run behind the train it
+ * returns CATCH_UP times as fast.
+ *
+ * Off the bound by MOST_SLIP a wheel is not adhering. Off by SLIDING_SLIP even from a bound that moves
+ * HARDER times as fast as any train, and by a change of its own speed, it is lost.
+ *
+ * The term of the field is reference speed. Not in paper `adhesion`. Nothing here can fail: the
+ * divisor is an inertia, which is configured, or a speed of at least LEAST_SPEED; comparisons with NaN
+ * are false, and each is written so that false is the safe answer. */
+#include "gateway/core/train_speed.h"
+
+#include <math.h>
+
+#include "estimators/numbers.h"
+
+/* Mean load, per unit of rated torque, down to which wheels slide by their motors; with less they grip. */
+#define LEAST_EFFORT 0.1
+#define CATCH_UP     4.0
+#define HARDER       2.0
+#define UNSEEN_S     1.0  /* without a rotor that is tracked for longer nothing is known any more */
+#define MOST_SLIP    0.06 /* of wheels that adhere, one or two percent of creep of each included, */
+#define SLIP_OF_TWO  0.08 /* of two drives, where the reference has the noise of one */
+#define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
+#define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
+
+/* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as adhere if
+ * there are any, since a lost one that is caught may pass the train by; NaN without any. */
+static double leading_speed(const struct train_tick *t, int first)
+{
+    double lead = NAN;
+    int adheres = 0; /* the one that leads so far */
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        const struct rotor *r = &t->rotor[k];
+        const int good = t->in[k].adhesion == FLAG_GOOD;
+        if (isnan(r->load) || !isfinite(r->speed) || good < adheres)
+            continue;
+        const int leads = t->braking ? r->speed > lead : r->speed < lead;
+        lead = leads || isnan(lead) || good > adheres ? r->speed : lead;
+        adheres = good;
+    }
+    return lead;
+}
+
+/* A bound after a tick in which the train's speed may change by `most`. */
+static double follow_lead(double bound, double lead, double most, int braking)
+{
+    if (isnan(bound) || isnan(lead))
+        return isnan(lead) ? bound : lead;
+    const double down = braking ? most : CATCH_UP * most;
+    const double up = braking ? CATCH_UP * most : most;
+    return clamp(lead, bound - down, bound + up);
+}
+
+/* Both bounds of this tick, in the record of the first rotor. */
+static void follow_train(struct train_tick *t, int first)
+{
+    struct rotor *train = &t->rotor[first];
+    const double lead = leading_speed(t, first);
+    train->unseen_s = isnan(lead) ? train->unseen_s + t->tick_s : 0.0;
+    if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->effort < LEAST_EFFORT))
+        train->train_speed = train->train_limit = lead;
+    const double rate = MOST_ACCELERATION * train->rated_nm / train->inertia_kg_m2;
+    const double most = rate * t->tick_s;
+    train->train_speed = follow_lead(train->train_speed, lead, most, t->braking);
+    train->train_limit = follow_lead(train->train_limit, lead, HARDER * most, t->braking);
+}
+
+void compare_with_train(struct train_tick *t, int first)
+{
+    follow_train(t, first);
+    const struct rotor *train = &t->rotor[first];
+    const double bound = train->train_speed, limit = train->train_limit;
+    const double effort = t->braking ? -1.0 : 1.0;
+    const int known = t->effort >= LEAST_EFFORT && bound >= LEAST_SPEED && limit >= LEAST_SPEED;
+    for (int k = first; k < t->n; k = next_alike(t, k)) {
+        struct rotor *r = &t->rotor[k];
+        r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;
+        const int slides = known && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
+        r->sliding_s = slides && !isnan(r->load) ? r->sliding_s + t->tick_s : 0.0;
+    }
+}
+
+int is_off_train(const struct train_tick *t, const struct rotor *r)
+{
+    const double most = t->n < 3 ? SLIP_OF_TWO : MOST_SLIP;
+    return r->slip > (r->learnt_s < DIAMETER_ROUGH_S ? MOST_DIFFERENCE : most);
+}

@@ -1,0 +1,92 @@
+"""The bound of the train's speed in NumPy, which `gateway/core/train_speed.c` is compared with."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.core.codes import Flag
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LEAST_EFFORT: Final = 0.1
+"""Mean load, per unit of rated torque: wheels that carry less grip."""
+CATCH_UP: Final = 4.0
+"""A bound that has run behind its train returns so many times as fast."""
+FASTEST: Final = (0.15, 0.3)
+"""Per unit of rated torque, on the rotor alone: the fastest change of a train, and twice that."""
+UNSEEN_S: Final = 1.0
+MOST_SLIP: Final = 0.06
+SLIP_OF_TWO: Final = 0.08
+MOST_DIFFERENCE: Final = 0.1
+"""While a diameter has been learnt for less than `ROUGH_S`."""
+ROUGH_S: Final = 0.5
+SLIDING_SLIP: Final = 0.2
+SLIDING_S: Final = 0.05
+LEAST_SPEED_RAD_S: Final = 3.0
+
+
+class TrainSpeed(NamedTuple):
+    """Memory, (N,): bounds (2, N), rad/s, and unseen_s stand at the first of each motor.
+
+    slip: how far a rotor is beyond the first bound, for the side of the effort; sliding_s: for how
+    long it has been `SLIDING_SLIP` beyond the second one; sliding: too long, and away.
+    """
+
+    bounds: Array
+    unseen_s: Array
+    slip: Array
+    sliding_s: Array
+    sliding: Flags
+
+
+def start(n: int) -> TrainSpeed:
+    """Nothing known."""
+    return TrainSpeed(
+        np.full((2, n), np.nan), np.zeros(n), np.full(n, np.nan), np.zeros(n), np.zeros(n, bool)
+    )
+
+
+def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
+    """Of one motor: who leads of those that adhere, else of all tracked ones; NaN without any."""
+    tracked = ~np.isnan(load) & np.isfinite(speed)
+    chosen = tracked & good if (tracked & good).any() else tracked
+    if not chosen.any():
+        return math.nan
+    return float(speed[chosen].max() if braking else speed[chosen].min())
+
+
+def follow(
+    memory: TrainSpeed, motor: NDArray[np.int64], speed: Array, load: Array,
+    flag: NDArray[np.int64], fastest: Array, effort: float, braking: bool, tick_s: float,
+) -> None:  # fmt: skip
+    """One tick. speed, load (N,); fastest (N,) rad/s2 at rated torque on the rotor alone."""
+    for first in np.unique(motor):
+        mine = motor == first
+        lead = _lead(speed[mine], load[mine], flag[mine] == Flag.GOOD, braking)
+        unseen = math.isnan(lead)
+        memory.unseen_s[first] = memory.unseen_s[first] + tick_s if unseen else 0.0
+        forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and effort < LEAST_EFFORT)
+        for bound, share in zip(memory.bounds, FASTEST, strict=True):
+            most = share * fastest[first] * tick_s
+            if forget or math.isnan(bound[first]):
+                bound[first] = lead
+            elif not unseen:
+                low, high = (1.0, CATCH_UP) if braking else (CATCH_UP, 1.0)
+                bound[first] = min(max(lead, bound[first] - low * most), bound[first] + high * most)
+        near, far = memory.bounds[:, first]
+        known = effort >= LEAST_EFFORT and min(near, far) >= LEAST_SPEED_RAD_S
+        side = -1.0 if braking else 1.0
+        memory.slip[mine] = side * (speed[mine] / near - 1.0) if known else np.nan
+        beyond = known & (side * (speed / far - 1.0) > SLIDING_SLIP) & ~np.isnan(load)
+        memory.sliding_s[mine] = np.where(beyond, memory.sliding_s + tick_s, 0.0)[mine]
+
+
+def is_off(memory: TrainSpeed, k: int, learnt_s: float) -> bool:
+    """Whether rotor k slips too much to be adhering."""
+    most = SLIP_OF_TWO if len(memory.slip) < 3 else MOST_SLIP
+    return bool(memory.slip[k] > (MOST_DIFFERENCE if learnt_s < ROUGH_S else most))
