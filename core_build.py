@@ -184,7 +184,7 @@ DEPENDS = (
     "estimators/detect/paper.h",
 )
 """All that sources include."""
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
 instruction. The linker binds our names to our functions (-Bsymbolic), never to those of another
 library in the process."""

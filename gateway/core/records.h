@@ -1817,6 +1817,7 @@ struct switching_drive {
     double fresh_neither;          /* and of `neither` */
     double c;                      /* load over the demand unless it adheres */
     double v_c;                    /* variance of c */
+    double less;                   /* probability that c is a share which a lost drive may carry */
     double precision;              /* what its load tells of the demand: 1 / variance, */
     double shift;                  /* and mean / variance */
     struct switching_ratio now;    /* if it adheres */
