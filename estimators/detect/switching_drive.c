@@ -135,7 +135,6 @@ void switching_drive_predict(struct switching_drive *d, double begin)
     d->less = less_than_all(d);
 }
 
-
 /* (S7): any share of the demand up to SHARE_MOST, and noise. */
 static double any_share(const struct switching_drive *d, double y, double noise, struct gaussian g)
 {

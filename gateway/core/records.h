@@ -1871,7 +1871,7 @@ struct switching {
     struct switching_hypothesis *hypotheses; /* (SWITCHING_KEPT,), the first `kept` */
     struct switching_drive *drives;          /* (SWITCHING_KEPT, n) */
     struct switching_hypothesis *trials;     /* (SWITCHING_TRIED,) workspace */
-    struct switching_drive *trial_drives;    /* (SWITCHING_TRIED, n) workspace */
+    struct switching_drive *trial_drives;    /* (SWITCHING_TRIED + 1, n) workspace */
     double *adhering;                        /* (n,) probabilities of all hypotheses together */
     double *lost;                            /* (n,) */
     double demand;                           /* mean of all hypotheses */
