@@ -144,6 +144,8 @@ def _run_command(words: list[str]) -> int:
         leanstart.python_can()
 
     leanstart.pydantic()
+    if _BRIEF.intersection(words[:1]):
+        leanstart.one_blas_thread()
     form = _log_format(words)
     limit = logs.begin(logging.WARNING, form)
     with leanstart.unsearched():

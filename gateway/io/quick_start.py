@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,6 +42,12 @@ def pydantic() -> None:
         none = ModuleType(name)
         vars(none)["get_plugins"] = tuple
         sys.modules[name] = none
+
+
+def one_blas_thread() -> None:
+    """NumPy starts no threads for large matrices: they would wait for work, busily."""
+    if "numpy" not in sys.modules:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @contextmanager
