@@ -184,10 +184,10 @@ DEPENDS = (
     "estimators/detect/paper.h",
 )
 """All that sources include."""
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-semantic-interposition")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
 instruction. The linker binds our names to our functions (-Bsymbolic), never to those of another
-library in the process."""
+library in the process, so the compiler may inline them (no interposition)."""
 
 
 def declarations() -> str:
