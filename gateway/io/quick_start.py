@@ -52,13 +52,19 @@ def one_blas_thread() -> None:
 
 @contextmanager
 def unsearched() -> Iterator[None]:
-    """No search for garbage meanwhile: what a start makes stays, and is searched repeatedly."""
+    """No search for garbage meanwhile: what a start makes stays, and is searched repeatedly.
+
+    Nor at once afterwards: all of it counts as old.
+    """
     before = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if before:
+            if not gc.get_freeze_count():
+                gc.freeze()
+                gc.unfreeze()
             gc.enable()
 
 
