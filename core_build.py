@@ -184,10 +184,10 @@ DEPENDS = (
     "estimators/detect/paper.h",
 )
 """All that sources include."""
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-semantic-interposition")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno")
 """No contraction: the same bytes whatever instructions a machine has. No errno: a root is one
 instruction. The linker binds our names to our functions (-Bsymbolic), never to those of another
-library in the process, so the compiler may inline them (no interposition)."""
+library in the process."""
 
 
 def declarations() -> str:
@@ -213,7 +213,8 @@ def builder() -> Any:
     """What setuptools builds `_traction_core` by. CORE_FLAGS in the environment: more flags."""
     from cffi import FFI
 
-    flags = [*FLAGS, *os.environ.get("CORE_FLAGS", "").split()]
+    # As the linker binds them, functions may be inlined in others of their source: the same bytes.
+    flags = [*FLAGS, "-fno-semantic-interposition", *os.environ.get("CORE_FLAGS", "").split()]
     made = FFI()
     made.cdef(declarations())
     includes = "\n".join(f'#include "{header}"' for header in HEADERS)
