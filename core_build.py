@@ -215,7 +215,8 @@ def builder() -> Any:
     """What setuptools builds `_traction_core` by. CORE_FLAGS in the environment: more flags."""
     from cffi import FFI
 
-    flags = [*FLAGS, *os.environ.get("CORE_FLAGS", "").split()]
+    # As the linker binds them, functions may be inlined in others of their source: the same bytes.
+    flags = [*FLAGS, "-fno-semantic-interposition", *os.environ.get("CORE_FLAGS", "").split()]
     made = FFI()
     made.cdef(declarations())
     includes = "\n".join(f'#include "{header}"' for header in HEADERS)

@@ -32,7 +32,6 @@ from dbc.spec import (
     Validity,
 )
 from dbc.text import printable, read_bytes
-from dbc.tolerant import read_any_dbc
 
 
 class Codec:
@@ -189,6 +188,8 @@ def bind(path: Path, nodes: Sequence[int], contract: Contract | None = None) -> 
 
 def bind_usable(path: Path) -> Codec:
     """Whatever of a DBC of others can be used; `left_out` lists the rest. Raises DbcMismatch."""
+    from dbc.tolerant import read_any_dbc
+
     specs, left_out = read_any_dbc(Path(path))
     return Codec(Path(path), specs, _digest(Path(path)), [printable(line) for line in left_out])
 

@@ -33,12 +33,17 @@ class CodecTables:
         rows: list[tuple[Any, ...]] = []
         ranges: list[tuple[int, int]] = []
         present: list[int] = []
+        first_rows: dict[int, int] = {}
         for message, spec in zip(self.messages, specs, strict=True):
             places = {signal.name: k for k, signal in enumerate(spec.signals)}
             message["first_signal"], message["signal_count"] = len(rows), len(places)
-            for signal in spec.signals:
-                rows.append(_row(signal, spec, places, len(ranges)))
-                ranges += signal.mux_ranges
+            first = first_rows.setdefault(id(spec.signals), len(rows))
+            if first < len(rows):  # a message before it has the same
+                rows += rows[first : first + len(places)]
+            else:
+                for signal in spec.signals:
+                    rows.append(_row(signal, spec, places, len(ranges)))
+                    ranges += signal.mux_ranges
             selector = _listed_by(spec)
             if selector is not None:
                 message["is_listed"], message["selector"] = 1, places[selector.name]

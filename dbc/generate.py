@@ -94,7 +94,7 @@ def _values(can_id: int, entry: Entry) -> Iterator[str]:
 
 def render(fd: bool) -> str:
     """The whole text of one DBC file."""
-    table = list(messages(fd))
+    table = messages(fd)
     nodes = [GATEWAY, *(f"Drive{n}" for n in DRIVES)]
     lines = ['VERSION "1.0"', "", "NS_ :", *(f"\t{s}" for s in _SECTIONS), "", "BS_:", ""]
     lines += [f"BU_: {' '.join(nodes)}", ""]
@@ -130,10 +130,19 @@ def recall(content: bytes) -> tuple[MessageSpec, ...] | None:
     fd = b"_Samples" in content
     if content != render(fd).encode("ascii"):
         return None
-    return tuple(_spec(k, can_id, entry) for k, (can_id, entry) in enumerate(messages(fd)))
+    table = messages(fd)
+    fields = {id(entry.fields): entry.fields for _, entry in table}
+    signals = {
+        key: tuple(map(_signal, sorted(each, key=lambda f: f.start)))
+        for key, each in fields.items()
+    }
+    return tuple(
+        _spec(k, can_id, entry, signals[id(entry.fields)])
+        for k, (can_id, entry) in enumerate(table)
+    )
 
 
-def _spec(index: int, can_id: int, entry: Entry) -> MessageSpec:
+def _spec(index: int, can_id: int, entry: Entry, signals: tuple[SignalSpec, ...]) -> MessageSpec:
     sender, _, kind = entry.name.partition("_")
     return MessageSpec(
         name=entry.name,
@@ -144,7 +153,7 @@ def _spec(index: int, can_id: int, entry: Entry) -> MessageSpec:
         cycle_ns=entry.cycle_ms * MS,
         profile=Profile.P05 if entry.fd else Profile.P02,
         data_ids=can_id.to_bytes(2, "big") if entry.fd else p02_data_ids(can_id),
-        signals=tuple(map(_signal, sorted(entry.fields, key=lambda f: f.start))),
+        signals=signals,
         index=index,
         node=0 if sender == GATEWAY else int(sender.removeprefix("Drive")),
         kind=kind,

@@ -6,8 +6,9 @@ them with cantools at every start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 DRIVES = range(1, 17)
 
@@ -350,12 +351,20 @@ def header(fd: bool) -> tuple[Field, Field]:
     return plain("Crc", 0, 8, crc), plain("Counter", 8, 4, count)
 
 
-def messages(fd: bool) -> Iterator[tuple[int, Entry]]:
-    """(CAN id, message) of the whole set, header included, by id."""
-    found = [(e.base_id + n, _numbered(e, n)) for e in drive_messages(fd) for n in DRIVES]
-    found += [(entry.base_id, entry) for entry in gateway_messages()]
-    for can_id, entry in sorted(found, key=lambda pair: pair[0]):
-        yield can_id, replace(entry, fields=(*header(entry.fd), *entry.fields))
+@cache
+def messages(fd: bool) -> tuple[tuple[int, Entry], ...]:
+    """(CAN id, message) of the whole set, header included, by id.
+
+    Messages that differ in the drive only share their tuple of fields.
+    """
+    drives = [_protected(entry) for entry in drive_messages(fd)]
+    found = [(entry.base_id + n, _numbered(entry, n)) for entry in drives for n in DRIVES]
+    found += [(entry.base_id, _protected(entry)) for entry in gateway_messages()]
+    return tuple(sorted(found, key=lambda pair: pair[0]))
+
+
+def _protected(entry: Entry) -> Entry:
+    return replace(entry, fields=(*header(entry.fd), *entry.fields))
 
 
 def _numbered(entry: Entry, n: int) -> Entry:

@@ -9,7 +9,7 @@
 
 enum { EXPONENT_BIAS = 1023, MANTISSA_BITS = 52 };
 
-/* e^x, x at most 0; 0 below -708; NaN of NaN. */
+/* e^x, x at most HIGHEST; 0 below -708; NaN of NaN. */
 static inline vec exp_lanes(vec x)
 {
     const mask too_low = x < LOWEST;

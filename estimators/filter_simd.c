@@ -504,7 +504,7 @@ static inline mask correct(struct block *s)
     for (int i = 0; i < STATES; i++) {
         vec *variance = &P[VARIANCES[i]];
         good &= *variance >= 0.0;
-        *variance = larger(*variance, FLOOR);
+        *variance = at_least(*variance, FLOOR);
     }
     return good;
 }

@@ -32,7 +32,7 @@ static inline vec select(mask condition, vec yes, vec no)
     return (vec)(((mask)yes & condition) | ((mask)no & ~condition));
 }
 
-static inline vec larger(vec v, double least)
+static inline vec at_least(vec v, double least)
 {
     return select(v > least, v, broadcast(least));
 }

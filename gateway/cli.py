@@ -148,17 +148,19 @@ def _printed(words: list[str]) -> int:
 
 def _run_command(words: list[str]) -> int:
     """Do what the words say. Raises what ends the program from outside, and faults of ours."""
-    from dbc.text import printable
-    from gateway.io import log_setup as logs
     from gateway.io import quick_start as leanstart
 
-    if _DRIVES.intersection(words[:1]):
-        leanstart.python_can()
-
-    leanstart.pydantic()
-    form = _log_format(words)
-    limit = logs.begin(logging.WARNING, form)
     with leanstart.unsearched():
+        from dbc.text import printable
+        from gateway.io import log_setup as logs
+
+        if _DRIVES.intersection(words[:1]):
+            leanstart.python_can()
+        leanstart.pydantic()
+        if _BRIEF.intersection(words[:1]):
+            leanstart.one_blas_thread()
+        form = _log_format(words)
+        limit = logs.begin(logging.WARNING, form)
         parser = _parser(words)
     options = parser.parse_args(words)
     if options.version:

@@ -11,7 +11,6 @@ from typing import Any, Final
 from dbc.candump.grammar import parse_line
 from dbc.candump.reader import LogReader, Reader
 from dbc.logs.format import Format
-from dbc.logs.text import TextReader
 from dbc.text import without_mark
 
 _LOOKED_AT: Final = 1 << 16
@@ -32,12 +31,13 @@ def open_reader(path: Path, *, strict: bool, line: str = "") -> LogReader:
 
     Raises PatternError, or LogError where no reader fits.
     """
-    if line:
-        return TextReader(path, _by_pattern(line, path), strict=strict)
     kind = ending(path)
-    if kind not in TEXT + OTHERS:
+    if not line and kind not in TEXT + OTHERS:
         kind = _by_content(path)
-    if (form := _format(kind, path)) is not None:
+    form = _by_pattern(line, path) if line else _format(kind, path)
+    if form is not None:
+        from dbc.logs.text import TextReader
+
         return TextReader(path, form, strict=strict)
     if kind in OTHERS:
         return _binary(path, kind, strict)

@@ -160,15 +160,23 @@ static struct switching_hypothesis moved(struct switching_hypothesis h, enum mov
     return h;
 }
 
-/* Drives of `from` a step later, as those of trial k. */
+/* Drives of `from` as those of trial k. */
+static struct switching_drive *copied(const struct switching *s, int k,
+                                      const struct switching_drive *from)
+{
+    struct switching_drive *d = drives_of(s->trial_drives, s, k);
+    for (int i = 0; i < s->n; i++)
+        d[i] = from[i];
+    return d;
+}
+
+/* The same a step later. */
 static struct switching_drive *predicted(const struct switching *s, int k,
                                          const struct switching_drive *from, double begin)
 {
-    struct switching_drive *d = drives_of(s->trial_drives, s, k);
-    for (int i = 0; i < s->n; i++) {
-        d[i] = from[i];
+    struct switching_drive *d = copied(s, k, from);
+    for (int i = 0; i < s->n; i++)
         switching_drive_predict(&d[i], begin);
-    }
     return d;
 }
 
@@ -237,9 +245,11 @@ static double best_of(const struct switching *s, int tried)
     return best;
 }
 
-/* Trials of jumps from one hypothesis, after the first `tried`; how many there are then. */
+/* Trials of jumps from one hypothesis, after the first `tried`; how many there are then. later: its
+ * drives a step later. */
 static int propose_jumps(struct switching *s, const struct switching_hypothesis *walked,
-                         const struct switching_drive *from, int tried)
+                         const struct switching_drive *from, const struct switching_drive *later,
+                         int tried)
 {
     for (int sign = -1; sign <= 1; sign += 2) {
         int strongest[2];
@@ -256,7 +266,7 @@ static int propose_jumps(struct switching *s, const struct switching_hypothesis 
             h.log_weight += elementary_log(JUMP / SPAN * p / ratio_of(&from[j].now));
             if (h.log_weight < best_of(s, tried) - 30.0)
                 continue;
-            jump(s, &h, predicted(s, tried, from, ALONE * frequency(walked->m)), j);
+            jump(s, &h, copied(s, tried, later), j);
             s->trials[tried++] = h;
         }
     }
@@ -268,15 +278,17 @@ static int propose(struct switching *s, int k, int tried)
 {
     const struct switching_drive *from = drives_of(s->drives, s, k);
     const struct switching_hypothesis walked = walk(s->hypotheses[k]);
+    const struct switching_drive *later =
+        predicted(s, SWITCHING_TRIED, from, ALONE * frequency(walked.m));
     for (int move = CALM; move < MOVES; move++) {
         struct switching_hypothesis h = moved(walked, (enum move)move);
         if (h.log_weight < s->hypotheses[0].log_weight - HOPELESS)
             continue;
-        const double begin = move == ONSETS ? PART : ALONE * frequency(walked.m);
-        weigh(s, &h, predicted(s, tried, from, begin), -1);
+        weigh(s, &h, move == ONSETS ? predicted(s, tried, from, PART) : copied(s, tried, later),
+              -1);
         s->trials[tried++] = h;
     }
-    return propose_jumps(s, &walked, from, tried);
+    return propose_jumps(s, &walked, from, later, tried);
 }
 
 /* ---- What is learnt ---- */

@@ -39,7 +39,7 @@ class Switching(Addressed):
         self.hypotheses = np.zeros(kept, SWITCHING_HYPOTHESIS)
         self.trials = np.zeros(tried, SWITCHING_HYPOTHESIS)
         self.drives = np.zeros((kept, n), SWITCHING_DRIVE)
-        self.trial_drives = np.zeros((tried, n), SWITCHING_DRIVE)
+        self.trial_drives = np.zeros((tried + 1, n), SWITCHING_DRIVE)
         self.adhering, self.lost = np.zeros((2, n))
         self.record = np.zeros(1, SWITCHING)
         self.record["n"], self.record["every"] = n, max(round(STEP_NS / tick_ns), 1)

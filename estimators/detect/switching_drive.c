@@ -8,8 +8,11 @@
 
 #include <math.h>
 
-#include "estimators/elementary.h"
 #include "estimators/numbers.h"
+
+#define SIMD_WIDTH 2 /* of any x86-64 and AArch64 */
+#include "estimators/elementary_lanes.h"
+#include "estimators/lanes.h"
 
 #define TWO_PI 6.283185307179586
 
@@ -78,6 +81,27 @@ struct switching_ratio mix_ratios(const struct switching_ratio *a, double w_a,
     };
 }
 
+/* Densities of normal distributions; v above 0. */
+static vec normal(vec e, vec v)
+{
+    return exp_lanes(-0.5 * e * e / v) / square_root(TWO_PI * v);
+}
+
+/* Their distribution function, to 0.01: the logistic function. */
+static vec logistic(vec x)
+{
+    const vec z = -1.702 * x;
+    return 1.0 / (1.0 + exp_lanes(select(z > HIGHEST, broadcast(HIGHEST), z)));
+}
+
+/* Probability that the share of before is one that a lost drive may carry. */
+static double less_than_all(const struct switching_drive *d)
+{
+    const double sd = sqrt(d->v_c), most = SHARE_MOST * ratio_of(&d->before);
+    const vec p = logistic((vec){most - d->c, d->c + LEAST_C} / sd);
+    return p[0] * p[1];
+}
+
 /* (S2): u is forgotten, r is not. */
 static void fade(struct switching_ratio *q)
 {
@@ -90,36 +114,25 @@ static void fade(struct switching_ratio *q)
 void switching_drive_predict(struct switching_drive *d, double begin)
 {
     const double a = d->adhering, l = d->lost, x = d->neither;
-    const double keeps = a * (1.0 - begin - ODD);
-    const double stays = l * (1.0 - GRIP - ODD);
+    const double keeps = a * (1.0 - begin - STRAY);
+    const double stays = l * (1.0 - GRIP - STRAY);
     const double begins = a * begin + (1.0 - OUT_ADHERING) * OUT * x;
-    const double other = x * (1.0 - OUT) + ODD * l;
+    const double other = x * (1.0 - OUT) + STRAY * l;
     const struct switching_ratio now = mix_ratios(&d->now, keeps, &d->before, l * GRIP + OUT * x);
-    d->before = mix_ratios(&d->before, stays + other, &d->now, a * (begin + ODD));
+    d->before = mix_ratios(&d->before, stays + other, &d->now, a * (begin + STRAY));
     d->now = now;
     fade(&d->now);
     fade(&d->before);
     /* (S3) */
     d->adhering = keeps + l * GRIP + OUT_ADHERING * OUT * x;
     d->lost = stays + begins;
-    d->neither = other + ODD * a;
+    d->neither = other + STRAY * a;
     /* (S4) */
     d->fresh_neither =
-        d->neither > 1e-300 ? (ODD * (a + l) + SHARE_NEW * (1.0 - OUT) * x) / d->neither : 1.0;
+        d->neither > 1e-300 ? (STRAY * (a + l) + SHARE_NEW * (1.0 - OUT) * x) / d->neither : 1.0;
     d->fresh = d->lost > 1e-300 ? (begins + SHARE_NEW * stays) / d->lost : 1.0;
     d->v_c = smaller(d->v_c + SHARE_STEP_SD * SHARE_STEP_SD, SHARE_VARIANCE_MOST);
-}
-
-/* Density of a normal distribution; v above 0. */
-static double normal(double e, double v)
-{
-    return elementary_exp(-0.5 * e * e / v) / sqrt(TWO_PI * v);
-}
-
-/* Its distribution function, to 0.01: the logistic function. */
-static double logistic(double x)
-{
-    return 1.0 / (1.0 + elementary_exp(-1.702 * x));
+    d->less = less_than_all(d);
 }
 
 /* (S7): any share of the demand up to SHARE_MOST, and noise. */
@@ -129,14 +142,8 @@ static double any_share(const struct switching_drive *d, double y, double noise,
     const double low = most * smaller(g.m, -LEAST_WIDTH);
     const double high = most * larger(g.m, LEAST_WIDTH);
     const double sd = sqrt(noise + most * most * g.v / 3.0);
-    return (logistic((y - low) / sd) - logistic((y - high) / sd)) / (high - low);
-}
-
-/* Probability that the share of before is one that a lost drive may carry. */
-static double less_than_all(const struct switching_drive *d)
-{
-    const double sd = sqrt(d->v_c), most = SHARE_MOST * ratio_of(&d->before);
-    return logistic((most - d->c) / sd) * logistic((d->c + LEAST_C) / sd);
+    const vec p = logistic((y - (vec){low, high}) / sd);
+    return (p[0] - p[1]) / (high - low);
 }
 
 struct origins switching_drive_explain(const struct switching_drive *d, double y, double noise,
@@ -147,14 +154,14 @@ struct origins switching_drive_explain(const struct switching_drive *d, double y
     const double v_o = v_a + (WIDE * WIDE - 1.0) * noise;
     const double v_l = d->c * d->c * g.v + d->v_c * m2 + noise; /* (S6) */
     const double e = y - rho * g.m;
+    const vec near = normal(broadcast(e), (vec){v_a, v_o});
+    const double held = normal(broadcast(y - d->c * g.m), broadcast(v_l))[0];
     struct origins p;
-    p.adhering = d->adhering * (1.0 - TAIL) * normal(e, v_a);
-    p.outlier = d->adhering * TAIL * normal(e, v_o);
-    const double held = normal(y - d->c * g.m, v_l);
-    const double less = less_than_all(d);
-    p.held = d->lost * (1.0 - d->fresh) * held * less;
+    p.adhering = d->adhering * (1.0 - TAIL) * near[0];
+    p.outlier = d->adhering * TAIL * near[1];
+    p.held = d->lost * (1.0 - d->fresh) * held * d->less;
     p.fresh = d->lost > 1e-14 ? d->lost * d->fresh * any_share(d, y, noise, g) : 0.0;
-    p.steady = d->neither * (1.0 - d->fresh_neither) * held * (1.0 - less); /* (S8) */
+    p.steady = d->neither * (1.0 - d->fresh_neither) * held * (1.0 - d->less); /* (S8) */
     p.neither = d->neither * d->fresh_neither / SPAN;
     p.all = p.adhering + p.outlier + p.held + p.fresh + p.steady + p.neither;
     p.all = larger(p.all, 1e-300);

@@ -148,7 +148,7 @@ static inline vec entropy(const double *r1, int n)
     vec sum = broadcast(0.0);
     for (int i = 0; i < n; i++) {
         const vec p = load_row(r1, i), q = 1.0 - p;
-        sum -= p * log_lanes(larger(p, 1e-300)) + q * log_lanes(larger(q, 1e-300));
+        sum -= p * log_lanes(at_least(p, 1e-300)) + q * log_lanes(at_least(q, 1e-300));
     }
     return sum;
 }

@@ -79,6 +79,8 @@ def pattern_of(log: Path, line: str | None) -> str:
 
     Raises ConfigError, for an empty pattern too.
     """
+    if line is None:
+        return ""
     from dbc.logs.opening import first_lines
     from dbc.logs.pattern import Pattern, PatternError
     from dbc.logs.proposals import proposed
@@ -86,7 +88,7 @@ def pattern_of(log: Path, line: str | None) -> str:
 
     if line != "auto":
         try:
-            return "" if line is None else Pattern(line).pattern
+            return Pattern(line).pattern
         except PatternError as error:
             cure = "docs/files.md has the fields, and examples"
             raise ConfigError("--line", [str(error), cure]) from None

@@ -56,7 +56,7 @@ HEARTBEAT_LIMIT_NS: Final = 300 * MS
 COMM_CLEAR_NS: Final = 100 * MS
 ESTIMATOR: Final = Timing(good_ns=0, raise_ns=0, clear_ns=200 * MS)
 SENSOR: Final = Timing(good_ns=SECOND, raise_ns=0, clear_ns=5 * SECOND)
-SENT: Final = 512
+SENT: Final = 2048
 """Frames of ours that there is room for in a `run`; never less than those of a tick."""
 
 
@@ -197,16 +197,16 @@ class Gateway(Addressed):
         for ends that are none of this block.
         """
         ends = np.ascontiguousarray(ends, dtype=np.int64)
-        if (np.diff(ends, prepend=0, append=block.size) < 0).any():
+        sizes = np.diff(ends, prepend=0, append=block.size)
+        if (sizes < 0).any():
             raise ValueError(f"ends {ends} of ticks in a block of {block.size} frames")
+        if (most := int(sizes[:-1].max(initial=0))) > self._capacity:
+            self._reserve(most)
         out: list[Block] = []
         done, peak = 0, np.full(len(self.nodes), np.nan)
         while done < len(ends) and not (done and (self.changed or lib.is_log_full(self._log))):
             first, at = int(ends[done - 1]) if done else 0, now + done * self.config.loop.period_ns
             if self.translator is None and self.outbox.authenticator is None:
-                most = int(np.diff(ends[done:], prepend=first).max())
-                if most > self._capacity:
-                    self._reserve(most)
                 done += self._run(block.part(first, int(ends[-1])), ends[done:] - first, at)
                 out.append(self.outbox.block_of(self.sent[: self.pointer.sent_count]))
             else:

@@ -1826,6 +1826,7 @@ struct switching_drive {
     double fresh_neither;          /* and of `neither` */
     double c;                      /* load over the demand unless it adheres */
     double v_c;                    /* variance of c */
+    double less;                   /* probability that c is a share which a lost drive may carry */
     double precision;              /* what its load tells of the demand: 1 / variance, */
     double shift;                  /* and mean / variance */
     struct switching_ratio now;    /* if it adheres */
@@ -1879,7 +1880,7 @@ struct switching {
     struct switching_hypothesis *hypotheses; /* (SWITCHING_KEPT,), the first `kept` */
     struct switching_drive *drives;          /* (SWITCHING_KEPT, n) */
     struct switching_hypothesis *trials;     /* (SWITCHING_TRIED,) workspace */
-    struct switching_drive *trial_drives;    /* (SWITCHING_TRIED, n) workspace */
+    struct switching_drive *trial_drives;    /* (SWITCHING_TRIED + 1, n) workspace */
     double *adhering;                        /* (n,) probabilities of all hypotheses together */
     double *lost;                            /* (n,) */
     double demand;                           /* mean of all hypotheses */

@@ -100,8 +100,9 @@ class LogTime:
 
     def _near(self, t_ns: NDArray[np.int64]) -> int:
         """How many of these stamps go on from the last one and from one another."""
-        steps = np.diff(t_ns, prepend=self._latest_ns)
-        far = (steps < 0) | (steps > NEAR_NS) | (t_ns > LATEST_NS - self._shift_ns)
+        # A step back has the highest bit.
+        far = np.diff(t_ns, prepend=self._latest_ns).view(np.uint64) > NEAR_NS
+        far |= t_ns > LATEST_NS - self._shift_ns
         return int(np.argmax(far)) if far.any() else t_ns.size
 
     def _go_on(self, block: Block) -> Steady:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,15 +44,27 @@ def pydantic() -> None:
         sys.modules[name] = none
 
 
+def one_blas_thread() -> None:
+    """NumPy starts no threads for large matrices: they would wait for work, busily."""
+    if "numpy" not in sys.modules:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 @contextmanager
 def unsearched() -> Iterator[None]:
-    """No search for garbage meanwhile: what a start makes stays, and is searched repeatedly."""
+    """No search for garbage meanwhile: what a start makes stays, and is searched repeatedly.
+
+    Nor at once afterwards: all of it counts as old.
+    """
     before = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if before:
+            if not gc.get_freeze_count():
+                gc.freeze()
+                gc.unfreeze()
             gc.enable()
 
 

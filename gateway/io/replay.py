@@ -19,8 +19,6 @@ from dbc.candump.reader import LogError, LogReader, Reader
 from dbc.frame import Frame, Nanos
 from dbc.frames import EMPTY, Block, block_of, join
 from dbc.logs.opening import OTHERS, ending, open_reader
-from dbc.logs.screen import is_screen_form
-from dbc.logs.text import TextReader
 from gateway.core.gateway import Gateway
 from gateway.io import quick_start as leanstart
 from gateway.io.logtime import HOLE_NS, LogTime
@@ -210,8 +208,9 @@ def replay(
         dropped = without + held.size
         block = join(held, new)
         even = not len(dropped) and bool((np.diff(block.t_ns) <= HOLE_NS).all())
-        done = many(block, sink) if isinstance(sink, Briefly) and even else 0
-        stamps = block.t_ns.tolist()
+        if even and isinstance(sink, Briefly):
+            block = block.part(many(block, sink), block.size)
+        done, stamps = 0, block.t_ns.tolist()
         while (end := bisect_right(stamps, now, done)) < block.size:
             batch, following = block.part(done, end), stamps[end]
             done = end
@@ -269,8 +268,12 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
     for block in reader.blocks():
         found = found or block.size > 0
         yield block
-    header = reader.nearest_header() if isinstance(reader, TextReader) and not found else None
-    if not found and (reader.problems or header):
+    if found:
+        return
+    from dbc.logs.text import TextReader
+
+    header = reader.nearest_header() if isinstance(reader, TextReader) else None
+    if reader.problems or header:
         line, verdict, text = header or reader.problems[0]
         candump = isinstance(reader, Reader) and not isinstance(reader, TextReader)
         name = "frame as candump -L writes them" if candump else "frame"
@@ -279,6 +282,8 @@ def _some(reader: LogReader, path: Path) -> Iterator[Block]:
             f"{path}: {what}not one of its {reader.lines} {reader.unit} is a {name}; "
             f"line {line}: {verdict.name.lower()}: {text[:REPORTED]}"
         )
+        from dbc.logs.screen import is_screen_form
+
         if is_screen_form(text):
             msg += (
                 "; candump shows this on a screen: record with `candump -L IF` or `candump -l IF`"

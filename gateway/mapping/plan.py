@@ -18,7 +18,6 @@ from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
 from dbc.frame import MS, Nanos
 from dbc.spec import DbcMismatch, MessageSpec, SignalSpec
-from dbc.tolerant import read_any_dbc
 from gateway.settings.config import Config, ConfigError, Motor
 from gateway.settings.sections import Drive
 from gateway.settings.signal_map import Signals, Source
@@ -224,6 +223,8 @@ def _messages(
 
     Last, entries of the file that cannot be used: none of our business unless they are mapped.
     """
+    from dbc.tolerant import read_any_dbc
+
     try:
         specs, left_out = read_any_dbc(path)
     except DbcMismatch as error:

@@ -106,6 +106,15 @@ def test_collecting_goes_on_after_a_start_that_failed():
     assert gc.get_freeze_count() == before
 
 
+def test_what_a_start_has_made_is_not_searched_at_once():
+    gc.unfreeze()
+    with leanstart.unsearched():
+        made = [[]]
+    assert any(one is made for one in gc.get_objects(generation=2))
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
 def test_a_missing_key_is_one_clear_line(tmp_path):
     config = tmp_path / "train.toml"
     config.write_text("[authentication]\n")
@@ -120,15 +129,16 @@ def test_a_missing_key_is_one_clear_line(tmp_path):
     assert not (tmp_path / "trip").exists(), "no start is counted that did not happen"
 
 
-def test_a_candump_log_is_replayed_without_mf4(tmp_path):
+def test_a_candump_log_is_replayed_without_mf4_and_threads_of_numpy(tmp_path):
     (tmp_path / "x.log").write_text("(1.000000) can0 123#00\n")
     text = """
-import sys
+import os, sys
 from gateway.cli import main
 code = main(["replay", "x.log", "-o", "y.log"])
-print([m for m in ("asammdf", "pandas", "pyarrow") if m in sys.modules], code)
+loaded = [m for m in ("asammdf", "pandas", "pyarrow") if m in sys.modules]
+print(loaded, code, len(os.listdir("/proc/self/task")))
 """
-    assert program(tmp_path, text) == "[] 0"
+    assert program(tmp_path, text) == "[] 0 1"
 
 
 RICH = ("FORCE_COLOR", "TTY_COMPATIBLE", "COLUMNS")
