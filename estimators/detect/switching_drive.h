@@ -5,7 +5,7 @@
 #include "gateway/core/records.h"
 
 #define STEP_S 0.01 /* the model moves in steps of this length */
-#define STRAY    1e-8 /* probability per step that a load begins to mean nothing */
+#define STRAY  1e-8 /* probability per step that a load begins to mean nothing */
 #define R_MOST 0.3  /* r stays so near to 1 */
 #define SPAN   3.0  /* loads and demands lie within such a range, -1.5 to 1.5 */
 
