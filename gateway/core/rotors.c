@@ -216,12 +216,20 @@ static int stays(const struct train_tick *t, struct rotor *r, int known, int awa
     return r->alone_s > 0.0 && r->alone_s <= ALONE_S && kept;
 }
 
+/* Slip of a wheel against the train, or against the others where that is more: a drive that alone is
+ * tracked leads the train's speed by itself. */
+static double slip_of(const struct train_tick *t, const struct rotor *r)
+{
+    const double against_others = (t->braking ? -1.0 : 1.0) * r->creep;
+    return isnan(r->slip) || against_others > r->slip ? against_others : r->slip;
+}
+
 /* 1 if a wheel has left the others for the side that the effort takes it to, until it is back: its
  * own speed has changed, not theirs. */
 static int runs_away(const struct train_tick *t, const struct rotor *r)
 {
     const double effort = t->braking ? -1.0 : 1.0;
-    const double slip = isnan(r->slip) ? effort * r->creep : r->slip;
+    const double slip = slip_of(t, r);
     if (r->away)
         return slip > LEARN_CREEP;
     return slip > MOST_CREEP && effort * own_change(r) > LEARN_CREEP;
@@ -287,7 +295,8 @@ static void find_apart(struct train_tick *t, int first)
             r->uncertain = r->uncertain || r->apart;
             continue;
         }
-        const int off = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP : is_off_train(t, r);
+        const int off = isnan(r->slip) ? fabs(r->creep) > MOST_CREEP
+                                       : is_off_train(t, r) || slip_of(t, r) > MOST_CREEP;
         const int beyond = off && !left;
         r->near_s = beyond ? 0.0 : r->near_s + t->tick_s;
         r->apart = r->near_s == 0.0 || (r->apart && r->near_s < NEAR_S);

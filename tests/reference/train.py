@@ -246,13 +246,17 @@ def _stays(k: int, tick_s: float, train: Train) -> bool:
     return bool(0.0 < train.alone_s[k] <= ALONE_S and kept)
 
 
+def _slip(k: int, effort: float, train: Train) -> float:
+    """Against the train or against the others, whichever is more of what is known."""
+    return float(np.fmax(effort * train.creep[k], train.train.slip[k]))
+
+
 def _runs_away(k: int, effort: float, train: Train) -> bool:
     """Whether drive k's wheel has left the others for the side that the effort takes it to.
 
     It has where its own speed has changed, not theirs; until it is back. effort: 1, braking -1.
     """
-    slip = train.train.slip[k]
-    slip = effort * train.creep[k] if math.isnan(slip) else slip
+    slip = _slip(k, effort, train)
     if train.away[k]:
         return bool(slip > LEARN_CREEP)
     return bool(slip > MOST_CREEP and effort * _own_change(k, train) > LEARN_CREEP)
@@ -320,6 +324,7 @@ def _compare_speeds(
             train.uncertain[k] = train.uncertain[k] or train.apart[k]
             continue
         far = train_speed.is_off(memory, k, train.learnt_s[k])
+        far = far or _slip(k, -1.0 if braking else 1.0, train) > MOST_CREEP
         beyond = (abs(train.creep[k]) > MOST_CREEP if math.isnan(slip) else far) and not stays
         train.near_s[k] = 0.0 if beyond else train.near_s[k] + tick_s
         train.apart[k] = train.near_s[k] == 0.0 or (train.apart[k] and train.near_s[k] < NEAR_S)
