@@ -200,7 +200,6 @@ JUDGED = (
     "gateway/core/pairing.c",
     "gateway/core/plausibility.c",
     "gateway/core/receive.c",
-    "gateway/core/rotors.c",
     "gateway/core/sample_clock.c",
     "gateway/core/sequence.c",
     "gateway/core/supervision.c",
