@@ -210,9 +210,9 @@ static void update_share(struct switching_drive *d, double y, double noise, stru
         return;
     const double m2 = g.m * g.m, most = SHARE_MOST * ratio_of(&d->before);
     const double k = d->v_c * g.m / (d->v_c * m2 + d->c * d->c * g.v + noise);
-    const double any = clamp(y / g.m, -MOST_C, MOST_C);
-    const double mean[] = {d->c + k * (y - d->c * g.m), clamp(any, 0.0, most), any};
-    const double v_any = smaller((noise + any * any * g.v) / m2, SHARE_VARIANCE_MOST);
+    const double share = clamp(y / g.m, -MOST_C, MOST_C);
+    const double mean[] = {d->c + k * (y - d->c * g.m), clamp(share, 0.0, most), share};
+    const double v_any = smaller((noise + share * share * g.v) / m2, SHARE_VARIANCE_MOST);
     const double v[] = {(1.0 - k * g.m) * d->v_c, v_any, v_any};
     const double weight[] = {known / gone, from->fresh / gone, from->neither / gone};
     double c = 0.0, v_c = 0.0;

@@ -531,8 +531,7 @@ struct thermal_motor_config {
     double centre_k[THERMAL_POINTS]; /* K, residual beside the other motors' */
     double noise_k[THERMAL_POINTS];  /* K, of single readings */
     double block_noise_k;            /* K, of a block's medians */
-    double
-        inflation; /* of the filters' standard deviations, at least 1: what held-back blocks need */
+    double inflation;                /* of the filters' standard deviations: at least 1 */
     uint8_t unexplained; /* 1: they leave even that band; the motor is not judged by its model */
 };
 
