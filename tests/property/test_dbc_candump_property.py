@@ -164,7 +164,7 @@ def test_a_written_line_equals_the_reference(frame, channel):
 
 
 @given(frames(), ODD_FRAMES)
-@settings(max_examples=examples(200))
+@settings(max_examples=examples(500))
 @example(Frame(0, 1), Frame(0, 1, bytes(8), BRS))
 @example(Frame(0, 1), Frame(0, 0x800))
 @example(Frame(0, 1), Frame(0, 1, bytes(65), FD))
