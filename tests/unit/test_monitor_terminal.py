@@ -345,7 +345,7 @@ def refused(capsys, *words):
 
 
 def test_what_cannot_be_shown_is_one_line(capsys, log, monkeypatch, tmp_path):
-    assert "no terminal" in refused(capsys, log)
+    assert "needs a terminal" in refused(capsys, log)
     monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
     assert "a log and a bus" in refused(capsys, log, "-i", "virtual", "-c", "x")
     assert "no such file" in refused(capsys, tmp_path / "none.log")
