@@ -29,18 +29,18 @@
 #define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
 
 /* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as adhere if
- * there are any, since a lost one that is caught may pass the train by; -1 without any. */
-static int leading_rotor(const struct train_tick *t, int first)
+ * there are any, since a lost one that is caught may pass the train by; NaN without any. */
+static double leading_speed(const struct train_tick *t, int first)
 {
-    int lead = -1, adheres = 0; /* the one that leads so far */
+    double lead = NAN;
+    int adheres = 0; /* the one that leads so far */
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const struct rotor *r = &t->rotor[k];
         const int good = t->in[k].adhesion == FLAG_GOOD;
         if (isnan(r->load) || !isfinite(r->speed) || good < adheres)
             continue;
-        const double ahead = lead < 0 ? 0.0 : r->speed - t->rotor[lead].speed;
-        if (lead < 0 || good > adheres || (t->braking ? ahead > 0.0 : ahead < 0.0))
-            lead = k;
+        const int leads = t->braking ? r->speed > lead : r->speed < lead;
+        lead = leads || isnan(lead) || good > adheres ? r->speed : lead;
         adheres = good;
     }
     return lead;
@@ -56,10 +56,11 @@ static double follow_lead(double bound, double lead, double most, int braking)
     return clamp(lead, bound - down, bound + up);
 }
 
-/* Both bounds of this tick, in the record of the first rotor. lead: its speed, or NaN. */
-static void follow_train(struct train_tick *t, int first, double lead)
+/* Both bounds of this tick, in the record of the first rotor. */
+static void follow_train(struct train_tick *t, int first)
 {
     struct rotor *train = &t->rotor[first];
+    const double lead = leading_speed(t, first);
     train->unseen_s = isnan(lead) ? train->unseen_s + t->tick_s : 0.0;
     if (train->unseen_s > UNSEEN_S || (!isnan(lead) && t->effort < LEAST_EFFORT))
         train->train_speed = train->train_limit = lead;
@@ -71,10 +72,7 @@ static void follow_train(struct train_tick *t, int first, double lead)
 
 void compare_with_train(struct train_tick *t, int first)
 {
-    const int lead = leading_rotor(t, first);
-    follow_train(t, first, lead < 0 ? NAN : t->rotor[lead].speed);
-    /* A lost wheel that leads says nothing against others: it may turn the other way. */
-    const int lost_leads = lead >= 0 && t->in[lead].adhesion == FLAG_BAD;
+    follow_train(t, first);
     const struct rotor *train = &t->rotor[first];
     const double bound = train->train_speed, limit = train->train_limit;
     const double effort = t->braking ? -1.0 : 1.0;
@@ -83,8 +81,7 @@ void compare_with_train(struct train_tick *t, int first)
         struct rotor *r = &t->rotor[k];
         r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;
         const int slides = known && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
-        const int judged = !isnan(r->load) && (!lost_leads || t->in[k].adhesion == FLAG_BAD);
-        r->sliding_s = slides && judged ? r->sliding_s + t->tick_s : 0.0;
+        r->sliding_s = slides && !isnan(r->load) ? r->sliding_s + t->tick_s : 0.0;
     }
 }
 

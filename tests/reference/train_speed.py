@@ -51,13 +51,13 @@ def start(n: int) -> TrainSpeed:
     )
 
 
-def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> int | None:
-    """Of one motor: who leads of those that adhere, else of all tracked ones."""
+def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
+    """Of one motor: who leads of those that adhere, else of all tracked ones; NaN without any."""
     tracked = ~np.isnan(load) & np.isfinite(speed)
     chosen = tracked & good if (tracked & good).any() else tracked
     if not chosen.any():
-        return None
-    return int(np.argmax(np.where(chosen, speed if braking else -speed, -np.inf)))
+        return math.nan
+    return float(speed[chosen].max() if braking else speed[chosen].min())
 
 
 def follow(
@@ -67,9 +67,8 @@ def follow(
     """One tick. speed, load (N,); fastest (N,) rad/s2 at rated torque on the rotor alone."""
     for first in np.unique(motor):
         mine = motor == first
-        leader = _lead(speed[mine], load[mine], flag[mine] == Flag.GOOD, braking)
-        unseen = leader is None
-        lead = math.nan if leader is None else speed[mine][leader]
+        lead = _lead(speed[mine], load[mine], flag[mine] == Flag.GOOD, braking)
+        unseen = math.isnan(lead)
         memory.unseen_s[first] = memory.unseen_s[first] + tick_s if unseen else 0.0
         forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and effort < LEAST_EFFORT)
         for bound, share in zip(memory.bounds, FASTEST, strict=True):
@@ -84,8 +83,6 @@ def follow(
         side = -1.0 if braking else 1.0
         memory.slip[mine] = side * (speed[mine] / near - 1.0) if known else np.nan
         beyond = known & (side * (speed / far - 1.0) > SLIDING_SLIP) & ~np.isnan(load)
-        if leader is not None and flag[mine][leader] == Flag.BAD:
-            beyond &= flag == Flag.BAD
         memory.sliding_s[mine] = np.where(beyond, memory.sliding_s + tick_s, 0.0)[mine]
 
 
