@@ -29,7 +29,8 @@
 #define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
 
 /* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as adhere if
- * there are any, since a lost one that is caught may pass the train by; NaN without any. */
+ * there are any, since a lost one that is caught may pass the train by; NaN without any. One that carries
+ * against the others (it may turn the other way) is no bound. */
 static double leading_speed(const struct train_tick *t, int first)
 {
     double lead = NAN;
@@ -37,7 +38,8 @@ static double leading_speed(const struct train_tick *t, int first)
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const struct rotor *r = &t->rotor[k];
         const int good = t->in[k].adhesion == FLAG_GOOD;
-        if (isnan(r->load) || !isfinite(r->speed) || good < adheres)
+        const int with_train = t->braking ? r->load <= 0.0 : r->load >= 0.0;
+        if (!with_train || !isfinite(r->speed) || good < adheres)
             continue;
         const int leads = t->braking ? r->speed > lead : r->speed < lead;
         lead = leads || isnan(lead) || good > adheres ? r->speed : lead;

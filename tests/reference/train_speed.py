@@ -52,8 +52,8 @@ def start(n: int) -> TrainSpeed:
 
 
 def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
-    """Of one motor: who leads of those that adhere, else of all tracked ones; NaN without any."""
-    tracked = ~np.isnan(load) & np.isfinite(speed)
+    """Of one motor: who leads of those that adhere, else of all that carry with the train; or NaN."""
+    tracked = (load <= 0.0 if braking else load >= 0.0) & np.isfinite(speed)
     chosen = tracked & good if (tracked & good).any() else tracked
     if not chosen.any():
         return math.nan
