@@ -52,7 +52,7 @@ def start(n: int) -> TrainSpeed:
 
 
 def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
-    """Of one motor: who leads of those that adhere, else of all that carry with the train; or NaN."""
+    """Of one motor: who leads of those that adhere, else of all that carry with the train."""
     tracked = (load <= 0.0 if braking else load >= 0.0) & np.isfinite(speed)
     chosen = tracked & good if (tracked & good).any() else tracked
     if not chosen.any():
