@@ -53,7 +53,7 @@ void adhesion_reset(struct adhesion *a, double spread)
             .flagged_ns = NO_TIME,
             .known_since_ns = NO_TIME,
         };
-        a->known[k] = a->loss_known[k] = a->may_learn[k] = 0;
+        a->known[k] = a->compared[k] = a->loss_known[k] = a->may_learn[k] = 0;
         a->normalised[k] = a->sigma[k] = a->loss_probability[k] = 0.0;
     }
     if (a->switching)
@@ -107,6 +107,9 @@ void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
         const double load = a->loads[k].load, ratio = a->loads[k].command_ratio;
         a->normalised[k] = normalise_load(&a->ratios[k], load, ratio);
         a->sigma[k] = normalised_sigma(&a->spread, &a->ratios[k], load, ratio, TRANSIENT_SPREAD);
+        /* A wheel that slides is lost whatever it carries; as it grips again it carries more than
+         * one that adheres. */
+        a->compared[k] = a->known[k] && !a->rotors[k].sliding;
     }
 }
 
@@ -118,12 +121,12 @@ void adhesion_detect(struct adhesion *a)
     }
     int count = 0;
     for (int k = 0; k < a->n; k++)
-        count += a->known[k] != 0;
+        count += a->compared[k] != 0;
     for (int k = 0; k < a->n; k++) {
         a->loss_probability[k] = 0.0;
-        a->loss_known[k] = count >= 2 && a->known[k];
+        a->loss_known[k] = count >= 2 && a->compared[k];
     }
-    a->common = vb_detect(&a->priors, a->iterations, a->normalised, a->sigma, a->known, a->n,
+    a->common = vb_detect(&a->priors, a->iterations, a->normalised, a->sigma, a->compared, a->n,
                           a->workspace, a->loss_probability);
 }
 

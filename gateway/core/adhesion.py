@@ -55,7 +55,8 @@ class AdhesionMonitor(Addressed):
         self.response_ratios, self.ratios = np.zeros((2, n), LOAD_RATIO)
         self.observed, self.loads = np.zeros(n, LOAD_OBSERVATION), np.zeros(n, DRIVE_LOAD)
         self.normalised, self.sigma, self.loss_probability = np.zeros((3, n))
-        self.known, self.loss_known, self.may_learn = np.zeros((3, n), dtype=np.bool_)
+        flags = np.zeros((4, n), dtype=np.bool_)
+        self.known, self.compared, self.loss_known, self.may_learn = flags
         self.workspace = np.zeros((5, n))
         self.record = np.zeros(1, ADHESION)
         self.record["n"], self.record["tick_s"] = n, tick_ns / SECOND
@@ -72,8 +73,8 @@ class AdhesionMonitor(Addressed):
         """See `Addressed`."""
         for name in (
             "rules", "rotors", "rotor_inputs", "responses", "response_ratios", "ratios", "observed",
-            "loads", "normalised", "sigma", "known", "loss_probability", "loss_known", "may_learn",
-            "workspace",
+            "loads", "normalised", "sigma", "known", "compared", "loss_probability", "loss_known",
+            "may_learn", "workspace",
         ):  # fmt: skip
             self.record[name] = getattr(self, name).ctypes.data
         if self.switching is not None:
@@ -92,7 +93,7 @@ class AdhesionMonitor(Addressed):
         """As `adhesion_detect`, by a detector that is not in the core. estimates: (N,)."""
         speeds = None if self.config.observe == "torque" else np.abs(estimates["speed_rad_s"])
         lost, known, common = self.detector(
-            Evidence(self.normalised, self.sigma, self.known, speeds)
+            Evidence(self.normalised, self.sigma, self.compared, speeds)
         )  # fmt: skip
         self.loss_probability[:], self.loss_known[:] = lost, known
         self.record["common"] = common

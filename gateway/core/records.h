@@ -1509,8 +1509,9 @@ struct adhesion {
     struct drive_load *loads;
     /* what the detector is given: loads as if the drives were equal and fully commanded */
     double *normalised;
-    double *sigma;  /* standard deviation of a healthy drive's around the common one */
-    uint8_t *known; /* 1: the load is known */
+    double *sigma;     /* standard deviation of a healthy drive's around the common one */
+    uint8_t *known;    /* 1: the load is known */
+    uint8_t *compared; /* 1: known, and the wheel does not slide */
     /* what it finds; fused with the responses in place */
     double *loss_probability;
     uint8_t *loss_known; /* 1: `loss_probability` means something */

@@ -110,7 +110,8 @@ class Adhesion:
         if self.model is not None:
             self._judge(self.model, flag, now)
         else:
-            evidence = Evidence(self.normalised, self.sigma, self.known)
+            compared = self.known & (self.rotors["sliding"] == 0)
+            evidence = Evidence(self.normalised, self.sigma, compared)
             lost, known, self.common = self.detector(evidence)
             self._fuse(lost.tolist(), known.tolist(), now)
         self._end(now)
