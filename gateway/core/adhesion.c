@@ -97,6 +97,19 @@ static void judge_train(struct adhesion *a, struct drive_estimate *estimates,
     }
 }
 
+/* Which loads are a measure for others. A wheel that slides is lost whatever it carries, and as it grips
+ * again it carries more than one that adheres, the other way if it had come to turn backwards. */
+static void find_compared(struct adhesion *a)
+{
+    double total = 0.0;
+    for (int k = 0; k < a->n; k++)
+        total += a->known[k] ? a->normalised[k] : 0.0;
+    for (int k = 0; k < a->n; k++) {
+        const double along = copysign(1.0, total) * a->normalised[k];
+        a->compared[k] = a->known[k] && !a->rotors[k].sliding && !(along < -MORE_LOAD);
+    }
+}
+
 void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
                       const struct input_status *inputs, const struct drive_input *drives,
                       const struct drive_status *status, int64_t now_ns)
@@ -107,10 +120,8 @@ void adhesion_prepare(struct adhesion *a, struct drive_estimate *estimates,
         const double load = a->loads[k].load, ratio = a->loads[k].command_ratio;
         a->normalised[k] = normalise_load(&a->ratios[k], load, ratio);
         a->sigma[k] = normalised_sigma(&a->spread, &a->ratios[k], load, ratio, TRANSIENT_SPREAD);
-        /* A wheel that slides is lost whatever it carries; as it grips again it carries more than
-         * one that adheres. */
-        a->compared[k] = a->known[k] && !a->rotors[k].sliding;
     }
+    find_compared(a);
 }
 
 void adhesion_detect(struct adhesion *a)

@@ -1511,7 +1511,7 @@ struct adhesion {
     double *normalised;
     double *sigma;     /* standard deviation of a healthy drive's around the common one */
     uint8_t *known;    /* 1: the load is known */
-    uint8_t *compared; /* 1: known, and the wheel does not slide */
+    uint8_t *compared; /* 1: known, and a measure for others */
     /* what it finds; fused with the responses in place */
     double *loss_probability;
     uint8_t *loss_known; /* 1: `loss_probability` means something */

@@ -110,7 +110,8 @@ class Adhesion:
         if self.model is not None:
             self._judge(self.model, flag, now)
         else:
-            compared = self.known & (self.rotors["sliding"] == 0)
+            along = math.copysign(1.0, sum(self.normalised[self.known].tolist())) * self.normalised
+            compared = self.known & (self.rotors["sliding"] == 0) & ~(along < -MORE_LOAD)
             evidence = Evidence(self.normalised, self.sigma, compared)
             lost, known, self.common = self.detector(evidence)
             self._fuse(lost.tolist(), known.tolist(), now)
