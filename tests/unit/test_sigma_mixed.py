@@ -27,6 +27,21 @@ def test_a_mixture_equals_the_reference(components, kind):
     np.testing.assert_allclose(np.array(got), want, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.parametrize("iterations", [0, 1, 2])
+def test_the_first_values_and_those_after_few_steps_equal_the_reference(iterations):
+    """What lies behind the values is not read: their variance starts every component."""
+    behind = np.full(60, 1e9)
+    x = behind[:40]
+    x[:] = np.random.default_rng(3).normal(60.0, 5.0, 40)
+    want, found = np.empty((3, 3)), ffi.new("struct mixture *")
+    reference_mixture.expect_maximise(x, iterations, 1e-4, want)
+    lib.mixture_fit(
+        pointer("double", x), pointer("double", np.sort(x)), 40, iterations, 1e-4, 3, found
+    )
+    got = [list(part)[:3] for part in (found.weight, found.mean, found.variance)]
+    np.testing.assert_allclose(got, want, rtol=1e-9)
+
+
 def test_a_component_that_no_value_belongs_to_has_no_weight_and_stays_where_it_is():
     """The first values of its components are the caller's, by the sorted numbers."""
     x, first = np.random.default_rng(0).normal(size=20), np.repeat([0.0, 1e6], 10)
@@ -43,11 +58,14 @@ def test_a_mixture_has_at_least_one_component_and_no_more_than_there_is_room_for
             mixture.fit(np.arange(20.0), components)
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_the_filter_equals_the_reference(weighted):
+@pytest.mark.parametrize(
+    ("weighted", "kappa", "samples"),
+    [(False, KAPPA, 120), (True, KAPPA, 120), (True, 1.0, 120), (True, KAPPA, 1)],
+)
+def test_the_filter_equals_the_reference(weighted, kappa, samples):
     """Readings with holes, of points that agree, and of points that do not at all."""
     rng = np.random.default_rng(int(weighted))
-    samples, motors = 120, 4
+    motors = 4
     y = 60.0 + np.cumsum(rng.normal(0.0, 0.3, (samples, motors, 3)), axis=0)
     y[:, 3] += np.array([0.0, 900.0, -900.0])
     y[rng.random(y.shape) < 0.1] = np.nan
@@ -58,9 +76,10 @@ def test_the_filter_equals_the_reference(weighted):
     q, r = rng.uniform(1e-3, 2.0, (2, motors, 3))
     q[2], apart = 0.0, np.array([10.0, -4.0, -6.0])
     state, mixed = np.empty(y.shape), np.empty(y.shape[:2])
-    options = np.array([KAPPA, 0.2, float(weighted)])
+    options = np.array([kappa, 0.2, float(weighted)])
     reference.sweep(y, settled, keep, drift, gap, q, r, apart, options, state, mixed)
     configs = SigmaMixedFilter(weighted).configs(Lumps(none, none, none, q, r, apart), drift)
+    configs["kappa"] = kappa
     got = estimate(configs, y, settled, keep, gap)
     np.testing.assert_allclose(got.state, state, rtol=1e-8)
     np.testing.assert_allclose(got.mixed, mixed, rtol=1e-8)
