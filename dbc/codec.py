@@ -60,6 +60,10 @@ class Codec:
         self._has_floats = any(s.is_float for m in self.messages for s in m.signals)
         self._columns = [{s.name: k for k, s in enumerate(m.signals)} for m in self.messages]
 
+    def own(self, *, creep: bool) -> list[MessageSpec]:
+        """What a gateway sends; `creep`: its optional messages, too."""
+        return [m for m in self.messages if m.is_gateway and (creep or not m.is_optional)]
+
     def match(self, frame: Frame) -> tuple[Match, MessageSpec | None]:
         """Whether a frame may be decoded, and as what. Never raises.
 

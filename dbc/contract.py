@@ -45,6 +45,8 @@ class MessageNeed:
     length: int = 8
     fd: bool = False
     cyclic: bool = True
+    optional: bool = False
+    """The DBC may leave it out; who wants it sent looks for it."""
 
     def name(self, node: int) -> str:
         """Name in the DBC; `node` is ignored for the gateway's own."""
@@ -163,6 +165,17 @@ _SHARED = (
             ),
             *_numbers(("Jumps", ""), ("DegradationRate", "K/h")),
         ),
+    ),
+    MessageNeed(
+        "Adhesion",
+        Direction.PRODUCED,
+        (
+            _QUALITY,
+            *_numbers(
+                ("Creep", "%"), ("Utilisation", "%"), ("CreepSigma", "%"), ("UtilisationSigma", "%")
+            ),
+        ),
+        optional=True,
     ),
     MessageNeed(
         "Adhesion",

@@ -248,6 +248,22 @@ def drive_messages(fd: bool) -> tuple[Entry, ...]:
             to_drive,
         ),
         Entry(
+            "Drive{n}_Adhesion", 0x300, GATEWAY, 20,
+            "How wheel {n} runs on its rail; only with [adhesion] send_creep.",
+            (
+                quality(),
+                measured("Creep", 16, 16,
+                         "Speed of the wheel over that of the train, minus 1; above 0: faster.",
+                         "%", "0.01", signed=True),
+                measured("Utilisation", 32, 16, "Load torque over rated torque, without its sign.",
+                         "%", "0.01"),
+                measured("CreepSigma", 48, 8, "Standard deviation of Creep.", "%", "0.1"),
+                measured("UtilisationSigma", 56, 8, "Standard deviation of Utilisation.",
+                         "%", "0.5"),
+            ),
+            to_drive,
+        ),
+        Entry(
             "Drive{n}_Thermal", 0x400, GATEWAY, 500, "Thermal judgement of motor {n}.",
             (
                 chosen("FaultClass", 12, 4, "What kind of thermal fault.",

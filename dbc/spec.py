@@ -141,6 +141,11 @@ class MessageSpec:
     """Sent by the gateway itself."""
 
     @property
+    def is_optional(self) -> bool:
+        """Whether the gateway sends it only where its configuration asks for it."""
+        return self.is_gateway and self.kind == "Adhesion" and self.node > 0
+
+    @property
     def key(self) -> int:
         """Key in `Codec.by_id`: the id, with bit 31 set for 29-bit ids."""
         return self.can_id | (EXTENDED_KEY if self.is_extended else 0)

@@ -1,5 +1,7 @@
 """Small DBC files for tests, written as text."""
 
+import re
+
 
 def signal(name, start, length, sign="+", order=1, rest='(1,0) [0|0] ""'):
     return f" SG_ {name} : {start}|{length}@{order}{sign} {rest} Vector__XXX"
@@ -25,3 +27,14 @@ def of_layout(path, layout):
     if layout.is_float:
         parts.append(f"SIG_VALTYPE_ 1 S : {layout.length // 32};")
     return write(path, *parts)
+
+
+def without(text, name):
+    """The DBC text without one message and everything said about its id."""
+    can_id = re.search(rf"^BO_ (\d+) {name}:", text, re.MULTILINE)[1]
+    text = re.sub(rf"^BO_ {can_id} .*\n(?: SG_ .*\n)+\n", "", text, flags=re.MULTILINE)
+    return "".join(
+        line
+        for line in text.splitlines(True)
+        if not re.search(rf"\b(BO_|SG_|VAL_) {can_id} ", line)
+    )

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
 
     config, codec = prepare(options.config, signature=options)
     planned = foreign.plans(config)
-    foreign.fitted(codec, planned)
+    foreign.fitted(codec, planned, creep=config.adhesion.send_creep)
     word = calibration.config_hash(config, codec.digest, calibration.of(config))
     print(f"configuration  good, hash {word:06x}")
     print(
@@ -196,7 +196,8 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
     """
     from gateway.core.transmit import VOUCHED, Outbox
 
-    outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns)
+    creep = config.adhesion.send_creep
+    outbox = Outbox(codec, config.nodes, 0, config.loop.period_ns, creep=creep)
     ours = set(outbox.specs)
     bus = config.bus
     busy = 0.0
@@ -207,7 +208,8 @@ def bus_load(codec: Codec, config: Config, planned: Sequence[Plan] = ()) -> floa
     native = [node for node in config.nodes if node not in mapped]
     theirs = {spec.key: spec for plan in planned for spec in plan.codec.messages}
     for spec in (*codec.messages, *theirs.values()):
-        used = spec.node in native or spec.name in ours or spec.key in theirs
+        from_drive = spec.node in native and not spec.is_gateway
+        used = from_drive or spec.name in ours or spec.key in theirs
         if spec.cycle_ns and used:
             busy += frame_seconds(spec, bus.bitrate, bus.data_bitrate) * 1e9 / spec.cycle_ns
     theirs_hz = 1e3 / (config.canopen.heartbeat_ms or 100)

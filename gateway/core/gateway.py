@@ -84,9 +84,10 @@ class Gateway(Addressed):
         self.config, self.nodes, self.start_ns = config, nodes, start_ns
         self.supervision = Supervision(nodes, HEARTBEAT_LIMIT_NS, config.canopen.heartbeat_ns)
         planned = foreign.plans(config)
-        taken = foreign.fitted(codec, planned)
+        creep = config.adhesion.send_creep
+        taken = foreign.fitted(codec, planned, creep=creep)
         self.translator = Translator(planned, taken) if planned else None
-        self.inbox = Inbox(taken, nodes, tick_ns, self.supervision)
+        self.inbox = Inbox(taken, nodes, tick_ns, self.supervision, creep=creep)
         drives = self.inbox.drives
         missing = [d.node for d in drives if not d.channels]
         if missing:
@@ -106,7 +107,7 @@ class Gateway(Addressed):
         self.flags = Flags(by, len(nodes), self.adhesion.detector.code, start_ns)
         self.status = self.flags.status
         own_hash = calibration.config_hash(config, codec.digest, cells)
-        self.outbox = Outbox(codec, nodes, own_hash, tick_ns, authenticator)
+        self.outbox = Outbox(codec, nodes, own_hash, tick_ns, authenticator, creep=creep)
         self.load = BusLoad(config.bus.bitrate, config.bus.data_bitrate, start_ns)
         authenticated = config.on_intruder == "tell" and authenticator is not None
         for_good = config.on_intruder in ("stop", "go_on")

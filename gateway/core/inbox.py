@@ -70,15 +70,24 @@ class Inbox:
     """Entry of frames: all receive state."""
 
     def __init__(
-        self, codec: Codec, nodes: Sequence[int], tick_ns: Nanos, supervision: Supervision
+        self,
+        codec: Codec,
+        nodes: Sequence[int],
+        tick_ns: Nanos,
+        supervision: Supervision,
+        *,
+        creep: bool = False,
     ) -> None:
-        """Raises nothing: `bind` has already compared the DBC with the contract."""
+        """Raises nothing: `bind` has already compared the DBC with the contract.
+
+        creep: the gateway's optional messages are its own, too.
+        """
         self.codec = codec
         self.supervision = supervision
         self.drives = [DriveInput(node) for node in nodes]
         self.added: Counter[str] = Counter()
         """Frames that the receiver has not counted: emergencies, and those left out before it."""
-        own = {spec.key for spec in codec.messages if spec.is_gateway} | OWN_CANOPEN
+        own = {spec.key for spec in codec.own(creep=creep)} | OWN_CANOPEN
         self.channels: list[Channel] = []
         keys: dict[int, int] = {}
         for index, drive in enumerate(self.drives):

@@ -213,6 +213,10 @@ struct drive_status {
     double mixed_c;
     double maisd_k;
     double rate_k_h;
+    double creep;             /* of the wheel: see creep.c, */
+    double creep_sigma;       /* its standard deviation */
+    double utilisation;       /* load over rated torque, without its sign, */
+    double utilisation_sigma; /* its standard deviation */
     int64_t jumps;
     int64_t age_ns;             /* of the newest sample of current; NO_TIME: none */
     int64_t temperature_age_ns; /* NO_TIME: none */
@@ -762,6 +766,8 @@ struct rotor {
     double train_speed; /* of the first of its motor: bound of the train's speed; NaN: not known */
     double train_limit; /* the same for a train that changes its speed faster than any does */
     double unseen_s;    /* of the first: for how long no rotor has been tracked */
+    double unsure_s;    /* of the first: for how long none has been known to adhere (creep.c), */
+    double sure_speed;  /* and `train_speed` until then; 0: not known */
     double sliding_s;   /* for how long it has been far beyond `train_limit` */
     double followed_s;  /* for how long the filter has tracked */
     double alone_s;     /* for how long all others have been away */
@@ -772,6 +778,7 @@ struct rotor {
     int64_t unreliable_until_ns; /* until then its currents accuse nobody; NO_TIME: reliable */
     int32_t motor;               /* the first rotor with the same ratings; constant */
     int32_t next_alike;          /* the next one with the same ratings; 0: none */
+    int8_t way;                  /* sign of its speed when it last adhered; 0: unknown (creep.c) */
     uint8_t far;                 /* 1: too far from the others, the diameter not being known */
     uint8_t apart;               /* 1: too far from the others when that was last known */
     uint8_t away;      /* 1: ran away from the others by its effort, and is not back yet */
@@ -1049,26 +1056,38 @@ enum tx_source {
     TX_MAISD = 11, /* K */
     TX_RATE = 12,  /* K/h */
     TX_JUMPS = 13,
+    TX_QUALITY = 14,           /* of the next four, enum quality */
+    TX_CREEP = 15,             /* % */
+    TX_CREEP_SIGMA = 16,       /* % */
+    TX_UTILISATION = 17,       /* % */
+    TX_UTILISATION_SIGMA = 18, /* % */
     /* of the train */
-    TX_ADHESION_REASON = 14,
-    TX_FAULTS_REASON = 15,
-    TX_SENSOR = 16,
-    TX_COMM = 17,
-    TX_ESTIMATOR = 18,
-    TX_OVERRUN = 19,
-    TX_STATE = 20,
-    TX_DETECTOR = 21,
-    TX_COMMON_MODE = 22,
-    TX_AGE = 23,             /* ms */
-    TX_TEMPERATURE_AGE = 24, /* ms */
+    TX_ADHESION_REASON = 19,
+    TX_FAULTS_REASON = 20,
+    TX_SENSOR = 21,
+    TX_COMM = 22,
+    TX_ESTIMATOR = 23,
+    TX_OVERRUN = 24,
+    TX_STATE = 25,
+    TX_DETECTOR = 26,
+    TX_COMMON_MODE = 27,
+    TX_AGE = 28,             /* ms */
+    TX_TEMPERATURE_AGE = 29, /* ms */
     /* of what is counted and measured */
-    TX_DEADLINE_MISSES = 25,
-    TX_REJECTED = 26,
-    TX_LOST = 27,
-    TX_BUS_LOAD = 28, /* % */
-    TX_LATENCY = 29,  /* us */
-    TX_LATENESS = 30, /* us */
-    TX_CONFIG_HASH = 31,
+    TX_DEADLINE_MISSES = 30,
+    TX_REJECTED = 31,
+    TX_LOST = 32,
+    TX_BUS_LOAD = 33, /* % */
+    TX_LATENCY = 34,  /* us */
+    TX_LATENESS = 35, /* us */
+    TX_CONFIG_HASH = 36,
+};
+
+/* What a sender thinks of the values of a message; the numbers are those of the DBC. */
+enum quality {
+    QUALITY_INITIALISING = 0,
+    QUALITY_VALID = 1,
+    QUALITY_DEGRADED = 2,
 };
 
 /* One signal of a sent message; constant. */

@@ -9,6 +9,7 @@
 
 #include "gateway/core/adhesion.h"
 #include "gateway/core/busload.h"
+#include "gateway/core/creep.h"
 #include "gateway/core/estimate.h"
 #include "gateway/core/flags.h"
 #include "gateway/core/inputs.h"
@@ -80,6 +81,7 @@ static void update_flags(struct gateway *g, int64_t now_ns)
     const int changed = debounce_flags(g->rules, g->evidence, n, now_ns, g->status);
     g->changed = changed || !g->begun;
     publish(g->train_inputs, g->flag_inputs, g->evidence, n, now_ns, g->status, g->train);
+    estimate_creep(g->adhesion, g->status);
     for (int32_t k = 0; k < n; k++)
         g->peak[k] = fmax(g->peak[k], g->status[k].loss_probability); /* passes over NaN */
 }

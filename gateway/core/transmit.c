@@ -29,6 +29,18 @@ static double at_most(double x, double most)
     return x > most ? most : x;
 }
 
+/* Of creep and utilisation: initialising while the filter converges; valid if both rest on fresh
+ * samples; NaN without either. */
+static double quality_of(const struct drive_status *drive)
+{
+    const int known = !isnan(drive->creep) + !isnan(drive->utilisation);
+    if (known == 2 && drive->health == HEALTH_TRACKING)
+        return QUALITY_VALID;
+    if (known > 0)
+        return QUALITY_DEGRADED;
+    return drive->health == HEALTH_CONVERGING ? QUALITY_INITIALISING : NAN;
+}
+
 /* Of a drive. */
 static double drive_value(uint8_t source, const struct drive_status *drive)
 {
@@ -59,6 +71,16 @@ static double drive_value(uint8_t source, const struct drive_status *drive)
         return drive->rate_k_h;
     case TX_JUMPS: /* known together with the rate */
         return isnan(drive->rate_k_h) ? NAN : at_most((double)drive->jumps, MOST_JUMPS);
+    case TX_QUALITY:
+        return quality_of(drive);
+    case TX_CREEP:
+        return 100.0 * drive->creep;
+    case TX_CREEP_SIGMA:
+        return 100.0 * drive->creep_sigma;
+    case TX_UTILISATION:
+        return 100.0 * drive->utilisation;
+    case TX_UTILISATION_SIGMA:
+        return 100.0 * drive->utilisation_sigma;
     default:
         return NAN;
     }

@@ -25,6 +25,7 @@ from dbc.spec import MessageSpec
 from gateway.core.flags import Status
 from gateway.core.tx_signals import OF_A_DRIVE, OF_THE_SET
 from gateway.core.view import Counted
+from gateway.settings.config import ConfigError
 
 if TYPE_CHECKING:
     from dbc.secoc_sender import Authenticator
@@ -53,12 +54,23 @@ class Outbox(Addressed):
         config_hash: int,
         tick_ns: Nanos,
         authenticator: Authenticator | None = None,
+        *,
+        creep: bool = False,
     ) -> None:
-        """The set of messages is fixed here; nothing else can ever be sent."""
+        """The set of messages is fixed here; nothing else can ever be sent.
+
+        creep: with `Drive{n}_Adhesion`. Raises ConfigError where the DBC does not have them.
+        """
         self.config_hash = config_hash
         self.codec = codec
         names = [f"Gateway_{n}" for n in ("Adhesion", "Faults", "Info", "Status")]
-        names += [f"Drive{node}_{kind}" for node in nodes for kind in ("Estimate", "Thermal")]
+        kinds = ("Estimate", "Thermal", *(["Adhesion"] if creep else []))
+        names += [f"Drive{node}_{kind}" for node in nodes for kind in kinds]
+        if missing := [name for name in names if name not in codec.by_name]:
+            cure = "take it from the shipped DBC, or leave out [adhesion] send_creep"
+            raise ConfigError(
+                str(codec.path), [f"{name}: message missing; {cure}" for name in missing]
+            )
         specs = sorted((codec.by_name[name] for name in names), key=lambda spec: spec.can_id)
         self.specs: dict[str, MessageSpec] = {spec.name: spec for spec in specs}
         self.tables = CodecTables(specs)

@@ -26,6 +26,13 @@ OF_A_DRIVE: Final = {
         "Jumps": lib.TX_JUMPS,
         "DegradationRate": lib.TX_RATE,
     },
+    "Adhesion": {
+        "Quality": lib.TX_QUALITY,
+        "Creep": lib.TX_CREEP,
+        "Utilisation": lib.TX_UTILISATION,
+        "CreepSigma": lib.TX_CREEP_SIGMA,
+        "UtilisationSigma": lib.TX_UTILISATION_SIGMA,
+    },
 }
 
 OF_THE_SET: Final = {

@@ -62,7 +62,8 @@ def run_demo(
         return 0
 
     bus = {"interface": "virtual", "channel": channel}
-    allow = Allow.from_codec(codec, config.nodes, nmt_master=True)
+    creep = config.adhesion.send_creep
+    allow = Allow.from_codec(codec, config.nodes, nmt_master=True, creep=creep)
     ours = Guarded(PythonCan(bus, clock, no_stamp), allow)
     theirs = PythonCan(bus, clock, no_stamp)
     simulation = Simulation(scenario, codec, nodes=config.nodes, self_start=False)

@@ -38,6 +38,7 @@ def allowed(mode: Mode, config: Config, codec: Codec) -> Allow:
         config.nodes,
         nmt_master=mode is Mode.HIL or config.canopen.nmt_master,
         authenticated=config.authentication is not None,
+        creep=config.adhesion.send_creep,
         channels=channels,
     )
 

@@ -176,19 +176,18 @@ class Allow:
         *,
         nmt_master: bool = False,
         authenticated: bool = False,
+        creep: bool = False,
         channels: Iterable[str] | None = None,
     ) -> Self:
         """The gateway's own messages for the configured drives, its heartbeat and its EMCY.
 
-        `Gateway_Auth` only where flags are authenticated.
+        `Gateway_Auth` only where flags are authenticated, optional messages only with `creep`.
         """
         nodes = frozenset(nodes)
         lengths = {
             spec.key: (spec.length, spec.is_fd)
-            for spec in codec.messages
-            if spec.is_gateway
-            and (spec.node == 0 or spec.node in nodes)
-            and (authenticated or spec.kind != "Auth")
+            for spec in codec.own(creep=creep)
+            if (spec.node == 0 or spec.node in nodes) and (authenticated or spec.kind != "Auth")
         }
         lengths[HEARTBEAT_ID] = (1, False)
         lengths[EMCY_ID] = (8, False)

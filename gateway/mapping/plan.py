@@ -78,22 +78,25 @@ def plans(config: Config) -> list[Plan]:
     return out
 
 
-def fitted(codec: Codec, planned: list[Plan]) -> Codec:
-    """Our message set as the core takes it in: mapped drives' messages are the planned ones."""
+def fitted(codec: Codec, planned: list[Plan], *, creep: bool = False) -> Codec:
+    """Our message set as the core takes it in: mapped drives' messages are the planned ones.
+
+    creep: the gateway sends its optional messages. Raises ConfigError where identifiers collide.
+    """
     if not planned:
         return codec
     nodes = {plan.node for plan in planned}
-    _apart(codec, planned)
+    _apart(codec, planned, creep)
     kept = [s for s in codec.messages if s.is_gateway or s.node not in nodes]
     made = [spec for plan in planned for spec in plan.spec.values()]
     numbered = [replace(spec, index=k) for k, spec in enumerate([*kept, *made])]
     return Codec(codec.path, numbered, codec.digest)
 
 
-def _apart(codec: Codec, planned: list[Plan]) -> None:
+def _apart(codec: Codec, planned: list[Plan], creep: bool) -> None:
     """Raises ConfigError where an inverter sends what is the gateway's, or two send the same."""
     nodes = {plan.node for plan in planned}
-    own = {s.key: s.name for s in codec.messages if s.is_gateway and s.node in (0, *nodes)}
+    own = {s.key: s.name for s in codec.own(creep=creep) if s.node in (0, *nodes)}
     own |= OWN_CANOPEN
     taken: dict[int, int] = {}
     problems = []

@@ -156,7 +156,7 @@ WITHOUT_MEMORY_MS: Final = {"raise_ms": 20, "raise_severe_ms": 10, "clear_ms": 3
 class Adhesion(Extended):
     """`[adhesion]`: detector and the timing of its flag."""
 
-    ADDED = ("tolerance", "reuse")
+    ADDED = ("tolerance", "reuse", "send_creep")
 
     detector: Literal[
         "vb", "switching", "median", "kmeans", "vmp", "paper_vb", "paper_vb_reuse"
@@ -188,6 +188,8 @@ class Adhesion(Extended):
     clear_ms: Hold = 20
     good_ms: Hold = 50
     """Good evidence needed before the first `Adhering`."""
+    send_creep: bool = False
+    """`Drive{n}_Adhesion` is sent: creep and utilisation of each drive, every 20 ms."""
 
     @model_validator(mode="before")
     @classmethod

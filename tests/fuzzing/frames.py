@@ -71,7 +71,7 @@ class Twin:
         self.receivers = {
             m.key: Receiver(m) for m in codec.messages if m.node in NODES and not m.is_gateway
         }
-        self.own = {m.key for m in codec.messages if m.is_gateway} | OWN_CANOPEN
+        self.own = {m.key for m in codec.own(creep=False)} | OWN_CANOPEN
         self.last = {}
         self.latest = {}
         self.copies = Counter()

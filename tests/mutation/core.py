@@ -122,6 +122,7 @@ TESTS = {
     "gateway/core/transmit.c": ("tests/unit/test_outbox.py",),
     "gateway/core/train_speed.c": ("tests/unit/test_train_reference.py",),
     "gateway/core/train.c": ("tests/unit/test_train_reference.py",),
+    "gateway/core/creep.c": ("tests/unit/test_creep.py",),
     "sim/physics/plant.c": ("tests/unit/test_sim_plant.py", "tests/unit/test_sim_adhesion.py"),
     "sim/physics/thermal.c": ("tests/unit/test_sim_thermal.py",),
     **dict.fromkeys(("dbc/candump_read.c", "dbc/candump_write.c"), CANDUMP),

@@ -184,7 +184,7 @@ class Receiver:
                 spec = codec.by_name.get(f"Drive{node}_{kind}")
                 if spec is not None:
                     self.channels[spec.key] = Channel(spec, k, tick_ns, used[kind])
-        self.own = {s.key for s in codec.messages if s.is_gateway} | {0x720, 0x0A0}
+        self.own = {s.key for s in codec.own(creep=False)} | {0x720, 0x0A0}
         self.drives = [
             Record(pending={}, counter=0, sample_ns=-1, current_sum=0.0, speed=math.nan,
                    command=math.nan, before=math.nan, irms=math.nan, operating=True,

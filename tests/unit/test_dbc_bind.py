@@ -12,7 +12,7 @@ from dbc.dataids import p02_data_ids
 from dbc.e2e import Profile
 from dbc.load import load
 from dbc.spec import DbcMismatch
-from tests.dbc_text import message, signal, write
+from tests.dbc_text import message, signal, without, write
 
 FOLDER = Path(build.__file__).parent
 FOREIGN = Path(__file__).parents[1] / "data" / "dbc"
@@ -35,17 +35,6 @@ def changed(tmp_path, *changes):
     path = tmp_path / "changed.dbc"
     path.write_text(text)
     return path
-
-
-def without(text, name):
-    """The DBC text without one message and everything said about its id."""
-    can_id = re.search(rf"^BO_ (\d+) {name}:", text, re.MULTILINE)[1]
-    text = re.sub(rf"^BO_ {can_id} .*\n(?: SG_ .*\n)+\n", "", text, flags=re.MULTILINE)
-    return "".join(
-        line
-        for line in text.splitlines(True)
-        if not re.search(rf"\b(BO_|SG_|VAL_) {can_id} ", line)
-    )
 
 
 def test_the_contract_is_chosen_by_the_file():

@@ -43,7 +43,8 @@ def test_attributes_comments_nodes(name):
         assert attributes["VFrameFormat"].value == (14 if fd else 0)
         assert attributes["CANFD_BRS"].value == int(fd)
         sender = message.name.split("_")[0]
-        produced = sender == "Gateway" or message.name.endswith(("_Estimate", "_Thermal"))
+        own = ("_Estimate", "_Thermal", "_Adhesion")
+        produced = sender == "Gateway" or message.name.endswith(own)
         assert message.senders == ["Gateway" if produced else sender]
         assert message.comment
         for signal in message.signals:

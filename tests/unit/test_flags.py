@@ -120,7 +120,7 @@ def test_of_drives_of_which_nothing_is_known_nothing_is_sent_as_known():
     for name in ("adhesion_reason", "thermal_reason"):
         assert (drives[name] == Reason.STARTING).all()
     numbers = [name for name in drives.dtype.names if drives.dtype[name].kind == "f"]
-    assert len(numbers) == 8
+    assert len(numbers) == 12
     assert np.isnan([drives[name] for name in numbers]).all()
     assert (train["detector"], train["overrun"]) == (4, G)
     assert train["state"] not in list(GatewayState)

@@ -259,7 +259,7 @@ def test_time_on_the_bus_leaves_out_what_the_gateway_has_sent_itself(path):
     ]
     block = block_of(frames)
     cost = [(1000.0 if f.flags & FD else 0.0) + len(f.data) for f in frames]
-    own = {spec.key for spec in codec.messages if spec.is_gateway} | {0x720, 0x0A0}
+    own = {spec.key for spec in codec.own(creep=False)} | {0x720, 0x0A0}
     keys = [f.can_id | (1 << 31 if f.flags & EXTENDED else 0) for f in frames]
     others = sum(c for c, key in zip(cost, keys, strict=True) if key not in own)
     for receiver, wanted in ((None, sum(cost)), (inbox.receiver, others)):

@@ -18,6 +18,7 @@ FLAGS = {0x1A0: 8, 0x2A0: 8, 0x3A0: 8, 0x4A0: 8}
 SERVICE = {0x720: 1, 0x0A0: 8}
 DRIVES = {0x400 + n: 8 for n in (1, 3)} | {0x500 + n: 8 for n in (1, 3)}
 AUTH = {0x320: 8}
+CREEP = {0x300 + n: 8 for n in (1, 3)}
 OWN = FLAGS | SERVICE | DRIVES
 EXTENDED_IDS = 100_000
 
@@ -42,6 +43,7 @@ def drives_send(codec):
 CASES = {
     "run": (Mode.RUN, {}, OWN, set()),
     "run, authenticated": (Mode.RUN, {"authentication": {}}, OWN | AUTH, set()),
+    "run, creep": (Mode.RUN, {"adhesion": {"send_creep": True}}, OWN | CREEP, set()),
     "run, master": (Mode.RUN, {"canopen": {"nmt_master": True}}, OWN, {1, 3}),
     "hil": (Mode.HIL, {}, OWN, {1, 3}),
     "listen": (Mode.LISTEN, {"canopen": {"nmt_master": True}}, {}, set()),

@@ -89,7 +89,8 @@ class BusWorld:
         self._core: Gateway | None = None
         if own_gateway:
             self._core = Gateway(config, codec, self._ticker.clock())
-            allow = Allow.from_codec(codec, config.nodes, nmt_master=True)
+            creep = config.adhesion.send_creep
+            allow = Allow.from_codec(codec, config.nodes, nmt_master=True, creep=creep)
             self._theirs = open_transport(bus, allow)
             self._node = CanopenNode(config.nodes, nmt_master=True)
         self._bus = open_transport(bus)
