@@ -58,12 +58,12 @@ class Run(NamedTuple):
             f"noise {c.estimator.current_noise_var:.1e}"
         )
 
-
-def _with_cycle(codec: Codec, cycle_ns: int) -> Codec:
-    """Currents and voltages of a classic bus come this often."""
-    fast = ("PhaseCurrents", "StatorVoltages")
-    specs = [replace(s, cycle_ns=cycle_ns) if s.kind in fast else s for s in codec.messages]
-    return Codec(codec.path, specs, codec.digest)
+    def with_cycle(self, cycle_ns: int) -> Run:
+        """Currents and voltages of a classic bus come this often."""
+        fast = ("PhaseCurrents", "StatorVoltages")
+        specs = self.codec.messages
+        specs = [replace(s, cycle_ns=cycle_ns) if s.kind in fast else s for s in specs]
+        return self._replace(codec=Codec(self.codec.path, specs, self.codec.digest))
 
 
 def draw(seed: int) -> Run:
@@ -81,13 +81,13 @@ def draw(seed: int) -> Run:
     })  # fmt: skip
     codec = bind(shipped_dbc(dbc), config.nodes)
     cycle = int(rng.choice([1, 2, 2, 4])) * MS
-    while bus_load(made := _with_cycle(codec, cycle), config) > LOAD_LIMIT_PERCENT:
-        cycle *= 2
-    codec = made
     w_e, torque = float(rng.uniform(30.0, 500.0)), float(rng.uniform(0.25, 1.0))
     loss = float(rng.uniform(0.12, 1.0))
     begin_s, m_s2 = BEGIN_S + 0.1 * float(rng.uniform()), float(rng.uniform(-1.0, 1.0))
-    return Run(seed, config, codec, w_e, torque, loss, begin_s, m_s2)
+    run = Run(seed, config, codec, w_e, torque, loss, begin_s, m_s2)
+    while bus_load((made := run.with_cycle(cycle)).codec, config) > LOAD_LIMIT_PERCENT:
+        cycle *= 2
+    return made
 
 
 def forecasts_ms(run: Run) -> np.ndarray:

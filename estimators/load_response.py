@@ -8,7 +8,6 @@ gain and the true noise follow the error of the load and the answer to a step of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -45,8 +44,8 @@ class Answer(NamedTuple):
 
     noise (n, n): variance that a measurement adds to the error; P (n, n): steady variance of it.
     within (steps, n): error after the next measurement, where the load steps by 1 before the k-th
-    sub-step of an interval. rest (n, n): share of an error that a
-    measurement leaves. out (2, n): errors of load, Nm, and speed, rad/s.
+    sub-step of an interval. rest (n, n): what a measurement leaves of an error.
+    out (2, n): errors of load, Nm, and speed, rad/s.
     """
 
     A: Array
@@ -63,7 +62,7 @@ class Answer(NamedTuple):
 
 
 def ekf(
-    motor: Sequence[float], Q: Array, R: Array, V: Array, u_var: float, w_e: float, steps: int,
+    motor: Array, Q: Array, R: Array, V: Array, u_var: float, w_e: float, steps: int,
     dt: float,
 ) -> Steady:  # fmt: skip
     """The filter at w_e rad/s. motor: a row of `pmsm.table`; Q (5,), R (2,) as in `Noise`.
@@ -117,7 +116,7 @@ def answer(of: Steady) -> Answer:
     powers = [np.eye(len(of.F))]
     for _ in range(of.steps):
         powers.append(of.F @ powers[-1])
-    F, Q = powers[-1], sum(f @ of.Q @ f.T for f in powers[:-1])
+    F, Q = powers[-1], np.sum([f @ of.Q @ f.T for f in powers[:-1]], axis=0)
     P, scale = np.diag(10.0 * Q.diagonal() + SETTLED), 1.0
     while True:
         P, K = _steady(F, Q, P, of.H, scale * of.R)

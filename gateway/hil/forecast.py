@@ -2,8 +2,8 @@
 
 The load estimate's error and its answer to a lost load follow from the filter's steady gain
 (`estimators.load_response`). Loads with this error go through the configuration's own detector,
-debounce and transmission. The wheel is held: its rotor keeps its speed, which the drive's own slip
-control decides in reality. May know: the core's records. May not know: frames.
+debounce and transmission. A drive catches its wheel within some ms (`CATCH_RAD_S`), and all turn at
+one steady speed. May know: the core's records. May not know: frames.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from gateway.core.codes import Flag, Health, Reason
 from gateway.core.flags import FlagKind
 from gateway.core.gateway import Gateway
 from gateway.reports.record import camel
+from gateway.settings.config import BENCH_MOTOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,8 +45,6 @@ LIMIT_NS: Final[Nanos] = 300 * MS
 """A loss that is not found within this is not found."""
 OBSERVER_STEPS: Final = 16
 """In which a cycle of `Motion` is divided."""
-LASTING: Final = 0.005
-"""Share of the load that the published sigma adds."""
 CURRENT, VOLTAGE = ("Ia", "Ia_0"), ("Ualpha", "Ualpha_0")
 CATCH_RAD_S: Final = 60.0
 """A drive's own slip or speed control: critically damped, as the simulator's drives are."""
@@ -195,8 +194,7 @@ class Forecast:
         """A tick from the estimates on, as in `tick.c`."""
         gateway, estimates = self._gateway, self._gateway.bank.estimates
         estimates["load_nm"], estimates["speed_rad_s"] = load, speed
-        sigma = np.array([s.answer.sigma for s in self.sources])
-        estimates["load_sigma_nm"] = np.hypot(sigma, LASTING * load)
+        estimates["load_sigma_nm"] = [s.answer.sigma for s in self.sources]
         estimates["health"], estimates["nis"] = Health.TRACKING, 2.0
         gateway.inbox.receiver.drives["command_ns"] = now // self._status_ns * self._status_ns
         p = gateway.pointer
@@ -240,10 +238,8 @@ def _check_range(gateway: Gateway, speed_rad_s: float, torque: Array) -> None:
             for signal in _signals(channels, names):
                 most = signal.float_max if signal.is_float else signal.raw_max * abs(signal.scale)
                 if size > most:
-                    text = (
-                        f"{size:.0f} {unit}, but {signal.name} in the DBC ends at {most:.0f} {unit}"
-                    )
-                    raise ValueError(f"drive {drive.node} needs {text}")
+                    limit = f"but {signal.name} in the DBC ends at {most:.0f} {unit}"
+                    raise ValueError(f"drive {drive.node} needs {size:.0f} {unit}, {limit}")
 
 
 def _filter(
@@ -255,7 +251,7 @@ def _filter(
     noise, dt = gateway.bank.noise, gateway.motion.record["dt"].item()
     steps = round(gateway.motion.record["period_s"].item() / dt)
     step_a, step_v = _step(channels, CURRENT), _step(channels, VOLTAGE)
-    rated = gateway.bank.rated_a[k] / 25.0
+    rated = gateway.bank.rated_a[k] / BENCH_MOTOR.I_rated
     phase = gateway.config.estimator.current_noise_var * rated**2 + step_a**2 / 12.0
     # Of three phases; or of two, mean of alpha and beta.
     share = 2.0 / 3.0 if len(channels) > 1 else 4.0 / 3.0
