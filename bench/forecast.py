@@ -156,16 +156,16 @@ def summarise(forecast: np.ndarray, measured: np.ndarray, spread: list[float]) -
     known = ~np.isnan(forecast) & ~np.isnan(measured)
     found, seen = np.isfinite(forecast) & known, np.isfinite(measured) & known
     both = found & seen
-    said, was = forecast[both], measured[both]
-    near = abs(said / was - 1.0) <= NEAR
-    quartiles = np.quantile(said / was, (0.25, 0.5, 0.75))
+    predicted, was = forecast[both], measured[both]
+    near = abs(predicted / was - 1.0) <= NEAR
+    quartiles = np.quantile(predicted / was, (0.25, 0.5, 0.75))
     print(f"runs {len(known)}; judged before the loss {known.sum()}; found by both {both.sum()}, "
           f"by neither {(known & ~found & ~seen).sum()}, only forecast {(found & ~seen).sum()}, "
           f"only in the run {(seen & ~found).sum()}")  # fmt: skip
     print("forecast / measured: quartiles {:.3f}, {:.3f}, {:.3f}; ".format(*quartiles)
-          + f"mean delays {said.mean():.1f} and {was.mean():.1f} ms")  # fmt: skip
+          + f"mean delays {predicted.mean():.1f} and {was.mean():.1f} ms")  # fmt: skip
     print(f"within 20 %: {near.sum()} of {both.sum()}; within 20 % or one tick: "
-          f"{(near | (abs(said - was) <= TICK_MS)).sum()}; the forecast's own cases are within "
+          f"{(near | (abs(predicted - was) <= TICK_MS)).sum()}; the forecast's own cases are within "
           f"20 % of their median in {np.mean(spread):.0%}")  # fmt: skip
 
 

@@ -37,17 +37,17 @@ def print_table(config: Config, codec: Codec, rated_rpm: float, output: Path | N
         print(f"  {drives}, motor {mine[0].motor}")
         print(f"  {'speed':>10} {'torque':>8}   {'50 ms':>7} {'200 ms':>7}")
         for cell in mine:
-            print(f"  {cell.rpm:6.0f} rpm {100 * cell.torque:6.0f} %   {_text(cell, WITHIN_MS)}")
+            print(f"  {cell.rpm:6.0f} rpm {100 * cell.torque:6.0f} %   {_losses(cell, WITHIN_MS)}")
         if not any(cell.smallest(WITHIN_MS[-1]) for cell in mine):
             why = mine[-1].problem or f"every loss takes longer than {WITHIN_MS[-1]} ms"
             problems.append(f"{drives}: {why}")
     if output is not None:
-        for path in forecast_table.write(output, cells):
+        for path in forecast_table.write_forecast(output, cells):
             print(f"{'':<15}written: {path}")
     return problems
 
 
-def _text(cell: Cell, limits_ms: tuple[int, ...]) -> str:
+def _losses(cell: Cell, limits_ms: tuple[int, ...]) -> str:
     if cell.problem:
         return f"not judged: {cell.problem}"
     losses = [cell.smallest(within_ms) for within_ms in limits_ms]

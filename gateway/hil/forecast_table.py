@@ -91,7 +91,7 @@ def _delays(forecast: Forecast, drive: int) -> dict[float, Array]:
     return out
 
 
-def write(folder: Path, of: Sequence[Cell]) -> list[Path]:
+def write_forecast(folder: Path, of: Sequence[Cell]) -> list[Path]:
     """`forecast.csv` and `forecast.svg`."""
     lines = ["drives,motor,speed_rpm,torque_percent,loss_percent,found_percent,median_ms,p90_ms"]
     for cell in of:
