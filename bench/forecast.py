@@ -165,8 +165,8 @@ def summarise(forecast: np.ndarray, measured: np.ndarray, spread: list[float]) -
     print("forecast / measured: quartiles {:.3f}, {:.3f}, {:.3f}; ".format(*quartiles)
           + f"mean delays {predicted.mean():.1f} and {was.mean():.1f} ms")  # fmt: skip
     print(f"within 20 %: {near.sum()} of {both.sum()}; within 20 % or one tick: "
-          f"{(near | (abs(predicted - was) <= TICK_MS)).sum()}; the forecast's own cases are within "
-          f"20 % of their median in {np.mean(spread):.0%}")  # fmt: skip
+          f"{(near | (abs(predicted - was) <= TICK_MS)).sum()}; the forecast's own cases "
+          f"are within 20 % of their median in {np.mean(spread):.0%}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -58,13 +58,14 @@ class Cell(NamedTuple):
 
 
 def cells(config: Config, codec: Codec, rated_rpm: float, ended: Callable[[], None]) -> list[Cell]:
-    """Of the first drive of each motor. ended: is called after each speed and torque.
+    """Of the first drive of each motor and kind of inverter.
 
-    Raises ConfigError as `Gateway` does.
+    ended: is called after each speed and torque. Raises ConfigError as `Gateway` does.
     """
-    alike: dict[str, list[int]] = defaultdict(list)
+    alike: dict[tuple[str, str | None], list[int]] = defaultdict(list)
     for place, drive in enumerate(config.drive):
-        alike[drive.motor].append(place)
+        dbc = drive.signals.dbc if drive.signals else None
+        alike[drive.motor, dbc].append(place)
     out = []
     for share in SPEEDS:
         for torque in TORQUES:
@@ -73,7 +74,7 @@ def cells(config: Config, codec: Codec, rated_rpm: float, ended: Callable[[], No
                 forecast = Forecast(config, codec, rpm * RPM, torque)
             except ValueError as error:
                 problem = str(error)
-            for motor, places in alike.items():
+            for (motor, _), places in alike.items():
                 nodes = tuple(config.nodes[place] for place in places)
                 delays = _delays(forecast, places[0]) if forecast else {}
                 out.append(Cell(nodes, motor, rpm, torque, delays, problem))
@@ -110,7 +111,7 @@ def write_forecast(folder: Path, of: Sequence[Cell]) -> list[Path]:
 
 
 def _draw(path: Path, of: Sequence[Cell]) -> None:
-    """Median delay over loss: a panel for each motor and torque, a line for each speed."""
+    """Median delay over loss: a panel for each kind of drive and torque, a line for each speed."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
@@ -126,14 +127,14 @@ def _draw(path: Path, of: Sequence[Cell]) -> None:
         styled,
     )
 
-    motors = list(dict.fromkeys(cell.motor for cell in of))
+    groups = list(dict.fromkeys(cell.nodes for cell in of))
     with styled():
-        figure = Figure(figsize=(WIDTH_IN, 3.2 * len(motors)), layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, 3.2 * len(groups)), layout="constrained")
         FigureCanvasSVG(figure)
-        axes = figure.subplots(len(motors), len(TORQUES), sharex=True, sharey=True, squeeze=False)
+        axes = figure.subplots(len(groups), len(TORQUES), sharex=True, sharey=True, squeeze=False)
         looks = list(zip((BLUE, ORANGE, GREEN, PURPLE, SKY), "os^Dv", strict=True))
         for cell in of:
-            axis = axes[motors.index(cell.motor), TORQUES.index(cell.torque)]
+            axis = axes[groups.index(cell.nodes), TORQUES.index(cell.torque)]
             colour, marker = looks[len(axis.lines) % len(looks)]
             found = {loss: np.median(ms) for loss, ms in cell.delays_ms.items()}
             axis.plot(
