@@ -41,9 +41,24 @@ def arguments(parser: argparse.ArgumentParser) -> None:
                         "motor parameters; exit 2 if one does not fit")  # fmt: skip
     add_line(parser)
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if the log has several")
+    parser.add_argument("--forecast", type=_rpm, metavar="RPM",
+                        help="print the smallest loss that will be found within 50 and 200 ms, at "
+                        "5 to 100 %% of this rated speed; exit 2 if none is")  # fmt: skip
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR",
+                        help="folder for forecast.csv and forecast.svg")  # fmt: skip
     parser.add_argument(
         "--no-timing", action="store_true", help="do not measure the timing of this machine"
     )
+
+
+def _rpm(text: str) -> float:
+    try:
+        rpm = float(text)
+    except ValueError:
+        rpm = 0.0
+    if not 1.0 <= rpm <= 1e5:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a speed of 1 to 100000 rpm")
+    return rpm
 
 
 def more_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
     from gateway.mapping import plan as foreign
     from gateway.settings import calibration
 
+    if options.output is not None and options.forecast is None:
+        raise ConfigError("--output", ["is for the files of --forecast RPM: give both"])
     config, codec = prepare(options.config, signature=options)
     planned = foreign.plans(config)
     foreign.fitted(codec, planned, creep=config.adhesion.send_creep)
@@ -85,6 +102,10 @@ def run(options: argparse.Namespace) -> int:
 
         unfit = print_findings(options.log, options.line, options.log_channel, config, codec)
     unfound = check_loss.print_results(config, tried)
+    if options.forecast is not None:
+        from gateway.commands.check_forecast import print_table
+
+        unfound += print_table(config, codec, options.forecast, options.output)
     calibrated = (
         f"calibrated, method {config.thermal.method}"
         if config.calibration_path

@@ -17,7 +17,7 @@ EXAMPLES: Final = {
     "vcan": ("vcan -- cansend vcan0 123#01",
              "vcan --interfaces can0,can1 --candump bus.log -- cansend can1 123#02"),
     "init": ("init --drives 2 -o first.toml", "init --drives 4 --dbc traction.dbc -o four.toml"),
-    "check": ("check train.toml", "check train.toml --no-timing"),
+    "check": ("check train.toml", "check train.toml --no-timing --forecast 3000 -o forecast"),
     "replay": ("replay drive.log -o flags.log",
                "replay drive.log --config train.toml --results results"),
     "shrink": ("shrink drive.log --flag adhesion:2@2.03 -o shrunk",

@@ -208,7 +208,7 @@ class _Stream:
         self.nodes = one.nodes
         self._codec = one.codec
         self._make = partial(
-            Simulation, scenario, one.codec, nodes=one.nodes, motor=_simulated(motor, speed, load)
+            Simulation, scenario, one.codec, nodes=one.nodes, motor=simulated(motor, speed, load)
         )
         mapped = [plan for plan in one.plans if plan.node in one.nodes]
         self._inverters = [Inverters([plan], one.codec) for plan in mapped]
@@ -237,7 +237,7 @@ def _sender(codec: Codec, frame: Frame) -> int:
     return frame.can_id & 0x7F if spec is None else spec.node
 
 
-def _simulated(motor: Motor, speed: float, load: float) -> plant.Motor:
+def simulated(motor: Motor, speed: float, load: float) -> plant.Motor:
     """The same motor for the simulator, with a dc link that holds this speed and load."""
     w_e, i_q = motor.pole_pairs * speed, load / (motor.torque_nm / motor.I_rated)
     link = max(4.0 * motor.voltage(w_e, i_q), math.sqrt(4.0 * load * speed), 24.0)
