@@ -133,7 +133,7 @@ def file_of(one: Job, settings: Settings, first_ns: int) -> str:
 def files_in(folder: Path, name: str = "*.parquet") -> dict[str, list[Path]]:
     """The finished files below `estimates`, by name, wherever they are parted into."""
     found: dict[str, list[Path]] = {}
-    for path in sorted((folder / FOLDER).rglob(name), key=str):
+    for path in sorted((storage.fresh(folder) / FOLDER).rglob(name), key=str):
         if not path.name.startswith("."):
             found.setdefault(path.name, []).append(path)
     return found
@@ -181,7 +181,7 @@ def remove_files(one: Job, settings: Settings) -> None:
 def _places(one: Job, settings: Settings) -> list[Path]:
     """Where the log's file may be."""
     if not settings.parts:
-        return [settings.folder / FOLDER / one.name]
+        return [storage.fresh(settings.folder) / FOLDER / one.name]
     return files_in(settings.folder, one.name).get(one.name, [])
 
 

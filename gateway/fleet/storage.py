@@ -45,12 +45,18 @@ def remote(path: Path) -> Any:
     return getattr(path, "fs", None)
 
 
+def fresh(path: Path) -> Path:
+    """The same path; what was remembered of its URL's folders is forgotten: others write there."""
+    if remote(path) is not None:
+        remote(path).invalidate_cache()
+    return path
+
+
 def matches(url: str) -> list[Path]:
     """Files that a URL names, `**` and folders as in a local pattern. Raises OSError."""
-    root = place(url)
+    root = fresh(place(url))
     fs, key = remote(root), str(getattr(root, "path"))  # noqa: B009 mypy knows a Path only
     try:
-        fs.invalidate_cache()
         found = fs.glob(key, detail=True) if glob.has_magic(url) else {}
         names = [name for name, info in found.items() if info["type"] == "file"]
         if not found:

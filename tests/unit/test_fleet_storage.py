@@ -13,7 +13,7 @@ import pytest
 from gateway.cli import main
 from gateway.fleet import run as fleet
 from gateway.fleet.logs import FOLDER, find, settings_for
-from gateway.fleet.storage import place
+from gateway.fleet.storage import fresh, place
 from gateway.fleet.table import DONE
 from gateway.settings.config import ConfigError, load
 from tests import s3
@@ -56,7 +56,7 @@ def rows(folder):
 
 def files(folder):
     """Bytes by name of all estimates."""
-    found = (place(str(folder)) / FOLDER).rglob("*")
+    found = (fresh(place(str(folder))) / FOLDER).rglob("*")
     return {p.name: p.read_bytes() for p in found if p.is_file()}
 
 
