@@ -25,14 +25,18 @@ BAD_SHOWN = 20
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
     parser.add_argument("log", nargs="+", metavar="PATTERN",
-                        help="files, folders (recursive), patterns: 'logs/**/*.log'")  # fmt: skip
+                        help="files, folders (recursive), patterns: 'logs/**/*.log', or URLs of "
+                        "them: 's3://bucket/logs/**/*.log'")  # fmt: skip
     add_config(parser)
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR",
-                        help="fleet.parquet, fleet.csv and estimates/, a file per log")  # fmt: skip
+    parser.add_argument("-o", "--output", required=True, metavar="DIR",
+                        help="folder or URL for fleet.parquet, fleet.csv and estimates/, a file "
+                        "per log")  # fmt: skip
     parser.add_argument("-j", "--jobs", type=_jobs, default=os.cpu_count() or 1, metavar="N",
                         help="local processes (default: one per CPU)")  # fmt: skip
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="Dask scheduler instead, tls://HOST:PORT")  # fmt: skip
+    parser.add_argument("--partition", type=_parts, default=(), metavar="KEYS",
+                        help="day,train: estimates/day=2026-11-28/train=NAME/")  # fmt: skip
     parser.add_argument("--log-channel", metavar="NAME", help="channel, if logs have several")
     parser.add_argument("--force", action="store_true", help="replay logs again that are done")
 
@@ -43,6 +47,13 @@ def _jobs(text: str) -> int:
     return int(text)
 
 
+def _parts(text: str) -> tuple[str, ...]:
+    parts = tuple(text.split(","))
+    if not set(parts) <= {"day", "train"} or len(set(parts)) < len(parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is not day,train or one of the two")
+    return parts
+
+
 def run(options: argparse.Namespace) -> int:
     """Do the logs, write the tables, say what came out.
 
@@ -50,22 +61,25 @@ def run(options: argparse.Namespace) -> int:
     """
     need(("distributed", "pyarrow"), "fleet")
     from gateway.fleet import run as fleet
+    from gateway.fleet import storage
     from gateway.fleet.logs import find, settings_for
     from gateway.fleet.table import BAD, write_table
     from gateway.settings.config import load
 
-    paths = find(options.log, options.output)
+    output = storage.place(options.output)
+    paths = find(options.log, output)
     config = load(options.config)
-    settings = settings_for(config, options.log_channel, options.output)
+    settings = settings_for(config, options.log_channel, output, options.partition)
     planned = fleet.plan(paths, settings, force=options.force)
     rows = dict(planned.before)
 
     def finish() -> list[Row]:
         table = [rows[one] for one in planned.jobs if one in rows]
         metadata = {"settings": settings.key, "version": settings.version}
-        files = write_table(
-            settings.folder, table, {**metadata, "config": config.model_dump_json()}
-        )
+        metadata["config"] = config.model_dump_json()
+        with storage.writable(settings.folder) as folder:
+            names = [path.name for path in write_table(folder, table, metadata)]
+        files = [settings.folder / name for name in names]
         _summary(table, len(planned.before), len(planned.jobs), files)
         return table
 
@@ -121,9 +135,14 @@ def bad_line(row: Row) -> str:
 @contextmanager
 def _progress(jobs: Sequence[Job], before: dict[Job, Row]) -> Iterator[Callable[[Job, Row], None]]:
     """A bar over the bytes; a line for a bad log."""
+    from gateway.fleet import storage
     from gateway.fleet.table import BAD
 
-    sizes = {one: one.path.stat().st_size if one.path.is_file() else 0 for one in jobs}
+    def size(one: Job) -> int:
+        return one.path.stat().st_size if one.path.is_file() else 0
+
+    slow = any(storage.remote(one.path) is not None for one in jobs)
+    sizes = dict(zip(jobs, storage.each(size, jobs, slow=slow), strict=True))
     ended = len(before)
     done = sum(sizes[one] for one in before)
     with Progress(f"{ended}/{len(jobs)} logs", sum(sizes.values()), done) as progress:

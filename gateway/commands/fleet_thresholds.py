@@ -12,7 +12,7 @@ from gateway.io.extras import need
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the verb."""
-    parser.add_argument("results", type=Path, metavar="DIR", help="results of `fleet -o DIR`")
+    parser.add_argument("results", metavar="DIR", help="results of `fleet -o DIR`, or their URL")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.toml",
                         help="the thresholds to write")  # fmt: skip
     parser.add_argument("--force", action="store_true",
@@ -22,10 +22,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Measure, write the fragment, print it. Exit 2 where the fleet is not healthy."""
     need(("pyarrow",), "fleet")
+    from gateway.fleet.storage import place
     from gateway.fleet.thresholds import measure, to_toml
     from gateway.io.whole_file import write_text
 
-    measured = measure(options.results, force=options.force)
+    measured = measure(place(options.results), force=options.force)
     if measured.bad:
         console().print(f"{measured.bad} bad logs left out")
     text = to_toml(measured)

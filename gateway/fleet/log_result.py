@@ -74,8 +74,7 @@ class Estimates(AbstractContextManager["Estimates"]):
     """
 
     def __init__(self, path: Path, nodes: Sequence[int]) -> None:
-        """path: of the finished file; its folder must be there."""
-        self.path = path
+        """path: the unfinished file is made beside it; its folder must be there."""
         self.rows = 0
         self.next_ns: Nanos = NEVER
         """Every drive has a row in the first tick at or after it."""
@@ -150,12 +149,13 @@ class Estimates(AbstractContextManager["Estimates"]):
         ]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=schema({})))
 
-    def finish(self, metadata: dict[str, str]) -> None:
+    def finish(self, path: Path, metadata: dict[str, str]) -> None:
         """Write what is left and what is said about the log, then rename. Raises OSError."""
         self._flush()
         self._writer.add_key_value_metadata(metadata)
         self._writer.close()
-        self._part.replace(self.path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._part.replace(path)
 
 
 def _arrow(values: NDArray[Any], kind: pa.DataType) -> pa.Array:

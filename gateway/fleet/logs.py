@@ -7,16 +7,21 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, NamedTuple
+from urllib.parse import quote
 
+from gateway.fleet import storage
 from gateway.fleet.table import TABLE, TEXT, Row, metadata_of
 from gateway.io.whole_file import PART
 from gateway.settings.config import Config, ConfigError
 
 FOLDER: Final = "estimates"
 """Of the logs' files, below the one that was named."""
+KEYS: Final = ("day", "train")
+"""By which the files can be parted: UTC day of the first frame, name of the folder of the log."""
 _EDGE: Final = 1 << 20
 _STEM: Final = 60
 
@@ -24,7 +29,8 @@ _STEM: Final = 60
 class Settings(NamedTuple):
     """What is the same for all logs. key: hash of everything that a result depends on but the log.
 
-    folder: where results go, absolute; everything here is sent to other processes.
+    folder: where results go, absolute; everything here is sent to other processes. parts: of
+    `KEYS`, folders between `estimates` and a log's file.
     """
 
     config: Config
@@ -32,43 +38,52 @@ class Settings(NamedTuple):
     folder: Path
     key: str
     version: str
+    parts: tuple[str, ...] = ()
 
 
 class Job(NamedTuple):
-    """One log to be done: absolute path, and the name of its file."""
+    """One log to be done: absolute path or URL, and the name of its file."""
 
     path: Path
     name: str
 
 
-def settings_for(config: Config, log_channel: str | None, folder: Path) -> Settings:
+def settings_for(
+    config: Config, log_channel: str | None, folder: Path, parts: tuple[str, ...] = ()
+) -> Settings:
     """Files that are not there are found out by who needs them: `gateway.fleet.run.ready`."""
     digest = hashlib.sha256(config.model_dump_json().encode())
     for path in (config.dbc_path, config.calibration_path):
         digest.update(b"\0" + (path.read_bytes() if path and path.is_file() else b""))
-    digest.update(b"\0" + (log_channel or "").encode())
+    digest.update(b"\0" + "\0".join((log_channel or "", *parts)).encode())
     # The working folder of another process may be another one.
     absolute = config.model_copy(update={"base": config.base.absolute()})
     key = digest.hexdigest()[:16]
-    return Settings(absolute, log_channel, folder.absolute(), key, version("traction-gateway"))
+    here = version("traction-gateway")
+    return Settings(absolute, log_channel, folder.absolute(), key, here, parts)
 
 
 def find(patterns: Sequence[str], folder: Path) -> list[Path]:
     """Files that the patterns name, absolute, sorted, each once; a folder is all that is below it.
 
     `**` goes through folders; hidden files and what a fleet has left in `folder` are passed over.
-    A name without `*?[` that is not there is kept: it will be said so. Raises ConfigError if not
-    one file is found.
+    A name without `*?[` that is not there is kept: it will be said so. URLs come last. Raises
+    ConfigError if not one file is found, OSError where a storage does not answer.
     """
     found: dict[str, Path] = {}
+    urls: dict[str, Path] = {}
     for pattern in patterns:
+        if storage.is_url(pattern):
+            inside = storage.matches(pattern)
+            urls.update({str(path): path for path in inside if not _ours(path, folder)})
+            continue
         for path in _matches(pattern):
             if not _ours(path, folder.absolute()):
                 found.setdefault(os.path.realpath(path), path)
     paths = sorted(found.values())
-    if not any(path.exists() for path in paths):
+    if not urls and not any(path.exists() for path in paths):
         raise ConfigError("fleet", [f"no log matches {pattern!r}" for pattern in patterns])
-    return paths
+    return paths + [urls[name] for name in sorted(urls)]
 
 
 def _matches(pattern: str) -> list[Path]:
@@ -92,40 +107,64 @@ def _glob(pattern: str) -> list[str]:
 def _ours(path: Path, folder: Path) -> bool:
     if path.parent == folder:
         return path.name in (TABLE, TEXT)
-    return path.parent == folder / FOLDER and path.suffix in (".parquet", PART)
+    return folder / FOLDER in path.parents and path.suffix in (".parquet", PART)
 
 
 def job(path: Path) -> Job:
     """The job of an absolute path. Its file's name is that of no other path."""
     stem = re.sub(r"[^A-Za-z0-9._-]", "_", path.name.removesuffix(".gz")).rpartition(".")
-    short = hashlib.sha256(os.fsencode(path)).hexdigest()[:10]
+    short = hashlib.sha256(os.fsencode(str(path))).hexdigest()[:10]
     return Job(path, f"{(stem[0] or stem[2])[:_STEM]}-{short}.parquet")
 
 
 def shown(path: Path) -> str:
     """The path as text that every table takes, whatever its bytes."""
-    return os.fsencode(path).decode("utf-8", "backslashreplace")
+    return os.fsencode(str(path)).decode("utf-8", "backslashreplace")
+
+
+def file_of(one: Job, settings: Settings, first_ns: int) -> str:
+    """The log's file below the folder, with a folder `key=value` for each of `settings.parts`."""
+    day = datetime.fromtimestamp(first_ns // 10**9, UTC).date().isoformat()
+    train = shown(one.path.parent).rstrip("/").rpartition("/")[2]
+    values = {"day": day, "train": quote(train, safe="") or "none"}
+    return "/".join([FOLDER, *(f"{key}={values[key]}" for key in settings.parts), one.name])
+
+
+def files_in(folder: Path, name: str = "*.parquet") -> dict[str, list[Path]]:
+    """The finished files below `estimates`, by name, wherever they are parted into."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted((storage.fresh(folder) / FOLDER).rglob(name), key=str):
+        if not path.name.startswith("."):
+            found.setdefault(path.name, []).append(path)
+    return found
 
 
 def fingerprint(path: Path, settings: Settings) -> dict[str, str]:
-    """What a result rests on: the log's size, time and ends, and the settings. Raises OSError."""
+    """What a result rests on: the log's size, time and ends, and the settings. Raises OSError.
+
+    Of a URL's log the hash that its storage keeps (ETag) stands for the ends.
+    """
+    rest = {"settings": settings.key, "version": settings.version}
+    if storage.remote(path) is not None:
+        return storage.state(path) | rest
     with path.open("rb") as file:
         state = os.fstat(file.fileno())
         ends = hashlib.sha256(file.read(_EDGE))
         file.seek(max(0, state.st_size - _EDGE))
         ends.update(file.read(_EDGE))
-    return {
-        "size_bytes": str(state.st_size),
-        "mtime_ns": str(state.st_mtime_ns),
-        "sha256_of_ends": ends.hexdigest(),
-        "settings": settings.key,
-        "version": settings.version,
-    }
+    mark = {"size_bytes": str(state.st_size), "mtime_ns": str(state.st_mtime_ns)}
+    return {**mark, "sha256_of_ends": ends.hexdigest(), **rest}
 
 
-def done_before(one: Job, settings: Settings) -> Row | None:
-    """The row of a log that is done and has not changed since, else None."""
-    metadata = metadata_of(settings.folder / FOLDER / one.name)
+def done_before(one: Job, settings: Settings, places: Sequence[Path] | None = None) -> Row | None:
+    """The row of a log that is done and has not changed since, else None.
+
+    places: its files, if they are known.
+    """
+    places = _places(one, settings) if places is None else places
+    if len(places) != 1:
+        return None
+    metadata = metadata_of(places[0])
     try:
         same = bool(metadata) and fingerprint(one.path, settings).items() <= metadata.items()
         return Row.of_json(metadata["row"]) if same else None
@@ -133,9 +172,24 @@ def done_before(one: Job, settings: Settings) -> Row | None:
         return None
 
 
+def remove_files(one: Job, settings: Settings) -> None:
+    """Take away what a log has left, wherever it is parted into."""
+    for path in _places(one, settings):
+        path.unlink(missing_ok=True)
+
+
+def _places(one: Job, settings: Settings) -> list[Path]:
+    """Where the log's file may be."""
+    if not settings.parts:
+        return [storage.fresh(settings.folder) / FOLDER / one.name]
+    return files_in(settings.folder, one.name).get(one.name, [])
+
+
 def remove_parts(jobs: Iterable[Job], folder: Path) -> None:
     """Take away what killed workers have left of these logs."""
     names = {one.name for one in jobs}
-    for part in (folder / FOLDER).glob(f".*{PART}"):
+    if storage.remote(folder) is not None:
+        return
+    for part in (folder / FOLDER).rglob(f".*{PART}"):
         if part.name[1:].rsplit(".", 2)[0] in names:
             part.unlink(missing_ok=True)

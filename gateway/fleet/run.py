@@ -10,7 +10,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from gateway.fleet.logs import FOLDER, Job, Settings, done_before, job, remove_parts
+from gateway.fleet import storage
+from gateway.fleet.logs import (
+    FOLDER,
+    Job,
+    Settings,
+    done_before,
+    files_in,
+    job,
+    remove_parts,
+)
 from gateway.fleet.table import Row
 from gateway.fleet.task import Work, one_log
 
@@ -28,12 +37,23 @@ def plan(paths: Sequence[Path], settings: Settings, *, force: bool) -> Plan:
 
     Makes the folder. Raises OSError.
     """
-    (settings.folder / FOLDER).mkdir(parents=True, exist_ok=True)
+    far = storage.remote(settings.folder) is not None
+    if not far:
+        (settings.folder / FOLDER).mkdir(parents=True, exist_ok=True)
+    files = files_in(settings.folder)
     jobs = [job(path) for path in paths]
-    if force:
-        for one in jobs:
-            (settings.folder / FOLDER / one.name).unlink(missing_ok=True)
-    rows = {one: done_before(one, settings) for one in jobs}
+
+    def look(one: Job) -> Row | None:
+        """A log that is done again may come to another place: its first frame has another day."""
+        places = files.get(one.name, [])
+        row = None if force else done_before(one, settings, places)
+        for path in places if row is None else ():
+            if force or settings.parts or path.parent != settings.folder / FOLDER:
+                path.unlink(missing_ok=True)
+        return row
+
+    slow = far or any(storage.remote(path) is not None for path in paths)
+    rows = dict(zip(jobs, storage.each(look, jobs, slow=slow), strict=True))
     before = {one: row for one, row in rows.items() if row is not None}
     return Plan(jobs, before, [one for one in jobs if one not in before])
 

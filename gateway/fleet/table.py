@@ -169,7 +169,8 @@ def metadata_of(path: Path) -> dict[str, str]:
     import pyarrow.parquet as pq
 
     try:
-        found = pq.read_metadata(path).metadata or {}
+        with path.open("rb") as file:
+            found = pq.read_metadata(file).metadata or {}
     except (OSError, pa.ArrowException):
         return {}
     return {k.decode(): v.decode() for k, v in found.items()}

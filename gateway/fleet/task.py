@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from gateway.fleet.logs import FOLDER, Job, Settings, shown
+from gateway.fleet.logs import Job, Settings, remove_files, shown
 from gateway.fleet.table import BAD, Row
 
 Work = Callable[[Job, Settings], Row]
@@ -34,7 +34,7 @@ def one_log(one: Job, settings: Settings) -> Row:
         return replayed(one, settings, began)
     except Exception as error:  # a fault of ours in one log must not stop the others either
         # What an earlier state of the log has left would be taken for this one's.
-        (settings.folder / FOLDER / one.name).unlink(missing_ok=True)
+        remove_files(one, settings)
         return bad(one, error, time.perf_counter() - began)
 
 

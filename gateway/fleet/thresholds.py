@@ -91,7 +91,8 @@ def measure(folder: Path, *, force: bool) -> Measured:
     if "config" not in metadata:
         raise ConfigError(str(table), ["no results of a fleet; make them with 'fleet'"])
     config = Config.model_validate_json(metadata["config"])
-    rows = pq.read_table(table).to_pylist()
+    with table.open("rb") as file:
+        rows = pq.read_table(file).to_pylist()
     done = [row for row in rows if row["status"] == DONE]
     problems = [
         f"{row['path']}: {row['adhesion_losses']} adhesion losses, "
@@ -132,7 +133,8 @@ def _logs(folder: Path, rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Ar
         path = folder / row["file"]
         if not path.is_file():
             raise ConfigError(str(path), ["missing; run 'fleet' again"])
-        table = pq.read_table(path, columns=names)
+        with path.open("rb") as file:
+            table = pq.read_table(file, columns=names)
         yield {name: table[name].to_numpy() for name in names}
 
 

@@ -11,8 +11,9 @@ from dbc.candump.grammar import Verdict
 from dbc.codec import Codec, bind
 from dbc.spec import DbcMismatch
 from gateway.core.gateway import Gateway
+from gateway.fleet import storage
 from gateway.fleet.log_result import Estimates
-from gateway.fleet.logs import FOLDER, Job, Settings, fingerprint, shown
+from gateway.fleet.logs import FOLDER, Job, Settings, file_of, fingerprint, shown
 from gateway.fleet.table import Row, per_drive
 from gateway.io.replay import BadLogError, Briefly, OneChannel, open_log, replay
 from gateway.reports.record import Changes
@@ -44,17 +45,29 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
 
     began: of `time.perf_counter`, from where the row's time counts.
     """
-    if one.path.exists() and not one.path.is_file():
-        msg = "not a file"
+    if not one.path.is_file():
+        msg = "not a file" if one.path.exists() else "no such file"
         raise BadLogError(msg)
-    config = settings.config
-    log = open_log(one.path, strict=False)
     # Before it is read: a log that is still being written has changed by the next run.
     mark = fingerprint(one.path, settings)
+    with storage.fetched(one.path) as log, storage.writable(settings.folder) as folder:
+        return _replayed(one, settings, log, folder, mark)._replace(
+            took_s=round(time.perf_counter() - began, 3)
+        )
+
+
+def _replayed(one: Job, settings: Settings, path: Path, folder: Path, mark: dict[str, str]) -> Row:
+    """The log in `path`, its file into `folder`, both local. The row is without its time.
+
+    So is the file: the same log gives the same bytes, whoever does it and how often.
+    """
+    config = settings.config
+    log = open_log(path, strict=False)
     codec = _codec(config.dbc_path, config.nodes)
     blocks = OneChannel(log.blocks, settings.log_channel)
     recorder = Changes()
-    with Estimates(settings.folder / FOLDER / one.name, config.nodes) as estimates:
+    (folder / FOLDER).mkdir(exist_ok=True)
+    with Estimates(folder / FOLDER / one.name, config.nodes) as estimates:
 
         def changed(gateway: Gateway) -> None:
             assert gateway.view is not None
@@ -69,15 +82,15 @@ def replayed(one: Job, settings: Settings, began: float) -> Row:
         )
         row = Row(
             path=shown(one.path), warning=cut,
-            file=f"{FOLDER}/{one.name}", size_bytes=int(mark["size_bytes"]),
+            file=file_of(one, settings, done.first_ns), size_bytes=int(mark["size_bytes"]),
             channel=done.channel.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
             first_ns=done.first_ns, last_ns=done.last_ns, frames=done.frames,
             faulty_lines=faulty,
             counts=dict(done.gateway.inbox.counts),
             drives=per_drive(recorder.changes, config.nodes, estimates.last_ns),
-            took_s=round(time.perf_counter() - began, 3),
         )  # fmt: skip
         row = row._replace(warning="; ".join(filter(None, (row.warning, row.dropped))) or None)
         metadata = {"path": row.path, "config": config.model_dump_json(), "row": row.to_json()}
-        estimates.finish({**metadata, **mark})
+        assert row.file is not None
+        estimates.finish(folder / row.file, {**metadata, **mark})
     return row
