@@ -47,7 +47,9 @@ def print_findings(
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
     alone = command_fit.fell_alone(asked)
     for drive, one in zip(config.drive, asked, strict=True):
-        lines = fit.findings(values.of_drive(drive.node), motors[drive.node])
+        lines = values.absent(drive.node) or fit.findings(
+            values.of_drive(drive.node), motors[drive.node]
+        )
         lines += command_fit.repeats_torque(one)
         lines += [alone[drive.node]] if drive.node in alone else []
         for k, found in enumerate(lines):
@@ -106,6 +108,13 @@ class _Values:
         value = np.concatenate([part[1] for part in parts])
         columns = {signal.name: value[:, k] for k, signal in enumerate(spec.signals)}
         return spec, {"t": np.concatenate([part[0] for part in parts]), **columns}
+
+    def absent(self, node: int) -> list[fit.Finding]:
+        """That nothing came of this drive."""
+        if any(spec.node == node and spec.index in self._parts for spec in self._codec.messages):
+            return []
+        text = "the log has none of its messages: correct node or id_offset, or --log-channel"
+        return [fit.Finding(False, text)]
 
     def of_drive(self, node: int) -> fit.Measured:
         """SI; empty where nothing came."""

@@ -232,7 +232,9 @@ def test_outputs_that_cannot_be_are_one_line(folder, capsys, tmp_path):
     size = log.stat().st_size
     assert "is the log itself" in refused(capsys, "replay", log, "-o", log)
     assert log.stat().st_size == size
-    assert "No space left" in refused(capsys, "replay", log, "-o", "/dev/full")
+    assert "No space left on device: '/dev/full'" in refused(
+        capsys, "replay", log, "-o", "/dev/full"
+    )
     refused(capsys, "replay", log, "-o", log / "x.log")
     refused(capsys, "replay", log, "--results", log)
     assert "folder" in refused(capsys, "replay", tmp_path)

@@ -383,6 +383,18 @@ def test_a_stamp_that_may_mean_anything_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "header", ["t_s,channel,message,A.Speed", "timestamp,arbitration_id,dlc", "0.5,0x181,1", "a"]
+)
+def test_columns_that_are_missing_are_named(tmp_path, header):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{header}\n0.5,0x181,1,AQ==\n")
+    reader = open_reader(path, strict=False)
+    assert not list(reader.blocks())
+    expected = "no header names columns for time, identifier and data"
+    assert reader.problems[0].text.startswith(expected)
+
+
+@pytest.mark.parametrize(
     ("text", "pattern"),
     [(BUS.format("DEC", "SYSTEM") + "16:08:48:7100 Rx 1 385 s 2 255 001\n", BUSMASTER),
      (" (1684144800.100000)  can0  00000123   [8]  remote request\n", SCREEN)],
