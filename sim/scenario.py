@@ -61,7 +61,7 @@ class ScenarioError(Exception):
     def __init__(self, source: str, problems: list[str]) -> None:
         """`source`: the file or name it came from."""
         self.problems = tuple(map(printable, problems))
-        super().__init__("\n".join([f"{source}:", *(f"  {p}" for p in self.problems)]))
+        super().__init__(f"{source}: " + "; ".join(self.problems))
 
 
 class Event(Strict):

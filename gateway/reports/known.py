@@ -10,7 +10,7 @@ from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
 CURES: Final = {
-    "adhesion": ("wrong channel, DBC or motor? `traction-gateway check`", "warning"),
+    "adhesion": ("wrong channel, DBC or motor? `traction-gateway check --log`", "warning"),
     "thermal": ("limits come from `traction-gateway calibrate`", "note"),
 }
 """Of a flag that was never known: what to do, and how loud it is told."""

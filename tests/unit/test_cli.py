@@ -240,6 +240,12 @@ def test_outputs_that_cannot_be_are_one_line(folder, capsys, tmp_path):
     assert "folder" in refused(capsys, "replay", tmp_path)
 
 
+def test_of_several_logs_the_one_without_frames_is_named(folder, capsys, tmp_path):
+    (tmp_path / "none.log").write_text("")
+    words = ["calibrate", folder / "s.log", tmp_path / "none.log", "-o", tmp_path / "c.toml"]
+    assert "none.log: no frame in the log" in refused(capsys, *words)
+
+
 @pytest.mark.parametrize("text", ["nan", "inf", "-1", "0", "soon"])
 def test_a_duration_is_a_finite_time(text, capsys):
     with pytest.raises(SystemExit) as stop:
