@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import errno
+import re
 import tomllib
 from collections.abc import Iterable, Iterator
 from itertools import chain
@@ -13,6 +14,8 @@ from typing import Any, Final
 MOST: Final = 1000
 MOST_BYTES: Final = 64 << 20
 """Of a configuration, a scenario or a DBC: a device such as /dev/zero has no end."""
+
+_COLOUR: Final = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class TomlError(ValueError):
@@ -30,6 +33,11 @@ def printable(text: str, most: int = MOST) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def without_colours(text: str) -> str:
+    """The text without what makes a terminal change its colour (`candump -c`)."""
+    return _COLOUR.sub("", text) if "\x1b" in text else text
 
 
 def read_bytes(path: Path) -> bytes:

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from dbc.bounds import within
+from dbc.near_key import did_you_mean
 from dbc.text import TomlError, printable, read_bytes, read_toml
 from sim.physics.adhesion import rail
 from sim.scenario_schema import (
@@ -60,7 +61,7 @@ class ScenarioError(Exception):
     def __init__(self, source: str, problems: list[str]) -> None:
         """`source`: the file or name it came from."""
         self.problems = tuple(map(printable, problems))
-        super().__init__("\n".join([f"{source}:", *(f"  {p}" for p in self.problems)]))
+        super().__init__(f"{source}: " + "; ".join(self.problems))
 
 
 class Event(Strict):
@@ -331,7 +332,9 @@ def _problems(error: ValidationError) -> list[str]:
                 path += f".{part}" if path else part
         message = item["msg"].removeprefix("Value error, ")
         known = item["type"] != "extra_forbidden"
-        found.setdefault(path, []).append(message if known else "unknown key")
+        found.setdefault(path, []).append(
+            message if known else f"unknown key{did_you_mean(Scenario, item['loc'])}"
+        )
     lines = []
     for path, messages in found.items():
         text = " or ".join(dict.fromkeys(messages))

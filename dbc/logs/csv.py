@@ -70,7 +70,9 @@ class _Columns(NamedTuple):
 
 
 def _columns(text: str) -> _Columns | None:
-    """Of a header; None for any other line."""
+    """Of a header; None for any other line, such as one that begins with a number."""
+    if text[:1].isdigit():
+        return None
     separator = max(",;\t", key=text.count)
     titles = [title.strip().strip('"').lower() for title in text.split(separator)]
     plain = [re.sub(r"[^a-z0-9]", "", _UNIT.sub("", title)) for title in titles]
@@ -179,7 +181,9 @@ class Csv(Format):
         return stamp
 
     def explain(self, text: str) -> str:
-        """That its time is none, where that is the reason."""
+        """That there is no header, or that its time is none, where that is the reason."""
+        if self.regex is _NOTHING:
+            return "no header names columns for time, identifier and data (docs/files.md)"
         bad = next((time for time in self._bad_times if time and time in text), "")
         if not bad:
             return ""

@@ -17,12 +17,14 @@ from dbc.candump.grammar import Verdict
 from dbc.frame import ERROR, TX
 from dbc.logs.format import Format, Head, Line, framed
 from dbc.logs.pattern import Pattern
+from dbc.logs.printed import Printed
 from dbc.logs.screen import Screen
 from dbc.logs.times import DAY_NS, Differences, clock_ns
 
 CRTD: Final = "{s} {type} {id} {data}"
 BUSMASTER: Final = "{clock} {dir} {channel} {id} {type} {dlc} {data}"
 SCREEN: Final = "({s}) {channel} {id} [{dlc}] {data}"
+PRINTED: Final = "Timestamp: {s} ID: {id} {type} DL: {dlc} {data} Channel: {channel}"
 _SCREEN_DATES: Final = "({date}) {channel} {id} [{dlc}] {data}"
 DIALECTS: Final = {
     "Cascadia Motion": "{ms:x8}x{id:x8}{data}",
@@ -30,6 +32,7 @@ DIALECTS: Final = {
     "Microchip CAN BUS Analyzer": "{ms};{dir};{id};{dlc};{data}",
     "BusMaster": BUSMASTER,
     "candump on a screen, with times": SCREEN,
+    "python-can's text": PRINTED,
     "GVRET": "{us} - {id} {type} {channel} {dlc} {data}",
 }
 """Formats that are recognised by their lines."""
@@ -60,6 +63,9 @@ class BusMaster(Pattern):
 
     def head(self, parts: tuple[str, ...]) -> Head:
         """`dir channel id type dlc`."""
+        if parts[3] == "ERR":
+            head = super().head(parts)
+            return head._replace(can_id=0, flags=ERROR | (head.flags & TX))
         if _BUSMASTER_KIND.fullmatch(parts[3]) is None:
             return Head(0, verdict=Verdict.MALFORMED)
         return super().head(parts)
@@ -115,7 +121,9 @@ class Crtd(Pattern):
         return Line(Verdict.COMMENT) if _NOTE.match(text.strip()) else super().line(text)
 
 
-_OWN: Final[dict[str, Callable[[], Format]]] = {CRTD: Crtd, BUSMASTER: BusMaster}
+_OWN: Final[dict[str, Callable[[], Format]]] = {
+    CRTD: Crtd, BUSMASTER: BusMaster, PRINTED: Printed,
+}  # fmt: skip
 
 
 def format_of(pattern: str, lines: Sequence[str] = ()) -> Format:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from dbc.candump.grammar import parse_line
 from dbc.candump.reader import LogReader, Reader
 from dbc.logs.format import Format
-from dbc.text import without_mark
+from dbc.text import without_colours, without_mark
 
 _LOOKED_AT: Final = 1 << 16
 LINES: Final = 100
@@ -94,7 +94,8 @@ def first_lines(path: Path) -> list[bytes]:
             data = zlib.decompressobj(wbits=31).decompress(data, _LOOKED_AT)
         except zlib.error:
             return []
-    text = b"".join(without_mark([data]))
+    plain = b"".join(without_mark([data])).decode("latin-1")
+    text = without_colours(plain).encode("latin-1")
     end = text.rfind(b"\n") + 1 or len(text)
     return text[:end].splitlines()[:LINES]
 

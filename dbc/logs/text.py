@@ -31,7 +31,7 @@ from dbc.logs.format import (
 )
 from dbc.logs.lines import Known, Scan, Scanner
 from dbc.logs.pattern import Pattern
-from dbc.text import printable
+from dbc.text import printable, without_colours
 
 _RUN: Final = 16
 """Lines of a run of plain or other ones, on average: with shorter ones all are read one by one."""
@@ -97,13 +97,13 @@ class TextReader(Reader):
             end = text.rfind("\n") + 1
             rest = text[end:]
             if end:
-                yield text[:end].replace("\r", ""), False
+                yield without_colours(text[:end]).replace("\r", ""), False
             if len(rest) > MAX_LINE:
                 rest, skipping = "", True
         if skipping:
             self._one(f"(a line of more than {MAX_LINE} characters)", Verdict.CUT)
         elif rest:
-            yield rest.replace("\r", ""), True
+            yield without_colours(rest).replace("\r", ""), True
 
     def _last_line(self, text: str) -> Iterator[Block]:
         form = self._format

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from gateway.core.thermal import NO_MODEL
     from gateway.io.extras import pictures
-    from gateway.io.replay import OneChannel, open_log
+    from gateway.io.replay import BadLogError, OneChannel, open_log
     from gateway.io.whole_file import write_text
     from gateway.settings.calibration import to_toml
     from gateway.settings.config import ConfigError
@@ -60,7 +60,11 @@ def run(options: argparse.Namespace) -> int:
     for log in options.log:
         tracked = track_file(open_log(log, strict=False), log, log.name)
         learner.begin()
-        _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
+        try:
+            _learn(OneChannel(tracked, options.log_channel), config, codec, learner)
+        except BadLogError as error:
+            text = str(error)
+            raise BadLogError(text if str(log) in text else f"{log}: {text}") from None
     with Progress("limits and thermal models"):
         result = learner.finish(MARGIN)
     if result.heat is None and config.thermal.method == "model" and not options.without_model:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dbc.e2e import crc_ok
+from dbc.frame import ERROR, REMOTE
 from gateway.commands.progress import Progress
 from gateway.mapping import command_fit, fit
 from gateway.mapping.plan import fitted, plans
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
 
 LOOKED_AT_S: Final = 60.0
 SUB_SAMPLES: Final = 8
+CHECKED: Final = 100
+"""Frames of a message of which length and checksum are checked."""
 _RPM: Final = np.pi / 30.0
 _Array = NDArray[np.float64]
 _Vector = NDArray[np.complex128]
@@ -47,7 +51,9 @@ def print_findings(
     asked = [values.commanded(node, motor.T_rated) for node, motor in motors.items()]
     alone = command_fit.fell_alone(asked)
     for drive, one in zip(config.drive, asked, strict=True):
-        lines = fit.findings(values.of_drive(drive.node), motors[drive.node])
+        lines = values.unusable(drive.node)
+        absent = [] if lines else values.absent(drive.node)
+        lines += absent or fit.findings(values.of_drive(drive.node), motors[drive.node])
         lines += command_fit.repeats_torque(one)
         lines += [alone[drive.node]] if drive.node in alone else []
         for k, found in enumerate(lines):
@@ -70,6 +76,12 @@ class _Values:
         self._translator = Translator(planned, self._codec, note) if planned else None
         self._parts: dict[int, list[tuple[_Array, _Array]]] = {}
         self._counts: Counter[str] = Counter()
+        self._own = {drive.node for drive in config.drive if drive.signals is None}
+        """Drives that send our messages."""
+        self._checked: Counter[int] = Counter()
+        """Frames of which length and checksum were checked, by message."""
+        self._bad: dict[int, Counter[str]] = {}
+        """Of these the ones that a replay rejects, by message and cause."""
 
     def add_all(self, blocks: Iterable[Block], progress: Progress) -> None:
         first_ns: int | None = None
@@ -91,7 +103,10 @@ class _Values:
         for spec in self._codec.messages:
             if spec.is_gateway or not spec.node:
                 continue
-            rows = np.flatnonzero((block.can_id == spec.can_id) & (block.length == spec.length))
+            rows = np.flatnonzero(block.can_id == spec.can_id)
+            if spec.node in self._own:
+                self._check_frames(spec, block, rows)
+            rows = rows[block.length[rows] == spec.length]
             if rows.size:
                 index = np.full(len(rows), spec.index, np.int32)
                 value, validity = self._codec.decode_rows(index, block.data[rows])
@@ -106,6 +121,35 @@ class _Values:
         value = np.concatenate([part[1] for part in parts])
         columns = {signal.name: value[:, k] for k, signal in enumerate(spec.signals)}
         return spec, {"t": np.concatenate([part[0] for part in parts]), **columns}
+
+    def _check_frames(self, spec: MessageSpec, block: Block, rows: NDArray[np.intp]) -> None:
+        for row in rows[: CHECKED - self._checked[spec.index]].tolist():
+            if block.flags.item(row) & (ERROR | REMOTE):
+                continue
+            self._checked[spec.index] += 1
+            size = block.length.item(row)
+            bad = self._bad.setdefault(spec.index, Counter())
+            if size != spec.length:
+                bad[f"{size} bytes, the DBC says {spec.length}: correct [dbc] file"] += 1
+            elif not crc_ok(spec, block.data[row, :size].tobytes()):
+                bad["a wrong checksum: the drive has another data ID, or no E2E protection"] += 1
+
+    def unusable(self, node: int) -> list[fit.Finding]:
+        """Messages of which a replay rejects more than half."""
+        return [
+            fit.Finding(False, f"{spec.name}: {n} of {self._checked[spec.index]} frames have {why}")
+            for spec in self._codec.messages
+            if spec.node == node
+            for why, n in self._bad.get(spec.index, {}).items()
+            if 2 * n > self._checked[spec.index]
+        ]
+
+    def absent(self, node: int) -> list[fit.Finding]:
+        """That nothing came of this drive."""
+        if any(spec.node == node and spec.index in self._parts for spec in self._codec.messages):
+            return []
+        text = "the log has none of its messages: correct node or id_offset, or --log-channel"
+        return [fit.Finding(False, text)]
 
     def of_drive(self, node: int) -> fit.Measured:
         """SI; empty where nothing came."""

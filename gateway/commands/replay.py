@@ -161,11 +161,13 @@ def _verdict_of_flags(done: Replayed, changes: Sequence[Change], wanted: dict[st
     shares = known.shares(changes, gateway.nodes, done.first_ns, done.last_ns)
     print(f"known: {known.text(shares)}")
     assert gateway.view is not None
-    for flag in known.silent(shares):
-        reasons = sorted({getattr(drive, f"{flag}_reason") for drive in gateway.view.drives})
+    for flag, nodes in known.silent(shares).items():
+        views = zip(gateway.nodes, gateway.view.drives, strict=True)
+        reasons = sorted({getattr(view, f"{flag}_reason") for node, view in views if node in nodes})
         words = ", ".join(camel(Reason(reason).name) for reason in reasons)
         cure, how = known.CURES[flag]
-        note(f"{how}: {flag} was never known ({words}), so nothing was flagged; {cure}")
+        whose = known.drives(nodes, len(gateway.nodes))
+        note(f"{how}: {flag}{whose} was never known ({words}), so nothing was flagged; {cure}")
     short = known.short_of(shares, wanted)
     for line in short:
         note(line)

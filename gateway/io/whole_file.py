@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,13 +23,15 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if _is_stream(path):
-        yield path
+        with _named(path):
+            yield path
         return
     target = Path(os.path.realpath(path))
     # The suffix stays: writers go by it. A leading dot, so that no pattern takes it for a log.
     part = target.with_name(f"{PART}-{os.getpid()}-{target.name}")
     try:
-        yield part
+        with _named(path):
+            yield part
         part.replace(target)
     except KeyboardInterrupt:
         if keep and part.exists():
@@ -36,6 +39,17 @@ def whole(path: Path, *, keep: bool = False) -> Iterator[Path]:
         raise
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Names the file where a full disk, which writing alone meets, is reported without a name."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
 
 
 def write_text(path: Path, text: str) -> None:

@@ -251,8 +251,8 @@ def _flux(data: Measured, motor: Motor, scale: float) -> Iterator[Finding]:
         fits,
         f"{text}as configured"
         if fits
-        else f"{text}the configuration says {motor.psi_pm:g}, {named(ratio)} that: correct psi_pm, "
-        "or the scale of the voltages, or of Speed",
+        else f"{text}the configuration says {motor.psi_pm:g}, {named(ratio)} that: correct psi_pm "
+        "or L_s, or the scale of the voltages, or of Speed",
     )
     yield from _torque(data, motor, t[fast], np.real(current * np.conj(emf))[fast] * 1.5)
 
@@ -274,7 +274,7 @@ def _torque(data: Measured, motor: Motor, t: Array, power: Array) -> Iterator[Fi
         return
     fits = abs(ratio - 1.0) <= WITHIN["torque"]
     text = f"torque: {named(ratio)} that of currents, voltages and speed"
-    yield Finding(fits, text if fits else f"{text}: correct sign or scale of Torque")
+    yield Finding(fits, text if fits else f"{text}: correct R_s, or sign or scale of Torque")
 
 
 def joined(

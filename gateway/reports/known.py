@@ -10,7 +10,7 @@ from gateway.core.codes import Flag
 
 FLAGS: Final = ("adhesion", "thermal")
 CURES: Final = {
-    "adhesion": ("wrong channel, DBC or motor? `traction-gateway check`", "warning"),
+    "adhesion": ("wrong channel, DBC or motor? `traction-gateway check --log`", "warning"),
     "thermal": ("limits come from `traction-gateway calibrate`", "note"),
 }
 """Of a flag that was never known: what to do, and how loud it is told."""
@@ -65,9 +65,17 @@ def _of(each: Mapping[int, float]) -> str:
     return ", ".join(f"{word} (drive {node})" for node, word in words.items())
 
 
-def silent(known: Shares) -> list[str]:
-    """Flags that no drive ever knew."""
-    return [flag for flag in FLAGS if not any(known[flag].values())]
+def silent(known: Shares) -> dict[str, list[int]]:
+    """By flag the drives of which it was never known, where there are any."""
+    never = {flag: [node for node, share in known[flag].items() if not share] for flag in FLAGS}
+    return {flag: nodes for flag, nodes in never.items() if nodes}
+
+
+def drives(nodes: Sequence[int], of: int) -> str:
+    """` of drive 3`, ` of drives 3, 4`; nothing where these are all, `of` in number."""
+    if len(nodes) == of:
+        return ""
+    return f" of drive{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
 
 
 def short_of(known: Shares, wanted: Mapping[str, float]) -> list[str]:

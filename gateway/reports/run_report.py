@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from gateway.core.codes import REJECTED
 from gateway.reports import page, words
 from gateway.reports.intervals import Interval, Intervals
+from gateway.reports.known import drives as of_drives
 from gateway.reports.page import Anchors, code, folded, picture, plain, table
 from gateway.reports.record import camel
 from gateway.reports.scoring import Judged, judge
@@ -178,7 +179,19 @@ def _flagged(
         return f"{name} was never known: nothing can be said of it."
     count = sum(n for (_, f, s), n in intervals.count.items() if (f, s) == (flag, state))
     found = _plural(count, one, many) if count else f"no {one}"
-    return f"{name}, known for {100.0 * known / total:.1f} % of the time: {found} flagged."
+    never = _never(intervals, flag)
+    but = f", never{never}" if never else ""
+    return f"{name}, known for {100.0 * known / total:.1f} % of the time{but}: {found} flagged."
+
+
+def _never(intervals: Intervals, flag: str) -> str:
+    """Whose flag was never known, of some drives."""
+    states: dict[int, set[str]] = {}
+    for (node, f, state), spent in intervals.seconds.items():
+        if f == flag and spent > 0.0:
+            states.setdefault(node, set()).add(state)
+    nodes = sorted(node for node, seen in states.items() if seen == {"Unknown"})
+    return of_drives(nodes, len(states)) if nodes else ""
 
 
 def _seconds(intervals: Intervals, flag: str) -> Iterable[tuple[str, float]]:

@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from dbc.near_key import did_you_mean
 from dbc.text import TomlError, printable, read_bytes, read_toml
 from gateway.settings.inverters import share
 from gateway.settings.motors import BENCH_MOTOR, TRACTION_350KW, Motor
@@ -172,7 +173,8 @@ def _lines(error: ValidationError, shared: Mapping[int, str]) -> list[str]:
         path = ".".join(str(p) for p in loc)
         text = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
-            text = "unknown key; remove it or correct its name"
+            near = did_you_mean(Config, item["loc"])
+            text = f"unknown key{near or '; remove it or correct its name'}"
         for part in text.split("\n"):
             # A model names its key, or speaks of itself.
             joint = "." if _KEY.match(part) else ": "

@@ -84,7 +84,7 @@ WRONG = {
                                  "with the other sign, that of currents"),
     "torque ten times": ({"Torque": ("scale", 10.0)}, "(ten times) that of currents"),
     "voltages line to line": ({"Ualpha": ("scale", 3**0.5), "Ubeta": ("scale", 3**0.5)},
-                              "correct psi_pm, or the scale of the voltages"),
+                              "correct psi_pm or L_s, or the scale of the voltages"),
     "voltages turn back": ({"Ubeta": ("scale", -1.0)}, "the voltages turn against"),
     "phases swapped": ({"Ia": ("signal", "Cur.Ib"), "Ib": ("signal", "Cur.Ia")},
                        "two phases are swapped"),
@@ -141,6 +141,31 @@ def test_what_a_log_does_not_show_is_unknown(tmp_path, frames, capsys):
     log = log_of(tmp_path / "e.log", [f for f in frames if f.can_id & 0x780 != 0x180])
     _, lines = check(tmp_path, "[[drive]]\nnode = 1\n", log, capsys)
     assert any("unknown: 0 samples of current" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        (
+            lambda data: bytes([data[0] ^ 0x55]) + data[1:],
+            "Drive1_PhaseCurrents: 100 of 100 frames have a wrong checksum",
+        ),
+        (lambda data: data[:6], "frames have 6 bytes, the DBC says 8: correct [dbc] file"),
+    ],
+)
+def test_what_a_replay_rejects_does_not_fit(tmp_path, frames, capsys, changed, text):
+    sent = [f._replace(data=changed(f.data)) if len(f.data) == 8 else f for f in frames]
+    code, lines = check(tmp_path, "[[drive]]\nnode = 1\n", log_of(tmp_path / "d.log", sent), capsys)
+    assert code == 2
+    assert any("DOES NOT FIT" in line and text in line for line in lines), lines
+
+
+@pytest.mark.parametrize("text", ["", "(0.0) can0 123#00\n"])
+def test_a_drive_that_is_not_in_the_log_does_not_fit(tmp_path, capsys, text):
+    (tmp_path / "e.log").write_text(text)
+    code, lines = check(tmp_path, "[[drive]]\nnode = 9\n", str(tmp_path / "e.log"), capsys)
+    assert code == 2
+    assert any("DOES NOT FIT: the log has none of its messages" in line for line in lines)
 
 
 @pytest.mark.parametrize("step_s", [2e-3, 0.0])

@@ -232,10 +232,18 @@ def test_outputs_that_cannot_be_are_one_line(folder, capsys, tmp_path):
     size = log.stat().st_size
     assert "is the log itself" in refused(capsys, "replay", log, "-o", log)
     assert log.stat().st_size == size
-    assert "No space left" in refused(capsys, "replay", log, "-o", "/dev/full")
+    assert "No space left on device: '/dev/full'" in refused(
+        capsys, "replay", log, "-o", "/dev/full"
+    )
     refused(capsys, "replay", log, "-o", log / "x.log")
     refused(capsys, "replay", log, "--results", log)
     assert "folder" in refused(capsys, "replay", tmp_path)
+
+
+def test_of_several_logs_the_one_without_frames_is_named(folder, capsys, tmp_path):
+    (tmp_path / "none.log").write_text("")
+    words = ["calibrate", folder / "s.log", tmp_path / "none.log", "-o", tmp_path / "c.toml"]
+    assert "none.log: no frame in the log" in refused(capsys, *words)
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "-1", "0", "soon"])

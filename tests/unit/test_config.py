@@ -36,6 +36,20 @@ def test_every_problem_is_listed_with_its_path():
     assert len(found) == 5
 
 
+@pytest.mark.parametrize(
+    ("raw", "meant"),
+    [
+        ({"drive": [{"nod": 1}]}, "drive.0.nod: unknown key; did you mean 'node'?"),
+        ({"drve": []}, "drve: unknown key; did you mean 'drive'?"),
+        ({"motor": {"m": {"R_S": 1}}}, "motor.m.R_S: unknown key; did you mean 'R_s'?"),
+        ({"thermal": {"limt_k": 1}}, "thermal.limt_k: unknown key; did you mean 'limit_k'?"),
+        ({"loop": {"xyz": 1}}, "loop.xyz: unknown key; remove it or correct its name"),
+    ],
+)
+def test_the_key_that_was_meant_is_named(raw, meant):
+    assert meant in problems(raw)
+
+
 def test_consistency_is_checked_across_sections():
     found = problems(
         {"drive": [{"node": 1}, {"node": 1, "motor": "big"}], "adhesion": {"observe": "speed"}}

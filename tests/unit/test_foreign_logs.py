@@ -288,6 +288,25 @@ DIALECTS = [
     ("a.log", BUS.format("HEX", "ABSOLUTE") + "00:00:01:0000 Rx 1 16 s 1 16\n" + BUS.format("DEC", "RELATIVE")
      + "00:00:02:0000 Rx 1 16 s 1 16\n00:00:01:0000 Rx 1 16 s 1 16\n", ["1 016#16", "2 010#10", "3 010#10"],
      {"comment": 8}),
+    # `ERR` in place of the type, with and without an identifier and a length.
+    ("a.log", BUS.format("HEX", "SYSTEM") + "00:00:01:0000 Rx 1 0x181 s 1 01\n00:00:01:0010 Rx 1 0x0 ERR 0\n"
+     "00:00:01:0020 Tx 1 0x0 ERR 1 08 \n00:00:01:0030 Rx 1 0x0 ERR 2 08\n",
+     ["1 181#01", "1.001 20000000#", "1.002 20000000#08 T"], {"comment": 4, "bad_length": 1}),
+    # candump -c, all of its three ways to colour.
+    ("a.log", " (1684144800.100000)  \x1b[31m  can0\x1b[0m  123   [1]  01\n (1684144800.200000)  \x1b[1;32m  can0  123   [1]  02\x1b[0m\n"
+     " \x1b[33m(1684144800.300000)   can0  123   [0]  remote request\x1b[0m\n",
+     ["1684144800.1 123#01", "1684144800.2 123#02", "1684144800.3 123#R"], {}),
+    # python-can's text, of versions 4 and 2: kinds, text behind the data, no channel; what can_logger prints before.
+    ("a.txt", "Connected to SocketcanBus: socketcan channel 'can0'\n"
+     "Timestamp:        1.500000    ID:      181    S Rx                DL:  2    01 02                       Channel: can0\n"
+     "Timestamp:        1.600000    ID: 00000181    X Tx   R            DL:  4                                Channel: can0\n"
+     "Timestamp:        1.700000    ID:      181    S Rx     F BS EI    DL:  2    41 42                       'AB'    Channel: can0\n"
+     "Timestamp:        1.800000    ID: 00000004    X Rx E              DL:  1    01\n"
+     "Timestamp:        1.900000        ID: 0181    S                   DLC:  1    41                          'A'\n"
+     "Timestamp:        2.000000    ID:      181    S Rx                DL:  2    01\nan error\n"
+     "Timestamp:        2.100000    ID:      181    S Rx                DL:  1    01                          Channel: ca",
+     ["1.5 181#0102", "1.6 00000181#R4 T", "1.7 181##34142", "1.8 20000004#01", "1.9 181#41"],
+     {"header": 1, "bad_length": 1, "malformed": 1, "cut": 1}),
     # Only error frames: the first line says whose log it is.
     ("a.txt", BUS.format("HEX", "SYSTEM") + "00:00:01:0000 Rx 1 0 ERR BusOff\n", ["1 20000000#"], {"comment": 4}),
     ("a.crtd", "1.0 CXX OVMS\n1.1 1CEV Something\n1.5 1R11 402 FA 01\n1.6 2T29 123 01\n1.7 E11 402\n",
@@ -361,6 +380,18 @@ def test_a_stamp_that_may_mean_anything_is_an_error(tmp_path):
     assert not list(reader.blocks())
     assert reader.counts[Verdict.MALFORMED] == 1
     assert reader.problems[0].text.startswith("unknown time '100000250', not 15T100000250 or sec")
+
+
+@pytest.mark.parametrize(
+    "header", ["t_s,channel,message,A.Speed", "timestamp,arbitration_id,dlc", "0.5,0x181,1", "a"]
+)
+def test_columns_that_are_missing_are_named(tmp_path, header):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{header}\n0.5,0x181,1,AQ==\n")
+    reader = open_reader(path, strict=False)
+    assert not list(reader.blocks())
+    expected = "no header names columns for time, identifier and data"
+    assert reader.problems[0].text.startswith(expected)
 
 
 @pytest.mark.parametrize(

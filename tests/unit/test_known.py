@@ -70,6 +70,17 @@ def test_less_than_is_expected_is_a_failure(capsys, log, expected, code):
     assert ("of the time, expected" in err) == bool(code)
 
 
+def test_a_drive_that_is_not_in_the_log_is_named(capsys, log, tmp_path):
+    config = tmp_path / "t.toml"
+    config.write_text("".join(f"[[drive]]\nnode = {node}\n" for node in (1, 2, 9, 12)))
+    code, _, err = replayed(capsys, log, "--config", config, "--results", tmp_path / "r")
+    assert code == 0
+    assert "warning: adhesion of drives 9, 12 was never known (Starting), so nothing was" in err
+    assert "note: thermal was never known (Starting, Config)" in err
+    head = (tmp_path / "r" / "report.md").read_text().splitlines()[2]
+    assert "% of the time, never of drives 9, 12: 1 loss flagged" in head
+
+
 def test_of_a_foreign_bus_nothing_is_known(capsys, foreign):
     code, _, err = replayed(capsys, foreign, "--expect-known", "0.1")
     assert code == 1
@@ -101,7 +112,7 @@ def test_a_flag_that_knew_at_the_end_knew_until_the_end():
     assert known.text(shares) == (
         "adhesion 60.0 % (drive 1), 0.0 % (drive 2); thermal 0.0 % of the time"
     )
-    assert known.silent(shares) == ["thermal"]
+    assert known.silent(shares) == {"adhesion": [2], "thermal": [1, 2]}
 
 
 LOSS = {"at_s": 1.0, "drive": "all", "kind": "adhesion_loss", "depth": 0.5}

@@ -18,7 +18,7 @@ REQUIRED = {
 def problems(table):
     with pytest.raises(ScenarioError) as caught:
         parse(table, "x.toml")
-    assert str(caught.value).startswith("x.toml:\n")
+    assert str(caught.value) == "x.toml: " + "; ".join(caught.value.problems)
     return caught.value.problems
 
 
@@ -58,6 +58,11 @@ def test_every_problem_is_listed_with_its_path():
     ):  # fmt: skip
         assert part in text
     assert len(found) == 8
+    found = problems(
+        {"title": "t", "duration_s": 1, "exspect": [], "event": [{"at": 0, "kind": "rail"}]}
+    )
+    assert "exspect: unknown key; did you mean 'expect'?" in found
+    assert "event[0].at: unknown key; did you mean 'at_s'?" in found
 
 
 @pytest.mark.parametrize(
