@@ -93,6 +93,7 @@ class Stepped(Gateway):
         p.changed = bool(changed) or not p.begun
         self._done("debounced")
         lib.publish(p.train_inputs, p.flag_inputs, p.evidence, n, now, p.status, p.train)
+        lib.estimate_creep(p.adhesion, p.status)
         self.peak[:] = self.status.drives["loss_probability"]
         self._done("published")
         if not p.begun:

@@ -38,7 +38,7 @@ static double quality_of(const struct drive_status *drive)
         return QUALITY_VALID;
     if (known > 0)
         return QUALITY_DEGRADED;
-    return drive->health == HEALTH_CONVERGING ? QUALITY_INITIALISING : NAN;
+    return drive->health == HEALTH_CONVERGING ? (double)QUALITY_INITIALISING : NAN;
 }
 
 /* Of a drive. */
