@@ -109,7 +109,8 @@ class Adhesion:
         if self.model is not None:
             self._judge(self.model, flag, now)
         else:
-            along = math.copysign(1.0, sum(self.normalised[self.known].tolist())) * self.normalised
+            total = sum(self.normalised[self.known].tolist())
+            along = math.copysign(1.0, total) * self.normalised
             compared = self.known & (self.rotors["sliding"] == 0) & ~(along < -MORE_LOAD)
             evidence = Evidence(self.normalised, self.sigma, compared)
             lost, known, self.common = self.detector(evidence)
@@ -288,10 +289,8 @@ class Adhesion:
 
     def _doubted(self, rotor: Any, p: float, now: int) -> float:
         doubt = now < rotor["unreliable_until_ns"] or rotor["uncommanded_s"] > 0.0
-        if not (doubt and p > lib.UNDECIDED):
-            return p
-        rotor["uncertain"] = 1
-        return float(lib.UNDECIDED)
+        rotor["uncertain"] |= doubt and p > lib.UNDECIDED
+        return float(lib.UNDECIDED) if doubt and p > lib.UNDECIDED else p
 
     def _follow_brakes(self) -> None:
         """Creep that each wheel has if not brakes but a loss of all slows its rotor."""
