@@ -23,8 +23,8 @@
 #define CATCH_UP     4.0
 #define HARDER       2.0
 #define UNSEEN_S     1.0  /* without a rotor that is tracked for longer nothing is known any more */
-#define MOST_SLIP   0.045 /* of wheels that adhere, one or two percent of creep of each included, */
-#define SLIP_OF_TWO 0.08  /* of two drives, where the reference has the noise of one */
+#define MOST_SLIP    0.06 /* of wheels that adhere, one or two percent of creep of each included, */
+#define SLIP_OF_TWO  0.08 /* of two drives, where the reference has the noise of one */
 #define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
 #define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
 

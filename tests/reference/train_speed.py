@@ -20,7 +20,7 @@ CATCH_UP: Final = 4.0
 FASTEST: Final = (0.15, 0.3)
 """Per unit of rated torque, on the rotor alone: the fastest change of a train, and twice that."""
 UNSEEN_S: Final = 1.0
-MOST_SLIP: Final = 0.045
+MOST_SLIP: Final = 0.06
 SLIP_OF_TWO: Final = 0.08
 MOST_DIFFERENCE: Final = 0.1
 """While a diameter has been learnt for less than `ROUGH_S`."""
