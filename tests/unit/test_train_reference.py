@@ -140,7 +140,7 @@ def test_any_course_of_a_train(seed, n, ticks, step):
     rotors = started(plain)
     same(rotors, plain)
     # Diameters of which little is known, or just enough; and all that a minute teaches.
-    plain.learnt_s[:] = rotors["learnt_s"] = np.resize(((0.0, 3.0), (59.0,))[seed], n)
+    plain.learnt_s[:] = rotors["learnt_s"] = np.resize(((0.0, 3.0, 59.95), (59.0,))[seed], n)
     plain.far[:] = rotors["far"] = True
     met = {name: set() for name in ("far", "apart", "away", "uncertain", "odd", "above")}
     doubt = np.random.default_rng(seed)
