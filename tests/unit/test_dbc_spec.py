@@ -115,3 +115,22 @@ def test_a_mismatch_lists_its_problems_a_line_each_and_printable():
     assert len(told.problems) == 2
     assert "\x1b" not in told.problems[1]
     assert str(told).splitlines() == ["a.dbc:", "  one", f"  {told.problems[1]}"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "node", "is_gateway", "expected"),
+    [
+        ("Adhesion", 1, True, True),
+        ("Adhesion", 0, True, False),
+        ("Adhesion", 1, False, False),
+        ("Thermal", 1, True, False),
+    ],
+)
+def test_only_the_gateways_adhesion_of_a_drive_is_sent_on_request(kind, node, is_gateway, expected):
+    one = MessageSpec(
+        "M", 1, 8, False, False, 0, Profile.NONE, b"", (), 0, node, kind, is_gateway=is_gateway
+    )
+    assert one.is_optional is expected
+    assert Codec(Path("one.dbc"), [one]).own(creep=False) == (
+        [one] if is_gateway and not expected else []
+    )
