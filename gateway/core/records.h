@@ -769,6 +769,7 @@ struct rotor {
     double unsure_s;    /* of the first: for how long none has been known to adhere (creep.c), */
     double sure_speed;  /* and `train_speed` until then; 0: not known */
     double sliding_s;   /* for how long it has been far beyond `train_limit` */
+    double ahead_s;     /* for how long it has been ahead of `train_speed`, and has carried */
     double followed_s;  /* for how long the filter has tracked */
     double alone_s;     /* for how long all others have been away */
     double near_s;      /* for how long it has been within the largest creep */

@@ -26,18 +26,27 @@
 #define MOST_SLIP    0.06 /* of wheels that adhere, one or two percent of creep of each included, */
 #define SLIP_OF_TWO  0.08 /* of two drives, where the reference has the noise of one */
 #define MOST_DIFFERENCE 0.1 /* and of diameters of which too little has been learnt */
+#define AHEAD_S         0.05
+#define CARRIES         0.5 /* share of the mean load */
 #define SLIDING_SLIP    0.2 /* no creep at which a wheel carries more than it would with less */
 
-/* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as adhere if
- * there are any, since a lost one that is caught may pass the train by; NaN without any. One that carries
- * against the others (it may turn the other way) is no bound. */
+/* 1 if drive k shows how fast the train is: it adheres; or it has been ahead of the bound, and carries, for
+ * too long to be a lost one that is caught and passes the train by. */
+static int is_measure(const struct train_tick *t, int k)
+{
+    return t->in[k].adhesion == FLAG_GOOD || t->rotor[k].ahead_s > AHEAD_S;
+}
+
+/* The fastest rotor in braking, the slowest in traction, of those that are tracked: of such as are a
+ * measure if there are any; NaN without any. One that carries against the others (it may turn the other
+ * way) is no bound. */
 static double leading_speed(const struct train_tick *t, int first)
 {
     double lead = NAN;
     int adheres = 0; /* the one that leads so far */
     for (int k = first; k < t->n; k = next_alike(t, k)) {
         const struct rotor *r = &t->rotor[k];
-        const int good = t->in[k].adhesion == FLAG_GOOD;
+        const int good = is_measure(t, k);
         const int with_train = t->braking ? r->load <= 0.0 : r->load >= 0.0;
         if (!with_train || !isfinite(r->speed) || good < adheres)
             continue;
@@ -83,6 +92,9 @@ void compare_with_train(struct train_tick *t, int first)
         struct rotor *r = &t->rotor[k];
         r->slip = known ? effort * (r->speed / bound - 1.0) : NAN;
         const int slides = known && effort * (r->speed / limit - 1.0) > SLIDING_SLIP;
+        const int ahead = r->slip < 0.0 && r->learnt_s >= DIAMETER_ROUGH_S;
+        const int carries = effort * r->load > CARRIES * t->effort;
+        r->ahead_s = ahead && carries ? r->ahead_s + t->tick_s : 0.0;
         r->sliding_s = slides && !isnan(r->load) ? r->sliding_s + t->tick_s : 0.0;
     }
 }

@@ -27,13 +27,17 @@ MOST_DIFFERENCE: Final = 0.1
 ROUGH_S: Final = 0.5
 SLIDING_SLIP: Final = 0.2
 SLIDING_S: Final = 0.05
+AHEAD_S: Final = 0.05
+CARRIES: Final = 0.5
+"""Share of the mean load: who carries as much for so long, ahead of the bound, shows the train."""
 LEAST_SPEED_RAD_S: Final = 3.0
 
 
 class TrainSpeed(NamedTuple):
     """Memory, (N,): bounds (2, N), rad/s, and unseen_s stand at the first of each motor.
 
-    slip: how far a rotor is beyond the first bound, for the side of the effort; sliding_s: for how
+    ahead_s: for how long a rotor whose diameter is known has been ahead of the first bound, and has
+    carried. slip: how far a rotor is beyond the first bound, for the side of the effort; sliding_s: for how
     long it has been `SLIDING_SLIP` beyond the second one; sliding: too long, and away.
     """
 
@@ -42,19 +46,21 @@ class TrainSpeed(NamedTuple):
     slip: Array
     sliding_s: Array
     sliding: Flags
+    ahead_s: Array
 
 
 def start(n: int) -> TrainSpeed:
     """Nothing known."""
     return TrainSpeed(
-        np.full((2, n), np.nan), np.zeros(n), np.full(n, np.nan), np.zeros(n), np.zeros(n, bool)
-    )
+        np.full((2, n), np.nan), np.zeros(n), np.full(n, np.nan), np.zeros(n), np.zeros(n, bool),
+        np.zeros(n),
+    )  # fmt: skip
 
 
-def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
-    """Of one motor: who leads of those that adhere, else of all that carry with the train."""
+def _lead(speed: Array, load: Array, sure: Flags, braking: bool) -> float:
+    """Of one motor: who leads of those that are a measure, else of all that carry with the train."""
     tracked = (load <= 0.0 if braking else load >= 0.0) & np.isfinite(speed)
-    chosen = tracked & good if (tracked & good).any() else tracked
+    chosen = tracked & sure if (tracked & sure).any() else tracked
     if not chosen.any():
         return math.nan
     return float(speed[chosen].max() if braking else speed[chosen].min())
@@ -62,12 +68,14 @@ def _lead(speed: Array, load: Array, good: Flags, braking: bool) -> float:
 
 def follow(
     memory: TrainSpeed, motor: NDArray[np.int64], speed: Array, load: Array,
-    flag: NDArray[np.int64], fastest: Array, effort: float, braking: bool, tick_s: float,
+    flag: NDArray[np.int64], fastest: Array, learnt_s: Array, effort: float, braking: bool,
+    tick_s: float,
 ) -> None:  # fmt: skip
     """One tick. speed, load (N,); fastest (N,) rad/s2 at rated torque on the rotor alone."""
     for first in np.unique(motor):
         mine = motor == first
-        lead = _lead(speed[mine], load[mine], flag[mine] == Flag.GOOD, braking)
+        sure = (flag == Flag.GOOD) | (memory.ahead_s > AHEAD_S)
+        lead = _lead(speed[mine], load[mine], sure[mine], braking)
         unseen = math.isnan(lead)
         memory.unseen_s[first] = memory.unseen_s[first] + tick_s if unseen else 0.0
         forget = memory.unseen_s[first] > UNSEEN_S or (not unseen and effort < LEAST_EFFORT)
@@ -82,6 +90,8 @@ def follow(
         known = effort >= LEAST_EFFORT and min(near, far) >= LEAST_SPEED_RAD_S
         side = -1.0 if braking else 1.0
         memory.slip[mine] = side * (speed[mine] / near - 1.0) if known else np.nan
+        ahead = (memory.slip < 0.0) & (learnt_s >= ROUGH_S) & (side * load > CARRIES * effort)
+        memory.ahead_s[mine] = np.where(ahead, memory.ahead_s + tick_s, 0.0)[mine]
         beyond = known & (side * (speed / far - 1.0) > SLIDING_SLIP) & ~np.isnan(load)
         memory.sliding_s[mine] = np.where(beyond, memory.sliding_s + tick_s, 0.0)[mine]
 

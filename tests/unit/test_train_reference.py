@@ -62,7 +62,7 @@ def same(rotors, plain):
     train = plain.train
     for name, wanted in zip(("train_speed", "train_limit"), train.bounds, strict=True):
         np.testing.assert_array_equal(rotors[name], wanted, name)
-    for name in ("unseen_s", "slip", "sliding_s", "sliding"):
+    for name in ("unseen_s", "slip", "sliding_s", "sliding", "ahead_s"):
         np.testing.assert_array_equal(rotors[name], getattr(train, name), name)
 
 
