@@ -7,7 +7,7 @@ def same_numbers(mine, wanted, name=""):
     """Raises AssertionError where two arrays differ, of records by field.
 
     The same bytes are the same numbers: `assert_array_equal`, which also says what differs, takes
-    fifty times as long and is asked only where they are not.
+    twenty times as long and is asked only where they are not.
     """
     if same_bytes(mine, wanted):
         return
