@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import random
-import shutil
 import sys
 import tempfile
 import time
@@ -25,7 +24,7 @@ from gateway.settings.config import load
 
 SECONDS = 1
 KINDS = 20
-"""Different logs; the others are copies of them."""
+"""Different logs; the others are links to them."""
 
 
 def make(folder: Path, count: int) -> None:
@@ -36,7 +35,7 @@ def make(folder: Path, count: int) -> None:
             seconds = str(SECONDS * (1 + k / KINDS))
             quiet("sim", "wet_one" if k % 2 else "healthy", "--duration", seconds, "-o", str(log))
         else:
-            shutil.copy(folder / f"train{k % KINDS % 7}" / f"{k % KINDS}.log", log)
+            os.link(folder / f"train{k % KINDS % 7}" / f"{k % KINDS}.log", log)
 
 
 def workers() -> list[psutil.Process]:

@@ -443,6 +443,16 @@ def test_workers_that_are_killed_at_any_moment_cost_nothing(logs, ran, tmp_path,
     )
 
 
+def test_a_local_process_that_dask_gave_up_is_started_again():
+    """One that is lost again 15 s after it died, or fails to start: its nanny is closed."""
+    from gateway.fleet.cluster import _client
+
+    with _client(1, None) as client:
+        (nanny,) = client.cluster.workers.values()
+        client.sync(nanny.close)
+        assert client.submit(sum, (1, 2)).result(timeout=60) == 3
+
+
 def test_a_log_of_which_much_was_dropped_counts_and_is_told(logs, tmp_path, capsys):
     lines = (logs / "logs" / "good.log").read_text().splitlines()
     lines[2000:2000] = ["no line of a log"] * (len(lines) // 40)
