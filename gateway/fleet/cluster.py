@@ -6,6 +6,7 @@ for this run and kept in memory; a named one is reached as Dask's own configurat
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -91,7 +92,7 @@ def _keep(cluster: LocalCluster, jobs: int) -> None:
             del cluster.workers[name]
     if len(cluster.workers) < jobs:
         cluster.scale(jobs)
-    cluster.loop.call_later(CHECK_S, _keep, cluster, jobs)
+    asyncio.get_running_loop().call_later(CHECK_S, _keep, cluster, jobs)
 
 
 @contextmanager
