@@ -164,15 +164,16 @@ def replay(
     `Opinion`. start: a start record of `traction-gateway shrink`, from which the gateway goes on.
     Raises ConfigError or BadLogError, whose text says what to do.
     """
-    named = detector if isinstance(detector, str) else detector and "median"
+    own = None if detector is None or isinstance(detector, str) else detector
+    named = detector if isinstance(detector, str) else None if own is None else "median"
     used, codec = _prepared(config, named)
 
     def begin_at(first_ns: int) -> Gateway:
         if start is not None:
             return start_record.resumed(Path(start).read_bytes(), str(start), used, codec)
         gateway = Gateway(used, codec, first_ns)
-        if detector is not None and not isinstance(detector, str):
-            gateway.adhesion.detector = detector
+        if own is not None:
+            gateway.adhesion.detector = own
         return gateway
 
     def play(sink: Sink) -> Replayed:
