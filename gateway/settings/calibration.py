@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
 from dbc.bounds import within
-from dbc.text import read_bytes, read_toml
+from dbc.text import read_bytes, read_toml, toml_text
+from dbc.toml_lines import numbered
 from estimators.thermal import model
 from estimators.thermal.monitor import OWN_K, Coverage, Known
 from gateway.settings.config import Config, ConfigError, check_seal
@@ -185,14 +186,15 @@ def load(
         content = read_bytes(path)
         if sealed is not None:
             check_seal(path, content, sealed)
-        table = read_toml(content.decode("utf-8"))
+        text = toml_text(content)
+        table = read_toml(text)
         stored = table.pop("checksum", None)
         calibration = Calibration.model_validate(table)
     except FileNotFoundError:
         problem = "no such file; make one with 'traction-gateway calibrate LOG -o FILE'"
         raise ConfigError(str(path), [problem]) from None
     except ValidationError as error:
-        raise ConfigError(str(path), problems_of(error)) from None
+        raise ConfigError(str(path), numbered(problems_of(error), text)) from None
     except (OSError, ValueError) as error:
         # ValueError: no UTF-8, no TOML, or a NUL in the name.
         raise ConfigError(str(path), [f"cannot be read as TOML: {error}"]) from None
@@ -212,7 +214,7 @@ def load(
             "limits hold for one window only"
         )
     if problems:
-        raise ConfigError(str(path), problems)
+        raise ConfigError(str(path), numbered(problems, text))
     return calibration
 
 
