@@ -97,6 +97,11 @@ class Config(Strict):
                     "leave it at 0, "
                     "or use detector = 'paper_vb'"
                 )
+        if self.thermal.false_alarms_per_1000_h is not None and self.thermal.method != "model":
+            problems.append(
+                "thermal.false_alarms_per_1000_h: method 'maisd' has no such limit; leave it out, "
+                "or use method = 'model'"
+            )
         if self.bus.on_intruder == "tell" and self.authentication is None:
             problems.append(
                 "bus.on_intruder: 'tell' needs [authentication]: without it no receiver can tell "
